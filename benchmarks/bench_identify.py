@@ -16,9 +16,8 @@ from peers import Pinocchio
 
 from armlab import identify, robots
 from armlab.estimation import Rows, least_squares
-from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.record import Record
-from armlab.identify.regression import Design
+from armlab.identify.regression import BaseParameters, Design, base_parameters
 from armlab.robots import Robot
 
 RATE = 250.0  # Hz

@@ -100,7 +100,7 @@ def test_clear_pushes_are_taken_for_what_they_are() -> None:
 
 @pytest.mark.parametrize("segment", [None, LINE])
 def test_a_push_on_a_link_is_never_reported_as_one_on_the_tool_without_a_flag(segment) -> None:
-    names, flags, found = decisions(pushes("link", 200, seed=3), segment=segment)
+    names, flags, found = decisions(pushes("link", 100, seed=3), segment=segment)
     tool = np.isin(names, ["point", "segment", "wrench"])
     assert not np.any(tool & ~flags)
     assert np.mean([name.startswith("link") for name in names]) > 0.6
@@ -111,11 +111,11 @@ def test_a_push_on_a_link_is_never_reported_as_one_on_the_tool_without_a_flag(se
 def test_the_default_memory_makes_no_false_decision_where_the_error_remembers_less_or_more(memory: float) -> None:
     """No contact made up, no push on a link at the tool without its flag, few at the tool taken for another thing."""
     found = {kind: hypotheses(made.table, ROBOT) for kind in ("none", "point", "link")
-             if (made := pushes(kind, 100, 4, memory))}  # fmt: skip
-    names = {kind: [one.decision[i] for i in range(0, 200, 2)] for kind, one in found.items()}
+             if (made := pushes(kind, 60, 4, memory))}  # fmt: skip
+    names = {kind: [one.decision[i] for i in range(0, 120, 2)] for kind, one in found.items()}
     assert all(name in ("none", "undecided") for name in names["none"])
     assert np.mean([name not in ("point", "undecided") for name in names["point"]]) <= 0.05
-    assert not np.any(np.isin(names["link"], ["point", "wrench"]) & ~found["link"].link[:200:2])
+    assert not np.any(np.isin(names["link"], ["point", "wrench"]) & ~found["link"].link[:120:2])
 
 
 def test_the_default_memory_is_above_that_of_an_identified_arm(truth, model) -> None:

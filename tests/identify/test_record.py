@@ -9,7 +9,7 @@ import pytest
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Experiment, check_estimator
-from armlab.identify import fit_dynamics, fit_velocity_covariance, prepare, with_velocity
+from armlab.identify import fit_velocity_covariance, prepare, with_velocity
 from armlab.identify.record import (
     SLOW_SHARE,
     Record,
@@ -22,19 +22,15 @@ from armlab.identify.record import (
 from armlab.identify.residuals import (
     BIN,
     ModelResiduals,
-    begun,
     dry_torques,
     friction_signs,
     mean_power,
     model_residuals,
-    momentum_noise,
     relaxed,
     seconds,
     settled,
-    stretches,
-    velocity_noise,
 )
-from armlab.identify.validation import held_out
+from armlab.identify.validation import begun, held_out, momentum_noise, stretches, velocity_noise
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
@@ -143,7 +139,7 @@ def test_ripple_that_folds_back_is_not_used() -> None:
     np.testing.assert_array_equal(slow_enough(speed, 250.0, np.array([200.0, 100.0])), expected)
 
 
-def test_spikes_are_found_and_replaced_better_by_a_model(short_arm) -> None:
+def test_spikes_are_found_and_replaced_better_by_a_model(short_arm, short_fit) -> None:
     """The median errs where friction turns round; with the model no replacement is worse than the noise around it."""
     clean, bad = short_arm.log(0, 3000), short_arm.log(0, 3000, bad=0.05)
     data = prepare(bad, short_arm.robot)
@@ -151,16 +147,13 @@ def test_spikes_are_found_and_replaced_better_by_a_model(short_arm) -> None:
     assert np.sum(found & ~spoilt) < 0.02 * found.sum()
     assert found.sum() > 0.98 * spoilt.sum()
     plain = without_outliers(data, found)
-    modelled = without_outliers(data, found, fit_dynamics(clean, short_arm.robot).value)
+    modelled = without_outliers(data, found, short_fit.value)
     for tau in (plain, modelled):
         np.testing.assert_array_equal(tau[~found], bad["tau"][~found])
     first, second = (np.sqrt(np.mean((tau - clean["tau"])[found] ** 2)) for tau in (plain, modelled))
     assert second < 0.9 * first
     noise = np.sqrt(np.mean(np.broadcast_to([0.3, 0.2], found.shape)[found] ** 2))
     assert second == pytest.approx(np.hypot(1.0, 0.5) * noise, rel=0.15), "its own noise, and that of a median of nine"
-
-
-def test_a_clean_record_has_no_spikes(short_arm) -> None:
     assert not torque_outliers(prepare(short_arm.log(1, 3000), short_arm.robot)).any()
 
 
@@ -242,7 +235,8 @@ def test_fit_velocity_covariance_recovers_the_truth(kind: str) -> None:
     np.testing.assert_allclose(fit.value.shape, RATE if kind == "exp" else 0.05, rtol=0.1)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("exp", marks=pytest.mark.slow), "step"])  # 6 s, 1 s
+@pytest.mark.slow  # 6 s and 1 s
+@pytest.mark.parametrize("kind", ["exp", "step"])
 def test_the_statistical_contract(kind: str) -> None:
     def experiment(seed: int, n: int) -> Experiment:
         residuals, qd = sample(seed, kind, n)
@@ -344,7 +338,7 @@ def test_some_windows_of_a_long_record_tell_the_factors(truth, excited, model, m
     errors, moving = held_out([(model, rows)], data)
     errors = np.where(moving, errors, np.nan)
     whole = momentum_noise(model, [(model, rows)], errors, data)
-    monkeypatch.setattr("armlab.identify.residuals.ENOUGH", len(rows) // 2)
+    monkeypatch.setattr("armlab.identify.validation.ENOUGH", len(rows) // 2)
     part = momentum_noise(model, [(model, rows)], errors, data)
     assert part.alpha2_observer != whole.alpha2_observer
     assert part.alpha2_observer == pytest.approx(whole.alpha2_observer, rel=0.2)

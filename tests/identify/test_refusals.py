@@ -25,7 +25,6 @@ from armlab.errors import (
 from armlab.estimation import Fit
 from armlab.identify import excite, record
 from armlab.identify.drives.friction import rbf_centres, rbf_regressor
-from armlab.identify.drives.regularised import group_lasso
 from armlab.identify.drives.ripple import ripple_lines
 from armlab.identify.many import fit_draft, fit_sums, log_sums
 from armlab.identify.payload import LoadRecord
@@ -151,9 +150,6 @@ MODELS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     (ShapeError, "rate above 0 Hz and finite ends", lambda s: ripple_lines(Q[:, 0], QD[:, 0], Q[:, 0], 0.0, 250.0)),
     (ShapeError, "rate above 0 Hz and finite ends", lambda s: ripple_lines(Q[:, 0], QD[:, 0], Q[:, 0], 250.0, np.inf)),
     (ShapeError, "finite", lambda s: ripple_lines(Q[:, 0], QD[:, 0], np.nan * Q[:, 0], 250.0, 250.0)),
-    *((ShapeError, "groups of equal size", lambda s, wrong=wrong: group_lasso(*wrong))
-      for wrong in ((Q, QD[1:, 0], 2, 1.0), (Q, QD[:, 0], 3, 1.0), (Q, QD[:, 0], 2, 0.0))),
-    (ShapeError, "finite", lambda s: group_lasso(Q, np.nan * QD[:, 0], 2, 1.0)),
     (ShapeError, "one shape", lambda s: identify.fit_velocity_covariance(NOISE, QD[:10])),
     (ShapeError, "one shape", lambda s: identify.fit_velocity_covariance(NOISE[:, :0], QD[:, :0])),
     (ShapeError, r"1 rows, first \[3\]",
@@ -199,7 +195,7 @@ def given(truth, excited, model, fitted, short_arm) -> SimpleNamespace:
     other = truth.log(identify.design_excitation(YUMI, seconds=12, speed=0.4, seed=4))
     return SimpleNamespace(
         log=excited, model=model, fitted=fitted, short=short_arm, other=other,
-        draft=cache(lambda: fit_draft([short_arm.log(0, 2000)], short_arm.robot, 1)),
+        draft=cache(lambda: fit_draft([short_arm.log(0, 1200)], short_arm.robot, 1)),
     )  # fmt: skip
 
 

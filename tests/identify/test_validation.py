@@ -9,16 +9,8 @@ import pytest
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify import design_excitation, dither, extrapolation, predict, prepare
-from armlab.identify.validation import (
-    FIFTHS,
-    Extrapolation,
-    assess,
-    assess_again,
-    held_out,
-    parameter_text,
-    report,
-    training,
-)
+from armlab.identify.prediction import Extrapolation
+from armlab.identify.validation import FIFTHS, assess, assess_again, held_out, parameter_text, report, training
 from armlab.log import Table
 
 
@@ -142,7 +134,7 @@ def test_rest_that_training_did_not_have(model, excited) -> None:
 
 
 def test_positions_and_speeds_outside_training_are_named(model, truth) -> None:
-    wide = truth.log(design_excitation(truth.robot, seconds=20, seed=9, speed=1.0, acceleration=40.0), seed=2)
+    wide = truth.log(design_excitation(truth.robot, seconds=10, seed=9, speed=1.0, acceleration=40.0), seed=2)
     found = extrapolation(model, wide)
     text = " ".join(found.warnings)
     assert "at speeds that were not trained" in text

@@ -76,7 +76,6 @@ class Hypotheses:
     samples: np.ndarray
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         make_read_only(self, "t", "log_evidence", "posterior", "link", "place", "samples")
 
     def during(self, start: float, end: float) -> str:

@@ -137,10 +137,7 @@ class Wrench:
 
 
 def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:
-    """Return the point (3,) as an array of its own.
-
-    `point`: (3,) tool axes [m].
-    """
+    """Return the point (3,) as an array of its own."""
     place = np.array(numbers(point, "the contact point", ShapeError))
     if place.shape != (3,) or not np.all(np.isfinite(place)):
         raise ShapeError(f"Expected the contact point as three finite numbers [m], tool axes, got {point!r}.")
@@ -149,10 +146,7 @@ def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:
 
 
 def check_distance(places: np.ndarray, robot: Robot) -> None:
-    """Refuse places further from the tool than the arm is long: millimetres, as a rule.
-
-    `places`: (M, 3) tool axes [m].
-    """
+    """Refuse places further from the tool than the arm is long: millimetres, as a rule."""
     far, length = float(np.linalg.norm(places, axis=1).max(initial=0.0)), arm_length(robot)
     if far > length:
         raise ShapeError(
@@ -391,27 +385,16 @@ class Estimator:
         self._take_over()
         self._running = True  # the kernel lets other threads run meanwhile
         try:
-            return self._run_kernel(q, qd, tau, dt, tell)
+            rows, parts = len(dt), []
+            if tell is None or rows < PARTS:
+                return self._kernel.run(q, qd, tau, dt)
+            for a, b in pairwise(np.linspace(0, rows, PARTS + 1).astype(int)):
+                tell(int(a), rows, f"{self._method} of {rows} rows")
+                parts.append(self._kernel.run(q[a:b], qd[a:b], tau[a:b], dt[a:b]))
+            tell(rows, rows, "done")
+            return tuple(None if values[0] is None else np.concatenate(values) for values in zip(*parts))
         finally:
             self._running = False
-
-    def _run_kernel(
-        self,
-        q: np.ndarray,
-        qd: np.ndarray,
-        tau: np.ndarray,
-        dt: np.ndarray,
-        tell: Callable[[int, int, str], None] | None,
-    ) -> tuple[Any, ...]:
-        rows = len(dt)
-        if tell is None or rows < PARTS:
-            return self._kernel.run(q, qd, tau, dt)
-        parts = []
-        for a, b in pairwise(np.linspace(0, rows, PARTS + 1).astype(int)):
-            tell(int(a), rows, f"{self._method} of {rows} rows")
-            parts.append(self._kernel.run(q[a:b], qd[a:b], tau[a:b], dt[a:b]))
-        tell(rows, rows, "done")
-        return tuple(None if values[0] is None else np.concatenate(values) for values in zip(*parts))
 
     def _forget(self) -> None:
         self._t, self._missed, self._tared_at = float("nan"), False, None

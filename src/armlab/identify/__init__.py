@@ -1,6 +1,5 @@
 """Identification: excitation design, regressors, base parameters, rigid-body dynamics, friction, torque covariance."""
 
-from armlab.identify.base_parameters import base_parameters
 from armlab.identify.consistency import PhysicallyConsistent, physically_consistent, physically_consistent_load
 from armlab.identify.drives.friction import fit_friction, rbf_centres, rbf_regressor
 from armlab.identify.drives.ripple import ripple_lines
@@ -16,9 +15,10 @@ from armlab.identify.excite import (
     sequence,
 )
 from armlab.identify.payload import fit_payload
+from armlab.identify.prediction import Extrapolation, extrapolation, predict
 from armlab.identify.record import prepare, with_velocity
-from armlab.identify.residuals import fit_velocity_covariance
-from armlab.identify.validation import Extrapolation, extrapolation, predict
+from armlab.identify.regression import base_parameters
+from armlab.identify.validation import fit_velocity_covariance
 
 __all__ = [
     "Extrapolation",

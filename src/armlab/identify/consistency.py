@@ -25,7 +25,7 @@ import numpy as np
 from armlab._numbers import numbers
 from armlab.errors import ConfigError, MissingExtra, ModelMismatchError, NotConverged, ShapeError, UnknownName
 from armlab.estimation import Fit
-from armlab.identify.base_parameters import BaseParameters, base_parameters
+from armlab.identify.regression import BaseParameters, base_parameters
 from armlab.models import Payload, TorqueModel
 from armlab.robots import Robot, inertia
 
@@ -65,7 +65,6 @@ class PhysicallyConsistent:
     distance: float
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         for name in ("links", "rotor"):
             values = np.array(getattr(self, name), dtype=float)
             values.flags.writeable = False
@@ -83,10 +82,7 @@ class PhysicallyConsistent:
 
 
 def pseudo_inertia(pi: np.ndarray) -> np.ndarray:
-    """Return the pseudo-inertia (..., 4, 4): second, first and zeroth moments of the mass about the frame's origin.
-
-    `pi`: (..., 10) inertial parameters.
-    """
+    """Return the pseudo-inertia (..., 4, 4): second, first and zeroth moments of the mass about the frame's origin."""
     pi = numbers(pi, "inertial parameters", ShapeError)
     if pi.shape[-1:] != (10,):
         raise ShapeError(f"Expected inertial parameters of shape (..., 10), got {pi.shape}. See robots.inertia.")

@@ -36,16 +36,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armlab._numbers import check_name
-from armlab.errors import ModelMismatchError, NotExcited, ShapeError
+from armlab.errors import ModelMismatchError, ShapeError
 from armlab.estimation import BlockSums, Fit, Prior, block_bootstrap, least_squares
 from armlab.estimation.bootstrap import block_seconds
 from armlab.estimation.linear_problem import LinearSolution
 from armlab.estimation.robust import METHODS
 from armlab.estimation.tsqr import one_thread
-from armlab.identify.base_parameters import BaseParameters, base_parameters, measured_joints
 from armlab.identify.friction_structure import Chooser, choose_here
-from armlab.identify.record import Record, prepare, torque_outliers, without_outliers
-from armlab.identify.regression import Design
+from armlab.identify.record import Record, check_blocks, measured_joints, prepare, torque_outliers, without_outliers
+from armlab.identify.regression import BaseParameters, Design, base_parameters
 from armlab.identify.solve import ROBUST, alternate, calibrated, gain_share, linearised, short_blocks
 from armlab.identify.validation import FIFTHS, assess, report, training
 from armlab.log import Table
@@ -310,23 +309,14 @@ def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray,
     block = data.blocks(short_blocks(data) if method == "lts" else seconds)
     count = int(block[-1]) + 1
     length = max(1, round(seconds * count / data.seconds))
-    if count < 8 * length:
-        raise NotExcited(
-            f"Expected at least 8 blocks of {seconds:.2g} s for a covariance, got {count // length}. "
-            "Record for longer.",
-            ["covariance"],
-            [f"{data.seconds:.1f} s"],
-        )
+    check_blocks(count // length, seconds, data)
     return block, length
 
 
 def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.ndarray | None = None) -> TorqueModel:
-    """Turn linear parameters and the structure of friction into a model; covariance and quality are provisional.
-
-    `theta`, `cov`: (p,) and (p, p). `gain_cov`: (J, J) of the gains; zero when left out.
-    """
+    """Turn linear parameters and the structure of friction into a model; covariance and quality are provisional."""
     data, robot, base = design.data, design.robot, design.base
-    n, p = robot.n, len(base.names)
+    n, p = len(robot.joint_names), len(base.names)
     unknown = np.full(n, np.nan)
     links, rotor = base.links_and_rotors(theta[:p])
     friction, ripple = design.drives(theta)
@@ -364,10 +354,7 @@ def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.nd
 def fold_models(
     model: TorqueModel, design: Design, sums: BlockSums, block: np.ndarray, length: int
 ) -> list[tuple[TorqueModel, np.ndarray]]:
-    """Return, for each fifth of the stretches, the model fitted without them and a mask (N,) of their samples.
-
-    `block`: (N,) number of the block of each sample of the record that will judge.
-    """
+    """Return, for each fifth of the stretches, the model fitted without them and a mask (N,) of their samples."""
     folds = []
     for k in range(FIFTHS):
         kept = np.arange(len(sums.rows)) // length % FIFTHS != k
@@ -377,10 +364,7 @@ def fold_models(
 
 
 def fit_of(model: TorqueModel, design: Design, solution: LinearSolution, cov: np.ndarray, n: int) -> Fit[TorqueModel]:
-    """Return the fit behind a model, its parameters in their units.
-
-    `solution`: of the linear parameters (p,). `cov`: (p, p) of these, what gains have in common included.
-    """
+    """Return the fit behind a model, its parameters in their units."""
     parameters, in_units, formal = design.in_units(solution.x, cov, solution.cov)
     return Fit(
         value=model,

@@ -18,7 +18,7 @@ import numpy as np
 from armlab._numbers import generator, number, numbers
 from armlab.errors import NotConverged, RobotError, ShapeError, UnknownName
 from armlab.estimation import Excitation
-from armlab.identify.base_parameters import BaseParameters, base_parameters
+from armlab.identify.regression import BaseParameters, base_parameters
 from armlab.log import Table
 from armlab.models.friction import FRICTION_TERMS
 from armlab.robots import Robot
@@ -127,10 +127,7 @@ class Trajectory:
 
 
 def quintic_step(x: float) -> tuple[float, float, float]:
-    """Return the smooth step ``x^3 (10 - 15 x + 6 x^2)`` of x in [0, 1] and its two derivatives.
-
-    `x`: share of the step; below 0 it has not begun, above 1 it is over.
-    """
+    """Return the smooth step ``x^3 (10 - 15 x + 6 x^2)`` of x in [0, 1] and its two derivatives."""
     x = min(max(x, 0.0), 1.0)
     return x**3 * (10 - 15 * x + 6 * x * x), 30 * x * x * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
 
@@ -248,7 +245,9 @@ def design_excitation(
         )
     rng = generator(seed)
     base = base_parameters(robot)
-    middle = _with_room(robot) if centre is None else _inside(robot, centre)
+    room = np.minimum(np.deg2rad(70.0), 0.5 * (robot.q_max - robot.q_min))
+    home = np.clip(robot.q_home, robot.q_min + room, robot.q_max - room)
+    middle = home if centre is None else _inside(robot, centre)
     draws = rng.standard_normal((CANDIDATES, 2, int(harmonics), robot.n))
     weights = 1.0 / _deviation(robot, np.ones(robot.n) if sigma is None else sigma)
 
@@ -333,12 +332,6 @@ def dither(
         return centre + w * x, w * xd + wd * x, -w * omega**2 * x + 2 * wd * xd + wdd * x
 
     return Trajectory(seconds, sample)
-
-
-def _with_room(robot: Robot) -> np.ndarray:
-    """Return the home position (n,) moved away from the limits."""
-    room = np.minimum(np.deg2rad(70.0), 0.5 * (robot.q_max - robot.q_min))
-    return np.clip(robot.q_home, robot.q_min + room, robot.q_max - room)
 
 
 def _inside(robot: Robot, centre: np.ndarray) -> np.ndarray:

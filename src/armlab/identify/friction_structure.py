@@ -8,7 +8,7 @@ is reported as two Coulomb torques, one for each direction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from itertools import pairwise
@@ -16,8 +16,67 @@ from itertools import pairwise
 import numpy as np
 
 from armlab.estimation.tsqr import one_thread
-from armlab.identify.columns import FIXED, SIGNED, FrictionColumns
+from armlab.identify.record import Decimation
+from armlab.kernels import presliding
 from armlab.models.friction import FRICTION_TERMS
+
+# Columns without structure; the last two where gears are known.
+FIXED = ("viscous", "offset", "ripple cos", "ripple sin")
+SIGNED = ("coulomb+", "coulomb-", "root")  # columns of the sign alone
+SHAPED = (*SIGNED, "stribeck")
+
+
+@dataclass(frozen=True, eq=False)
+class Bell:
+    """The factor exp(-(qd / v_s)^2) of velocities (N, J) and v_s (J,), made of the rows that are asked for."""
+
+    qd: np.ndarray
+    speed: np.ndarray
+
+    def __getitem__(self, rows: slice) -> np.ndarray:
+        return np.exp(-((self.qd[rows] / self.speed) ** 2))
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionColumns:
+    """Makes the columns of friction of J joints from their motion.
+
+    `decimation`: filter of the record, with the (M,) rows that are kept. `q`, `qd`: (N, J) positions and velocities.
+    `resolution`: (J,) half the smallest step of the encoder [rad].
+    """
+
+    decimation: Decimation
+    q: np.ndarray
+    qd: np.ndarray
+    resolution: np.ndarray
+
+    def of(self, i: int) -> FrictionColumns:
+        one = slice(i, i + 1)
+        q, qd = np.ascontiguousarray(self.q[:, one]), np.ascontiguousarray(self.qd[:, one])
+        return FrictionColumns(self.decimation, q, qd, self.resolution[one])
+
+    def sign(self, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+        """Return s (N, J) along the record for `FrictionStructure`'s delta and smooth (J,)."""
+        soft = smooth > 0
+        z = np.empty(self.q.shape)
+        if not soft.all():
+            for a, b in self.decimation.segments:
+                z[a:b] = presliding(np.ascontiguousarray(self.q[a:b]), delta, self.resolution)
+        for i in np.flatnonzero(soft):
+            z[:, i] = np.tanh(self.qd[:, i] / smooth[i])
+        return z
+
+    def columns(self, s: np.ndarray, bells: Sequence[Bell | np.ndarray], signs: bool = True) -> np.ndarray:
+        """Return the columns (M, J, 3 + S) of a sign s (N, J): SIGNED, if wanted, then Stribeck of each of S bells."""
+        made_of = [FRICTION_TERMS[name].column for name in SIGNED] if signs else []
+
+        def made(a: int, b: int) -> np.ndarray:
+            own = [column(self.qd[a:b], s[a:b]) for column in made_of if column]
+            return np.concatenate([*own, *(s[a:b] * bell[a:b] for bell in bells)], axis=1)
+
+        J, count = self.q.shape[1], len(made_of) + len(bells)
+        return np.moveaxis(self.decimation.run(made, J * count).reshape(-1, count, J), 1, 2)
+
 
 DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad
 SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s
@@ -96,10 +155,7 @@ def term_names(terms: np.ndarray, ripple: bool) -> tuple[str, ...]:
 
 
 def mixing(terms: np.ndarray, width: int) -> np.ndarray:
-    """Return the matrix (width, k) from all columns of a joint to those that it has.
-
-    `terms`: (3,) asymmetry, Stribeck, root.
-    """
+    """Return the matrix (width, k) from all columns of a joint to those that it has with its terms (3,)."""
     fields = [{*FRICTION_TERMS[name].fields} for name in term_names(terms, ripple=False)]
     own = [[{*FRICTION_TERMS[column].fields} <= of for of in fields] for column in FRICTION]
     rest = width - len(FRICTION)
@@ -136,12 +192,10 @@ class _StructureSearch:
         self._target = choice.target[self._order] * self._trust[:, 0]
 
     def scores(self, columns: np.ndarray, speeds: np.ndarray, kinds: slice) -> np.ndarray:
-        """Return the held-out error (S, k), relative to the torque.
-
-        `columns`: (M, 1, 3 + S) from `FrictionColumns.columns`. `speeds`: (S,) of its bells.
-        """
+        """Return the held-out error (S, k), relative to the torque, of columns (M, 1, 3 + S) with bells of S speeds."""
         A = np.column_stack([columns[:, 0][self._order] * self._trust, self._fixed])
-        sums = [_sums(A[a:b], self._target[a:b]) for a, b in pairwise(self._edges)]
+        folds = ((A[a:b], self._target[a:b]) for a, b in pairwise(self._edges))
+        sums = [(rows.T @ rows, rows.T @ y, float(y @ y)) for rows, y in folds]
         fixed = columns.shape[2]
         at = dict(zip((*SIGNED, *FIXED), (*range(len(SIGNED)), *range(fixed, A.shape[1]))))
         rest = range(fixed + 2, A.shape[1])  # neither viscous nor offset
@@ -153,25 +207,21 @@ class _StructureSearch:
         return out
 
 
-def _sums(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    return A.T @ A, A.T @ y, float(y @ y)
-
-
 def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarray, T: np.ndarray) -> np.ndarray:
     """Return the squared error (S, k) of each fold by the parameters of the others, over that of the torque.
 
-    `picks`: (S, w) columns of A that each speed of Stribeck has. `T`: (k, w, w) of `_mixings`.
+    `sums`: A^T A, A^T y and y^T y of each of F folds. `picks`: (S, w) columns of A that each speed of Stribeck has.
     """
-    grams = [(G[picks[:, :, None], picks[:, None, :]][:, None], v[picks][:, None, :, None]) for G, v, _ in sums]
-    error, identified = np.zeros((len(picks), len(T))), np.ones((len(picks), len(T)), dtype=bool)
-    G, v = sum(G for G, _ in grams), sum(v for _, v in grams)
-    for (H, u), (_, _, power) in zip(grams, sums):
-        A, scale = _scaled(T.transpose(0, 2, 1) @ (G - H) @ T)
-        x = T @ (np.linalg.solve(A, T.transpose(0, 2, 1) @ (v - u) / scale) / scale)
-        error += (power - 2.0 * np.swapaxes(u, 2, 3) @ x + np.swapaxes(x, 2, 3) @ H @ x)[..., 0, 0]
-        if H.any():
-            identified &= np.linalg.eigvalsh(_scaled(T.transpose(0, 2, 1) @ H @ T)[0])[..., 0] > IDENTIFIED
-    total = sum(power for _, _, power in sums)
+    grams, moments, power = (np.array(part) for part in zip(*sums))
+    H = np.ascontiguousarray(grams[:, picks[:, :, None], picks[:, None, :]])[:, :, None]  # (F, S, 1, w, w)
+    u = np.ascontiguousarray(moments[:, picks])[:, :, None, :, None]
+    back = T.transpose(0, 2, 1)
+    A, scale = _scaled(back @ (sum(H) - H) @ T)
+    x = T @ (np.linalg.solve(A, back @ (sum(u) - u) / scale) / scale)
+    errors = power[:, None, None, None, None] - 2.0 * np.swapaxes(u, -2, -1) @ x + np.swapaxes(x, -2, -1) @ H @ x
+    told = np.linalg.eigvalsh(_scaled(back @ H @ T)[0])[..., 0] > IDENTIFIED
+    identified = np.all(told | ~H.any(axis=(3, 4)), axis=0)
+    error, total = sum(errors[..., 0, 0]), sum(power)
     return np.where(identified, np.maximum(error / total if total > 0 else error, EXACT), np.inf)
 
 
@@ -206,7 +256,7 @@ def choose(choice: StructureChoice) -> FrictionStructure:
     """
     search, motion = _StructureSearch(choice), choice.motion
     trials = [(delta, 0.0) for delta in DELTAS] + [(DELTAS[3], smooth) for smooth in SMOOTH_SPEEDS]
-    bells = [motion.bell(np.array([speed]))[:] for speed in STRIBECK_SPEEDS]
+    bells = [Bell(motion.qd, np.array([speed]))[:] for speed in STRIBECK_SPEEDS]
     scores = []
     for delta, smooth in trials:
         s = motion.sign(np.array([delta]), np.array([smooth]))
@@ -215,7 +265,7 @@ def choose(choice: StructureChoice) -> FrictionStructure:
     delta, smooth = trials[t]
     structure = FrictionStructure(np.array([delta]), np.array([smooth]), STRIBECK_SPEEDS[[k]], TERMS[[terms]])
     structure = _refine(search, structure, scores[t][k, terms])
-    columns = motion.columns(motion.sign(structure.delta, structure.smooth), [motion.bell(structure.speed)])
+    columns = motion.columns(motion.sign(structure.delta, structure.smooth), [Bell(motion.qd, structure.speed)])
     errors = search.scores(columns, structure.speed, slice(None))[0]
     simplest = int(np.argmax(errors <= (1.0 + GAIN) * errors.min()))
     # on the grid a term may stand in for a width between two points
@@ -227,7 +277,6 @@ Chooser = Callable[[Iterable[StructureChoice]], Iterable[FrictionStructure]]
 
 
 def choose_here(choices: Iterable[StructureChoice]) -> list[FrictionStructure]:
-    """Return what `choose` says of joints, one after the other."""
     return list(map(choose, choices))
 
 
@@ -249,19 +298,17 @@ def _refine(search: _StructureSearch, structure: FrictionStructure, best: float)
     motion, kind = search.motion, int(np.flatnonzero((structure.terms == TERMS).all(axis=1))[0])
     ways = ((1.0, 0.0), (0.0, 1.0)) if structure.terms[0, 1] else ((1.0, 0.0),)
     s = motion.sign(structure.delta, structure.smooth)
-    columns = motion.columns(s, [motion.bell(structure.speed)])
+    columns = motion.columns(s, [Bell(motion.qd, structure.speed)])
     for step in (sign * np.log(factor) for factor in REFINEMENTS for sign in (1.0, -1.0)):
         for way in ways:
             trial = structure.moved(step * np.array([way]))
-            bells = [motion.bell(trial.speed)]
+            bells = [Bell(motion.qd, trial.speed)]
             if way[0]:
                 z = motion.sign(trial.delta, trial.smooth)
                 tried = motion.columns(z, bells)
             else:  # the columns of the sign stay
-                z, tried = (
-                    s,
-                    np.concatenate([columns[:, :, : len(SIGNED)], motion.columns(s, bells, signs=False)], axis=2),
-                )
+                bell = motion.columns(s, bells, signs=False)
+                z, tried = s, np.concatenate([columns[:, :, : len(SIGNED)], bell], axis=2)
             score = float(search.scores(tried, trial.speed, slice(kind, kind + 1))[0, 0])
             if score < best:
                 best, structure, s, columns = score, trial, z, tried

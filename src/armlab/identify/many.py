@@ -24,11 +24,10 @@ from armlab.estimation import BlockSums, Fit, block_bootstrap
 from armlab.estimation.linear_problem import LinearProblem, LinearSolution, solve
 from armlab.estimation.robust import HUBER, NORMAL_MAD
 from armlab.estimation.tsqr import Factors, factorise, one_thread
-from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.dynamics import FitProblem, FitSettings, Progress, fit_of, fold_models, make_problem, model_of
 from armlab.identify.friction_structure import Chooser, FrictionStructure, choose_here
 from armlab.identify.record import Record, prepare, prepare_share, torque_outliers, without_outliers
-from armlab.identify.regression import Design
+from armlab.identify.regression import BaseParameters, Design, base_parameters
 from armlab.identify.solve import gain_share
 from armlab.identify.validation import assess, training
 from armlab.log import Table
@@ -104,10 +103,7 @@ def fit_draft(
     progress: Progress = lambda done, total, what: None,
     chooser: Chooser = choose_here,
 ) -> tuple[FitProblem, Pattern]:
-    """Fit the first logs, which fix what is not linear.
-
-    `progress`: called with (done, total, what). `chooser`: of the structure of friction, see `Design.choose_structure`.
-    """
+    """Fit the first logs, which fix what is not linear."""
     job = FitSettings("torque model", "irls", 0, progress, chooser=chooser)
     base = base_parameters(robot)
     draft = make_problem(prepare(tables, robot), robot, base, job)
@@ -131,11 +127,11 @@ def fit_draft(
 
 @one_thread()
 def log_sums(table: Table, pattern: Pattern) -> LogSums:
-    """Reduce one log to sums; joints may rest in it.
-
-    `table`: log with columns q, qd, tau (N, n), without contact.
-    """
-    data = _without_spikes(prepare_share(table, pattern.robot), pattern)
+    """Reduce one log to sums; joints may rest in it."""
+    data = prepare_share(table, pattern.robot)
+    spikes = torque_outliers(data)
+    if spikes.any():
+        data = replace(data, tau=without_outliers(data, spikes, pattern.model))
     if not same_rate(data.rate, pattern.rate):
         raise ShapeError(
             f"Expected the sampling rate of the first logs, {pattern.rate:.4g} Hz, got {data.rate:.4g} Hz. "
@@ -160,10 +156,7 @@ def log_sums(table: Table, pattern: Pattern) -> LogSums:
 
 @one_thread()
 def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first: Sequence[int]) -> Fit[TorqueModel]:
-    """Fit the model to the sum of all logs.
-
-    `first`: which of them the draft was made of; their held-out residuals give the torque covariance over velocity.
-    """
+    """Fit the model to the sum of all logs."""
     solution, block_sums = _solved(draft.design, sums)
     design = draft.design
     cov = block_bootstrap(block_sums, seed=0).cov
@@ -198,11 +191,6 @@ def _solved(design: Design, sums: Sequence[LogSums]) -> tuple[LinearSolution, Bl
     stretch = sum(one.weight for one in sums) / max(sum(one.inside for one in sums), 1)
     found = replace(found, stretch=stretch)
     return found, BlockSums.of(found)
-
-
-def _without_spikes(data: Record, pattern: Pattern) -> Record:
-    found = torque_outliers(data)
-    return replace(data, tau=without_outliers(data, found, pattern.model)) if found.any() else data
 
 
 def _block(data: Record, count: int) -> np.ndarray:

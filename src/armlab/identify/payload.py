@@ -23,13 +23,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armlab._numbers import number
-from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
+from armlab.errors import ModelMismatchError, ShapeError, UnknownName
 from armlab.estimation import Fit, Rows, least_squares
 from armlab.estimation.bootstrap import block_seconds
 from armlab.estimation.excitation import check_spread
 from armlab.estimation.linear_problem import LinearSolution
-from armlab.identify.base_parameters import LINK_SYMBOLS, BaseParameters, base_parameters
-from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Record, check_once, log_name
+from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Record, check_blocks, check_once, log_name
+from armlab.identify.regression import LINK_SYMBOLS, BaseParameters, base_parameters
 from armlab.identify.residuals import model_residuals
 from armlab.identify.solve import GainProblem
 from armlab.kernels import presliding
@@ -66,10 +66,7 @@ class ModelError:
 
     @classmethod
     def of(cls, known: TorqueModel | Fit[TorqueModel], robot: Robot) -> ModelError:
-        """Return what is uncertain in a model: rigid body and friction of a fit, the rigid body alone of a model.
-
-        `known`: as `identify.fit_dynamics` or `fit_gravity` return it, or its value.
-        """
+        """Return what is uncertain in a model: rigid body and friction of a fit, the rigid body alone of a model."""
         model = known.value if isinstance(known, Fit) else known
         names, cov = (known.names, _apart(known)) if isinstance(known, Fit) else (model.base_names, model.base_cov)
         bases = base_parameters(robot), base_parameters(robot, quasi_static=True)
@@ -81,10 +78,7 @@ class ModelError:
         return cls(model, robot, base, tuple(names[k] for k in index), cov[np.ix_(index, index)], left_out)
 
     def against(self, A: np.ndarray, data: Record, rows: np.ndarray, joints: np.ndarray) -> np.ndarray:
-        """Return the sums (J, w, P) of A_i^T C_i per joint: how columns take up what is wrong with the model.
-
-        `A`: (M, J, w) filtered columns. `rows`: (M,) of it that are kept. `joints`: (J,) numbers.
-        """
+        """Return the sums (J, w, P) of A_i^T C_i per joint: how columns take up what is wrong with the model."""
         total = np.zeros((len(joints), A.shape[2], len(self.names)))
         at = {name: k for k, name in enumerate(self.names)}
         if self.base is not None:
@@ -198,10 +192,7 @@ class LoadRecord:
         robot: Robot,
         without: Table | None = None,
     ) -> LoadRecord:
-        """Build the regression from logs.
-
-        `without`: log of the same motion without the load; its residual is subtracted.
-        """
+        """Build the regression from logs."""
         error = ModelError.of(known, robot)
         model = error.model
         tables = [table] if isinstance(table, Table) else table
@@ -229,10 +220,7 @@ class LoadRecord:
 
 
 def moving_joints(tables: Sequence[Table], robot: Robot) -> np.ndarray:
-    """Return the numbers, from 0, of joints that move enough for their friction to be known; all where none does.
-
-    `tables`: logs with q (N, n).
-    """
+    """Return the numbers, from 0, of joints that move enough for their friction to be known; all where none does."""
     if not tables or any(not isinstance(one, Table) or one["q"].shape[1:] != (robot.n,) for one in tables):
         return np.arange(robot.n)  # `prepare` says what is wrong
     ends = np.array([(np.nanmin(one["q"], axis=0), np.nanmax(one["q"], axis=0)) for one in tables if len(one)])
@@ -278,7 +266,6 @@ def _shift(data: Record, other: Record) -> int:
 SIZES = {"static": 4, "dynamic": 10}
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 FARTHEST = 0.5  # m, of the centre of mass
-MIN_BLOCKS = 8
 
 
 def fit_payload(
@@ -372,13 +359,7 @@ def fit_payload(
 def _robust(record: LoadRecord, p: int, gains: np.ndarray, rest: np.ndarray, seconds: float) -> LinearSolution:
     """Return Huber's solution for the first p parameters; the gains less 1 (n,) and the rest (10,) are held."""
     block = record.blocks(seconds)
-    if block[-1] + 1 < MIN_BLOCKS:
-        raise NotExcited(
-            f"Expected at least {MIN_BLOCKS} blocks of {seconds:.2g} s for a covariance, got {block[-1] + 1}. "
-            "Record for longer.",
-            ["covariance"],
-            [f"{record.data.seconds:.1f} s"],
-        )
+    check_blocks(block[-1] + 1, seconds, record.data)
     A = (1.0 + gains)[:, None] * record.A
     rows = list(Rows.of(A[:, :, :p], record.y - A[:, :, p:] @ rest[p:], block))
     return least_squares(rows, LINK_SYMBOLS[:p], what="payload", method="irls")

@@ -1,17 +1,19 @@
-"""From logs to arrays that can be fitted: checks first, then segments without gaps."""
+"""From logs to arrays that can be fitted: checks, segments without gaps, and a filter that keeps every few rows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from armlab.errors import NotExcited, ShapeError
+from armlab._numbers import members
+from armlab.errors import NotExcited, RobotError, ShapeError, UnknownName
 from armlab.estimation.robust import NORMAL_MAD
-from armlab.identify.base_parameters import measured_joints
 from armlab.log import Table
 from armlab.log.units_check import check_position, check_torque, check_velocity
 from armlab.models import TorqueModel
@@ -26,10 +28,7 @@ SLOW_SHARE = 0.25  # of the sampling rate: a faster ripple line folds back
 
 
 def check_rate(t: np.ndarray) -> None:
-    """Refuse a log whose sampling is too slow for friction: below `MIN_RATE`.
-
-    `t`: (N,) times [s], increasing.
-    """
+    """Refuse a log whose sampling is too slow for friction: below `MIN_RATE`."""
     rate = 1.0 / float(np.median(np.diff(t)))
     if rate < MIN_RATE * (1.0 - 1e-6):
         hint = " If t is in milliseconds, divide it by 1000." if rate < 10.0 else ""
@@ -40,19 +39,15 @@ def check_rate(t: np.ndarray) -> None:
 
 
 def slow_enough(qd: np.ndarray, rate: float, cycles: np.ndarray) -> np.ndarray:
-    """Return where (N, n) a ripple line passes below a quarter of the sampling rate; a faster one folds back.
-
-    ``cycles |qd| / (2 pi) < rate / 4``
-
-    `qd`: (N, n) velocity [rad/s]. `rate`: of sampling [Hz]. `cycles`: (n,) line [rad/rad].
-    """
+    """Return where (N, n) a ripple line (n,) [rad/rad] passes below a quarter of the rate; a faster one folds back."""
     return np.abs(qd) * cycles < 2 * np.pi * SLOW_SHARE * rate
 
 
-MIN_SECONDS = 5.0
+MIN_SECONDS, MIN_BLOCKS = 5.0, 8
 MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: range of a joint that is said to move
 MIN_SEGMENT = 100  # samples; shorter pieces between gaps are left out
 BAND = 5.0  # Hz, in which velocity is compared with the slope of position
+ORDER = 4  # of the low-pass, forward and backward
 KEPT, MARGIN = 0.99, 10.0  # share of the power of motion, and how far above its frequency a velocity is kept
 
 
@@ -82,9 +77,11 @@ class Record:
 
     def filter(self, x: np.ndarray, cutoff: float) -> np.ndarray:
         """Filter (N, ...) with zero phase inside each segment; the same filter serves torque and regressor."""
-        out = np.empty_like(x)
+        from scipy.signal import butter, sosfiltfilt
+
+        out, sections = np.empty_like(x), butter(ORDER, cutoff / (self.rate / 2), output="sos")
         for a, b in self.segments:
-            out[a:b] = lowpass_offline(x[a:b], self.rate, cutoff)
+            out[a:b] = sosfiltfilt(sections, x[a:b], axis=0)
         return out
 
     def differentiate(self, x: np.ndarray) -> np.ndarray:
@@ -105,6 +102,32 @@ class Record:
         return number
 
 
+def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[int]:
+    """Return the numbers, from 0, of the joints that are meant, ascending; all when left out."""
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
+    n = len(robot.joint_names)
+    given = range(n) if joints is None else members(joints, f"numbers of joints from 0 to {n - 1}", UnknownName)
+    found = sorted({int(one) for one in given if isinstance(one, int | np.integer)} & {*range(n)})
+    if not found or len(found) != len(given):
+        raise UnknownName(
+            f"Expected numbers of joints from 0 to {n - 1}, each once, got {[*given]}. "
+            "Count from 0, or leave them out for all."
+        )
+    return found
+
+
+def check_blocks(count: int, seconds: float, data: Record) -> None:
+    """Refuse a record of fewer than eight independent blocks: their scatter is the covariance."""
+    if count < MIN_BLOCKS:
+        raise NotExcited(
+            f"Expected at least {MIN_BLOCKS} blocks of {seconds:.2g} s for a covariance, got {count}. "
+            "Record for longer.",
+            ["covariance"],
+            [f"{data.seconds:.1f} s"],
+        )
+
+
 def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] | None = None) -> Record:
     """Check logs and cut them into segments without gaps.
 
@@ -123,7 +146,7 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
         derivative of position, torque of the motors.
     NotExcited : too short, joints at rest by name, constant torque.
     """
-    used = np.bincount(measured_joints(robot, joints), minlength=robot.n) > 0
+    used = np.bincount(measured_joints(robot, joints), minlength=len(robot.joint_names)) > 0
     return _checked(_tables(table), robot, used, used)
 
 
@@ -170,10 +193,7 @@ def _tables(table: Table | Sequence[Table]) -> list[Table]:
 
 
 def check_once(logs: Iterable[tuple[str, str]]) -> None:
-    """Refuse a log that comes twice, be it under another name: the second time it says nothing new.
-
-    `logs`: name and SHA-256 of the rows of each.
-    """
+    """Refuse logs, given by name and SHA-256, of which one comes twice: the second time it says nothing new."""
     known: dict[str, str] = {}
     for name, sha256 in logs:
         if sha256 in known:
@@ -185,10 +205,7 @@ def check_once(logs: Iterable[tuple[str, str]]) -> None:
 
 
 def log_name(table: Table, number: int) -> str:
-    """Return the file that a log was read from; "log 2" where it was not read from one.
-
-    `number`: its place, from 1.
-    """
+    """Return the file that a log was read from; "log 2" where it was not read from one and is the second."""
     return table.source[0].partition(" sha256 ")[0] if table.source else f"log {number}"
 
 
@@ -211,7 +228,7 @@ def with_velocity(table: Table) -> Table:
     if "qd" in table:
         return table
     q, t = table["q"], table.t
-    _check_finite("q", q)
+    check_finite("q", q)
     qd = np.full(q.shape, np.nan)
     for a, b in _pieces(t):
         rate = 1.0 / float(np.median(np.diff(t[a:b])))
@@ -229,10 +246,7 @@ def _corner(q: np.ndarray, rate: float) -> float:
 
 
 def pieces(t: np.ndarray) -> list[tuple[int, int]]:
-    """Return (start, stop) of the stretches of a log without a gap that have at least 100 rows.
-
-    `t`: (N,) times [s], increasing.
-    """
+    """Return (start, stop) of the stretches of a log without a gap that have at least 100 rows; refuse to find none."""
     found = _pieces(t)
     if not found:
         cuts = _cuts(t)
@@ -257,15 +271,17 @@ def _cuts(t: np.ndarray) -> list[int]:
 
 def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray], list[tuple[int, int]]]:
     """Return time, [q, qd, tau] and the pieces of one log that have no gap."""
-    names = [name for name in ("q", "qd", "tau") if name != "qd" or "qd" in table]
-    columns = [np.asarray(table[name], dtype=float) for name in names]
+    known = table.values
+    names = [name for name in ("q", "qd", "tau") if name != "qd" or "qd" in known]
+    columns = [np.asarray(known[name] if name in known else table[name], dtype=float) for name in names]
+    wanted = len(table.t), len(robot.joint_names)
     for name, values in zip(names, columns):
-        if values.shape != (len(table), robot.n):
+        if values.shape != wanted:
             raise ShapeError(
-                f"Expected {name} of shape ({len(table)}, {robot.n}) for robot {robot.name!r}, got {values.shape}. "
+                f"Expected {name} of shape {wanted} for robot {robot.name!r}, got {values.shape}. "
                 "Name the robot that was logged."
             )
-        _check_finite(name, values)
+        check_finite(name, values)
     t = np.asarray(table.t, dtype=float)
     if len(t) < MIN_SEGMENT or t[-1] - t[0] < MIN_SECONDS:
         length = t[-1] - t[0] if len(t) else 0.0
@@ -275,17 +291,21 @@ def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray],
             ["too short"],
         )
     check_rate(t)
-    if "qd" not in table:
+    if "qd" not in known:
         columns.insert(1, with_velocity(table)["qd"])
     return t, columns, pieces(t)
 
 
-def _check_finite(name: str, values: np.ndarray) -> None:
-    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+def check_finite(
+    what: str,
+    *columns: np.ndarray,
+    advice: str = "Drop them with table.dropna, or record with the research extension when torque is missing.",
+) -> None:
+    """Refuse columns (N, n) with missing values, by row."""
+    bad = np.flatnonzero(~np.all([np.isfinite(values).all(axis=1) for values in columns], axis=0))
     if len(bad):
         raise ShapeError(
-            f"Expected finite {name}, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}. "
-            "Drop them with table.dropna, or record with the research extension when torque is missing."
+            f"Expected finite {what}, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}. {advice}"
         )
 
 
@@ -345,10 +365,7 @@ def torque_outliers(data: Record) -> np.ndarray:
 
 
 def without_outliers(data: Record, found: np.ndarray, model: TorqueModel | None = None) -> np.ndarray:
-    """Return the torque (N, n) with spikes replaced by the model's, plus the median of what it leaves around them.
-
-    `found`: (N, n) from `torque_outliers`. `model`: of the arm; the median of the torque alone when left out.
-    """
+    """Return the torque (N, n) with spikes replaced by the model's, plus the median of what it leaves around them."""
     known = np.zeros_like(data.tau) if model is None else _modelled(model, data)
     return np.where(found, known + _median(data.tau - known, data), data.tau)
 
@@ -365,3 +382,125 @@ def _modelled(model: TorqueModel, data: Record) -> np.ndarray:
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     parts = [model.torque(data.q[a:b], data.qd[a:b], qdd[a:b], data.dt[a:b]) for a, b in data.segments]
     return np.concatenate(parts)
+
+
+# Zero-phase low-pass and decimation of a long record in one pass, block by block.
+#
+#     y_m = sum_j h_j x_{m every + j},   |j| <= L
+#
+# with h the impulse response of a Butterworth filter run forward and backward, cut where it has decayed. Torque and
+# every column of the regressor pass the same h, so linear relations survive it exactly. Only the rows that are kept are
+# computed, as products with a narrow matrix, and never more than a few thousand rows of the regressor exist at once.
+
+
+DECAYED = 1e-6  # of the largest tap
+ROWS_AT_ONCE = 1024  # rows of the record: their regressor stays in the cache
+WIDE, NARROW = 64, 16  # columns: of fewer than the first more rows at once
+BAND_ROWS = 32  # kept rows of one product
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Rows `start` to `stop` of a record give the kept rows `first` to `last`, continued by `before` and `after`."""
+
+    start: int
+    stop: int
+    before: int
+    after: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, eq=False)
+class Decimation:
+    """A zero-phase filter that keeps every few rows of each segment.
+
+    `segments`: (start, stop) of each piece of the record without a gap. `taps`: (2 L + 1,) impulse response h; one tap,
+    1, filters nothing. `rows`: (M,) rows that are kept.
+    """
+
+    segments: tuple[tuple[int, int], ...]
+    every: int
+    taps: np.ndarray
+    rows: np.ndarray
+
+    @classmethod
+    def of(cls, data: Record, cutoff: float, every: int) -> Decimation:
+        """Return the filter for a record."""
+        taps = np.ones(1) if np.isinf(cutoff) else _taps(cutoff / data.rate)
+        rows = np.concatenate([np.arange(a, b, every) for a, b in data.segments])
+        return cls(data.segments, every, taps, rows)
+
+    def run(self, columns: Callable[[int, int], np.ndarray], width: int) -> np.ndarray:
+        """Return the kept rows (M, width) of columns that are made on the fly."""
+        out = np.empty((len(self.rows), width))
+        for piece in self.pieces(ROWS_AT_ONCE * max(1, WIDE // max(width, 1))):
+            self.decimate(piece, columns(piece.start, piece.stop), out[piece.first : piece.last])
+        return out
+
+    def pieces(self, rows: int = ROWS_AT_ONCE) -> Iterator[Piece]:
+        """Yield what rows of the record are needed for what kept rows, about so many rows of the record at once."""
+        reach, count = len(self.taps) // 2, max(BAND_ROWS, rows // self.every // BAND_ROWS * BAND_ROWS)
+        first = 0
+        for a, b in self.segments:
+            kept = -(-(b - a) // self.every)
+            for k in range(0, kept, count):
+                last = min(k + count, kept)
+                start, stop = a + self.every * k - reach, a + self.every * (last - 1) + reach + 1
+                inside = max(start, a), min(stop, b)
+                yield Piece(*inside, inside[0] - start, stop - inside[1], first + k, first + last)
+            first += kept
+
+    def decimate(self, piece: Piece, x: np.ndarray, out: np.ndarray) -> None:
+        """Write the kept rows of one piece; ends of a segment are continued by point reflection."""
+        if piece.before or piece.after:
+            x = _continued(x, piece.before, piece.after)
+        if len(self.taps) == 1:
+            out[:] = x[:: self.every]
+            return
+        T, kept, done = self._band, piece.last - piece.first, 0
+        if 0 < x.shape[1] <= NARROW and kept >= BAND_ROWS:
+            # Few columns: all bands side by side, in one product.
+            bands = kept // BAND_ROWS
+            windows = sliding_window_view(x, T.shape[1], axis=0)[:: self.every * BAND_ROWS][:bands]
+            product = T @ windows.transpose(2, 0, 1).reshape(T.shape[1], -1)
+            done = bands * BAND_ROWS
+            out[:done] = product.reshape(BAND_ROWS, bands, -1).transpose(1, 0, 2).reshape(done, -1)
+        for k in range(done, kept, BAND_ROWS):
+            m = min(BAND_ROWS, kept - k)
+            width = self.every * (m - 1) + len(self.taps)
+            np.matmul(T[:m, :width], x[self.every * k : self.every * k + width], out=out[k : k + m])
+
+    @cached_property
+    def _band(self) -> np.ndarray:
+        """The matrix of BAND_ROWS kept rows: the taps, moved by `every` from row to row."""
+        T = np.zeros((BAND_ROWS, self.every * (BAND_ROWS - 1) + len(self.taps)))
+        for k in range(BAND_ROWS):
+            T[k, self.every * k : self.every * k + len(self.taps)] = self.taps
+        return T
+
+
+def _continued(x: np.ndarray, before: int, after: int) -> np.ndarray:
+    """Return x (N, C) with rows before and after it, reflected at its ends."""
+    if max(before, after) >= len(x):
+        return np.pad(x, ((before, after), (0, 0)), mode="reflect", reflect_type="odd")
+    out = np.empty((before + len(x) + after, x.shape[1]))  # ten times as fast, for the usual piece
+    out[before : before + len(x)] = x
+    np.subtract(2.0 * x[0], x[before:0:-1], out=out[:before])
+    np.subtract(2.0 * x[-1], x[-2 : -2 - after : -1], out=out[before + len(x) :])
+    return out
+
+
+def _taps(corner: float) -> np.ndarray:
+    """Return the impulse response of the filter, forward and backward, at `corner` cycles per sample."""
+    from scipy.signal import butter, sosfilt
+
+    sections = np.asarray(butter(ORDER, 2.0 * corner, output="sos"))
+    impulse = np.zeros(int(np.ceil(12.0 / corner)))
+    impulse[0] = 1.0
+    response = np.asarray(sosfilt(sections, impulse))
+    size = 2 ** int(np.ceil(np.log2(2 * len(response))))
+    h = np.fft.irfft(np.abs(np.fft.rfft(response, size)) ** 2, size)[: len(response)]
+    reach = int(np.flatnonzero(np.abs(h) > DECAYED * h[0])[-1])
+    taps = np.concatenate([h[reach:0:-1], h[: reach + 1]])
+    return taps / taps.sum()

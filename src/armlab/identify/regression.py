@@ -1,4 +1,4 @@
-"""The linear regression behind `fit_dynamics`: filtered, decimated columns of each joint, made in blocks.
+"""The linear regression behind `fit_dynamics`: base parameters of the rigid body, and columns of each joint's own.
 
 Base-parameter columns are shared by all joints; each joint has its own: viscous, Coulomb, offset, Stribeck and root
 where they win (`armlab.identify.friction_structure`), and, where the gears are known, cosine and sine of the ripple
@@ -7,35 +7,300 @@ gears has ratio 1: such a line would be a harmonic of gravity and is left out.
 
 A motor that moves several joints, as in wrists, brings three shared columns: its angle is ``theta = c q``, and its
 inertia, viscous and Coulomb friction act on all of them, ``tau = c^T f(theta)``.
+
+All columns are filtered and decimated in blocks: at the full rate none exists for the whole record, which would not
+fit into memory beside its filtered copy.
 """
 
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import compress
 
 import numpy as np
 
+from armlab._numbers import flag
 from armlab.estimation import Rows
-from armlab.identify.base_parameters import BaseParameters
-from armlab.identify.columns import FIXED, SHAPED, SMOOTH, Decimation, RegressionColumns
 from armlab.identify.friction_structure import (
     COLUMNS,
+    FIXED,
     FOLDS,
     FRICTION,
+    SHAPED,
+    Bell,
     Chooser,
+    FrictionColumns,
     FrictionStructure,
     StructureChoice,
     choose_here,
     mixing,
     term_names,
 )
-from armlab.identify.record import Record
+from armlab.identify.record import Decimation, Record, measured_joints, slow_enough
 from armlab.models.friction import FRICTION_TERMS, Friction, FrictionTerm, Ripple
 from armlab.models.torque import CoupledMotors
 from armlab.robots import Robot
+
+# Base parameters: the combinations of link parameters that motion can tell apart.
+#
+# The regressor of an arm, ``Y pi`` with 10 parameters per link and one rotor inertia per joint, has dependent columns.
+# A pivoted QR in a fixed physical order (Gautier 1991) keeps the first independent columns and expresses the others by
+# them:
+#
+#     Y pi = Y[:, kept] B pi + D pi,      B = [I, K] in the order of the columns
+#
+# so ``B pi`` are the base parameters, and ``lift @ base`` is the smallest pi with the same torque. D pi is the constant
+# torque of each joint that looks like the offset of its sensor: the weight of what a vertical slide carries, and
+# nothing for arms that turn.
+
+
+LINK_SYMBOLS = ("m", "m c_x", "m c_y", "m c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
+POSITIVE = (0, 4, 6, 9)  # masses and moments of inertia
+TOLERANCE = 1e-8
+INDEPENDENT = 0.02  # of a column: above half or nothing as drawn; a calibrated arm adds what its axes are off [rad]
+SEED = 20170101
+
+
+@dataclass(frozen=True, eq=False)
+class BaseParameters:
+    """The identifiable combinations of one robot.
+
+    `names`: of the p base parameters, with the combination they stand for. `units`: kg, kg m or kg m^2 each. `kept`:
+    (p,) columns of the regressor [links (10 n), rotors (n)] that carry them. `B`: (p, 11 n) base = B @ pi. `lift`: (11
+    n, p) the smallest pi for given base parameters, with D pi = 0. `D`: (n, 11 n) constant torque of each joint that
+    counts as its offset. `offset_names`: (n,) of the offsets, with the masses that count there. `seen`: (n, p) which
+    base parameters act on which joint.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    kept: np.ndarray
+    B: np.ndarray
+    lift: np.ndarray
+    D: np.ndarray
+    offset_names: tuple[str, ...]
+    seen: np.ndarray
+    quasi_static: bool
+
+    def links_and_rotors(self, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return link parameters (n, 10) and rotor inertias (n,) that evaluate the base parameters (p,) exactly."""
+        pi = self.lift @ base
+        n = len(pi) // 11
+        return pi[: 10 * n].reshape(n, 10), pi[10 * n :]
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower bounds (p,): 0 for sums of masses, moments of inertia and rotors, -inf for the others."""
+        n = self.B.shape[1] // 11
+        positive = np.array([c >= 10 * n or c % 10 in POSITIVE for c in range(11 * n)])
+        sums = np.all((self.B == 0) | ((self.B > 0) & positive), axis=1)
+        return np.where(sums, 0.0, -np.inf)
+
+
+def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequence[int] | None = None) -> BaseParameters:
+    """Return the base parameters of `robot`, rotor inertias included.
+
+    The regressor is evaluated at 50 n random states (fixed seed); columns are scaled to norm 1. A column counts as
+    independent when its part outside the span of the columns before it exceeds 2 %: less is what axes that are nearly
+    perpendicular or parallel, as of a calibrated arm, add to those of an ideal one. Offsets come first, then first
+    moments and inertias from base to tip, rotors, and masses last: so a name reads ``m c_x2 + 0.2465 m3``, as in the
+    literature.
+
+    Parameters
+    ----------
+    robot : frozen description; its gravity counts.
+    quasi_static : of gravity alone, as slow motion shows it: masses and first moments.
+    joints : whose torque is measured; all when left out.
+
+    Raises
+    ------
+    RobotError : something else than a robot. UnknownName : no such joint.
+
+    References
+    ----------
+    Gautier, M. (1991), Numerical calculation of the base inertial parameters of robots.
+    """
+    measured, n = measured_joints(robot, joints), len(robot.joint_names)
+    A = _random_regressor(robot, quasi_static)
+    norms = np.abs(A[:, :, : 11 * n]).max()
+    A = A[:, measured]
+    order = [11 * n + joint for joint in measured]
+    order += [10 * link + j for link in range(n) for j in range(1, 10)]
+    order += [10 * n + joint for joint in range(n)] + [10 * link for link in range(n)]
+    kept, B = _independent(A.reshape(-1, 12 * n), np.array(order))
+    own = kept < 11 * n
+    D = np.zeros((n, 11 * n))
+    D[kept[~own] - 11 * n] = B[~own, : 11 * n]
+    B, kept = B[own, : 11 * n], kept[own]
+    names = _column_names(robot)
+    offsets = [f"offset {joint}" for joint in robot.joint_names]
+    seen = np.zeros((n, len(kept)), dtype=bool)
+    seen[measured] = np.abs(A[:, :, kept]).max(axis=0) > TOLERANCE * norms
+    held = D[np.any(D != 0, axis=1)]
+    return BaseParameters(
+        names=tuple(_combination(B[row], names, names[leader], leader) for row, leader in enumerate(kept)),
+        units=tuple(_unit(column, n) for column in kept),
+        kept=kept,
+        B=B,
+        lift=np.linalg.pinv(np.vstack([B, held]))[:, : len(kept)],
+        D=D,
+        offset_names=tuple(_combination(D[i], names, offsets[i]) for i in range(n)),
+        seen=seen,
+        quasi_static=quasi_static,
+    )
+
+
+def _random_regressor(robot: Robot, quasi_static: bool) -> np.ndarray:
+    """Return the columns (50 n, n, 12 n) of links, rotors and offsets at random states."""
+    n = len(robot.joint_names)
+    quasi_static = flag(quasi_static, "quasi_static")
+    rng = np.random.default_rng(SEED)
+    q = rng.uniform(-np.pi, np.pi, (50 * n, n))
+    qd, qdd = rng.uniform(-2, 2, (2, 50 * n, n)) * (0.0 if quasi_static else 1.0)
+    own = np.zeros((2, 50 * n, n, n))
+    own[0][:, range(n), range(n)] = qdd
+    own[1][:, range(n), range(n)] = 1.0
+    return np.concatenate([robot.chain.rigid_regressor(q, qd, qdd, robot.gravity), *own], axis=2)
+
+
+def _independent(A: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the independent columns in `order` and B with ``A = A[:, kept] B``."""
+    norms = np.linalg.norm(A, axis=0)
+    alive = [c for c in order if norms[c] > TOLERANCE * norms.max()]
+    basis = np.zeros((A.shape[0], 0))
+    kept = []
+    for column in alive:
+        v = A[:, column] / norms[column]
+        for _ in range(2):  # twice is enough for orthogonality to rounding
+            v = v - basis @ (basis.T @ v)
+        size = np.linalg.norm(v)
+        if size > INDEPENDENT:
+            kept.append(column)
+            basis = np.column_stack([basis, v / size])
+    kept_array = np.array(kept)
+    B = np.zeros((len(kept), A.shape[1]))
+    B[:, alive] = np.linalg.lstsq(A[:, kept_array], A[:, alive], rcond=None)[0]
+    B[np.abs(B) < TOLERANCE] = 0.0
+    B[range(len(kept)), kept_array] = 1.0
+    return kept_array, B
+
+
+def _column_names(robot: Robot) -> list[str]:
+    numbers = range(1, len(robot.joint_names) + 1)
+    return [f"{symbol}{i}" for i in numbers for symbol in LINK_SYMBOLS] + [f"rotor{i}" for i in numbers]
+
+
+def _unit(column: int, n: int) -> str:
+    return ("kg", *["kg m"] * 3, *["kg m^2"] * 6)[column % 10] if column < 10 * n else "kg m^2"
+
+
+def _combination(row: np.ndarray, names: list[str], leader: str, own: int = -1) -> str:
+    """Write a parameter as its leading symbol and what moves with it, coefficients rounded to six digits."""
+    others = [c for c in np.flatnonzero(row) if c != own]
+    terms = [f"{'-' if row[c] < 0 else '+'} {abs(row[c]):.6g} {names[c]}" for c in others]
+    return " ".join([leader, *terms]).replace(" 1 ", " ")
+
+
+# Columns of a regression over joint torque, filtered and decimated.
+
+
+MIN_CYCLES = 20.0  # rad/rad; a slower ripple line is a harmonic of gravity
+SEEN = 0.5  # share of the samples at which a ripple line must not fold back
+SMOOTH = 0.02  # rad/s, of the sign of coupled motors
+
+
+@dataclass(frozen=True, eq=False)
+class RegressionColumns:
+    """Makes the columns of J joints of a record.
+
+    `decimation`: of its rows; (M,) are kept. `joints`: (J,) those whose torque counts. `motors`: (K, n)
+    angles theta = c q of motors that move several joints. `geared`: whether there are columns of ripple.
+    """
+
+    data: Record
+    decimation: Decimation
+    robot: Robot
+    joints: np.ndarray
+    motors: np.ndarray
+    geared: bool
+
+    @property
+    def cycles(self) -> np.ndarray:
+        """Ripple line of each joint (J,) [rad/rad]: strain-wave gears press twice per input turn."""
+        return 2.0 * np.abs(np.diag(np.linalg.inv(self.robot.coupling)))[self.joints]
+
+    @property
+    def friction(self) -> FrictionColumns:
+        data, joints = self.data, self.joints
+        return FrictionColumns(self.decimation, data.q[:, joints], data.qd[:, joints], data.resolution[joints])
+
+    def plain(self, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what has neither friction structure nor base parameters, given the acceleration (N, n).
+
+        Torque (M, J); columns (M, J, 2 or 4): viscous, offset, and ripple where it is seen; acceleration, velocity and
+        smooth sign (M, K, 3) of the coupled motors.
+        """
+        data, joints, cycles = self.data, self.joints, self.cycles
+        J, K = len(joints), len(self.motors)
+
+        def columns(a: int, b: int) -> np.ndarray:
+            qd = data.qd[a:b, joints]
+            parts = [data.tau[a:b, joints], qd, np.ones_like(qd)]
+            if self.geared:
+                slow, angle = slow_enough(qd, data.rate, cycles), cycles * data.q[a:b, joints]
+                parts += [np.where(slow, np.cos(angle), 0.0), np.where(slow, np.sin(angle), 0.0)]
+            return np.concatenate([*parts, qdd[a:b] @ self.motors.T, data.qd[a:b] @ self.motors.T], axis=1)
+
+        fixed = len(FIXED) if self.geared else len(FIXED) - 2
+        thin = self.decimation.run(columns, J * (1 + fixed) + 2 * K)
+        tau, own, coupled = np.split(thin, [J, J * (fixed + 1)], axis=1)
+        own = np.moveaxis(own.reshape(len(thin), fixed, J), 1, 2)
+        sign = self.decimation.run(lambda a, b: np.tanh(data.qd[a:b] @ self.motors.T / SMOOTH), K)
+        return tau, own, np.moveaxis(np.concatenate([coupled, sign], axis=1).reshape(len(thin), 3, K), 1, 2)
+
+    def rigid_columns(self, qdd: np.ndarray, base: BaseParameters) -> tuple[np.ndarray, ...]:
+        """Return of each joint the columns (M, w) of the base parameters that it sees, at the acceleration (N, n)."""
+        data, robot, n = self.data, self.robot, len(self.robot.joint_names)
+        seen = [base.kept[base.seen[i]] for i in self.joints]
+        edges = np.cumsum([0, *(len(kept) for kept in seen)])
+        flat = np.concatenate([np.where(kept < 10 * n, 10 * n * i + kept, 0) for i, kept in zip(self.joints, seen)])
+        rotors = [(edges[i] + k, column - 10 * n) for i, kept in enumerate(seen) for k, column in enumerate(kept)]
+        rotors = [(position, joint) for position, joint in rotors if joint >= 0]
+
+        def columns(a: int, b: int) -> np.ndarray:
+            moves = 0.0 if base.quasi_static else 1.0
+            Y = robot.chain.rigid_regressor(data.q[a:b], moves * data.qd[a:b], moves * qdd[a:b], robot.gravity)
+            X = np.take(Y.reshape(b - a, -1), flat, axis=1)
+            for position, joint in rotors:
+                X[:, position] = qdd[a:b, joint]
+            return X
+
+        thin = self.decimation.run(columns, int(edges[-1]))
+        return tuple(thin[:, edges[i] : edges[i + 1]] for i in range(len(self.joints)))
+
+    def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+        """Return the columns (M, J, 3 + S) of a sign with delta, smooth (J,), then Stribeck of each speed (S, J)."""
+        friction = self.friction
+        return friction.columns(friction.sign(delta, smooth), [Bell(friction.qd, speed) for speed in speeds])
+
+    def lines_are_seen(self) -> bool:
+        """Tell whether ripple passes slowly enough for the sampling in most samples; warn where it does not."""
+        data = self.data
+        share = np.mean(slow_enough(data.qd[:, self.joints], data.rate, self.cycles), axis=0)
+        fast = [self.robot.joint_names[joint] for joint, seen in zip(self.joints, share) if seen < SEEN]
+        if fast:
+            warnings.warn(
+                f"Expected torque ripple below {data.rate / 4.0:.3g} Hz, a quarter of the sampling rate, in half of "
+                f"the samples at least, got faster ripple for {', '.join(fast)}: it folds back, and no ripple is "
+                "fitted. Log slower motion, as of identify.friction_run, or sample faster.",
+                stacklevel=3,
+            )
+        return not fast
+
 
 # Where the parameters of `fit_dynamics` stand: base, then each joint's own, then those of coupled motors.
 
@@ -111,7 +376,7 @@ def _term(name: str) -> FrictionTerm:
     return FRICTION_TERMS.get(name, FRICTION_TERMS["offset"])
 
 
-# Rows of a regression over joint torque for the solver, joint by joint and in pieces of bounded size.
+# Rows of the regression for the solver, joint by joint and in pieces of bounded size.
 
 
 AT_ONCE = 8192  # rows handed to the solver
@@ -134,7 +399,6 @@ class DesignRows:
     trust: np.ndarray | None
 
     def __iter__(self) -> Iterator[Rows]:
-        """Yield the rows of one joint after the other."""
         for i, columns in enumerate(self.columns):
             for a in range(0, len(self.block), AT_ONCE):
                 part = slice(a, a + AT_ONCE)
@@ -152,7 +416,7 @@ NOTHING = 1e-12  # of the power of the torque: a slope without effect
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class Design(RegressionColumns):
     """Filtered and decimated regression problem of J joints.
 
     `owners`: (K,) the joint that each coupled motor belongs to. `gains`: (J,) torque as it is read over true torque.
@@ -164,7 +428,6 @@ class Design:
     last, then of the motors that move it.
     """
 
-    made: RegressionColumns
     base: BaseParameters
     owners: np.ndarray
     gains: np.ndarray
@@ -189,107 +452,73 @@ class Design:
         structure: FrictionStructure | None = None,
         geared: bool | None = None,
     ) -> Design:
-        """Filter and thin all columns.
-
-        `base`: base parameters of the robot, for the same joints. `cutoff`: of the zero-phase filter [Hz]; a tenth of
-        the rate, at most 25 Hz, when left out; infinite for none. `every`: rows from one kept row to the next; 2.5 kept
-        rows per period of the cut-off when left out. `joints`: whose torque counts; all when left out. `structure`: of
-        friction; presliding over 1e-3 rad when left out. `geared`: whether there are ripple columns.
-        """
+        """Filter and thin all columns."""
         corner = min(data.rate / 10.0, CUTOFF) if cutoff is None else cutoff
         step = max(1, int(data.rate / (2.5 * corner))) if every is None else every
-        measured = np.arange(robot.n) if joints is None else np.asarray(joints)
+        measured = np.arange(len(robot.joint_names)) if joints is None else np.asarray(joints)
         ratios = np.linalg.inv(robot.coupling)
         turning = ratios / np.diag(ratios)[:, None]
         owners = np.flatnonzero(np.count_nonzero(turning, axis=1) > 1)
-        columns = RegressionColumns(data, Decimation.of(data, corner, step), robot, measured, turning[owners], geared)
+        columns = RegressionColumns(data, Decimation.of(data, corner, step), robot, measured, turning[owners], False)
+        if geared or (geared is None and not np.any(columns.cycles < MIN_CYCLES) and columns.lines_are_seen()):
+            columns = replace(columns, geared=True)
         qdd = data.differentiate(data.qd)
-        tau, fixed, inertial = columns.plain(qdd)
+        tau, fixed, coupled = columns.plain(qdd)
         design = cls(
-            made=columns,
+            **vars(columns),
             base=base,
             owners=owners,
             gains=np.ones(len(measured)),
             tau=tau,
-            rigid=columns.rigid(qdd, base),
+            rigid=columns.rigid_columns(qdd, base),
             fixed=fixed,
-            coupled_motors=np.concatenate([inertial, columns.coupled_sign()[:, :, None]], axis=2),
+            coupled_motors=coupled,
             structure=structure or FrictionStructure.start(len(measured)),
             free=np.zeros((len(measured), 2), dtype=bool),
         )
         return design.with_structure(design.structure)
 
     @property
-    def data(self) -> Record:
-        """The record."""
-        return self.made.data
-
-    @property
-    def decimation(self) -> Decimation:
-        """Its filter, with the rows that are kept."""
-        return self.made.decimation
-
-    @property
-    def robot(self) -> Robot:
-        """The arm."""
-        return self.made.robot
-
-    @property
-    def joints(self) -> np.ndarray:
-        """Those whose torque counts (J,)."""
-        return self.made.joints
-
-    @property
     def rows(self) -> np.ndarray:
         """Rows of the record that are kept (M,)."""
         return self.decimation.rows
 
-    @property
-    def geared(self) -> bool:
-        """True when the ripple columns are among the columns of each joint."""
-        return self.fixed.shape[2] == len(FIXED)
-
-    @property
+    @cached_property
     def terms(self) -> list[tuple[str, ...]]:
         """Names of the columns of each joint's own."""
         kinds = zip(self.structure.terms, self.structure.names, self.free)
         return [(*term_names(terms, self.geared), *compress(names, free)) for terms, names, free in kinds]
 
-    @property
+    @cached_property
     def layout(self) -> ParameterLayout:
         """Names, units, bounds and places of all parameters."""
-        return ParameterLayout(self.robot, self.base, self.joints, self.made.motors, self.owners, tuple(self.terms))
+        return ParameterLayout(self.robot, self.base, self.joints, self.motors, self.owners, tuple(self.terms))
 
     def with_structure(self, structure: FrictionStructure) -> Design:
         """Return it with the columns of another structure of friction."""
-        shaped = self.made.shaped(structure.delta, structure.smooth, structure.speed[None])
+        shaped = self.shaped(structure.delta, structure.smooth, structure.speed[None])
         made_of = (*FIXED[: self.fixed.shape[2]], *SHAPED)
         at = [made_of.index(name) for name in COLUMNS[: self._width]]
         local = []
         for i, joint in enumerate(self.joints):
             own = np.concatenate([self.fixed[:, i], shaped[:, i]], axis=1)[:, at]
             own = own @ mixing(structure.terms[i], self._width)
-            moved = np.flatnonzero(self.made.motors[:, joint])
-            theirs = (self.made.motors[m, joint] * self.coupled_motors[:, m] for m in moved)
+            moved = np.flatnonzero(self.motors[:, joint])
+            theirs = (self.motors[m, joint] * self.coupled_motors[:, m] for m in moved)
             local.append(np.hstack([own, *theirs]) if len(moved) else own)
         return replace(self, structure=structure, free=np.zeros_like(self.free), local=tuple(local))
 
     def with_torque(self, tau: np.ndarray) -> Design:
         """Return it with another torque (N, n) that was read."""
         thin = self.decimation.run(lambda a, b: tau[a:b, self.joints], len(self.joints))
-        made = replace(self.made, data=replace(self.data, tau=tau))
-        return replace(self, made=made, tau=thin / self.gains)
+        return replace(self, data=replace(self.data, tau=tau), tau=thin / self.gains)
 
     def with_gains(self, gains: np.ndarray) -> Design:
         """Return it with other gains (J,) of the torque that was read."""
         return replace(self, gains=gains, tau=self.tau * self.gains / gains)
 
     def with_slopes(self, theta: np.ndarray, free: np.ndarray | None = None) -> Design:
-        """Return it with the derivatives of the torque over the logarithms of the numbers that make the structure.
-
-        `theta`: (p,) parameters of this design, without slopes, at which they are taken. `free`: (J, 2) bool, which
-        numbers; those that matter to the torque when left out.
-        """
+        """Return it with the derivatives of the torque over the logarithms of the numbers that make the structure."""
         slopes = self._slopes(theta)
         power = np.sum(slopes * slopes, axis=0)
         picked = power > NOTHING * np.sum(self.tau * self.tau, axis=0)[:, None] if free is None else free
@@ -307,8 +536,8 @@ class Design:
             for step in STEP * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         )
         apart, bump = (np.log(a.numbers / b.numbers).sum(axis=1) for a, b in ((up, down), (wide, narrow)))
-        more, less = (self.made.shaped(one.delta, one.smooth, one.speed[None]) for one in (up, down))
-        bumps = self.made.shaped(self.structure.delta, self.structure.smooth, np.stack([wide.speed, narrow.speed]))
+        more, less = (self.shaped(one.delta, one.smooth, one.speed[None]) for one in (up, down))
+        bumps = self.shaped(self.structure.delta, self.structure.smooth, np.stack([wide.speed, narrow.speed]))
         signs = np.einsum("mjk,jk->mj", more - less, c / apart[:, None])
         return np.stack([signs, (bumps[:, :, -2] - bumps[:, :, -1]) * (c[:, -1] / bump)], axis=2)
 
@@ -325,10 +554,9 @@ class Design:
         return x, *(cov * np.outer(scale, scale) for cov in covs)
 
     def stream(self, block: np.ndarray, trust: np.ndarray | None = None) -> Iterable[Rows]:
-        """Return the rows of the problem, made again whenever they are read.
+        """Return the rows of the problem with numbers of their blocks (M,) and weights (M, J), 1 when left out.
 
-        `block`: (M,) number of the block of time of each kept row. `trust`: (M, J) weights to multiply the rows by; 1
-        when left out.
+        They are made again whenever they are read.
         """
         return DesignRows(self.tau, self.rigid, self.local, self.layout.columns, block, trust)
 
@@ -343,11 +571,11 @@ class Design:
 
     def drives(self, theta: np.ndarray) -> tuple[Friction, Ripple]:
         """Return friction and ripple of all joints of parameters theta (p,); zero for joints that do not count."""
-        values = np.zeros((len(COLUMNS), self.robot.n))
+        values = np.zeros((len(COLUMNS), len(self.robot.joint_names)))
         values[:, self.joints] = self._own(theta)
         found = self.moved(theta)
-        filled = np.tile([[1e-3], [0.0], [0.1], [2.0]], self.robot.n)
-        filled[:, self.joints] = found.delta, found.smooth, found.speed, self.made.cycles
+        filled = np.tile([[1e-3], [0.0], [0.1], [2.0]], values.shape[1])
+        filled[:, self.joints] = found.delta, found.smooth, found.speed, self.cycles
         *numbers, cycles = filled
         fields = {FRICTION_TERMS[name].fields[0]: own for name, own in zip(FRICTION, values)}
         fields |= dict(zip(("delta", "smooth_speed", "stribeck_speed"), numbers))
@@ -363,11 +591,11 @@ class Design:
 
     def coupled(self, theta: np.ndarray) -> CoupledMotors | None:
         """Return the motors that move several joints, of parameters theta (p,); None where there are none."""
-        K = len(self.made.motors)
+        K = len(self.motors)
         if not K:
             return None
         inertia, viscous, coulomb = theta[-3 * K :].reshape(K, 3).T
-        return CoupledMotors(self.made.motors, inertia, viscous, coulomb, np.full(K, SMOOTH))
+        return CoupledMotors(self.motors, inertia, viscous, coulomb, np.full(K, SMOOTH))
 
     @property
     def _width(self) -> int:
@@ -378,18 +606,18 @@ class Design:
     ) -> Design:
         """Choose the structure of friction of each joint on held-out blocks of half a second.
 
-        `theta`: (p,) parameters, of which the base parameters are held. `trust`: (M, J) weights of the rows; 0 leaves
-        one out.
+        Of the parameters theta (p,) the base parameters are held. `trust`: (M, J) weights of the rows; 0 leaves one
+        out.
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
         fold = used // max(1, round(BLOCK * self.data.rate / self.decimation.every)) % FOLDS
-        motion = self.made.friction
+        motion = self.friction
 
         def choice(i: int) -> StructureChoice:
             A, L, c = self.rigid[i], self.local[i], self.layout.columns[i]
             coupled = L[:, len(self.terms[i]) :]
-            free = np.zeros((len(L), 3 * len(self.made.motors)))
+            free = np.zeros((len(L), 3 * len(self.motors)))
             free[:, : coupled.shape[1]] = coupled
             target = self.tau[:, i] - A @ theta[c[: A.shape[1]]]
             fixed = np.concatenate([self.fixed[:, i], free], axis=1)

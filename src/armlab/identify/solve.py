@@ -54,11 +54,7 @@ class GainProblem:
 
     @classmethod
     def of(cls, solution: LinearSolution, residuals: np.ndarray, gains: np.ndarray, gain_sd: float) -> GainProblem:
-        """Build the sums from a solution of rows ``(1 + gains_i) A_i``.
-
-        `solution`: its classes are the joints; its weights of rows and joints are used. `residuals`: (M, n) of it,
-        evenly sampled. `gains`: (n,) a first guess of the gains less 1.
-        """
+        """Build the sums from a solution of rows ``(1 + gains_i) A_i``."""
         factors, p = solution.factors, len(solution.x)
         share = np.array([effective_samples(column) for column in residuals.T]) / len(residuals)
         size = np.array([np.linalg.norm(R[:, :, -1]) for R in factors.R]) / np.sqrt(len(residuals))
@@ -90,17 +86,11 @@ class GainProblem:
         return x / scale, g
 
     def information(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return the information (p, p) on x, unknown gains accounted for.
-
-        `x`: (p,) solution. `g`: (n,) its gains less 1.
-        """
+        """Return the information (p, p) on x, unknown gains accounted for."""
         return self._normal(self.sums.sum(axis=0)[:, :-1, :-1], x, 1.0 + g)[0]
 
     def gain_covariance(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return the covariance (n, n) of the gains, x unknown.
-
-        `x`: (p,) solution. `g`: (n,) its gains less 1.
-        """
+        """Return the covariance (n, n) of the gains, x unknown."""
         G, k = self.sums.sum(axis=0)[:, :-1, :-1], 1.0 + g
         _, u, d = self._normal(G, x, k)
         H = np.tensordot(k * k, G, 1)
@@ -110,18 +100,12 @@ class GainProblem:
         return 0.5 * (cov + cov.T)
 
     def response(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return how x follows the sums ``weights_i A_i^T e_i`` of each joint (n, p, p): dx = sum_i response_i @ them.
-
-        `x`: (p,) solution. `g`: (n,) its gains less 1.
-        """
+        """Return how x follows the sums ``weights_i A_i^T e_i`` of each joint, (n, p, p)."""
         S, through, _ = self._reduced(x, g)
         return np.linalg.solve(S, through)
 
     def covariance(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return the covariance (p, p) of x: scatter of the blocks, and gains.
-
-        `x`: (p,) solution. `g`: (n,) its gains less 1.
-        """
+        """Return the covariance (p, p) of x: scatter of the blocks, and gains."""
         S, through, pushes = self._reduced(x, g)
         B, A = len(self.sums), self.sums[:, :, :-1, :-1]
         left = self.sums[:, :, :-1, -1] - (1.0 + g)[:, None] * (A @ x)  # A^T e of blocks and joints
@@ -160,22 +144,17 @@ MOST_BLOCKS = 1000.0  # of them: a triangle is kept for each
 ROBUST = ("irls", "lts")
 
 
-def alternate(
-    design: Design, method: str, seed: int = 0, use: np.ndarray | None = None, chooser: Chooser = choose_here
-) -> tuple[Design, np.ndarray]:
+def alternate(design: Design, method: str, seed: int = 0, chooser: Chooser = choose_here) -> tuple[Design, np.ndarray]:
     """Alternate between the linear parameters and the structure of friction until the structure stays; return both.
 
     Directions that the log does not tell are no fault here: the last fit judges.
-
-    `use`: (M,) kept rows to fit to; all when left out.
     """
-    use = np.ones(len(design.rows), dtype=bool) if use is None else use
-    trust = np.repeat(use[:, None].astype(float), len(design.joints), axis=1)
+    trust = np.ones_like(design.tau)
     block = design.data.blocks(short_blocks(design.data))[design.rows]
     theta = solved(design, trust, method).x
     for _ in range(ROUNDS):
         if method in ROBUST:
-            trust = _trust(design, theta, block, method, seed) * use[:, None]
+            trust = _trust(design, theta, block, method, seed)
         shaped = design.choose_structure(theta, trust, chooser)
         settled = shaped.structure.same(design.structure)
         design, theta = shaped, solved(shaped, trust, method).x
@@ -211,10 +190,7 @@ def _cost(design: Design, theta: np.ndarray, trust: np.ndarray) -> float:
 
 
 def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray | None = None) -> Design:
-    """Return the design with slopes of those numbers of the structure that the log identifies.
-
-    `design`: without slopes, at its parameters theta (p,). `trust`: (M, J) weights of the rows; 1 when left out.
-    """
+    """Return the design with slopes of those numbers of the structure that the log identifies."""
     sloped = design.with_slopes(theta)
     free, sd = sloped.free.copy(), solved(sloped, trust, method).sd[sloped.layout.slopes]
     free[sloped.free] = sd < VAGUE
@@ -227,10 +203,7 @@ def short_blocks(data: Record) -> float:
 
 
 def solved(design: Design, trust: np.ndarray | None, method: str) -> LinearSolution:
-    """Solve for weighted rows; the smallest parameters where the log does not tell them.
-
-    `trust`: (M, J) weights of the rows; 1 when left out.
-    """
+    """Solve for weighted rows; the smallest parameters where the log does not tell them."""
     rows = design.stream(np.zeros(len(design.rows), dtype=int), trust)
     plain = "ols" if method == "ols" else "wls"
     return least_squares(rows, design.layout.names, method=plain, lower=design.layout.lower, max_condition=np.inf)
@@ -265,8 +238,6 @@ def calibrated(
     """Return a design with the gains of its torques, its parameters (p,), and the covariance (J, J) of the gains.
 
     Where the log does not tell the parameters, the gains stay what they are: the last fit judges.
-
-    `known`: gains (n,) and their covariance (n, n) of an earlier fit, which stay.
     """
     if known is not None:
         gains, cov = known[0][design.joints], known[1][np.ix_(design.joints, design.joints)]
@@ -293,8 +264,6 @@ def gain_share(solution: LinearSolution, gain_cov: np.ndarray) -> np.ndarray:
     """Return what unknown gains add to the covariance (p, p) of the parameters.
 
     A gain that is g too large leaves a torque that is g too small: ``dx = -sum_i (A^T W A)^-1 w_i^2 A_i^T y_i g_i``.
-
-    `gain_cov`: (J, J) of the gains.
     """
     pushed = np.zeros((len(solution.x), len(gain_cov)))
     parts = zip(solution.factors.R, solution.factors.columns, solution.weights)

@@ -2,209 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from armlab.errors import ModelMismatchError, NotExcited, ShapeError
-from armlab.estimation import Fit
+from armlab._numbers import numbers
+from armlab.errors import NotExcited, ShapeError, UnknownName
+from armlab.estimation import Excitation, Fit
+from armlab.estimation.bootstrap import correlation_time, effective_samples
 from armlab.estimation.linear_problem import LinearSolution
-from armlab.identify.record import Record, pieces, torque_outliers, with_velocity, without_outliers
-from armlab.identify.residuals import begun, fit_velocity_covariance, momentum_noise, stretches
-from armlab.log import Table
-from armlab.models import TorqueModel
+from armlab.identify.record import Record, check_finite, torque_outliers, without_outliers
+from armlab.identify.residuals import thermal_state_at
+from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.friction import FrictionBound
-from armlab.models.torque import SPEED_EDGES, Training, VelocityCovariance
-from armlab.signals import central_diff, lowpass_offline
-
-if TYPE_CHECKING:
-    from armlab.estimation import Fit
-    from armlab.models import TorqueModel
-
-
-# Whether a log asks a model for what it was never shown: positions, speeds and rest outside the training data.
-#
-# A held-out error belongs to data like the training data. Per joint it is counted how often a log leaves the trained
-# range of position and the trained speeds; and, for the arm as a whole, how much it rests: friction at rest is anything
-# within its bounds, and a model trained in motion says nothing about it.
-
-
-BESIDE = 0.02  # of the trained range, that position may go beyond it
-RARE = 0.005  # share of training below which a bin of speed was not trained
-ALLOWED = 0.05  # share of samples outside that need no warning
-MORE, LONGER = 3.0, 2.0  # times the share, and the length, of rest in training
-REST = 0.01  # of the peak speed; all joints below it are at rest
-
-
-@dataclass(frozen=True, eq=False)
-class Extrapolation:
-    """Differences between a log and the data that a model was fitted to.
-
-    Attributes
-    ----------
-    joint_names : tuple of str, length n
-        Names of the joints.
-    outside : array, shape (n,)
-        Share of samples outside the trained range of position by more than 2 % of it.
-    unseen_speed : array, shape (n,)
-        Share of samples at speeds that hold less than 0.5 % of the training data.
-    rest_share : float
-        Share of rest in this log.
-    longest_rest : float, s
-        Longest rest in this log.
-    trained_rest_share : float
-        Share of rest in the training data.
-    trained_longest_rest : float, s
-        Longest rest in the training data.
-    warnings : tuple of str
-        Sentences; empty when the model may be used on this log.
-    """
-
-    joint_names: tuple[str, ...]
-    outside: np.ndarray
-    unseen_speed: np.ndarray
-    rest_share: float
-    longest_rest: float
-    trained_rest_share: float
-    trained_longest_rest: float
-    warnings: tuple[str, ...]
-
-    def text(self) -> str:
-        """Return a table per joint, a line about rest, and the warnings."""
-        width = max(map(len, self.joint_names))
-        lines = [f"{'joint':>{width}}  position outside  speed not trained"]
-        for name, outside, unseen in zip(self.joint_names, self.outside, self.unseen_speed):
-            lines.append(f"{name:>{width}}  {100 * outside:14.1f} %  {100 * unseen:15.1f} %")
-        lines.append(
-            f"at rest {100 * self.rest_share:.0f} % (longest {self.longest_rest:.2f} s); "
-            f"in training {100 * self.trained_rest_share:.0f} % (longest {self.trained_longest_rest:.2f} s)"
-        )
-        return "\n".join([*lines, *(f"warning: {sentence}" for sentence in self.warnings)])
-
-
-def training(
-    t: np.ndarray,
-    q: np.ndarray,
-    qd: np.ndarray,
-    segments: tuple[tuple[int, int], ...],
-    peak: np.ndarray | None = None,
-) -> Training:
-    """Return the ranges of the data that a model is fitted to.
-
-    `t`: (N,) time [s]. `q`, `qd`: (N, n) position and velocity. `segments`: (start, stop) rows of each piece without a
-    gap. `peak`: (n,) speed that counts as the largest; that of the data when left out.
-    """
-    scale = np.abs(qd).max(axis=0) if peak is None else peak
-    rest_share, longest = _rest(t, qd, scale, segments)
-    return Training(q.min(axis=0), q.max(axis=0), scale, _bins(qd, scale), rest_share, longest)
-
-
-def extrapolation(model: TorqueModel, table: Table) -> Extrapolation:
-    """Compare a log with the data that `model` was fitted to.
-
-    Warned is of joints with more than 5 % of the samples outside the trained positions or speeds, and of a log that
-    rests three times the share of training with a stretch twice as long as any in it.
-
-    Parameters
-    ----------
-    model : identified torque model.
-    table : log with q (N, n), and qd where it was measured.
-
-    Raises
-    ------
-    ShapeError : another number of joints, NaN rows, fewer than two rows.
-    """
-    if not isinstance(model, TorqueModel):
-        raise ModelMismatchError.no_model(model)
-    table = with_velocity(table)
-    q, qd, t, known = table["q"], table["qd"], table.t, model.training
-    if q.shape[1:] != (model.n,) or qd.shape != q.shape or len(t) < 2:
-        raise ShapeError(
-            f"Expected q and qd of {model.n} joints in at least two rows, got {q.shape} and {qd.shape}. "
-            "Give a log of the robot that the model belongs to."
-        )
-    bad = np.flatnonzero(~(np.isfinite(q) & np.isfinite(qd)).all(axis=1))
-    if len(bad):
-        raise ShapeError(
-            f"Expected finite q and qd, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}. "
-            "Drop them with table.dropna; without qd it takes 100 rows without a gap to compute it."
-        )
-    margin = BESIDE * (known.q_max - known.q_min)
-    outside = np.mean((q < known.q_min - margin) | (q > known.q_max + margin), axis=0)
-    unseen = np.sum(np.where(known.speed_share < RARE, _bins(qd, known.qd_peak), 0.0), axis=1)
-    cuts = np.flatnonzero(np.diff(t) > 1.5 * np.median(np.diff(t))) + 1
-    edges = [0, *cuts.tolist(), len(t)]
-    rest, longest = _rest(t, qd, known.qd_peak, tuple(pairwise(edges)))
-    names = table.columns["q"].labels or tuple(f"joint {i + 1}" for i in range(model.n))
-    warned = _warnings(names, outside, unseen, (rest, longest), known)
-    return Extrapolation(names, outside, unseen, rest, longest, known.rest_share, known.longest_rest, warned)
-
-
-def _warnings(
-    names: tuple[str, ...], outside: np.ndarray, unseen: np.ndarray, rest: tuple[float, float], known: Training
-) -> tuple[str, ...]:
-    found = []
-    for shares, what in ((outside, "outside the trained positions"), (unseen, "at speeds that were not trained")):
-        far = np.flatnonzero(shares > ALLOWED)
-        if len(far):
-            listed = ", ".join(f"{names[i]} ({100 * shares[i]:.0f} %)" for i in far)
-            found.append(
-                f"Expected motion like that of training, got samples {what}: {listed}. Train with such motion."
-            )
-    if rest[0] > MORE * known.rest_share and rest[1] > LONGER * known.longest_rest:
-        found.append(
-            f"Expected as little rest as in training ({100 * known.rest_share:.0f} %, longest "
-            f"{known.longest_rest:.2f} s), got {100 * rest[0]:.0f} %, longest {rest[1]:.2f} s: friction at rest is "
-            "only known to lie inside bounds. Judge the model by the rows in motion, or train with rest."
-        )
-    return tuple(found)
-
-
-def _bins(qd: np.ndarray, peak: np.ndarray) -> np.ndarray:
-    """Return the share (n, 2 bins) of samples in each bin of speed, negative direction first, slowest bin first."""
-    bins = len(SPEED_EDGES)
-    number = np.searchsorted(SPEED_EDGES[1:], np.abs(qd) / np.where(peak > 0, peak, 1.0), side="left")
-    number = number + bins * (qd > 0)
-    return np.stack([np.bincount(column, minlength=2 * bins) for column in number.T]) / len(qd)
-
-
-def _rest(
-    t: np.ndarray, qd: np.ndarray, peak: np.ndarray, segments: tuple[tuple[int, int], ...]
-) -> tuple[float, float]:
-    """Return the share of samples at which all joints rest, and the longest stretch of them [s]."""
-    still = np.all(np.abs(qd) < REST * peak, axis=1)
-    longest = 0.0
-    for a, b in segments:
-        ends = np.flatnonzero(np.diff(np.concatenate([[0], still[a:b].astype(int), [0]])))
-        for first, stop in ends.reshape(-1, 2) + a:
-            longest = max(longest, float(t[stop - 1] - t[first]))
-    return float(np.mean(still)), longest
-
-
-# The parameters of a torque model: value, deviation, unit, and the combination that each stands for.
-
-
-def parameter_rows(fit: Fit[TorqueModel]) -> list[tuple[str, str, str, str]]:
-    """Return value, deviation, unit and name of each parameter as words: base parameters, then those of the drives."""
-    columns = zip(fit.parameters, fit.sd, fit.units, fit.names, strict=True)
-    return [(f"{value:.4g}", f"{sd:.2g}", unit, name) for value, sd, unit, name in columns]
-
-
-def parameter_text(fit: Fit[TorqueModel]) -> str:
-    """Return one line per parameter; numbers first, since the combinations are of any length."""
-    head, rows = ("value", "sd", "unit", "parameter"), parameter_rows(fit)
-    value, sd, unit = (max(map(len, column)) for column in list(zip(head, *rows))[:3])
-    lines = [f"{head[0]:>{value}}    {head[1]:<{sd}}  {head[2]:<{unit}}  {head[3]}"]
-    lines += [f"{x:>{value}} +- {deviation:<{sd}}  {of:<{unit}}  {name}" for x, deviation, of, name in rows]
-    return "\n".join(lines)
-
+from armlab.models.torque import FORCE_RATES, PRIOR, SPEED_EDGES, MomentumNoise, Training, VelocityCovariance
 
 FIFTHS, STRETCHES = 5, 20
 
 SETTLED = 0.01  # variance of the presliding state below which friction is known from motion
 ALPHA2_BOUNDS = (0.25, 25.0)
+REST = 0.01  # of the peak speed; all joints below it are at rest
 HALF = 1.0  # s, stretches of the two halves on which the coverage is judged
 UNMEASURED = 1e12  # (N m)^2 of a joint whose torque is not measured
 FEWEST = 100  # rows of sliding in either half
@@ -215,8 +33,6 @@ def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple
     """Return causal residuals (N, n) of models that did not see the row, and a mask (N, n) of joints in motion.
 
     A joint is in motion when it has slid far enough since its last reversal or rest that its friction is known.
-
-    `folds`: models and the rows (N,) that each did not see.
     """
     residuals = np.full(data.q.shape, np.nan)
     moving = np.zeros(data.q.shape, dtype=bool)
@@ -253,9 +69,6 @@ def assess(
     while it moves: so they may be compared. The coverage is honest: covariance and scale are fitted to one half of the
     stretches of time and judged on the other, both ways; the model gets those of all. Joints whose torque is not
     measured have no figures, and a deviation so large that no estimator listens to them.
-
-    `joints`: whose torque is measured; all when left out. `unseen`: (n,) variance [(N m)^2] that held-out residuals
-    have beyond those of `folds`, whose models share a part that was fitted to these rows too.
     """
     errors, moving = held_out(folds, data)
     if unseen is not None:
@@ -291,9 +104,6 @@ def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueMode
 
     Where `before` was identified from one of these logs, its own parameters have seen the rows that `folds` have not:
     what it lost on held-out rows, ``rms_cv^2 - rms^2``, is added to their errors.
-
-    `folds`: with the parts fitted without each fifth of `fold_of`. `data`: the record; single spikes of its torque do
-    not count, as in `fit_dynamics`.
     """
     data = replace(data, tau=without_outliers(data, torque_outliers(data), before))
     fold, quality = fold_of(data), before.quality
@@ -353,51 +163,298 @@ def _bound(
     return FrictionBound.of(model.friction, np.maximum(largest - 2.0 * sigma, 0.0))
 
 
-def predict(model: TorqueModel, table: Table) -> Table:
-    """Return the log with tau, tau_model and tau_sigma (N, n) [N m]: measured, modelled, and how surely.
+def begun(
+    model: TorqueModel, data: Record, pieces: Iterable[tuple[int, int]]
+) -> Iterator[tuple[TorqueModel, int, int]]:
+    """Yield a model for each piece (start, stop) of a record, as warm as the rows before it make it, and the piece."""
+    listed = list(pieces)
+    if model.warm_up is None:
+        yield from ((model, a, b) for a, b in listed)
+        return
+    states = thermal_state_at(model, data, np.array([a for a, _ in listed], dtype=int))
+    for (a, b), start in zip(listed, states):
+        yield replace(model, warm_up=replace(model.warm_up, start=start)), a, b
 
-    Measured and modelled torque pass a zero-phase low-pass at the model's cut-off: to that band its covariance belongs.
-    Where the arm has rested, tau_sigma holds what static friction may do, as in the estimator. The notes of the result
-    say where the log leaves the training data.
+
+def training(
+    t: np.ndarray,
+    q: np.ndarray,
+    qd: np.ndarray,
+    segments: tuple[tuple[int, int], ...],
+    peak: np.ndarray | None = None,
+) -> Training:
+    """Return the ranges of the data that a model is fitted to, given its segments' (start, stop) rows."""
+    scale = np.abs(qd).max(axis=0) if peak is None else peak
+    return Training(q.min(axis=0), q.max(axis=0), scale, speed_shares(qd, scale), *rests(t, qd, scale, segments))
+
+
+def speed_shares(qd: np.ndarray, peak: np.ndarray) -> np.ndarray:
+    """Return the share (n, 2 bins) of samples in each bin of speed, negative direction first, slowest bin first."""
+    bins = len(SPEED_EDGES)
+    number = np.searchsorted(SPEED_EDGES[1:], np.abs(qd) / np.where(peak > 0, peak, 1.0), side="left")
+    number = number + bins * (qd > 0)
+    return np.stack([np.bincount(column, minlength=2 * bins) for column in number.T]) / len(qd)
+
+
+def rests(
+    t: np.ndarray, qd: np.ndarray, peak: np.ndarray, segments: tuple[tuple[int, int], ...]
+) -> tuple[float, float]:
+    """Return the share of samples at which all joints rest, and the longest stretch of them [s]."""
+    still = np.all(np.abs(qd) < REST * peak, axis=1)
+    longest = 0.0
+    for a, b in segments:
+        ends = np.flatnonzero(np.diff(np.concatenate([[0], still[a:b].astype(int), [0]])))
+        for first, stop in ends.reshape(-1, 2) + a:
+            longest = max(longest, float(t[stop - 1] - t[first]))
+    return float(np.mean(still)), longest
+
+
+# Torque covariance over velocity by maximum likelihood on free-motion residuals.
+#
+# Minimise ``sum log s^2 + e^2 / s^2`` over C0, Cinf and the decay rate, per joint, in their logarithms. Residuals must
+# have passed the same causal filter as the estimator will use. Covariances of the parameters count effective samples;
+# to the information of the ratio and the rate that of a uniform distribution over their bounds is added, so that what
+# the data do not tell is uncertain, not exact.
+
+
+STARTS = (5.0, 30.0, 150.0)  # s/rad
+RATE_BOUNDS = (1.0, 500.0)
+MAX_LOG_RATIO = 15.0
+UNIFORM = 12.0  # information of a uniform distribution, times its width squared
+SLOWEST, FASTEST, FEWEST_BELOW = (
+    0.02,
+    0.6,
+    20,
+)  # quantiles of speed between which a threshold lies, and samples below it
+AROUND = 50  # samples on either side of the threshold that tell how densely speeds lie
+TINY = 1e-12
+
+
+def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "exp") -> Fit[VelocityCovariance]:
+    """Fit how the variance of the torque residual depends on joint velocity.
 
     Parameters
     ----------
-    model : identified torque model.
-    table : log with columns q, tau (N, n), and qd where it was measured. Pieces between gaps are filtered each by
-        itself; in pieces of fewer than 100 rows tau and tau_model are missing (NaN).
+    residuals : (N, n) filtered torque residuals without contact [N m].
+    qd : (N, n) joint velocities [rad/s].
+    kind : "exp", "step" or "const".
+
+    Returns
+    -------
+    Fit of `models.torque.VelocityCovariance`; parameters are log Cinf, log(C0 / Cinf), log shape per joint.
 
     Raises
     ------
-    ShapeError : no piece of 100 rows without a gap, NaN rows, wrong joint count.
+    ShapeError : shapes differ or values are not finite. NotExcited : fewer than 100 samples, or a joint whose residuals
+    are all zero. UnknownName : another kind.
+
+    References
+    ----------
+    Yao (1987), Approximating the distribution of the maximum likelihood estimate of the change-point in a sequence of
+    independent random variables, for the covariance of a threshold.
     """
-    if not isinstance(model, TorqueModel):
-        raise ModelMismatchError.no_model(model)
-    if not isinstance(table, Table):
-        raise ShapeError.no_table(table)
-    parts, table = pieces(table.t), with_velocity(table)
-    qdd, tau, modelled = np.full((3, *table["q"].shape), np.nan)
-    for a, b in parts:
-        qdd[a:b] = central_diff(table["qd"][a:b], table.t[a:b])
-    torque = model.torque(table["q"], table["qd"], qdd, table.dt)
-    for a, b in parts:
-        rate = 1.0 / float(np.median(np.diff(table.t[a:b])))
-        tau[a:b] = lowpass_offline(table["tau"][a:b], rate, model.cutoff)
-        modelled[a:b] = lowpass_offline(torque[a:b], rate, model.cutoff)
-    variance = model.estimator_kernel(np.ones(6)).run(table["q"], table["qd"], table["tau"], table.dt)[4]
-    warned = extrapolation(model, table).warnings
-    return (
-        replace(table, notes=(*table.notes, *warned))
-        .with_column("tau", tau)
-        .with_column("tau_model", modelled)
-        .with_column("tau_sigma", model.gains * np.sqrt(variance))
-    )
+    residuals, qd = numbers(residuals, "residuals", ShapeError), numbers(qd, "qd", ShapeError)
+    _check_residuals(residuals, qd)
+    fitters = {"exp": _fit_exponential, "step": _fit_step, "const": _fit_constant}
+    if kind not in fitters:
+        raise UnknownName.among("covariance kind", kind, fitters)
+    n = residuals.shape[1]
+    solved = [fitters[kind](residuals[:, i], np.abs(qd[:, i])) for i in range(n)]
+    theta = np.array([parameters for parameters, _ in solved])
+    d = theta.shape[1]
+    Cinf = np.exp(theta[:, 0])
+    C0 = Cinf * np.exp(theta[:, 1]) if d > 1 else Cinf
+    value = velocity_covariance(kind, C0, Cinf, np.exp(theta[:, 2]) if d > 2 else None)
+    ratio = residuals**2 / value.variance(qd)  # the variance follows the motion: its own rhythm is no memory
+    cov = np.zeros((n * d, n * d))
+    for i, (_, information) in enumerate(solved):
+        share = len(residuals) / effective_samples(ratio[:, i])
+        cov[i * d : (i + 1) * d, i * d : (i + 1) * d] = np.linalg.inv(information) * share
+    labels = ("log Cinf", "log C0/Cinf", "log shape")[:d]
+    names = tuple(f"{label} joint {i + 1}" for i in range(n) for label in labels)
+    root = np.zeros_like(cov)
+    for i, (_, information) in enumerate(solved):
+        root[i * d : (i + 1) * d, i * d : (i + 1) * d] = np.linalg.cholesky(information).T
+    excitation = Excitation.of(root, names)
+    sigma = np.sqrt(np.mean(residuals**2, axis=0))
+    return Fit(value, names, ("1",) * len(names), theta.ravel(), cov, sigma, residuals, len(residuals), excitation)
+
+
+def _check_residuals(residuals: np.ndarray, qd: np.ndarray) -> None:
+    if residuals.ndim != 2 or residuals.shape != qd.shape or not residuals.shape[1]:
+        raise ShapeError(f"Expected residuals and qd of one shape (N, n), got {residuals.shape} and {qd.shape}.")
+    check_finite("residuals and qd", residuals, qd, advice="Drop these rows.")
+    if len(residuals) < 100:
+        raise NotExcited(f"Expected at least 100 residuals, got {len(residuals)}. Record for longer.", ["everything"])
+    silent = np.flatnonzero(~residuals.any(axis=0))
+    if len(silent):
+        joints = [f"joint {i + 1}" for i in silent]
+        raise NotExcited(f"Expected residuals with noise, got zeros for {', '.join(joints)}.", joints)
+
+
+def _fit_constant(e: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([np.log(np.mean(e * e))]), np.array([[len(e) / 2]])
+
+
+def _fit_step(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Try every sample as the threshold: both variances have closed forms; return log parameters and information."""
+    order = np.argsort(speed)
+    speed, power = speed[order], np.cumsum(e[order] ** 2)
+    slow = np.arange(max(FEWEST_BELOW, int(SLOWEST * len(e))), int(FASTEST * len(e)))  # samples below the threshold
+    slow = slow[speed[slow] > speed[slow - 1]]
+    if not len(slow):
+        raise NotExcited("Expected residuals at several speeds, got one speed. Record slow and fast motion.", ["speed"])
+    below, fast = power[slow - 1], len(e) - slow
+    outside = np.maximum((power[-1] - below) / fast, TINY * power[-1] / len(e))
+    inside = np.maximum(below / slow, outside)
+    best = int(np.argmin(slow * np.log(inside) + below / inside + fast * (np.log(outside) + 1.0)))
+    count, ratio = int(slow[best]), float(inside[best] / outside[best])
+    threshold = 0.5 * (speed[count - 1] + speed[count])
+    theta = np.log([outside[best], ratio, threshold])
+    information = np.array([[len(e) / 2, count / 2, 0.0], [count / 2, count / 2, 0.0], [0.0, 0.0, 0.0]])
+    information[1, 1] += UNIFORM / MAX_LOG_RATIO**2
+    near = speed[max(count - AROUND, 0) : count + AROUND + 1]
+    near = near[near > 0]
+    spacing = np.log(near[-1] / near[0]) / (len(near) - 1) if len(near) > 1 else 1.0
+    width = np.log(speed[slow[-1]] / speed[slow[0]]) + spacing
+    information[2, 2] = 1.0 / (spacing**2 * _misplaced(ratio)) + UNIFORM / width**2
+    return theta, information
+
+
+def _misplaced(ratio: float) -> float:
+    """Return the variance of the number of samples on the wrong side of the threshold, for the ratio of variances.
+
+    With L1 and L2 the expected loss of likelihood by a sample on the wrong side, ``1 + 6.5 / (L1 L2)``: where the loss
+    is small the limit law of a change point (its variance is 26 where noise and drift are 1 and 1/2), and one sample
+    where it is large. Between ratios of 1.5 and 1000 the deviation of drawn samples is within 21 % of its root.
+    """
+    log = np.log(ratio)
+    losses = 0.25 * (ratio - 1.0 - log) * (1.0 / ratio - 1.0 + log)
+    return 1.0 + 6.5 / max(losses, TINY)
+
+
+def _fit_exponential(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Minimise the negative log-likelihood from three decay rates; return log parameters and Fisher information."""
+    from scipy.optimize import minimize
+
+    power = e * e
+    start = np.log(np.mean(power))
+    bounds = [(start - 20, start + 10), (0.0, MAX_LOG_RATIO), tuple(np.log(RATE_BOUNDS))]
+
+    def cost(theta: np.ndarray) -> tuple[float, np.ndarray]:
+        variance, gradient = _exponential(theta, speed)
+        ratio = power / variance
+        return float(np.mean(np.log(variance) + ratio)), gradient @ ((1 - ratio) / variance) / len(e)
+
+    results = [
+        minimize(cost, np.array([start, 1.0, np.log(rate)]), jac=True, method="L-BFGS-B", bounds=bounds)
+        for rate in STARTS
+    ]
+    theta = min(results, key=lambda r: r.fun).x
+    variance, gradient = _exponential(theta, speed)
+    relative = gradient / variance
+    widths = np.array([MAX_LOG_RATIO, np.log(RATE_BOUNDS[1] / RATE_BOUNDS[0])])
+    return theta, 0.5 * relative @ relative.T + np.diag([0.0, *(UNIFORM / widths**2)])
+
+
+def _exponential(theta: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return s^2 (N,) and its gradient (3, N) over log Cinf, log(C0 / Cinf), log rate."""
+    floor, ratio, rate = np.exp(theta)
+    decay = np.exp(-rate * speed)
+    variance = floor * (1.0 + (ratio - 1.0) * decay)
+    return variance, np.stack([variance, floor * ratio * decay, -floor * (ratio - 1.0) * decay * rate * speed])
+
+
+# What the momentum estimators need to know of the residuals: memory, velocity noise, honest covariances.
+
+
+COVERAGE, SIGMAS = 0.954, 2.0
+SEEN = 0.9  # observability of the axes whose coverage counts
+LEAD = 0.5  # s, in which an estimator forgets how it began
+ENOUGH, WINDOW = 50_000, 10.0  # rows for a factor, and s: of longer records every second window, or third, is run
+
+
+def velocity_noise(data: Record) -> np.ndarray:
+    """Return the deviation (n,) of the measured velocity [rad/s], from fourth differences, which motion hardly has."""
+    steps = np.concatenate([np.diff(data.qd[a:b], 4, axis=0) for a, b in data.segments])
+    return np.sqrt(np.mean(steps**2, axis=0) / 70.0)  # 70 = 1 + 16 + 36 + 16 + 1
+
+
+def momentum_noise(
+    model: TorqueModel, folds: Sequence[tuple[TorqueModel, np.ndarray]], errors: np.ndarray, data: Record
+) -> MomentumNoise:
+    """Return memory and velocity noise of a record, and factors that make the momentum estimators' 2 sigma hold."""
+    step = float(np.median(data.dt))
+    known = [column[np.isfinite(column)] for column in errors.T]
+    memory = np.array([correlation_time(column, step) if len(column) > 1 else step for column in known])
+    noise = MomentumNoise(memory, velocity_noise(data))
+    some = data.blocks(WINDOW) % -(-len(data.t) // ENOUGH) == 0
+    held = [(replace(fold, covariance=model.covariance), rows & some) for fold, rows in folds]
+    variance = model.covariance.variance(data.qd) / model.covariance.alpha2
+    ratios = [
+        (found[3] ** 2 / variance[rows])[np.isfinite(errors[rows] + found[3])]
+        for found, rows in _runs(held, noise, data, filters=False)
+    ]
+    noise = replace(noise, alpha2_observer=_factor(ratios))
+    moving = np.isfinite(errors)
+    measured = moving.any(axis=0)
+    judged: np.ndarray = np.all(moving[:, measured], axis=1) if measured.any() else np.zeros(len(errors), dtype=bool)
+    ratios = []
+    for found, rows in _runs(held, noise, data, filters=True):  # in free motion the wrench is the error
+        F, P, seen = (values[judged[rows]] for values in found[:3])
+        ratios.append((F**2 / np.einsum("kii->ki", P))[seen > SEEN])
+    return replace(noise, alpha2_kf=_factor(ratios))
+
+
+def _runs(
+    held: Sequence[tuple[TorqueModel, np.ndarray]], noise: MomentumNoise, data: Record, filters: bool
+) -> Iterator[tuple[tuple[np.ndarray, ...], np.ndarray]]:
+    """Yield what the estimators of the folds find in rows that they did not see, and these rows, piece by piece."""
+    prior, rate = np.square(PRIOR), np.square(FORCE_RATES["normal"])
+    for model, rows in held:
+        for one, a, b in begun(replace(model, momentum=noise), data, stretches(rows, data)):
+            kernel = one.momentum_kernel(prior, rate, filters=filters)
+            found = kernel.run(data.q[a:b], data.qd[a:b], data.tau[a:b], data.dt[a:b])
+            yield tuple(values[rows[a:b]] for values in found[:5]), a + np.flatnonzero(rows[a:b])
+
+
+def stretches(rows: np.ndarray, data: Record) -> Iterator[tuple[int, int]]:
+    """Yield the stretches (start, stop) that hold the rows (N,), with half a second before them where there is one."""
+    lead = int(LEAD * data.rate)
+    for first, last in data.segments:
+        counts = np.concatenate([rows[first:last], np.zeros(lead, dtype=bool)])
+        wanted = np.convolve(counts, np.ones(lead + 1))[lead : lead + last - first] > 0.5
+        edges = np.flatnonzero(np.diff(wanted.astype(int), prepend=0, append=0))
+        for a, b in edges.reshape(-1, 2):
+            yield first + int(a), first + int(b)
+
+
+def _factor(ratios: list[np.ndarray]) -> float:
+    """Return the factor on the covariance by which `COVERAGE` of the ratios are below SIGMAS^2; 1 without any."""
+    known = np.concatenate([np.zeros(0), *(part.ravel() for part in ratios)])
+    return float(np.clip(np.quantile(known, COVERAGE) / SIGMAS**2, *ALPHA2_BOUNDS)) if known.size else 1.0
+
+
+# The parameters of a torque model: value, deviation, unit, and the combination that each stands for.
+
+
+def parameter_rows(fit: Fit[TorqueModel]) -> list[tuple[str, str, str, str]]:
+    """Return value, deviation, unit and name of each parameter as words: base parameters, then those of the drives."""
+    columns = zip(fit.parameters, fit.sd, fit.units, fit.names, strict=True)
+    return [(f"{value:.4g}", f"{sd:.2g}", unit, name) for value, sd, unit, name in columns]
+
+
+def parameter_text(fit: Fit[TorqueModel]) -> str:
+    """Return one line per parameter; numbers first, since the combinations are of any length."""
+    head, rows = ("value", "sd", "unit", "parameter"), parameter_rows(fit)
+    value, sd, unit = (max(map(len, column)) for column in list(zip(head, *rows))[:3])
+    lines = [f"{head[0]:>{value}}    {head[1]:<{sd}}  {head[2]:<{unit}}  {head[3]}"]
+    lines += [f"{x:>{value}} +- {deviation:<{sd}}  {of:<{unit}}  {name}" for x, deviation, of, name in rows]
+    return "\n".join(lines)
 
 
 def report(fit: Fit[TorqueModel], solution: LinearSolution | None = None) -> str:
-    """Return all parameters, then per joint: torque, residuals in % of its deviation, friction with deviations.
-
-    `solution`: behind the fit: bounds that hold a parameter are listed, with what they cost.
-    """
+    """Return all parameters, then per joint: torque, residuals in % of its deviation, friction with deviations."""
     model, q = fit.value, fit.value.quality
     header = ("joint", "torque sd", "rms", "fit", "held-out", "viscous", "coulomb +", "coulomb -", "sign", "in 2 sigma")
     units = ("", "", "", "% of sd", "% of sd", "", "", "", "", "%")

@@ -65,10 +65,7 @@ def kind_of(value: object) -> str:
 
 
 def provenance(kind: str, value: object) -> dict[str, Any]:
-    """Return the table [meta] of a file that is written now.
-
-    `value`: sources, robot name and hash are taken from it where it has them.
-    """
+    """Return the table [meta] of a file that is written now."""
     return {
         "kind": kind,
         "format": FORMAT,
@@ -114,19 +111,14 @@ def _check_units(written: Any, known: Mapping[str, str]) -> None:
 def _check_texts(value: Any, path: Path) -> None:
     """Refuse a value whose sources and robot could not be named again in [meta]."""
     known = provenance("", value)
-    for name, text in (
-        *(("sources", one) for one in known["sources"]),
-        *((k, known[k]) for k in ("robot", "robot_hash")),
-    ):
+    texts = [*(("sources", one) for one in known["sources"]), *((k, known[k]) for k in ("robot", "robot_hash"))]
+    for name, text in texts:
         if not isinstance(text, str):
             raise ConfigError(f"Expected texts for {name} at {path}, got {text!r}. Make the file again.")
 
 
 def read_value(raw: Mapping[str, Any], path: Path) -> Any:
-    """Return the value of a file's tables.
-
-    `raw`: the tables, with a [meta] of some kind.
-    """
+    """Return the value of a file's tables."""
     meta = raw["meta"]
     kind, version, package = str(meta.get("kind")), meta.get("format"), str(meta.get("package", "")) or "the package"
     owner = package.removeprefix("armlab.")
@@ -299,11 +291,7 @@ def torque_tables(model: TorqueModel) -> dict[str, Any]:
     c, q = model.covariance, model.quality
     return {
         "meta": {**provenance(KIND, model), "format": TORQUE_FORMAT, "sign": SIGN, "units": UNITS},
-        "robot": {
-            "frames": model.frames.tolist(),
-            "prismatic": [bool(p) for p in model.prismatic],
-            "gravity": model.gravity.tolist(),
-        },
+        "robot": {name: getattr(model, name).tolist() for name in ("frames", "prismatic", "gravity")},
         "dynamics": {
             "link_parameters": model.link_parameters.tolist(),
             "rotor": model.rotor.tolist(),
@@ -318,9 +306,7 @@ def torque_tables(model: TorqueModel) -> dict[str, Any]:
         "ripple": _by_joint(model.ripple, RIPPLE),
         "ctau": {
             "kind": c.kind,
-            "C0": c.C0.tolist(),
-            "Cinf": c.Cinf.tolist(),
-            "shape": c.shape.tolist(),
+            **{name: getattr(c, name).tolist() for name in ("C0", "Cinf", "shape")},
             "alpha2": c.alpha2,
             "cutoff": model.cutoff,
         },
@@ -348,10 +334,7 @@ def _joined(tables: dict[str, dict[str, float]], names: tuple[str, ...], path: P
 
 
 def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
-    """Return the model of the tables of a file.
-
-    `raw`: tables, with [meta].
-    """
+    """Return the model of the tables of a file."""
     meta = raw["meta"]
     found = tuple(meta.get(key) for key in ("kind", "format", "sign"))
     if found != (KIND, TORQUE_FORMAT, SIGN):

@@ -67,6 +67,16 @@ FRICTION_TERMS = {
 """Every term of friction once: names, units, regressors and bounds elsewhere derive from this table."""
 
 
+def freeze_arrays(instance: object, what: str, shapes: dict[str, tuple[int, ...]]) -> None:
+    """Make fields of a frozen dataclass read-only float64 arrays; refuse other shapes, and numbers not finite."""
+    for name, shape in shapes.items():
+        values = still(getattr(instance, name), f"{name} of {what}")
+        if values.shape != shape or not np.isfinite(values).all():
+            got = "NaN or Inf" if values.shape == shape else f"shape {values.shape}"
+            raise ShapeError(f"Expected finite {name} of shape {shape} of {what}, got {got}.")
+        object.__setattr__(instance, name, values)
+
+
 def _zeros() -> np.ndarray:
     """Stand for zeros of all joints."""
     return np.zeros(0)
@@ -128,7 +138,6 @@ class Friction:
     smooth_speed: np.ndarray = field(default_factory=_zeros)
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         _freeze(self)
         if np.any(self.stribeck_speed <= 0) or np.any(self.delta <= 0):
             raise ShapeError("Expected stribeck_speed > 0 and delta > 0, got a value that is not. Make it positive.")
@@ -181,7 +190,6 @@ class FrictionBound:
     floor: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         _freeze(self)
         if np.any(self.torque < 0) or np.any(self.floor < 0) or np.any(self.speed <= 0):
             raise ShapeError(
@@ -212,7 +220,6 @@ class Ripple:
     sine: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         _freeze(self)
 
     @classmethod
@@ -257,18 +264,12 @@ class RadialBasis:
     speed_widths: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         for name in ("positions", "position_widths", "speeds", "speed_widths"):
             values = still(getattr(self, name), f"{name} of radial bases")
             object.__setattr__(self, name, values)
         p, v = self.positions, self.speeds
-        if (
-            p.ndim != 2
-            or v.ndim != 2
-            or len(p) != len(v)
-            or p.shape != self.position_widths.shape
-            or v.shape != self.speed_widths.shape
-        ):
+        alike = p.shape == self.position_widths.shape and v.shape == self.speed_widths.shape
+        if p.ndim != 2 or v.ndim != 2 or len(p) != len(v) or not alike:
             raise ShapeError(f"Expected centres and widths of shape (n, P) and (n, S), got {p.shape} and {v.shape}.")
         steps = *np.diff(p, axis=1).ravel(), *np.diff(v, axis=1).ravel()
         positive = *steps, *v.ravel(), *self.position_widths.ravel(), *self.speed_widths.ravel()
@@ -286,10 +287,7 @@ class RadialBasis:
         return 2 * self.positions.shape[1] * self.speeds.shape[1]
 
     def functions(self, i: int, q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Return the functions (N, 2 P S) of joint i, positive direction first; their sum is 1.
-
-        `q`, `qd`, `s`: (N,) position [rad], velocity [rad/s] and sign in [-1, 1].
-        """
+        """Return the functions (N, 2 P S) of joint i, positive direction first; their sum is 1."""
         at = basis_weights(q, self.positions[i], self.position_widths[i])
         along = basis_weights(np.abs(qd), self.speeds[i], self.speed_widths[i])
         phi = (at[:, :, None] * along[:, None, :]).reshape(len(at), -1)
@@ -318,12 +316,8 @@ class FrictionMap:
     coefficients: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check the shape and freeze."""
-        values = still(self.coefficients, "coefficients of radial bases")
         shape = (self.basis.n, 2, self.basis.positions.shape[1], self.basis.speeds.shape[1])
-        if values.shape != shape or not np.isfinite(values).all():
-            raise ShapeError(f"Expected finite coefficients of shape {shape}, got shape {values.shape}.")
-        object.__setattr__(self, "coefficients", values)
+        freeze_arrays(self, "radial bases", {"coefficients": shape})
 
     def kernel_rows(self) -> tuple[np.ndarray, ...]:
         """Return the arrays as `kernels.Drive` takes them."""
@@ -356,11 +350,7 @@ LARGEST = 1e15  # of the numbers of ripple lines, joint numbers among them
 
 
 def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres and widths (count,) [rad/s] of Gaussians spread evenly from one speed to another.
-
-    `slowest`, `fastest`: ends of the range; 0 and the peak speed for lines with two directions, minus and plus the peak
-    speed for others. `count`: of Gaussians, at least 2.
-    """
+    """Return centres and widths (count,) [rad/s] of Gaussians spread evenly from one speed to another."""
     slowest, fastest = number(slowest, "the slowest speed [rad/s]"), number(fastest, "the fastest speed [rad/s]")
     if count < 2 or not fastest > slowest:
         raise ShapeError(f"Expected at least 2 Gaussians from one speed to a faster one, got {count} from {slowest:g} "
@@ -394,7 +384,6 @@ class RippleLines:
     coefficients: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         for name in ("joint", "cycles", "speeds", "widths", "coefficients"):
             values = still(getattr(self, name), f"{name} of the ripple lines")
             if not np.all(np.abs(values) < LARGEST):
@@ -459,7 +448,6 @@ class WarmUp:
     start: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         for entry in fields(self):
             values = still(getattr(self, entry.name), f"{entry.name} of the warm-up")
             if values.ndim != 1 or values.shape != np.shape(self.of_coulomb) or not np.isfinite(values).all():

@@ -7,20 +7,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import numbers, still
+from armlab._numbers import numbers
 from armlab.errors import ModelMismatchError, RobotError, ShapeError
 from armlab.kinematics import forward, parameter_jacobian
 from armlab.lie import se3, so3
+from armlab.models.friction import freeze_arrays
 from armlab.robots import Robot
 
 COMMAND_ROUNDS = 50
 
 
 def harmonic_basis(q: np.ndarray, harmonics: tuple[int, ...]) -> np.ndarray:
-    """Return ``cos k q_j, sin k q_j`` for each k of `harmonics`: (..., n, 2 m).
-
-    `q`: (..., n) joint positions [rad].
-    """
+    """Return ``cos k q_j, sin k q_j`` for each k of `harmonics`: (..., n, 2 m)."""
     q, orders = numbers(q, "joint positions [rad]", ShapeError), numbers(harmonics, "orders of harmonics", ShapeError)
     if not q.ndim or orders.ndim != 1:
         raise ShapeError(f"Expected positions (..., n) and orders (m,), got shapes {q.shape} and {orders.shape}.")
@@ -62,7 +60,6 @@ class KinematicCorrection:
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays."""
         if not isinstance(self.robot, Robot):
             raise RobotError.no_robot(self.robot)
         n, L = self.robot.n, len(self.coefficients)
@@ -74,15 +71,8 @@ class KinematicCorrection:
             "points": (len(self.points), 3),
             "anchor": (3,),
         }
-        for name, shape in shapes.items():
-            if getattr(self, name) is None:
-                continue
-            values = still(getattr(self, name), f"{name} of a kinematic correction")
-            if values.shape != shape or not np.isfinite(values).all():
-                raise ShapeError(
-                    f"Expected finite {name} of shape {shape} of a kinematic correction, got shape {values.shape}."
-                )
-            object.__setattr__(self, name, values)
+        given = {name: shape for name, shape in shapes.items() if getattr(self, name) is not None}
+        freeze_arrays(self, "a kinematic correction", given)
 
     @property
     def frames(self) -> np.ndarray:
@@ -218,13 +208,8 @@ class DualArmCorrection:
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays."""
         d = len(self.arm_a.cov) + len(self.arm_b.cov) + 6
-        for name, shape in (("T_basea_baseb", (4, 4)), ("cov", (d, d))):
-            values = still(getattr(self, name), f"{name} of a kinematic correction")
-            if values.shape != shape or not np.isfinite(values).all():
-                raise ShapeError(f"Expected finite {name} of shape {shape} of two arms, got shape {values.shape}.")
-            object.__setattr__(self, name, values)
+        freeze_arrays(self, "two arms", {"T_basea_baseb": (4, 4), "cov": (d, d)})
 
     def forward(
         self,

@@ -12,6 +12,7 @@ from armlab import kernels
 from armlab._numbers import still
 from armlab.errors import FrameError, ShapeError, UnknownName
 from armlab.lie import so3
+from armlab.models.friction import freeze_arrays
 
 _SHAPES = {"R_tool_sensor": (3, 3), "centre": (3,), "bias": (6,), "gravity": (3,), "position": (3,)}
 _MOMENTS = {"centre": slice(0, 3), "bias": slice(3, 6)}  # NaN where the fit had no torques
@@ -57,7 +58,6 @@ class ForceSensor:
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the fields and freeze the arrays."""
         for name, shape in _SHAPES.items():
             values = still(getattr(self, name), f"{name} of a force sensor")
             known = values.ravel().tolist()
@@ -145,9 +145,6 @@ def _poses(T_base_tool: np.ndarray) -> np.ndarray:
 # A calibrated accelerometer on the tool: its axes, scale and bias.
 
 
-_ACCELEROMETER_SHAPES = {"R_tool_sensor": (3, 3), "bias": (3,), "gravity": (3,)}
-
-
 @dataclass(frozen=True, eq=False)
 class Accelerometer:
     """An accelerometer on the tool; at rest it reads g upwards.
@@ -179,12 +176,7 @@ class Accelerometer:
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the fields and freeze the arrays."""
-        for name, shape in _ACCELEROMETER_SHAPES.items():
-            values = still(getattr(self, name), f"{name} of an accelerometer")
-            if values.shape != shape or not np.isfinite(values).all():
-                raise ShapeError(f"Expected finite {name} of shape {shape} of an accelerometer, got {values.tolist()}.")
-            object.__setattr__(self, name, values)
+        freeze_arrays(self, "an accelerometer", {"R_tool_sensor": (3, 3), "bias": (3,), "gravity": (3,)})
         R = self.R_tool_sensor
         if np.abs(R.T @ R - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
             raise ShapeError(f"Expected a rotation as R_tool_sensor of an accelerometer, got {R.tolist()}.")
@@ -245,14 +237,8 @@ class LaserSensor:
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         P = len(self.planes)
-        shapes = {"T_tool_sensor": (4, 4), "normals": (P, 3), "offsets": (P,)}
-        for name, shape in shapes.items():
-            values = still(getattr(self, name), f"{name} of a laser sensor")
-            if values.shape != shape or not np.isfinite(values).all():
-                raise ShapeError(f"Expected finite {name} of shape {shape} of a laser sensor, got {values.tolist()}.")
-            object.__setattr__(self, name, values)
+        freeze_arrays(self, "a laser sensor", {"T_tool_sensor": (4, 4), "normals": (P, 3), "offsets": (P,)})
         kernels.poses(self.T_tool_sensor, "T_tool_sensor")
         if np.abs(np.linalg.norm(self.normals, axis=1) - 1.0).max(initial=0.0) > 1e-9:
             raise ShapeError("Expected unit normals of a laser sensor's planes, got others. Divide by their length.")
@@ -305,7 +291,6 @@ class HandEye:
     points: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         if self.setup not in FRAMES:
             raise UnknownName.among("setup", self.setup, FRAMES)
         for name in ("X", "Y", "points"):

@@ -19,7 +19,7 @@ import numpy as np
 from armlab._numbers import check_name, numbers, still
 from armlab.errors import ModelMismatchError, RobotError, ShapeError
 from armlab.kernels import Chain, Drive, MomentumEstimator, WrenchEstimator, model_torque
-from armlab.models.friction import Friction, FrictionBound, FrictionMap, Ripple, RippleLines, WarmUp
+from armlab.models.friction import Friction, FrictionBound, FrictionMap, Ripple, RippleLines, WarmUp, freeze_arrays
 from armlab.robots import Robot, inertia
 
 # Noise: torque covariance over velocity, and the noise of momentum estimators.
@@ -56,7 +56,6 @@ class VelocityCovariance:
     alpha2: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         check_name(self.kind, "covariance kind", KINDS)
         for name in ("C0", "Cinf", "shape"):
             values = still(getattr(self, name), f"{name} of a covariance")
@@ -136,7 +135,6 @@ class MomentumNoise:
     alpha2_kf: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         for name in ("memory", "qd_noise"):
             values = still(getattr(self, name), f"{name} of the momentum noise")
             object.__setattr__(self, name, values)
@@ -174,17 +172,9 @@ class CoupledMotors:
     smooth_speed: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
-        K = len(np.atleast_2d(still(self.ratios, "ratios of coupled motors")))
-        for name in ("ratios", "inertia", "viscous", "coulomb", "smooth_speed"):
-            values = still(getattr(self, name), f"{name} of coupled motors")
-            if (
-                values.shape[:1] != (K,)
-                or values.ndim != (2 if name == "ratios" else 1)
-                or not np.isfinite(values).all()
-            ):
-                raise ShapeError(f"Expected finite {name} of {K} coupled motors, got shape {values.shape}.")
-            object.__setattr__(self, name, values)
+        ratios = np.atleast_2d(still(self.ratios, "ratios of coupled motors"))
+        shapes = dict.fromkeys(("inertia", "viscous", "coulomb", "smooth_speed"), (len(ratios),))
+        freeze_arrays(self, f"{len(ratios)} coupled motors", {"ratios": ratios.shape, **shapes})
         if np.any(self.smooth_speed <= 0):
             raise ShapeError("Expected smooth_speed > 0 of coupled motors, got a value that is not. Make it positive.")
 
@@ -199,9 +189,8 @@ class CoupledMotors:
         return self._spread(self.inertia * self._turned(qdd))
 
     def _turned(self, x: np.ndarray) -> np.ndarray:
-        return np.sum(
-            self.ratios * np.asarray(x, dtype=float)[..., None, :], axis=-1
-        )  # not @: rows as alone, bit for bit
+        # not @: rows as alone, bit for bit
+        return np.sum(self.ratios * np.asarray(x, dtype=float)[..., None, :], axis=-1)
 
     def _spread(self, own: np.ndarray) -> np.ndarray:
         return np.sum(self.ratios * own[..., None], axis=-2)
@@ -316,14 +305,9 @@ class Training:
     longest_rest: float
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         n = len(self.q_min)
         shapes = {"q_min": (n,), "q_max": (n,), "qd_peak": (n,), "speed_share": (n, 2 * len(SPEED_EDGES))}
-        for name, shape in shapes.items():
-            values = still(getattr(self, name), f"{name} of the training")
-            if values.shape != shape or not np.all(np.isfinite(values)):
-                raise ShapeError(f"Expected finite {name} of shape {shape} of the training, got {values.shape}.")
-            object.__setattr__(self, name, values)
+        freeze_arrays(self, "the training", shapes)
         if not (0.0 <= self.rest_share <= 1.0 and 0.0 <= self.longest_rest < np.inf):
             raise ShapeError(
                 f"Expected a share of rest from 0 to 1 and a length from 0 s, got {self.rest_share:g} and "
@@ -385,7 +369,6 @@ class TorqueModel:
     gain_cov: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays."""
         n, p = len(self.rotor), len(self.base_names)
         if not np.size(self.gains):
             object.__setattr__(self, "gains", np.ones(n))
@@ -603,12 +586,7 @@ class Payload:
     sources: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays."""
-        for name, shape in (("pi", (10,)), ("T_last_flange", (4, 4))):
-            values = still(getattr(self, name), f"{name} of a payload")
-            if values.shape != shape or not np.isfinite(values).all():
-                raise ShapeError(f"Expected finite {name} of shape {shape} of a payload, got shape {values.shape}.")
-            object.__setattr__(self, name, values)
+        freeze_arrays(self, "a payload", {"pi": (10,), "T_last_flange": (4, 4)})
 
     @property
     def mass(self) -> float:

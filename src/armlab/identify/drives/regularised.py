@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from armlab._numbers import number, numbers
+from armlab._numbers import numbers
 from armlab.errors import NotConverged, ShapeError
 from armlab.estimation.bootstrap import shrinkage
 
@@ -29,10 +29,7 @@ FULL = 1e-6  # least share of a direction that other stretches tell
 
 
 def ridge_solution(A: np.ndarray, y: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, np.ndarray]:
-    """Return ridge coefficients (p,) and the matrix (p, p) of their equations, see `refit`.
-
-    `A`: (N, p). `y`: (N,).
-    """
+    """Return ridge coefficients (p,) and the matrix (p, p) of their equations, see `refit`."""
     H = A.T @ A
     H[np.diag_indices_from(H)] += ridge * np.trace(H) / max(len(H), 1)
     return np.linalg.solve(H, A.T @ y), H
@@ -45,11 +42,8 @@ def refit(
 
     ``H = A^T A + r 1, r = ridge mean(diag)``, ``cov = H^-1 (S + r^2 v 1) H^-1`` with S the scatter ``sum_b g_b g_b^T``
     of the moments g_b of the residuals in a block: residuals that remember make it larger than the formal one. Where
-    blocks are few for the coefficients S is shrunk towards a multiple of H (`shrinkage`): it would have no
-    spread in most directions. v is the mean square of the coefficients: the ridge pulls weak ones that far.
-
-    `A`: (N, p). `y`: (N,). `block`: (N,) numbers. `beside`: (N, m) columns of parameters known so far that they leave
-    nothing, free in the covariance, which is then (p + m, p + m).
+    blocks are few for the coefficients S is shrunk towards a multiple of H (`shrinkage`): it would have no spread in
+    most directions. v is the mean square of the coefficients: the ridge pulls weak ones that far.
     """
     x, H = ridge_solution(A, y, ridge)
     pull = ridge * np.trace(H) / max(len(H), 1) / (1.0 + ridge)
@@ -94,10 +88,7 @@ def scattered(H: np.ndarray, moments: np.ndarray) -> np.ndarray:
 
 
 def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE, folds: int = 5) -> float:
-    """Return the mean square of y - A x on blocks that x was not fitted to.
-
-    `A`: (N, p); without columns the mean square of y. `y`: (N,). `block`: (N,) numbers.
-    """
+    """Return the mean square of y - A x on blocks that x was not fitted to."""
     total, fold = 0.0, np.asarray(block) % folds
     for k in range(folds):
         out = fold == k
@@ -126,7 +117,7 @@ class GroupLasso:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sums:
+class LassoSums:
     """A^T A, A^T y and y^T y: all that the problem needs."""
 
     gram: np.ndarray
@@ -134,7 +125,7 @@ class _Sums:
     power: float
 
     @classmethod
-    def of(cls, A: np.ndarray, y: np.ndarray) -> _Sums:
+    def of(cls, A: np.ndarray, y: np.ndarray) -> LassoSums:
         return cls(A.T @ A, A.T @ y, float(y @ y))
 
     @cached_property
@@ -142,37 +133,23 @@ class _Sums:
         """Largest eigenvalue of A^T A: no gradient changes faster."""
         return float(np.linalg.eigvalsh(self.gram)[-1]) if len(self.gram) else 0.0
 
-    def minus(self, other: _Sums) -> _Sums:
-        return _Sums(self.gram - other.gram, self.moment - other.moment, self.power - other.power)
+    def minus(self, other: LassoSums) -> LassoSums:
+        return LassoSums(self.gram - other.gram, self.moment - other.moment, self.power - other.power)
 
     def error(self, x: np.ndarray) -> float:
         """Return |y - A x|^2."""
         return max(float(self.power - 2 * self.moment @ x + x @ self.gram @ x), 0.0)
 
 
-def group_lasso(A: np.ndarray, y: np.ndarray, size: int, penalty: float) -> GroupLasso:
-    """Solve the group lasso by FISTA with adaptive restart.
-
-    `A`: (N, p) columns, group by group. `y`: (N,). `penalty`: above 0. After Yuan and Lin (2006); Beck and Teboulle
-    (2009); O'Donoghue and Candes (2015), Adaptive restart.
-    """
-    A, y, penalty = numbers(A, "A", ShapeError), numbers(y, "y", ShapeError), number(penalty, "penalty")
-    if A.ndim != 2 or y.shape != A.shape[:1] or size < 1 or A.shape[1] % size or not penalty > 0:
-        raise ShapeError(
-            f"Expected A (N, p), y (N,), groups of equal size and a penalty above 0, got {A.shape}, {y.shape}, "
-            f"{size} and {penalty!r}."
-        )
-    if not np.isfinite(A).all() or not np.isfinite(y).all():
-        raise ShapeError("Expected finite A and y, got NaN or Inf. Drop those rows first.")
-    return _solve(_Sums.of(A, y), size, penalty, np.zeros(A.shape[1]))
-
-
 def _norms(x: np.ndarray, size: int) -> np.ndarray:
     return np.linalg.norm(x.reshape(-1, size), axis=1)
 
 
-def _solve(sums: _Sums, size: int, penalty: float, x: np.ndarray) -> GroupLasso:
-    """Solve from a first guess."""
+def group_lasso(sums: LassoSums, size: int, penalty: float, x: np.ndarray) -> GroupLasso:
+    """Solve from a first guess x (p,), by FISTA with adaptive restart, for columns in groups of `size`.
+
+    After Yuan and Lin (2006); Beck and Teboulle (2009); O'Donoghue and Candes (2015), Adaptive restart.
+    """
     threshold = penalty * np.sqrt(size)
     L = sums.steepness
     if L <= 0.0:
@@ -195,7 +172,7 @@ def _solve(sums: _Sums, size: int, penalty: float, x: np.ndarray) -> GroupLasso:
     raise NotConverged(f"Expected a group lasso with a relative gap of {GAP:g}, got {gap:.2g} after {ROUNDS} rounds.")
 
 
-def _gap(sums: _Sums, size: int, threshold: float, x: np.ndarray) -> tuple[float, float]:
+def _gap(sums: LassoSums, size: int, threshold: float, x: np.ndarray) -> tuple[float, float]:
     """Return the objective and its relative distance from the dual one of the scaled residual."""
     error = sums.error(x)
     objective = 0.5 * error + threshold * float(_norms(x, size).sum())
@@ -209,15 +186,13 @@ def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, fo
     """Return which groups (G,) a group lasso keeps.
 
     The penalty is the largest of 20 whose held-out error is within one standard deviation of the least.
-
-    `A`: (N, p) columns, group by group. `y`: (N,). `block`: (N,) block number of each row; whole blocks are held out.
     """
     A, y, block = (numbers(one, "columns, values and blocks", ShapeError) for one in (A, y, block))
     if A.ndim != 2 or not y.shape == block.shape == A.shape[:1]:
         raise ShapeError(f"Expected columns (N, p), values and blocks (N,), got {A.shape}, {y.shape}, {block.shape}.")
     fold = block % folds
-    parts = [_Sums.of(A[fold == k], y[fold == k]) for k in range(folds)]
-    whole = _Sums.of(A, y)
+    parts = [LassoSums.of(A[fold == k], y[fold == k]) for k in range(folds)]
+    whole = LassoSums.of(A, y)
     largest = float(_norms(whole.moment, size).max()) / np.sqrt(size)
     if largest <= 0:
         return np.zeros(A.shape[1] // size, dtype=bool)
@@ -226,11 +201,11 @@ def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, fo
     for k, part in enumerate(parts):
         rest, x, count = whole.minus(part), np.zeros(A.shape[1]), np.count_nonzero(fold == k)
         for j, penalty in enumerate(penalties):
-            x = _solve(rest, size, penalty * (1.0 - count / len(y)), x).x
+            x = group_lasso(rest, size, penalty * (1.0 - count / len(y)), x).x
             errors[k, j] = part.error(x) / count
     mean, best = errors.mean(axis=0), int(np.argmin(errors.mean(axis=0)))
     chosen = int(np.flatnonzero(mean <= mean[best] + errors[:, best].std(ddof=1))[0])
     x = np.zeros(A.shape[1])
     for penalty in penalties[: chosen + 1]:
-        x = _solve(whole, size, penalty, x).x
+        x = group_lasso(whole, size, penalty, x).x
     return _norms(x, size) > 0

@@ -102,18 +102,12 @@ def ripple_lines(
 
 
 def highest_seen(qd: np.ndarray, rate: float) -> float:
-    """Return the largest c [cycles per revolution] that passes below a quarter of the rate in half of the samples.
-
-    `qd`: (N,) velocity [rad/s]. `rate`: of sampling [Hz].
-    """
+    """Return the largest c [cycles per revolution] that passes below a quarter of the rate in half of the samples."""
     return float(2 * np.pi * SLOW_SHARE * rate / max(np.median(np.abs(qd)), 1e-12))
 
 
 def warn_of_fast_lines(seen: dict[str, float], rate: float) -> None:
-    """Warn that lines of torque ripple fold back and are not looked for.
-
-    `seen`: largest c of each joint that can be found, by name. `rate`: of sampling [Hz].
-    """
+    """Warn that lines of torque ripple fold back and are not looked for."""
     listed = ", ".join(f"{name} (above {c:.0f} cycles/rev)" for name, c in seen.items())
     warnings.warn(
         f"Expected torque ripple below {SLOW_SHARE * rate:.3g} Hz, a quarter of the sampling rate, in half of the "
@@ -167,19 +161,12 @@ def _refined(search: _LineSearch, c: float, width: float) -> float:
 def ripple_regressor(
     q: np.ndarray, qd: np.ndarray, z: np.ndarray, cycles: np.ndarray, speeds: np.ndarray, widths: np.ndarray
 ) -> np.ndarray:
-    """Return the columns (N, L 2 S 2) of lines with amplitudes for both directions, in the order of the coefficients.
-
-    `q`, `qd`, `z`: (N,) position [rad], velocity [rad/s], presliding state. `cycles`: (L,) lines. `speeds`, `widths`:
-    (S,) of the Gaussians [rad/s].
-    """
+    """Return the columns (N, L 2 S 2) of lines with amplitudes for both directions."""
     return _waves(q, ripple_amplitudes(qd, z, speeds, widths), cycles)[0]
 
 
 def ripple_amplitudes(qd: np.ndarray, z: np.ndarray, speeds: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Return the weights (N, 2 S) of both directions and of the Gaussians in speed.
-
-    `qd`, `z`: (N,) velocity [rad/s], presliding state. `speeds`, `widths`: (S,) of the Gaussians [rad/s].
-    """
+    """Return the weights (N, 2 S) of both directions and of the Gaussians in speed."""
     qd, z = numbers(qd, "velocities [rad/s]", ShapeError), numbers(z, "presliding states", ShapeError)
     if qd.ndim != 1 or qd.shape != z.shape:
         raise ShapeError(f"Expected velocities and presliding states (N,), got shapes {qd.shape} and {z.shape}.")
@@ -195,9 +182,6 @@ def refine_lines(
 
     The search finds a line with one amplitude in each direction; here it has all of them. Its error turns the phase at
     the ends of the range: coefficients would seem too sure in a covariance without the slopes.
-
-    `q`: (N,) position [rad]. `amplitudes`: (N, 2 S) of each direction and speed, see `ripple_regressor`. `y`: (N,)
-    residual torque [N m]. `cycles`: (L,) lines found.
     """
     for _ in range(NEWTON):
         A, slopes, left = _bent(q, amplitudes, y, cycles)
@@ -227,10 +211,7 @@ def _waves(q: np.ndarray, amplitudes: np.ndarray, cycles: np.ndarray) -> tuple[n
 
 
 def select_lines(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
-    """Return which groups of columns (G,) stay: chosen by the group lasso, and worth 2 % of the held-out error each.
-
-    `A`: (N, G size). `y`: (N,). `block`: (N,) numbers of whole blocks.
-    """
+    """Return which groups of columns (G,) stay: chosen by the group lasso, and worth 2 % of the held-out error each."""
     scale = mad(y) or 1.0
     kept = select_groups(A / np.sqrt(np.mean(A**2)), y / scale, size, block)
     while kept.any():
