@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from armlab import identify, robots
 from armlab.contact import Estimator, compare, contacts, hypotheses
 from armlab.contact.contacts import Comparison, Contact, Hypotheses
-from armlab.estimation.bootstrap import correlation_time
+from armlab.estimation.robust import correlation_time
 from armlab.log import Column, Table
 
 ROBOT = robots.load("yumi_left")

@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import NotExcited
 from armlab.estimation import BlockSums, Prior, Rows, block_bootstrap, block_cv, least_squares
-from armlab.estimation.bootstrap import Bootstrap, CrossValidation, block_seconds, correlation_time, effective_samples
+from armlab.estimation.robust import Bootstrap, CrossValidation, block_seconds, correlation_time, effective_samples
 
 
 def sums(A: np.ndarray, y: np.ndarray, names, blocks: int, **options) -> BlockSums:

@@ -14,7 +14,7 @@ import pytest
 from armlab import models
 from armlab.errors import NotExcited
 from armlab.estimation import Excitation, Fit, Prior
-from armlab.estimation.excitation import check_excitation, check_spread
+from armlab.estimation.linear_problem import check_excitation, check_spread
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,9 @@ import pytest
 from armlab import models
 from armlab.errors import ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit, Prior, Rows, block_bootstrap, block_cv, least_squares
-from armlab.estimation.bootstrap import BlockSums, block_seconds, correlation_time, effective_samples
-from armlab.estimation.excitation import check_spread
-from armlab.estimation.linear_problem import LinearProblem
+from armlab.estimation.linear_problem import LinearProblem, check_spread
 from armlab.estimation.nonlinear import Measurement
+from armlab.estimation.robust import BlockSums, block_seconds, correlation_time, effective_samples
 from armlab.estimation.tsqr import factorise
 
 RNG = np.random.default_rng(0)

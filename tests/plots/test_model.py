@@ -10,7 +10,7 @@ import pytest
 from armlab import calibrate, contact, identify, sim
 from armlab.errors import ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit
-from armlab.estimation.bootstrap import correlation_time
+from armlab.estimation.robust import correlation_time
 from armlab.log import Column, Table
 from armlab.models import FrictionMap, RadialBasis, TorqueModel, velocity_covariance
 from armlab.plots import model as covariances

@@ -39,7 +39,7 @@ from armlab.calibrate.diagnostics import (
 from armlab.calibrate.inputs import pose_noise, poses
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
-from armlab.estimation.excitation import check_spread
+from armlab.estimation.linear_problem import check_spread
 from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.lie import so3
 from armlab.models import HandEye

@@ -44,7 +44,7 @@ from armlab.calibrate.hand_eye import (
 from armlab.calibrate.inputs import point_noise, pose_noise, poses
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
-from armlab.estimation.excitation import check_spread
+from armlab.estimation.linear_problem import check_spread
 from armlab.estimation.tsqr import triangle
 from armlab.frames import marker_pose
 from armlab.frames.inputs import marker_points, sightings

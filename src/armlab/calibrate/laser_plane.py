@@ -43,7 +43,7 @@ from armlab.calibrate.laser_model import (
 )
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Fit, nonlinear_least_squares
-from armlab.estimation.excitation import check_spread
+from armlab.estimation.linear_problem import check_spread
 from armlab.estimation.nonlinear import NonlinearSolution, descend
 from armlab.estimation.robust import mad
 from armlab.lie import se3, so3

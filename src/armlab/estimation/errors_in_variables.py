@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import make_read_only, numbers
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation.excitation import Excitation, check_excitation
+from armlab.estimation.linear_problem import Excitation, check_excitation
 from armlab.estimation.nonlinear import Measurement, NonlinearProblem, nonlinear_least_squares
 
 WHAT = "total least squares"

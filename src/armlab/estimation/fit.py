@@ -13,7 +13,7 @@ import numpy as np
 from armlab import models
 from armlab._numbers import rows_text
 from armlab.errors import ConfigError, ShapeError
-from armlab.estimation.excitation import Excitation
+from armlab.estimation.linear_problem import Excitation
 from armlab.models.files import load_statistics
 
 Value = TypeVar("Value")

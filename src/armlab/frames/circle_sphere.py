@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from armlab.errors import NotConverged, NotExcited
 from armlab.estimation import Excitation, Fit, Measurement, NonlinearProblem
 from armlab.estimation import nonlinear_least_squares as solve
-from armlab.estimation.excitation import check_spread
+from armlab.estimation.linear_problem import check_spread
 from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.frames import inputs
 from armlab.frames.feature_fit import LIMIT, Cloud, circles, principal, result, rounding, spheres, text, upward

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
-from armlab.estimation.excitation import check_spread
+from armlab.estimation.linear_problem import check_spread
 from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.frames import inputs
 from armlab.frames.feature_fit import (

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 from armlab._numbers import still
 from armlab.errors import FrameError
 from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
-from armlab.estimation.excitation import check_spread
+from armlab.estimation.linear_problem import check_spread
 from armlab.frames import inputs
 from armlab.lie import se3, so3
 

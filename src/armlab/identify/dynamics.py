@@ -38,9 +38,8 @@ import numpy as np
 from armlab._numbers import check_name
 from armlab.errors import ModelMismatchError, ShapeError
 from armlab.estimation import BlockSums, Fit, Prior, block_bootstrap, least_squares
-from armlab.estimation.bootstrap import block_seconds
 from armlab.estimation.linear_problem import LinearSolution
-from armlab.estimation.robust import METHODS
+from armlab.estimation.robust import METHODS, block_seconds
 from armlab.estimation.tsqr import one_thread
 from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.record import Record, check_blocks, measured_joints, prepare, torque_outliers, without_outliers

@@ -25,9 +25,8 @@ import numpy as np
 from armlab._numbers import number
 from armlab.errors import ModelMismatchError, ShapeError, UnknownName
 from armlab.estimation import Fit, Rows, least_squares
-from armlab.estimation.bootstrap import block_seconds
-from armlab.estimation.excitation import check_spread
-from armlab.estimation.linear_problem import LinearSolution
+from armlab.estimation.linear_problem import LinearSolution, check_spread
+from armlab.estimation.robust import block_seconds
 from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Record, check_blocks, check_once, log_name
 from armlab.identify.regression import LINK_SYMBOLS, BaseParameters, base_parameters
 from armlab.identify.residuals import model_residuals

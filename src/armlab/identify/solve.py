@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armlab.estimation import least_squares
-from armlab.estimation.bootstrap import effective_samples, shrinkage
 from armlab.estimation.linear_problem import LinearSolution
-from armlab.estimation.robust import HUBER, NORMAL_MAD
+from armlab.estimation.robust import HUBER, NORMAL_MAD, effective_samples, shrinkage
 from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.record import Record
 from armlab.identify.regression import Design

@@ -10,8 +10,8 @@ import numpy as np
 from armlab._numbers import numbers
 from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit
-from armlab.estimation.bootstrap import correlation_time, effective_samples
 from armlab.estimation.linear_problem import LinearSolution
+from armlab.estimation.robust import correlation_time, effective_samples
 from armlab.identify.record import Record, check_finite, torque_outliers, without_outliers
 from armlab.identify.residuals import thermal_state_at
 from armlab.models import TorqueModel, velocity_covariance

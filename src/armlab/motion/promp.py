@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from armlab._numbers import generator, make_read_only, members, number, numbers, positive
 from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit
-from armlab.estimation.excitation import check_excitation
+from armlab.estimation.linear_problem import check_excitation
 from armlab.motion.arguments import clock, kernel_count
 from armlab.motion.primitive.demonstrations import Demo, read_demos
 from armlab.motion.primitive.equation import normalised

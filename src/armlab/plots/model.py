@@ -10,7 +10,7 @@ import numpy as np
 from armlab._palette import GREY
 from armlab.errors import ModelMismatchError, ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit
-from armlab.estimation.bootstrap import correlation_time
+from armlab.estimation.robust import correlation_time
 from armlab.glossary import label, lookup
 from armlab.identify import predict
 from armlab.log import Table

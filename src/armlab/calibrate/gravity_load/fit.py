@@ -34,7 +34,7 @@ from armlab.calibrate.gravity_load.model import Load, Turn, WeightEquation, like
 from armlab.calibrate.inputs import finite, gravity_of, noise_of, orientations, point_noise
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Fit, nonlinear_least_squares
-from armlab.estimation.excitation import check_spread
+from armlab.estimation.linear_problem import check_spread
 from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.models import Accelerometer, ForceSensor
 

@@ -19,7 +19,7 @@ import numpy as np
 from armlab._numbers import numbers
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit
-from armlab.estimation.bootstrap import block_seconds
+from armlab.estimation.robust import block_seconds
 from armlab.identify.drives.regularised import RIDGE as LINE_RIDGE
 from armlab.identify.drives.regularised import held_out_error, refit, ridge_solution
 from armlab.identify.drives.ripple import (

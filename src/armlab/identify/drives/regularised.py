@@ -14,7 +14,7 @@ import numpy as np
 
 from armlab._numbers import numbers
 from armlab.errors import NotConverged, ShapeError
-from armlab.estimation.bootstrap import shrinkage
+from armlab.estimation.robust import shrinkage
 
 # Ridge regression on coloured residuals: coefficients, a covariance that takes no model of the noise, held-out errors.
 #

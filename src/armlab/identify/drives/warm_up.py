@@ -16,7 +16,7 @@ import numpy as np
 
 from armlab.errors import NotExcited
 from armlab.estimation import Excitation, Fit
-from armlab.estimation.bootstrap import block_seconds
+from armlab.estimation.robust import block_seconds
 from armlab.identify.drives.regularised import scattered
 from armlab.identify.residuals import (
     BIN,
