@@ -1,12 +1,6 @@
 // Fields of protobuf messages, read one after the other and written one behind the other.
 #pragma once
 
-#include <cstdint>
-#include <cstring>
-#include <string>
-#include <string_view>
-#include <vector>
-
 #include "wire/bytes.h"
 
 namespace armlab::protobuf {

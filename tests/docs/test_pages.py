@@ -56,7 +56,7 @@ def peers() -> dict[str, Any]:
 NAMES: dict[str, Callable[[], dict[str, Any]]] = {"conventions.md": peers}
 
 
-SLOW = ("robotlab", "weigh_a_load", "from_robotlib")  # 5 s each: they identify a whole arm
+SLOW = ("robotlab", "weigh_a_load", "from_robotlib", "watch_in_the_browser")  # they identify a whole arm, or wait
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,5 @@
 #include "math/arm/chain.h"
 
-#include <algorithm>
-#include <cmath>
-
 namespace armlab {
 namespace {
 

@@ -3,9 +3,6 @@
 // tests/oracles/drive.py states the mathematics.
 #pragma once
 
-#include <algorithm>
-#include <array>
-#include <cmath>
 #include <vector>
 
 #include "math/arm/chain.h"

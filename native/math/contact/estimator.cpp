@@ -1,10 +1,7 @@
 #include "math/contact/estimator.h"
 
-#include <algorithm>
-#include <cmath>
 #include <limits>
 
-#include "math/arm/kinematics.h"
 #include "math/arm/rigid_body.h"
 
 namespace armlab {
@@ -88,8 +85,8 @@ bool WrenchEstimator::advance(
   }
   rnea(p_.chain, q, qd, qdd, p_.gravity.data(), p_.links.data(), rigid);
   for (int i = 0; i < n; ++i) {
-    const double dry_share =
-        has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;  // near rest it is anything within the bound
+    // near rest it is anything within the bound
+    const double dry_share = has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;
     raw[i] = rigid[i] + p_.rotor[i] * qdd[i] +
              p_.drive.torque(i, q[i], qd[i], next[i].drive.state, dry_share) - tau[i] / p_.gains[i];
     if (!(std::fabs(raw[i]) < largest_torque)) return false;
@@ -157,7 +154,7 @@ void WrenchEstimator::solve(const double *q, WrenchEstimate &e) const {
 void WrenchEstimator::intervals(
     const double *A, const Unknowns &unknowns, WrenchEstimate &e) const {
   const int n = this->n(), k = unknowns.k;
-  double spread[max_joints], box[6], ends[12] = {};
+  double spread[max_joints], box[6] = {}, ends[12] = {};
   bool violated[max_joints];
   for (int i = 0; i < n; ++i) spread[i] = e.bound[i] + spread_sigmas * std::sqrt(e.variance[i]);
   for (int a = 0; a < k; ++a) box[a] = box_sigmas * std::sqrt(p_.prior[a]);

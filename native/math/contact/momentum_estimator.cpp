@@ -1,10 +1,6 @@
 #include "math/contact/momentum_estimator.h"
-
-#include <algorithm>
-#include <cmath>
-
 #include "math/contact/cholesky.h"
-#include "math/arm/momentum.h"
+#include "math/arm/rigid_body.h"
 
 namespace armlab {
 namespace {

@@ -1,8 +1,4 @@
-#include "math/contact/momentum_filter.h"
-
-#include <algorithm>
-#include <cmath>
-
+#include "math/contact/momentum_estimator.h"
 #include "math/contact/cholesky.h"
 
 namespace armlab {

@@ -1,7 +1,5 @@
 #include "math/contact/wrench.h"
 
-#include <algorithm>
-#include <cmath>
 #include <limits>
 
 #include "math/contact/cholesky.h"

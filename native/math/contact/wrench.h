@@ -27,8 +27,7 @@ struct WrenchSolution {
   bool active[max_joints];  // joints that carry information
   int iterations;
   double kkt;     // largest entry of the gradient in units of the prior, bounded and clip
-  bool singular;  // the numbers do not determine x, which is NaN then: at such a pose ls, no method
-                  // for NaN
+  bool singular;  // the numbers do not determine x, which is NaN then
 };
 
 void solve_wrench(const WrenchProblem &problem, WrenchMethod method, WrenchSolution &solution);

@@ -1,6 +1,4 @@
 // Twelve small linear programmes by a dual simplex with bounded rows.
-#include <algorithm>
-#include <cmath>
 #include <limits>
 
 #include "math/contact/wrench.h"

@@ -5,7 +5,7 @@
 // to the goal.
 #pragma once
 
-#include <cstdint>
+#include <type_traits>
 #include <vector>
 
 #include "math/arm/kinematics.h"
@@ -24,7 +24,16 @@ struct Goal {
   Goal(Task task, const double *T, const double *axis);
 };
 
-// What is made least with the joints that the task leaves free; see objective.h.
+// Calls `function` with the number of rows as a constant.
+template <class Function>
+auto with_rows(Task task, Function function) {
+  if (task == Task::position) return function(std::integral_constant<int, 3>());
+  if (task == Task::position_axis) return function(std::integral_constant<int, 5>());
+  if (task == Task::axis) return function(std::integral_constant<int, 2>());
+  return function(std::integral_constant<int, 6>());
+}
+
+// What is made least with the joints that the task leaves free; see self_motion.h.
 struct Objective {
   enum class Kind { none = 0, posture = 1, limits = 2, manipulability = 3 };
   Kind kind;
@@ -37,19 +46,11 @@ struct Search {
   double position_tolerance, rotation_tolerance;
   double damping;  // lambda = damping |e|^2, eight times that after every step that failed
   Objective objective;
-  double *history =
-      nullptr;  // (steps + 1, 2): errors along the start that gave the result, NaN after its end
+  double *history = nullptr;  // (steps + 1, 2): errors of the start that led here, then NaN
 };
 
 // Why there is no solution. `bound` is for `follow` only.
-enum class Status {
-  solved = 0,
-  out_of_reach = 1,
-  limits = 2,
-  singular = 3,
-  iterations = 4,
-  bound = 5
-};
+enum class Status { solved, out_of_reach, limits, singular, iterations, bound };
 
 struct Outcome {
   Status status;

@@ -1,9 +1,6 @@
 // Linear algebra of the self-motion: the null space of a task, and Newton steps in it.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
-
 #include "math/arm/chain.h"
 
 namespace armlab {
@@ -46,8 +43,8 @@ struct NullSpace {
       }
       mirror(v, a, y);
     }
-    for (int a = M - 1; a >= 0;
-        --a) {  // R mu = the first M of y; where the task is singular its multiplier is 0
+    // R mu = the first M of y; where the task is singular its multiplier is 0
+    for (int a = M - 1; a >= 0; --a) {
       mu[a] = y[a];
       for (int b = a + 1; b < M; ++b) mu[a] -= A[a][b] * mu[b];
       mu[a] = std::fabs(A[a][a]) > 1e-12 ? mu[a] / A[a][a] : 0.0;

@@ -3,7 +3,6 @@
 
 #include "math/inverse/descent.h"
 #include "math/inverse/null_space.h"
-#include "math/inverse/random.h"
 
 namespace armlab {
 
@@ -48,9 +47,8 @@ class PathFollower {
   }
 
  private:
-  static constexpr double least_change =
-      0.05;  // rad: without `change`, how far a joint may move at least
-  static constexpr double most_change = 5.0;  // and of the length of the pose step
+  // Without `change` a joint may move at least by [rad], and by of the length of the pose step.
+  static constexpr double least_change = 0.05, most_change = 5.0;
   static constexpr int tries = 24, enough_found = 4;
 
   // The posture with the least error inside the bound, from `start`.

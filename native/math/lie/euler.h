@@ -12,7 +12,7 @@ struct Axes {
 };
 
 constexpr double gimbal_lock =
-    1e-13;  // below, the first and the last axis are parallel to the last digit
+    1e-13;  // below, the first and last axes are parallel to the last digit
 
 // atan2(y, x), with atan2(0, 0) = 0; a half turn is +pi whatever the sign of a zero.
 template <class Real>

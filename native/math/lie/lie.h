@@ -5,8 +5,6 @@
 // arc cosine.
 #pragma once
 
-#include "array/lanes.h"
-#include "math/lie/sincos.h"
 #include "math/lie/vec3.h"
 
 namespace armlab {
@@ -18,21 +16,17 @@ struct Rotation {
 
   // Row by row, with `stride` numbers from one row to the next.
   static Rotation read(const Real *m, int stride) {
-    return {{m[0], m[stride], m[2 * stride]}, {m[1], m[stride + 1], m[2 * stride + 1]},
-        {m[2], m[stride + 2], m[2 * stride + 2]}};
+    return {Vec3<Real>::read(m, stride), Vec3<Real>::read(m + 1, stride),
+        Vec3<Real>::read(m + 2, stride)};
   }
   void write(Real *m, int stride) const {
-    const Vec3<Real> *columns[3] = {&x, &y, &z};
-    for (int k = 0; k < 3; ++k) {
-      m[k] = columns[k]->x;
-      m[stride + k] = columns[k]->y;
-      m[2 * stride + k] = columns[k]->z;
-    }
+    x.write(m, stride);
+    y.write(m + 1, stride);
+    z.write(m + 2, stride);
   }
   Vec3<Real> turn(const Vec3<Real> &b) const { return b.x * x + b.y * y + b.z * z; }  // R b
-  Vec3<Real> turn_back(const Vec3<Real> &a) const {
-    return {dot(x, a), dot(y, a), dot(z, a)};
-  }  // R^T a
+  // R^T a
+  Vec3<Real> turn_back(const Vec3<Real> &a) const { return {dot(x, a), dot(y, a), dot(z, a)}; }
   Rotation inverse() const { return {{x.x, y.x, z.x}, {x.y, y.y, z.y}, {x.z, y.z, z.z}}; }
 };
 

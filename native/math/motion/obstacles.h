@@ -3,11 +3,9 @@
 #pragma once
 
 #include <optional>
-#include <vector>
 
 #include "math/arm/chain.h"
-#include "math/arm/coupling.h"
-#include "math/lie/vec3.h"
+#include "math/motion/primitive.h"
 
 namespace armlab {
 

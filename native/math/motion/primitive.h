@@ -3,13 +3,23 @@
 // nothing here depends on tau_d.
 #pragma once
 
-#include <cstddef>
 #include <vector>
 
-#include "math/arm/coupling.h"
 #include "math/motion/spring_step.h"
 
 namespace armlab {
+
+// What adds to the acceleration of a movement primitive from outside of it.
+class Coupling {
+ public:
+  virtual ~Coupling() = default;
+  // Whether it may add anything at y (n).
+  virtual bool acts(const double *y) = 0;
+  // Adds to the acceleration ydd (n) of a motion at y with velocity yd on its way to g.
+  virtual void add(const double *y, const double *yd, const double *g, double *ydd) = 0;
+  // Time goes on, dt >= 0.
+  virtual void advance(double dt) = 0;
+};
 
 enum class PhaseKind { canonical, time, position, periodic };
 

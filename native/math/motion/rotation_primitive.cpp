@@ -1,8 +1,5 @@
 #include "math/motion/rotation_primitive.h"
 
-#include <algorithm>
-#include <cmath>
-
 namespace armlab {
 namespace {
 

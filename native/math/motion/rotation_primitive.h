@@ -10,9 +10,6 @@
 // fourth order, and on the group. Steps that are long for the spring are divided.
 #pragma once
 
-#include <cstddef>
-#include <vector>
-
 #include "math/lie/lie.h"
 #include "math/motion/primitive.h"
 

@@ -1,8 +1,6 @@
 // Two-degree-of-freedom control of a movement primitive. Specification: tests/oracles/two_dof.py.
 #pragma once
 
-#include <vector>
-
 #include "math/arm/chain.h"
 #include "math/motion/primitive.h"
 
