@@ -162,28 +162,29 @@ Elements::Elements(nb::handle value, const char *name, std::initializer_list<npy
 
 void Elements::broadcast(std::initializer_list<Elements *> elements) {
   npy_intp shape[NPY_MAXDIMS + 2];
+  const Elements &first = **elements.begin();
   int axes = 0;
   bool equal = true;
   for (const Elements *element : elements) {
-    const Elements &first = **elements.begin();
     equal &= element->batch_axes() == first.batch_axes() &&
              std::equal(first.shape(), first.shape() + first.batch_axes(), element->shape());
     axes = std::max(axes, element->batch_axes());
   }
   if (equal) return;
   std::fill(shape, shape + axes, npy_intp{1});
-  for (const Elements *element : elements)
+  std::string sentence = "Expected leading axes that broadcast, got ";
+  bool fits = true;
+  for (const Elements *element : elements) {
+    sentence += (element == &first ? "" : ", ") + std::string(element->name()) + " of shape " +
+                element->shape_text();
     for (int i = 1; i <= element->batch_axes(); ++i) {
       const npy_intp length = element->shape()[element->batch_axes() - i];
       npy_intp &wanted = shape[axes - i];
       if (wanted == 1) wanted = length;
-      if (length == 1 || length == wanted) continue;
-      std::string sentence = "Expected leading axes that broadcast, got";
-      for (const Elements *one : elements)
-        sentence += std::string(one == *elements.begin() ? " " : ", ") + one->name() +
-                    " of shape " + one->shape_text();
-      raise_shape_error(sentence + ".");
+      fits &= length == 1 || length == wanted;
     }
+  }
+  if (!fits) raise_shape_error(sentence + ".");
   const nb::object broadcast_to = nb::module_::import_("numpy").attr("broadcast_to");
   for (Elements *element : elements) {
     nb::list wanted;

@@ -40,8 +40,7 @@ void require_not_negative(const char *name, const double *values, npy_intp count
 // The argument `threads`: an integer from 1 to max_threads, otherwise an armlab.errors.ConfigError.
 int thread_count(nb::handle threads);
 
-// An argument that is an array. None gets in too, so that it is refused in the words of `Input`,
-// not of nanobind.
+// An argument that is an array; None passes nanobind, to be refused in the words of `Input`.
 inline auto array(const char *name) { return nb::arg(name).none(); }
 
 // name[i, j]: sample `number` of a batch of `axes` axes; the name alone without a batch.
@@ -65,8 +64,7 @@ Number *numbers(const nb::object &array) {
   return static_cast<Number *>(PyArray_DATA(as_array(array)));
 }
 
-// A C-contiguous float64 array for reading: the argument itself when it already is one, otherwise a
-// converted copy.
+// A C-contiguous float64 array for reading: the argument itself if it is one, else a copy.
 class Input {
  public:
   Input(nb::handle value, const char *name);
@@ -95,8 +93,7 @@ class Input {
   const char *name_;
 };
 
-// Samples of shape (n,), given as (..., n); the leading axes are the batch, which every output
-// keeps.
+// Samples (n,), given as (..., n); the leading axes are the batch, which every output keeps.
 struct Samples : Input {
   Samples(nb::handle value, const char *name, int n) : Samples(value, name, 1, n) {
     require_last_axis(n);
@@ -170,10 +167,11 @@ void compute(const Samples &first, const std::array<Reading, Ins> &ins,
 }
 
 // Each topic binds its own kernels: bind_chain(m), ...
-#define ARMLAB_TOPICS(DO)                                                                   \
-  DO(chain)                                                                                 \
-  DO(datagrams) DO(drive) DO(egm) DO(estimator) DO(inverse) DO(lie) DO(limits) DO(messages) \
-      DO(obstacles) DO(primitive) DO(row_encoder) DO(row_packer) DO(signals) DO(two_dof)
+// clang-format off: a table
+#define ARMLAB_TOPICS(DO) \
+  DO(chain) DO(datagrams) DO(drive) DO(egm) DO(estimator) DO(inverse) DO(lie) DO(limits) \
+  DO(messages) DO(obstacles) DO(primitive) DO(row_encoder) DO(row_packer) DO(signals) DO(two_dof)
+// clang-format on
 namespace python {
 #define ARMLAB_BINDS(topic) void bind_##topic(nb::module_ &m);
 ARMLAB_TOPICS(ARMLAB_BINDS)

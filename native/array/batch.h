@@ -31,8 +31,7 @@ struct Writing {
 
 #ifdef ARMLAB_LANES
 // Four samples between rows in memory and `values`, whose values[i] holds element i of each. Blocks
-// of four by four are transposed in registers; where the width is no multiple of four the last
-// block overlaps the one before.
+// of four by four are transposed in registers; the last block may overlap the one before.
 typedef double Row __attribute__((vector_size(32), aligned(8)));
 
 #ifdef __clang__

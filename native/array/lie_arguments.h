@@ -42,14 +42,9 @@ inline Quaternion<Real> quaternion_at(const Real *m) {
 }
 
 template <class Real>
-inline void write(const Vec3<Real> &a, Real *m) {
-  a.write(m);
-}
-
-template <class Real>
 inline void write(const Quaternion<Real> &q, Real *m) {
   m[0] = q.w;
-  write(q.v, m + 1);
+  q.v.write(m + 1);
 }
 
 template <class Real>

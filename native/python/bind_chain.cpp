@@ -1,6 +1,4 @@
-// Python class Chain: arguments are checked here, the mathematics is in kinematics.h,
-// differential.h and rigid_body.h.
-
+// Python class Chain: arguments are checked here, mathematics: kinematics.h and rigid_body.h.
 #include "array/arrays.h"
 #include "math/arm/rigid_body.h"
 

@@ -1,6 +1,5 @@
 // Python class Drive and functions basis_weights, model_torque and presliding: arguments are
 // checked here, the mathematics is in drive.h.
-
 #include "array/arrays.h"
 #include "math/contact/drive.h"
 #include "math/arm/rigid_body.h"

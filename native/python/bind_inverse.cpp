@@ -1,5 +1,4 @@
-// Python class InverseSolver and function follow_path: arguments are checked here, the mathematics
-// is in inverse.cpp and path.h.
+// Python class InverseSolver and function follow_path; mathematics: inverse.cpp and path.h.
 #include "array/lie_arguments.h"
 #include "math/inverse/path.h"
 

@@ -1,5 +1,4 @@
-// Python functions of the Lie groups: arguments are checked in lie_arguments, the mathematics is in
-// lie.h and se3.h.
+// Python functions of the Lie groups; the mathematics is in lie.h, se3.h and euler.h.
 #include <tuple>
 
 #include "array/lie_arguments.h"
@@ -20,8 +19,7 @@ void refuse_wrong(const Elements &given) {
   if (width == 4) refuse_not_unit(given);
 }
 
-// kernel(in, out) over arguments whose leading axes are broadcast; returns whether the arguments
-// look right.
+// kernel(in, out) over broadcast leading axes; it returns whether the arguments look right.
 template <class Kernel, class... Given>
 nb::object over(
     nb::handle out_, std::initializer_list<npy_intp> tail, Kernel kernel, Given &...given) {
@@ -86,7 +84,7 @@ void def_groups(nb::module_ &m) {
 
   of_vectors(
       "so3_exp", "w", vector, square, [](auto *w, auto *R) { so3_exp(vector_at(w)).write(R, 3); });
-  of_rotations("so3_log", "R", vector, [](const auto &R, auto *w) { write(so3_log(R), w); });
+  of_rotations("so3_log", "R", vector, [](const auto &R, auto *w) { so3_log(R).write(w); });
   of_vectors("so3_left_jacobian", "w", vector, square, [](auto *numbers, auto *J) {
     const auto w = vector_at(numbers);
     const Angle t(w);
@@ -102,8 +100,8 @@ void def_groups(nb::module_ &m) {
   of_poses("se3_log", "T", twist, [](const auto &T, auto *xi) {
     auto v = T.p, w = T.p;
     se3_log(T, v, w);
-    write(v, xi);
-    write(w, xi + 3);
+    v.write(xi);
+    w.write(xi + 3);
   });
   of_poses("se3_inv", "T", pose, [](const auto &T, auto *to) { pose_inverse(T).write(to); });
   of_poses("se3_adjoint", "T_a_b", blocks, [](const auto &T, auto *Ad) {
@@ -154,8 +152,8 @@ nb::object transform_wrench(nb::handle T_a_b, nb::handle wrench_b, nb::handle ou
   const auto kernel = [](const auto &in, auto *wrench_a) {
     const auto pose = pose_at(in[0]);
     const auto f = pose.turn(vector_at(in[1]));
-    write(f, wrench_a);
-    write(pose.turn(vector_at(in[1] + 3)) + cross(pose.p, f), wrench_a + 3);
+    f.write(wrench_a);
+    (pose.turn(vector_at(in[1] + 3)) + cross(pose.p, f)).write(wrench_a + 3);
     return looks_rigid(in[0]);
   };
   return over(out, {6}, kernel, T, wrench);

@@ -1,5 +1,4 @@
 // Python class Obstacles: arguments are checked here, the mathematics is in obstacles.cpp.
-
 #include "array/arrays.h"
 #include "math/motion/obstacles.h"
 

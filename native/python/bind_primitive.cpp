@@ -1,6 +1,5 @@
 // Python classes Primitive, PrimitiveStepper and RotationStepper, and function rotation_rollout:
 // arguments are checked here, the mathematics is in primitive.cpp and rotation_primitive.cpp.
-
 #include "array/arrays.h"
 #include "math/motion/obstacles.h"
 #include "math/motion/rotation_primitive.h"
@@ -68,22 +67,19 @@ nb::object design(
 nb::object forcing(const Primitive &p, nb::handle x_, nb::handle out_) {
   std::vector<double> psi(p.m);
   std::vector<int> index(p.m);
-  if (p.phase == PhaseKind::position) {
-    const Samples x(x_, "x", p.n);
+  const auto evaluate = [&](const Samples &x, auto force) {
     require_finite(x);
     const Output out(out_, "out", {p.n}, {&x});
-    double *to = out.samples().data;
-    for (npy_intp k = 0; k < x.size(); k += p.n)
-      p.forcing_each(x.data() + k, index.data(), psi.data(), to + k);
+    const int width = x.samples().width;
+    for (npy_intp k = 0; k * width < x.size(); ++k)
+      force(x.data() + k * width, out.samples().data + k * p.n);
     return out.array();
-  }
-  const Elements x(x_, "x", {});
-  require_finite(x);
-  const Output out(out_, "out", {p.n}, {&x});
-  double *to = out.samples().data;
-  for (npy_intp k = 0; k < x.size(); ++k)
-    p.forcing(x.data()[k], index.data(), psi.data(), to + k * p.n);
-  return out.array();
+  };
+  if (p.phase == PhaseKind::position)
+    return evaluate(Samples(x_, "x", p.n),
+        [&](const double *x, double *f) { p.forcing_each(x, index.data(), psi.data(), f); });
+  return evaluate(Elements(x_, "x", {}),
+      [&](const double *x, double *f) { p.forcing(*x, index.data(), psi.data(), f); });
 }
 
 // Times (N) that increase, N at least 1.

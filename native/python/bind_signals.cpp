@@ -1,5 +1,4 @@
 // Python class SignalOperator: arguments are checked here, the mathematics is in signals.cpp.
-
 #include "array/arrays.h"
 #include "math/motion/signals.h"
 
@@ -48,21 +47,16 @@ void check_shape(PySignalOperator &self, int ndim, const npy_intp *shape, npy_in
 }
 
 void check_status(SignalStatus status, npy_intp row) {
-  const char *sentence = nullptr;
   if (status == SignalStatus::ok) return;
-  if (status == SignalStatus::time_backward)
-    sentence =
-        "Expected a time stamp after the last one, got one that is not. Drop repeated samples, "
-        "or reset the operator for a new record";
-  if (status == SignalStatus::time_missing)
-    sentence =
-        "Expected a time stamp with every sample, got none. Give t, as with the first sample, or "
-        "dt when the operator is made";
-  if (status == SignalStatus::time_unexpected)
-    sentence =
-        "Expected no time stamps after a first sample without one, got one. Give t with every "
-        "sample or with none";
-  raise_shape_error(sentence + (row < 0 ? std::string() : ", in row " + std::to_string(row)) + ".");
+  const char *const sentences[] = {
+      "Expected a time stamp after the last one, got one that is not. Drop repeated samples, "
+      "or reset the operator for a new record",
+      "Expected a time stamp with every sample, got none. Give t, as with the first sample, or "
+      "dt when the operator is made",
+      "Expected no time stamps after a first sample without one, got one. Give t with every "
+      "sample or with none"};
+  raise_shape_error(sentences[static_cast<int>(status) - 1] +
+                    (row < 0 ? std::string() : ", in row " + std::to_string(row)) + ".");
 }
 
 nb::object step(PySignalOperator &self, nb::handle x_, nb::handle t_) {

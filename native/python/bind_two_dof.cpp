@@ -1,5 +1,4 @@
 // Python class TwoDof: arguments are checked here, the mathematics is in two_dof.cpp.
-
 #include "array/arrays.h"
 #include "math/motion/two_dof.h"
 

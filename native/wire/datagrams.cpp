@@ -1,8 +1,7 @@
 // Datagrams in and out of a socket that another owns. Documented in armlab/kernels/_native.pyi.
 //
 // Python's own calls make an exception for "nothing there", parse the address each time and let
-// another thread have the interpreter at each call: three times the time of the system calls, and
-// more when the caches are cold.
+// another thread have the interpreter at each call: three times the time of the system calls.
 #include "array/arrays.h"
 
 #include <arpa/inet.h>

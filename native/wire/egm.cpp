@@ -211,8 +211,7 @@ struct Robot {
   }
 };
 
-// x, y, z [mm] and a quaternion to the rows of a matrix [m]; NaN for a quaternion without a usable
-// norm.
+// x, y, z [mm] and a quaternion to the rows of a matrix [m]; NaN without a usable norm.
 void matrix_of(const double *pose, double *out) {
   const double a = pose[3], b = pose[4], c = pose[5], d = pose[6];
   const double norm = a * a + b * b + c * c + d * d;

@@ -1,5 +1,4 @@
-// Rows of a recording as bytes, and records of its samples. Documented in
-// armlab/kernels/_native.pyi.
+// Rows of a recording as bytes, and records of its samples. Documented in _native.pyi.
 #include <iterator>
 
 #include "wire/bytes.h"
@@ -40,8 +39,7 @@ std::int32_t offset_of(nb::handle kind, nb::handle name) {
   return static_cast<std::int32_t>(offsetof(PyTupleObject, ob_item) + item * sizeof(PyObject *));
 }
 
-// What is needed of each place in each cycle. Small, since a loop that sleeps finds all of it out
-// of the caches.
+// What is needed of each place in each cycle: small, since after a sleep none of it is cached.
 struct Place {
   std::int32_t offset;
   std::uint32_t start, size;
@@ -213,27 +211,21 @@ class RowPacker {
   void write(std::size_t k, nb::handle value, std::string &row) const {
     const Place &place = places_[k];
     char *to = row.data() + place.start;
-    switch (place.form) {
-      case kCount:
-        return put(to, whole(value));
-      case kReal:
-        return put(to, real(value));
-      case kFlag:
-        return place.size == 1 ? put<char>(to, truth(value)) : put<std::int64_t>(to, truth(value));
-      case kCode:
-        return put(to, code(abouts_[k].codes, value));
-      case kSaid:
-        return value.is_none() ? void() : put(to, real(value));
-      case kHeard: {
-        const Place &other = places_[place.heard];
-        const bool heard = truth(value);
-        if (heard || row.compare(other.start, other.size, empty_, other.start, other.size) != 0)
-          put(to, heard ? 1.0 : 0.0);
-        return;
-      }
-      default:
-        return value.is_none() ? void() : write_array(k, value, to);
+    if (place.form == kCount) return put(to, whole(value));
+    if (place.form == kReal) return put(to, real(value));
+    if (place.form == kCode) return put(to, code(abouts_[k].codes, value));
+    if (place.form == kFlag && place.size == 1) return put<char>(to, truth(value));
+    if (place.form == kFlag) return put<std::int64_t>(to, truth(value));
+    if (place.form == kHeard) {
+      const Place &other = places_[place.heard];
+      const bool heard = truth(value);
+      if (heard || row.compare(other.start, other.size, empty_, other.start, other.size) != 0)
+        put(to, heard ? 1.0 : 0.0);
+      return;
     }
+    if (value.is_none()) return;
+    if (place.form == kSaid) put(to, real(value));
+    else write_array(k, value, to);
   }
 
   void write_array(std::size_t k, nb::handle value, char *to) const {

@@ -24,32 +24,24 @@ from ..oracles.wrench import METHODS
 NAMES = ("F", "P", "observability", "error", "variance", "flags", "active", "interval")
 
 
+def both(model: SimpleNamespace, kind: str, extra: tuple[object, ...], own: tuple[object, ...]) -> tuple[Any, Any]:
+    """The same estimator compiled and as its oracle, with every kind of covariance."""
+    c, made = model.covariance, []
+    for module in (kernels, oracles):
+        chain = module.Chain(model.frames, model.prismatic)
+        drive = module.Drive(model.friction.rows, model.ripple.rows, *extra)
+        covariance = np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3])
+        rigid = chain, model.gravity, model.link_parameters, model.rotor, drive
+        made.append(getattr(module, kind)(*rigid, np.linspace(0.95, 1.05, 7), 0.03**2, covariance, *own))
+    return made[0], made[1]
+
+
 def twins(
     model: SimpleNamespace, method: int = 0, point: np.ndarray | None = None, extra: tuple[object, ...] = ()
 ) -> tuple[Any, Any]:
-    """The same estimator compiled and as its oracle."""
-    made = []
-    for module in (kernels, oracles):
-        c = model.covariance
-        chain = module.Chain(model.frames, model.prismatic)
-        made.append(
-            module.WrenchEstimator(
-                chain,
-                model.gravity,
-                model.link_parameters,
-                model.rotor,
-                module.Drive(model.friction.rows, model.ripple.rows, *extra),
-                np.linspace(0.95, 1.05, 7),
-                0.03**2,
-                np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3]),
-                np.stack([model.bound.torque, model.bound.speed, model.bound.floor]),
-                np.array([400.0, 400, 400, 4, 4, 4]),
-                10.0,
-                method,
-                point,
-            )
-        )
-    return made[0], made[1]
+    bound = np.stack([model.bound.torque, model.bound.speed, model.bound.floor])
+    own = bound, np.array([400.0, 400, 400, 4, 4, 4]), 10.0, method, point
+    return both(model, "WrenchEstimator", extra, own)
 
 
 # Torque error and its variance to 1e-12 of their scale; what passes a solution of equations to 1e-11, without a prior
@@ -103,33 +95,12 @@ WAYS = {"observer": (False, False), "kf": (True, False), "kf with bias": (True, 
 
 
 def momentum_twins(model: SimpleNamespace, way: str, point: np.ndarray | None = None) -> tuple[Any, Any]:
-    """The same estimator compiled and as its oracle, with warm-up and every kind of covariance."""
+    """The same of the momentum, with warm-up."""
     rate, prior = np.square(FORCE_RATES["normal"]), np.square(PRIOR)
-    c = model.covariance
     warm_up = np.tile([[0.2], [-0.3], [60.0], [1.0], [0.1]], 7)
-    made = []
-    for module in (kernels, oracles):
-        made.append(
-            module.MomentumEstimator(
-                module.Chain(model.frames, model.prismatic),
-                model.gravity,
-                model.link_parameters,
-                model.rotor,
-                module.Drive(model.friction.rows, model.ripple.rows, None, None, warm_up),
-                np.linspace(0.95, 1.05, 7),
-                0.03**2,
-                np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3]),
-                prior,
-                np.linspace(0.02, 0.05, 7),
-                np.linspace(1e-3, 2e-3, 7),
-                rate,
-                np.linspace(0, 0.5, 6),
-                30.0,
-                *WAYS[way],
-                point,
-            )
-        )
-    return made[0], made[1]
+    memory, qd_noise, leak = np.linspace(0.02, 0.05, 7), np.linspace(1e-3, 2e-3, 7), np.linspace(0, 0.5, 6)
+    own = prior, memory, qd_noise, rate, leak, 30.0, *WAYS[way], point
+    return both(model, "MomentumEstimator", (None, None, warm_up), own)
 
 
 @pytest.mark.parametrize("point", [None, POINT], ids=["wrench", "point"])

@@ -1,5 +1,4 @@
-// A serial chain, immutable: T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n, Z = Rz (revolute)
-// or Tz (prismatic).
+// A serial chain, T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n, Z = Rz (revolute) or Tz.
 #pragma once
 
 #include <algorithm>

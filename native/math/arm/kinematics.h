@@ -1,5 +1,4 @@
-// Forward kinematics and Jacobians of a chain, for Real = double (one configuration) or Lanes
-// (several).
+// Forward kinematics and Jacobians of a chain, for Real = double or Lanes (several samples).
 #pragma once
 
 #include "math/arm/chain.h"
@@ -45,8 +44,7 @@ inline void joint_sincos(const Chain &chain, const double *q, double *sine, doub
 #endif
 
 // Walks from base to tool; visit(i, z, p) sees the axis and a point of joint i + 1 in base axes.
-// Returns T_base_tool. (The columns are variables here, for of a pose that is returned the compiler
-// would keep them in memory.)
+// Returns T_base_tool. (A pose would be kept in memory: variables.)
 template <class Real, class Visit>
 inline Pose<Real> walk(const Chain &chain, const Real *q, Visit visit) {
   Real sine[max_joints], cosine[max_joints];
@@ -86,8 +84,7 @@ inline void forward(const Chain &chain, const Real *q, Real *T_out) {
   walk(chain, q, [](int, const Vec3<Real> &, const Vec3<Real> &) {}).write(T_out);
 }
 
-// Zero, or NaN where a joint is NaN: for what does not depend on that joint, but must show that it
-// is missing.
+// Zero, or NaN where a joint is NaN: for what does not depend on it, but must show it missing.
 template <class Real>
 inline Vec3<Real> missing_in(const Pose<Real> &T) {
   return Real(0.0) * (T.x + T.p);
@@ -119,8 +116,7 @@ inline Pose<Real> jacobian(const Chain &chain, const Real *q, bool tool, Real *J
   return T;
 }
 
-// T_{i-1,i} = E_{i-1} Z_i(q_i) (counting joints from 1): link frame i in link frame i - 1, the base
-// for i = 1.
+// T_{i-1,i} = E_{i-1} Z_i(q_i), joints from 1: link frame i in link frame i - 1 (0: base).
 template <class Real>
 inline Pose<Real> link_pose(const Chain &chain, int i, const Real &q) {
   Pose<Real> T(chain.frame(i));
@@ -147,8 +143,7 @@ inline void link_transforms(const Chain &chain, const Real *q, Real *T_out) {
   }
 }
 
-// Jd (6, n): the derivative of J (6, n) along the motion q, qd; both are told in base axes or in
-// tool axes.
+// Jd (6, n): the derivative of J (6, n) along the motion q, qd, in base axes or in tool axes.
 //
 // With w_i the angular velocity of the link before joint i and pd_i the velocity of the joint's
 // point, in base axes:

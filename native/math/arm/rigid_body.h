@@ -44,9 +44,9 @@ inline LinkMotion<Real> base_motion(const double *gravity) {
   return {zero, zero, zero - to_vec3<Real>(gravity)};
 }
 
-template <class Real>
-inline Vec3<Real> inertia_times(
-    const double *I, const Vec3<Real> &u) {  // I = Ixx, Ixy, Iyy, Ixz, Iyz, Izz
+// I u with I = Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
+template <class Number, class Real>
+inline Vec3<Real> inertia_times(const Number *I, const Vec3<Real> &u) {
   return {Real(I[0]) * u.x + Real(I[1]) * u.y + Real(I[3]) * u.z,
       Real(I[1]) * u.x + Real(I[2]) * u.y + Real(I[4]) * u.z,
       Real(I[3]) * u.x + Real(I[4]) * u.y + Real(I[5]) * u.z};
@@ -77,8 +77,7 @@ inline void rnea(const Chain &chain, const Real *q, const Real *qd, const Real *
   }
 }
 
-// Axes of the joints up to a link as twists [v; w] in its frame: tau_i = v . force + w . moment of
-// a wrench on it.
+// Axes of the joints up to a link as twists [v; w] in its frame: tau_i = v . force + w . moment.
 template <class Real>
 struct JointAxes {
   Vec3<Real> v[max_joints], w[max_joints];
@@ -148,10 +147,7 @@ struct Body {
     for (int k = 0; k < 6; ++k) I[k] = Real(pi[4 + k]);
   }
 
-  Vec3<Real> inertia(const Vec3<Real> &u) const {
-    return {I[0] * u.x + I[1] * u.y + I[3] * u.z, I[1] * u.x + I[2] * u.y + I[4] * u.z,
-        I[3] * u.x + I[4] * u.y + I[5] * u.z};
-  }
+  Vec3<Real> inertia(const Vec3<Real> &u) const { return inertia_times(I, u); }
 
   // Adds a body told in frame b; T is T_a_b. Points x become R x + p, so I becomes R I R^T plus
   // (2 p . R h + m p . p) 1 - R h p^T - p (R h)^T - m p p^T.
@@ -174,7 +170,6 @@ struct Body {
 };
 
 // M (n, n) by composite bodies (Featherstone, Rigid Body Dynamics Algorithms, 2008, 6.2).
-// parameters (n, 10).
 template <class Real>
 inline void mass_matrix(const Chain &chain, const Real *q, const double *parameters, Real *M) {
   const int n = chain.n;

@@ -11,8 +11,7 @@ constexpr double weak_below = 0.5;
 constexpr double spread_sigmas = 3.0, box_sigmas = 10.0;  // of the interval
 constexpr double pi = 3.14159265358979323846;
 
-// Second-order Butterworth low-pass in state-variable form; a and g follow from the corner
-// frequency and dt.
+// Second-order Butterworth low-pass in state-variable form; a, g from corner frequency and dt.
 double lowpass(double *state, double x, double g, double a) {
   const double v1 = a * (state[0] + g * (x - state[1]));
   const double v2 = state[1] + g * v1;
@@ -27,8 +26,7 @@ void WrenchEstimate::tell(
     const Unknowns &unknowns, const ArmModel &arm, const double *x, const double *covariance) {
   unknowns.wrench(x, covariance, F, P);
   for (int m = 0; m < 6; ++m) {
-    // A moment that cannot be has nothing to hide; without a prior (ls) an axis may be worse known
-    // than it would leave it.
+    // A component excluded by the point has observability 1; without a prior (ls) it may fall to 0.
     const double C = unknowns.variance(arm.prior.data(), m);
     observability[m] = C > 0.0 ? std::max(1.0 - P[7 * m] / C, 0.0) : 1.0;
     if (observability[m] < weak_below) flags |= 2;

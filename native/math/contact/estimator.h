@@ -7,8 +7,7 @@
 
 namespace armlab {
 
-// What is unknown of a contact: the wrench F, or a force f at a known point of the tool, F = S f
-// with S = [1; hat(r)].
+// Unknowns of a contact: the wrench F, or a force f at a known point, F = S f, S = [1; hat(r)].
 struct Unknowns {
   int k = 6;
   double S[18];  // (6, 3), of a known point

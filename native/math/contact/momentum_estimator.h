@@ -1,5 +1,4 @@
-// Contact wrench by the generalised momentum, without accelerations; tests/oracles/momentum.py
-// states the mathematics.
+// Contact wrench by the generalised momentum; mathematics: tests/oracles/momentum.py.
 #pragma once
 
 #include "math/contact/estimator.h"
@@ -23,8 +22,7 @@ struct MomentumInputs {
 };
 
 // x (n + m) and P (n + m, n + m), row by row, in place; u, y (n), R (n, n). `work` holds 4 (n +
-// m)^2 numbers. False when the innovation has no positive covariance; then x and P are as they
-// came.
+// m)^2 numbers. False, and nothing changed, without a positive covariance.
 bool momentum_step(const MomentumInputs &inputs, const double *u, const double *y, const double *R,
     double h, double *x, double *P, double *work);
 
@@ -48,8 +46,7 @@ class MomentumEstimator {
   // One sample. All NaN and flag 1 for a sample that is not finite; then nothing has moved.
   void step(
       const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &estimate);
-  // Calls what the torques show now friction; false, and nothing done, unless every joint rests and
-  // friction is hidden.
+  // Calls what the torques show now friction; false unless every joint rests and it is hidden.
   bool tare();
 
  private:

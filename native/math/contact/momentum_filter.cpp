@@ -1,5 +1,4 @@
 #include "math/contact/momentum_estimator.h"
-#include "math/contact/cholesky.h"
 
 namespace armlab {
 

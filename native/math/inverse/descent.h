@@ -95,8 +95,7 @@ class Descent {
   }
 
   // Whether joints could do more elsewhere than at the best posture. Where there are joints enough
-  // for the task, a stationary residual says so; otherwise, that columns of J depend on those
-  // before them.
+  // for the task, a stationary residual says so; otherwise, that columns of J are dependent.
   bool is_singular() const {
     if (chain_.n >= M) return true;
     double Q[M][M];  // orthogonal to each other, by Gram and Schmidt

@@ -54,8 +54,7 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
     double *q = &angles_[k * n];
     const double over = k < postures / 2 ? 0.0 : over_limits;
     for (int i = 0; i < n; ++i) {
-      // Without an end on one side: a turn, or twice the length of the arm, from the other or about
-      // zero.
+      // Without one end: a turn, or twice the arm's length, from the other or about zero.
       const double range = chain.steps[i].slides ? 2.0 * lengths : 2.0 * pi;
       const bool below = std::isfinite(low[i]), above = std::isfinite(high[i]);
       const double first = below ? low[i] : above ? high[i] - range : -0.5 * range;
@@ -102,8 +101,7 @@ void InverseSolver::take_start(const Goal &goal, int number, double *q) const {
   std::copy_n(&angles_[(first + (best - distance)) * chain_.n], chain_.n, q);
 }
 
-// Whether the goal is further from the first joint than the links are long, all limits of revolute
-// joints aside.
+// Whether the goal is further from the first joint than the links are long.
 bool InverseSolver::beyond_reach(const Goal &goal, double tolerance) const {
   if (goal.task == Task::axis) return false;
   const Pose<double> last(chain_.frame(chain_.n));

@@ -1,8 +1,7 @@
 // Inverse kinematics of a chain within joint limits. Theory: docs/theory/inverse_kinematics.md.
 //
 // Levenberg-Marquardt from one start after the other. Starts that stall are given up early; the
-// next is taken from a table of random postures, in each block of it the one whose tool is nearest
-// to the goal.
+// next is taken from a table of random postures, in each block the one nearest to the goal.
 #pragma once
 
 #include <type_traits>
@@ -71,8 +70,7 @@ class InverseSolver {
  public:
   static constexpr int block = 128, blocks = 16, postures = block * blocks;
 
-  // low, high (n): the limits, maybe infinite. home (n): the first posture of the table, the others
-  // are random.
+  // low, high (n): limits, maybe infinite. home (n): the first posture, the others are random.
   InverseSolver(const Chain &chain, const double *low, const double *high, const double *home,
       std::uint64_t seed);
 
@@ -86,8 +84,7 @@ class InverseSolver {
 
   // Solves from `start` alone, and no joint leaves `bound`, a part of the limits. For paths, where
   // the start is the previous posture: damping bounds the steps near singular postures, and the
-  // branch is kept. `q`: the posture with the least error within the bound, whether it is a
-  // solution or not.
+  // branch is kept. `q`: the posture with the least error within the bound.
   Outcome follow(const Goal &goal, const Search &search, const double *start, const Box &bound,
       double *q) const;
   // The part of the limits that is no further than `change` from `q`, which is moved to them first.

@@ -38,8 +38,7 @@ struct Iterate {
   }
 };
 
-// The rotation vector that turns the tool's axis into the goal's by the shortest way, along two
-// directions across it.
+// The shortest turn of the tool's axis into the goal's, along two directions across it.
 inline void axis_residual(
     const Goal &goal, const Pose<double> &T, Vec3<double> *across, double *e) {
   const Vec3<double> now = T.turn(goal.axis), wanted = goal.T.turn(goal.axis),
@@ -112,8 +111,7 @@ inline void evaluate(const Chain &chain, const Goal &goal, double weight, Iterat
   }
 }
 
-// A = L D L^T of a symmetric positive definite matrix: L below the diagonal of A, and 1 / D. False
-// when it is not.
+// A = L D L^T: L below the diagonal of A, and 1 / D. False when A is not positive definite.
 template <int M>
 inline bool factor(double (&A)[M][M], double (&inverse)[M]) {
   double D[M], scaled[M] = {};
@@ -158,8 +156,7 @@ inline void normal_matrix(
 }
 
 // next.q = q + dq with dq = J^T (J J^T + lambda I)^-1 e inside the box: a joint that would leave it
-// goes to its end, the others make up for what it does not do. False when the equations cannot be
-// solved.
+// goes to its end, the others make up for what it does not do. False: no solution.
 template <int M>
 inline bool step(int n, const Iterate<M> &at, const Box &box, double lambda, Iterate<M> &next) {
   bool moves[max_joints];

@@ -85,8 +85,8 @@ inline void rotate(double &x, double &y, double c, double s) {
 }
 
 // z = -|H|^-1 g with the absolute values of the eigenvalues: downhill also where the curvature is
-// negative, and nowhere along directions without slope and curvature. H is symmetric and becomes
-// diagonal, by Jacobi's rotations.
+// negative, and nowhere along directions without slope and curvature. H becomes diagonal, by
+// Jacobi's rotations.
 inline void newton_step(int size, double (*H)[max_joints], const double *g, double *z) {
   double V[max_joints][max_joints], largest = 0.0, length = 0.0;  // rows: eigenvectors
   for (int k = 0; k < size; ++k)

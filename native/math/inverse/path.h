@@ -21,8 +21,7 @@ class PathFollower {
 
   const double *q() const { return q_; }
 
-  // The first row: from q0 (n), or, when that is null or leads nowhere, from the table of the
-  // solver.
+  // The first row: from q0 (n), or, when null or without success, from the solver's table.
   PathRow first(const Goal &goal, const Search &search, const double *q0) {
     goal_ = &goal;
     search_ = &search;
@@ -83,11 +82,9 @@ class PathFollower {
   }
 
   // Where the descent from the row before ends within the bound without a solution. Random starts
-  // near that row; then further away on this branch; then on other branches; else the posture with
-  // the least error stays.
+  // near that row; then further away on this branch; then on other branches; else the best stays.
   PathRow recover(const double *before, const Box &bound, Outcome outcome) {
-    const bool thorough =
-        (failures_ & (failures_ - 1)) == 0;  // after 0, 1, 2, 4, 8 ... failures without a gap
+    const bool thorough = (failures_ & (failures_ - 1)) == 0;  // after 0, 1, 2, 4, 8 ... failures
     if (thorough && search_around(before, bound, outcome)) return finish(before, outcome, false);
     double there[max_joints];
     Outcome far = reach(before, solver_.limits(), there);

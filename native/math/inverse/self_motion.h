@@ -1,9 +1,7 @@
-// The self-motion of a redundant arm: with the tool at its goal, joints move to where an objective
-// is least.
+// The self-motion of a redundant arm: joints move to where an objective is least.
 //
 // Newton steps in the null space of the task, with the curvature of the task in the Hessian. Joints
-// at a limit that a step would press against it stay there. After each step the tool is brought
-// back to the goal.
+// at a limit that a step would press against it stay there. Each step ends at the goal.
 #pragma once
 
 #include "math/inverse/null_space.h"
@@ -104,14 +102,11 @@ inline double manipulability_objective(
 template <int M>
 inline double objective(const Chain &chain, const Goal &goal, double weight,
     const Objective &wanted, double sharpness, const Iterate<M> &at, double *gradient) {
-  switch (wanted.kind) {
-    case Objective::Kind::posture:
-      return posture_objective(chain.n, wanted, at.q, gradient);
-    case Objective::Kind::limits:
-      return limits_objective(chain.n, wanted, sharpness, at.q, gradient);
-    default:
-      return manipulability_objective(chain, goal, weight, at, gradient);
-  }
+  if (wanted.kind == Objective::Kind::posture)
+    return posture_objective(chain.n, wanted, at.q, gradient);
+  if (wanted.kind == Objective::Kind::limits)
+    return limits_objective(chain.n, wanted, sharpness, at.q, gradient);
+  return manipulability_objective(chain, goal, weight, at, gradient);
 }
 
 constexpr int most_null_steps = 100;
@@ -233,8 +228,8 @@ class SelfMotion {
       fall_ -= longest_step / longest * z[k] * space_.reduced[k];
   }
 
-  // Goes along step_ as far as the limits and the objective allow, and back to the goal. False
-  // where nothing is gained.
+  // Goes along step_ as far as limits and objective allow, and back to the goal; false without
+  // gain.
   bool advance(Iterate<M> &at, double value) {
     double part = 1.0, there[max_joints], unused[max_joints];
     for (int i = 0; i < n_; ++i)
@@ -242,8 +237,7 @@ class SelfMotion {
         part = std::min(part, (end(i) - at.q[i]) / step_[i]);
     const double rounding = 1e-13 * std::max(1.0, std::fabs(value));
     for (const double shortest = 1e-6 * part; part > shortest; part *= 0.5) {
-      Box kept =
-          box_;  // joints at a limit stay there on the way back, unless there is no other way
+      Box kept = box_;  // joints at a limit stay there on the way back, if they can
       for (int i = 0; i < n_; ++i) {
         const double moved = part * step_[i];
         const bool arrives =

@@ -1,8 +1,7 @@
 // Rotations and rigid motions: exponential, logarithm and quaternions over Real (double or Lanes).
 //
 // Specification: tests/oracles/lie.py. Both sides of every `select` are computed, and the one that
-// is not chosen may be NaN; so a batch gives bit for bit what single calls give. Nothing takes an
-// arc cosine.
+// is not chosen may be NaN; so a batch gives bit for bit what single calls give. No arc cosine.
 #pragma once
 
 #include "math/lie/vec3.h"
@@ -78,8 +77,7 @@ inline Real ratio(const Real &y, const Real &x, double at_zero) {
 
 // atan2(y, x) of two numbers that are not negative and not both zero; error below 4e-16 of the
 // result. One of them over the other is at most 1; beyond tan(pi/8) the turn by pi/4 is taken out.
-// On what remains the polynomial, which interpolates at Chebyshev points, is off by less than
-// 8e-18.
+// On what remains the polynomial (Chebyshev points) is off by less than 8e-18.
 template <class Real>
 inline Real quadrant_angle(const Real &y, const Real &x) {
   constexpr Real tan_pi_8(0x1.a827999fcef32p-2);

@@ -1,5 +1,4 @@
-// Rigid motions: exponential and logarithm of twists [v; w], and the left Jacobians of SO(3) and
-// SE(3).
+// Exponential and logarithm of twists [v; w], and the left Jacobians of SO(3) and SE(3).
 //
 // Specification: tests/oracles/lie.py.
 #pragma once

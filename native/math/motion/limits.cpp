@@ -1,5 +1,4 @@
 // Limits on one reference before it goes to a robot. Specification: tests/oracles/limits.py.
-
 #include "array/arrays.h"
 
 namespace armlab::python {

@@ -6,8 +6,7 @@ namespace {
 
 // exp(x) for -700 < x <= 0 with an error below 1.5 units in the last place; NaN gives NaN. x = k ln
 // 2 + r with ln 2 in two parts, the first of 32 bits, so that k times it is exact; then the series
-// of exp(r), |r| <= ln(2) / 2, whose first term left out is below 5e-18; then k is added to the
-// exponent.
+// of exp(r), |r| <= ln(2) / 2, the rest below 5e-18; then k is added.
 ARMLAB_INLINE double exponential(double x) {
   constexpr double shifter = 0x1.8p52, one_over_ln2 = 0x1.71547652b82fep0;
   constexpr double ln2_1 = 0x1.62e42fee00000p-1, ln2_2 = 0x1.a39ef35793c76p-33;
@@ -21,8 +20,7 @@ ARMLAB_INLINE double exponential(double x) {
   return from_bits(to_bits(e) + (to_bits(shifted) << 52));
 }
 
-constexpr double faded =
-    40.0;  // exponents further below the largest are left out: exp(-40) = 4e-18
+constexpr double faded = 40.0;      // exponents further below the largest are left out: 4e-18
 constexpr double gate_width = 0.1;  // of the duration, over which the forcing of a time phase fades
 
 }  // namespace

@@ -83,8 +83,7 @@ void PrimitiveStepper::step_position(double r) {
   for (double part = 0.0; part < parts; part += 1.0) step_runge(r / parts);
 }
 
-// Exactly where nothing acts from outside; finer, for what acts has no step that the spring knows
-// of.
+// Exactly where nothing acts from outside, else in steps that are short for the spring.
 void PrimitiveStepper::step_coupled(double r) {
   const double stiff = std::max(primitive.alpha, std::sqrt(primitive.stiffness)) * r;
   const double parts = std::max(std::ceil(stiff / coupled_step), 1.0), h = r / parts;

@@ -1,6 +1,5 @@
 // The spring of a movement primitive, advanced exactly under a forcing term that is a quadratic
-// over the step. It stands in a header because rollouts inline it into loops that are compiled for
-// several instruction sets.
+// over the step. In a header, for vectorised loops to inline it.
 #pragma once
 
 #include <algorithm>
@@ -22,8 +21,7 @@ struct SpringStep {
       const double *g, double *y, double *z) const;
 };
 
-// integral of G(r - s) s^k over s from 0 to r, for k = 1 and 2, G the impulse response; by its
-// series, for short steps
+// integral of G(r - s) s^k over s from 0 to r, k = 1, 2, G the impulse response, by its series
 inline void short_moments(double alpha, double stiffness, double r, double &first, double &second) {
   double g = 1.0, before = 0.0, power = r * r * r / 6.0;  // G = sum g_j r^j / j!
   first = power;
