@@ -18,7 +18,6 @@ from armlab.log import Table
 from armlab.models.torque import FORCE_RATES, PRIOR
 
 from .. import oracles
-from ..oracles.momentum import leak_integrals
 from ..oracles.wrench import METHODS
 
 NAMES = ("F", "P", "observability", "error", "variance", "flags", "active", "interval")
@@ -235,11 +234,6 @@ def test_a_step_without_information_is_van_loans(seed: int, leak: float, mixed: 
     np.testing.assert_allclose(new_P, Phi @ P @ Phi.T + Q, rtol=0, atol=1e-12 * np.abs(new_P).max())
     quiet = oracles.momentum_step(x, 0 * P, G, u, moved[:n], np.eye(n) * 1e15, H, Qp, q, a)[1]
     np.testing.assert_allclose(quiet, Q, rtol=1e-9, atol=1e-18)
-
-
-def test_the_series_meets_the_closed_form() -> None:
-    below, above = (leak_integrals(np.array([a]), 1.0)[4][0] for a in (0.02 * (1 - 1e-9), 0.02 * (1 + 1e-9)))
-    assert below == pytest.approx(above, rel=1e-9)
 
 
 @pytest.mark.parametrize("intensity", [2.0, 20.0, 200.0])
