@@ -31,11 +31,10 @@ BESIDE, ORIGINAL = "array/arrays.cpp", "original.o"  # of the core, what the mut
 MODULE = """
 #define ARMLAB_IMPORTS_NUMPY
 #include "array/arrays.h"
-void bind_{name}(nb::module_ &m);
 NB_MODULE({name}, m) {{
   if (PyArray_ImportNumPyAPI() < 0) throw nb::python_error();
   nb::set_leak_warnings(false);
-  bind_{name}(m);
+  armlab::python::bind_{name}(m);
 }}
 """
 _SWAPPED = {

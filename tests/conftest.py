@@ -9,12 +9,13 @@ import pickle
 import resource
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from _pytest.pathlib import import_path
 from hypothesis import settings
 
 from armlab import identify, robots
@@ -39,6 +40,26 @@ SUBSTEPS = 4  # friction runs finer than the log, as in nature
 HERE = Path(__file__).parent
 SLOW_FILES = pytest.StashKey[set[Path]]()
 LOOPS = {"bridge", "cli", "examples", "faults", "sim"}  # loops collect garbage before they begin
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Iterator[object]:
+    """Collect without searching for garbage, of which there is none, and keep what is collected out of later searches.
+
+    In a new clone, where tests are compiled as they are imported, each of several processes begins with its share.
+    """
+    gc.disable()
+    if worker := os.environ.get("PYTEST_XDIST_WORKER"):
+        given = [Path(one.partition("::")[0]).resolve() for one in session.config.args]
+        files = sorted({path for one in given for path in (one.rglob("test_*.py") if one.is_dir() else [one])})
+        for path in files[int(worker[2:]) :: int(os.environ["PYTEST_XDIST_WORKER_COUNT"])]:
+            with suppress(Exception, pytest.skip.Exception):  # what is wrong with it is told when it is collected
+                import_path(path, mode="importlib", root=session.config.rootpath, consider_namespace_packages=False)
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -1,8 +1,5 @@
 #include "array/arrays.h"
 
-#include <algorithm>
-#include <cmath>
-#include <cstdint>
 #include <functional>
 #include <numeric>
 
@@ -17,7 +14,7 @@ std::string shape_text(const npy_intp *shape, int ndim) {
 
 bool is_plain(PyObject *value, int flags) {
   if (!PyArray_CheckExact(value)) return false;
-  auto *array = reinterpret_cast<PyArrayObject *>(value);
+  PyArrayObject *array = as_array(value);
   return PyArray_TYPE(array) == NPY_DOUBLE && PyArray_CHKFLAGS(array, flags) &&
          PyArray_ISNOTSWAPPED(array);
 }
@@ -25,6 +22,11 @@ bool is_plain(PyObject *value, int flags) {
 bool overlap(PyArrayObject *out, const double *data, npy_intp size) {
   const double *a = static_cast<const double *>(PyArray_DATA(out));
   return a < data + size && data < a + PyArray_SIZE(out);
+}
+
+int width_of(std::initializer_list<npy_intp> tail) {
+  return static_cast<int>(
+      std::accumulate(tail.begin(), tail.end(), npy_intp{1}, std::multiplies<>()));
 }
 
 [[noreturn]] void raise(const char *error, const std::string &sentence) {
@@ -52,20 +54,20 @@ void require_finite(const Input &input) {
                         ", got NaN or Inf at number " + std::to_string(i) + ". Correct it.");
 }
 
-void require_positive(const char *name, const double *values, npy_intp count) {
+static void require_finite_from(
+    const char *name, const double *values, npy_intp count, bool zero, const char *range) {
   for (npy_intp i = 0; i < count; ++i)
-    if (!(values[i] > 0.0 && std::isfinite(values[i])))
-      raise_shape_error(std::string("Expected finite ") + name +
-                        " above zero, got another at number " + std::to_string(i) +
-                        ". Correct it.");
+    if (!((zero ? values[i] >= 0.0 : values[i] > 0.0) && std::isfinite(values[i])))
+      raise_shape_error(std::string("Expected finite ") + name + range +
+                        ", got another at number " + std::to_string(i) + ". Correct it.");
+}
+
+void require_positive(const char *name, const double *values, npy_intp count) {
+  require_finite_from(name, values, count, false, " above zero");
 }
 
 void require_not_negative(const char *name, const double *values, npy_intp count) {
-  for (npy_intp i = 0; i < count; ++i)
-    if (!(values[i] >= 0.0 && std::isfinite(values[i])))
-      raise_shape_error(std::string("Expected finite ") + name +
-                        " not below zero, got another at number " + std::to_string(i) +
-                        ". Correct it.");
+  require_finite_from(name, values, count, true, " not below zero");
 }
 
 int thread_count(nb::handle threads) {
@@ -78,21 +80,22 @@ int thread_count(nb::handle threads) {
                            ".");
 }
 
+nb::object fresh_of_type(int type, int ndim, const npy_intp *shape) {
+  nb::object array = nb::steal(PyArray_SimpleNew(ndim, shape, type));
+  if (!array.is_valid()) throw nb::python_error();
+  return array;
+}
+
 nb::object fresh_array(int ndim, const npy_intp *shape, const double *data) {
-  PyObject *array = PyArray_SimpleNew(ndim, shape, NPY_DOUBLE);
-  if (!array) throw nb::python_error();
-  auto *pointer = reinterpret_cast<PyArrayObject *>(array);
-  if (data)
-    std::copy(data, data + PyArray_SIZE(pointer), static_cast<double *>(PyArray_DATA(pointer)));
-  return nb::steal(array);
+  nb::object array = fresh_of_type(NPY_DOUBLE, ndim, shape);
+  if (data) std::copy_n(data, PyArray_SIZE(as_array(array)), numbers(array));
+  return array;
 }
 
 nb::object fresh_mask(int n, const bool *values) {
-  npy_intp size = n;
-  nb::object array = nb::steal(PyArray_SimpleNew(1, &size, NPY_BOOL));
-  if (!array) throw nb::python_error();
-  std::copy_n(values, n,
-      static_cast<npy_bool *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr()))));
+  const npy_intp size = n;
+  nb::object array = fresh_of_type(NPY_BOOL, 1, &size);
+  std::copy_n(values, n, numbers<npy_bool>(array));
   return array;
 }
 
@@ -104,8 +107,7 @@ Input::Input(nb::handle value, const char *name) : name_(name) {
   // First as the type it has: NumPy would read None as NaN and texts of digits as numbers.
   nb::object any = nb::steal(PyArray_FromAny(value.ptr(), nullptr, 0, 0, 0, nullptr));
   PyObject *converted = nullptr;
-  if (any &&
-      PyArray_CanCastSafely(PyArray_TYPE(reinterpret_cast<PyArrayObject *>(any.ptr())), NPY_DOUBLE))
+  if (any && PyArray_CanCastSafely(PyArray_TYPE(as_array(any)), NPY_DOUBLE))
     converted = PyArray_FromAny(any.ptr(), PyArray_DescrFromType(NPY_DOUBLE), 0, 0,
         NPY_ARRAY_CARRAY_RO | NPY_ARRAY_NOTSWAPPED, nullptr);
   if (!converted) {
@@ -154,36 +156,35 @@ void Input::require_tail(std::initializer_list<npy_intp> tail) const {
 }
 
 Elements::Elements(nb::handle value, const char *name, std::initializer_list<npy_intp> tail)
-    : Samples(value, name, static_cast<int>(tail.size()),
-          static_cast<int>(
-              std::accumulate(tail.begin(), tail.end(), npy_intp{1}, std::multiplies<>()))) {
+    : Samples(value, name, static_cast<int>(tail.size()), width_of(tail)) {
   require_tail(tail);
 }
 
 void Elements::broadcast(std::initializer_list<Elements *> elements) {
   npy_intp shape[NPY_MAXDIMS + 2];
+  const Elements &first = **elements.begin();
   int axes = 0;
   bool equal = true;
   for (const Elements *element : elements) {
-    const Elements &first = **elements.begin();
     equal &= element->batch_axes() == first.batch_axes() &&
              std::equal(first.shape(), first.shape() + first.batch_axes(), element->shape());
     axes = std::max(axes, element->batch_axes());
   }
   if (equal) return;
   std::fill(shape, shape + axes, npy_intp{1});
-  for (const Elements *element : elements)
+  std::string sentence = "Expected leading axes that broadcast, got ";
+  bool fits = true;
+  for (const Elements *element : elements) {
+    sentence += (element == &first ? "" : ", ") + std::string(element->name()) + " of shape " +
+                element->shape_text();
     for (int i = 1; i <= element->batch_axes(); ++i) {
       const npy_intp length = element->shape()[element->batch_axes() - i];
       npy_intp &wanted = shape[axes - i];
       if (wanted == 1) wanted = length;
-      if (length == 1 || length == wanted) continue;
-      std::string sentence = "Expected leading axes that broadcast, got";
-      for (const Elements *one : elements)
-        sentence += std::string(one == *elements.begin() ? " " : ", ") + one->name() +
-                    " of shape " + one->shape_text();
-      raise_shape_error(sentence + ".");
+      fits &= length == 1 || length == wanted;
     }
+  }
+  if (!fits) raise_shape_error(sentence + ".");
   const nb::object broadcast_to = nb::module_::import_("numpy").attr("broadcast_to");
   for (Elements *element : elements) {
     nb::list wanted;
@@ -202,8 +203,7 @@ Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp>
   const int batch = first.batch_axes(), ndim = batch + static_cast<int>(tail.size());
   npy_intp shape[NPY_MAXDIMS + 2];
   std::copy(tail.begin(), tail.end(), std::copy(first.shape(), first.shape() + batch, shape));
-  width_ =
-      static_cast<int>(std::accumulate(tail.begin(), tail.end(), npy_intp{1}, std::multiplies<>()));
+  width_ = width_of(tail);
   if (out.is_none()) {
     array_ = fresh_array(ndim, shape);
     return;
@@ -227,15 +227,16 @@ Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp>
   streams_ = PyArray_NBYTES(pointer()) >= 16'000'000 && width_ % 2 == 0 && address % 16 == 0;
 }
 
-void Output::require_apart_from(const Input &input) const {
-  if (overlap(pointer(), input.data(), input.size()))
-    raise_shape_error(std::string("Expected ") + name_ + " to be apart from " + input.name() +
-                      ", got arrays that share memory. Make it with numpy.empty, or leave it out.");
+void Output::require_apart_from(std::initializer_list<const Input *> inputs) const {
+  for (const Input *input : inputs)
+    if (overlap(pointer(), input->data(), input->size()))
+      raise_shape_error(
+          std::string("Expected ") + name_ + " to be apart from " + input->name() +
+          ", got arrays that share memory. Make it with numpy.empty, or leave it out.");
 }
 
 void Output::require_apart_from(const Output &other) const {
-  if (overlap(pointer(), static_cast<const double *>(PyArray_DATA(other.pointer())),
-          PyArray_SIZE(other.pointer())))
+  if (overlap(pointer(), numbers(other.array_), PyArray_SIZE(other.pointer())))
     raise_shape_error(std::string("Expected ") + name_ + " and " + other.name_ +
                       " to be apart, got arrays that share memory. Make each with numpy.empty, or "
                       "leave them out.");

@@ -15,18 +15,18 @@
 #include <nanobind/nanobind.h>
 #include <numpy/arrayobject.h>
 
-#include <algorithm>
-#include <array>
-#include <cstddef>
 #include <initializer_list>
+#include <limits>
 #include <string>
+#include <string_view>
 
 #include "array/batch.h"
-#include "array/threads.h"
 
 namespace nb = nanobind;
 
 namespace armlab {
+
+using nb::arg;
 
 [[noreturn]] void raise_shape_error(const std::string &sentence);
 
@@ -40,26 +40,31 @@ void require_not_negative(const char *name, const double *values, npy_intp count
 // The argument `threads`: an integer from 1 to max_threads, otherwise an armlab.errors.ConfigError.
 int thread_count(nb::handle threads);
 
-// An argument that is an array. None gets in too, so that it is refused in the words of `Input`,
-// not of nanobind.
+// An argument that is an array; None passes nanobind, to be refused in the words of `Input`.
 inline auto array(const char *name) { return nb::arg(name).none(); }
 
 // name[i, j]: sample `number` of a batch of `axes` axes; the name alone without a batch.
 std::string place(const std::string &name, npy_intp number, const npy_intp *shape, int axes);
 
-// A fresh array; with the values of `data` when that is given.
-nb::object fresh_array(int ndim, const npy_intp *shape, const double *data = nullptr);
-
-// The numbers of a fresh array.
-inline double *numbers(const nb::object &array) {
-  return static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
+inline PyArrayObject *as_array(nb::handle array) {
+  return reinterpret_cast<PyArrayObject *>(array.ptr());
 }
 
-// A fresh array (n,) of truth values.
+// A fresh array; with the values of `data` when that is given.
+nb::object fresh_of_type(int type, int ndim, const npy_intp *shape);
+nb::object fresh_array(int ndim, const npy_intp *shape, const double *data = nullptr);
+inline nb::object fresh_array(std::initializer_list<npy_intp> shape, const double *data = nullptr) {
+  return fresh_array(static_cast<int>(shape.size()), shape.begin(), data);
+}
 nb::object fresh_mask(int n, const bool *values);
 
-// A C-contiguous float64 array for reading: the argument itself when it already is one, otherwise a
-// converted copy.
+// The memory of a fresh array.
+template <class Number = double>
+Number *numbers(const nb::object &array) {
+  return static_cast<Number *>(PyArray_DATA(as_array(array)));
+}
+
+// A C-contiguous float64 array for reading: the argument itself if it is one, else a copy.
 class Input {
  public:
   Input(nb::handle value, const char *name);
@@ -82,14 +87,13 @@ class Input {
   void require_tail(std::initializer_list<npy_intp> tail) const;
 
  protected:
-  PyArrayObject *array() const { return reinterpret_cast<PyArrayObject *>(array_.ptr()); }
+  PyArrayObject *array() const { return as_array(array_); }
 
   nb::object array_;
   const char *name_;
 };
 
-// Samples of shape (n,), given as (..., n); the leading axes are the batch, which every output
-// keeps.
+// Samples (n,), given as (..., n); the leading axes are the batch, which every output keeps.
 struct Samples : Input {
   Samples(nb::handle value, const char *name, int n) : Samples(value, name, 1, n) {
     require_last_axis(n);
@@ -126,7 +130,7 @@ class Output {
       std::initializer_list<const Samples *> inputs);
 
   // The inputs that are no samples, and the other outputs.
-  void require_apart_from(const Input &input) const;
+  void require_apart_from(std::initializer_list<const Input *> inputs) const;
   void require_apart_from(const Output &other) const;
 
   const nb::object &array() const { return array_; }
@@ -135,7 +139,7 @@ class Output {
   }
 
  private:
-  PyArrayObject *pointer() const { return reinterpret_cast<PyArrayObject *>(array_.ptr()); }
+  PyArrayObject *pointer() const { return as_array(array_); }
 
   nb::object array_;
   const char *name_;
@@ -143,10 +147,9 @@ class Output {
   bool streams_ = false;
 };
 
-// Runs a kernel over all samples of `first`, without the GIL when there are enough of them to pay
-// for handing it over, in `threads` threads when each gets enough to pay for its start. The parts
-// are several per thread, for when one is held up, but large, for threads that write into the same
-// page of fresh memory both have to clear it.
+// Runs a kernel over all samples of `first`, without the GIL when that pays, in `threads` threads
+// when each gets enough to pay for its start. The parts are several per thread, for when one is
+// held up, but large: threads that write into one page of fresh memory both have to clear it.
 template <std::size_t Ins, std::size_t Outs, class Kernel>
 void compute(const Samples &first, const std::array<Reading, Ins> &ins,
     const std::array<Writing, Outs> &outs, Kernel kernel, int threads = 1) {
@@ -162,5 +165,16 @@ void compute(const Samples &first, const std::array<Reading, Ins> &ins,
     run_batch(end - begin, from(ins, begin), from(outs, begin), kernel);
   });
 }
+
+// Each topic binds its own kernels: bind_chain(m), ...
+// clang-format off: a table
+#define ARMLAB_TOPICS(DO) \
+  DO(chain) DO(datagrams) DO(drive) DO(egm) DO(estimator) DO(inverse) DO(lie) DO(limits) \
+  DO(messages) DO(obstacles) DO(primitive) DO(row_encoder) DO(row_packer) DO(signals) DO(two_dof)
+// clang-format on
+namespace python {
+#define ARMLAB_BINDS(topic) void bind_##topic(nb::module_ &m);
+ARMLAB_TOPICS(ARMLAB_BINDS)
+}  // namespace python
 
 }  // namespace armlab

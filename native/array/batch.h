@@ -1,8 +1,13 @@
-// Runs a kernel over the samples of a batch, four samples side by side.
+// Runs a kernel over the samples of a batch, four samples side by side, in threads that live for
+// one call: no pool, no global state, nothing to break at a fork.
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <atomic>
 #include <cstddef>
+#include <system_error>
+#include <thread>
 #include <vector>
 
 #ifdef __SSE2__
@@ -21,14 +26,12 @@ struct Reading {
 struct Writing {
   double *data;
   int width;
-  bool streams =
-      false;  // past the caches, for which the width is even and the data aligned to 16 bytes
+  bool streams = false;  // past the caches: of even width, aligned to 16 bytes
 };
 
 #ifdef ARMLAB_LANES
 // Four samples between rows in memory and `values`, whose values[i] holds element i of each. Blocks
-// of four by four are transposed in registers; where the width is no multiple of four the last
-// block overlaps the one before.
+// of four by four are transposed in registers; the last block may overlap the one before.
 typedef double Row __attribute__((vector_size(32), aligned(8)));
 
 #ifdef __clang__
@@ -134,6 +137,34 @@ ARMLAB_VECTORISED void run_batch(std::ptrdiff_t count, const std::array<Reading,
     for (std::size_t k = 0; k < Outs; ++k) out[k] = outs[k].data + sample * outs[k].width;
     kernel(in, out);
   }
+}
+
+constexpr int max_threads = 256;  // what an argument `threads` may be at most
+
+// Calls work(begin, end) for the parts [0, grain), [grain, 2 grain), ... of [0, count), in up to
+// `threads` threads, the calling one among them; each takes the next part when it is done with one,
+// so that parts may take different times. The parts do not depend on `threads`, nor may what `work`
+// does with one: any number of threads gives the same bits. With one thread, or one part, it is a
+// single call work(0, count). `work` must not throw, nor touch Python; release the GIL before.
+// Choose `grain` for parts of 0.1 ms or more: a thread takes 30 us to start and to join.
+template <class Work>
+void run_parallel(std::ptrdiff_t count, std::ptrdiff_t grain, int threads, const Work &work) {
+  const std::ptrdiff_t parts = (count + grain - 1) / grain;
+  if (threads <= 1 || parts <= 1) return work(std::ptrdiff_t{0}, count);
+  std::atomic<std::ptrdiff_t> next{0};
+  const auto take_parts = [&]() noexcept {
+    for (std::ptrdiff_t part; (part = next.fetch_add(1, std::memory_order_relaxed)) < parts;)
+      work(part * grain, std::min(count, (part + 1) * grain));
+  };
+  std::vector<std::thread> others(std::min<std::ptrdiff_t>(threads, parts) - 1);
+  try {
+    for (std::thread &other : others) other = std::thread(take_parts);
+  } catch (const std::system_error &) {
+    // the system gives no more: go on with those that there are
+  }
+  take_parts();
+  for (std::thread &other : others)
+    if (other.joinable()) other.join();
 }
 
 }  // namespace armlab

@@ -2,8 +2,7 @@
 //
 // Kernels are templates over Real, which is double (one configuration) or Lanes (a batch). Both do
 // the same operations in the same order and the compiler may not contract them, so a batch gives
-// bit for bit what a loop over its samples gives, on every machine. (Fused multiply-add was
-// measured: it gains nothing here.)
+// bit for bit what a loop over its samples gives, on every machine.
 #pragma once
 
 #include <cmath>
@@ -31,8 +30,7 @@
 #define ARMLAB_VECTORISED
 #endif
 
-// For functions with Lanes by value: how those are passed depends on the instruction set, so they
-// must never be called.
+// For functions with Lanes by value, which are passed by instruction set: never really called.
 #ifdef ARMLAB_LANES
 #define ARMLAB_INLINE inline __attribute__((always_inline))
 #else

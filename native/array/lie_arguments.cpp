@@ -1,7 +1,5 @@
 #include "array/lie_arguments.h"
 
-#include <algorithm>
-#include <cmath>
 #include <cstdio>
 
 namespace armlab {

@@ -5,8 +5,6 @@
 // NaN passes: what is missing stays missing.
 #pragma once
 
-#include <string>
-
 #include "array/arrays.h"
 #include "math/lie/lie.h"
 
@@ -35,7 +33,7 @@ inline Pose<Real> pose_at(const Real *m) {
 
 template <class Real>
 inline Vec3<Real> vector_at(const Real *m) {
-  return {m[0], m[1], m[2]};
+  return Vec3<Real>::read(m);
 }
 
 template <class Real>
@@ -44,16 +42,9 @@ inline Quaternion<Real> quaternion_at(const Real *m) {
 }
 
 template <class Real>
-inline void write(const Vec3<Real> &a, Real *m) {
-  m[0] = a.x;
-  m[1] = a.y;
-  m[2] = a.z;
-}
-
-template <class Real>
 inline void write(const Quaternion<Real> &q, Real *m) {
   m[0] = q.w;
-  write(q.v, m + 1);
+  q.v.write(m + 1);
 }
 
 template <class Real>

@@ -1,16 +1,5 @@
-// Python class Chain: arguments are checked here, the mathematics is in kinematics.h,
-// differential.h and rigid_body.h.
-#include <algorithm>
-#include <array>
-#include <cmath>
-#include <string>
-#include <vector>
-
+// Python class Chain: arguments are checked here, mathematics: kinematics.h and rigid_body.h.
 #include "array/arrays.h"
-#include "array/batch.h"
-#include "math/lie/differential.h"
-#include "math/arm/kinematics.h"
-#include "math/arm/momentum.h"
 #include "math/arm/rigid_body.h"
 
 namespace armlab::python {
@@ -52,8 +41,7 @@ void construct(Chain *self, nb::handle frames_, nb::handle prismatic_) {
     if (!make_rigid(&rigid[16 * i]))
       raise_shape_error(
           "Expected every frame to be a rigid transformation (rotation orthonormal to 1e-6, "
-          "determinant 1, last row "
-          "0 0 0 1), got one that is not: frames[" +
+          "determinant 1, last row 0 0 0 1), got one that is not: frames[" +
           std::to_string(i) + "]. Normalise quaternions and rotations first.");
   bool slides[max_joints];
   std::transform(
@@ -61,10 +49,7 @@ void construct(Chain *self, nb::handle frames_, nb::handle prismatic_) {
   new (self) Chain(n, rigid.data(), slides);
 }
 
-nb::object frames(const Chain &self) {
-  const npy_intp shape[3] = {self.n + 1, 4, 4};
-  return fresh_array(3, shape, self.frames.data());
-}
+nb::object frames(const Chain &self) { return fresh_array({self.n + 1, 4, 4}, self.frames.data()); }
 
 nb::object prismatic(const Chain &self) {
   bool slides[max_joints];
@@ -115,7 +100,7 @@ nb::object forward_jacobian(
         armlab::jacobian(self, in[0], tool, to[1]).write(to[0]);
       },
       threads);
-  return nb::steal(PyTuple_Pack(2, T.array().ptr(), J.array().ptr()));
+  return nb::make_tuple(T.array(), J.array());
 }
 
 nb::object link_transforms(const Chain &self, nb::handle q_, nb::handle out) {
@@ -142,8 +127,7 @@ nb::object rnea(const Chain &self, nb::handle q_, nb::handle qd_, nb::handle qdd
   const Samples q(q_, "q", self.n), qd(qd_, "qd", q), qdd(qdd_, "qdd", q);
   const Input gravity(gravity_, "gravity", {3}), pi(pi_, "pi", {self.n, 10});
   const Output tau(out, "out", {self.n}, {&q, &qd, &qdd});
-  tau.require_apart_from(gravity);
-  tau.require_apart_from(pi);
+  tau.require_apart_from({&gravity, &pi});
   compute<3, 1>(q, {q.samples(), qd.samples(), qdd.samples()}, {tau.samples()},
       [&](const auto &in, const auto &to) {
         armlab::rnea(self, in[0], in[1], in[2], gravity.data(), pi.data(), to[0]);
@@ -156,7 +140,7 @@ nb::object rigid_regressor(const Chain &self, nb::handle q_, nb::handle qd_, nb:
   const Samples q(q_, "q", self.n), qd(qd_, "qd", q), qdd(qdd_, "qdd", q);
   const Input gravity(gravity_, "gravity", {3});
   const Output Y(out, "out", {self.n, 10 * self.n}, {&q, &qd, &qdd});
-  Y.require_apart_from(gravity);
+  Y.require_apart_from({&gravity});
   compute<3, 1>(q, {q.samples(), qd.samples(), qdd.samples()}, {Y.samples()},
       [&](const auto &in, const auto &to) {
         armlab::rigid_regressor(self, in[0], in[1], in[2], gravity.data(), to[0]);
@@ -168,7 +152,7 @@ nb::object mass_matrix(const Chain &self, nb::handle q_, nb::handle pi_, nb::han
   const Samples q(q_, "q", self.n);
   const Input pi(pi_, "pi", {self.n, 10});
   const Output M(out, "out", {self.n, self.n}, {&q});
-  M.require_apart_from(pi);
+  M.require_apart_from({&pi});
   compute<1, 1>(q, {q.samples()}, {M.samples()},
       [&](const auto &in, const auto &to) { armlab::mass_matrix(self, in[0], pi.data(), to[0]); });
   return M.array();
@@ -181,13 +165,13 @@ nb::object momentum(
   const Input pi(pi_, "pi", {self.n, 10});
   const Output p(out_p, "out[0]", {self.n}, {&q, &qd}),
       beta(out_beta, "out[1]", {self.n}, {&q, &qd});
-  for (const Output *output : {&p, &beta}) output->require_apart_from(pi);
+  for (const Output *output : {&p, &beta}) output->require_apart_from({&pi});
   beta.require_apart_from(p);
   compute<2, 2>(q, {q.samples(), qd.samples()}, {p.samples(), beta.samples()},
       [&](const auto &in, const auto &to) {
         armlab::momentum(self, in[0], in[1], pi.data(), to[0], to[1]);
       });
-  return nb::steal(PyTuple_Pack(2, p.array().ptr(), beta.array().ptr()));
+  return nb::make_tuple(p.array(), beta.array());
 }
 
 nb::object reduce(nb::handle self) {
@@ -196,9 +180,9 @@ nb::object reduce(nb::handle self) {
 }
 
 }  // namespace
+}  // namespace armlab::python
 
-void bind(nb::module_ &m) {
-  using nb::arg;
+void armlab::python::bind_chain(nb::module_ &m) {
   nb::class_<Chain>(m, "Chain", "A serial chain, immutable; _native.pyi documents it.")
       .def("__init__", &construct, array("frames"), array("prismatic"))
       .def_ro("n", &Chain::n)
@@ -220,7 +204,3 @@ void bind(nb::module_ &m) {
       .def("mass_matrix", &mass_matrix, array("q"), array("pi"), arg("out") = nb::none())
       .def("momentum", &momentum, array("q"), array("qd"), array("pi"), arg("out") = nb::none());
 }
-
-}  // namespace armlab::python
-
-void bind_chain(nb::module_ &m) { armlab::python::bind(m); }

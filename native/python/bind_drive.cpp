@@ -1,25 +1,13 @@
 // Python class Drive and functions basis_weights, model_torque and presliding: arguments are
 // checked here, the mathematics is in drive.h.
-#include <algorithm>
-#include <array>
-#include <cmath>
-#include <initializer_list>
-#include <limits>
-#include <string>
-#include <vector>
-
 #include "array/arrays.h"
 #include "math/contact/drive.h"
 #include "math/arm/rigid_body.h"
 
-namespace armlab {
+namespace armlab::python {
 namespace {
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-
-bool finite(const double *values, int n) {
-  return std::all_of(values, values + n, [](double x) { return std::isfinite(x); });
-}
 
 // Copies the parts of a tuple of arrays.
 std::vector<Input> parts(nb::handle tuple, std::initializer_list<const char *> names) {
@@ -126,8 +114,7 @@ nb::object weights(nb::handle x_, nb::handle centres_, nb::handle widths_) {
   middle.require_exactly({m});
   widths.require_exactly({m});
   x.require_exactly({x.size()});
-  const npy_intp shape[2] = {x.size(), m};
-  const nb::object array = fresh_array(2, shape);
+  const nb::object array = fresh_array({x.size(), m});
   double *to = numbers(array);
   {
     nb::gil_scoped_release released;
@@ -184,12 +171,9 @@ nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle link
   const npy_intp N = q.size() / n;
   q.require_exactly({N, n});
   std::vector<double> dt;
-  if (!dt_.is_none()) {
-    const Input steps(dt_, "dt", {N});
-    dt = copied(steps);
-  }
+  if (!dt_.is_none()) dt = copied(Input(dt_, "dt", {N}));
   const Output tau(out, "out", {n}, {&q, &qd, &qdd});
-  for (const Input *parameter : {&gravity, &links, &rotor}) tau.require_apart_from(*parameter);
+  tau.require_apart_from({&gravity, &links, &rotor});
   const double *inertia = rotor.data();
   compute<3, 1>(q, {q.samples(), qd.samples(), qdd.samples()}, {tau.samples()},
       [&](const auto &in, const auto &to) {
@@ -197,8 +181,8 @@ nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle link
         for (int i = 0; i < n; ++i) to[0][i] = to[0][i] + inertia[i] * in[2][i];
       });
   {
-    nb::gil_scoped_release
-        released;  // not at `return`, which counts one more reference to the array
+    // not at `return`, which counts one more reference to the array
+    nb::gil_scoped_release released;
     add_drive_torque(drive, N, q.data(), qd.data(), qdd.data(), dt_.is_none() ? nullptr : dt.data(),
         tau.samples().data);
   }
@@ -211,8 +195,7 @@ nb::object presliding(nb::handle q_, nb::handle delta_, nb::handle resolution_) 
   q.require_exactly({N, n});
   delta.require_exactly({n});
   const Input resolution(resolution_, "resolution", {n});
-  const npy_intp shape[2] = {N, n};
-  const nb::object array = fresh_array(2, shape);
+  const nb::object array = fresh_array({N, n});
   double *z = numbers(array);
   {
     nb::gil_scoped_release released;
@@ -234,11 +217,9 @@ nb::object presliding(nb::handle q_, nb::handle delta_, nb::handle resolution_) 
 }
 
 }  // namespace
-}  // namespace armlab
+}  // namespace armlab::python
 
-void bind_drive(nb::module_ &m) {
-  using namespace armlab;
-  using nb::arg;
+void armlab::python::bind_drive(nb::module_ &m) {
   nb::class_<Drive>(m, "Drive", "Torque of the drives; tests/oracles/drive.py documents it.")
       .def("__init__", &construct, array("friction"), array("ripple"), arg("lines") = nb::none(),
           arg("map") = nb::none(), arg("warm_up") = nb::none())

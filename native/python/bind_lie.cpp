@@ -1,320 +1,236 @@
-// Python functions of the Lie groups: arguments are checked in lie_arguments, the mathematics is in
-// lie.h and se3.h.
-#include "array/arrays.h"
-#include "math/lie/euler.h"
-#include "math/lie/lie.h"
+// Python functions of the Lie groups; the mathematics is in lie.h, se3.h and euler.h.
+#include <tuple>
+
 #include "array/lie_arguments.h"
+#include "math/lie/euler.h"
 #include "math/lie/se3.h"
 
 namespace armlab::python {
 namespace {
 
-using Tail = std::initializer_list<npy_intp>;
+template <npy_intp...>
+struct Shape {};
 
-// Runs a kernel that tells whether its arguments look right; says whether all did.
-template <std::size_t Ins, class Kernel>
-bool looks_right(
-    const Samples &first, const std::array<Reading, Ins> &ins, const Output &out, Kernel kernel) {
+// Refuses the first sample that is no rotation (3, 3), pose (4, 4) or unit quaternion (4,).
+void refuse_wrong(const Elements &given) {
+  const int width = given.samples().width;
+  if (width == 9) refuse_no_rotation(given, given.name());
+  if (width == 16) refuse_no_pose(given, given.name());
+  if (width == 4) refuse_not_unit(given);
+}
+
+// kernel(in, out) over broadcast leading axes; it returns whether the arguments look right.
+template <class Kernel, class... Given>
+nb::object over(
+    nb::handle out_, std::initializer_list<npy_intp> tail, Kernel kernel, Given &...given) {
+  Elements::broadcast({&given...});
+  const Output out(out_, "out", tail, {&given...});
   bool right = true;
-  compute<Ins, 1>(first, ins, {out.samples()},
+  compute<sizeof...(Given), 1>(std::get<0>(std::tie(given...)), {given.samples()...},
+      {out.samples()},
       [&right, kernel](const auto &in, const auto &to) { right &= kernel(in, to[0]); });
-  return right;
-}
-
-// kernel(numbers, out) of vectors, of which none is wrong.
-template <class Kernel>
-nb::object of_vectors(
-    nb::handle value, const char *name, npy_intp n, nb::handle out_, Tail tail, Kernel kernel) {
-  const Elements w(value, name, {n});
-  const Output out(out_, "out", tail, {&w});
-  compute<1, 1>(w, {w.samples()}, {out.samples()},
-      [kernel](const auto &in, const auto &to) { kernel(in[0], to[0]); });
+  if (!right) (refuse_wrong(given), ...);
   return out.array();
 }
 
-// kernel(Rotation, out).
-template <class Kernel>
-nb::object of_rotations(
-    nb::handle value, const char *name, nb::handle out_, Tail tail, Kernel kernel) {
-  const Elements R(value, name, {3, 3});
-  const Output out(out_, "out", tail, {&R});
-  const bool right = looks_right<1>(R, {R.samples()}, out, [kernel](const auto &in, auto *to) {
-    const auto rotation = rotation_at(in[0], 3);
-    kernel(rotation, to);
-    return looks_orthonormal(rotation);
-  });
-  if (!right) refuse_no_rotation(R, name);
-  return out.array();
+// A function of one argument: kernel(in, out) of one sample.
+template <npy_intp... in, npy_intp... out, class Kernel>
+void def(nb::module_ &m, const char *name, const char *argument, Shape<in...>, Shape<out...>,
+    Kernel kernel) {
+  const auto function = [argument, kernel](nb::handle value, nb::handle to) {
+    Elements given(value, argument, {in...});
+    return over(to, {out...}, [kernel](const auto &x, auto *y) { return kernel(x[0], y); }, given);
+  };
+  m.def(name, function, array(argument), arg("out") = nb::none());
 }
 
-// kernel(Pose, out).
-template <class Kernel>
-nb::object of_poses(nb::handle value, const char *name, nb::handle out_, Tail tail, Kernel kernel) {
-  const Elements T(value, name, {4, 4});
-  const Output out(out_, "out", tail, {&T});
-  const bool right = looks_right<1>(T, {T.samples()}, out, [kernel](const auto &in, auto *to) {
-    kernel(pose_at(in[0]), to);
-    return looks_rigid(in[0]);
-  });
-  if (!right) refuse_no_pose(T, name);
-  return out.array();
-}
-
-nb::object rotations(nb::handle value, const char *name) {
-  const Elements R(value, name, {3, 3});
+// The argument itself, once all of its samples look right.
+template <class Looks>
+nb::object checked(nb::handle value, const char *name, npy_intp n, Looks looks) {
+  const Elements given(value, name, {n, n});
   bool right = true;
-  compute<1, 0>(R, {R.samples()}, {}, [&right](const auto &in, const auto &) {
-    right &= looks_orthonormal(rotation_at(in[0], 3));
-  });
-  if (!right) refuse_no_rotation(R, name);
-  return R.object();
+  compute<1, 0>(given, {given.samples()}, {},
+      [&right, looks](const auto &in, const auto &) { right &= looks(in[0]); });
+  if (!right) refuse_wrong(given);
+  return given.object();
 }
 
-nb::object poses(nb::handle value, const char *name) {
-  const Elements T(value, name, {4, 4});
-  bool right = true;
-  compute<1, 0>(T, {T.samples()}, {},
-      [&right](const auto &in, const auto &) { right &= looks_rigid(in[0]); });
-  if (!right) refuse_no_pose(T, name);
-  return T.object();
-}
+void def_groups(nb::module_ &m) {
+  const auto of_vectors = [&m](auto name, auto argument, auto in, auto out, auto kernel) {
+    def(m, name, argument, in, out, [kernel](auto *x, auto *y) {
+      kernel(x, y);
+      return true;
+    });
+  };
+  const auto of_rotations = [&m](auto name, auto argument, auto out, auto kernel) {
+    def(m, name, argument, Shape<3, 3>(), out, [kernel](auto *x, auto *y) {
+      const auto R = rotation_at(x, 3);
+      kernel(R, y);
+      return looks_orthonormal(R);
+    });
+  };
+  const auto of_poses = [&m](auto name, auto argument, auto out, auto kernel) {
+    def(m, name, argument, Shape<4, 4>(), out, [kernel](auto *x, auto *y) {
+      kernel(pose_at(x), y);
+      return looks_rigid(x);
+    });
+  };
+  const Shape<3> vector;
+  const Shape<4> quaternion;
+  const Shape<6> twist;
+  const Shape<3, 3> square;
+  const Shape<4, 4> pose;
+  const Shape<6, 6> blocks;
 
-nb::object so3_exp(nb::handle w_, nb::handle out) {
-  return of_vectors(
-      w_, "w", 3, out, {3, 3}, [](auto *w, auto *R) { armlab::so3_exp(vector_at(w)).write(R, 3); });
-}
-
-nb::object so3_log(nb::handle R_, nb::handle out) {
-  return of_rotations(
-      R_, "R", out, {3}, [](const auto &R, auto *w) { write(armlab::so3_log(R), w); });
-}
-
-nb::object so3_angle(nb::handle R_a_, nb::handle R_b_, nb::handle out_) {
-  Elements R_a(R_a_, "R_a", {3, 3}), R_b(R_b_, "R_b", {3, 3});
-  Elements::broadcast({&R_a, &R_b});
-  const Output out(out_, "out", {}, {&R_a, &R_b});
-  const bool right =
-      looks_right<2>(R_a, {R_a.samples(), R_b.samples()}, out, [](const auto &in, auto *angle) {
-        const auto a = rotation_at(in[0], 3), b = rotation_at(in[1], 3);
-        *angle = armlab::so3_angle(a.inverse() * b);
-        return looks_orthonormal(a) & looks_orthonormal(b);
-      });
-  if (!right) {
-    refuse_no_rotation(R_a, "R_a");
-    refuse_no_rotation(R_b, "R_b");
-  }
-  return out.array();
-}
-
-nb::object so3_interpolate(nb::handle R_a_, nb::handle R_b_, nb::handle s_, nb::handle out_) {
-  Elements R_a(R_a_, "R_a", {3, 3}), R_b(R_b_, "R_b", {3, 3}), s(s_, "s", {});
-  Elements::broadcast({&R_a, &R_b, &s});
-  const Output out(out_, "out", {3, 3}, {&R_a, &R_b, &s});
-  const auto ins = std::array{R_a.samples(), R_b.samples(), s.samples()};
-  const bool right = looks_right<3>(R_a, ins, out, [](const auto &in, auto *R) {
-    const auto a = rotation_at(in[0], 3), b = rotation_at(in[1], 3);
-    armlab::so3_interpolate(a, b, *in[2]).write(R, 3);
-    return looks_orthonormal(a) & looks_orthonormal(b);
-  });
-  if (!right) {
-    refuse_no_rotation(R_a, "R_a");
-    refuse_no_rotation(R_b, "R_b");
-  }
-  return out.array();
-}
-
-nb::object so3_left_jacobian(nb::handle w_, nb::handle out) {
-  return of_vectors(w_, "w", 3, out, {3, 3}, [](auto *numbers, auto *J) {
+  of_vectors(
+      "so3_exp", "w", vector, square, [](auto *w, auto *R) { so3_exp(vector_at(w)).write(R, 3); });
+  of_rotations("so3_log", "R", vector, [](const auto &R, auto *w) { so3_log(R).write(w); });
+  of_vectors("so3_left_jacobian", "w", vector, square, [](auto *numbers, auto *J) {
     const auto w = vector_at(numbers);
     const Angle t(w);
     polynomial(w, t.versine(), cubic(t)).write(J, 3);
   });
-}
-
-nb::object so3_left_jacobian_inv(nb::handle w_, nb::handle out) {
-  return of_vectors(w_, "w", 3, out, {3, 3}, [](auto *numbers, auto *J) {
+  of_vectors("so3_left_jacobian_inv", "w", vector, square, [](auto *numbers, auto *J) {
     const auto w = vector_at(numbers);
     const auto f = left_jacobian_inv_polynomial(Angle(w));
     polynomial(w, f.a, f.b).write(J, 3);
   });
-}
-
-nb::object se3_exp(nb::handle xi_, nb::handle out) {
-  return of_vectors(xi_, "xi", 6, out, {4, 4},
-      [](auto *xi, auto *T) { armlab::se3_exp(vector_at(xi), vector_at(xi + 3)).write(T); });
-}
-
-nb::object se3_log(nb::handle T_, nb::handle out) {
-  return of_poses(T_, "T", out, {6}, [](const auto &T, auto *xi) {
+  of_vectors("se3_exp", "xi", twist, pose,
+      [](auto *xi, auto *T) { se3_exp(vector_at(xi), vector_at(xi + 3)).write(T); });
+  of_poses("se3_log", "T", twist, [](const auto &T, auto *xi) {
     auto v = T.p, w = T.p;
-    armlab::se3_log(T, v, w);
-    write(v, xi);
-    write(w, xi + 3);
+    se3_log(T, v, w);
+    v.write(xi);
+    w.write(xi + 3);
   });
-}
-
-nb::object se3_inv(nb::handle T_, nb::handle out) {
-  return of_poses(
-      T_, "T", out, {4, 4}, [](const auto &T, auto *inverse) { pose_inverse(T).write(inverse); });
-}
-
-nb::object se3_adjoint(nb::handle T_, nb::handle out) {
-  return of_poses(T_, "T_a_b", out, {6, 6}, [](const auto &T, auto *Ad) {
+  of_poses("se3_inv", "T", pose, [](const auto &T, auto *to) { pose_inverse(T).write(to); });
+  of_poses("se3_adjoint", "T_a_b", blocks, [](const auto &T, auto *Ad) {
     const auto p = T.p;
     write_blocks({T.x, T.y, T.z}, {cross(p, T.x), cross(p, T.y), cross(p, T.z)}, Ad);
   });
-}
-
-nb::object se3_transform_wrench(nb::handle T_, nb::handle wrench_, nb::handle out_) {
-  Elements T(T_, "T_a_b", {4, 4}), wrench(wrench_, "wrench_b", {6});
-  Elements::broadcast({&T, &wrench});
-  const Output out(out_, "out", {6}, {&T, &wrench});
-  const bool right =
-      looks_right<2>(T, {T.samples(), wrench.samples()}, out, [](const auto &in, auto *wrench_a) {
-        const auto pose = pose_at(in[0]);
-        const auto f = pose.turn(vector_at(in[1]));
-        write(f, wrench_a);
-        write(pose.turn(vector_at(in[1] + 3)) + cross(pose.p, f), wrench_a + 3);
-        return looks_rigid(in[0]);
-      });
-  if (!right) refuse_no_pose(T, "T_a_b");
-  return out.array();
-}
-
-nb::object se3_interpolate(
-    nb::handle T_a_, nb::handle T_b_, nb::handle s_, bool screw, nb::handle out_) {
-  Elements T_a(T_a_, "T_a", {4, 4}), T_b(T_b_, "T_b", {4, 4}), s(s_, "s", {});
-  Elements::broadcast({&T_a, &T_b, &s});
-  const Output out(out_, "out", {4, 4}, {&T_a, &T_b, &s});
-  const auto ins = std::array{T_a.samples(), T_b.samples(), s.samples()};
-  const bool right = looks_right<3>(T_a, ins, out, [screw](const auto &in, auto *T) {
-    armlab::se3_interpolate(pose_at(in[0]), pose_at(in[1]), *in[2], screw).write(T);
-    return looks_rigid(in[0]) & looks_rigid(in[1]);
-  });
-  if (!right) {
-    refuse_no_pose(T_a, "T_a");
-    refuse_no_pose(T_b, "T_b");
-  }
-  return out.array();
-}
-
-nb::object se3_left_jacobian(nb::handle xi_, nb::handle out) {
-  return of_vectors(xi_, "xi", 6, out, {6, 6}, [](auto *xi, auto *J) {
+  of_vectors("se3_left_jacobian", "xi", twist, blocks, [](auto *xi, auto *J) {
     const auto v = vector_at(xi), w = vector_at(xi + 3);
     const auto f = left_jacobian_polynomial(Angle(w));
     write_blocks(polynomial(w, f.a, f.b), derivative(w, v, f), J);
   });
-}
-
-nb::object se3_left_jacobian_inv(nb::handle xi_, nb::handle out) {
-  return of_vectors(xi_, "xi", 6, out, {6, 6}, [](auto *xi, auto *J) {
+  of_vectors("se3_left_jacobian_inv", "xi", twist, blocks, [](auto *xi, auto *J) {
     const auto v = vector_at(xi), w = vector_at(xi + 3);
     const auto f = left_jacobian_inv_polynomial(Angle(w));
     write_blocks(polynomial(w, f.a, f.b), derivative(w, v, f), J);
   });
-}
-
-nb::object quaternion_from_matrix(nb::handle R_, nb::handle out) {
-  return of_rotations(
-      R_, "R", out, {4}, [](const auto &R, auto *q) { write(quaternion_from(R), q); });
-}
-
-nb::object quaternion_to_matrix(nb::handle quaternion, nb::handle out_) {
-  const Elements q(quaternion, "quaternion", {4});
-  const Output out(out_, "out", {3, 3}, {&q});
-  const bool right = looks_right<1>(q, {q.samples()}, out, [](const auto &in, auto *R) {
-    const auto wxyz = quaternion_at(in[0]);
+  of_rotations("quaternion_from_matrix", "R", quaternion,
+      [](const auto &R, auto *q) { write(quaternion_from(R), q); });
+  def(m, "quaternion_to_matrix", "quaternion", quaternion, square, [](auto *q, auto *R) {
+    const auto wxyz = quaternion_at(q);
     rotation_from(wxyz).write(R, 3);
     return looks_unit(norm(wxyz));
   });
-  if (!right) refuse_not_unit(q);
-  return out.array();
 }
 
-nb::object quaternion_multiply(nb::handle p_, nb::handle q_, nb::handle out_) {
+nb::object angle(nb::handle R_a, nb::handle R_b, nb::handle out) {
+  Elements a(R_a, "R_a", {3, 3}), b(R_b, "R_b", {3, 3});
+  const auto kernel = [](const auto &in, auto *angle) {
+    const auto A = rotation_at(in[0], 3), B = rotation_at(in[1], 3);
+    *angle = so3_angle(A.inverse() * B);
+    return looks_orthonormal(A) & looks_orthonormal(B);
+  };
+  return over(out, {}, kernel, a, b);
+}
+
+nb::object between_rotations(nb::handle R_a, nb::handle R_b, nb::handle s_, nb::handle out) {
+  Elements a(R_a, "R_a", {3, 3}), b(R_b, "R_b", {3, 3}), s(s_, "s", {});
+  const auto kernel = [](const auto &in, auto *R) {
+    const auto A = rotation_at(in[0], 3), B = rotation_at(in[1], 3);
+    so3_interpolate(A, B, *in[2]).write(R, 3);
+    return looks_orthonormal(A) & looks_orthonormal(B);
+  };
+  return over(out, {3, 3}, kernel, a, b, s);
+}
+
+nb::object transform_wrench(nb::handle T_a_b, nb::handle wrench_b, nb::handle out) {
+  Elements T(T_a_b, "T_a_b", {4, 4}), wrench(wrench_b, "wrench_b", {6});
+  const auto kernel = [](const auto &in, auto *wrench_a) {
+    const auto pose = pose_at(in[0]);
+    const auto f = pose.turn(vector_at(in[1]));
+    f.write(wrench_a);
+    (pose.turn(vector_at(in[1] + 3)) + cross(pose.p, f)).write(wrench_a + 3);
+    return looks_rigid(in[0]);
+  };
+  return over(out, {6}, kernel, T, wrench);
+}
+
+nb::object between_poses(
+    nb::handle T_a, nb::handle T_b, nb::handle s_, bool screw, nb::handle out) {
+  Elements a(T_a, "T_a", {4, 4}), b(T_b, "T_b", {4, 4}), s(s_, "s", {});
+  const auto kernel = [screw](const auto &in, auto *T) {
+    se3_interpolate(pose_at(in[0]), pose_at(in[1]), *in[2], screw).write(T);
+    return looks_rigid(in[0]) & looks_rigid(in[1]);
+  };
+  return over(out, {4, 4}, kernel, a, b, s);
+}
+
+nb::object multiply(nb::handle p_, nb::handle q_, nb::handle out) {
   Elements p(p_, "p", {4}), q(q_, "q", {4});
-  Elements::broadcast({&p, &q});
-  const Output out(out_, "out", {4}, {&p, &q});
-  compute<2, 1>(p, {p.samples(), q.samples()}, {out.samples()}, [](const auto &in, const auto &to) {
-    write(quaternion_at(in[0]) * quaternion_at(in[1]), to[0]);
-  });
-  return out.array();
+  const auto kernel = [](const auto &in, auto *to) {
+    write(quaternion_at(in[0]) * quaternion_at(in[1]), to);
+    return true;
+  };
+  return over(out, {4}, kernel, p, q);
 }
 
-nb::object quaternion_slerp(nb::handle a_, nb::handle b_, nb::handle s_, nb::handle out_) {
+nb::object between_quaternions(nb::handle a_, nb::handle b_, nb::handle s_, nb::handle out) {
   Elements a(a_, "a", {4}), b(b_, "b", {4}), s(s_, "s", {});
-  Elements::broadcast({&a, &b, &s});
-  const Output out(out_, "out", {4}, {&a, &b, &s});
-  const bool right =
-      looks_right<3>(a, {a.samples(), b.samples(), s.samples()}, out, [](const auto &in, auto *q) {
-        const auto begin = quaternion_at(in[0]), end = quaternion_at(in[1]);
-        write(slerp(unit(begin), unit(end), *in[2]), q);
-        return looks_unit(norm(begin)) & looks_unit(norm(end));
-      });
-  if (!right) {
-    refuse_not_unit(a);
-    refuse_not_unit(b);
-  }
-  return out.array();
+  const auto kernel = [](const auto &in, auto *q) {
+    const auto begin = quaternion_at(in[0]), end = quaternion_at(in[1]);
+    write(slerp(unit(begin), unit(end), *in[2]), q);
+    return looks_unit(norm(begin)) & looks_unit(norm(end));
+  };
+  return over(out, {4}, kernel, a, b, s);
 }
 
-nb::object euler_from_rpy(nb::handle rpy_, int first, int middle, int last, nb::handle out) {
-  const Axes axes{first, middle, last};
-  return of_vectors(rpy_, "rpy", 3, out, {3, 3},
-      [axes](auto *rpy, auto *R) { matrix_from_angles(rpy, axes, R); });
+nb::object from_rpy(nb::handle rpy_, int first, int middle, int last, nb::handle out) {
+  Elements rpy(rpy_, "rpy", {3});
+  const auto kernel = [axes = Axes{first, middle, last}](const auto &in, auto *R) {
+    matrix_from_angles(in[0], axes, R);
+    return true;
+  };
+  return over(out, {3, 3}, kernel, rpy);
 }
 
-nb::object euler_to_rpy(nb::handle R_, int first, int middle, int last, nb::handle out_) {
-  const Axes axes{first, middle, last};
-  const Elements R(R_, "R", {3, 3});
-  const Output out(out_, "out", {3}, {&R});
-  const bool right = looks_right<1>(R, {R.samples()}, out, [axes](const auto &in, auto *rpy) {
+nb::object to_rpy(nb::handle R_, int first, int middle, int last, nb::handle out) {
+  Elements R(R_, "R", {3, 3});
+  const auto kernel = [axes = Axes{first, middle, last}](const auto &in, auto *rpy) {
     angles_from_matrix(in[0], axes, rpy);
     return looks_orthonormal(rotation_at(in[0], 3));
-  });
-  if (!right) refuse_no_rotation(R, "R");
-  return out.array();
+  };
+  return over(out, {3}, kernel, R);
 }
 
 }  // namespace
-
-void bind_lie_functions(nb::module_ &m) {
-  const auto def = [&m](const char *name, auto function, const char *argument) {
-    m.def(name, function, array(argument), nb::arg("out") = nb::none());
-  };
-  def("so3_exp", &so3_exp, "w");
-  def("so3_log", &so3_log, "R");
-  def("so3_left_jacobian", &so3_left_jacobian, "w");
-  def("so3_left_jacobian_inv", &so3_left_jacobian_inv, "w");
-  def("se3_exp", &se3_exp, "xi");
-  def("se3_log", &se3_log, "T");
-  def("se3_inv", &se3_inv, "T");
-  def("se3_adjoint", &se3_adjoint, "T_a_b");
-  def("se3_left_jacobian", &se3_left_jacobian, "xi");
-  def("se3_left_jacobian_inv", &se3_left_jacobian_inv, "xi");
-  def("quaternion_from_matrix", &quaternion_from_matrix, "R");
-  def("quaternion_to_matrix", &quaternion_to_matrix, "quaternion");
-
-  using nb::arg;
-  m.def("rotations", &rotations, array("R"), arg("name"));
-  m.def("poses", &poses, array("T"), arg("name"));
-  m.def("so3_angle", &so3_angle, array("R_a"), array("R_b"), arg("out") = nb::none());
-  m.def("so3_interpolate", &so3_interpolate, array("R_a"), array("R_b"), array("s"),
-      arg("out") = nb::none());
-  m.def("se3_transform_wrench", &se3_transform_wrench, array("T_a_b"), array("wrench_b"),
-      arg("out") = nb::none());
-  m.def("se3_interpolate", &se3_interpolate, array("T_a"), array("T_b"), array("s"),
-      arg("screw") = false, arg("out") = nb::none());
-  m.def("euler_from_rpy", &euler_from_rpy, array("rpy"), arg("first"), arg("middle"), arg("last"),
-      arg("out") = nb::none());
-  m.def("euler_to_rpy", &euler_to_rpy, array("R"), arg("first"), arg("middle"), arg("last"),
-      arg("out") = nb::none());
-  m.def(
-      "quaternion_multiply", &quaternion_multiply, array("p"), array("q"), arg("out") = nb::none());
-  m.def("quaternion_slerp", &quaternion_slerp, array("a"), array("b"), array("s"),
-      arg("out") = nb::none());
-}
-
 }  // namespace armlab::python
 
-void bind_lie(nb::module_ &m) { armlab::python::bind_lie_functions(m); }
+void armlab::python::bind_lie(nb::module_ &m) {
+  def_groups(m);
+  const auto out = [] { return arg("out") = nb::none(); };
+  m.def(
+      "rotations",
+      [](nb::handle R, const char *name) {
+        return checked(R, name, 3, [](auto *x) { return looks_orthonormal(rotation_at(x, 3)); });
+      },
+      array("R"), arg("name"));
+  m.def(
+      "poses",
+      [](nb::handle T, const char *name) {
+        return checked(T, name, 4, [](auto *x) { return looks_rigid(x); });
+      },
+      array("T"), arg("name"));
+  m.def("so3_angle", &angle, array("R_a"), array("R_b"), out());
+  m.def("so3_interpolate", &between_rotations, array("R_a"), array("R_b"), array("s"), out());
+  m.def("se3_transform_wrench", &transform_wrench, array("T_a_b"), array("wrench_b"), out());
+  m.def("se3_interpolate", &between_poses, array("T_a"), array("T_b"), array("s"),
+      arg("screw") = false, out());
+  m.def("euler_from_rpy", &from_rpy, array("rpy"), arg("first"), arg("middle"), arg("last"), out());
+  m.def("euler_to_rpy", &to_rpy, array("R"), arg("first"), arg("middle"), arg("last"), out());
+  m.def("quaternion_multiply", &multiply, array("p"), array("q"), out());
+  m.def("quaternion_slerp", &between_quaternions, array("a"), array("b"), array("s"), out());
+}

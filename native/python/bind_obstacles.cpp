@@ -1,12 +1,8 @@
 // Python class Obstacles: arguments are checked here, the mathematics is in obstacles.cpp.
-#include <cmath>
-#include <string>
-#include <vector>
-
 #include "array/arrays.h"
 #include "math/motion/obstacles.h"
 
-namespace armlab {
+namespace armlab::python {
 namespace {
 
 Input finite(nb::handle value, const char *name, npy_intp width, npy_intp rows = -1) {
@@ -74,20 +70,18 @@ nb::object distance(Obstacles &self, nb::handle y_) {
 }
 
 nb::object add(Obstacles &self, nb::handle y_, nb::handle yd_, nb::handle g_, nb::handle ydd_) {
-  const npy_intp n = self.n();
+  const int n = self.n();
   const Input y = finite(y_, "y", n), yd = finite(yd_, "yd", n), g = finite(g_, "g", n),
               ydd = finite(ydd_, "ydd", n);
-  const nb::object out = fresh_array(1, &n, ydd.data());
+  const nb::object out = fresh_array({n}, ydd.data());
   self.add(y.data(), yd.data(), g.data(), numbers(out));
   return out;
 }
 
 }  // namespace
-}  // namespace armlab
+}  // namespace armlab::python
 
-void bind_obstacles(nb::module_ &m) {
-  using namespace armlab;
-  using nb::arg;
+void armlab::python::bind_obstacles(nb::module_ &m) {
   nb::class_<Obstacles>(
       m, "Obstacles", "What a motion goes around; see tests/oracles/obstacles.py.")
       .def("__init__", &construct, arg("arm"), array("links"), array("bodies"), arg("clearance"),

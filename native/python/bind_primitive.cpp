@@ -1,19 +1,13 @@
-// Python classes Primitive and PrimitiveStepper: arguments are checked here, the mathematics is in
-// primitive.cpp.
-#include <algorithm>
-#include <cmath>
-#include <string>
-#include <vector>
-
+// Python classes Primitive, PrimitiveStepper and RotationStepper, and function rotation_rollout:
+// arguments are checked here, the mathematics is in primitive.cpp and rotation_primitive.cpp.
 #include "array/arrays.h"
 #include "math/motion/obstacles.h"
-#include "math/motion/primitive.h"
+#include "math/motion/rotation_primitive.h"
 
-namespace armlab {
+namespace armlab::python {
 namespace {
 
-constexpr double longest_spring =
-    1e7;  // time constants of the spring that a position phase integrates in one call
+constexpr double longest_spring = 1e7;  // its time constants that are integrated in one call
 
 const char *const phases[] = {"canonical", "time", "position", "periodic"};
 
@@ -32,20 +26,13 @@ void construct(Primitive *self, nb::handle centres_, nb::handle widths_, nb::han
   require_positive("widths", widths.data(), m);
   const double rates[] = {alpha, stiffness, decay, pace};
   require_positive("alpha, stiffness, decay and pace", rates, 4);
-  Primitive p;
   const auto found = std::find(std::begin(phases), std::end(phases), std::string(phase));
   if (found == std::end(phases))
     raise_shape_error("Expected canonical, time, position or periodic as phase, got '" +
                       std::string(phase) + "'.");
-  p.phase = static_cast<PhaseKind>(found - std::begin(phases));
-  p.n = static_cast<int>(weights.shape()[1]);
-  p.m = static_cast<int>(m);
-  p.alpha = alpha;
-  p.stiffness = stiffness;
-  p.decay = decay;
-  p.pace = pace;
-  p.centres.assign(centres.data(), centres.data() + m);
-  p.weights.assign(weights.data(), weights.data() + weights.size());
+  Primitive p{static_cast<int>(weights.shape()[1]), static_cast<int>(m), alpha, stiffness, decay,
+      pace, static_cast<PhaseKind>(found - std::begin(phases)),
+      {centres.data(), centres.data() + m}, {}, {weights.data(), weights.data() + weights.size()}};
   for (npy_intp j = 0; j < m; ++j)
     p.curvatures.push_back(0.5 / (widths.data()[j] * widths.data()[j]));
   new (self) Primitive(p);
@@ -64,14 +51,14 @@ nb::object basis(const Primitive &p, nb::handle x_, nb::handle out_) {
 nb::object design(
     const Primitive &p, nb::handle x_, nb::handle factors_, npy_intp rows, npy_intp columns) {
   const Input x(x_, "x"), factors(factors_, "factors");
-  const npy_intp N = x.size(), shape[2] = {columns, rows};
+  const npy_intp N = x.size();
   for (const Input *input : {&x, &factors}) {
     input->require_exactly({N});
     require_finite(*input);
   }
   if (rows < N || columns < p.m)
     raise_shape_error("Expected room for every phase and kernel, got too few rows or columns.");
-  const nb::object matrix = fresh_array(2, shape);
+  const nb::object matrix = fresh_array({columns, rows});
   std::fill(numbers(matrix), numbers(matrix) + rows * columns, 0.0);
   p.basis(N, x.data(), factors.data(), 1, rows, numbers(matrix));
   return matrix;
@@ -80,22 +67,19 @@ nb::object design(
 nb::object forcing(const Primitive &p, nb::handle x_, nb::handle out_) {
   std::vector<double> psi(p.m);
   std::vector<int> index(p.m);
-  if (p.phase == PhaseKind::position) {
-    const Samples x(x_, "x", p.n);
+  const auto evaluate = [&](const Samples &x, auto force) {
     require_finite(x);
     const Output out(out_, "out", {p.n}, {&x});
-    double *to = out.samples().data;
-    for (npy_intp k = 0; k < x.size(); k += p.n)
-      p.forcing_each(x.data() + k, index.data(), psi.data(), to + k);
+    const int width = x.samples().width;
+    for (npy_intp k = 0; k * width < x.size(); ++k)
+      force(x.data() + k * width, out.samples().data + k * p.n);
     return out.array();
-  }
-  const Elements x(x_, "x", {});
-  require_finite(x);
-  const Output out(out_, "out", {p.n}, {&x});
-  double *to = out.samples().data;
-  for (npy_intp k = 0; k < x.size(); ++k)
-    p.forcing(x.data()[k], index.data(), psi.data(), to + k * p.n);
-  return out.array();
+  };
+  if (p.phase == PhaseKind::position)
+    return evaluate(Samples(x_, "x", p.n),
+        [&](const double *x, double *f) { p.forcing_each(x, index.data(), psi.data(), f); });
+  return evaluate(Elements(x_, "x", {}),
+      [&](const double *x, double *f) { p.forcing(*x, index.data(), psi.data(), f); });
 }
 
 // Times (N) that increase, N at least 1.
@@ -140,7 +124,7 @@ nb::object run(const Primitive &p, nb::handle t_, double tau, nb::handle y0_, nb
   const npy_intp single[2] = {N, n}, many[3] = {N, K, n};
   const int axes = y0.ndim() + 1;
   const auto fresh = [&] { return fresh_array(axes, axes == 2 ? single : many); };
-  const nb::object y = fresh(), yd = fresh(), ydd = fresh(), x = fresh_array(1, many), f = fresh();
+  const nb::object y = fresh(), yd = fresh(), ydd = fresh(), x = fresh_array({N}), f = fresh();
   {
     nb::gil_scoped_release released;
     rollout(p, N, t.data(), tau, K, y0.data(), v0.data(), g.data(), scale.data(), weights,
@@ -151,17 +135,17 @@ nb::object run(const Primitive &p, nb::handle t_, double tau, nb::handle y0_, nb
 
 nb::object responses(const Primitive &p, nb::handle t_, double tau, double longest) {
   const Input t(t_, "t");
-  const npy_intp shape[2] = {read_times(t), p.m + 3};
+  const npy_intp N = read_times(t);
   const double positive[] = {tau, longest};
   require_positive("tau and longest step", positive, 2);
   if (p.phase == PhaseKind::position)
     raise_shape_error(
         "Expected a phase that does not depend on the motion, got 'position': its response is not "
         "linear.");
-  const nb::object y = fresh_array(2, shape), yd = fresh_array(2, shape);
+  const nb::object y = fresh_array({N, p.m + 3}), yd = fresh_array({N, p.m + 3});
   {
     nb::gil_scoped_release released;
-    response(p, shape[0], t.data(), tau, longest, numbers(y), numbers(yd));
+    response(p, N, t.data(), tau, longest, numbers(y), numbers(yd));
   }
   return nb::make_tuple(y, yd);
 }
@@ -188,7 +172,7 @@ void start(PrimitiveStepper &self, nb::handle y0_, nb::handle v0_, nb::handle g_
 
 nb::object outputs(const PrimitiveStepper &self) {
   const npy_intp n = self.primitive.n;
-  const nb::object y = fresh_array(1, &n), yd = fresh_array(1, &n), ydd = fresh_array(1, &n);
+  const nb::object y = fresh_array({n}), yd = fresh_array({n}), ydd = fresh_array({n});
   self.outputs(numbers(y), numbers(yd), numbers(ydd), nullptr);
   return nb::make_tuple(y, yd, ydd);
 }
@@ -203,9 +187,9 @@ nb::object step(PrimitiveStepper &self, double dt) {
 // The state at times (N,), the first of which is now: y, yd, ydd and f, each (N, n).
 nb::object follow(PrimitiveStepper &self, nb::handle t_) {
   const Input t(t_, "t");
-  const npy_intp N = read_times(t), n = self.primitive.n, shape[2] = {N, n};
+  const npy_intp N = read_times(t), n = self.primitive.n;
   require_steps(self.primitive, t.data()[N - 1] - t.data()[0], self.tau(), self.coupling);
-  const auto fresh = [&] { return fresh_array(2, shape); };
+  const auto fresh = [&] { return fresh_array({N, n}); };
   const nb::object y = fresh(), yd = fresh(), ydd = fresh(), f = fresh();
   {
     nb::gil_scoped_release released;
@@ -228,18 +212,101 @@ void change_goal(PrimitiveStepper &self, nb::handle g_, nb::handle scale_, nb::h
 }
 
 nb::object stepper_forcing(const PrimitiveStepper &self) {
-  const npy_intp n = self.primitive.n;
-  const nb::object f = fresh_array(1, &n);
-  std::copy_n(self.force().data(), n, numbers(f));
-  return f;
+  return fresh_array({self.primitive.n}, self.force().data());
+}
+
+// A finite array of exactly that shape.
+struct Finite : Input {
+  Finite(nb::handle value, const char *name, std::initializer_list<npy_intp> shape)
+      : Input(value, name, shape) {
+    require_finite(*this);
+  }
+};
+
+// A quaternion that has a direction.
+struct Orientation : Finite {
+  Orientation(nb::handle value, const char *name) : Finite(value, name, {4}) {
+    const double *q = data(), square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+    if (!(square > 1e-12 && square < 1e12))
+      raise_shape_error(std::string("Expected a quaternion wxyz of length 1 as ") + name +
+                        ", got another length.");
+  }
+};
+
+void require_primitive(const Primitive &p) {
+  if (p.n != 3 || p.phase == PhaseKind::position)
+    raise_shape_error(
+        "Expected a primitive of three coordinates with a phase of time, got another. Fit it "
+        "again.");
+}
+
+void start_rotation(RotationStepper &self, nb::handle q0_, nb::handle w0_, nb::handle goal_,
+    nb::handle map_, double tau) {
+  const Orientation q0(q0_, "q0"), goal(goal_, "goal");
+  const Finite w0(w0_, "w0", {3}), map(map_, "map", {3, 3});
+  require_positive("tau", &tau, 1);
+  self.start(q0.data(), w0.data(), goal.data(), map.data(), tau);
+}
+
+nb::object rotation_outputs(const RotationStepper &self) {
+  const nb::object q = fresh_array({4}), w = fresh_array({3}), wd = fresh_array({3});
+  self.outputs(numbers(q), numbers(w), numbers(wd));
+  return nb::make_tuple(q, w, wd);
+}
+
+void construct_rotation(RotationStepper *self, const Primitive &p) {
+  require_primitive(p);
+  new (self) RotationStepper(p);
+}
+
+nb::object rotation_step(RotationStepper &self, double dt) {
+  require_positive("dt", &dt, 1);
+  require_steps(self.primitive, dt, self.tau(), true);
+  self.step(dt);
+  return rotation_outputs(self);
+}
+
+void change_rotation_goal(RotationStepper &self, nb::handle goal_, nb::handle map_) {
+  const Orientation goal(goal_, "goal");
+  const Finite map(map_, "map", {3, 3});
+  self.change_goal(goal.data(), map.data());
+}
+
+nb::object rotation_rollout(const Primitive &p, nb::handle t_, double tau, nb::handle q0,
+    nb::handle w0, nb::handle goal, nb::handle map) {
+  require_primitive(p);
+  const Input t(t_, "t");
+  const npy_intp N = read_times(t);
+  RotationStepper stepper(p);
+  start_rotation(stepper, q0, w0, goal, map, tau);
+  require_steps(p, t.data()[N - 1] - t.data()[0], tau, true);
+  const nb::object q = fresh_array({N, 4}), w = fresh_array({N, 3}), wd = fresh_array({N, 3});
+  double *to_q = numbers(q), *to_w = numbers(w), *to_wd = numbers(wd);
+  {
+    nb::gil_scoped_release released;
+    for (npy_intp k = 0; k < N; ++k) {
+      if (k) stepper.step(t.data()[k] - t.data()[k - 1]);
+      stepper.outputs(to_q + 4 * k, to_w + 3 * k, to_wd + 3 * k);
+    }
+  }
+  return nb::make_tuple(q, w, wd);
+}
+
+template <class Stepper>
+void bind_time(nb::class_<Stepper> &stepper) {
+  const auto change_tau = [](Stepper &self, double tau) {
+    require_positive("tau", &tau, 1);
+    self.change_tau(tau);
+  };
+  stepper.def("change_tau", change_tau, arg("tau"), "Another time constant from now on.")
+      .def_prop_ro("tau", &Stepper::tau, "Time constant [s].")
+      .def_prop_ro("elapsed", &Stepper::elapsed, "Phase time in units of tau.");
 }
 
 }  // namespace
-}  // namespace armlab
+}  // namespace armlab::python
 
-void bind_primitive(nb::module_ &m) {
-  using namespace armlab;
-  using nb::arg;
+void armlab::python::bind_primitive(nb::module_ &m) {
   nb::class_<Primitive>(
       m, "Primitive", "Spring, damper and forcing; see tests/oracles/primitive.py.")
       .def("__init__", &construct, array("centres"), array("widths"), array("weights"),
@@ -256,26 +323,31 @@ void bind_primitive(nb::module_ &m) {
           "y, yd, ydd, x and f over times (N,).")
       .def("response", &responses, array("t"), arg("tau"), arg("longest"),
           "Position and velocity (N, m + 3) of each kernel, y0, v0 and g alone.");
-  nb::class_<PrimitiveStepper>(
+  auto stepper = nb::class_<PrimitiveStepper>(
       m, "PrimitiveStepper", "One run, sample by sample; see tests/oracles/primitive.py.")
-      .def("__init__", &construct_stepper, arg("primitive"), arg("filter") = 0.0,
-          arg("around").none() = nb::none(), nb::keep_alive<1, 4>())
-      .def("start", &start, array("y0"), array("v0"), array("g"), array("scale"), arg("tau"),
-          "Begin at phase time 0.")
-      .def("step", &step, arg("dt"), "Advance by dt and return y, yd, ydd.")
-      .def("follow", &follow, array("t"),
-          "y, yd, ydd and f over times (N,), the first of which is now.")
-      .def("outputs", &outputs, "y, yd and ydd as they are now.")
-      .def("change_goal", &change_goal, array("g"), array("scale"),
-          arg("limit").none() = nb::none(), "Another goal from now on.")
-      .def(
-          "change_tau",
-          [](PrimitiveStepper &self, double tau) {
-            require_positive("tau", &tau, 1);
-            self.change_tau(tau);
-          },
-          arg("tau"), "Another time constant from now on.")
-      .def_prop_ro("tau", &PrimitiveStepper::tau, "Time constant [s].")
-      .def_prop_ro("elapsed", &PrimitiveStepper::elapsed, "Phase time in units of tau.")
-      .def_prop_ro("forcing", &stepper_forcing, "Forcing (n,) now.");
+                     .def("__init__", &construct_stepper, arg("primitive"), arg("filter") = 0.0,
+                         arg("around").none() = nb::none(), nb::keep_alive<1, 4>())
+                     .def("start", &start, array("y0"), array("v0"), array("g"), array("scale"),
+                         arg("tau"), "Begin at phase time 0.")
+                     .def("step", &step, arg("dt"), "Advance by dt and return y, yd, ydd.")
+                     .def("follow", &follow, array("t"),
+                         "y, yd, ydd and f over times (N,), the first of which is now.")
+                     .def("outputs", &outputs, "y, yd and ydd as they are now.")
+                     .def("change_goal", &change_goal, array("g"), array("scale"),
+                         arg("limit").none() = nb::none(), "Another goal from now on.")
+                     .def_prop_ro("forcing", &stepper_forcing, "Forcing (n,) now.");
+  bind_time(stepper);
+  auto rotation = nb::class_<RotationStepper>(
+      m, "RotationStepper", "One run of orientations, sample by sample; _native.pyi documents it.")
+                      .def("__init__", &construct_rotation, arg("primitive"))
+                      .def("start", &start_rotation, array("q0"), array("w0"), array("goal"),
+                          array("map"), arg("tau"), "Begin at phase time 0.")
+                      .def("step", &rotation_step, arg("dt"), "Advance by dt and return q, w, wd.")
+                      .def("outputs", &rotation_outputs, "q, w and wd as they are now.")
+                      .def("change_goal", &change_rotation_goal, array("goal"), array("map"),
+                          "Another goal from now on.");
+  bind_time(rotation);
+  m.def("rotation_rollout", &rotation_rollout, arg("primitive"), array("t"), arg("tau"),
+      array("q0"), array("w0"), array("goal"), array("map"),
+      "Orientations q (N, 4), angular velocities and accelerations (N, 3) over times (N,).");
 }

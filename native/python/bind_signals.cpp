@@ -1,13 +1,8 @@
 // Python class SignalOperator: arguments are checked here, the mathematics is in signals.cpp.
-#include <cmath>
-#include <limits>
-#include <string>
-#include <vector>
-
 #include "array/arrays.h"
 #include "math/motion/signals.h"
 
-namespace armlab {
+namespace armlab::python {
 namespace {
 
 const char *const kinds[] = {
@@ -52,29 +47,16 @@ void check_shape(PySignalOperator &self, int ndim, const npy_intp *shape, npy_in
 }
 
 void check_status(SignalStatus status, npy_intp row) {
-  const char *sentence = nullptr;
-  switch (status) {
-    case SignalStatus::ok:
-      return;
-    case SignalStatus::time_backward:
-      sentence =
-          "Expected a time stamp after the last one, got one that is not. Drop repeated samples, "
-          "or reset the "
-          "operator for a new record";
-      break;
-    case SignalStatus::time_missing:
-      sentence =
-          "Expected a time stamp with every sample, got none. Give t, as with the first sample, or "
-          "dt when the "
-          "operator is made";
-      break;
-    case SignalStatus::time_unexpected:
-      sentence =
-          "Expected no time stamps after a first sample without one, got one. Give t with every "
-          "sample or with "
-          "none";
-  }
-  raise_shape_error(sentence + (row < 0 ? std::string() : ", in row " + std::to_string(row)) + ".");
+  if (status == SignalStatus::ok) return;
+  const char *const sentences[] = {
+      "Expected a time stamp after the last one, got one that is not. Drop repeated samples, "
+      "or reset the operator for a new record",
+      "Expected a time stamp with every sample, got none. Give t, as with the first sample, or "
+      "dt when the operator is made",
+      "Expected no time stamps after a first sample without one, got one. Give t with every "
+      "sample or with none"};
+  raise_shape_error(sentences[static_cast<int>(status) - 1] +
+                    (row < 0 ? std::string() : ", in row " + std::to_string(row)) + ".");
 }
 
 nb::object step(PySignalOperator &self, nb::handle x_, nb::handle t_) {
@@ -128,27 +110,23 @@ void reset(PySignalOperator &self, nb::handle init) {
 }
 
 }  // namespace
-}  // namespace armlab
+}  // namespace armlab::python
 
-void bind_signals(nb::module_ &m) {
-  using namespace armlab;
+void armlab::python::bind_signals(nb::module_ &m) {
+  const auto count = [](auto member) {
+    return [member](const PySignalOperator &self) { return self.kernel.*member; };
+  };
   nb::class_<PySignalOperator>(
       m, "SignalOperator", "Streaming operator on a signal; see tests/oracles/signals.py.")
-      .def("__init__", &construct, nb::arg("kind"), nb::arg("a"), nb::arg("b"), nb::arg("dt"),
-          nb::arg("init").none() = nb::none())
-      .def("step", &step, array("x"), nb::arg("t").none() = nb::none(),
+      .def("__init__", &construct, arg("kind"), arg("a"), arg("b"), arg("dt"),
+          arg("init").none() = nb::none())
+      .def("step", &step, array("x"), arg("t").none() = nb::none(),
           "Advance by one sample and return the output.")
-      .def("run", &run, array("x"), nb::arg("t").none() = nb::none(),
+      .def("run", &run, array("x"), arg("t").none() = nb::none(),
           "Step along samples (N, ...) and return the outputs stacked over N.")
-      .def("reset", &reset, nb::arg("init").none() = nb::none(),
+      .def("reset", &reset, arg("init").none() = nb::none(),
           "Forget all samples; start again from init.")
-      .def_prop_ro(
-          "gaps", [](const PySignalOperator &self) { return self.kernel.gaps; },
-          "Steps longer than 1.5 dt.")
-      .def_prop_ro(
-          "longest_gap", [](const PySignalOperator &self) { return self.kernel.longest_gap; },
-          "Longest of them.")
-      .def_prop_ro(
-          "skipped", [](const PySignalOperator &self) { return self.kernel.skipped; },
-          "Samples that were not finite.");
+      .def_prop_ro("gaps", count(&SignalOperator::gaps), "Steps longer than 1.5 dt.")
+      .def_prop_ro("longest_gap", count(&SignalOperator::longest_gap), "Longest of them.")
+      .def_prop_ro("skipped", count(&SignalOperator::skipped), "Samples that were not finite.");
 }

@@ -1,12 +1,8 @@
 // Python class TwoDof: arguments are checked here, the mathematics is in two_dof.cpp.
-#include <cmath>
-#include <string>
-#include <vector>
-
 #include "array/arrays.h"
 #include "math/motion/two_dof.h"
 
-namespace armlab {
+namespace armlab::python {
 namespace {
 
 std::vector<double> row(nb::handle value, const char *name, npy_intp length) {
@@ -15,9 +11,8 @@ std::vector<double> row(nb::handle value, const char *name, npy_intp length) {
 }
 
 std::vector<double> finite_row(nb::handle value, const char *name, npy_intp length) {
-  const Input input(value, name, {length});
-  require_finite(input);
-  return {input.data(), input.data() + length};
+  require_finite(Input(value, name, {length}));
+  return row(value, name, length);
 }
 
 void construct(TwoDof *self, const Primitive &primitive, double tau, nb::handle y0, nb::handle g,
@@ -66,8 +61,7 @@ nb::object advance(
 
 nb::object reference(TwoDof &self, nb::handle state_, nb::handle speed) {
   const Input state(state_, "state", {self.size()});
-  const npy_intp shape[2] = {3, self.n()};
-  const nb::object out = fresh_array(2, shape);
+  const nb::object out = fresh_array({3, self.n()});
   self.reference(state.data(), speed_of(speed), numbers(out));
   return out;
 }
@@ -85,8 +79,7 @@ nb::object follow(TwoDof &self, nb::handle state_, double dt, long steps, nb::ha
   const auto speed = speed_of(speed_);
   check_step(dt, steps);
   const Input ya(ya_, "ya", {self.n()}), yad(yad_, "yad", {self.n()});
-  const npy_intp shape[2] = {3, self.n()};
-  const nb::object out = fresh_array(2, shape);
+  const nb::object out = fresh_array({3, self.n()});
   self.follow(numbers(state), dt, steps, speed, ya.data(), yad.data(), numbers(out));
   return nb::make_tuple(state, out);
 }
@@ -97,11 +90,9 @@ double time_constant(const TwoDof &self, nb::handle state_) {
 }
 
 }  // namespace
-}  // namespace armlab
+}  // namespace armlab::python
 
-void bind_two_dof(nb::module_ &m) {
-  using namespace armlab;
-  using nb::arg;
+void armlab::python::bind_two_dof(nb::module_ &m) {
   nb::class_<TwoDof>(m, "TwoDof", "Two-degree-of-freedom control; see tests/oracles/two_dof.py.")
       .def("__init__", &construct, arg("primitive"), arg("tau"), array("y0"), array("g"),
           array("scale"), array("gains"), array("dead_zone"), array("unit"))

@@ -1,10 +1,6 @@
 // Python's bytes, and values in them.
 #pragma once
 
-#include <cstddef>
-#include <cstring>
-#include <string_view>
-
 #include "array/arrays.h"
 
 namespace armlab {
@@ -17,10 +13,15 @@ inline std::string_view view(nb::handle bytes) {
 }
 
 template <class T>
-T get(const char *from) {
+T get(const void *from) {
   T value;
   std::memcpy(&value, from, sizeof value);
   return value;
+}
+
+template <class T>
+void put(char *to, T value) {
+  std::memcpy(to, &value, sizeof value);
 }
 
 }  // namespace armlab

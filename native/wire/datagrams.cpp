@@ -1,8 +1,7 @@
 // Datagrams in and out of a socket that another owns. Documented in armlab/kernels/_native.pyi.
 //
 // Python's own calls make an exception for "nothing there", parse the address each time and let
-// another thread have the interpreter at each call: three times the time of the system calls, and
-// more when the caches are cold.
+// another thread have the interpreter at each call: three times the time of the system calls.
 #include "array/arrays.h"
 
 #include <arpa/inet.h>
@@ -11,15 +10,12 @@
 #include <time.h>
 
 #include <cerrno>
-#include <cstdint>
-#include <cstring>
 
-namespace armlab {
+namespace armlab::python {
 namespace {
 
 constexpr std::size_t largest = 65535;
-constexpr std::int64_t stale_ns =
-    10'000'000'000;  // a stamp older than this is a clock that was set, not an age
+constexpr std::int64_t stale_ns = 10'000'000'000;  // an older stamp is of a clock that was set
 
 std::int64_t clock_ns(clockid_t clock) {
   timespec now;
@@ -110,14 +106,13 @@ class Datagrams {
 };
 
 }  // namespace
-}  // namespace armlab
+}  // namespace armlab::python
 
-void bind_datagrams(nb::module_ &m) {
-  using armlab::Datagrams;
+void armlab::python::bind_datagrams(nb::module_ &m) {
   nb::class_<Datagrams>(m, "Datagrams", "See _native.pyi.")
-      .def(nb::init<nb::handle, nb::handle>(), nb::arg("socket"), nb::arg("kind"))
+      .def(nb::init<nb::handle, nb::handle>(), arg("socket"), arg("kind"))
       .def("receive", &Datagrams::receive)
-      .def("send", &Datagrams::send, nb::arg("data"), nb::arg("to"))
+      .def("send", &Datagrams::send, arg("data"), arg("to"))
       .def("close", &Datagrams::close)
       .def_prop_ro("errors", &Datagrams::errors);
 }

@@ -6,20 +6,9 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
-#include <algorithm>
-#include <array>
-#include <cmath>
-#include <cstdint>
-#include <cstring>
-#include <limits>
-#include <string>
-#include <string_view>
-#include <vector>
-
-#include "array/arrays.h"
 #include "wire/protobuf.h"
 
-namespace armlab {
+namespace armlab::python {
 namespace {
 
 using namespace protobuf;
@@ -77,22 +66,15 @@ struct Motion {
   bool read(std::string_view data) {
     return walk(data, [this](const Field &field) {
       if (field.kind != message) return true;
-      switch (field.number) {
-        case EgmMotion::joints:
-          return read_doubles(field.bytes, EgmJoints::joints, joints);
-        case EgmMotion::cartesian:
-          return read_pose(field.bytes);
-        case EgmMotion::externalJoints:
-          return read_doubles(field.bytes, EgmJoints::joints, external);
-        case EgmMotion::time:
-          has_time = true;
-          return read_clock(field.bytes);
-        case EgmMotion::timeStamp:
-          has_stamp = true;
-          return is_well_formed(field.bytes);
-        default:
-          return true;
-      }
+      if (field.number == EgmMotion::joints)
+        return read_doubles(field.bytes, EgmJoints::joints, joints);
+      if (field.number == EgmMotion::externalJoints)
+        return read_doubles(field.bytes, EgmJoints::joints, external);
+      if (field.number == EgmMotion::cartesian) return read_pose(field.bytes);
+      has_time = has_time || field.number == EgmMotion::time;
+      has_stamp = has_stamp || field.number == EgmMotion::timeStamp;
+      if (field.number == EgmMotion::time) return read_clock(field.bytes);
+      return field.number != EgmMotion::timeStamp || is_well_formed(field.bytes);
     });
   }
 
@@ -100,18 +82,13 @@ struct Motion {
   bool read_pose(std::string_view data) {
     return walk(data, [this](const Field &field) {
       if (field.kind != message) return true;
-      switch (field.number) {
-        case EgmPose::pos:
-          has_position = true;
-          return read_numbers(field.bytes, pose.data(), EgmCartesian::z);
-        case EgmPose::orient:
-          has_orientation = true;
-          return read_numbers(field.bytes, pose.data() + 3, EgmQuaternion::u3);
-        case EgmPose::euler:
-          return is_well_formed(field.bytes);
-        default:
-          return true;
-      }
+      has_position = has_position || field.number == EgmPose::pos;
+      has_orientation = has_orientation || field.number == EgmPose::orient;
+      if (field.number == EgmPose::pos)
+        return read_numbers(field.bytes, pose.data(), EgmCartesian::z);
+      if (field.number == EgmPose::orient)
+        return read_numbers(field.bytes, pose.data() + 3, EgmQuaternion::u3);
+      return field.number != EgmPose::euler || is_well_formed(field.bytes);
     });
   }
 
@@ -164,39 +141,25 @@ struct Robot {
   }
 
   bool take_message(const Field &field) {
-    switch (field.number) {
-      case EgmRobot::header:
-        return read_header(field.bytes);
-      case EgmRobot::feedBack:
-        return feedback.read(field.bytes);
-      case EgmRobot::planned:
-        return planned.read(field.bytes);
-      case EgmRobot::motorState:
-        return read_state(field.bytes, states[0]);
-      case EgmRobot::mciState:
-        return read_state(field.bytes, states[1]);
-      case EgmRobot::rapidExecState:
-        return read_state(field.bytes, states[2]);
-      case EgmRobot::testSignals:
-        return read_doubles(field.bytes, EgmTestSignals::signals, unused);
-      case EgmRobot::measuredForce:
-        force_bytes = field.bytes;
-        return true;
-      case EgmRobot::collisionInfo:
-        is_rw7 = true;
-        return read_doubles(field.bytes, EgmCollisionInfo::collDetQuota, unused);
-      case EgmRobot::rapidFromRobot:
-        is_rw7 = true;
-        return read_rapid(field.bytes);
-      case EgmRobot::torqueRef:
-        is_rw7 = true;
-        return read_doubles(field.bytes, EgmJoints::joints, torque_reference);
-      case EgmRobot::researchState:
-        has_research = true;
-        return read_research(field.bytes);
-      default:
-        return true;
-    }
+    const std::uint32_t number = field.number;
+    is_rw7 = is_rw7 || number == EgmRobot::collisionInfo || number == EgmRobot::rapidFromRobot ||
+             number == EgmRobot::torqueRef;
+    has_research = has_research || number == EgmRobot::researchState;
+    if (number == EgmRobot::measuredForce) force_bytes = field.bytes;
+    if (number == EgmRobot::header) return read_header(field.bytes);
+    if (number == EgmRobot::feedBack) return feedback.read(field.bytes);
+    if (number == EgmRobot::planned) return planned.read(field.bytes);
+    if (number == EgmRobot::motorState) return read_state(field.bytes, states[0]);
+    if (number == EgmRobot::mciState) return read_state(field.bytes, states[1]);
+    if (number == EgmRobot::rapidExecState) return read_state(field.bytes, states[2]);
+    if (number == EgmRobot::rapidFromRobot) return read_rapid(field.bytes);
+    if (number == EgmRobot::researchState) return read_research(field.bytes);
+    if (number == EgmRobot::testSignals)
+      return read_doubles(field.bytes, EgmTestSignals::signals, unused);
+    if (number == EgmRobot::collisionInfo)
+      return read_doubles(field.bytes, EgmCollisionInfo::collDetQuota, unused);
+    return number != EgmRobot::torqueRef ||
+           read_doubles(field.bytes, EgmJoints::joints, torque_reference);
   }
 
   bool read_header(std::string_view bytes) {
@@ -242,16 +205,13 @@ struct Robot {
     const bool newer = tag == 0x08 || tag == 0x11 || tag == 0x12,
                older = tag == 0x09 || tag == 0x0a;
     if (!newer && !older) return;
-    const int number =
-        newer ? static_cast<int>(EgmForceRw7::force) : static_cast<int>(EgmForceRw6::force);
-    if (read_doubles(force_bytes, static_cast<std::uint32_t>(number), force))
-      is_rw7 = is_rw7 || newer;
+    const std::uint32_t number = newer ? +EgmForceRw7::force : +EgmForceRw6::force;
+    if (read_doubles(force_bytes, number, force)) is_rw7 = is_rw7 || newer;
     else force.clear();
   }
 };
 
-// x, y, z [mm] and a quaternion to the rows of a matrix [m]; NaN for a quaternion without a usable
-// norm.
+// x, y, z [mm] and a quaternion to the rows of a matrix [m]; NaN without a usable norm.
 void matrix_of(const double *pose, double *out) {
   const double a = pose[3], b = pose[4], c = pose[5], d = pose[6];
   const double norm = a * a + b * b + c * c + d * d;
@@ -299,9 +259,8 @@ class EgmMessages {
         axes_[static_cast<std::size_t>(order_[k])] = static_cast<int>(k);
     if (scale_.size() != order_.size() || std::find(axes_.begin(), axes_.end(), -1) != axes_.end())
       raise_shape_error("Expected each of " + std::to_string(n()) + " axes once, and its scale.");
-    const npy_intp none = 0;
-    empty_ = fresh_array(1, &none);
-    PyArray_CLEARFLAGS(reinterpret_cast<PyArrayObject *>(empty_.ptr()), NPY_ARRAY_WRITEABLE);
+    empty_ = fresh_array({0});
+    PyArray_CLEARFLAGS(as_array(empty_), NPY_ARRAY_WRITEABLE);
     measured_ = nb::str("measured"), reference_ = nb::str("reference"), none_ = nb::str("none");
   }
 
@@ -309,30 +268,30 @@ class EgmMessages {
     if (!PyBytes_Check(data.ptr())) throw nb::type_error("Expected the bytes of one datagram.");
     const std::string_view bytes = view(data);
     if (!robot_.read(bytes))
-      return drop("unparsable", std::to_string(bytes.size()) + " bytes are no protobuf message");
+      return drop_("unparsable", std::to_string(bytes.size()) + " bytes are no protobuf message");
     if (!robot_.has_seqno)
-      return drop("no header", "a message without a header that has a sequence number");
+      return drop_("no header", "a message without a header that has a sequence number");
     if (robot_.mtype != data_type)
-      return drop("wrong type",
+      return drop_("wrong type",
           "expected message type 2 (data from the robot), got " + std::to_string(robot_.mtype));
     const Doubles &joints = robot_.feedback.joints, &external = robot_.feedback.external;
     if (joints.empty() && (head() || external.empty()))
-      return drop("no joints", "the array of joints is absent or empty");
+      return drop_("no joints", "the array of joints is absent or empty");
     if (!are_joints(robot_.feedback))
-      return drop("joint count", "expected " + std::to_string(head()) + " joints and at least " +
-                                     std::to_string(tail()) + " external, got " +
-                                     std::to_string(joints.size()) + " and " +
-                                     std::to_string(external.size()));
+      return drop_("joint count", "expected " + std::to_string(head()) + " joints and at least " +
+                                      std::to_string(tail()) + " external, got " +
+                                      std::to_string(joints.size()) + " and " +
+                                      std::to_string(external.size()));
     for (const Doubles *values : {&robot_.velocities, &robot_.torques})
       if (!values->empty() && values->size() != order_.size())
-        return drop("joint count", "expected " + std::to_string(n()) +
-                                       " values in each array of the extension, got " +
-                                       std::to_string(values->size()));
+        return drop_("joint count", "expected " + std::to_string(n()) +
+                                        " values in each array of the extension, got " +
+                                        std::to_string(values->size()));
     const auto is_sound = [](double value) { return std::abs(value) <= most; };
     for (const Doubles *values :
         {&joints, &external, static_cast<const Doubles *>(&robot_.velocities)})
       if (!std::all_of(values->begin(), values->end(), is_sound))
-        return drop(
+        return drop_(
             "not finite", "a joint, a velocity or an external axis is no number, or beyond 1e9");
     if (PyUnicode_GET_LENGTH(robotware.ptr()) == 0) robotware = nb::str(robot_.flavour());
     return packet(robotware);
@@ -369,10 +328,6 @@ class EgmMessages {
   std::size_t tail() const { return order_.size() - head(); }
   double beyond(std::size_t k) const { return k < beyond_.size() ? beyond_[k] : M_PI / 180.0; }
 
-  nb::object drop(const char *reason, const std::string &detail) const {
-    return drop_(reason, detail);
-  }
-
   bool are_joints(const Motion &motion) const {
     return (!motion.joints.empty() || (!head() && !motion.external.empty())) &&
            motion.joints.size() == head() && motion.external.size() >= tail();
@@ -402,11 +357,8 @@ class EgmMessages {
                       count = robot_.data.size();
     const auto length = static_cast<npy_intp>(4 * joints + 6 + external + count + matrix_numbers);
     const nb::object values = fresh_array(1, &length);
-    auto *array = reinterpret_cast<PyArrayObject *>(values.ptr());
-    double *q = static_cast<double *>(PyArray_DATA(array)), *qd = q + joints,
-           *planned = qd + joints;
-    double *tau = planned + joints, *force = tau + joints, *beyond_q = force + 6,
-           *data = beyond_q + external;
+    double *q = numbers(values), *qd = q + joints, *planned = qd + joints, *tau = planned + joints;
+    double *force = tau + joints, *beyond_q = force + 6, *data = beyond_q + external;
     double *pose = data + count;
     joints_of(feedback, in_radians, q);
     const bool is_kinematic = robot_.order == kinematic;
@@ -424,7 +376,7 @@ class EgmMessages {
     std::copy_n(robot_.data.data(), count, data);
     if (feedback.has_position && feedback.has_orientation) matrix_of(feedback.pose.data(), pose);
     else std::fill_n(pose, matrix_numbers, nan);
-    PyArray_CLEARFLAGS(array, NPY_ARRAY_WRITEABLE);
+    PyArray_CLEARFLAGS(as_array(values), NPY_ARRAY_WRITEABLE);
 
     const nb::object made = nb::steal(type()->tp_alloc(type(), static_cast<Py_ssize_t>(fields)));
     if (!made.is_valid()) throw nb::python_error();
@@ -462,20 +414,17 @@ class EgmMessages {
 
   // A read-only view of some of the values.
   static nb::object part(const nb::object &values, double *data, int ndim, const npy_intp *shape) {
-    PyObject *array = PyArray_New(&PyArray_Type, ndim, shape, NPY_DOUBLE, nullptr, data, 0,
-        NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED, nullptr);
-    if (!array) throw nb::python_error();
-    const nb::object owned = nb::steal(array);
-    if (PyArray_SetBaseObject(
-            reinterpret_cast<PyArrayObject *>(array), nb::object(values).release().ptr()) < 0)
+    const nb::object array = nb::steal(PyArray_New(&PyArray_Type, ndim, shape, NPY_DOUBLE, nullptr,
+        data, 0, NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED, nullptr));
+    if (!array.is_valid() ||
+        PyArray_SetBaseObject(as_array(array), nb::object(values).release().ptr()) < 0)
       throw nb::python_error();
-    return owned;
+    return array;
   }
 
   // The axes of the robot, the seventh and later ones as external joints, then the axes beyond.
   void motion(FieldWriter &out, int number, nb::handle values, const nb::object &external) const {
-    const Input given(values, "joints");
-    given.require_exactly({n()});
+    const Input given(values, "joints", {n()});
     const auto axis = [&](std::size_t k) {
       const auto joint = static_cast<std::size_t>(axes_[k]);
       out.real(EgmJoints::joints, given.data()[joint] / scale_[joint]);
@@ -508,8 +457,7 @@ class EgmMessages {
     const bool has_torque = !ref[2].is_none(), free = nb::cast<bool>(nb::bool_(ref[7]));
     out.nested(EgmSensor::researchRef, [&] {
       if (has_torque) {
-        const Input torque(ref[2], "torques");
-        torque.require_exactly({n()});
+        const Input torque(ref[2], "torques", {n()});
         out.packed(EgmRIRef::torqueFF, torque.data(), order_.size());
       }
       const Doubles loosened(free ? order_.size() : 0, 0.0);
@@ -533,15 +481,13 @@ class EgmMessages {
 };
 
 }  // namespace
-}  // namespace armlab
+}  // namespace armlab::python
 
-void bind_egm(nb::module_ &m) {
-  using armlab::array;
-  using armlab::EgmMessages;
+void armlab::python::bind_egm(nb::module_ &m) {
   nb::class_<EgmMessages>(m, "EgmMessages", "See _native.pyi.")
       .def(nb::init<nb::handle, nb::handle, std::vector<int>, nb::handle, nb::handle, bool>(),
-          nb::arg("packet"), nb::arg("drop"), nb::arg("order"), array("scale"),
-          array("external_scale"), nb::arg("extension"))
-      .def("read", &EgmMessages::read, nb::arg("data"), nb::arg("robotware"))
-      .def("write", &EgmMessages::write, nb::arg("ref"));
+          arg("packet"), arg("drop"), arg("order"), array("scale"), array("external_scale"),
+          arg("extension"))
+      .def("read", &EgmMessages::read, arg("data"), arg("robotware"))
+      .def("write", &EgmMessages::write, arg("ref"));
 }

@@ -1,42 +1,24 @@
-// The numbers of messages, out of a chunk of an MCAP file. Documented in
-// armlab/kernels/_native.pyi.
-#include <cstdint>
-#include <cstring>
-#include <string>
+// The numbers of messages, out of a chunk of an MCAP file. Documented in _native.pyi.
 #include <utility>
-#include <vector>
 
-#include "array/arrays.h"
+#include "wire/bytes.h"
 
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>
 
-namespace armlab {
+namespace armlab::python {
 namespace {
 
-constexpr std::size_t record_head = 9,
-                      message_head = 22;  // kind, length; channel, sequence, log and publish time
+constexpr std::size_t record_head = 9, message_head = 22;  // with channel, sequence, two times
 constexpr std::uint8_t message_kind = 5;
 
 struct Place {
   std::size_t start, stop;
 };
 
-// Reads a number, little-endian as all of MCAP and every machine that armlab is compiled for.
-template <class T>
-T number_at(const std::uint8_t *data) {
-  T value;
-  std::memcpy(&value, data, sizeof value);
-  return value;
-}
-
-PyArrayObject *pointer(const nb::object &array) {
-  return reinterpret_cast<PyArrayObject *>(array.ptr());
-}
-
 // An array of `rows` rows of `width` bytes to write into; any number of rows when that is negative.
 std::uint8_t *writable(nb::handle array, npy_intp rows, std::size_t width) {
-  auto *found = reinterpret_cast<PyArrayObject *>(array.ptr());
+  PyArrayObject *found = as_array(array);
   if (!PyArray_Check(array.ptr()) ||
       !PyArray_CHKFLAGS(found, NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_WRITEABLE) ||
       PyArray_NDIM(found) < 1 || (rows >= 0 && PyArray_DIM(found, 0) != rows) ||
@@ -123,7 +105,7 @@ class MessageCopier {
       channel.fixed = places_of(given[2], example.size());
       channel.places = places_of(given[3], example.size());
       channel.sequence = writable(given[4], -1, 4);
-      channel.rows = PyArray_DIM(pointer(given[4]), 0);
+      channel.rows = PyArray_DIM(as_array(given[4]), 0);
       channel.log_ns = writable(given[5], channel.rows, 8);
       const nb::list columns(given[6]);
       if (columns.size() != channel.places.size())
@@ -173,11 +155,11 @@ class MessageCopier {
     }
     for (std::size_t at = 0; size - at >= record_head;) {
       const std::uint8_t *record = data + at;
-      const std::uint64_t length = number_at<std::uint64_t>(record + 1);
+      const std::uint64_t length = get<std::uint64_t>(record + 1);
       if (length > size - at - record_head) break;
       at += record_head + length;
       if (*record != message_kind || length < message_head) continue;
-      const int c = slots_[number_at<std::uint16_t>(record + record_head)];
+      const int c = slots_[get<std::uint16_t>(record + record_head)];
       if (c < 0 || !fits[c]) continue;
       fits[c] = static_cast<std::int64_t>(records[c].size()) < count[c] &&
                 channels_[c].matches(record + record_head + message_head, length - message_head);
@@ -204,11 +186,10 @@ class MessageCopier {
 };
 
 }  // namespace
-}  // namespace armlab
+}  // namespace armlab::python
 
-void bind_messages(nb::module_ &m) {
-  using armlab::MessageCopier;
+void armlab::python::bind_messages(nb::module_ &m) {
   nb::class_<MessageCopier>(m, "MessageCopier", "See _native.pyi.")
-      .def(nb::init<nb::sequence>(), nb::arg("channels"))
-      .def("copy", &MessageCopier::copy, nb::arg("data"), nb::arg("first"), nb::arg("count"));
+      .def(nb::init<nb::sequence>(), arg("channels"))
+      .def("copy", &MessageCopier::copy, arg("data"), arg("first"), arg("count"));
 }

@@ -1,12 +1,6 @@
 // Fields of protobuf messages, read one after the other and written one behind the other.
 #pragma once
 
-#include <cstdint>
-#include <cstring>
-#include <string>
-#include <string_view>
-#include <vector>
-
 #include "wire/bytes.h"
 
 namespace armlab::protobuf {
@@ -60,25 +54,10 @@ class FieldReader {
     if (!read_varint(tag, 5) || tag > 0xffffffff || tag >> 3 == 0) return fail();
     field.number = static_cast<std::uint32_t>(tag >> 3);
     field.kind = tag & 7;
-    std::uint64_t size = 0;
-    switch (field.kind) {
-      case varint:
-        return read_varint(field.integer, 10) || fail();
-      case eight_bytes:
-        size = 8;
-        break;
-      case four_bytes:
-        size = 4;
-        break;
-      case message:
-        if (!read_varint(size, 10)) return fail();
-        break;
-      case group:
-      case group_end:
-        return true;
-      default:
-        return fail();
-    }
+    if (field.kind == varint) return read_varint(field.integer, 10) || fail();
+    if (field.kind == group || field.kind == group_end) return true;
+    std::uint64_t size = field.kind == eight_bytes ? 8 : 4;
+    if (field.kind == message ? !read_varint(size, 10) : field.kind > four_bytes) return fail();
     if (size > static_cast<std::size_t>(end_ - at_)) return fail();
     field.bytes = {at_, static_cast<std::size_t>(size)};
     at_ += size;
@@ -128,8 +107,7 @@ inline bool append(const Field &field, Doubles &to) {
   return true;
 }
 
-// A message whose repeated doubles are those of one field. Controllers write nothing but these,
-// unpacked.
+// A message of the repeated doubles of one field, which controllers write unpacked.
 inline bool read_doubles(std::string_view data, std::uint32_t number, Doubles &to) {
   constexpr std::size_t step = 1 + sizeof(double);
   while (data.size() >= step && data[0] == static_cast<char>(number << 3 | eight_bytes)) {

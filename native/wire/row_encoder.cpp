@@ -1,39 +1,18 @@
 // Rows of a recording as records of MCAP. Documented in armlab/kernels/_native.pyi.
-#include <algorithm>
-#include <cmath>
-#include <cstdint>
-#include <cstring>
 #include <optional>
-#include <string>
-#include <string_view>
-#include <vector>
 
-#include "array/arrays.h"
+#include "wire/bytes.h"
 
 #include <nanobind/stl/optional.h>
 
-namespace armlab {
+namespace armlab::python {
 namespace {
 
-constexpr std::size_t kHead =
-    31;  // of a record: opcode, length, channel, sequence, log time, publish time
+constexpr std::size_t kHead = 31;  // opcode, length, channel, sequence, log and publish time
 constexpr std::size_t kSequence = 11, kLogTime = 15, kPublishTime = 23, kStamp = kHead + 4;
 constexpr std::size_t kMatrix = 16 * sizeof(double), kPose = 7 * sizeof(double), kShortest = 16;
 constexpr std::int64_t kSecond = 1'000'000'000;
-constexpr std::ptrdiff_t kWorthReleasing =
-    32;  // rows: fewer take less time than handing the interpreter over
-
-template <class T>
-void put(char *to, T value) {
-  std::memcpy(to, &value, sizeof value);
-}
-
-template <class T>
-T get(const char *from) {
-  T value;
-  std::memcpy(&value, from, sizeof value);
-  return value;
-}
+constexpr std::size_t kWorthReleasing = 32;  // rows: fewer take less time than the handing over
 
 struct Copy {
   std::size_t to, from, count;
@@ -83,11 +62,6 @@ void write_pose(const char *from, char *to) {
   std::memcpy(to, pose, sizeof pose);
 }
 
-std::string text(nb::handle bytes) {
-  const auto held = nb::cast<nb::bytes>(bytes);
-  return {held.c_str(), held.size()};
-}
-
 [[noreturn]] void raise_too_short(std::size_t needs, std::size_t size) {
   raise_shape_error("Expected a row of " + std::to_string(needs) + " bytes or more, got " +
                     std::to_string(size) + ".");
@@ -103,12 +77,9 @@ class RowEncoder {
     if (rows.size() == 0) raise_shape_error("Expected at least one row, got none.");
     std::vector<nb::bytes> held;  // so that nobody takes them away meanwhile
     std::vector<std::string_view> views;
-    for (nb::handle row : rows) {
-      held.push_back(nb::cast<nb::bytes>(row));
-      views.emplace_back(held.back().c_str(), held.back().size());
-    }
+    for (nb::handle row : rows) views.push_back(view(held.emplace_back(nb::cast<nb::bytes>(row))));
     Made made{{}, std::vector<std::string>(topics_.size()), 0, 0, 0, 0};
-    if (static_cast<std::ptrdiff_t>(views.size()) < kWorthReleasing) {
+    if (views.size() < kWorthReleasing) {
       write_all(views, first, at, made);
     } else {
       nb::gil_scoped_release released;
@@ -137,8 +108,8 @@ class RowEncoder {
         nb::cast<bool>(given[4]), {}, {}};
     std::size_t sets = 1;
     for (nb::handle column : given[2]) {
-      made.columns.push_back(
-          {nb::cast<std::size_t>(column[0]), text(column[1]), nb::cast<bool>(column[2])});
+      made.columns.push_back({nb::cast<std::size_t>(column[0]), std::string(view(column[1])),
+          nb::cast<bool>(column[2])});
       sets <<= made.columns.back().optional;
     }
     for (nb::handle variant : given[3]) made.variants.push_back(template_of(variant, made));
@@ -149,7 +120,7 @@ class RowEncoder {
   }
 
   static Variant template_of(nb::handle given, const Topic &topic) {
-    const std::string message = text(given[0]);
+    const std::string message(view(given[0]));
     Variant made{std::string(kHead, '\0') + message, {}, 0};
     made.record[0] = 5;
     put<std::uint64_t>(&made.record[1], kHead - 9 + message.size());
@@ -232,12 +203,11 @@ class RowEncoder {
 };
 
 }  // namespace
-}  // namespace armlab
+}  // namespace armlab::python
 
-void bind_row_encoder(nb::module_ &m) {
-  using armlab::RowEncoder;
+void armlab::python::bind_row_encoder(nb::module_ &m) {
   nb::class_<RowEncoder>(m, "RowEncoder", "See _native.pyi.")
-      .def(nb::init<nb::sequence>(), nb::arg("topics"))
-      .def("encode", &RowEncoder::encode, nb::arg("rows"), nb::arg("first").none() = nb::none(),
-          nb::arg("at") = 0);
+      .def(nb::init<nb::sequence>(), arg("topics"))
+      .def("encode", &RowEncoder::encode, arg("rows"), arg("first").none() = nb::none(),
+          arg("at") = 0);
 }

@@ -1,17 +1,11 @@
-// Rows of a recording as bytes. Documented in armlab/kernels/_native.pyi.
-#include <algorithm>
-#include <cstddef>
-#include <cstdint>
-#include <cstring>
+// Rows of a recording as bytes, and records of its samples. Documented in _native.pyi.
 #include <iterator>
-#include <string>
-#include <vector>
 
-#include "array/arrays.h"
+#include "wire/bytes.h"
 
 #include <structmember.h>  // after Python.h
 
-namespace armlab {
+namespace armlab::python {
 namespace {
 
 enum Form {
@@ -45,8 +39,7 @@ std::int32_t offset_of(nb::handle kind, nb::handle name) {
   return static_cast<std::int32_t>(offsetof(PyTupleObject, ob_item) + item * sizeof(PyObject *));
 }
 
-// What is needed of each place in each cycle. Small, since a loop that sleeps finds all of it out
-// of the caches.
+// What is needed of each place in each cycle: small, since after a sleep none of it is cached.
 struct Place {
   std::int32_t offset;
   std::uint32_t start, size;
@@ -60,11 +53,6 @@ struct About {
   std::string column;
   nb::object field, codes;
 };
-
-template <class T>
-void put(char *to, T value) {
-  std::memcpy(to, &value, sizeof value);
-}
 
 double real(nb::handle value) {
   const double number = PyFloat_AsDouble(value.ptr());
@@ -106,7 +94,7 @@ nb::object dict(nb::object record) {
 // numpy.asarray(value, dtype), contiguous.
 nb::object plain(nb::handle value, int type) {
   if (PyArray_CheckExact(value.ptr())) {
-    auto *array = reinterpret_cast<PyArrayObject *>(value.ptr());
+    PyArrayObject *array = as_array(value);
     if (PyArray_TYPE(array) == type && PyArray_IS_C_CONTIGUOUS(array) &&
         PyArray_ISNOTSWAPPED(array))
       return nb::borrow(value);
@@ -223,27 +211,21 @@ class RowPacker {
   void write(std::size_t k, nb::handle value, std::string &row) const {
     const Place &place = places_[k];
     char *to = row.data() + place.start;
-    switch (place.form) {
-      case kCount:
-        return put(to, whole(value));
-      case kReal:
-        return put(to, real(value));
-      case kFlag:
-        return place.size == 1 ? put<char>(to, truth(value)) : put<std::int64_t>(to, truth(value));
-      case kCode:
-        return put(to, code(abouts_[k].codes, value));
-      case kSaid:
-        return value.is_none() ? void() : put(to, real(value));
-      case kHeard: {
-        const Place &other = places_[place.heard];
-        const bool heard = truth(value);
-        if (heard || row.compare(other.start, other.size, empty_, other.start, other.size) != 0)
-          put(to, heard ? 1.0 : 0.0);
-        return;
-      }
-      default:
-        return value.is_none() ? void() : write_array(k, value, to);
+    if (place.form == kCount) return put(to, whole(value));
+    if (place.form == kReal) return put(to, real(value));
+    if (place.form == kCode) return put(to, code(abouts_[k].codes, value));
+    if (place.form == kFlag && place.size == 1) return put<char>(to, truth(value));
+    if (place.form == kFlag) return put<std::int64_t>(to, truth(value));
+    if (place.form == kHeard) {
+      const Place &other = places_[place.heard];
+      const bool heard = truth(value);
+      if (heard || row.compare(other.start, other.size, empty_, other.start, other.size) != 0)
+        put(to, heard ? 1.0 : 0.0);
+      return;
     }
+    if (value.is_none()) return;
+    if (place.form == kSaid) put(to, real(value));
+    else write_array(k, value, to);
   }
 
   void write_array(std::size_t k, nb::handle value, char *to) const {
@@ -257,7 +239,7 @@ class RowPacker {
       if (place.form == kFitting && is_no_array) return;
       throw;
     }
-    auto *array = reinterpret_cast<PyArrayObject *>(held.ptr());
+    PyArrayObject *array = as_array(held);
     const std::size_t bytes = static_cast<std::size_t>(PyArray_NBYTES(array));
     if (place.form == kPadded) {
       std::memcpy(to, PyArray_DATA(array), std::min<std::size_t>(bytes, place.size));
@@ -270,7 +252,7 @@ class RowPacker {
 
   void write_bits(std::size_t k, nb::handle value, char *to) const {
     const nb::object held = plain(value, NPY_UINT8);
-    auto *array = reinterpret_cast<PyArrayObject *>(held.ptr());
+    PyArrayObject *array = as_array(held);
     const auto count = static_cast<std::size_t>(PyArray_SIZE(array));
     const auto *bits = static_cast<const std::uint8_t *>(PyArray_DATA(array));
     const std::size_t size = places_[k].size, width = places_[k].form == kWide ? 8 : 1;
@@ -294,14 +276,47 @@ class RowPacker {
   std::size_t short_ = std::string::npos;
 };
 
-}  // namespace
-}  // namespace armlab
+// Instances of a class with slots, without its __init__.
+class RecordMaker {
+ public:
+  RecordMaker(nb::handle kind, nb::sequence names) : kind_(nb::borrow(kind)) {
+    if (!PyType_Check(kind.ptr())) throw nb::type_error("Expected a class with slots.");
+    for (nb::handle name : names) {
+      const nb::object slot = nb::getattr(kind, name, nb::none());
+      if (!PyObject_TypeCheck(slot.ptr(), &PyMemberDescr_Type))
+        raise_shape_error(
+            std::string("Expected slots of the class, got ") + nb::str(name).c_str() + ".");
+      offsets_.push_back(reinterpret_cast<PyMemberDescrObject *>(slot.ptr())->d_member->offset);
+    }
+  }
 
-void bind_row_packer(nb::module_ &m) {
-  using armlab::RowPacker;
+  nb::object make(nb::tuple values) const {
+    if (values.size() != offsets_.size())
+      raise_shape_error("Expected one value for each of " + std::to_string(offsets_.size()) +
+                        " slots, got " + std::to_string(values.size()) + ".");
+    auto *type = reinterpret_cast<PyTypeObject *>(kind_.ptr());
+    nb::object made = nb::steal(type->tp_alloc(type, 0));
+    if (!made.is_valid()) throw nb::python_error();
+    for (std::size_t k = 0; k < offsets_.size(); ++k)
+      *reinterpret_cast<PyObject **>(reinterpret_cast<char *>(made.ptr()) + offsets_[k]) =
+          nb::object(values[k]).release().ptr();
+    return made;
+  }
+
+ private:
+  nb::object kind_;
+  std::vector<Py_ssize_t> offsets_;
+};
+
+}  // namespace
+}  // namespace armlab::python
+
+void armlab::python::bind_row_packer(nb::module_ &m) {
   nb::class_<RowPacker>(m, "RowPacker", "See _native.pyi.")
-      .def(nb::init<nb::tuple, nb::sequence, nb::str>(), nb::arg("kinds"), nb::arg("places"),
-          nb::arg("seldom"))
-      .def("pack", &RowPacker::pack, nb::arg("state").none(), nb::arg("command").none(),
-          nb::arg("tick").none());
+      .def(nb::init<nb::tuple, nb::sequence, nb::str>(), arg("kinds"), arg("places"), arg("seldom"))
+      .def(
+          "pack", &RowPacker::pack, arg("state").none(), arg("command").none(), arg("tick").none());
+  nb::class_<RecordMaker>(m, "RecordMaker", "See _native.pyi.")
+      .def(nb::init<nb::handle, nb::sequence>(), arg("kind"), arg("names"))
+      .def("make", &RecordMaker::make, arg("values"));
 }

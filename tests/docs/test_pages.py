@@ -56,7 +56,7 @@ def peers() -> dict[str, Any]:
 NAMES: dict[str, Callable[[], dict[str, Any]]] = {"conventions.md": peers}
 
 
-SLOW = ("robotlab", "weigh_a_load", "from_robotlib")  # 5 s each: they identify a whole arm
+SLOW = ("robotlab", "weigh_a_load", "from_robotlib", "watch_in_the_browser")  # they identify a whole arm, or wait
 
 
 @pytest.mark.parametrize(
@@ -86,14 +86,14 @@ def test_the_functions_of_robotlib_agree_with_each_other(name: str) -> None:
     assert (ahead - behind)[:3, 3] == pytest.approx(2 * found["jacobian"](q.q[0])[:3] @ step, abs=1e-13)
 
 
-@pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
-def test_a_how_to_shows_a_program_that_runs(page: Path) -> None:
+def test_a_how_to_shows_a_program_that_runs() -> None:
     """A file of examples/, which tests/examples runs, or blocks, which run here; or a file of settings that is one."""
-    text = page.read_text(encoding="utf-8")
-    shown = re.findall(r"literalinclude\} \.\./\.\./(examples/\w+\.py)", text)
-    settings = [tomllib.loads(block) for block in re.findall(r"^```toml\n(.*?)^```$", text, flags=re.M | re.S)]
-    assert shown or programs(page) or any(settings)
-    assert all((DOCS.parent / name).exists() for name in shown)
+    for page in HOW_TO:
+        text = page.read_text(encoding="utf-8")
+        shown = re.findall(r"literalinclude\} \.\./\.\./(examples/\w+\.py)", text)
+        settings = [tomllib.loads(block) for block in re.findall(r"^```toml\n(.*?)^```$", text, flags=re.M | re.S)]
+        assert shown or programs(page) or any(settings), page.stem
+        assert all((DOCS.parent / name).exists() for name in shown), page.stem
 
 
 def test_commands_on_the_pages_are_those_of_the_program() -> None:

@@ -30,6 +30,11 @@ LONG = (
     *("03_identify.py", "04_contact_force.py", "12_source_report.py", "15_lead_through.py", "16_stop_on_contact.py"),
     *("26_hold_and_recover.py", "27_both_arms_wait.py", "31_turned_goal.py", "32_wiping.py"),
 )
+SLOW = {
+    *LONG, "10_draw_an_arm.py", "14_sine.py", "17_impedance.py", "18_sensor_in_the_loop.py", "19_teleoperation.py",
+    "22_calibrate_force_sensor.py", "23_calibrate_kinematics.py", "24_calibrate_laser.py", "25_profiles.py",
+    "28_two_link.py", "35_many_logs.py",
+}  # fmt: skip
 LONGEST = 120  # s, generous for a busy machine; each takes less than 30 s on a quiet one
 MAX_LINES = 40
 PRINTED: dict[tuple[Path, str], str] = {}
@@ -70,7 +75,7 @@ def run_file(path: Path, folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in LONG else ()) for n in EXAMPLES])
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in EXAMPLES])
 def test_example_runs(name: str, folder: Path) -> None:
     printed = run(name, folder)
     assert printed.strip()
@@ -112,17 +117,13 @@ def test_the_kinematics_of_the_readme_run(folder: Path) -> None:
     assert run_file(path, folder).startswith("Solved to ")
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_example_is_short_and_says_what_it_does(name: str) -> None:
-    text = EXAMPLES[name].read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= MAX_LINES
-    assert ast.get_docstring(ast.parse(text))
-
-
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_example_is_on_a_page(name: str) -> None:
+def test_examples_are_short_say_what_they_do_and_are_on_a_page() -> None:
     pages = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs").rglob("*.md"))
-    assert f"examples/{name}" in pages, "show it with literalinclude"
+    for name, path in EXAMPLES.items():
+        text = path.read_text(encoding="utf-8")
+        assert len(text.splitlines()) <= MAX_LINES, name
+        assert ast.get_docstring(ast.parse(text)), name
+        assert f"examples/{name}" in pages, "show it with literalinclude"
 
 
 def test_numbers_have_no_holes() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,22 +22,6 @@ def screw_x(alpha: float, a: float) -> np.ndarray:
     """Tx(a) Rx(alpha)."""
     c, s = np.cos(alpha), np.sin(alpha)
     return np.array([[1, 0, 0, a], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1.0]])
-
-
-@pytest.fixture(scope="session")
-def from_dh() -> Callable[..., Chain]:
-    """Build a chain of revolute joints from standard DH rows, ``A = Rz(q + offset) Tz(d) Tx(a) Rx(alpha)``."""
-
-    def build(
-        alpha: Sequence[float], a: Sequence[float], d: Sequence[float], offset: Sequence[float], mount: np.ndarray
-    ) -> Chain:
-        offsets = [*offset, 0.0]
-        frames = [mount @ screw_z(offsets[0], 0.0)]
-        for i in range(len(alpha)):
-            frames.append(screw_z(0.0, d[i]) @ screw_x(alpha[i], a[i]) @ screw_z(offsets[i + 1], 0.0))
-        return Chain(np.stack(frames), np.zeros(len(alpha), dtype=bool))
-
-    return build
 
 
 @pytest.fixture(params=range(6), ids="seed{}".format)

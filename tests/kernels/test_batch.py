@@ -194,7 +194,7 @@ def test_sine_and_cosine_to_rounding() -> None:
     """Errors below 2.5e-16, also where the reduction cancels, next to multiples of a right angle."""
     rng = np.random.default_rng(6)
     multiples = np.pi / 2 * rng.integers(-600_000, 600_000, 50_000)
-    angles = [rng.uniform(-4, 4, 200_000), rng.uniform(-1e6, 1e6, 50_000), multiples, np.nextafter(multiples, 0)]
+    angles = [rng.uniform(-4, 4, 50_000), rng.uniform(-1e6, 1e6, 50_000), multiples, np.nextafter(multiples, 0)]
     angles += [multiples + rng.normal(size=50_000) * 10.0 ** rng.uniform(-16, 0, 50_000)]
     x = np.clip(np.concatenate(angles), -1e6, 1e6)
     T = Chain(np.tile(np.eye(4), (2, 1, 1)), [False]).forward(x[:, None])

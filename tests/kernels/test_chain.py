@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from threading import Thread
 from typing import Any
 
@@ -77,7 +77,7 @@ def assert_same(native: Any, reference: Any) -> None:
 
 
 @given(cases())
-@settings(max_examples=60)
+@settings(max_examples=40)
 def test_native_is_the_reference(case: tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]) -> None:
     frames, prismatic, inputs = case
     native, reference = (module.Chain(frames, prismatic) for module in (kernels, oracles))
@@ -203,52 +203,6 @@ def test_slightly_rough_rotations_are_projected() -> None:
     np.testing.assert_allclose(R, frames[:, :3, :3], rtol=0, atol=3e-7)
 
 
-@pytest.fixture
-def planar() -> Chain:
-    """Two links of 1 m and 0.5 m that turn about z."""
-    frames = np.tile(np.eye(4), (3, 1, 1))
-    frames[1, 0, 3], frames[2, 0, 3] = 1.0, 0.5
-    return Chain(frames, [False, False])
-
-
-def test_forward_of_two_links(planar: Chain) -> None:
-    T = planar.forward([np.pi / 2, -np.pi / 2])
-    np.testing.assert_allclose(T[:3, 3], [0.5, 1.0, 0.0], rtol=0, atol=1e-15)
-    np.testing.assert_allclose(T[:3, :3], np.eye(3), rtol=0, atol=1e-15)
-
-
-def test_jacobian_of_two_links(planar: Chain) -> None:
-    J = planar.jacobian([0.0, np.pi / 2])
-    np.testing.assert_allclose(J[[0, 1, 5]], [[-0.5, -0.5], [1.0, 0.0], [1.0, 1.0]], rtol=0, atol=1e-15)
-    J_tool = planar.jacobian([0.0, np.pi / 2], tool=True)
-    np.testing.assert_allclose(J_tool[[0, 1, 5]], [[1.0, 0.0], [0.5, 0.5], [1.0, 1.0]], rtol=0, atol=1e-15)
-
-
-def test_sliding_joint() -> None:
-    lift = Chain(np.tile(np.eye(4), (2, 1, 1)), [True])
-    np.testing.assert_allclose(lift.forward([0.3])[:3, 3], [0.0, 0.0, 0.3])
-    np.testing.assert_allclose(lift.jacobian([0.3])[:, 0], [0, 0, 1, 0, 0, 0])
-    pi = np.zeros((1, 10))
-    pi[0, 0] = 2.0
-    np.testing.assert_allclose(lift.rnea([0.3], [1.0], [0.5], [0.0, 0.0, -9.81], pi), [2.0 * (0.5 + 9.81)])
-
-
-def test_gravity_of_a_lever() -> None:
-    """A mass m at distance r on a horizontal axis needs m g r cos(q)."""
-    flat = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
-    lever = Chain(np.stack([flat, np.eye(4)]), [False])
-    q = np.linspace(-3, 3, 7)[:, None]
-    Y = lever.rigid_regressor(q, 0 * q, 0 * q, [0.0, 0.0, -9.81])[..., :4]
-    np.testing.assert_allclose(Y @ [2.0, 2.0 * 0.3, 0.0, 0.0], 2.0 * 0.3 * 9.81 * np.cos(q), rtol=0, atol=1e-14)
-
-
-def test_regressor_of_a_spinning_wheel() -> None:
-    """About its own axis only Izz counts."""
-    wheel = Chain(np.tile(np.eye(4), (2, 1, 1)), [False])
-    Y = wheel.rigid_regressor([0.4], [3.0], [2.0], [0.0, 0.0, -9.81])
-    np.testing.assert_allclose(Y[0], [0, 0, 0, 0, 0, 0, 0, 0, 0, 2.0], rtol=0, atol=1e-15)
-
-
 def product_of_exponentials(chain: Chain, q: np.ndarray) -> np.ndarray:
     """T_base_tool by matrix products, independent of kernel and oracle."""
     T = chain.frames[0]
@@ -311,11 +265,11 @@ def test_power(chain: Chain) -> None:
     assert qd @ (J_tool.T @ wrench_tool) == pytest.approx(power, abs=1e-12)
 
 
-def test_nearly_parallel_axes(from_dh: Callable[..., Chain]) -> None:
+def test_nearly_parallel_axes() -> None:
     """Common normals far away or undefined do no harm."""
     for alpha in (0.0, 1e-15, 1e-9, 1e-5, np.pi - 1e-9, np.pi):
-        frames = from_dh([alpha] * 4, [0.3] * 4, [0.1] * 4, [0.2, -2.0, 3.0, 1.0], np.eye(4)).frames
-        frames[:, 1, 3] += 0.05  # not a DH frame any more
+        turns = (0.2, -2.0, 3.0, 1.0, 0.0)
+        frames = np.stack([pose((alpha, 0.0, turn, 0.3, 0.05, 0.1)) for turn in turns])
         chain = Chain(frames, [False] * 4)
         q = np.array([0.4, -1.0, 2.0, 3.0])
         np.testing.assert_allclose(chain.forward(q), product_of_exponentials(chain, q), rtol=0, atol=1e-14)

@@ -18,38 +18,29 @@ from armlab.log import Table
 from armlab.models.torque import FORCE_RATES, PRIOR
 
 from .. import oracles
-from ..oracles.momentum import leak_integrals
 from ..oracles.wrench import METHODS
 
 NAMES = ("F", "P", "observability", "error", "variance", "flags", "active", "interval")
 
 
+def both(model: SimpleNamespace, kind: str, extra: tuple[object, ...], own: tuple[object, ...]) -> tuple[Any, Any]:
+    """The same estimator compiled and as its oracle, with every kind of covariance."""
+    c, made = model.covariance, []
+    for module in (kernels, oracles):
+        chain = module.Chain(model.frames, model.prismatic)
+        drive = module.Drive(model.friction.rows, model.ripple.rows, *extra)
+        covariance = np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3])
+        rigid = chain, model.gravity, model.link_parameters, model.rotor, drive
+        made.append(getattr(module, kind)(*rigid, np.linspace(0.95, 1.05, 7), 0.03**2, covariance, *own))
+    return made[0], made[1]
+
+
 def twins(
     model: SimpleNamespace, method: int = 0, point: np.ndarray | None = None, extra: tuple[object, ...] = ()
 ) -> tuple[Any, Any]:
-    """The same estimator compiled and as its oracle."""
-    made = []
-    for module in (kernels, oracles):
-        c = model.covariance
-        chain = module.Chain(model.frames, model.prismatic)
-        made.append(
-            module.WrenchEstimator(
-                chain,
-                model.gravity,
-                model.link_parameters,
-                model.rotor,
-                module.Drive(model.friction.rows, model.ripple.rows, *extra),
-                np.linspace(0.95, 1.05, 7),
-                0.03**2,
-                np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3]),
-                np.stack([model.bound.torque, model.bound.speed, model.bound.floor]),
-                np.array([400.0, 400, 400, 4, 4, 4]),
-                10.0,
-                method,
-                point,
-            )
-        )
-    return made[0], made[1]
+    bound = np.stack([model.bound.torque, model.bound.speed, model.bound.floor])
+    own = bound, np.array([400.0, 400, 400, 4, 4, 4]), 10.0, method, point
+    return both(model, "WrenchEstimator", extra, own)
 
 
 # Torque error and its variance to 1e-12 of their scale; what passes a solution of equations to 1e-11, without a prior
@@ -103,46 +94,25 @@ WAYS = {"observer": (False, False), "kf": (True, False), "kf with bias": (True, 
 
 
 def momentum_twins(model: SimpleNamespace, way: str, point: np.ndarray | None = None) -> tuple[Any, Any]:
-    """The same estimator compiled and as its oracle, with warm-up and every kind of covariance."""
+    """The same of the momentum, with warm-up."""
     rate, prior = np.square(FORCE_RATES["normal"]), np.square(PRIOR)
-    c = model.covariance
     warm_up = np.tile([[0.2], [-0.3], [60.0], [1.0], [0.1]], 7)
-    made = []
-    for module in (kernels, oracles):
-        made.append(
-            module.MomentumEstimator(
-                module.Chain(model.frames, model.prismatic),
-                model.gravity,
-                model.link_parameters,
-                model.rotor,
-                module.Drive(model.friction.rows, model.ripple.rows, None, None, warm_up),
-                np.linspace(0.95, 1.05, 7),
-                0.03**2,
-                np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3]),
-                prior,
-                np.linspace(0.02, 0.05, 7),
-                np.linspace(1e-3, 2e-3, 7),
-                rate,
-                np.linspace(0, 0.5, 6),
-                30.0,
-                *WAYS[way],
-                point,
-            )
-        )
-    return made[0], made[1]
+    memory, qd_noise, leak = np.linspace(0.02, 0.05, 7), np.linspace(1e-3, 2e-3, 7), np.linspace(0, 0.5, 6)
+    own = prior, memory, qd_noise, rate, leak, 30.0, *WAYS[way], point
+    return both(model, "MomentumEstimator", (None, None, warm_up), own)
 
 
 @pytest.mark.parametrize("point", [None, POINT], ids=["wrench", "point"])
 @pytest.mark.parametrize("way", sorted(WAYS))
 def test_momentum_estimators_agree(model: SimpleNamespace, excited: Table, way: str, point: np.ndarray | None) -> None:
     """In motion, at rest, over a lost sample, over a gap, over samples that are broken, and after a tare."""
-    log = excited.between(0.0, 0.36)
+    log = excited.between(0.0, 0.24)
     q, qd, tau, dt = (np.array(a) for a in (log["q"], log["qd"], log["tau"], log.dt))
-    dt[20], dt[35] = 0.008, 0.5
-    tau[30, 2], tau[45, 1] = np.nan, 1e200
-    q[55:], qd[55:], dt[55:] = q[55], 0.0, 0.016
+    dt[12], dt[20] = 0.008, 0.5
+    tau[18, 2], tau[27, 1] = np.nan, 1e200
+    q[33:], qd[33:], dt[33:] = q[33], 0.0, 0.016
     compiled, plain = momentum_twins(model, way, point)
-    for part in (slice(0, 86), slice(86, 90)):
+    for part in (slice(0, 56), slice(56, 60)):
         outputs = (
             compiled.run(q[part], qd[part], tau[part], dt[part]),
             plain.run(q[part], qd[part], tau[part], dt[part]),
@@ -155,8 +125,8 @@ def test_momentum_estimators_agree(model: SimpleNamespace, excited: Table, way: 
             np.testing.assert_allclose(a, b, rtol=0.0, atol=accuracy * np.nanmax(np.abs(b)), err_msg=name)
         assert outputs[0][7] is outputs[1][7] is None
         if part.start == 0:
-            assert np.isnan(outputs[0][0][[30, 45]]).all()
-            assert np.isfinite(outputs[0][0][[29, 31, 46]]).all()
+            assert np.isnan(outputs[0][0][[18, 27]]).all()
+            assert np.isfinite(outputs[0][0][[17, 19, 28]]).all()
             assert compiled.tare() is plain.tare() is (way == "kf with bias")
     assert np.all((outputs[0][5] & 32 > 0) == (way == "kf with bias"))
 
@@ -264,11 +234,6 @@ def test_a_step_without_information_is_van_loans(seed: int, leak: float, mixed: 
     np.testing.assert_allclose(new_P, Phi @ P @ Phi.T + Q, rtol=0, atol=1e-12 * np.abs(new_P).max())
     quiet = oracles.momentum_step(x, 0 * P, G, u, moved[:n], np.eye(n) * 1e15, H, Qp, q, a)[1]
     np.testing.assert_allclose(quiet, Q, rtol=1e-9, atol=1e-18)
-
-
-def test_the_series_meets_the_closed_form() -> None:
-    below, above = (leak_integrals(np.array([a]), 1.0)[4][0] for a in (0.02 * (1 - 1e-9), 0.02 * (1 + 1e-9)))
-    assert below == pytest.approx(above, rel=1e-9)
 
 
 @pytest.mark.parametrize("intensity", [2.0, 20.0, 200.0])

@@ -1,8 +1,6 @@
-"""Laws of the dynamic kernels, and the golden values of the synthetic YuMi."""
+"""Laws of the dynamic kernels."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -126,55 +124,3 @@ def test_double_pendulum_of_the_textbook() -> None:
     tau2 = common + m2 * l1 * l2 * (c2 * a1 + s2 * w1**2)
     tau = chain.rnea([q1, q2], [w1, w2], [a1, a2], [0.0, 0.0, -g], pi)
     np.testing.assert_allclose(tau, [tau1, tau2], rtol=0, atol=1e-13)
-
-
-# The synthetic YuMi: geometry of the arm, masses of an assumption (never a measured robot).
-ALPHA = np.array([-1, 1, -1, 1, -1, 1, 0]) * np.pi / 2
-A = np.array([-0.030, 0.030, 0.0405, -0.0405, 0.0135, -0.027, 0.0])
-D = np.array([0.110, 0.0, 0.2465, 0.0, 0.265, 0.0, 0.032])
-OFFSET = np.array([0, 0, 0, 1, 0, 0, 0]) * np.pi / 2
-MASS = np.array([1.7, 1.6, 1.4, 1.1, 0.9, 0.5, 0.2])
-HOME = np.deg2rad([0, -130, 135, 30, 0, 40, 0])
-
-
-def cylinders() -> np.ndarray:
-    """(7, 10) solid cylinders, radius 45 mm, along the vector p from link frame to the next, centred on p/2."""
-    pi = np.zeros((7, 10))
-    for row, mass, a, d in zip(pi, MASS, A, D):
-        p = np.array([a, 0.0, d])
-        length, axis, centre = max(np.linalg.norm(p), 0.06), p / np.linalg.norm(p), p / 2
-        across, along = mass * (3 * 0.045**2 + length**2) / 12, mass * 0.045**2 / 2
-        inertia = across * np.eye(3) + (along - across) * np.outer(axis, axis)
-        inertia += mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-        row[0], row[1:4], row[4:] = mass, mass * centre, inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    return pi
-
-
-def mount(side: str) -> np.ndarray:
-    sign = 1.0 if side == "left" else -1.0
-    w, x, y, z = np.array([0.82888, -0.31402 * sign, 0.40801, -0.2188 * sign]) / 0.9999984
-    T = np.eye(4)
-    T[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    T[:3, 3] = 0.0476, 0.07 * sign, 0.4115
-    return T
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_golden_values_of_the_synthetic_yumi(from_dh: Callable[..., Chain], side: str) -> None:
-    chain = from_dh(ALPHA, A, D, OFFSET, mount(side))
-    mirror = np.array([1, 1, 1, 1, 1, 1, 1.0])
-    home, y = HOME.copy(), 0.186292
-    if side == "right":
-        mirror[[0, 2, 4]] = -1.0
-        home[2], y = -home[2], -y
-    np.testing.assert_allclose(chain.forward(home)[:3, 3], [-0.018163, y, 0.195626], rtol=0, atol=1e-6)
-    rest = np.zeros(7)
-    G = chain.rnea(home, rest, rest, [0.0, 0.0, -9.81], cylinders())
-    golden = np.array([6.20953, 5.37511, -0.02260, 0.53069, -0.00042, -0.02481, 0.0])
-    np.testing.assert_allclose(G, mirror * golden, rtol=0, atol=6e-6)
-    M = mass_matrix(chain, home, cylinders())
-    np.testing.assert_allclose(np.diag(M), [0.1636, 0.1976, 0.1013, 0.0803, 0.0016, 0.0009, 0.0002], rtol=0, atol=6e-5)

@@ -69,6 +69,7 @@ def so3_case(rng, batch, sampler) -> SimpleNamespace:
     w = [sampler(rng, batch) for _ in range(3)]
     elements = [so3.exp(v) for v in w]
     return SimpleNamespace(
+        sampler=sampler,
         exp=so3.exp, log=so3.log, multiply=np.matmul, inverse=lambda R: np.swapaxes(R, -1, -2),
         identity=np.eye(3), vectors=w, elements=elements,
     )  # fmt: skip
@@ -77,6 +78,7 @@ def so3_case(rng, batch, sampler) -> SimpleNamespace:
 def se3_case(rng, batch, sampler) -> SimpleNamespace:
     xi = [twists(rng, batch, sampler) for _ in range(3)]
     return SimpleNamespace(
+        sampler=sampler,
         exp=se3.exp, log=se3.log, multiply=np.matmul, inverse=se3.inv,
         identity=np.eye(4), vectors=xi, elements=[se3.exp(v) for v in xi],
     )  # fmt: skip
@@ -89,30 +91,35 @@ def quaternion_case(rng, batch, sampler) -> SimpleNamespace:
         return quaternion.from_matrix(so3.exp(v))
 
     return SimpleNamespace(
+        sampler=sampler,
         exp=exp, log=lambda q: so3.log(quaternion.to_matrix(q)), multiply=quaternion.multiply,
         inverse=quaternion.conjugate, identity=np.array([1.0, 0, 0, 0]), vectors=w, elements=[exp(v) for v in w],
     )  # fmt: skip
 
 
-@pytest.fixture(params=[so3_case, se3_case, quaternion_case], ids=["so3", "se3", "quaternion"])
-def case(request: pytest.FixtureRequest, batch: tuple[int, ...], sampler) -> SimpleNamespace:
-    return request.param(np.random.default_rng(1), batch, sampler)
+def everywhere(law: Callable[..., None]) -> Callable[[], None]:
+    """Make one test of a law for every shape of a batch, and every region of the group."""
+
+    def test() -> None:
+        for sampler, batch in DRAWN:
+            try:
+                law(batch, sampler)
+            except AssertionError as error:
+                error.add_note(f"{sampler.__name__}, batch {batch}")
+                raise
+
+    return test
 
 
-@pytest.fixture(params=DRAWN, ids=lambda drawn: f"{drawn[0].__name__}-{drawn[1]}")
-def drawn(request: pytest.FixtureRequest):
-    """Every shape of a batch, and every region of the group."""
-    return request.param
+def of_every_group(law: Callable[[SimpleNamespace], None]) -> Callable[[], None]:
+    """The same for rotations, poses and quaternions."""
 
+    @everywhere
+    def test(batch: tuple[int, ...], sampler: Callable[..., np.ndarray]) -> None:
+        for make in (so3_case, se3_case, quaternion_case):
+            law(make(np.random.default_rng(1), batch, sampler))
 
-@pytest.fixture
-def sampler(drawn):
-    return drawn[0]
-
-
-@pytest.fixture
-def batch(drawn) -> tuple[int, ...]:
-    return drawn[1]
+    return test
 
 
 def distance(a: np.ndarray, b: np.ndarray) -> float:
@@ -125,21 +132,24 @@ def same_side(case: SimpleNamespace, a: np.ndarray, b: np.ndarray) -> np.ndarray
     return np.where((a * b).sum(axis=-1, keepdims=True) < 0, -a, a) if case.identity.ndim == 1 else a
 
 
-def test_log_inverts_exp(case: SimpleNamespace, sampler) -> None:
+@of_every_group
+def test_log_inverts_exp(case: SimpleNamespace) -> None:
     """A half turn has two logarithms: there the exponentials are compared."""
     v = case.vectors[0]
     back = case.log(case.exp(v))
-    if sampler is half_turns:
+    if case.sampler is half_turns:
         v = case.exp(v)
         back = same_side(case, case.exp(back), v)
     assert distance(back, v) <= LAW
 
 
+@of_every_group
 def test_exp_inverts_log(case: SimpleNamespace) -> None:
     a = case.elements[0]
     assert distance(same_side(case, case.exp(case.log(a)), a), a) <= LAW
 
 
+@of_every_group
 def test_inverse(case: SimpleNamespace) -> None:
     a = case.elements[0]
     identity = np.broadcast_to(case.identity, a.shape)
@@ -147,17 +157,20 @@ def test_inverse(case: SimpleNamespace) -> None:
     assert distance(case.multiply(case.inverse(a), a), identity) <= LAW
 
 
+@of_every_group
 def test_associativity(case: SimpleNamespace) -> None:
     a, b, c = case.elements
     assert distance(case.multiply(case.multiply(a, b), c), case.multiply(a, case.multiply(b, c))) <= LAW
 
 
+@of_every_group
 def test_identity(case: SimpleNamespace) -> None:
     a = case.elements[0]
     assert distance(case.multiply(a, np.broadcast_to(case.identity, a.shape)), a) == 0
     assert distance(case.exp(np.zeros_like(case.vectors[0])), np.broadcast_to(case.identity, a.shape)) == 0
 
 
+@of_every_group
 def test_closure(case: SimpleNamespace) -> None:
     """A product is a member again: it equals the exponential of its logarithm."""
     a, b, _ = case.elements
@@ -166,6 +179,7 @@ def test_closure(case: SimpleNamespace) -> None:
     assert distance(same_side(case, again, product), product) <= LAW
 
 
+@everywhere
 def test_adjoint_is_a_homomorphism(batch: tuple[int, ...], sampler) -> None:
     case = se3_case(np.random.default_rng(2), batch, sampler)
     T_a_b, T_b_c, _ = case.elements
@@ -173,6 +187,7 @@ def test_adjoint_is_a_homomorphism(batch: tuple[int, ...], sampler) -> None:
     assert distance(se3.adjoint_inv(T_a_b), np.linalg.inv(se3.adjoint(T_a_b))) <= LAW
 
 
+@everywhere
 def test_adjoint_moves_twists(batch: tuple[int, ...], sampler) -> None:
     case = se3_case(np.random.default_rng(3), batch, sampler)
     T, xi = case.elements[0], case.vectors[1]
@@ -180,6 +195,7 @@ def test_adjoint_moves_twists(batch: tuple[int, ...], sampler) -> None:
     assert distance((se3.adjoint(T) @ xi[..., None])[..., 0], moved) <= LAW
 
 
+@everywhere
 def test_power_does_not_depend_on_the_frame(batch: tuple[int, ...], sampler) -> None:
     case = se3_case(np.random.default_rng(4), batch, sampler)
     T_a_b, twist_b, wrench_b = case.elements[0], *case.vectors[1:]
@@ -190,19 +206,21 @@ def test_power_does_not_depend_on_the_frame(batch: tuple[int, ...], sampler) -> 
     assert distance(by_adjoint[..., 0], wrench_a) <= LAW
 
 
-@pytest.mark.parametrize("group", [so3, se3], ids=["so3", "se3"])
-def test_left_jacobians(group, batch: tuple[int, ...], sampler) -> None:
+@everywhere
+def test_left_jacobians(batch: tuple[int, ...], sampler) -> None:
     """``Ad(exp(x)) J(-x) = J(x)`` (left from right), the inverse, and ``J(x) x = x``."""
-    rng = np.random.default_rng(6)
-    x = sampler(rng, batch) if group is so3 else twists(rng, batch, sampler)
-    J, J_inv = group.left_jacobian(x), group.left_jacobian_inv(x)
-    Ad = so3.exp(x) if group is so3 else se3.adjoint(se3.exp(x))
-    assert distance(Ad @ group.left_jacobian(-x), J) <= LAW
-    assert distance(J_inv @ J, np.broadcast_to(np.eye(x.shape[-1]), J.shape)) <= LAW
-    assert distance((J @ x[..., None])[..., 0], x) <= LAW
-    assert distance((J_inv @ x[..., None])[..., 0], x) <= LAW
+    for group in (so3, se3):
+        rng = np.random.default_rng(6)
+        x = sampler(rng, batch) if group is so3 else twists(rng, batch, sampler)
+        J, J_inv = group.left_jacobian(x), group.left_jacobian_inv(x)
+        Ad = so3.exp(x) if group is so3 else se3.adjoint(se3.exp(x))
+        assert distance(Ad @ group.left_jacobian(-x), J) <= LAW
+        assert distance(J_inv @ J, np.broadcast_to(np.eye(x.shape[-1]), J.shape)) <= LAW
+        assert distance((J @ x[..., None])[..., 0], x) <= LAW
+        assert distance((J_inv @ x[..., None])[..., 0], x) <= LAW
 
 
+@everywhere
 def test_the_bracket_is_the_adjoint_of_the_algebra(batch: tuple[int, ...], sampler) -> None:
     """``ad(x) y = -ad(y) x``, ``Ad(T) ad(x) Ad(T)⁻¹ = ad(Ad(T) x)``."""
     case = se3_case(np.random.default_rng(7), batch, sampler)
@@ -212,6 +230,7 @@ def test_the_bracket_is_the_adjoint_of_the_algebra(batch: tuple[int, ...], sampl
     assert distance(se3.adjoint(T) @ se3.ad(x) @ se3.adjoint_inv(T), se3.ad(moved)) <= LAW
 
 
+@of_every_group
 def test_interpolation_is_a_flow(case: SimpleNamespace) -> None:
     """The middle of the middle is a quarter of the way."""
     interpolate = {3: so3.interpolate, 4: partial(se3.interpolate, path="screw")}.get(len(case.identity))

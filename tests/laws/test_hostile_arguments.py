@@ -97,7 +97,7 @@ def test_hostile_arguments_are_refused_in_words(package: str, tmp_path: Path, mo
     choose, wrong = random.Random(0), []
     module = importlib.import_module(f"armlab.{package}")
     for path, function in functions(module, package, set()):
-        for _ in range(CALLS):
+        for _ in range(CALLS if package != "plots" else 5):  # each draws a figure
             call = arguments(function, choose)
             if call is None or path == "kernels.Datagrams":  # which takes a socket
                 break

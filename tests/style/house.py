@@ -210,6 +210,7 @@ def fit_walk() -> tuple[int, int]:
     return len(files), deepest
 
 
+@cache
 def measured() -> dict[str, int]:
     """Return each figure by its name."""
     source = [path for path in SOURCE.rglob("*.py") if path not in GENERATED]

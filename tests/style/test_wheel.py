@@ -75,8 +75,10 @@ def wheel(unpacked: Path) -> Path:
     return next(unpacked.parent.glob("armlab-*.whl"))
 
 
-def install(wheel: Path, folder: Path) -> Path:
-    """Make an environment with nothing but the wheel, beside what armlab needs, and return its programs."""
+@pytest.fixture(scope="module")
+def programs(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The programs of an environment with nothing but the wheel, beside what armlab needs."""
+    folder = tmp_path_factory.mktemp("new")
     venv.create(folder)
     (site,) = folder.glob("lib/python*/site-packages")
     (site / "needed.pth").write_text("\n".join(path for path in sys.path if Path(path).name.endswith("-packages")))
@@ -117,18 +119,16 @@ def test_wheel_holds_the_package_and_its_compiled_core(wheel: Path) -> None:
     assert any(name.endswith("licenses/LICENSE") for name in information)
 
 
-def test_installed_wheel_runs_the_compiled_core(wheel: Path, tmp_path: Path) -> None:
-    programs = install(wheel, tmp_path / "new")
+def test_installed_wheel_runs_the_compiled_core(wheel: Path, programs: Path) -> None:
     answer = run(programs, "python", "-W", "error", "-c", PROGRAM).stdout.split()
-    assert Path(answer[0]).is_relative_to(tmp_path)
+    assert Path(answer[0]).is_relative_to(programs.parent)
     assert answer[1:] == ["(4,", "4)", "True"]
     assert run(programs, "armlab", "--version").stdout.strip() == wheel.name.split("-")[1]
 
 
-def test_the_demo_runs_from_the_wheel_without_a_compiler(wheel: Path, tmp_path: Path) -> None:
+def test_the_demo_runs_from_the_wheel_without_a_compiler(wheel: Path, programs: Path, tmp_path: Path) -> None:
     """Of old Linux versions too: what is linked is glibc of 2012, of the C++ library nothing."""
     assert "manylinux_2_17" in wheel.name
-    programs = install(wheel, tmp_path / "new")
     run(programs, "armlab", "demo", "--fast", "-o", str(tmp_path / "demo"), PATH=str(programs))
     assert (tmp_path / "demo" / "summary.json").is_file()
 

@@ -1,8 +1,5 @@
 #include "math/arm/chain.h"
 
-#include <algorithm>
-#include <cmath>
-
 namespace armlab {
 namespace {
 
@@ -24,8 +21,8 @@ Angles zxz(const double *E) {
   return {beta, alpha, gamma};
 }
 
-// Zero for what rounding leaves of it: the entries of a rotation, and lengths in metres, are not
-// known to 1e-15.
+// Zero for what rounding leaves: entries of a rotation and lengths in metres are not known to
+// 1e-15.
 double without_rounding(double x) { return std::fabs(x) < 1e-15 ? 0.0 : x; }
 
 Chain::Twist twist(const Chain::Step &step) {

@@ -1,7 +1,7 @@
-// A serial chain, immutable: T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n, Z = Rz (revolute)
-// or Tz (prismatic).
+// A serial chain, T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n, Z = Rz (revolute) or Tz.
 #pragma once
 
+#include <algorithm>
 #include <array>
 
 #include "math/lie/vec3.h"
@@ -10,17 +10,17 @@ namespace armlab {
 
 constexpr int max_joints = 32;
 
+inline bool finite(const double *values, int n) {
+  return std::all_of(values, values + n, [](double x) { return std::isfinite(x); });
+}
+
 struct Chain {
   // One joint and what follows it, with every E_i = Rz(beta_i) [p_i; Rx(alpha_i)] Rz(gamma_i).
   // Rotations about z merge with those of the neighbouring joints, so a step is Rz(q + offset),
   // Tz(q) of a prismatic joint, a translation by p, and Rx(alpha): at most 54 multiplications and
   // additions instead of 81, for any E_i. What is zero is left out.
-  enum class Twist {
-    none,
-    quarter,
-    minus_quarter,
-    other
-  };  // Rx by 0, 90, -90 degrees: nearly all arms have no other
+  // Twists by 0, 90, -90 degrees: nearly all arms have no other.
+  enum class Twist { none, quarter, minus_quarter, other };
   struct Step {
     double offset;                     // gamma_{i-1} + beta_i
     bool slides, has_x, has_y, has_z;  // prismatic; px, py, pz are not zero

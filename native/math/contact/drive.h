@@ -3,9 +3,6 @@
 // tests/oracles/drive.py states the mathematics.
 #pragma once
 
-#include <algorithm>
-#include <array>
-#include <cmath>
 #include <vector>
 
 #include "math/arm/chain.h"
@@ -63,8 +60,7 @@ struct DriveState {
   double play = 0.0, z = 0.0, warmth = 0.0;
 };
 
-// Lines of torque ripple whose amplitudes depend on speed. coefficients (lines, sides, speeds, 2):
-// cosine and sine.
+// Torque ripple whose amplitudes depend on speed; (lines, sides, speeds, 2): cosine and sine.
 struct RippleLines {
   int speeds = 0, sides = 1;                // two sides: one for each direction, over |qd|
   std::vector<double> cycles;               // of each line, joint by joint
@@ -73,8 +69,7 @@ struct RippleLines {
   std::vector<double> coefficients;
 };
 
-// Friction over position and speed. coefficients (n, 2, positions, speeds), positive direction
-// first.
+// Friction over position and speed: (n, 2, positions, speeds), positive direction first.
 struct FrictionMap {
   int positions = 0, speeds = 0;
   std::vector<double> position_centres, position_widths, speed_centres, speed_widths, coefficients;
@@ -92,8 +87,7 @@ class Drive {
   // The state of joint i at the first position of a record.
   DriveState start(int i, double q) const { return {q, 0.0, warm_up[i].start}; }
 
-  // Its state after a gap, in which nothing is known of the way: as at the first position, but for
-  // the warmth.
+  // Its state after a gap of unknown motion: as at the first position, but for the warmth.
   static DriveState restart(double q, const DriveState &before) { return {q, 0.0, before.warmth}; }
 
   // Moves the state of joint i to position q; returns the displacement that the encoder can tell.

@@ -1,10 +1,7 @@
 #include "math/contact/estimator.h"
 
-#include <algorithm>
-#include <cmath>
 #include <limits>
 
-#include "math/arm/kinematics.h"
 #include "math/arm/rigid_body.h"
 
 namespace armlab {
@@ -14,8 +11,7 @@ constexpr double weak_below = 0.5;
 constexpr double spread_sigmas = 3.0, box_sigmas = 10.0;  // of the interval
 constexpr double pi = 3.14159265358979323846;
 
-// Second-order Butterworth low-pass in state-variable form; a and g follow from the corner
-// frequency and dt.
+// Second-order Butterworth low-pass in state-variable form; a, g from corner frequency and dt.
 double lowpass(double *state, double x, double g, double a) {
   const double v1 = a * (state[0] + g * (x - state[1]));
   const double v2 = state[1] + g * v1;
@@ -30,8 +26,7 @@ void WrenchEstimate::tell(
     const Unknowns &unknowns, const ArmModel &arm, const double *x, const double *covariance) {
   unknowns.wrench(x, covariance, F, P);
   for (int m = 0; m < 6; ++m) {
-    // A moment that cannot be has nothing to hide; without a prior (ls) an axis may be worse known
-    // than it would leave it.
+    // A component excluded by the point has observability 1; without a prior (ls) it may fall to 0.
     const double C = unknowns.variance(arm.prior.data(), m);
     observability[m] = C > 0.0 ? std::max(1.0 - P[7 * m] / C, 0.0) : 1.0;
     if (observability[m] < weak_below) flags |= 2;
@@ -88,8 +83,8 @@ bool WrenchEstimator::advance(
   }
   rnea(p_.chain, q, qd, qdd, p_.gravity.data(), p_.links.data(), rigid);
   for (int i = 0; i < n; ++i) {
-    const double dry_share =
-        has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;  // near rest it is anything within the bound
+    // near rest it is anything within the bound
+    const double dry_share = has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;
     raw[i] = rigid[i] + p_.rotor[i] * qdd[i] +
              p_.drive.torque(i, q[i], qd[i], next[i].drive.state, dry_share) - tau[i] / p_.gains[i];
     if (!(std::fabs(raw[i]) < largest_torque)) return false;
@@ -157,7 +152,7 @@ void WrenchEstimator::solve(const double *q, WrenchEstimate &e) const {
 void WrenchEstimator::intervals(
     const double *A, const Unknowns &unknowns, WrenchEstimate &e) const {
   const int n = this->n(), k = unknowns.k;
-  double spread[max_joints], box[6], ends[12] = {};
+  double spread[max_joints], box[6] = {}, ends[12] = {};
   bool violated[max_joints];
   for (int i = 0; i < n; ++i) spread[i] = e.bound[i] + spread_sigmas * std::sqrt(e.variance[i]);
   for (int a = 0; a < k; ++a) box[a] = box_sigmas * std::sqrt(p_.prior[a]);

@@ -1,10 +1,5 @@
 #include "math/contact/momentum_estimator.h"
-
-#include <algorithm>
-#include <cmath>
-
-#include "math/contact/cholesky.h"
-#include "math/arm/momentum.h"
+#include "math/arm/rigid_body.h"
 
 namespace armlab {
 namespace {
@@ -123,8 +118,7 @@ void MomentumEstimator::observe(
   e.tell(unknowns, p_, x.x, x.P);
 }
 
-// What drives the momentum from outside: the wrench in units of its prior, and the friction errors;
-// with their noise.
+// Inputs of the momentum and their noise: the wrench in units of its prior, friction errors.
 void MomentumEstimator::hidden(const Sample &s, const double *A, double dt, WrenchEstimate &e) {
   const int n = this->n(), k = unknowns(), m = inputs();
   std::fill(G_.begin(), G_.end(), 0.0);

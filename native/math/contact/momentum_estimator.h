@@ -1,14 +1,30 @@
-// Contact wrench by the generalised momentum, without accelerations; tests/oracles/momentum.py
-// states the mathematics.
+// Contact wrench by the generalised momentum; mathematics: tests/oracles/momentum.py.
 #pragma once
 
-#include <array>
-#include <vector>
-
 #include "math/contact/estimator.h"
-#include "math/contact/momentum_filter.h"
 
 namespace armlab {
+
+constexpr int max_inputs = max_joints + 6;
+constexpr int max_states = max_joints + max_inputs;
+
+// Of a leak a over a step h, phi(s) = (1 - e^(-a s)) / a: e^(-a h), phi(h), and the integrals over
+// the step of e^(-2 a s), phi e^(-a s), phi^2.
+struct Leak {
+  double decay, phi, zz, pz, pp;
+};
+Leak leak_integrals(double a, double h);
+
+struct MomentumInputs {
+  int n, m;
+  const double *G;           // (n, m)
+  const double *Qp, *q, *a;  // (n), (m), (m)
+};
+
+// x (n + m) and P (n + m, n + m), row by row, in place; u, y (n), R (n, n). `work` holds 4 (n +
+// m)^2 numbers. False, and nothing changed, without a positive covariance.
+bool momentum_step(const MomentumInputs &inputs, const double *u, const double *y, const double *R,
+    double h, double *x, double *P, double *work);
 
 class MomentumEstimator {
  public:
@@ -16,11 +32,10 @@ class MomentumEstimator {
     using ArmModel::ArmModel;
     std::array<double, max_joints> memory;    // correlation time of the torque error [s]
     std::array<double, max_joints> qd_noise;  // deviation of the measured velocity
-    std::array<double, 6> rate,
-        leak;      // of the wrench: intensity of its walk [N^2/s, (N m)^2/s], leak [1/s]
-    double gain;   // of the observer [1/s]
-    bool filters;  // Kalman filter, else the observer
-    bool biased;   // the filter has a hidden friction error per joint
+    std::array<double, 6> rate, leak;         // of the wrench's walk [N^2/s, (N m)^2/s]; [1/s]
+    double gain;                              // of the observer [1/s]
+    bool filters;                             // Kalman filter, else the observer
+    bool biased;                              // the filter has a hidden friction error per joint
   };
 
   explicit MomentumEstimator(const Parameters &parameters);
@@ -31,8 +46,7 @@ class MomentumEstimator {
   // One sample. All NaN and flag 1 for a sample that is not finite; then nothing has moved.
   void step(
       const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &estimate);
-  // Calls what the torques show now friction; false, and nothing done, unless every joint rests and
-  // friction is hidden.
+  // Calls what the torques show now friction; false unless every joint rests and it is hidden.
   bool tare();
 
  private:
@@ -47,9 +61,8 @@ class MomentumEstimator {
     std::array<Joint, max_joints> joints;
     double known[max_joints], middle[max_joints];  // torque and position in the middle of the step
     double change[max_joints];                     // of the momentum
-    double moved[max_joints],
-        rise[max_joints];  // displacement; variance of the presliding state that rest adds
-    bool apart;            // from the last sample: nothing is known of the time between
+    double moved[max_joints], rise[max_joints];    // displacement; variance of z that rest adds
+    bool apart;  // from the last sample: nothing is known of the time between
   };
 
   int unknowns() const { return p_.at_point ? 3 : 6; }
@@ -65,11 +78,9 @@ class MomentumEstimator {
   Parameters p_;
   std::array<double, max_joints> static_;
   std::array<Joint, max_joints> joints_;
-  std::vector<double> x_, P_, work_;  // of the filter: [p; z; friction error]
-  std::vector<double> M_, R_, G_, Qp_, q_,
-      a_;  // of a step, kept so that nothing is allocated in one
-  double seen_,
-      nominal_;  // share of the wrench that has reached the observer; step of the first sample
+  std::vector<double> x_, P_, work_;            // of the filter: [p; z; friction error]
+  std::vector<double> M_, R_, G_, Qp_, q_, a_;  // of a step, kept so that none allocates
+  double seen_, nominal_;       // share of the wrench that the observer has seen; first step
   bool first_, fresh_, tared_;  // fresh: at the last sample nothing was known of friction yet
 };
 

@@ -1,9 +1,4 @@
-#include "math/contact/momentum_filter.h"
-
-#include <algorithm>
-#include <cmath>
-
-#include "math/contact/cholesky.h"
+#include "math/contact/momentum_estimator.h"
 
 namespace armlab {
 

@@ -1,10 +1,5 @@
 #include "math/contact/wrench.h"
-
-#include <algorithm>
-#include <cmath>
 #include <limits>
-
-#include "math/contact/cholesky.h"
 
 namespace armlab {
 namespace {
@@ -27,8 +22,7 @@ void inverse(const double *L, int k, const double *scale, double *P) {
     for (int j = 0; j < i; ++j) P[k * i + j] = P[k * j + i] = 0.5 * (P[k * i + j] + P[k * j + i]);
 }
 
-// x = K e with P = (I - K A^T) C_F (I - K A^T)^T + K C_tau K^T, which stays positive for any gain K
-// (k, n).
+// x = K e with P = (I - K A^T) C_F (I - K A^T)^T + K C_tau K^T, positive for any gain K (k, n).
 void joseph(const WrenchProblem &p, const double *K, double *x, double *P) {
   const int n = p.n, k = p.k;
   double B[36];
@@ -51,8 +45,7 @@ void joseph(const WrenchProblem &p, const double *K, double *x, double *P) {
 }
 
 // K = C_F A S^-1, S = A^T C_F A + C_tau: needs no inverse of either covariance, and works at
-// singular poses. False for numbers without a digit left, as more joints than unknowns have when
-// next to nothing disturbs them.
+// singular poses. False for numbers without a digit left.
 bool map_gain(const WrenchProblem &p, double *K) {
   const int n = p.n, k = p.k;
   double S[max_joints * max_joints], largest = 0.0;
@@ -73,8 +66,7 @@ bool map_gain(const WrenchProblem &p, double *K) {
   return true;
 }
 
-// As TFRT-7651 prints it: (A C_tau A^T + C_F^-1)^-1 A C_tau e, which is right only for a weight in
-// place of C_tau.
+// As TFRT-7651 prints it: (A C_tau A^T + C_F^-1)^-1 A C_tau e, right if C_tau is a weight.
 bool printed_gain(const WrenchProblem &p, double *K) {
   const int n = p.n, k = p.k;
   double H[36];
@@ -180,8 +172,7 @@ void finish(const BandCost &cost, const double *y, WrenchSolution &s) {
   for (int i = 0; i < cost.p.n; ++i) s.active[i] = cost.beyond[i] != 0.0;
 }
 
-// Semismooth Newton with step halving. A full step that changes no joint's side of its band lands
-// on the solution.
+// Semismooth Newton with step halving; exact once no joint changes its side of the band.
 void newton(const WrenchProblem &p, WrenchSolution &s) {
   const int k = p.k;
   BandCost cost(p);
@@ -245,18 +236,13 @@ void solve_wrench(const WrenchProblem &p, WrenchMethod method, WrenchSolution &s
   s.kkt = 0.0;
   s.singular = false;
   double K[6 * max_joints];
-  switch (method) {
-    case WrenchMethod::map:
-      return map_gain(p, K) ? joseph(p, K, s.x, s.P) : undetermined(p, s);
-    case WrenchMethod::lund:
-      return printed_gain(p, K) ? joseph(p, K, s.x, s.P) : undetermined(p, s);
-    case WrenchMethod::ls:
-      return least_squares(p, s);
-    case WrenchMethod::clip:
-      return clip(p, s);
-    default:
-      return newton(p, s);
+  if (method == WrenchMethod::map || method == WrenchMethod::lund) {
+    const bool found = method == WrenchMethod::map ? map_gain(p, K) : printed_gain(p, K);
+    return found ? joseph(p, K, s.x, s.P) : undetermined(p, s);
   }
+  if (method == WrenchMethod::ls) return least_squares(p, s);
+  if (method == WrenchMethod::clip) return clip(p, s);
+  newton(p, s);
 }
 
 }  // namespace armlab

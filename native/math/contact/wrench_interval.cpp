@@ -1,6 +1,4 @@
 // Twelve small linear programmes by a dual simplex with bounded rows.
-#include <algorithm>
-#include <cmath>
 #include <limits>
 
 #include "math/contact/wrench.h"
@@ -11,8 +9,7 @@ namespace {
 constexpr int pivot_limit = 200;  // 12 were needed at most in 1e5 random problems
 constexpr double tolerance = 1e-10;
 
-// Solves M x = b (or M^T x = b) for M (k, k) by elimination with row pivots; false when M is
-// singular.
+// Solves M x = b (or M^T x = b), M (k, k), by elimination with row pivots; false when singular.
 bool solve(const double *M, int k, bool transposed, const double *b, double *x) {
   double W[6][7];
   for (int i = 0; i < k; ++i) {
@@ -38,8 +35,7 @@ bool solve(const double *M, int k, bool transposed, const double *b, double *x) 
   return true;
 }
 
-// Rows -box <= x_a <= box first, then e_i - spread_i <= A_i^T x <= e_i + spread_i; all in units of
-// the box.
+// Rows -box <= x_a <= box, then e_i - spread_i <= A_i^T x <= e_i + spread_i, in units of the box.
 struct Polytope {
   int k, rows;
   double normal[6 + max_joints][6], low[6 + max_joints], high[6 + max_joints];
@@ -69,8 +65,7 @@ struct Vertex {
 enum class Outcome { found, empty, failed };
 
 // Maximises c^T x. Starts at the corner of the box that c points to, which is dual feasible, and
-// lets in the row that is violated most until none is. `entering` is the last row that could not be
-// let in.
+// lets in the row that is violated most until none is. `entering`: the last row left out.
 Outcome maximise(const Polytope &set, const double *c, Vertex &v, int &entering) {
   const int k = set.k;
   for (int a = 0; a < k; ++a) {

@@ -10,8 +10,7 @@ namespace armlab {
 
 constexpr double least_damping = 1e-12;
 constexpr int grace = 3;  // steps in a row that may fail to be the best before they are taken back
-constexpr double stationary_cosine =
-    1e-2;  // between the residual and what free joints can do about it
+constexpr double stationary_cosine = 1e-2;  // of the residual and what free joints can do about it
 
 // A start is given up when the last `window` steps together left more than `rate` of |e|^2.
 struct Patience {
@@ -96,8 +95,7 @@ class Descent {
   }
 
   // Whether joints could do more elsewhere than at the best posture. Where there are joints enough
-  // for the task, a stationary residual says so; otherwise, that columns of J depend on those
-  // before them.
+  // for the task, a stationary residual says so; otherwise, that columns of J are dependent.
   bool is_singular() const {
     if (chain_.n >= M) return true;
     double Q[M][M];  // orthogonal to each other, by Gram and Schmidt

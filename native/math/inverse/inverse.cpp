@@ -1,10 +1,6 @@
-#include "math/inverse/inverse.h"
-
-#include <type_traits>
 
 #include "array/batch.h"
 #include "math/inverse/descent.h"
-#include "math/inverse/random.h"
 #include "math/inverse/self_motion.h"
 
 namespace armlab {
@@ -12,10 +8,9 @@ namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double pi = 3.14159265358979323846;
-constexpr double over_limits =
-    0.5;  // how far postures of the second half reach over them, in ranges, to be moved back
-constexpr int few_starts =
-    10;  // beyond reach, or to learn whether it is the limits that are in the way
+// How far postures of the second half reach over the limits, in ranges, to be moved back.
+constexpr double over_limits = 0.5;
+constexpr int few_starts = 10;  // beyond reach, or to learn whether limits are in the way
 
 Vec3<double> direction_across(const Vec3<double> &axis) {
   const double x = std::fabs(axis.x), y = std::fabs(axis.y), z = std::fabs(axis.z);
@@ -37,9 +32,8 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
     const double *home, std::uint64_t seed)
     : chain_(chain), angles_(postures * chain.n), poses_(12 * postures) {
   const int n = chain.n;
-  double slides[max_joints + 1] = {},
-                             lengths =
-                                 0.0;  // how far joint i moves its link from where it is at zero
+  // How far joint i moves its link from where it is at zero.
+  double slides[max_joints + 1] = {}, lengths = 0.0;
   for (int i = 0; i < n; ++i) {
     limits_.low[i] = low[i];
     limits_.high[i] = high[i];
@@ -60,8 +54,7 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
     double *q = &angles_[k * n];
     const double over = k < postures / 2 ? 0.0 : over_limits;
     for (int i = 0; i < n; ++i) {
-      // Without an end on one side: a turn, or twice the length of the arm, from the other or about
-      // zero.
+      // Without one end: a turn, or twice the arm's length, from the other or about zero.
       const double range = chain.steps[i].slides ? 2.0 * lengths : 2.0 * pi;
       const bool below = std::isfinite(low[i]), above = std::isfinite(high[i]);
       const double first = below ? low[i] : above ? high[i] - range : -0.5 * range;
@@ -88,9 +81,7 @@ void InverseSolver::take_start(const Goal &goal, int number, double *q) const {
   const double a[3] = {goal.axis.x, goal.axis.y, goal.axis.z};
   for (int c = 0; c < 3 && goal.task != Task::position; ++c) {
     const Vec3<double> column = goal.task == Task::pose ? columns[c] : 2.0 * a[c] * d;
-    wanted[c] = column.x;
-    wanted[3 + c] = column.y;
-    wanted[6 + c] = column.z;
+    column.write(wanted + c, 3);
   }
   const double p[3] = {goal.T.p.x, goal.T.p.y, goal.T.p.z};
   const int first = number % blocks * block;
@@ -110,8 +101,7 @@ void InverseSolver::take_start(const Goal &goal, int number, double *q) const {
   std::copy_n(&angles_[(first + (best - distance)) * chain_.n], chain_.n, q);
 }
 
-// Whether the goal is further from the first joint than the links are long, all limits of revolute
-// joints aside.
+// Whether the goal is further from the first joint than the links are long.
 bool InverseSolver::beyond_reach(const Goal &goal, double tolerance) const {
   if (goal.task == Task::axis) return false;
   const Pose<double> last(chain_.frame(chain_.n));
@@ -217,21 +207,6 @@ Outcome InverseSolver::follow_rows(
   else if (descent.is_stationary(box))
     status = descent.is_singular() ? Status::singular : Status::out_of_reach;
   return descent.outcome(status, 1);
-}
-
-// Calls `function` with the number of rows as a constant.
-template <class Function>
-Outcome with_rows(Task task, Function function) {
-  switch (task) {
-    case Task::position:
-      return function(std::integral_constant<int, 3>());
-    case Task::position_axis:
-      return function(std::integral_constant<int, 5>());
-    case Task::axis:
-      return function(std::integral_constant<int, 2>());
-    default:
-      return function(std::integral_constant<int, 6>());
-  }
 }
 
 Outcome InverseSolver::solve(

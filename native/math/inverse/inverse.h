@@ -1,11 +1,10 @@
 // Inverse kinematics of a chain within joint limits. Theory: docs/theory/inverse_kinematics.md.
 //
 // Levenberg-Marquardt from one start after the other. Starts that stall are given up early; the
-// next is taken from a table of random postures, in each block of it the one whose tool is nearest
-// to the goal.
+// next is taken from a table of random postures, in each block the one nearest to the goal.
 #pragma once
 
-#include <cstdint>
+#include <type_traits>
 #include <vector>
 
 #include "math/arm/kinematics.h"
@@ -24,7 +23,16 @@ struct Goal {
   Goal(Task task, const double *T, const double *axis);
 };
 
-// What is made least with the joints that the task leaves free; see objective.h.
+// Calls `function` with the number of rows as a constant.
+template <class Function>
+auto with_rows(Task task, Function function) {
+  if (task == Task::position) return function(std::integral_constant<int, 3>());
+  if (task == Task::position_axis) return function(std::integral_constant<int, 5>());
+  if (task == Task::axis) return function(std::integral_constant<int, 2>());
+  return function(std::integral_constant<int, 6>());
+}
+
+// What is made least with the joints that the task leaves free; see self_motion.h.
 struct Objective {
   enum class Kind { none = 0, posture = 1, limits = 2, manipulability = 3 };
   Kind kind;
@@ -37,19 +45,11 @@ struct Search {
   double position_tolerance, rotation_tolerance;
   double damping;  // lambda = damping |e|^2, eight times that after every step that failed
   Objective objective;
-  double *history =
-      nullptr;  // (steps + 1, 2): errors along the start that gave the result, NaN after its end
+  double *history = nullptr;  // (steps + 1, 2): errors of the start that led here, then NaN
 };
 
 // Why there is no solution. `bound` is for `follow` only.
-enum class Status {
-  solved = 0,
-  out_of_reach = 1,
-  limits = 2,
-  singular = 3,
-  iterations = 4,
-  bound = 5
-};
+enum class Status { solved, out_of_reach, limits, singular, iterations, bound };
 
 struct Outcome {
   Status status;
@@ -70,8 +70,7 @@ class InverseSolver {
  public:
   static constexpr int block = 128, blocks = 16, postures = block * blocks;
 
-  // low, high (n): the limits, maybe infinite. home (n): the first posture of the table, the others
-  // are random.
+  // low, high (n): limits, maybe infinite. home (n): the first posture, the others are random.
   InverseSolver(const Chain &chain, const double *low, const double *high, const double *home,
       std::uint64_t seed);
 
@@ -85,8 +84,7 @@ class InverseSolver {
 
   // Solves from `start` alone, and no joint leaves `bound`, a part of the limits. For paths, where
   // the start is the previous posture: damping bounds the steps near singular postures, and the
-  // branch is kept. `q`: the posture with the least error within the bound, whether it is a
-  // solution or not.
+  // branch is kept. `q`: the posture with the least error within the bound.
   Outcome follow(const Goal &goal, const Search &search, const double *start, const Box &bound,
       double *q) const;
   // The part of the limits that is no further than `change` from `q`, which is moved to them first.

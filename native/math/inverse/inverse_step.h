@@ -2,14 +2,20 @@
 // number of rows of the task; see inverse.h.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
 #include <limits>
 
 #include "math/inverse/inverse.h"
 #include "math/lie/lie.h"
 
 namespace armlab {
+
+// SplitMix64: number `index` of the sequence of `seed`, uniform in [0, 1).
+inline double uniform(std::uint64_t seed, std::uint64_t index) {
+  std::uint64_t z = seed + (index + 1) * 0x9e3779b97f4a7c15u;
+  z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+  z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+  return static_cast<double>((z ^ (z >> 31)) >> 11) * 0x1p-53;
+}
 
 inline double clamp(double x, double low, double high) { return std::min(std::max(x, low), high); }
 
@@ -32,8 +38,7 @@ struct Iterate {
   }
 };
 
-// The rotation vector that turns the tool's axis into the goal's by the shortest way, along two
-// directions across it.
+// The shortest turn of the tool's axis into the goal's, along two directions across it.
 inline void axis_residual(
     const Goal &goal, const Pose<double> &T, Vec3<double> *across, double *e) {
   const Vec3<double> now = T.turn(goal.axis), wanted = goal.T.turn(goal.axis),
@@ -73,17 +78,13 @@ inline void evaluate(const Chain &chain, const Goal &goal, double weight, Iterat
   if constexpr (I::has_position) {
     const Vec3<double> d = goal.T.p - T.p;
     at.position_error = norm(d);
-    at.e[0] = weight * d.x;
-    at.e[1] = weight * d.y;
-    at.e[2] = weight * d.z;
+    (weight * d).write(at.e);
     at.square = weight * weight * dot(d, d);
   }
   double *turn = at.e + I::first_turn;
   if constexpr (I::has_rotation) {
     const Vec3<double> w = so3_log(rotation_between(T, goal.T));
-    turn[0] = w.x;
-    turn[1] = w.y;
-    turn[2] = w.z;
+    w.write(turn);
     at.square += dot(w, w);
     at.rotation_error = norm(w);
   }
@@ -98,15 +99,10 @@ inline void evaluate(const Chain &chain, const Goal &goal, double weight, Iterat
     const bool slides = chain.steps[i].slides;
     const Vec3<double> &z = axis[i];
     if constexpr (I::has_position) {
-      const Vec3<double> v = slides ? z : cross(z, T.p - point[i]);
-      column[0] = weight * v.x;
-      column[1] = weight * v.y;
-      column[2] = weight * v.z;
+      (weight * (slides ? z : cross(z, T.p - point[i]))).write(column);
     }
     if constexpr (I::has_rotation) {
-      column[3] = slides ? 0.0 : z.x;
-      column[4] = slides ? 0.0 : z.y;
-      column[5] = slides ? 0.0 : z.z;
+      (slides ? Vec3<double>{0.0, 0.0, 0.0} : z).write(column + 3);
     }
     if constexpr (I::has_axis) {
       column[I::first_turn] = slides ? 0.0 : dot(across[0], z);
@@ -115,8 +111,7 @@ inline void evaluate(const Chain &chain, const Goal &goal, double weight, Iterat
   }
 }
 
-// A = L D L^T of a symmetric positive definite matrix: L below the diagonal of A, and 1 / D. False
-// when it is not.
+// A = L D L^T: L below the diagonal of A, and 1 / D. False when A is not positive definite.
 template <int M>
 inline bool factor(double (&A)[M][M], double (&inverse)[M]) {
   double D[M], scaled[M] = {};
@@ -161,8 +156,7 @@ inline void normal_matrix(
 }
 
 // next.q = q + dq with dq = J^T (J J^T + lambda I)^-1 e inside the box: a joint that would leave it
-// goes to its end, the others make up for what it does not do. False when the equations cannot be
-// solved.
+// goes to its end, the others make up for what it does not do. False: no solution.
 template <int M>
 inline bool step(int n, const Iterate<M> &at, const Box &box, double lambda, Iterate<M> &next) {
   bool moves[max_joints];

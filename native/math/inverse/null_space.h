@@ -1,9 +1,6 @@
 // Linear algebra of the self-motion: the null space of a task, and Newton steps in it.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
-
 #include "math/arm/chain.h"
 
 namespace armlab {
@@ -46,8 +43,8 @@ struct NullSpace {
       }
       mirror(v, a, y);
     }
-    for (int a = M - 1; a >= 0;
-        --a) {  // R mu = the first M of y; where the task is singular its multiplier is 0
+    // R mu = the first M of y; where the task is singular its multiplier is 0
+    for (int a = M - 1; a >= 0; --a) {
       mu[a] = y[a];
       for (int b = a + 1; b < M; ++b) mu[a] -= A[a][b] * mu[b];
       mu[a] = std::fabs(A[a][a]) > 1e-12 ? mu[a] / A[a][a] : 0.0;
@@ -88,8 +85,8 @@ inline void rotate(double &x, double &y, double c, double s) {
 }
 
 // z = -|H|^-1 g with the absolute values of the eigenvalues: downhill also where the curvature is
-// negative, and nowhere along directions without slope and curvature. H is symmetric and becomes
-// diagonal, by Jacobi's rotations.
+// negative, and nowhere along directions without slope and curvature. H becomes diagonal, by
+// Jacobi's rotations.
 inline void newton_step(int size, double (*H)[max_joints], const double *g, double *z) {
   double V[max_joints][max_joints], largest = 0.0, length = 0.0;  // rows: eigenvectors
   for (int k = 0; k < size; ++k)

@@ -3,7 +3,6 @@
 
 #include "math/inverse/descent.h"
 #include "math/inverse/null_space.h"
-#include "math/inverse/random.h"
 
 namespace armlab {
 
@@ -22,8 +21,7 @@ class PathFollower {
 
   const double *q() const { return q_; }
 
-  // The first row: from q0 (n), or, when that is null or leads nowhere, from the table of the
-  // solver.
+  // The first row: from q0 (n), or, when null or without success, from the solver's table.
   PathRow first(const Goal &goal, const Search &search, const double *q0) {
     goal_ = &goal;
     search_ = &search;
@@ -48,9 +46,8 @@ class PathFollower {
   }
 
  private:
-  static constexpr double least_change =
-      0.05;  // rad: without `change`, how far a joint may move at least
-  static constexpr double most_change = 5.0;  // and of the length of the pose step
+  // Without `change` a joint may move at least by [rad], and by of the length of the pose step.
+  static constexpr double least_change = 0.05, most_change = 5.0;
   static constexpr int tries = 24, enough_found = 4;
 
   // The posture with the least error inside the bound, from `start`.
@@ -85,11 +82,9 @@ class PathFollower {
   }
 
   // Where the descent from the row before ends within the bound without a solution. Random starts
-  // near that row; then further away on this branch; then on other branches; else the posture with
-  // the least error stays.
+  // near that row; then further away on this branch; then on other branches; else the best stays.
   PathRow recover(const double *before, const Box &bound, Outcome outcome) {
-    const bool thorough =
-        (failures_ & (failures_ - 1)) == 0;  // after 0, 1, 2, 4, 8 ... failures without a gap
+    const bool thorough = (failures_ & (failures_ - 1)) == 0;  // after 0, 1, 2, 4, 8 ... failures
     if (thorough && search_around(before, bound, outcome)) return finish(before, outcome, false);
     double there[max_joints];
     Outcome far = reach(before, solver_.limits(), there);

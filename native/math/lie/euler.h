@@ -5,14 +5,12 @@
 
 namespace armlab {
 
-// The axes by number, in the order of the product: R = R_first(r) R_middle(p) R_last(y); neighbours
-// differ.
+// The axes by number, R = R_first(r) R_middle(p) R_last(y); neighbours differ.
 struct Axes {
   int first, middle, last;
 };
 
-constexpr double gimbal_lock =
-    1e-13;  // below, the first and the last axis are parallel to the last digit
+constexpr double gimbal_lock = 1e-13;  // below, the first and last axes are parallel
 
 // atan2(y, x), with atan2(0, 0) = 0; a half turn is +pi whatever the sign of a zero.
 template <class Real>

@@ -1,12 +1,9 @@
 // Rotations and rigid motions: exponential, logarithm and quaternions over Real (double or Lanes).
 //
 // Specification: tests/oracles/lie.py. Both sides of every `select` are computed, and the one that
-// is not chosen may be NaN; so a batch gives bit for bit what single calls give. Nothing takes an
-// arc cosine.
+// is not chosen may be NaN; so a batch gives bit for bit what single calls give. No arc cosine.
 #pragma once
 
-#include "array/lanes.h"
-#include "math/lie/sincos.h"
 #include "math/lie/vec3.h"
 
 namespace armlab {
@@ -18,21 +15,17 @@ struct Rotation {
 
   // Row by row, with `stride` numbers from one row to the next.
   static Rotation read(const Real *m, int stride) {
-    return {{m[0], m[stride], m[2 * stride]}, {m[1], m[stride + 1], m[2 * stride + 1]},
-        {m[2], m[stride + 2], m[2 * stride + 2]}};
+    return {Vec3<Real>::read(m, stride), Vec3<Real>::read(m + 1, stride),
+        Vec3<Real>::read(m + 2, stride)};
   }
   void write(Real *m, int stride) const {
-    const Vec3<Real> *columns[3] = {&x, &y, &z};
-    for (int k = 0; k < 3; ++k) {
-      m[k] = columns[k]->x;
-      m[stride + k] = columns[k]->y;
-      m[2 * stride + k] = columns[k]->z;
-    }
+    x.write(m, stride);
+    y.write(m + 1, stride);
+    z.write(m + 2, stride);
   }
   Vec3<Real> turn(const Vec3<Real> &b) const { return b.x * x + b.y * y + b.z * z; }  // R b
-  Vec3<Real> turn_back(const Vec3<Real> &a) const {
-    return {dot(x, a), dot(y, a), dot(z, a)};
-  }  // R^T a
+  // R^T a
+  Vec3<Real> turn_back(const Vec3<Real> &a) const { return {dot(x, a), dot(y, a), dot(z, a)}; }
   Rotation inverse() const { return {{x.x, y.x, z.x}, {x.y, y.y, z.y}, {x.z, y.z, z.z}}; }
 };
 
@@ -84,8 +77,7 @@ inline Real ratio(const Real &y, const Real &x, double at_zero) {
 
 // atan2(y, x) of two numbers that are not negative and not both zero; error below 4e-16 of the
 // result. One of them over the other is at most 1; beyond tan(pi/8) the turn by pi/4 is taken out.
-// On what remains the polynomial, which interpolates at Chebyshev points, is off by less than
-// 8e-18.
+// On what remains the polynomial (Chebyshev points) is off by less than 8e-18.
 template <class Real>
 inline Real quadrant_angle(const Real &y, const Real &x) {
   constexpr Real tan_pi_8(0x1.a827999fcef32p-2);

@@ -1,5 +1,4 @@
-// Rigid motions: exponential and logarithm of twists [v; w], and the left Jacobians of SO(3) and
-// SE(3).
+// Exponential and logarithm of twists [v; w], and the left Jacobians of SO(3) and SE(3).
 //
 // Specification: tests/oracles/lie.py.
 #pragma once
@@ -10,8 +9,8 @@
 
 namespace armlab {
 
-constexpr double series_below =
-    0.5;  // rad: above, closed forms keep all digits; below, eight terms reach 1e-18
+// rad: above, closed forms keep all digits; below, eight terms reach 1e-18
+constexpr double series_below = 0.5;
 
 struct Coefficients {
   double c[8];
@@ -101,9 +100,8 @@ template <class Real>
 inline Rotation<Real> derivative(
     const Vec3<Real> &w, const Vec3<Real> &v, const Polynomial<Real> &f) {
   const Real along = dot(w, v), two(2.0);
-  const Vec3<Real> s = f.a * v + (along * f.a1) * w;  // the skew part
-  const Vec3<Real> u =
-      f.b * v + (Real(0.5) * along * f.b1) * w;  // w u^T + u w^T, the symmetric part,
+  const Vec3<Real> s = f.a * v + (along * f.a1) * w;               // the skew part
+  const Vec3<Real> u = f.b * v + (Real(0.5) * along * f.b1) * w;   // w u^T + u w^T, symmetric,
   const Real less = two * along * f.b + along * f.b1 * dot(w, w);  // less this times I
   const Real xy = w.x * u.y + u.x * w.y, xz = w.x * u.z + u.x * w.z, yz = w.y * u.z + u.y * w.z;
   return {{two * w.x * u.x - less, xy + s.z, xz - s.y},

@@ -40,8 +40,7 @@ inline void reduce_angle(const Real &x, Real &quadrant, Real &r) {
   r = (x - k * half_pi_1) - k * half_pi_2;
 }
 
-// Then polynomials on |r| <= pi/4 whose largest error is least (Remez): 2e-18 and 5e-20; the rest
-// is rounding.
+// Then polynomials on |r| <= pi/4 whose largest error is least (Remez): 2e-18 and 5e-20.
 template <class Real>
 inline void sincos_of_remainder(const Real &r, Real &sine, Real &cosine) {
   constexpr Real s3(-0x1.555555555553dp-3), s5(0x1.111111110eb1fp-7), s7(-0x1.a01a019ab4acep-13);

@@ -1,7 +1,6 @@
 // Three-vectors and poses over Real (double or Lanes).
 #pragma once
 
-#include "array/lanes.h"
 #include "math/lie/sincos.h"
 
 namespace armlab {
@@ -9,6 +8,14 @@ namespace armlab {
 template <class Real>
 struct Vec3 {
   Real x, y, z;
+
+  // Its three numbers in memory, `stride` apart.
+  static Vec3 read(const Real *m, int stride = 1) { return {m[0], m[stride], m[2 * stride]}; }
+  void write(Real *m, int stride = 1) const {
+    m[0] = x;
+    m[stride] = y;
+    m[2 * stride] = z;
+  }
 };
 
 template <class Real>
@@ -48,16 +55,13 @@ struct Pose {
       : x{m[0], m[4], m[8]}, y{m[1], m[5], m[9]}, z{m[2], m[6], m[10]}, p{m[3], m[7], m[11]} {}
 
   Vec3<Real> turn(const Vec3<Real> &b) const { return b.x * x + b.y * y + b.z * z; }  // R b
-  Vec3<Real> turn_back(const Vec3<Real> &a) const {
-    return {dot(x, a), dot(y, a), dot(z, a)};
-  }  // R^T a
+  // R^T a
+  Vec3<Real> turn_back(const Vec3<Real> &a) const { return {dot(x, a), dot(y, a), dot(z, a)}; }
 
   void write(Real *m) const {
     const Vec3<Real> *columns[4] = {&x, &y, &z, &p};
     for (int k = 0; k < 4; ++k) {
-      m[k] = columns[k]->x;
-      m[4 + k] = columns[k]->y;
-      m[8 + k] = columns[k]->z;
+      columns[k]->write(m + k, 4);
       m[12 + k] = Real(k == 3 ? 1.0 : 0.0);
     }
   }

@@ -1,12 +1,7 @@
 // Limits on one reference before it goes to a robot. Specification: tests/oracles/limits.py.
-#include <algorithm>
-#include <cmath>
-#include <cstdint>
-#include <limits>
-
 #include "array/arrays.h"
 
-namespace armlab {
+namespace armlab::python {
 namespace {
 
 constexpr std::uint8_t position_bit = 1, velocity_bit = 2, acceleration_bit = 4, braking_bit = 8;
@@ -81,10 +76,7 @@ struct Optional {
     data = input.data();
   }
   static nb::object empty() {
-    static const nb::object *none = new nb::object([] {
-      const npy_intp shape[1] = {0};
-      return fresh_array(1, shape);
-    }());
+    static const nb::object *none = new nb::object(fresh_array({0}));
     return *none;
   }
   Input input;
@@ -116,14 +108,12 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
   const int refused = refusal(n, joints, bounds.data() + 4 * n, T, q_ref, q_last, qd_ref);
   if (refused) q_ref = q_last = qd_ref = nullptr;
 
-  const npy_intp shape[2] = {3, n};
-  const nb::object out = fresh_array(2, shape);
+  const nb::object out = fresh_array({3, n});
   npy_intp length = n;
   const nb::object bits_array = nb::steal(PyArray_ZEROS(1, &length, NPY_UINT8, 0));
   if (!bits_array.is_valid()) throw nb::python_error();
-  double *next = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(out.ptr())));
-  auto *bits = static_cast<std::uint8_t *>(
-      PyArray_DATA(reinterpret_cast<PyArrayObject *>(bits_array.ptr())));
+  double *next = numbers(out);
+  std::uint8_t *bits = numbers<std::uint8_t>(bits_array);
   double *moved = next, *v = next + n, *f = next + 2 * n;
   double wanted[max_axes];
   bool reached[max_axes];
@@ -155,18 +145,17 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
     if (moved[i] != free) v[i] = (moved[i] - joint.q) / T;
   }
   for (const nb::object &array : {out, bits_array})
-    PyArray_CLEARFLAGS(reinterpret_cast<PyArrayObject *>(array.ptr()), NPY_ARRAY_WRITEABLE);
+    PyArray_CLEARFLAGS(as_array(array), NPY_ARRAY_WRITEABLE);
   return nb::make_tuple(out, bits_array, ratio, refused);
 }
 
 }  // namespace
-}  // namespace armlab
+}  // namespace armlab::python
 
-void bind_limits(nb::module_ &m) {
-  m.def("limit_reference", &armlab::limit_reference, armlab::array("sent"), armlab::array("bounds"),
-      nb::arg("period"), nb::arg("q_ref").none() = nb::none(),
-      nb::arg("q_last").none() = nb::none(), nb::arg("qd_ref").none() = nb::none(),
-      nb::arg("lag") = 0.0,
+void armlab::python::bind_limits(nb::module_ &m) {
+  m.def("limit_reference", &limit_reference, array("sent"), array("bounds"), arg("period"),
+      arg("q_ref").none() = nb::none(), arg("q_last").none() = nb::none(),
+      arg("qd_ref").none() = nb::none(), arg("lag") = 0.0,
       "Return the reference to send next, clamp bits, velocity ratio and refusal; see "
       "tests/oracles/limits.py.");
 }

@@ -1,7 +1,5 @@
 #include "math/motion/obstacles.h"
 
-#include <algorithm>
-#include <cmath>
 #include <limits>
 #include <utility>
 
@@ -43,8 +41,7 @@ std::pair<double, double> shares(const Capsule &one, const Capsule &two) {
   const double a = dot(d1, d1), e = dot(d2, d2), c = dot(d1, r), f = dot(d2, r);
   if (a == 0.0) return {0.0, e == 0.0 ? 0.0 : clamped(f / e, 0.0, 1.0)};
   if (e == 0.0) return {clamped(-c / a, 0.0, 1.0), 0.0};
-  const Point normal =
-      cross(d1, d2);  // of which a e - b^2 is the square, but without digits next to parallel
+  const Point normal = cross(d1, d2);  // its square is a e - b^2, but with digits next to parallel
   const double b = dot(d1, d2), square = dot(normal, normal);
   const double s =
       square > parallel * a * e ? clamped(dot(normal, cross(d2, r)) / square, 0.0, 1.0) : 0.0;

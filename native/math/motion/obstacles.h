@@ -1,13 +1,10 @@
-// Obstacles that a motion goes around, in space or with an arm. Specification:
-// tests/oracles/obstacles.py.
+// Obstacles that a motion goes around. Specification: tests/oracles/obstacles.py.
 #pragma once
 
 #include <optional>
-#include <vector>
 
 #include "math/arm/chain.h"
-#include "math/arm/coupling.h"
-#include "math/lie/vec3.h"
+#include "math/motion/primitive.h"
 
 namespace armlab {
 
@@ -45,8 +42,7 @@ class Obstacles : public Coupling {
   int n() const { return n_; }
 
  private:
-  // The nearest points of a body and an obstacle: n away from the obstacle, velocity relative to
-  // it, p on the body.
+  // The nearest points of a body and an obstacle: p on the body, velocity relative to it.
   struct Contact {
     int link;
     const Capsule *obstacle;

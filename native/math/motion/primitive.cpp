@@ -1,16 +1,26 @@
 #include "math/motion/primitive.h"
-
-#include <algorithm>
-#include <cmath>
-
-#include "math/lie/exponential.h"
 #include "array/lanes.h"
 
 namespace armlab {
 namespace {
 
-constexpr double faded =
-    40.0;  // exponents further than this below the largest are left out: exp(-40) = 4e-18
+// exp(x) for -700 < x <= 0 with an error below 1.5 units in the last place; NaN gives NaN. x = k ln
+// 2 + r with ln 2 in two parts, the first of 32 bits, so that k times it is exact; then the series
+// of exp(r), |r| <= ln(2) / 2, the rest below 5e-18; then k is added.
+ARMLAB_INLINE double exponential(double x) {
+  constexpr double shifter = 0x1.8p52, one_over_ln2 = 0x1.71547652b82fep0;
+  constexpr double ln2_1 = 0x1.62e42fee00000p-1, ln2_2 = 0x1.a39ef35793c76p-33;
+  const double shifted = x * one_over_ln2 + shifter, k = shifted - shifter;
+  const double r = (x - k * ln2_1) - k * ln2_2, r2 = r * r, r4 = r2 * r2;
+  const double low = (0.5 + r * (1.0 / 6)) + r2 * (1.0 / 24 + r * (1.0 / 120));
+  const double middle = (1.0 / 720 + r * (1.0 / 5040)) + r2 * (1.0 / 40320 + r * (1.0 / 362880));
+  const double high =
+      (1.0 / 3628800 + r * (1.0 / 39916800)) + r2 * (1.0 / 479001600 + r * (1.0 / 6227020800.0));
+  const double e = 1.0 + (r + r2 * (low + r4 * (middle + r4 * high)));
+  return from_bits(to_bits(e) + (to_bits(shifted) << 52));
+}
+
+constexpr double faded = 40.0;      // exponents further below the largest are left out: 4e-18
 constexpr double gate_width = 0.1;  // of the duration, over which the forcing of a time phase fades
 
 }  // namespace
@@ -32,8 +42,8 @@ int Primitive::kernels(double x, double factor, int *index, double *psi) const {
         phase == PhaseKind::periodic ? 2.0 * std::sin(0.5 * (x - centres[j])) : x - centres[j];
     psi[j] = -off * off * curvatures[j];
   }
-  double tops[4] = {
-      psi[0], psi[0], psi[0], psi[0]};  // four at once: a maximum waits for the one before
+  double tops[4];  // four at once: a maximum waits for the one before
+  std::fill_n(tops, 4, psi[0]);
   int next = 0;
   for (; next + 4 <= m; next += 4)
     for (int lane = 0; lane < 4; ++lane) tops[lane] = std::max(tops[lane], psi[next + lane]);
@@ -82,8 +92,7 @@ void Primitive::forcing_each(const double *x, int *index, double *psi, double *f
 
 namespace {
 
-constexpr std::ptrdiff_t together =
-    32;  // runs side by side: their states and weights stay in the first caches
+constexpr std::ptrdiff_t together = 32;  // runs side by side: their states stay in the first caches
 
 // position, velocity, acceleration and forcing of a state
 inline void write(std::ptrdiff_t count, const double *y, const double *z, const double *g,
@@ -114,28 +123,19 @@ inline void weigh(int n_given, int count, const int *index, const double *psi,
 
 inline void weigh_any(int n, int count, const int *index, const double *psi, const double *w,
     const double *s, double *to) {
-  switch (n) {
-    case 1:
-      return weigh<1>(n, count, index, psi, w, s, to);
-    case 2:
-      return weigh<2>(n, count, index, psi, w, s, to);
-    case 3:
-      return weigh<3>(n, count, index, psi, w, s, to);
-    case 6:
-      return weigh<6>(n, count, index, psi, w, s, to);
-    case 7:
-      return weigh<7>(n, count, index, psi, w, s, to);
-    default:
-      return weigh<0>(n, count, index, psi, w, s, to);
-  }
+  if (n == 1) return weigh<1>(n, count, index, psi, w, s, to);
+  if (n == 2) return weigh<2>(n, count, index, psi, w, s, to);
+  if (n == 3) return weigh<3>(n, count, index, psi, w, s, to);
+  if (n == 6) return weigh<6>(n, count, index, psi, w, s, to);
+  if (n == 7) return weigh<7>(n, count, index, psi, w, s, to);
+  weigh<0>(n, count, index, psi, w, s, to);
 }
 
 // What all runs over one clock share: steps, and the forcing at starts and middles of them.
 struct Course {
   std::vector<SpringStep> steps;
   std::vector<double> forces;  // (2 N - 1, n) of the primitive's own weights
-  std::vector<double>
-      psi;  // (2 N - 1, m) the kernels, where runs have weights of their own: the first `counts`
+  std::vector<double> psi;     // (2 N - 1, m) kernels, for runs with weights of their own: `counts`
   std::vector<int> index, counts;
 };
 

@@ -1,15 +1,25 @@
 // Movement primitives: spring, damper and a forcing term over a phase. tests/oracles/primitive.py
-// states the mathematics. Time is counted in units of tau_d and velocity as z = tau_d yd, so that
-// nothing here depends on tau_d.
+// states the mathematics. Time is counted in units of tau_d and velocity as z = tau_d yd, so
+// nothing depends on tau_d.
 #pragma once
 
-#include <cstddef>
 #include <vector>
 
-#include "math/arm/coupling.h"
 #include "math/motion/spring_step.h"
 
 namespace armlab {
+
+// What adds to the acceleration of a movement primitive from outside of it.
+class Coupling {
+ public:
+  virtual ~Coupling() = default;
+  // Whether it may add anything at y (n).
+  virtual bool acts(const double *y) = 0;
+  // Adds to the acceleration ydd (n) of a motion at y with velocity yd on its way to g.
+  virtual void add(const double *y, const double *yd, const double *g, double *ydd) = 0;
+  // Time goes on, dt >= 0.
+  virtual void advance(double dt) = 0;
+};
 
 enum class PhaseKind { canonical, time, position, periodic };
 
@@ -22,8 +32,7 @@ struct Primitive {
   double phase_at(double s) const;  // after the time s
   double share(double x) const;     // of the forcing that is left at phase x
 
-  // Normalised kernels at x that are not below 1e-17 of the largest: their numbers and values,
-  // times `factor`.
+  // Normalised kernels at x above 1e-17 of the largest: numbers, and values times `factor`.
   int kernels(double x, double factor, int *index, double *psi) const;
   // The same for all of N phases, times factors (N) where there are any; number j of phase k goes
   // to psi[k row + j column], and what is left out is not written.
@@ -48,8 +57,7 @@ class PrimitiveStepper {
   double elapsed() const { return s_; }  // in units of tau
   double tau() const { return tau_; }
 
-  // From now on. `limit`: (n) largest deceleration of the brake, 0 where there is none; null
-  // without brakes.
+  // From now on. `limit` (n): largest deceleration of the brake, 0 where none; null without brakes.
   void change_goal(const double *g, const double *scale, const double *limit);
   void change_tau(double tau);
 
@@ -66,8 +74,8 @@ class PrimitiveStepper {
   void brake();
 
   std::vector<double> y_, z_, y0_, g_, target_, scale_;
-  std::vector<double> f0_, fm_, f1_, goal_, rise_, limit_, side_,
-      braking_;  // goal_, rise_: of goal and scale, to fade
+  std::vector<double> f0_, fm_, f1_, limit_, side_, braking_;
+  std::vector<double> goal_, rise_;  // of goal and scale, to fade
   std::vector<double> work_, psi_;
   std::vector<int> index_;
   SpringStep spring_;
@@ -75,14 +83,13 @@ class PrimitiveStepper {
   bool moving_ = false;  // the goal is on its way to the target
 };
 
-// Many runs over one clock. t (N), increasing; y0, v0, g, scale (K, n); weights null or (K, m, n);
-// results (N, K, n), x (N).
+// Runs over one clock t (N); y0, v0, g, scale (K, n); weights null or (K, m, n); y ... (N, K, n), x
+// (N).
 void rollout(const Primitive &primitive, std::ptrdiff_t N, const double *t, double tau,
     std::ptrdiff_t K, const double *y0, const double *v0, const double *g, const double *scale,
     const double *weights, double *y, double *yd, double *ydd, double *x, double *f);
 
-// Position and velocity that each kernel alone, then y0, v0 and g, make: (N, m + 3). Steps are at
-// most `longest`.
+// Position and velocity (N, m + 3) of each kernel, y0, v0 and g alone; steps at most `longest`.
 void response(const Primitive &primitive, std::ptrdiff_t N, const double *t, double tau,
     double longest, double *y, double *yd);
 

@@ -1,8 +1,5 @@
 #include "math/motion/primitive.h"
 
-#include <algorithm>
-#include <cmath>
-
 namespace armlab {
 namespace {
 
@@ -64,8 +61,7 @@ void PrimitiveStepper::step_spring(double r) {
   force(s_ += r, nullptr, f1_.data());
   if (!moving_) {
     spring_.advance(n, f0_.data(), fm_.data(), f1_.data(), g_.data(), y_.data(), z_.data());
-  } else {  // the spring is measured from where the goal will be; how far it still has to go pulls
-            // as a force
+  } else {  // measured from where the goal will be; how far it still has to go pulls as a force
     double *start = work_.data(), *middle = start + n, *end = middle + n;
     const double half = std::exp(-0.5 * filter * r), k = primitive.stiffness;
     for (int i = 0; i < n; ++i) {
@@ -87,8 +83,7 @@ void PrimitiveStepper::step_position(double r) {
   for (double part = 0.0; part < parts; part += 1.0) step_runge(r / parts);
 }
 
-// Exactly where nothing acts from outside; finer, for what acts has no step that the spring knows
-// of.
+// Exactly where nothing acts from outside, else in steps that are short for the spring.
 void PrimitiveStepper::step_coupled(double r) {
   const double stiff = std::max(primitive.alpha, std::sqrt(primitive.stiffness)) * r;
   const double parts = std::max(std::ceil(stiff / coupled_step), 1.0), h = r / parts;

@@ -1,8 +1,5 @@
 #include "math/motion/rotation_primitive.h"
 
-#include <algorithm>
-#include <cmath>
-
 namespace armlab {
 namespace {
 
@@ -20,8 +17,7 @@ Quaternion<double> turned(const Vector &theta, const Quaternion<double> &q) {
   return Quaternion<double>{t.cosine, t.k * theta} * q;
 }
 
-// theta' of exp(theta) q at the angular velocity w: to fourth order in theta, which is of the size
-// of a step.
+// theta' of exp(theta) q at the angular velocity w, to fourth order in theta.
 Vector chart(const Vector &theta, const Vector &w) {
   const Vector once = cross(theta, w);
   return w - 0.5 * once + (1.0 / 12.0) * cross(theta, once);

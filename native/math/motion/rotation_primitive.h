@@ -10,9 +10,6 @@
 // fourth order, and on the group. Steps that are long for the spring are divided.
 #pragma once
 
-#include <cstddef>
-#include <vector>
-
 #include "math/lie/lie.h"
 #include "math/motion/primitive.h"
 
@@ -20,11 +17,10 @@ namespace armlab {
 
 class RotationStepper {
  public:
-  explicit RotationStepper(
-      const Primitive &primitive);  // of three coordinates, with a phase of time
+  explicit RotationStepper(const Primitive &primitive);  // of three coordinates, phase of time
 
-  // Starts at phase time 0. q0, goal (4) of any length above zero; w0 (3); map (3, 3) turns and
-  // scales the forcing.
+  // Starts at phase time 0. q0, goal (4), not zero; w0 (3); map (3, 3) turns and scales the
+  // forcing.
   void start(const double *q0, const double *w0, const double *goal, const double *map, double tau);
   void step(double dt);
   void change_goal(const double *goal, const double *map);

@@ -99,25 +99,19 @@ void SignalOperator::advance(double h, const double *x, double *out) {
   if (kind_ > SignalKind::difference && h != h_) set_coefficients(h);
   const double lag = kind_ > SignalKind::exponential ? 2.0 * b_ / a_ : 0.0;
   for (std::size_t i = 0; i < n; ++i) {
-    switch (kind_) {
-      case SignalKind::trapezoid:
-        y_[i] += 0.5 * h * (x[i] + x_[i]);
-        break;
-      case SignalKind::euler:
-        y_[i] += h * x[i];
-        break;
-      case SignalKind::difference:
-        y_[i] = (x[i] - x_[i]) / h;
-        break;
-      case SignalKind::exponential:
-        y_[i] = c_[0] * y_[i] + (1.0 - c_[0]) * x[i];
-        break;
-      default: {
-        const double slope = (x[i] - x_[i]) / h, late = lag * slope;
-        const double e = y_[i] - x_[i] + late, u = v_[i] - slope;
-        y_[i] = c_[0] * e + c_[1] * u + x[i] - late;
-        v_[i] = c_[2] * e + c_[3] * u + slope;
-      }
+    if (kind_ == SignalKind::trapezoid) {
+      y_[i] += 0.5 * h * (x[i] + x_[i]);
+    } else if (kind_ == SignalKind::euler) {
+      y_[i] += h * x[i];
+    } else if (kind_ == SignalKind::difference) {
+      y_[i] = (x[i] - x_[i]) / h;
+    } else if (kind_ == SignalKind::exponential) {
+      y_[i] = c_[0] * y_[i] + (1.0 - c_[0]) * x[i];
+    } else {
+      const double slope = (x[i] - x_[i]) / h, late = lag * slope;
+      const double e = y_[i] - x_[i] + late, u = v_[i] - slope;
+      y_[i] = c_[0] * e + c_[1] * u + x[i] - late;
+      v_[i] = c_[2] * e + c_[3] * u + slope;
     }
     out[i] = output(i, x[i]);
   }

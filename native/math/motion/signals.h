@@ -13,8 +13,8 @@ enum class SignalStatus { ok, time_backward, time_missing, time_unexpected };
 class SignalOperator {
  public:
   // a: time constant of `exponential`, angular corner frequency of the oscillators; b: their
-  // damping ratio. dt: nominal step, NaN when every sample has a time stamp. init: empty, one
-  // value, or one per channel.
+  // damping ratio. dt: nominal step, NaN when every sample has a time stamp. init: none, one value
+  // or n.
   SignalOperator(SignalKind kind, double a, double b, double dt, std::vector<double> init);
 
   void reset(std::vector<double> init);

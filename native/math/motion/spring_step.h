@@ -1,6 +1,5 @@
 // The spring of a movement primitive, advanced exactly under a forcing term that is a quadratic
-// over the step. It stands in a header because rollouts inline it into loops that are compiled for
-// several instruction sets.
+// over the step. In a header, for vectorised loops to inline it.
 #pragma once
 
 #include <algorithm>
@@ -22,15 +21,13 @@ struct SpringStep {
       const double *g, double *y, double *z) const;
 };
 
-// integral of G(r - s) s^k over s from 0 to r, for k = 1 and 2, G the impulse response; by its
-// series, for short steps
+// integral of G(r - s) s^k over s from 0 to r, k = 1, 2, G the impulse response, by its series
 inline void short_moments(double alpha, double stiffness, double r, double &first, double &second) {
   double g = 1.0, before = 0.0, power = r * r * r / 6.0;  // G = sum g_j r^j / j!
   first = power;
   second = 0.0;
   for (int j = 1; j < 60; ++j) {
-    const double term =
-        2.0 * power * r / (j + 3) * g;  // of the second moment, whose powers lag by one
+    const double term = 2.0 * power * r / (j + 3) * g;  // of the second moment, one power behind
     second += term;
     const double next = -(alpha * g + stiffness * before);
     before = g;
@@ -67,8 +64,8 @@ inline SpringStep::SpringStep(double alpha, double stiffness, double r) {
   double G, slope, zeroth, first, second;  // impulse response, its derivative, its moments
   r = std::max(r, 1e-100);  // shorter steps change nothing, and their powers would be 0
   const double fastest = std::max(alpha, std::sqrt(stiffness));
-  if (fastest * r < 1.0 ||
-      stiffness * r < alpha) {  // what is slow has hardly moved: its moments would cancel
+  // what is slow has hardly moved: its moments would cancel
+  if (fastest * r < 1.0 || stiffness * r < alpha) {
     double h = r;
     int doublings = 0;
     for (; fastest * h >= 1.0; ++doublings) h *= 0.5;
@@ -108,8 +105,7 @@ inline SpringStep::SpringStep(double alpha, double stiffness, double r) {
 
 inline void SpringStep::advance(std::ptrdiff_t count, const double *start, const double *middle,
     const double *end, const double *g, double *__restrict y, double *__restrict z) const {
-  const SpringStep s =
-      *this;  // in registers: the compiler cannot know that y and z are no part of it
+  const SpringStep s = *this;  // in registers: y and z could be a part of it
   for (std::ptrdiff_t i = 0; i < count; ++i) {
     const double d = y[i] - g[i], v = z[i];
     y[i] = g[i] + (s.yy * d + s.yz * v) + (s.f0 * start[i] + s.fm * middle[i] + s.f1 * end[i]);

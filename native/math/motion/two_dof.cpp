@@ -1,7 +1,5 @@
 #include "math/motion/two_dof.h"
 
-#include <algorithm>
-#include <cmath>
 #include <limits>
 #include <utility>
 
@@ -9,10 +7,6 @@ namespace armlab {
 namespace {
 
 constexpr double thaw = 0.8;
-
-bool finite(const double *values, int n) {
-  return std::all_of(values, values + n, [](double x) { return std::isfinite(x); });
-}
 
 }  // namespace
 
