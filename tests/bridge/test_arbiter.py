@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from armlab import bridge, robots
 from armlab.bridge.arbiter import LEASE, Arbiter, Order, read_order
-from armlab.bridge.control.command_checks import joint_name
+from armlab.bridge.control.limits import joint_name
 from armlab.state import Command, State
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")

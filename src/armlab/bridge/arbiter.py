@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armlab.bridge.control.command_checks import entry_refusal, joint_name, jump_refusal
-from armlab.bridge.control.limits import ENTRY, Limits, axes_of
+from armlab.bridge.control.limits import ENTRY, Limits, axes_of, entry_refusal, joint_name, jump_refusal
 from armlab.bridge.net.events import Tell, nobody
 from armlab.robots import Robot
 from armlab.state import Command, State

@@ -262,7 +262,7 @@ class RobotOnNetwork:
         self.machine.observe(sample)
         if "The robot is ready and holds." in self.events[told:]:  # a reference begins where the arm is
             self.sent = self.now_ns - round(1e9 * sample.step), self.packets.q, np.zeros(7)
-        asked = command(self.machine.state(sample, 0)) if self.machine.calls else None
+        asked = command(self.machine.state(sample, 0, {})) if self.machine.calls else None
         reply = self.machine.answer(asked, self.session.period.seconds)
         assert reply is not None, "one reply a packet"
         if not goes_out:

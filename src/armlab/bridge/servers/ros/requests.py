@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from armlab.bridge.control.command_checks import joint_name
+from armlab.bridge.control.limits import joint_name
 from armlab.bridge.servers.messages import CommandRequest, Request, SetRequest, Stop
 from armlab.errors import CommandRefused
 from armlab.robots import Robot
