@@ -268,7 +268,7 @@ def test_a_reader_that_stands_still_disturbs_nobody_and_sees_what_it_missed(benc
     assert run.reason == "the controller ended the run"
 
 
-TICKS = 5000  # 20 s, in real time, since the lease is
+TICKS = 3500  # 14 s, in real time, since the lease is
 LEAST = 4  # deaths: a process takes seconds to start on a busy machine
 MORE = 5  # ticks of a window, 20 ms: to end a process takes one of two cores for some
 CHANGE = re.compile(r"(.+?) (?:commands|(no longer commands)) yumi_left[.:]")

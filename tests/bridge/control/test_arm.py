@@ -132,11 +132,11 @@ def test_a_queue_that_is_not_emptied_within_a_second_is_one_event() -> None:
 
 @pytest.mark.slow
 def test_duplicated_replies_leave_no_lag(tmp_path: Path) -> None:
-    """Real time, one reply in a hundred arrives twice: without the rule the references would be 10 cycles old. 6 s."""
+    """Real time, one reply in a hundred arrives twice: without the rule the references would be 10 cycles old. 5 s."""
     robot, stats = robots.load("yumi_right"), tmp_path / "stats.json"
     url = f"sim://yumi_right?duplicate=0.01&seed=4&stats={quote(str(stats))}"
     with connect(url, robot) as link:
-        run = link.run(lambda state: Command(state.q_start), seconds=4.0)
+        run = link.run(lambda state: Command(state.q_start), seconds=3.0)
     assert run.statistics["left_out"] >= 3
     [counted] = json.loads(stats.read_text()).values()
     ages = {int(age): number for age, number in counted["reference_age"].items() if age != "last"}
@@ -346,14 +346,6 @@ def test_a_reply_is_left_out_for_a_message_that_stays_in_the_queue(one: Make, cl
     np.testing.assert_allclose(steps, 0.0004, atol=1e-12)
 
 
-def test_a_queue_that_stays_deep_is_in_the_events_of_the_run(one: Make) -> None:
-    hands = one(extension=True)
-    for _ in range(300):
-        hands.cycle(queue_depth=44)
-    texts = [text for _, text in hands.arms[0].recording.events]
-    assert sum("44 messages have waited in the controller's receive queue for 1 s" in text for text in texts) == 1
-
-
 def test_a_packet_that_gets_no_reply_has_a_row(one: Make) -> None:
     hands = one(answer_stream=False)
     hands.cycle(mci=2)
@@ -427,16 +419,6 @@ def test_a_prediction_counts_the_packets_that_were_missed(one: Make) -> None:
     assert hands.arms[0].prediction.next_ns == hands.clock.now + hands.step
     hands.cycle(after=hands.step + MS)  # a millisecond late, of which a fiftieth counts
     assert hands.arms[0].prediction.next_ns == hands.clock.now - 0.98 * MS + hands.step
-
-
-def test_what_goes_beside_the_joints_is_written_down(one: Make) -> None:
-    hands = one(lambda state: Command(rapid_data=np.array([1.0, 2.0]), rapid_digital=True))
-    hands.robots[0].codec = RobotSideCodec(hands.robots[0].robot, "7")
-    hands.cycle()
-    tick = hands.rows[-1][2]
-    assert tick.rapid_data_sent[:2].tolist() == [1.0, 2.0]
-    assert tick.rapid_digital_sent is True
-    assert tick.q_ext_sent is None
 
 
 def test_a_command_serves_for_exactly_its_time(one: Make) -> None:

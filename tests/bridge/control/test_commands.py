@@ -29,8 +29,8 @@ from armlab.bridge.control.torque import Admittance, TorqueModel, Torques, admit
 from armlab.errors import CommandRefused, ConfigError
 from armlab.robots import Robot
 from armlab.state import Command, State
-from armlab.wire.egm import Beside, EgmCodec, Packet, Reference
-from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessage
+from armlab.wire.egm import Beside, EgmCodec, Packet
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 from .test_state_machine import Bench
 
@@ -582,33 +582,3 @@ def test_a_false_feedback_of_external_axes_is_never_a_reference(feed: Any, robot
         np.testing.assert_allclose(beside.q_ext, here)
     assert len([text for text in feed.warnings if "external axes" in text]) == 1
     assert machine.ready
-
-
-@pytest.mark.parametrize("name", ["yumi_right", "irb120"])
-@pytest.mark.parametrize("extension", [False, True])
-def test_the_round_trip_through_the_robots_codec(name: str, extension: bool) -> None:
-    """Axis 7 of a YuMi shares its array with the axes beyond; one reply after another, with and without them."""
-    robot = robots.load(name)
-    codec, theirs = EgmCodec(robot, extension), RobotSideCodec(robot, external=2)
-    q, qd = robot.q_home + 0.1, np.full(robot.n, 0.2)
-    q_ext, qd_ext, data = np.array([0.5, -1.0]), np.array([0.1, 0.2]), np.array([3.0, -4.5])
-
-    def heard(beside: Beside | None, speed: np.ndarray | None = qd) -> SensorMessage:
-        found = theirs.decode_sensor(codec.encode(Reference(q, speed, None, 1, 2, beside=beside)))
-        assert isinstance(found, SensorMessage)
-        np.testing.assert_allclose(found.q, q)
-        if speed is not None:
-            np.testing.assert_allclose(found.qd, speed)
-        return found
-
-    for beside, speed in ((Beside(q_ext, qd_ext, data, True), qd), (Beside(q_ext, qd_ext), None), (Beside(q_ext), qd)):
-        found = heard(beside, speed)
-        np.testing.assert_allclose(found.q_ext, q_ext)
-        if beside.rapid_data is None:
-            assert (found.rapid_data, found.rapid_digital) == (None, None)
-        else:
-            np.testing.assert_array_equal(found.rapid_data, data)
-            assert found.rapid_digital is True
-    assert heard(None).q_ext is None
-    assert heard(Beside(rapid_digital=False)).rapid_digital is False
-    assert heard(Beside(rapid_data=data)).rapid_digital is None

@@ -338,8 +338,8 @@ def test_a_network_that_stood_delivers_what_waited(packets: Any, stall_ms: float
 
 
 def test_a_slow_clock_is_told(packets: Any) -> None:
-    found, told = steps(packets, [1.0] * 5200, [4.0] * 5200)
-    assert found == pytest.approx([1.0] * 5200)
+    found, told = steps(packets, [2.0] * 2600, [8.0] * 2600)
+    assert found == pytest.approx([2.0] * 2600)
     assert len(told) == 1
     assert "runs behind ours" in told[0]
 

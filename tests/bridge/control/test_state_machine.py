@@ -87,8 +87,8 @@ def test_listening_sends_nothing_ever(feed: Any, robot: Robot) -> None:
 
 @pytest.mark.parametrize("fields", NOT_READY)
 def test_not_ready_sends_back_the_feedback_of_this_packet(bench: Bench, fields: dict[str, Any]) -> None:
-    for k in range(200):
-        q = bench.home + 1e-3 * k
+    for k in range(20):
+        q = bench.home + 1e-2 * k
         reply = bench.reply(Command(bench.home), q=q, **fields)
         np.testing.assert_allclose(bench.machine.state(bench.feed.session._last, 0, {}).q_start, q, rtol=1e-14)
         np.testing.assert_allclose(reply.q, q, rtol=1e-14)
