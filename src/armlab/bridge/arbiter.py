@@ -215,7 +215,8 @@ class Arbiter:
 
     def _judge(self, order: Order, state: State, came_ns: int) -> bool:
         """Let a command come into force, for a lease from when it came; False when it was refused."""
-        holder, robot = self._holders[order.arm], self._robot(order.arm)
+        holder = self._holders[order.arm]
+        robot = next(one for one in self._robots if one.name == order.arm)
         if self.stopped:
             return self._refuse(order.client, f"All arms hold, since {self.stopped} stopped them.", came_ns)
         if holder is not None and holder.client != order.client:
@@ -264,9 +265,6 @@ class Arbiter:
             else:
                 self._tell(f"{client}: {why}", warn=True)
         return False
-
-    def _robot(self, arm: str) -> Robot:
-        return next(robot for robot in self._robots if robot.name == arm)
 
 
 def _count(counter: Counter[str], client: str) -> None:

@@ -41,10 +41,9 @@ from armlab.bridge.doctor.report import (
     examine,
     firewall,
     listen,
-    local_addresses,
     route_to,
 )
-from armlab.bridge.net.sockets import Arrival
+from armlab.bridge.net.sockets import Arrival, local_addresses
 from armlab.errors import ConfigError
 from armlab.robots import Robot
 from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.bridge.control.limits import Limits, Reply, axes_of
+from armlab.bridge.control.limits import Limits, Reply, axes_of, joint_name
 from armlab.robots import Robot
 from armlab.wire.egm import Packet
 from armlab.wire.egm.axes import Linkage
@@ -75,8 +75,9 @@ class FeedbackCheck:
             i = int(excess.argmax())
             if excess[i] > 0.0:
                 problem = (
-                    f"Expected the feedback of {_joint(robot, i)} to move no faster than the arm can, but it went from "
-                    f"{before[i]:.4f} to {axes[i]:.4f} in {1e3 * self._since:.1f} ms. Check the robot's controller."
+                    f"Expected the feedback of {joint_name(robot, i)} to move no faster than the arm can, but it went "
+                    f"from {before[i]:.4f} to {axes[i]:.4f} in {1e3 * self._since:.1f} ms. "
+                    "Check the robot's controller."
                 )
         if sent is not None and not problem:
             problem = self._apart(axes, dt, sent)
@@ -113,8 +114,8 @@ class FeedbackCheck:
                 "small; Limits.of(robot, following_error=...) sets the limit."
             )
         return (
-            f"Expected {_joint(self._robot, i)} within {allowed[i]:.3f} of its reference {reference[i]:.4f}, but it is "
-            f"at {q[i]:.4f}: a following error of {error[i]:.3f}. {cause}"
+            f"Expected {joint_name(self._robot, i)} within {allowed[i]:.3f} of its reference {reference[i]:.4f}, but "
+            f"it is at {q[i]:.4f}: a following error of {error[i]:.3f}. {cause}"
         )
 
 
@@ -126,14 +127,10 @@ def outside_range(q: np.ndarray, robot: Robot) -> str:
     if outside[i] <= _OUTSIDE:
         return ""
     return (
-        f"Expected {_joint(robot, i)} of {robot.name} between {robot.q_min[i]:.3f} and {robot.q_max[i]:.3f}, but the "
-        f"robot reports {q[i]:.3f}. Usual causes are another robot, another joint order and other units: check the "
+        f"Expected {joint_name(robot, i)} of {robot.name} between {robot.q_min[i]:.3f} and {robot.q_max[i]:.3f}, but "
+        f"the robot reports {q[i]:.3f}. Usual causes are another robot, another joint order and other units: check the "
         "robot's description and its RobotWare."
     )
-
-
-def _joint(robot: Robot, i: int) -> str:
-    return f"joint {i + 1} ({robot.joint_names[i]})"
 
 
 MCI_RUNNING = 3

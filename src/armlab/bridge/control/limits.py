@@ -275,11 +275,7 @@ def limiter_of(limits: Limits, robot: Robot) -> Limiter:
 def axes_of(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:
     """Return what makes positions (n,) of a robot's joints those that its limits are about: of ABB's axes."""
     linkage = Linkage.of(robot)
-    return _same if linkage is None else linkage.axes
-
-
-def _same(joints: np.ndarray) -> np.ndarray:
-    return joints
+    return (lambda joints: joints) if linkage is None else linkage.axes
 
 
 JointName = Callable[[int], str]

@@ -223,7 +223,8 @@ class Loop:
         """Stop after an error of a codec or a source of the user's, or ours: no arm goes on at its speed."""
         self._give_back()
         self._has_failed = True
-        failure = _broken(error)
+        failure = LinkError(f"Expected a cycle without errors, got {_named(error)}.")
+        failure.__cause__ = error
         with suppress(Exception):  # the arms come to rest, whoever cannot be told
             self._stop("the bridge failed", failure)
         self._pace.machine.failure = self.failure or failure  # also when the arms were to stop already
@@ -308,9 +309,6 @@ class Loop:
             self._told = True
             sentence = f"The controller has not returned for {1e-9 * _HANGS:g} s; the arm is held meanwhile."
             pace.recording.event(f"{sentence} Ctrl-C breaks it off and ends the run.", warn=True)
-        self._record()
-
-    def _record(self) -> None:
         for arm in self._arms:
             arm.record()
 
@@ -421,12 +419,6 @@ class Loop:
         self._pace.machine.stop(reason, failure)
         for arm in self._others:
             arm.machine.stop(reason)
-
-
-def _broken(error: Exception) -> LinkError:
-    failure = LinkError(f"Expected a cycle without errors, got {_named(error)}.")
-    failure.__cause__ = error
-    return failure
 
 
 def _named(error: BaseException) -> str:

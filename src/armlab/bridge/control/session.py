@@ -205,7 +205,8 @@ class Session:
         if last is not None and arrival.ns - last.arrival_ns >= self._timeout_ns:
             self.end()
         foreign = self.active and arrival.source != self.source
-        if foreign and not self._may_replace(arrival):
+        if foreign and not (self.source and arrival.source[0] == self.source[0] and self._is_quiet(arrival)):
+            # RAPID restarts fast: only the same host may come back from another port, once the old one is silent
             return self._drop(_FOREIGN, arrival)
         packet = self._codec.decode(arrival.data)
         if isinstance(packet, Drop):
@@ -250,10 +251,6 @@ class Session:
             ),
         )
         return next((text for holds, text in causes if holds), "the controller stopped sending")
-
-    def _may_replace(self, arrival: Arrival) -> bool:
-        """RAPID restarts fast: the same host may come back from another port once the old one is silent."""
-        return self.source is not None and arrival.source[0] == self.source[0] and self._is_quiet(arrival)
 
     def _count(self, packet: Packet, last: Packet) -> int | Drop:
         """Return the packets lost between two, -1 for a new session, or why the later one does not count."""
