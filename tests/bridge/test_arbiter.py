@@ -399,17 +399,6 @@ def test_the_ends_of_what_is_allowed_are_within() -> None:
     assert bench.arbiter.refused == {}
 
 
-def test_a_sliding_joint_enters_as_near_as_its_arm_takes_it() -> None:
-    """0.02 m: what the arm itself would not take, and hold for, is refused, and the client told."""
-    rail = robots.from_dh(
-        "rail", 0.0, [0.0, 0.3], 0.0, prismatic=[True, False], q_min=[-1, -3], q_max=[1, 3], qd_max=[0.5, 2]
-    )
-    bench = Bench((rail,))
-    assert bench(Order("labcomm a", "rail", rail.q_home + np.array([0.03, 0.0]))) is None
-    assert "within 0.02 of where the arm is" in bench.answers[0][1]
-    assert bench(Order("labcomm a", "rail", rail.q_home + np.array([0.019, 0.049]))) is not None
-
-
 TICK = 4_000_000  # ns
 
 

@@ -197,6 +197,7 @@ def bench(request: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iter
     made.close()
 
 
+@pytest.mark.parametrize("bench", ["rmw_zenoh"], indirect=True)  # those of zenoh die below
 def test_a_commander_that_dies_or_stands_still_loses_the_arm_and_another_takes_it(bench: Bench) -> None:
     """What is killed says nothing, and what is stopped is half open: it is the lease that ends both. Takes 10 s.
 

@@ -170,15 +170,6 @@ def test_a_port_in_use(robot: Robot) -> None:
     assert str(os.getpid()) in str(e.value)
 
 
-def test_no_robot(robot: Robot) -> None:
-    with (
-        connect("egm://127.0.0.1:0", robot, patience=0.1) as link,
-        pytest.raises(NoRobot, match=str(link.port)) as caught,
-    ):
-        link.run(sway)
-    assert len(caught.value.table) == 0
-
-
 def test_a_linear_joint_without_a_unit_may_only_be_listened_to(robot: Robot) -> None:
     prismatic = robot.prismatic.copy()
     prismatic[0] = True

@@ -15,7 +15,7 @@ import pytest
 from armlab import bridge, log, robots
 from armlab.bridge.control.loop import merge_states, split_command
 from armlab.bridge.control.state_machine import Mode
-from armlab.errors import CommandRefused, NoRobot, SessionEnded, UnknownName
+from armlab.errors import CommandRefused, NoRobot, UnknownName
 from armlab.state import Command, State
 from armlab.wire.egm.robot_side import RobotSideCodec
 
@@ -522,18 +522,3 @@ def test_two_arms_of_one_cell_may_have_different_seeds() -> None:
     one, other = ({name: table[f"{name}.tau"][:5] for name in ("yumi_left", "yumi_right")} for table in tables)
     np.testing.assert_array_equal(one["yumi_left"], other["yumi_left"])
     assert (one["yumi_right"] != other["yumi_right"]).any(axis=1).all()
-
-
-@pytest.mark.parametrize("failing", [0, 1])
-def test_one_arm_of_two_that_reports_errors_ends_the_run_of_both(pair: Any, failing: int) -> None:
-    def script(*peers: Any) -> None:
-        over = pair.peer.over
-        while not over.is_set() and peers[0].packets.cycle < 1000:
-            for mci in (3, 1):
-                for k, peer in enumerate(peers):
-                    peer.send(mci=mci if k == failing else 3)
-                    peer.answer_or_end(over)
-            peers[failing].packets.seq = 0
-
-    with pytest.raises(SessionEnded, match="10 in a row"):
-        pair(script, lambda state: None, seconds=6.0)

@@ -169,6 +169,10 @@ def test_report_and_table(play: Any, tmp_path: Path, in_file: bool) -> None:
     assert len(run.table) == run.statistics["packets"]
     assert run.table.clock == "robot"
     np.testing.assert_allclose(np.diff(run.table.t), 0.004, atol=1e-9)
+    clamped = run.table["clamped"].astype(int)
+    for bit, name in ((1, "position"), (2, "velocity"), (4, "acceleration"), (8, "braking")):
+        assert ((clamped[:, 0] & bit) != 0).sum() == run.statistics["clamps"][name][0]
+    assert run.statistics["clamps"]["velocity"][0] > 5
     texts = [text for _, text in run.events]
     assert texts[0].startswith("Session 1 began")
     assert texts[-1] == "Stopping: the time is up."
@@ -196,14 +200,6 @@ def test_who_was_served() -> None:
         "Parameters in force: gain = 2.0.",
     ]
     assert served({}) == []
-
-
-def test_the_table_and_the_wire_agree_on_clamps(play: Any) -> None:
-    run = play(lambda peer: peer.rest(), rush, seconds=0.3)
-    clamped = run.table["clamped"].astype(int)
-    counts = [int(((clamped[:, 0] & bit) != 0).sum()) for bit in (1, 2, 4, 8)]
-    assert counts == [run.statistics["clamps"][name][0] for name in ("position", "velocity", "acceleration", "braking")]
-    assert counts[1] > 5
 
 
 def test_tables_together() -> None:
