@@ -281,6 +281,7 @@ def rows(feed: LocalFeed) -> Iterator[Any]:
             yield message.values
 
 
+@pytest.mark.slow  # 3 s
 def test_a_local_client_commands_in_real_time(cell_text: str, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """It moves one joint; the parameter is set; what was sent is what it asked for. The run ends when it has left."""
     asked: list[np.ndarray] = []

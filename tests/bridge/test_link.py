@@ -221,16 +221,31 @@ def test_ctrl_c_stops_the_arm_first_and_completes_the_log(play: Any, tmp_path: P
     np.testing.assert_array_equal(table["qd_sent"][-1], 0.0)
 
 
-def test_the_simulated_robot_in_lockstep_is_repeatable(robot: Robot) -> None:
-    tables = []
-    for _ in range(2):
+def test_the_simulated_robot_in_lockstep_is_repeatable_and_on_one_clock(robot: Robot, tmp_path: Path) -> None:
+    """Also what was said before the first packet: the wall clock is years away from the simulated one."""
+    runs, seen = [], list[Any]()
+
+    def controller(state: State) -> Command:
+        seen.append(state.details())
+        return sway(state)
+
+    for path in (None, tmp_path / "run.mcap"):
         with bridge.connect("sim://yumi_right?lockstep=true&seed=4", robot) as link:
-            tables.append(link.run(sway, seconds=0.6).table)
-    one, two = tables
+            runs.append(link.run(controller, seconds=0.6, record=path))
+    one, two = (run.table for run in runs)
     for name in ("q", "qd", "tau", "q_sent", "qd_sent", "robot_ns", "seq"):
         np.testing.assert_array_equal(one[name], two[name])
     assert np.isfinite(one["tau"]).all()
     assert one["q"].std(axis=0).min() > 0.01
+    begin, events = two.t0_ns, log.inspect(tmp_path / "run.mcap").events
+    assert len(events) > 1
+    assert all(begin <= event.stamp_ns <= begin + 2 * 10**9 for event in events)
+    assert all(begin <= stamp <= begin + 2 * 10**9 for stamp, _ in runs[1].events)
+    # The drive's gravity, its mode and the planned pose, of which a State has no field; None where nobody sent it.
+    assert np.isfinite(seen[-1].tau_gravity).all()
+    assert np.isfinite(seen[-1].T_frame_planned).all()
+    assert (seen[-1].mode, seen[-1].move_index, seen[-1].used_seq > 0) == (1, None, True)
+    assert State(0.0, 0.004, np.zeros(1), np.zeros(1), np.zeros(1)).details() is None
 
 
 _PROGRAM = """
@@ -275,18 +290,6 @@ def test_robots_that_egm_cannot_describe() -> None:
         bridge.connect("egm://127.0.0.1:0", "yumi_left")  # type: ignore[arg-type]
 
 
-def test_what_else_a_packet_says_is_read_on_demand() -> None:
-    """The drive's gravity, its mode and the planned pose, of which a State has no field; None where nobody sent it."""
-    seen: list[Any] = []
-    with bridge.connect("sim://yumi_right?lockstep=true", robots.load("yumi_right")) as link:
-        link.run(lambda state: seen.append(state.details()), seconds=0.05)
-    assert len(seen) > 5
-    assert np.isfinite(seen[-1].tau_gravity).all()
-    assert np.isfinite(seen[-1].T_frame_planned).all()
-    assert (seen[-1].mode, seen[-1].move_index, seen[-1].used_seq > 0) == (1, None, True)
-    assert State(0.0, 0.004, np.zeros(1), np.zeros(1), np.zeros(1)).details() is None
-
-
 PATIENCE = 30.0
 
 
@@ -327,6 +330,7 @@ os._exit(0)
 """
 
 
+@pytest.mark.slow  # 1 s, of which most is the start of a process
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="tells living processes by /proc")
 def test_it_does_not_outlive_a_bridge_that_dies_while_it_starts() -> None:
     """The bridge is gone long before the simulator can look who started it."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import bridge, log, robots
+from armlab import log, robots
 from armlab.bridge import Run
 from armlab.bridge.control.recording import Feed, Recording, paths
 from armlab.bridge.control.run import served, statistics, together
@@ -126,17 +126,6 @@ def test_sentences_before_the_clock_is_known_get_the_stamp_of_the_first_row(
     if path is not None:
         told = [(one.stamp_ns, one.text) for one in log.inspect(path).events]
         assert told == [(tick.stamp_ns, f"recording {robot.name}"), *recording.events]
-
-
-def test_a_run_in_lockstep_is_on_one_clock(robot: Robot, tmp_path: Path) -> None:
-    """Also what was said before the first packet: the wall clock is years away from the simulated one."""
-    with bridge.connect(f"sim://{robot.name}?lockstep=true", robot) as link:
-        run = link.run(lambda state: Command(state.q_start), seconds=0.05, record=tmp_path / "run.mcap")
-    events = log.inspect(tmp_path / "run.mcap").events
-    assert len(events) > 1
-    begin = run.table.t0_ns
-    assert all(begin <= one.stamp_ns <= begin + 10**9 for one in events)
-    assert all(begin <= stamp <= begin + 10**9 for stamp, _ in run.events)
 
 
 def rush(state: State) -> Command:
