@@ -132,11 +132,11 @@ def test_a_queue_that_is_not_emptied_within_a_second_is_one_event() -> None:
 
 @pytest.mark.slow
 def test_duplicated_replies_leave_no_lag(tmp_path: Path) -> None:
-    """Real time, one reply in a hundred arrives twice: without the rule the references would be 10 cycles old. 5 s."""
+    """Real time, one reply in a hundred arrives twice: without the rule the references would be 10 cycles old. 6 s."""
     robot, stats = robots.load("yumi_right"), tmp_path / "stats.json"
     url = f"sim://yumi_right?duplicate=0.01&seed=4&stats={quote(str(stats))}"
     with connect(url, robot) as link:
-        run = link.run(lambda state: Command(state.q_start), seconds=3.0)
+        run = link.run(lambda state: Command(state.q_start), seconds=4.0)
     assert run.statistics["left_out"] >= 3
     [counted] = json.loads(stats.read_text()).values()
     ages = {int(age): number for age, number in counted["reference_age"].items() if age != "last"}

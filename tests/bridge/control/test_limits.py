@@ -362,7 +362,7 @@ def test_full_speed_into_each_limit_stops_before_it(name: str) -> None:
     robot = robots.load(name)
     limits, axes = Limits.of(robot), axes_of(robot)
     longest = float(((robot.q_max - robot.q_min) / robot.qd_max).max())
-    turn = longest + 1.0  # s in each direction
+    turn = longest + 2.0  # s in each direction
 
     def controller(state: State) -> Command:
         return Command(qd=robot.qd_max * (1.0 if state.t < turn else -1.0))
