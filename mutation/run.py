@@ -41,7 +41,6 @@ BRIDGE = "src/armlab/bridge"
 FILES = {  # each with the tests that hold it
     f"{BRIDGE}/control/limits.py": ["bridge/control/limits", "bridge/control/state_machine", "bridge/control/commands"],
     f"{BRIDGE}/control/torque.py": ["bridge/control/commands", "bridge/control/limits", "bridge/control/state_machine"],
-    f"{BRIDGE}/control/command_checks.py": ["bridge/control/commands", "bridge/control/state_machine"],
     f"{BRIDGE}/control/realtime.py": ["bridge/control/realtime"],
     f"{BRIDGE}/control/session.py": ["bridge/control/session"],
     f"{BRIDGE}/control/state_machine.py": ["bridge/control/state_machine", "bridge/control/commands"],

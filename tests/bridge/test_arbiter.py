@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from armlab import bridge, robots
 from armlab.bridge.arbiter import LEASE, Arbiter, Order, read_order
-from armlab.bridge.control.command_checks import joint_name
+from armlab.bridge.control.limits import joint_name
 from armlab.state import Command, State
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
@@ -150,7 +150,7 @@ def test_refused_commands_keep_nothing() -> None:
         (Order("labcomm a", "yumi_left", HOME[:6]), "7 numbers in q"),
         (Order("labcomm a", "yumi_left", qd=[[1.0], [2.0, 3.0]]), "7 numbers in qd"),
         (Order("labcomm a", "yumi_left", "up"), "7 numbers in q"),
-        (Order("labcomm a", "yumi_left", qd=np.full(7, np.inf)), "finite numbers in qd"),
+        (Order("labcomm a", "yumi_left", HOME, np.full(7, np.inf)), "finite numbers in qd .* joint 1"),
         (Order("labcomm a", "yumi_left", HOME, tau=np.zeros(7)), "no torque"),
         (Order("labcomm a", "yumi_left"), "a position, a velocity or a torque"),
         (order(arm="yumi_right"), r"arm of this cell \(yumi_left\), got 'yumi_right'"),
@@ -240,7 +240,7 @@ def test_who_leaves_is_forgotten() -> None:
     assert len(bench.answers) == 2, "another client of that name is answered at once"
 
 
-def test_rights_of_a_commander() -> None:
+def test_rights_of_a_commander_and_of_a_controller_of_its_own() -> None:
     arbiter = (bench := Bench()).arbiter
     assert arbiter.commands("labcomm a")
     assert not arbiter.commands("ros a")
@@ -248,12 +248,8 @@ def test_rights_of_a_commander() -> None:
     assert arbiter.commands("labcomm a")
     assert not arbiter.commands("labcomm b")
     assert Bench().arbiter.commands("labcomm a of the hall")
-
-
-def test_a_controller_of_its_own_keeps_the_arms() -> None:
-    bench = Bench()
-    bench.arbiter.reserve("the controller of the cell")
-    assert bench(order()) is None
+    arbiter.reserve("the controller of the cell")
+    bench(order("labcomm b"))
     assert "is commanded by the controller of the cell" in bench.answers[0][1]
 
 
@@ -276,8 +272,8 @@ def test_as_many_clients_wait_as_are_counted_and_of_each_the_newest_counts() -> 
 step = st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.0, 0.0, 0.01, 0.03, 0.2, np.nan]))
 
 
-@settings(max_examples=30)
-@given(st.lists(step, min_size=50, max_size=400), st.randoms(use_true_random=False))
+@settings(max_examples=15)
+@given(st.lists(step, min_size=50, max_size=300), st.randoms(use_true_random=False))
 def test_two_commanders_that_die_at_random(steps: list[tuple[bool, bool, float]], chance: Any) -> None:
     """The outcome is one of them or hold at each tick, no step is above the bound, each takeover has an event."""
     bench = Bench()
@@ -403,23 +399,12 @@ def test_the_ends_of_what_is_allowed_are_within() -> None:
     assert bench.arbiter.refused == {}
 
 
-def test_a_sliding_joint_enters_as_near_as_its_arm_takes_it() -> None:
-    """0.02 m: what the arm itself would not take, and hold for, is refused, and the client told."""
-    rail = robots.from_dh(
-        "rail", 0.0, [0.0, 0.3], 0.0, prismatic=[True, False], q_min=[-1, -3], q_max=[1, 3], qd_max=[0.5, 2]
-    )
-    bench = Bench((rail,))
-    assert bench(Order("labcomm a", "rail", rail.q_home + np.array([0.03, 0.0]))) is None
-    assert "within 0.02 of where the arm is" in bench.answers[0][1]
-    assert bench(Order("labcomm a", "rail", rail.q_home + np.array([0.019, 0.049]))) is not None
-
-
 TICK = 4_000_000  # ns
 
 
 @pytest.mark.slow
 def test_two_commanders_of_a_simulated_arm() -> None:
-    """At 250 Hz for 60 s with random deaths: what is sent follows one of them or holds. Takes 20 s."""
+    """At 250 Hz for 40 s with random deaths: what is sent follows one of them or holds. Takes 13 s."""
     chance = np.random.default_rng(7)
     events: list[str] = []
     ticks = [0]
@@ -460,7 +445,7 @@ def test_two_commanders_of_a_simulated_arm() -> None:
         return command
 
     with bridge.connect("sim://yumi_left?lockstep=true", LEFT) as link:
-        run = link.run(controller, seconds=60.0)
+        run = link.run(controller, seconds=40.0)
     assert run.reason == "the time is up"
     assert run.statistics["refused"] == 0
     table = run.table
@@ -468,8 +453,8 @@ def test_two_commanders_of_a_simulated_arm() -> None:
     limits = bridge.Limits.of(LEFT)
     assert np.all(np.abs(np.diff(table["q_sent"], axis=0)) <= 0.004 * limits.qd_max * 1.01 + 1e-9)
     assert np.all(np.abs(np.diff(table["qd_sent"], axis=0)) <= 0.004 * limits.qdd_max * 1.01 + 1e-6)
-    assert sum("commands yumi_left." in text for text in events) > 40
-    assert sum("no longer commands yumi_left" in text for text in events) > 40
+    assert sum("commands yumi_left." in text for text in events) > 26
+    assert sum("no longer commands yumi_left" in text for text in events) > 26
 
 
 def test_an_order_becomes_a_command() -> None:
@@ -478,24 +463,6 @@ def test_an_order_becomes_a_command() -> None:
     assert (order.server, problem, command.tau) == ("labcomm", "", None)
     np.testing.assert_array_equal(command.q, HOME)
     assert not command.q.flags.writeable
-    command, problem = read_order(Order("a", "yumi_left", tau=np.ones(7)), LEFT, has_torque=True)
-    assert (command.q, problem) == (None, "")
-
-
-@pytest.mark.parametrize(
-    ("fields", "words"),
-    [
-        ({"q": HOME[:6]}, "7 numbers in q"),
-        ({"qd": [[1.0], [2.0, 3.0]]}, "7 numbers in qd"),
-        ({"q": HOME, "qd": np.full(7, np.nan)}, "finite numbers in qd .* joint 1"),
-        ({"q": HOME, "tau": np.zeros(7)}, "no torque"),
-        ({}, "a position, a velocity or a torque"),
-    ],
-)
-def test_one_bad_number_refuses_all(fields: dict[str, Any], words: str) -> None:
-    command, problem = read_order(Order("a", "yumi_left", **fields), LEFT)
-    assert command.q is None
-    assert re.search(words, problem)
 
 
 def test_a_joint_is_called_as_its_client_knows_it() -> None:

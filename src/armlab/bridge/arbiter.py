@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armlab.bridge.control.command_checks import entry_refusal, joint_name, jump_refusal
-from armlab.bridge.control.limits import ENTRY, Limits, axes_of
+from armlab.bridge.control.limits import ENTRY, Limits, axes_of, entry_refusal, joint_name, jump_refusal
 from armlab.bridge.net.events import Tell, nobody
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -216,7 +215,8 @@ class Arbiter:
 
     def _judge(self, order: Order, state: State, came_ns: int) -> bool:
         """Let a command come into force, for a lease from when it came; False when it was refused."""
-        holder, robot = self._holders[order.arm], self._robot(order.arm)
+        holder = self._holders[order.arm]
+        robot = next(one for one in self._robots if one.name == order.arm)
         if self.stopped:
             return self._refuse(order.client, f"All arms hold, since {self.stopped} stopped them.", came_ns)
         if holder is not None and holder.client != order.client:
@@ -265,9 +265,6 @@ class Arbiter:
             else:
                 self._tell(f"{client}: {why}", warn=True)
         return False
-
-    def _robot(self, arm: str) -> Robot:
-        return next(robot for robot in self._robots if robot.name == arm)
 
 
 def _count(counter: Counter[str], client: str) -> None:

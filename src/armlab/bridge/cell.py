@@ -8,11 +8,10 @@ from __future__ import annotations
 import ipaddress
 import math
 import re
-import socket
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
 import msgspec
@@ -26,7 +25,7 @@ from armlab.bridge.control.run import Run
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.inputs.sources import Source, UdpSource, check_source
 from armlab.bridge.link import connect
-from armlab.bridge.net.sockets import is_here, is_loopback
+from armlab.bridge.net.sockets import is_here, is_loopback, local_addresses
 from armlab.bridge.servers.hub import OPERATOR, Hub
 from armlab.bridge.servers.labcomm.client import LabCommSource
 from armlab.bridge.servers.labcomm.process import labcomm_options
@@ -45,17 +44,7 @@ _ANYWHERE = "0.0.0.0"
 _ZENOH = ("zenoh", "rmw_zenoh")  # at one port they share a router, and what reaches one of them reaches the other
 
 
-class _Cell(Protocol):
-    """The fields of a cell that say who listens where."""
-
-    @property
-    def servers(self) -> Mapping[str, Mapping[str, Any]]: ...
-
-    @property
-    def commands(self) -> Iterable[str]: ...
-
-
-def listening(listen: Iterable[str], cell: _Cell) -> dict[str, str]:
+def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
     """Return the address of each network server: loopback, or what the user asked for."""
     found = {name: "127.0.0.1" for name in cell.servers if name != OPERATOR}
     for word in listen:
@@ -82,7 +71,7 @@ def is_open(options: Mapping[str, Any], address: str) -> bool:
     return not options.get(GUARDED, False) and not ipaddress.ip_address(address).is_loopback
 
 
-def _check_readers(cell: _Cell, addresses: Mapping[str, str]) -> None:
+def _check_readers(cell: Cell, addresses: Mapping[str, str]) -> None:
     """Refuse that rows go to a router elsewhere unless --listen says that this server is read from there."""
     for name in _ZENOH:
         router = cell.servers.get(name, {}).get("router", "")
@@ -93,7 +82,7 @@ def _check_readers(cell: _Cell, addresses: Mapping[str, str]) -> None:
             )
 
 
-def _check_routers(cell: _Cell, addresses: Mapping[str, str]) -> None:
+def _check_routers(cell: Cell, addresses: Mapping[str, str]) -> None:
     """Refuse that commands of one Zenoh server come through the router of another that anybody reaches."""
     places = {name: _router_port(cell.servers[name]) for name in _ZENOH if name in cell.servers}
     for name in places:
@@ -113,7 +102,7 @@ def _check_routers(cell: _Cell, addresses: Mapping[str, str]) -> None:
         )
 
 
-def _check_master(cell: _Cell) -> None:
+def _check_master(cell: Cell) -> None:
     """Refuse commands of ROS 1 when the master is elsewhere: it tells us to read from nodes of its network."""
     if "ros1" not in cell.commands:
         return
@@ -153,19 +142,12 @@ def _address(place: str) -> str:
         if address.is_multicast or address == ipaddress.IPv4Address("255.255.255.255"):
             raise ConfigError(f"Expected the address of a network card after --listen SERVER=, got {place}.")
         return str(address)
-    if place not in [name for _, name in socket.if_nameindex()]:
-        known = ", ".join(name for _, name in socket.if_nameindex())
+    own = local_addresses()
+    if place not in own:
         raise ConfigError(
-            f"Expected an IPv4 address or one of the interfaces {known} after --listen SERVER=, got {place!r}."
+            f"Expected an IPv4 address or one of the interfaces {', '.join(own)} after --listen SERVER=, got {place!r}."
         )
-    import fcntl
-
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            answer = fcntl.ioctl(probe.fileno(), 0x8915, place.encode().ljust(256, b"\0"))  # SIOCGIFADDR
-        except OSError as error:
-            raise ConfigError(f"Expected an interface with an IPv4 address, got {place} ({error.strerror}).") from error
-    return socket.inet_ntoa(answer[20:24])
+    return own[place]
 
 
 _Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-]{1,40}$")]

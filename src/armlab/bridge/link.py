@@ -343,7 +343,10 @@ class Link:
         NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed : with the last ten seconds in `.table`.
         """
         self._check(controller, seconds, wait, reconnect)
-        paced = self._paced(pace)
+        names = [robot.name for robot in self.robots]
+        if pace is not None and pace not in names:
+            raise UnknownName.among("arm of this link", pace, names)
+        paced = 0 if pace is None else names.index(pace)
         what = "listening" if controller is None else "moving"
         if self._offering is not None:
             exchange, feeds = self._offering.exchange, (*feeds, self._offering.exchange)
@@ -390,12 +393,6 @@ class Link:
         if loop.interrupted:
             raise KeyboardInterrupt
         return run
-
-    def _paced(self, pace: str | None) -> int:
-        names = [robot.name for robot in self.robots]
-        if pace is not None and pace not in names:
-            raise UnknownName.among("arm of this link", pace, names)
-        return 0 if pace is None else names.index(pace)
 
     def _check(self, controller: Controller | None, seconds: Any, wait: str, reconnect: str) -> None:
         if self._closed:

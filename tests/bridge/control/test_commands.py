@@ -12,16 +12,25 @@ import pytest
 
 from armlab import bridge, robots
 from armlab.bridge import connect
-from armlab.bridge.control.command_checks import entry_refusal, joint_name, jump_refusal, kept, numbers, refusal, wanted
 from armlab.bridge.control.external_axes import ExternalReferences, joined
-from armlab.bridge.control.limits import Limiter, Limits
+from armlab.bridge.control.limits import (
+    Limiter,
+    Limits,
+    entry_refusal,
+    joint_name,
+    jump_refusal,
+    kept,
+    numbers,
+    refusal,
+    wanted,
+)
 from armlab.bridge.control.state_machine import Mode, StateMachine
 from armlab.bridge.control.torque import Admittance, TorqueModel, Torques, admittances
 from armlab.errors import CommandRefused, ConfigError
 from armlab.robots import Robot
 from armlab.state import Command, State
-from armlab.wire.egm import Beside, EgmCodec, Packet, Reference
-from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessage
+from armlab.wire.egm import Beside, EgmCodec, Packet
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 from .test_state_machine import Bench
 
@@ -182,19 +191,16 @@ def test_rounding_is_not_a_clamp(robot: Robot, limits: Limits) -> None:
 def test_without_the_capability_a_torque_is_refused_by_name(robot: Robot, limits: Limits) -> None:
     plain = Torques(robot, limits, frozenset(("position", "velocity")))
     with pytest.raises(CommandRefused, match=r'can carry position, velocity only.*torque="admittance"'):
-        plain.wanted(Command(tau=np.zeros(7)), robot.q_home, np.zeros(7))
+        plain.wanted(None, None, np.zeros(7), robot.q_home, np.zeros(7))
     with pytest.raises(CommandRefused, match="can carry nothing only"):
-        Torques(robot, limits, frozenset()).wanted(Command(tau=np.zeros(7)), robot.q_home, np.zeros(7))
+        Torques(robot, limits, frozenset()).wanted(None, None, np.zeros(7), robot.q_home, np.zeros(7))
     with pytest.raises(CommandRefused, match=r"no torque limits.*tau_max"):
-        Torques(robot, Limits.of(robot), TORQUES).wanted(Command(tau=np.zeros(7)), robot.q_home, np.zeros(7))
+        Torques(robot, Limits.of(robot), TORQUES).wanted(None, None, np.zeros(7), robot.q_home, np.zeros(7))
 
 
-@pytest.mark.parametrize(
-    ("tau", "words"), [(np.full(7, np.nan), "NaN never"), (np.zeros(6), r"\(6,\)"), (["a"] * 7, "7 numbers")]
-)
-def test_what_is_no_torque_is_refused(robot: Robot, limits: Limits, tau: Any, words: str) -> None:
-    with pytest.raises(CommandRefused, match=words):
-        Torques(robot, limits, TORQUES).wanted(Command(tau=tau), robot.q_home, np.zeros(7))
+def test_a_torque_that_is_not_finite_is_refused(robot: Robot, limits: Limits) -> None:
+    with pytest.raises(CommandRefused, match="NaN never"):
+        Torques(robot, limits, TORQUES).wanted(None, None, np.full(7, np.nan), robot.q_home, np.zeros(7))
 
 
 def test_admittance_by_hand(robot: Robot, limits: Limits) -> None:
@@ -203,13 +209,12 @@ def test_admittance_by_hand(robot: Robot, limits: Limits) -> None:
     unit = Admittance(np.full(7, 5.0), model)
     torques = Torques(robot, limits, frozenset(("position", "velocity")), unit)
     q, qd = np.arange(7.0), np.ones(7)
-    assert torques.wanted(Command(), q, qd) == (None, None, None)
-    asked, speed, tau = torques.wanted(Command(tau=np.full(7, 12.0)), q, qd)
+    asked, speed, tau = torques.wanted(None, None, np.full(7, 12.0), q, qd)
     assert (asked, tau) == (None, None)
     assert speed is not None
     np.testing.assert_allclose(speed, (12.0 - (q + 2.0)) / 5.0)
     with pytest.raises(CommandRefused, match="tau alone"):
-        torques.wanted(Command(q, tau=q), q, qd)
+        torques.wanted(q, None, q, q, qd)
     plain = Admittance([5.0] * 7)  # type: ignore[arg-type]
     assert isinstance(plain.damping, np.ndarray)
     np.testing.assert_allclose(plain.velocity(q, q, qd), q / 5.0)
@@ -577,33 +582,3 @@ def test_a_false_feedback_of_external_axes_is_never_a_reference(feed: Any, robot
         np.testing.assert_allclose(beside.q_ext, here)
     assert len([text for text in feed.warnings if "external axes" in text]) == 1
     assert machine.ready
-
-
-@pytest.mark.parametrize("name", ["yumi_right", "irb120"])
-@pytest.mark.parametrize("extension", [False, True])
-def test_the_round_trip_through_the_robots_codec(name: str, extension: bool) -> None:
-    """Axis 7 of a YuMi shares its array with the axes beyond; one reply after another, with and without them."""
-    robot = robots.load(name)
-    codec, theirs = EgmCodec(robot, extension), RobotSideCodec(robot, external=2)
-    q, qd = robot.q_home + 0.1, np.full(robot.n, 0.2)
-    q_ext, qd_ext, data = np.array([0.5, -1.0]), np.array([0.1, 0.2]), np.array([3.0, -4.5])
-
-    def heard(beside: Beside | None, speed: np.ndarray | None = qd) -> SensorMessage:
-        found = theirs.decode_sensor(codec.encode(Reference(q, speed, None, 1, 2, beside=beside)))
-        assert isinstance(found, SensorMessage)
-        np.testing.assert_allclose(found.q, q)
-        if speed is not None:
-            np.testing.assert_allclose(found.qd, speed)
-        return found
-
-    for beside, speed in ((Beside(q_ext, qd_ext, data, True), qd), (Beside(q_ext, qd_ext), None), (Beside(q_ext), qd)):
-        found = heard(beside, speed)
-        np.testing.assert_allclose(found.q_ext, q_ext)
-        if beside.rapid_data is None:
-            assert (found.rapid_data, found.rapid_digital) == (None, None)
-        else:
-            np.testing.assert_array_equal(found.rapid_data, data)
-            assert found.rapid_digital is True
-    assert heard(None).q_ext is None
-    assert heard(Beside(rapid_digital=False)).rapid_digital is False
-    assert heard(Beside(rapid_data=data)).rapid_digital is None

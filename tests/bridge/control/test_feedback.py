@@ -256,7 +256,7 @@ class Supervised:
         """Look as if the last packet had come so many seconds ago."""
         heard = time.monotonic_ns() - int(1e9 * silent_for)
         if self.feed.session._last is not None:
-            self.feed.session._last = self.feed.session._last._replace(arrival_ns=heard)
+            self.feed.session._last.arrival_ns = heard
         self.supervisor.check_silence(heard)
         self.port.close()
 

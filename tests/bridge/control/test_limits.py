@@ -214,14 +214,14 @@ def test_an_irb_2400_follows(lagging: bool) -> None:
         return Command(state.q_start + sway * np.array([0, 1, -1, 0, 0, 0]))
 
     with bridge.connect(f"sim://irb2400?lockstep=true&lagging={str(lagging).lower()}", LINKED) as link:
-        run = link.run(controller, seconds=3.0)
+        run = link.run(controller, seconds=2.0)
     table = run.table
     linkage = Linkage.of(LINKED)
     assert linkage is not None
     moved = table["q"] - table["q"][0]
     assert moved[:, 1].max() == pytest.approx(0.4, abs=0.02)
     np.testing.assert_allclose(moved[:, 1] + moved[:, 2], 0.0, atol=1e-6 if lagging else 5e-3)
-    assert not np.nan_to_num(table["clamped"][50:700]).any()
+    assert not np.nan_to_num(table["clamped"][50:450]).any()
     np.testing.assert_allclose(table["q_planned"][-1], table["q_sent"][-1], atol=0.02)
 
 
@@ -262,7 +262,7 @@ class RobotOnNetwork:
         self.machine.observe(sample)
         if "The robot is ready and holds." in self.events[told:]:  # a reference begins where the arm is
             self.sent = self.now_ns - round(1e9 * sample.step), self.packets.q, np.zeros(7)
-        asked = command(self.machine.state(sample, 0)) if self.machine.calls else None
+        asked = command(self.machine.state(sample, 0, {})) if self.machine.calls else None
         reply = self.machine.answer(asked, self.session.period.seconds)
         assert reply is not None, "one reply a packet"
         if not goes_out:
@@ -318,7 +318,7 @@ PIECES = st.tuples(
 
 
 @given(st.lists(PIECES, min_size=1, max_size=12), st.integers(0, 2**32))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_no_reference_is_faster_than_the_measured_time_allows(pieces: list[Any], seed: int) -> None:
     rng, robot = np.random.default_rng(seed), RobotOnNetwork()
     for _ in range(4):
@@ -352,9 +352,9 @@ def test_a_robot_that_streams_slower_than_it_guides(before: int, then: int) -> N
     assert robot.fastest[0] == pytest.approx(ROBOT.qd_max[0], rel=1e-9)
 
 
-QUICK = ("irb1200", "irb120", "yumi_right")  # those whose simulated arms went through their limits once
+QUICK = "irb1200"  # whose simulated arm went through its limits once, as those of irb120 and yumi_right
 LIMITED = [name for name in robots.names() if np.isfinite(robots.load(name).q_max).all()]  # not the DH test
-ARMS = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in LIMITED]
+ARMS = [pytest.param(name, marks=() if name == QUICK else pytest.mark.slow) for name in LIMITED]
 
 
 @pytest.mark.parametrize("name", ARMS)

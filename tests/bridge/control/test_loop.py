@@ -261,14 +261,6 @@ def test_the_time_is_up(one: Make) -> None:
     assert hands.loop.reason == "the time is up"
 
 
-def test_what_is_no_packet_gets_no_answer(one: Make) -> None:
-    hands = one(drift)
-    hands.cycle()
-    hands.ports[0].waiting.append(hands.garbage())
-    hands.loop.cycle()
-    assert len(hands.ports[0].sent) == 1
-
-
 def test_a_run_that_has_ended_waits_for_nothing(one: Make) -> None:
     hands = one(drift)
     hands.loop.interrupt()
@@ -314,14 +306,6 @@ def test_an_error_while_the_guard_answers_ends_the_run_and_the_guard_goes_on(
     assert isinstance(hands.loop.failure.__cause__, ZeroDivisionError)
 
 
-def test_a_display_of_progress_that_fails_stops_the_arm(one: Make) -> None:
-    hands = one(drift, progress=lambda done: 1 / 0)
-    hands.cycle()
-    assert hands.loop.reason == "the display of progress failed"
-    assert isinstance(hands.loop.failure, ControllerFailed)
-    assert isinstance(hands.loop.failure.__cause__, ZeroDivisionError)
-
-
 def test_a_run_ends_when_an_error_comes_again(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first brings the arm to rest; while that fails too nothing can be sent."""
     hands = one(drift)
@@ -364,24 +348,6 @@ def test_a_run_that_stops_already_ends_with_the_error(one: Make, fails: int) -> 
     assert len(failed) >= min(fails, 2)
 
 
-def test_one_error_brings_the_arm_to_rest_and_is_raised(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    hands = one(drift)
-    for _ in range(10):
-        hands.cycle()
-    encode, failed = hands.arms[0].codec.encode, []
-
-    def fails_once(reference: Any) -> bytes:
-        failed.append(reference)
-        return encode(reference) if len(failed) > 1 else 1 / 0  # type: ignore[return-value]
-
-    monkeypatch.setattr(hands.arms[0].codec, "encode", fails_once)
-    hands.run()
-    assert hands.speed() == 0.0
-    assert hands.loop.reason == "the bridge failed"
-    assert "ZeroDivisionError" in str(hands.loop.failure)
-    assert 125 <= len(hands.rows) - 10 < 150  # it rests half a second
-
-
 @pytest.mark.parametrize(
     ("error", "words"),
     [
@@ -396,6 +362,8 @@ def test_what_fails_is_named_and_memory_is_given_back(one: Make, error: Exceptio
 
     for hands in (one(raises), one(drift, progress=raises)):
         hands.cycle()
+        assert isinstance(hands.loop.failure, ControllerFailed)
+        assert hands.loop.failure.__cause__ is error
         assert words in str(hands.loop.failure)
 
 
@@ -554,10 +522,9 @@ def test_a_flood_of_garbage_changes_no_reference(play: Any) -> None:
         assert any("Dropped a datagram from " in text for _, text in run.events) == tells
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_what_is_not_finite_never_reaches_the_wire(play: Any, bad: float) -> None:
+def test_what_is_not_finite_never_reaches_the_wire(play: Any) -> None:
     def controller(state: State) -> Command:
-        return Command(np.full(7, bad)) if state.seq >= 20 else sway(state)
+        return Command(np.full(7, math.nan)) if state.seq >= 20 else sway(state)
 
     def script(peer: Any) -> None:
         peer.rest()
@@ -572,28 +539,6 @@ def test_what_is_not_finite_never_reaches_the_wire(play: Any, bad: float) -> Non
     assert np.isfinite(table["q_sent"]).all()
     np.testing.assert_array_equal(table["qd_sent"][-1], 0.0)
     assert table["q_sent"][22:].max() <= table["q_sent"][19].max() + 0.01
-
-
-def test_a_new_session_starts_over(play: Any) -> None:
-    seen: list[tuple[int, float]] = []
-
-    def controller(state: State) -> Command:
-        seen.append((state.session, state.t))
-        return sway(state)
-
-    def script(peer: Any) -> None:
-        peer.cycles(20)
-        peer.packets.seq = 0
-        peer.packets.q = peer.packets.q + 0.2
-        restarted = peer.cycles(20)
-        assert restarted[0].seqno == 0
-        np.testing.assert_allclose(restarted[0].q, peer.packets.q, rtol=1e-14)
-        peer.rest()
-
-    run = play(script, controller, seconds=0.004 * 38)
-    assert run.statistics["sessions"] == 2
-    assert (2, 0.0) in seen
-    assert max(t for session, t in seen if session == 2) < 0.1
 
 
 def test_listening_writes_nothing(play: Any) -> None:

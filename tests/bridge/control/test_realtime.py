@@ -214,9 +214,6 @@ def test_two_ports_take_turns(port: Port, other: Port, mode: Wait) -> None:
 
 @pytest.mark.parametrize("mode", ["ahead", "spin"])
 def test_a_packet_of_another_arm_ends_the_sleep(port: Port, other: Port, mode: Wait) -> None:
-    import threading
-    import time
-
     prediction = Prediction()
     prediction.add(time.monotonic_ns(), 1, 0.4)
     waiting = Waiting([port, other], [prediction, Prediction()], mode)

@@ -338,8 +338,8 @@ def test_a_network_that_stood_delivers_what_waited(packets: Any, stall_ms: float
 
 
 def test_a_slow_clock_is_told(packets: Any) -> None:
-    found, told = steps(packets, [1.0] * 5200, [4.0] * 5200)
-    assert found == pytest.approx([1.0] * 5200)
+    found, told = steps(packets, [2.0] * 2600, [8.0] * 2600)
+    assert found == pytest.approx([2.0] * 2600)
     assert len(told) == 1
     assert "runs behind ours" in told[0]
 
@@ -443,11 +443,16 @@ def test_number_zero_with_a_clock_that_went_back_is_a_robot_that_restarted(feed:
     assert not feed.session.drops
 
 
+def fifty(feed: Any) -> None:
+    """Let fifty packets of a session come."""
+    for k in range(50):
+        feed(seqno=k, tm_ms=60_000 + 4 * k)
+
+
 @pytest.mark.parametrize(("seqno", "tm"), [(1, 200), (1, 60_050), (70, 200)])
 def test_a_session_whose_first_packet_was_lost_begins_after_five_periods(feed: Any, seqno: int, tm: int) -> None:
     """Number or clock went back, and the packets go on from each other while nothing else comes."""
-    for k in range(50):
-        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    fifty(feed)
     found = [feed(seqno=seqno + k, tm_ms=tm + 4 * k) for k in range(7)]
     assert found[:5] == [None] * 5
     assert found[5].fresh
@@ -457,8 +462,7 @@ def test_a_session_whose_first_packet_was_lost_begins_after_five_periods(feed: A
 
 @pytest.mark.parametrize(("step", "begins"), [(0, False), (-4, False), (1, True), (2**31 - 1, True), (2**31, False)])
 def test_packets_go_on_from_each_other_by_number_and_tm(feed: Any, step: int, begins: bool) -> None:
-    for k in range(50):
-        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    fifty(feed)
     tm = 2**32 - 2 if step == 1 else 100
     found = [feed(seqno=1 + k, tm_ms=(tm + k * step) % 2**32, after=3 * PERIOD_NS) for k in range(3)]
     assert (found[2] is not None) == begins
@@ -466,16 +470,14 @@ def test_packets_go_on_from_each_other_by_number_and_tm(feed: Any, step: int, be
 
 def test_packets_that_were_delayed_together_begin_no_session(feed: Any) -> None:
     """Three within less than a period are none yet."""
-    for k in range(50):
-        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    fifty(feed)
     found = [feed(seqno=1 + k, tm_ms=200 + 4 * k, after=8 * PERIOD_NS if k == 0 else 1_500_000) for k in range(4)]
     assert found[:3] == [None] * 3
     assert found[3].session == 2
 
 
 def test_packets_out_of_order_between_others_do_not_add_up(feed: Any) -> None:
-    for k in range(50):
-        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    fifty(feed)
     assert [feed(seqno=1 + k, tm_ms=60_004 + 4 * k) for k in range(2)] == [None, None]
     feed(seqno=50, tm_ms=60_200)
     assert feed(seqno=3, tm_ms=60_012, after=8 * PERIOD_NS) is None
@@ -483,8 +485,7 @@ def test_packets_out_of_order_between_others_do_not_add_up(feed: Any) -> None:
 
 def test_old_packets_in_a_row_do_not_take_over_from_a_session_that_goes_on(feed: Any) -> None:
     """A stall that delayed many packets behind newer ones; and single packets after a pause."""
-    for k in range(50):
-        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    fifty(feed)
     for k in range(20):
         assert feed(seqno=k, tm_ms=60_000 + 4 * k, after=1000) is None
     assert feed.sample(seqno=50, tm_ms=60_200).session == 1

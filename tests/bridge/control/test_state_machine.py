@@ -27,7 +27,7 @@ class Bench:
     def see(self, **fields: Any) -> Any:
         sample = self.feed.sample(**fields)
         self.machine.observe(sample)
-        return self.machine.state(sample, 0)
+        return self.machine.state(sample, 0, {})
 
     def __call__(self, command: Command | None = None, **fields: Any) -> Reply | None:
         self.see(**fields)
@@ -87,10 +87,10 @@ def test_listening_sends_nothing_ever(feed: Any, robot: Robot) -> None:
 
 @pytest.mark.parametrize("fields", NOT_READY)
 def test_not_ready_sends_back_the_feedback_of_this_packet(bench: Bench, fields: dict[str, Any]) -> None:
-    for k in range(200):
-        q = bench.home + 1e-3 * k
+    for k in range(20):
+        q = bench.home + 1e-2 * k
         reply = bench.reply(Command(bench.home), q=q, **fields)
-        np.testing.assert_allclose(bench.machine.state(bench.feed.session._last, 0).q_start, q, rtol=1e-14)
+        np.testing.assert_allclose(bench.machine.state(bench.feed.session._last, 0, {}).q_start, q, rtol=1e-14)
         np.testing.assert_allclose(reply.q, q, rtol=1e-14)
         assert not reply.qd.any()
         assert not bench.machine.calls

@@ -41,10 +41,9 @@ from armlab.bridge.doctor.report import (
     examine,
     firewall,
     listen,
-    local_addresses,
     route_to,
 )
-from armlab.bridge.net.sockets import Arrival
+from armlab.bridge.net.sockets import Arrival, local_addresses
 from armlab.errors import ConfigError
 from armlab.robots import Robot
 from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
@@ -299,7 +298,7 @@ def test_a_robot_is_heard_and_gets_nothing(robot: Robot, make_peer: Any) -> None
     number = free_port()
     peer = make_peer(robot, number)
     with streaming(peer):
-        found = named(listen([number], 0.25, [robot], asked=True))
+        found = named(listen([number], 0.1, [robot], asked=True))
     assert peer.surplus() == 0
     assert "7 axes" in found[f"port {number}, first packet"].value
     assert "leave from 127.0.0.1" in found[f"port {number}, route"].value
@@ -311,7 +310,7 @@ def test_two_robots_on_one_port(robot: Robot, make_peer: Any) -> None:
     number = free_port()
     first, second = make_peer(robot, number), make_peer(robot, number)
     with streaming(first), streaming(second):
-        found = named(listen([number], 0.25, [robot], asked=True))
+        found = named(listen([number], 0.1, [robot], asked=True))
     assert found[f"port {number}, senders"].verdict == "failure"
     assert first.surplus() == second.surplus() == 0
 
@@ -321,7 +320,7 @@ def test_no_route_to_a_robot(robot: Robot, make_peer: Any, monkeypatch: pytest.M
     number = free_port()
     peer = make_peer(robot, number)
     with streaming(peer):
-        found = named(listen([number], 0.25, [robot], asked=True))
+        found = named(listen([number], 0.1, [robot], asked=True))
     assert found[f"port {number}, route"].verdict == "failure"
     assert "network of 127.0.0.1" in found[f"port {number}, route"].advice
 

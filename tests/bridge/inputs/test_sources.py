@@ -310,7 +310,7 @@ def test_json() -> None:
     sender.close()
 
 
-@settings(max_examples=200)
+@settings(max_examples=50)
 @given(data=st.binary(max_size=200))
 def test_any_datagram_is_a_reading_or_a_drop(data: bytes) -> None:
     for layout in (LAYOUT, "json"):

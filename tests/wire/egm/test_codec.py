@@ -274,7 +274,7 @@ def test_unusual_messages(six: Any, wire: Any) -> None:
 
 
 @given(st.binary(max_size=400))
-@settings(max_examples=300)
+@settings(max_examples=100)
 def test_any_bytes(yumi: Any, data: bytes) -> None:
     as_protobuf(yumi, data)
     assert EgmCodec(yumi).details(data) is None or data is not None
@@ -288,7 +288,7 @@ def test_every_truncation_and_a_large_datagram(yumi: Any) -> None:
 
 
 @given(st.data())
-@settings(max_examples=500)
+@settings(max_examples=150)
 def test_mutated_messages(six: Any, wire: Any, data: st.DataObject) -> None:
     """Same length or not, tags, lengths, states or numbers hit; also when a whole message was read before."""
     good = RobotSideCodec(six, "7", ("qd", "tau"), force=True).encode_robot(message(six, 1))
@@ -387,7 +387,7 @@ def test_axes_beyond_the_robot_byte_by_byte(yumi: Any, wire: Any) -> None:
 
 
 @given(st.data())
-@settings(max_examples=100)
+@settings(max_examples=40)
 def test_replies_are_those_of_protobuf(six: Any, yumi: Any, scara: Any, data: st.DataObject) -> None:
     nothing = SimpleNamespace(n=0, prismatic=np.zeros(0, bool), abb_axes=(), coupling=np.zeros((0, 0)))
     arm, extension = data.draw(st.sampled_from([six, yumi, scara, nothing])), data.draw(st.booleans())

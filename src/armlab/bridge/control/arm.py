@@ -5,10 +5,8 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
-from armlab.bridge.control.command_checks import kept
-from armlab.bridge.control.limits import Reply
+from armlab.bridge.control.limits import Reply, kept
 from armlab.bridge.control.realtime import Prediction
 from armlab.bridge.control.recording import Recording
 from armlab.bridge.control.session import Sample, Session
@@ -19,11 +17,11 @@ from armlab.bridge.net.events import Tell, nobody
 from armlab.bridge.net.sockets import Arrival, Port
 from armlab.log import Tick
 from armlab.robots import Robot
-from armlab.state import Command, State
+from armlab.state import Command
 from armlab.wire.egm import Codec, Reference
 from armlab.wire.egm.types import StandingQueue
 
-__all__ = ["ArmSession", "Latency", "QueueTrimming", "PendingPacket"]
+__all__ = ["ArmSession", "Latency", "QueueTrimming"]
 
 _BINS = 20_000  # of one microsecond; the last one takes everything longer
 
@@ -78,12 +76,14 @@ class QueueTrimming:
 
     def __init__(self, on_event: Tell = nobody) -> None:
         self._on_event, self._standing = on_event, StandingQueue()
-        self.left_out = 0
-        self._owed = 0
+        self.left_out = self._owed = self._depth = 0
         self._depths: list[int] = []
 
     def leaves_out(self, depth: int, period: float) -> bool:
         """Return whether the reply to this packet is left out: one for each message that was left in three cycles."""
+        before, self._depth = self._depth, depth
+        if depth <= 0 and before <= 0:
+            return False
         if standing := self._standing.after(depth, period):
             self._on_event(f"{standing} Skipping {self.left_out} replies did not empty the queue. {_REMEDY}", warn=True)
         self._owed = min(self._owed, max(depth, 0))  # a queue that is shorter, or another session's, owes no more
@@ -101,26 +101,6 @@ class QueueTrimming:
 _DROPS = 64  # refused datagrams per wake-up: a flood cannot hold the loop up
 _BACKLOG = 1000  # datagrams per wake-up, more than wait after any stall: all but the newest packet are overtaken
 _DEADLINE = 0.75  # of a period, from arrival to reply
-
-
-class PendingPacket(NamedTuple):
-    """A packet that is about to be answered, what the controller sees of it, and how long it waited for the loop."""
-
-    sample: Sample
-    state: State
-    wake_ns: int
-
-
-class _Row(NamedTuple):
-    """What is recorded of a packet: by default one that was overtaken."""
-
-    pending: PendingPacket
-    command: Command | None = None
-    reply: Reply | None = None
-    seq: int = -1
-    send_ns: int = -1
-    call_ns: int = 0
-    late: bool = False
 
 
 class ArmSession:
@@ -143,23 +123,18 @@ class ArmSession:
         self.latency, self.prediction = Latency(), Prediction()
         self.replies = self.overtaken = self.late = self._ticks = 0
         self.was_late = self._went_out = self._left_out = False
-        self.newest: PendingPacket | None = None
+        self.newest: Sample | None = None
         self.period = session.period.seconds
         self._in_lockstep, self._resumes = settings.clock == "robot", settings.resume
-        self._fusion = fusion
+        self.fusion = fusion
         self.trimming = QueueTrimming(recording.event)
-        self._supervisor = Supervisor(port, session, machine, settings, recording.event)
-        self._wall_ns, self._arrived_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
-        self._surpassed: list[PendingPacket] = []
-        self._rows: list[_Row] = []
+        self.supervisor = Supervisor(port, session, machine, settings, recording.event)
+        self._wall_ns, self.arrived_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
+        self._surpassed: list[Sample] = []
+        self._rows: list[Sample] = []
         self._arrival: Arrival | None = None
         self._details = getattr(codec, "details", None)  # a codec of the user's need not have it
         self.set_command(None)
-
-    @property
-    def may_call(self) -> bool:
-        """Whether the controller may be asked: this arm is ready and no source that it requires is stale."""
-        return self.machine.calls and not self._fusion.missing
 
     @property
     def stamp_ns(self) -> int:
@@ -167,20 +142,6 @@ class ArmSession:
         if self._in_lockstep and self.newest is None:
             return 0
         return self._robot_ns if self._in_lockstep and self._robot_ns else self._wall_ns + time.monotonic_ns()
-
-    def stamp(self, sample: Sample) -> int:
-        """Return when a packet came, as rows are stamped [ns]: arrival on the wall clock, in lockstep robot time."""
-        robot_ns = sample.packet.robot_ns
-        return robot_ns if self._in_lockstep and robot_ns else self._wall_ns + sample.arrival_ns
-
-    def deadline(self, sample: Sample) -> float:
-        """Return when the reply to a packet is late, on our monotonic clock [ns]."""
-        return sample.arrival_ns + _DEADLINE * 1e9 * self.period
-
-    def check_silence(self) -> None:
-        """See whether the session or the run is over; see `Supervisor`."""
-        self._supervisor.check_silence(self._arrived_ns)
-        self.recording.catch_up()
 
     def set_command(self, command: Command | None) -> None:
         """Keep what the controller commands this arm, which does not pace it, for the next packets."""
@@ -191,7 +152,7 @@ class ArmSession:
         self._given_age += sample.dt
         return self._given if self._given_age <= longest else None
 
-    def receive(self, arrival: Arrival | None, unanswered: PendingPacket | None = None) -> PendingPacket | None:
+    def receive(self, arrival: Arrival | None, unanswered: Sample | None = None) -> Sample | None:
         """Drain the port as far as a flood allows. Return the newest packet that counts, or the unanswered one."""
         pending, taken, refused, woken_ns = unanswered, 0, 0, time.monotonic_ns()
         while arrival is not None:
@@ -202,35 +163,38 @@ class ArmSession:
             else:
                 if pending is not None:
                     self._surpassed.append(pending)
-                self._arrival = arrival
-                pending = self._observe(sample, woken_ns)
+                self._arrival, pending = arrival, sample
+                self._observe(sample, woken_ns)
             if refused == _DROPS or taken == _BACKLOG:
                 break  # before the next is taken from the port: it would be lost
             arrival = self.port.receive()
         return pending
 
-    def _observe(self, sample: Sample, woken_ns: int) -> PendingPacket:
+    def _observe(self, sample: Sample, woken_ns: int) -> None:
         if sample.fresh:
             self.set_command(None)  # what it was told in another session: its age counts the packets, not the silence
         if sample.fresh and sample.session > 1:
-            self._supervisor.judge()
+            self.supervisor.judge()
         if sample.fresh and sample.session > 1 and not self._resumes:  # restarted before anyone saw the silence
             self.machine.lose(self.session.reason, resume=False)
         else:
             self.machine.observe(sample)
-        self._arrived_ns, self._robot_ns = sample.arrival_ns, sample.packet.robot_ns
+        arrival_ns, robot_ns = sample.arrival_ns, sample.packet.robot_ns
+        self.arrived_ns, self._robot_ns = arrival_ns, robot_ns
         self.period = self.session.period.seconds
-        fused = self._fusion.fields(sample.arrival_ns, self.robot, sample.packet.q) if self._fusion.sources else {}
+        received_ns = self._wall_ns + arrival_ns
+        sample.stamp_ns = robot_ns if self._in_lockstep and robot_ns else received_ns
+        sample.deadline_ns = arrival_ns + _DEADLINE * 1e9 * self.period
+        sample.wake_ns = max(0, woken_ns - arrival_ns)  # one that came while the loop ran did not wait for it
+        fused = self.fusion.fields(arrival_ns, self.robot, sample.packet.q) if self.fusion.sources else {}
         if self._details is not None and self._arrival is not None:
             fused = {**fused, "details": partial(self._details, self._arrival.data)}
-        state = self.machine.state(sample, self._wall_ns + sample.arrival_ns, **fused)
-        waited_ns = max(0, woken_ns - sample.arrival_ns)  # one that came while the loop ran did not wait for it
-        self.newest = PendingPacket(sample, state, waited_ns)
-        return self.newest
+        sample.state = self.machine.state(sample, received_ns, fused)
+        self.newest = sample
 
     def reply(
         self,
-        pending: PendingPacket,
+        sample: Sample,
         command: Command | None,
         reply: Reply | None,
         *,
@@ -242,23 +206,23 @@ class ArmSession:
         self._went_out = self._left_out = False
         try:
             if reply is not None:
-                seq, send_ns = self._send(pending.sample, reply)
+                seq, send_ns = self._send(sample, reply)
         finally:  # also when the codec raises: the robot has not got it
             if reply is not None and not self._went_out:
                 self.machine.take_back(self._left_out)
         if self._went_out and command is self._given and isinstance(command, Command):
             self._given = replace(command, rapid_data=None, rapid_digital=None)  # these go out once
-        late = late or (not self._in_lockstep and send_ns > self.deadline(pending.sample))
+        late = late or (not self._in_lockstep and send_ns > sample.deadline_ns)
         self.was_late = late
         self.late += late
-        for older in self._surpassed:
-            self.overtaken += 1
-            self._rows.append(_Row(older))
+        sample.command, sample.reply, sample.seq = command, reply if seq >= 0 else None, seq
+        sample.send_ns, sample.call_ns, sample.late = send_ns, call_ns, late
+        self.overtaken += len(self._surpassed)
+        self._rows += [*self._surpassed, sample]
         self._surpassed.clear()
-        self._rows.append(_Row(pending, command, reply if seq >= 0 else None, seq, send_ns, call_ns, late))
         if seq >= 0:
             self.replies += 1
-            self.latency.add(send_ns - pending.sample.arrival_ns)
+            self.latency.add(send_ns - sample.arrival_ns)
 
     def _send(self, sample: Sample, reply: Reply) -> tuple[int, int]:
         """Send a reply. Return its number and when [ns], -1 and -1 when nothing went out."""
@@ -287,17 +251,17 @@ class ArmSession:
         A row for which there is no memory is the first of the next call; one that was kept never comes again.
         """
         while self._rows:
-            row = self._rows[0]
-            sample, state, reply, wall_ns = row.pending.sample, row.pending.state, row.reply, self._wall_ns
+            sample, wall_ns = self._rows[0], self._wall_ns
+            state, reply = sample.state, sample.reply
             beside = None if reply is None else reply.beside
             tick = Tick(
                 number=self._ticks,
-                seq_sent=row.seq,
-                stamp_ns=self.stamp(sample),
+                seq_sent=sample.seq,
+                stamp_ns=sample.stamp_ns,
                 receive_ns=wall_ns + sample.arrival_ns,
-                send_ns=row.send_ns if row.seq < 0 else wall_ns + row.send_ns,
-                step_ns=row.call_ns,
-                late=row.late,
+                send_ns=sample.send_ns if sample.seq < 0 else wall_ns + sample.send_ns,
+                step_ns=sample.call_ns,
+                late=sample.late,
                 drops=self.session.total_drops,
                 q_sent=None if reply is None else reply.q,
                 qd_sent=None if reply is None else reply.qd,
@@ -306,10 +270,10 @@ class ArmSession:
                 q_ext_sent=None if beside is None else beside.q_ext,
                 rapid_data_sent=None if beside is None else beside.rapid_data,
                 rapid_digital_sent=None if beside is None else beside.rapid_digital,
-                wake_ns=row.pending.wake_ns,
-                record=self._fusion.record(state.sources, sample.arrival_ns) if self._fusion.sources else {},
+                wake_ns=sample.wake_ns,
+                record=self.fusion.record(state.sources, sample.arrival_ns) if self.fusion.sources else {},
             )
-            command = self.recording.keep(state, row.command, tick)
+            command = self.recording.keep(state, sample.command, tick)
             self._ticks = tick.number + 1
             del self._rows[0]
             self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from armlab.bridge.control.command_checks import numbers
 from armlab.bridge.control.feedback import READY_AFTER
-from armlab.bridge.control.limits import Limiter, Limits, Reply
+from armlab.bridge.control.limits import Limiter, Limits, Reply, numbers
 from armlab.errors import CommandRefused
 from armlab.state import Command
 from armlab.wire.egm import Beside, Packet
@@ -35,23 +34,23 @@ class ExternalReferences:
     @property
     def at_rest(self) -> bool:
         """Whether the references of the external axes stand still."""
-        return not self._moves or self._limiter is None or self._limiter.at_rest
+        return not self.moves or self._limiter is None or self._limiter.at_rest
 
     @property
     def memory(self) -> tuple[bool, bool, Any]:
         """What the next references depend on. Set it back when the last ones did not go out."""
-        return self._moves, self._entered, None if self._limiter is None else self._limiter.memory
+        return self.moves, self._entered, None if self._limiter is None else self._limiter.memory
 
     @memory.setter
     def memory(self, memory: tuple[bool, bool, Any]) -> None:
         """Go on from what it was."""
-        self._moves, self._entered, sent = memory
+        self.moves, self._entered, sent = memory
         if self._limiter is not None:
             self._limiter.memory = sent
 
     def begin(self) -> None:
         """Forget what was asked for: a new session."""
-        self._moves = self._entered = False
+        self.moves = self._entered = False
         self._plausible, self._since = 0, 0.0
         self._q: np.ndarray | None = None
 
@@ -76,15 +75,15 @@ class ExternalReferences:
         The next position asked for must be near. Axes of another number are others, of which none was asked for.
         """
         self._entered = False
-        if not self._moves or self._limiter is None or self._q is None or packet.q_ext.shape != self._limiter.q.shape:
-            self._moves = False
+        if not self.moves or self._limiter is None or self._q is None or packet.q_ext.shape != self._limiter.q.shape:
+            self.moves = False
             return None
         reply = self._limiter.rest(self._q)
         return Beside(reply.q, reply.qd)
 
     def hold(self, dt: float, longest: float) -> Beside | None:
         """Return what goes with a reply that holds: the axes come to rest, RAPID gets nothing. See `Limiter.step`."""
-        if not self._moves or self._limiter is None:
+        if not self.moves or self._limiter is None:
             return None
         reply = self._limiter.hold(dt, longest)
         return Beside(reply.q, reply.qd)
@@ -92,7 +91,7 @@ class ExternalReferences:
     def follow(self, command: Command, packet: Packet, dt: float, longest: float) -> Beside | None:
         """Return what goes with the reply to a command."""
         if command.rapid_data is None and command.rapid_digital is None and command.q_ext is None:
-            return self.hold(dt, longest) if self._moves else None
+            return self.hold(dt, longest)
         data = self._data(command, packet)
         q_ext = command.q_ext
         moved = self.hold(dt, longest) if q_ext is None else self._moved(q_ext, packet, dt, longest)
@@ -143,7 +142,7 @@ class ExternalReferences:
                     f"Expected external axes that report positions within their limits, {limits.q_min} to "
                     f"{limits.q_max}, three times in a row before they are moved, got {measured}."
                 )
-            if not self._moves:
+            if not self.moves:
                 limiter.rest(self._q)
             held = limiter.q
             far = np.flatnonzero(np.abs(wanted - held) > limits.entry)
@@ -153,7 +152,7 @@ class ExternalReferences:
                     f"Expected the first position of external axis {k + 1} within {limits.entry[k]:g} of where it is, "
                     f"{held[k]:.4f}, got {wanted[k]:.4f}. Begin at state.q_ext."
                 )
-            self._moves = self._entered = True
+            self.moves = self._entered = True
         before, memory = limiter.q, limiter.memory
         reply = limiter.step(wanted, None, dt, longest)
         if reply.refused:

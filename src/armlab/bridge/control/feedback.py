@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.bridge.control.limits import Limits, Reply, axes_of
+from armlab.bridge.control.limits import Limits, Reply, axes_of, joint_name
 from armlab.robots import Robot
 from armlab.wire.egm import Packet
 from armlab.wire.egm.axes import Linkage
@@ -63,31 +63,33 @@ class FeedbackCheck:
         if sent is None:
             self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
         self._guided += dt
-        axes = q if self._linkage is None else self._linkage.axes(q)
-        outside = _outside_range(axes, self._robot)
-        problem = outside or self._too_fast(axes) or ("" if sent is None else self._apart(axes, dt, sent))
+        problem, robot, axes, before = "", self._robot, q, self.q
+        if self._linkage is not None:
+            axes, before = self._linkage.axes(q), None if before is None else self._linkage.axes(before)
+        beyond = np.maximum(robot.q_min - axes, axes - robot.q_max)
+        is_outside = not beyond[beyond.argmax()] <= _OUTSIDE
+        if is_outside:
+            problem = outside_range(q, robot)
+        elif before is not None:
+            excess = np.abs(axes - before) - (_STEP + _FASTER * robot.qd_max * self._since)
+            i = int(excess.argmax())
+            if excess[i] > 0.0:
+                problem = (
+                    f"Expected the feedback of {joint_name(robot, i)} to move no faster than the arm can, but it went "
+                    f"from {before[i]:.4f} to {axes[i]:.4f} in {1e3 * self._since:.1f} ms. "
+                    "Check the robot's controller."
+                )
+        if sent is not None and not problem:
+            problem = self._apart(axes, dt, sent)
         if problem:
             self.plausible, self.implausible = 0, self.implausible + 1.0
-            if not self.confirmed and not outside:
+            if not self.confirmed and not is_outside:
                 self.q, self._since = q, 0.0  # of two first ones that contradict each other neither is believed
         else:
             self.plausible, self.implausible = self.plausible + 1, max(0.0, self.implausible - _TAKES_OFF)
             self.q, self._since = q, 0.0
             self.confirmed = self.confirmed or self.plausible >= READY_AFTER
         return problem
-
-    def _too_fast(self, q: np.ndarray) -> str:
-        if self.q is None:
-            return ""
-        before = self.q if self._linkage is None else self._linkage.axes(self.q)
-        excess = np.abs(q - before) - (_STEP + _FASTER * self._robot.qd_max * self._since)
-        i = int(excess.argmax())
-        if excess[i] <= 0.0:
-            return ""
-        return (
-            f"Expected the feedback of {_joint(self._robot, i)} to move no faster than the arm can, but it went from "
-            f"{before[i]:.4f} to {q[i]:.4f} in {1e3 * self._since:.1f} ms. Check the robot's controller."
-        )
 
     def _apart(self, q: np.ndarray, dt: float, sent: Reply) -> str:
         reference, speed = sent.q, sent.qd
@@ -112,30 +114,23 @@ class FeedbackCheck:
                 "small; Limits.of(robot, following_error=...) sets the limit."
             )
         return (
-            f"Expected {_joint(self._robot, i)} within {allowed[i]:.3f} of its reference {reference[i]:.4f}, but it is "
-            f"at {q[i]:.4f}: a following error of {error[i]:.3f}. {cause}"
+            f"Expected {joint_name(self._robot, i)} within {allowed[i]:.3f} of its reference {reference[i]:.4f}, but "
+            f"it is at {q[i]:.4f}: a following error of {error[i]:.3f}. {cause}"
         )
 
 
 def outside_range(q: np.ndarray, robot: Robot) -> str:
     """Return the sentence for feedback (n,) far outside the range of a joint, "" when there is none."""
-    return _outside_range(axes_of(robot)(q), robot)
-
-
-def _outside_range(q: np.ndarray, robot: Robot) -> str:
+    q = axes_of(robot)(q)
     outside = np.maximum(robot.q_min - q, q - robot.q_max)
     i = int(outside.argmax())
     if outside[i] <= _OUTSIDE:
         return ""
     return (
-        f"Expected {_joint(robot, i)} of {robot.name} between {robot.q_min[i]:.3f} and {robot.q_max[i]:.3f}, but the "
-        f"robot reports {q[i]:.3f}. Usual causes are another robot, another joint order and other units: check the "
+        f"Expected {joint_name(robot, i)} of {robot.name} between {robot.q_min[i]:.3f} and {robot.q_max[i]:.3f}, but "
+        f"the robot reports {q[i]:.3f}. Usual causes are another robot, another joint order and other units: check the "
         "robot's description and its RobotWare."
     )
-
-
-def _joint(robot: Robot, i: int) -> str:
-    return f"joint {i + 1} ({robot.joint_names[i]})"
 
 
 MCI_RUNNING = 3

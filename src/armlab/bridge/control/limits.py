@@ -1,20 +1,39 @@
-"""What a reference may do: `Limits`, and `Limiter`, which remembers what was sent last."""
+"""What a reference may do: `Limits`; `wanted`, the references of a command, checked; `Limiter`, what is sent of them.
+
+The sentences for references that are refused: `refusal`, `jump_refusal`, `entry_refusal`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from armlab import kernels
-from armlab.errors import ConfigError
+from armlab.errors import CommandRefused, ConfigError
 from armlab.robots import Robot
+from armlab.state import Command
 from armlab.wire.egm import Beside
 from armlab.wire.egm.axes import Linkage
 
-__all__ = ["ENTRY", "Limiter", "Limits", "LinkedLimiter", "Reply", "axes_of", "limiter_of"]
+__all__ = [
+    "ENTRY",
+    "Limiter",
+    "Limits",
+    "LinkedLimiter",
+    "Reply",
+    "axes_of",
+    "entry_refusal",
+    "joint_name",
+    "jump_refusal",
+    "kept",
+    "limiter_of",
+    "numbers",
+    "refusal",
+    "wanted",
+]
 
 ENTRY = 0.05
 """How far the first position may be from where the arm holds, when nothing else is said [rad or m]."""
@@ -162,6 +181,10 @@ class Reply(NamedTuple):
     beside: Beside | None = None
 
 
+Memory = tuple[np.ndarray, np.ndarray | None]
+"""Position, speed and acceleration sent last (3, n), and the position asked for."""
+
+
 class Limiter:
     """The last reference sent, and the next one within the limits (law: `kernels.limit_reference`)."""
 
@@ -171,12 +194,16 @@ class Limiter:
         self._lag = limits.lag
         self._none = np.zeros(len(limits.q_min), dtype=np.uint8)
         self._none.flags.writeable = False
-        self.memory: tuple[np.ndarray, np.ndarray | None] = np.zeros((3, len(limits.q_min))), None
+        self.memory: Memory = np.zeros((3, len(limits.q_min))), None
 
     @property
     def q(self) -> np.ndarray:
         """(n,) position sent last."""
-        return self.memory[0][0]
+        return self.sent(self.memory)
+
+    def sent(self, memory: Memory) -> np.ndarray:
+        """Return the position (n,) sent when `memory` was that of the limiter."""
+        return memory[0][0]
 
     @property
     def at_rest(self) -> bool:
@@ -221,10 +248,9 @@ class LinkedLimiter(Limiter):
         super().__init__(limits, reach)
         self._linkage = linkage
 
-    @property
-    def q(self) -> np.ndarray:
-        """(n,) position sent last, of the joints."""
-        return self._linkage.joints(super().q)
+    def sent(self, memory: Memory) -> np.ndarray:
+        """Return the position (n,) of the joints, as `Limiter.sent`."""
+        return self._linkage.joints(memory[0][0])
 
     def rest(self, q: np.ndarray) -> Reply:
         """Stand still at `q` (n,), as `Limiter.rest`."""
@@ -249,8 +275,131 @@ def limiter_of(limits: Limits, robot: Robot) -> Limiter:
 def axes_of(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:
     """Return what makes positions (n,) of a robot's joints those that its limits are about: of ABB's axes."""
     linkage = Linkage.of(robot)
-    return _same if linkage is None else linkage.axes
+    return (lambda joints: joints) if linkage is None else linkage.axes
 
 
-def _same(joints: np.ndarray) -> np.ndarray:
-    return joints
+JointName = Callable[[int], str]
+"""Name of a joint by its index, from 0."""
+
+_DOUBLE = np.dtype(np.float64)
+_REAL = "f", "i", "u"  # kinds of numbers; of others a conversion would make some
+_NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
+
+
+def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
+    """Return the position, velocity and torque (n,) that a command asks for, None for what it does not."""
+    if not isinstance(command, Command):
+        raise CommandRefused(
+            f"Expected the controller to return a Command or None, got {type(command).__name__}. "
+            "Write Command(q) for positions, Command(qd=...) for velocities."
+        )
+    q, qd, tau, shape = command.q, command.qd, command.tau, robot.q_max.shape
+    if type(q) is np.ndarray and q.dtype == _DOUBLE and q.shape == shape and qd is tau is None:
+        return np.ascontiguousarray(q), None, None  # the usual one
+    return (
+        None if q is None else _vector("q", q, robot),
+        None if qd is None else _vector("qd", qd, robot),
+        None if tau is None else _vector("tau", tau, robot),
+    )
+
+
+def _vector(name: str, values: Any, robot: Robot) -> np.ndarray:
+    try:
+        array = numbers(values)
+    except Exception as error:  # what a controller returned may be anything
+        raise CommandRefused(
+            f"Expected {robot.n} numbers in Command.{name} for {robot.name}, got {values!r} ({error})."
+        ) from error
+    if array.shape != (robot.n,):
+        raise CommandRefused(
+            f"Expected Command.{name} of shape ({robot.n},) for {robot.name}, got {array.shape}. "
+            f"Give one value per joint: {', '.join(robot.joint_names)}."
+        )
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def numbers(values: Any) -> np.ndarray:
+    """Return what a controller gave as an array of real numbers."""
+    array = np.asarray(values)
+    if array.dtype.kind not in _REAL:
+        raise TypeError(f"of type {array.dtype}")
+    return array
+
+
+def kept(command: Command | None) -> Command | None:
+    """Return a command with arrays of its own: while it serves, the controller may write the next one into its own."""
+    if not isinstance(command, Command):
+        return command
+    return replace(command, **{name: _copied(getattr(command, name)) for name in _NUMBERS})
+
+
+def _copied(values: Any) -> Any:
+    try:
+        return None if values is None else np.array(values)
+    except Exception:  # what a controller returned may be anything
+        return values
+
+
+def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.ndarray, robot: Robot) -> str:
+    """Return the sentence for a reference that the limits refused."""
+    i = abs(refused) - 1
+    joint, axes = joint_name(robot, i), axes_of(robot)
+    if refused > 0 or q is None:  # only a position can jump
+        got = ", ".join(f"{name} = {values[i]}" for name, values in (("q", q), ("qd", qd)) if values is not None)
+        return f"Expected finite numbers in the Command, got {got} for {joint}. NaN never goes to a robot."
+    return _jumped(axes(q), axes(sent), i, robot, joint)
+
+
+def jump_refusal(q: np.ndarray, sent: np.ndarray, jump: np.ndarray, robot: Robot, name: JointName) -> str:
+    """Return the sentence for a position (n,) further than `jump` (n,) from the last one sent, "" when it is near."""
+    axes = axes_of(robot)
+    q, sent = axes(q), axes(sent)
+    excess = np.abs(q - sent) - jump
+    i = int(np.argmax(excess))
+    return "" if excess[i] <= 0.0 else _jumped(q, sent, i, robot, name(i))  # NaN is not near
+
+
+def _jumped(q: np.ndarray, sent: np.ndarray, i: int, robot: Robot, joint: str) -> str:
+    return (
+        f"Expected a position near the last one sent, {sent[i]:.4f}, for {joint} of {robot.name}, got {q[i]:.4f}: a "
+        f"jump of {abs(q[i] - sent[i]):.4f}. Move there gradually. {causes(robot)}"
+    )
+
+
+def entry_refusal(
+    q: np.ndarray,
+    held: np.ndarray,
+    entry: np.ndarray,
+    robot: Robot,
+    name: JointName | None = None,
+    where: str = "holds",
+) -> str:
+    """Return the sentence for a first position too far from where the arm holds (or is), "" when it is near enough."""
+    axes = axes_of(robot)
+    q, held = axes(q), axes(held)
+    distance = np.abs(q - held)
+    far = ~(distance <= entry) & ~np.isnan(q)  # from NaN all is far; NaN in the command is refused as such, and counts
+    if not far.any():
+        return ""
+    i = int(np.argmax(np.where(far, distance / entry, 0.0)))
+    joint = joint_name(robot, i) if name is None else name(i)
+    return (
+        f"Expected the first position within {entry[i]:g} of where the arm {where}, got {q[i]:.4f} for {joint} of "
+        f"{robot.name}, which {where} at {held[i]:.4f}. Begin there. {causes(robot)}"
+    )
+
+
+def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = False) -> str:
+    """Return what a client calls joint i (from 0), with its place in what was sent."""
+    if first is not None:
+        return f"{robot.ros_joint_names[i]} (number {first + i + 1} of the message)"
+    if by_axis:
+        return f"{robot.joint_names[i]} (number {robot.abb_axes[i]} of the vector)"
+    return f"joint {i + 1} ({robot.joint_names[i]})"
+
+
+def causes(robot: Robot) -> str:
+    """Return the usual causes of a distant position, and the quantity of the numbers in the refusal."""
+    usual = "Usual causes are degrees instead of radians and another joint order."
+    are_joints = Linkage.of(robot) is None
+    return usual if are_joints else f"{usual} The numbers are those of ABB's axes, of which one may be several joints."

@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from armlab.bridge.control.arm import ArmSession, PendingPacket
+from armlab.bridge.control.arm import ArmSession
 from armlab.bridge.control.realtime import Lateness, Waiting, collect_if_due
+from armlab.bridge.control.session import Sample
 from armlab.bridge.control.state_machine import Mode
 from armlab.bridge.control.supervision import Settings
 from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
@@ -174,7 +175,7 @@ class Loop:
         # Shared with the guard. `_calling` becomes False only under the lock; `_pending` stays while it is True.
         self._calling = self._taken = self._told = False
         self._called_ns, self._deadline_ns = 0, 0.0
-        self._pending: PendingPacket | None = None
+        self._pending: Sample | None = None
 
     @property
     def failure(self) -> LinkError | None:
@@ -222,7 +223,8 @@ class Loop:
         """Stop after an error of a codec or a source of the user's, or ours: no arm goes on at its speed."""
         self._give_back()
         self._has_failed = True
-        failure = _broken(error)
+        failure = LinkError(f"Expected a cycle without errors, got {_named(error)}.")
+        failure.__cause__ = error
         with suppress(Exception):  # the arms come to rest, whoever cannot be told
             self._stop("the bridge failed", failure)
         self._pace.machine.failure = self.failure or failure  # also when the arms were to stop already
@@ -247,8 +249,35 @@ class Loop:
             self._call(asked)
         for arm in self._arms:
             arm.record()
-        self._look(pending is None)
-        self._after()
+        now_ns = time.monotonic_ns()
+        if pending is None or now_ns - self._looked_ns > 1e9 * _LOOK:  # often enough when only one arm is silent
+            self._looked_ns = now_ns
+            for arm in self._arms:
+                arm.supervisor.check_silence(arm.arrived_ns)
+                arm.recording.catch_up()
+        settings, elapsed = self._settings, min(map(_elapsed, self._arms))
+        if self.interrupted:
+            self._stop("interrupted")
+        if settings.seconds is not None and elapsed >= settings.seconds:
+            self._stop("the time is up")
+        if settings.progress is not None and elapsed >= self._next_progress:
+            self._tell_progress(settings.progress, elapsed)
+        spare_ns = time.monotonic_ns() + _SPARE
+        for arm in () if self._in_lockstep else self._arms:
+            next_ns = arm.prediction.next_ns
+            if next_ns is not None and next_ns < spare_ns:
+                return
+        collect_if_due()
+
+    def _tell_progress(self, progress: Callable[[float], None], elapsed: float) -> None:
+        self._next_progress = elapsed + _PROGRESS
+        try:
+            progress(elapsed)
+        except Exception as error:
+            self._give_back()
+            failure = ControllerFailed(f"`progress` raised {_named(error)}. The arm was stopped.")
+            failure.__cause__ = error
+            self._stop("the display of progress failed", failure)
 
     def overdue(self) -> float:
         """Return the seconds until the controller is overdue, 0 or less when it is. For the guard."""
@@ -280,31 +309,29 @@ class Loop:
             self._told = True
             sentence = f"The controller has not returned for {1e-9 * _HANGS:g} s; the arm is held meanwhile."
             pace.recording.event(f"{sentence} Ctrl-C breaks it off and ends the run.", warn=True)
-        self._record()
-
-    def _record(self) -> None:
         for arm in self._arms:
             arm.record()
 
-    def _may_ask(self, pending: PendingPacket) -> bool:
-        """Whether the controller is called for this packet: all arms are ready and nothing that it needs is stale."""
+    def _may_ask(self, pending: Sample | None = None) -> bool:
+        """Whether the controller may be asked: all arms are ready, no source it requires is stale, all were heard."""
         for arm in self._arms:
-            if not arm.may_call:
+            if not arm.machine.calls or arm.fusion.missing:
                 return False
-        for arm in () if self._in_lockstep else self._others:
-            longest = max(_STALE_PERIODS * arm.period, _STALE)
-            if arm.newest is None or pending.sample.arrival_ns - arm.newest.sample.arrival_ns > 1e9 * longest:
-                return False
+        if pending is not None and not self._in_lockstep:
+            for arm in self._others:
+                longest = max(_STALE_PERIODS * arm.period, _STALE)
+                if arm.newest is None or pending.arrival_ns - arm.newest.arrival_ns > 1e9 * longest:
+                    return False
         return True
 
-    def _answer(self, arm: ArmSession, pending: PendingPacket) -> None:
+    def _answer(self, arm: ArmSession, pending: Sample) -> None:
         """Answer without the controller: with the newest command for an arm that does not pace, else hold."""
         command = None
         if arm is self._pace:
             for other in self._others:
                 other.set_command(None)
-        elif all(one.may_call for one in self._arms):
-            command = arm.kept_command(pending.sample, _SERVES * self._pace.period)
+        elif self._may_ask():
+            command = arm.kept_command(pending, _SERVES * self._pace.period)
         arm.reply(pending, command, arm.machine.answer(command, arm.period))
 
     def _serve_others(self) -> None:
@@ -313,14 +340,14 @@ class Loop:
             if pending is not None:
                 self._answer(arm, pending)
 
-    def _call(self, pending: PendingPacket) -> None:
+    def _call(self, pending: Sample) -> None:
         """Ask the controller and answer; when the guard has answered meanwhile, the result is discarded."""
         pace, controller, period_ns = self._pace, self._controller, 1e9 * self._pace.period
         state = self._state(pending) if self._others else pending.state
         asked, failure = None, None
         self._pending, self._taken = pending, False
         start = self._called_ns = time.monotonic_ns()
-        self._deadline_ns = max(pace.deadline(pending.sample), start + _GRACE * period_ns)
+        self._deadline_ns = max(pending.deadline_ns, start + _GRACE * period_ns)
         self._calling = True
         try:
             asked = controller(state) if controller is not None else None
@@ -341,19 +368,23 @@ class Loop:
                 self._stop("the controller failed", failure)
             if not self._taken:
                 self._obey(pending, asked, call_ns)
-            self._judge(call_ns, period_ns)
+            if not self._in_lockstep:  # the controller, not the computer, makes too many cycles late
+                blamed = self._taken or (pace.was_late and call_ns > _BLAME * period_ns)
+                too_late = self._lateness.add(time.monotonic_ns(), blamed, call_ns)
+                if too_late:
+                    sentence = f"The controller was too slow: {too_late}. The arm was stopped."
+                    self._stop("the controller was late", ControllerLate(f"{sentence} Give work to another thread."))
 
-    def _state(self, pending: PendingPacket) -> State:
+    def _state(self, pending: Sample) -> State:
         """Return the states of all arms as one."""
         pendings = [arm.newest or pending for arm in self._arms]
-        sessions = tuple(one.sample.session for one in pendings)
+        sessions = tuple(one.session for one in pendings)
         if sessions != self._sessions:
             self._sessions, self._t0 = sessions, pending.state.t
-        now_ns = self._pace.stamp(pending.sample)
-        ages = [1e-9 * (now_ns - arm.stamp(one.sample)) for arm, one in zip(self._arms, pendings, strict=True)]
+        ages = [1e-9 * (pending.stamp_ns - one.stamp_ns) for one in pendings]
         return merge_states([one.state for one in pendings], ages, self._pace_index, pending.state.t - self._t0)
 
-    def _obey(self, pending: PendingPacket, asked: Any, call_ns: int) -> None:
+    def _obey(self, pending: Sample, asked: Any, call_ns: int) -> None:
         """Answer the newest packet of the pacing arm with what the controller wants, keep the rest for the others."""
         pace = self._pace
         try:
@@ -361,55 +392,16 @@ class Loop:
         except CommandRefused as error:
             self._stop("a command was refused", error)
             commands = (None,) * len(self._arms)
-        newest = pace.receive(pace.port.receive(), pending) or pending
-        is_same = newest.sample.session == pending.sample.session
+        newest, arrival = pending, pace.port.receive()
+        if arrival is not None:
+            newest = pace.receive(arrival, pending) or pending
+        is_same = newest.session == pending.session
         for arm, command in zip(self._arms, commands, strict=True):
             if arm is pace:
                 command = command if is_same else None
                 pace.reply(newest, command, pace.machine.answer(command, pace.period), call_ns=call_ns)
             else:
                 arm.set_command(command if is_same else None)
-
-    def _judge(self, call_ns: int, period_ns: float) -> None:
-        """Stop when the controller, not the computer, makes too many cycles late."""
-        if self._in_lockstep:
-            return
-        blamed = self._taken or (self._pace.was_late and call_ns > _BLAME * period_ns)
-        too_late = self._lateness.add(time.monotonic_ns(), blamed, call_ns)
-        if too_late:
-            sentence = f"The controller was too slow: {too_late}. The arm was stopped. Give work to another thread."
-            self._stop("the controller was late", ControllerLate(sentence))
-
-    def _look(self, now: bool) -> None:
-        """Look at silence: when nothing came, and often enough when only one arm is silent."""
-        now_ns = time.monotonic_ns()
-        if now or now_ns - self._looked_ns > 1e9 * _LOOK:
-            self._looked_ns = now_ns
-            for arm in self._arms:
-                arm.check_silence()
-
-    def _after(self) -> None:
-        """After a reply: interrupts, ends, progress, garbage."""
-        settings, elapsed = self._settings, min(map(_elapsed, self._arms))
-        if self.interrupted:
-            self._stop("interrupted")
-        if settings.seconds is not None and elapsed >= settings.seconds:
-            self._stop("the time is up")
-        if settings.progress is not None and elapsed >= self._next_progress:
-            self._next_progress = elapsed + _PROGRESS
-            try:
-                settings.progress(elapsed)
-            except Exception as error:
-                self._give_back()
-                failure = ControllerFailed(f"`progress` raised {_named(error)}. The arm was stopped.")
-                failure.__cause__ = error
-                self._stop("the display of progress failed", failure)
-        spare_ns = time.monotonic_ns() + _SPARE
-        for arm in self._arms:
-            next_ns = arm.prediction.next_ns
-            if next_ns is not None and next_ns < spare_ns and not self._in_lockstep:
-                return
-        collect_if_due()
 
     def _have_ended(self) -> bool:
         """Whether all arms have ended; one that stops or has ended stops the others."""
@@ -427,12 +419,6 @@ class Loop:
         self._pace.machine.stop(reason, failure)
         for arm in self._others:
             arm.machine.stop(reason)
-
-
-def _broken(error: Exception) -> LinkError:
-    failure = LinkError(f"Expected a cycle without errors, got {_named(error)}.")
-    failure.__cause__ = error
-    return failure
 
 
 def _named(error: BaseException) -> str:

@@ -128,25 +128,17 @@ class Prediction:
 
     def __init__(self) -> None:
         self._last: float | None = None
-        self._period = 0.0
+        self.next_ns: float | None = None  # on our monotonic clock, None before the first
 
     def add(self, arrival_ns: int, periods: int, period: float) -> None:
         """Take one arrival."""
-        self._period = 1e9 * period
-        if self._last is None:
-            self._last = float(arrival_ns)
-            return
-        expected = self._last + periods * self._period
-        error = arrival_ns - expected
-        if abs(error) > _LOST * self._period:
-            self._last = float(arrival_ns)
-        else:
-            self._last = expected + (error if error < 0.0 else _LATE_SHARE * error)
-
-    @property
-    def next_ns(self) -> float | None:
-        """Predicted arrival of the next packet on our monotonic clock [ns], None before the first."""
-        return None if self._last is None else self._last + self._period
+        last, period_ns = float(arrival_ns), 1e9 * period
+        if self._last is not None:
+            expected = self._last + periods * period_ns
+            error = arrival_ns - expected
+            if abs(error) <= _LOST * period_ns:
+                last = expected + (error if error < 0.0 else _LATE_SHARE * error)
+        self._last, self.next_ns = last, last + period_ns
 
 
 class Waiting:
@@ -156,11 +148,17 @@ class Waiting:
         self._ports, self._predictions, self._mode = tuple(enumerate(ports)), predictions, mode
         self._poller, self._numbers = select.poll(), set[int]()
 
-    def next(self, seconds: float) -> tuple[int, Arrival] | None:
+    def next(self, seconds: float = 0.0) -> tuple[int, Arrival] | None:
         """Return the next datagram with the index of its port, or None when none came in the time."""
-        found = self._receive()
-        if found is not None:
-            return found
+        for index, port in self._ports:
+            arrival = port.receive()
+            if arrival is not None:
+                if len(self._ports) > 1:
+                    self._ports = (*self._ports[1:], self._ports[0])
+                return index, arrival
+        return self._wait(seconds) if seconds > 0.0 else None
+
+    def _wait(self, seconds: float) -> tuple[int, Arrival] | None:
         end = time.monotonic_ns() + int(1e9 * seconds)
         while self._mode != "block":
             now = time.monotonic_ns()
@@ -177,7 +175,7 @@ class Waiting:
         if self._mode == "spin":
             return self._poll(end)
         self._sleep(max(1e-6 * (end - time.monotonic_ns()), 0.0))
-        return self._receive()
+        return self.next()
 
     def _sleep(self, milliseconds: float) -> bool:
         """Sleep until a datagram comes. Return whether one came in the time."""
@@ -193,26 +191,17 @@ class Waiting:
         times = [prediction.next_ns for prediction in self._predictions]
         return min((ns for ns in times if ns is not None and now < ns + _AFTER), default=None)
 
-    def _receive(self) -> tuple[int, Arrival] | None:
-        for index, port in self._ports:
-            arrival = port.receive()
-            if arrival is not None:
-                if len(self._ports) > 1:
-                    self._ports = (*self._ports[1:], self._ports[0])
-                return index, arrival
-        return None
-
     def _idle(self, until: float) -> tuple[int, Arrival] | None:
         if self._mode == "spin":
             return self._poll(until)
         whole = int(1e-6 * (until - time.monotonic_ns()))
         if len(self._ports) == 1 or not self._sleep(max(whole, 0)):  # another arm's packet does not wait
             time.sleep(1e-9 * max(until - time.monotonic_ns(), 0.0))
-        return self._receive()
+        return self.next()
 
     def _poll(self, end: float) -> tuple[int, Arrival] | None:
         while True:
-            found = self._receive()
+            found = self.next()
             if found is not None or time.monotonic_ns() >= end:
                 return found
 

@@ -111,7 +111,8 @@ class Recording:
             self._tell_stop(self._recorder)
         if self._feeds:
             self._tell_feeds(lambda feed: feed.row(state, command, tick))
-        self.catch_up()
+        if self._limited.waiting:
+            self.catch_up()
 
     def event(self, text: str, warn: bool = False, each: bool = False) -> None:
         """Keep a sentence; it also goes to the logger ``armlab.bridge``, as a warning when something is wrong."""

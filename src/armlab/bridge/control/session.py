@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from dataclasses import dataclass, field
 from statistics import median
-from typing import NamedTuple
 
 import numpy as np
 
+from armlab.bridge.control.limits import Reply
 from armlab.bridge.net.events import Tell, nobody
 from armlab.bridge.net.sockets import Arrival
+from armlab.state import Command, State
 from armlab.wire.egm import Codec, Drop, Packet
 
 __all__ = ["EGM_ERROR", "NOMINAL_PERIOD", "Period", "RobotClock", "Sample", "Session"]
@@ -47,7 +49,8 @@ class Period:
         if sample < _SHORTEST:
             return False
         self._recent.append(sample)
-        if self._learnt and self._is_near(sample):
+        near = _NEAR * self.seconds
+        if self._learnt and abs(sample - self.seconds) < near:
             self.seconds += _GAIN * (sample - self.seconds)
             return False
         middle = median(self._recent)
@@ -55,13 +58,10 @@ class Period:
             self._learnt = len(self._recent) == _WINDOW
             self.seconds = middle if self._learnt else min(middle, _TRUSTED)
             return False
-        if self._is_near(middle):
+        if abs(middle - self.seconds) < near:
             return False
         self.seconds = middle
         return True
-
-    def _is_near(self, sample: float) -> bool:
-        return abs(sample - self.seconds) < _NEAR * self.seconds
 
 
 class RobotClock:
@@ -88,17 +88,27 @@ class RobotClock:
         last, self._last = self._last, (packet.robot_ns, packet.tm_ms, arrival_ns)
         if last is None:
             return None
-        self.exact = False
-        arrived = max(1e-9 * (arrival_ns - last[2]), 1e-6)
-        claimed = self._claimed(packet, last)
-        self.believed = arrived if claimed is None else claimed
-        if claimed is not None and self._checks_arrival:
-            self.believed = self._check(claimed, arrived)
-        return arrived if claimed is None else claimed
-
-    def _check(self, claimed: float, arrived: float) -> float:
-        """Return what is believed of a step by the robot's clocks."""
-        dt = min(claimed, max(arrived + _AHEAD - self._lead, 1e-6))
+        robot_ns, tm_ms, last_ns = last
+        self.exact, claimed = False, None
+        arrived = max(1e-9 * (arrival_ns - last_ns), 1e-6)
+        if packet.robot_ns and robot_ns:
+            dt = 1e-9 * (packet.robot_ns - robot_ns)
+            if 0.0 < dt <= _LONGEST:
+                self.exact, claimed = True, dt
+            else:
+                what = "stands still" if dt == 0.0 else f"was set by {dt:+.3f} s"
+                self._tell(
+                    "set" if dt else "still",
+                    f"The robot's clock {what}. This step is measured by the header's tm or by arrival.",
+                )
+        if claimed is None and packet.tm_ms is not None and tm_ms is not None and not self._is_coarse:
+            dt = 1e-3 * ((packet.tm_ms - tm_ms) % _WRAP_MS)
+            self._is_coarse = dt == 0.0
+            claimed = dt if 0.0 < dt <= _LONGEST else None
+        if claimed is None or not self._checks_arrival:
+            self.believed = arrived if claimed is None else claimed
+            return self.believed
+        self.believed = dt = min(claimed, max(arrived + _AHEAD - self._lead, 1e-6))
         self._cut_off = max(self._cut_off + claimed - dt - _WRONG_SHARE * arrived, 0.0)
         if self._cut_off > _WRONG:
             self._tell(
@@ -114,27 +124,7 @@ class RobotClock:
             if self._trailed:
                 self._tell("slow", "The robot's clock runs behind ours: steps are those of the slower clock.")
             self._lead, self._trails, self._trailed = 0.0, 0.0, True
-        return dt
-
-    def _claimed(self, packet: Packet, last: tuple[int, int | None, int]) -> float | None:
-        """Return the step by the robot's own clocks, None when neither can be used."""
-        robot_ns, tm_ms, _ = last
-        if packet.robot_ns and robot_ns:
-            dt = 1e-9 * (packet.robot_ns - robot_ns)
-            if 0.0 < dt <= _LONGEST:
-                self.exact = True
-                return dt
-            what = "stands still" if dt == 0.0 else f"was set by {dt:+.3f} s"
-            self._tell(
-                "set" if dt else "still",
-                f"The robot's clock {what}. This step is measured by the header's tm or by arrival.",
-            )
-        if packet.tm_ms is not None and tm_ms is not None and not self._is_coarse:
-            dt = 1e-3 * ((packet.tm_ms - tm_ms) % _WRAP_MS)
-            self._is_coarse = dt == 0.0
-            if 0.0 < dt <= _LONGEST:
-                return dt
-        return None
+        return claimed
 
     def _tell(self, kind: str, text: str) -> None:
         if kind not in self._told:
@@ -158,8 +148,9 @@ _FOREIGN = Drop("foreign source", "only the first sender of a session is answere
 _MOTORS_OFF, _RAPID_STOPPED, _MCI_ERROR, _MCI_RUNNING = 2, 1, 1, 3
 
 
-class Sample(NamedTuple):
-    """One packet that counts."""
+@dataclass(slots=True, eq=False)
+class Sample:
+    """One packet that counts, and what becomes of it in the loop: by default it is overtaken by a newer one."""
 
     packet: Packet
     arrival_ns: int
@@ -169,7 +160,17 @@ class Sample(NamedTuple):
     fresh: bool
     qd: np.ndarray
     qd_source: str
-    step: float
+    step: float  # s by which a reference may move on
+    state: State = field(init=False)
+    stamp_ns: int = 0  # of its row
+    deadline_ns: float = 0.0  # when its reply is late, on our monotonic clock
+    wake_ns: int = 0  # how long it waited for the loop
+    command: Command | None = None
+    reply: Reply | None = None
+    seq: int = -1
+    send_ns: int = -1
+    call_ns: int = 0
+    late: bool = False
 
 
 class Session:
@@ -200,17 +201,19 @@ class Session:
 
     def accept(self, arrival: Arrival) -> Sample | None:
         """Return the sample of one datagram, or None when it does not count."""
-        if self.silent(arrival.ns):
+        last = self._last
+        if last is not None and arrival.ns - last.arrival_ns >= self._timeout_ns:
             self.end()
         foreign = self.active and arrival.source != self.source
-        if foreign and not self._may_replace(arrival):
+        if foreign and not (self.source and arrival.source[0] == self.source[0] and self._is_quiet(arrival)):
+            # RAPID restarts fast: only the same host may come back from another port, once the old one is silent
             return self._drop(_FOREIGN, arrival)
         packet = self._codec.decode(arrival.data)
         if isinstance(packet, Drop):
             return self._drop(packet, arrival)
         if foreign and packet.seqno != 0:
             return self._drop(_FOREIGN, arrival)
-        missed = -1 if foreign or not self.active or self._last is None else self._count(packet, self._last.packet)
+        missed = -1 if foreign or not self.active or last is None else self._count(packet, last.packet)
         if isinstance(missed, Drop):
             if not self._goes_on(packet, arrival):
                 return self._drop(missed, arrival)
@@ -248,10 +251,6 @@ class Session:
             ),
         )
         return next((text for holds, text in causes if holds), "the controller stopped sending")
-
-    def _may_replace(self, arrival: Arrival) -> bool:
-        """RAPID restarts fast: the same host may come back from another port once the old one is silent."""
-        return self.source is not None and arrival.source[0] == self.source[0] and self._is_quiet(arrival)
 
     def _count(self, packet: Packet, last: Packet) -> int | Drop:
         """Return the packets lost between two, -1 for a new session, or why the later one does not count."""
@@ -319,8 +318,13 @@ class Session:
                 self._on_event(f"The cycle time of the robot changed {change}.", warn=True)
         if packet.qd is not None:
             qd, source = packet.qd, "measured"
-        else:
-            qd, source = _difference(packet.q, last, dt), "difference"
+        elif last is None:
+            qd, source = np.zeros_like(packet.q), "difference"
+            qd.flags.writeable = False
+        else:  # through a first-order low-pass, from rest
+            share = 1.0 - math.exp(-2.0 * math.pi * _FILTER * dt)
+            qd, source = last.qd + share * ((packet.q - last.packet.q) / dt - last.qd), "difference"
+            qd.flags.writeable = False
         self.received += 1
         self.missed += missed
         self._stray = None
@@ -337,14 +341,3 @@ class Session:
             bytes_ = arrival.data[:32].hex(" ")
             what = f"Dropped a datagram from {host}:{port}, {drop.reason}: {drop.detail}. It begins {bytes_}."
             self._on_event(what, warn=True)
-
-
-def _difference(q: np.ndarray, last: Sample | None, dt: float) -> np.ndarray:
-    """Return the velocity from two positions through a first-order low-pass; it starts from rest."""
-    if last is None:
-        qd = np.zeros_like(q)
-    else:
-        share = 1.0 - math.exp(-2.0 * math.pi * _FILTER * dt)
-        qd = last.qd + share * ((q - last.packet.q) / dt - last.qd)
-    qd.flags.writeable = False
-    return qd

@@ -12,18 +12,14 @@ three implausible ones in a row stop the run.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 from enum import Enum
-from functools import cache
 from typing import Any
 
 import numpy as np
 
-from armlab import kernels
-from armlab.bridge.control.command_checks import entry_refusal, refusal
 from armlab.bridge.control.external_axes import ExternalReferences, joined
 from armlab.bridge.control.feedback import MCI_RUNNING, READY_AFTER, STOP_AFTER, FeedbackCheck, Readiness
-from armlab.bridge.control.limits import Limits, Reply, limiter_of
+from armlab.bridge.control.limits import Limits, Reply, entry_refusal, limiter_of, refusal, wanted
 from armlab.bridge.control.session import Sample
 from armlab.bridge.control.torque import Admittance, Torques
 from armlab.bridge.net.events import Tell, nobody
@@ -34,48 +30,8 @@ from armlab.wire.egm import Packet
 
 __all__ = ["StateMachine", "Mode"]
 
-_NAMES = (
-    "t", "dt", "q", "qd", "tau", "seq", "missed", "session", "qd_source", "tau_source", "q_start", "q_planned",
-    "q_sent", "qd_sent", "clamped", "T_frame_tool", "wrench_raw", "q_ext", "motors", "rapid", "mci", "converged",
-    "utilization", "robotware", "rapid_data", "rapid_digital", "robot_ns", "t_receive", "robot",
-)  # fmt: skip
+_SETTERS = tuple(getattr(State, name).__set__ for name in State.__slots__)  # a third of the time of its constructor
 _PLAIN = State(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
-_OTHERS = tuple((field.name, getattr(_PLAIN, field.name)) for field in fields(State) if field.name not in _NAMES)
-_PLAIN_OTHERS = tuple(plain for _, plain in _OTHERS)
-_make = kernels.RecordMaker(State, (*_NAMES, *(name for name, _ in _OTHERS))).make
-
-
-def make_state(
-    sample: Sample,
-    last: Reply,
-    t: float,
-    q_start: np.ndarray,
-    t_receive: int,
-    robot: str,
-    fused: Mapping[str, Any],
-) -> State:
-    """Return the state: the packet of a sample, the reply `last` to the one before, and what is `fused` with them."""
-    packet, _, dt, missed, session, _, qd, qd_source, _ = sample
-    (
-        seqno, _, robot_ns, q, q_planned, q_ext, _, tau, tau_source, T_frame_tool, wrench_raw, motors, mci, rapid,
-        converged, utilization, robotware, rapid_data, rapid_digital, _, _,
-    ) = packet  # fmt: skip
-    return _make(
-        (
-            t, dt, q, qd, _missing(len(q)) if tau is None else tau, seqno, missed, session, qd_source, tau_source,
-            q_start, q_planned, last.q, last.qd, last.clamped, T_frame_tool, wrench_raw, q_ext, motors, rapid, mci,
-            converged, utilization, robotware, rapid_data, rapid_digital, robot_ns, t_receive, robot,
-            *([fused.get(name, plain) for name, plain in _OTHERS] if fused else _PLAIN_OTHERS),
-        )
-    )  # fmt: skip
-
-
-@cache
-def _missing(n: int) -> np.ndarray:
-    """Return n times NaN, read-only: what a robot does not measure."""
-    missing = np.full(n, np.nan)
-    missing.flags.writeable = False
-    return missing
 
 
 STOP_TIME = 0.5  # s at rest before a run ends
@@ -120,6 +76,7 @@ class StateMachine:
         self._answer_stream, self._on_event = answer_stream, on_event
         self._limiter, self._external = limiter_of(limits, robot), ExternalReferences(limits.external, capabilities)
         self._last = self._limiter.rest(np.full(robot.n, np.nan))
+        self._no_torque = self._last.q  # NaN: what a robot does not measure
         self.mode = Mode.WAITING if commands else Mode.LISTENING
         self.ready = False
         self.t = self.elapsed = self._rested = self._waited = 0.0
@@ -152,7 +109,8 @@ class StateMachine:
 
     @property
     def _memory(self) -> tuple[float, float, Reply, Any, Any, Any]:
-        return self._dt, self._rested, self._last, self._limiter.memory, self._torques.memory, self._external.memory
+        external = None if self._limits.external is None else self._external.memory
+        return self._dt, self._rested, self._last, self._limiter.memory, self._torques.memory, external
 
     def observe(self, sample: Sample) -> None:
         """Take one sample: readiness, time, transitions. The newest one observed is the one that `answer` answers."""
@@ -178,7 +136,10 @@ class StateMachine:
             return
         if self.mode is Mode.WAITING:
             self.mode = Mode.HOLDING
-        self._check_feedback(sample)
+        problem = self._feedback.check(packet.q, sample.dt, self._last if self.ready else None)
+        self._doubtful = bool(problem)
+        if problem:
+            self._doubt(problem)
         was_unknown = not self.ready and self._may_be_guided
         why = self._readiness.not_ready_reason(packet)
         ready = not why and (self.ready or self._feedback.plausible >= READY_AFTER)
@@ -193,10 +154,26 @@ class StateMachine:
             self.mode = Mode.HOLDING if self.mode is Mode.RUNNING else self.mode
         self.ready = ready
 
-    def state(self, sample: Sample, t_receive: int, **fused: Any) -> State:
-        """Return what the controller sees of a sample just observed."""
-        q_start = self.q_start if self.guided else sample.packet.q
-        return make_state(sample, self._last, self.t, q_start, t_receive, self._robot.name, fused)
+    def state(self, sample: Sample, t_receive: int, fused: Mapping[str, Any]) -> State:
+        """Return what the controller sees of a sample just observed, the reply before it, and what is `fused`."""
+        packet, last, plain = sample.packet, self._last, _PLAIN
+        (
+            seqno, _, robot_ns, q, q_planned, q_ext, _, tau, tau_source, T_frame_tool, wrench_raw, motors, mci, rapid,
+            converged, utilization, robotware, rapid_data, rapid_digital, _, _,
+        ) = packet  # fmt: skip
+        values = (
+            self.t, sample.dt, q, sample.qd, self._no_torque if tau is None else tau, None, seqno, sample.missed,
+            sample.session, sample.qd_source, tau_source, self.q_start if self.guided else q, q_planned, last.q,
+            last.qd, last.clamped, T_frame_tool, wrench_raw, plain.wrench, q_ext, motors, rapid, mci, converged,
+            utilization, robotware, rapid_data, rapid_digital, robot_ns, t_receive, plain.sources, self._robot.name,
+            0.0, plain.details, (),
+        )  # fmt: skip
+        state = object.__new__(State)
+        for write, value in zip(_SETTERS, values, strict=True):
+            write(state, value)
+        for name, value in fused.items():
+            object.__setattr__(state, name, value)
+        return state
 
     def answer(self, command: Command | None, period: float) -> Reply | None:
         """Return the reply to the newest packet observed, or None when nothing is sent."""
@@ -241,7 +218,9 @@ class StateMachine:
 
     def take_back(self, waits: bool = False) -> None:
         """Forget the last reply, which did not go out: the next one goes on from the reference that the robot has."""
-        self._dt, rested, self._last, self._limiter.memory, self._torques.memory, self._external.memory = self._before
+        self._dt, rested, self._last, self._limiter.memory, self._torques.memory, external = self._before
+        if external is not None:
+            self._external.memory = external
         if waits:
             self._dt = max(0.0, self._dt - self._passed)
         if self.mode is not Mode.STOPPING:
@@ -276,34 +255,38 @@ class StateMachine:
 
     def _follow(self, command: Command, packet: Packet) -> Reply:
         try:
-            asked = self._torques.wanted(command, packet.q, self._qd)
+            q, qd, tau = wanted(command, self._robot)
+            if tau is not None:
+                q, qd, tau = self._torques.wanted(q, qd, tau, packet.q, self._qd)
             if command.ends:
                 self.stop("the controller ended the run")
                 return self._held()
-            beside = self._external.follow(command, packet, self._dt, self._longest)
+            external, beside = self._external, None
+            if external.moves or not (command.q_ext is command.rapid_data is command.rapid_digital is None):
+                beside = external.follow(command, packet, self._dt, self._longest)
         except CommandRefused as error:
             self.stop("a command was refused", error)
             return self._held()
-        reply = self._moved(asked, packet)
+        reply = self._moved(q, qd, tau, packet)
         return reply if beside is None else joined(reply, beside)
 
-    def _moved(self, wanted: tuple[np.ndarray | None, ...], packet: Packet) -> Reply:
+    def _moved(self, q: np.ndarray | None, qd: np.ndarray | None, tau: np.ndarray | None, packet: Packet) -> Reply:
         """Return the reply for the joints to a command that is well formed."""
-        q, qd, tau = wanted
         if q is None and qd is None:
             if tau is not None:
                 return self._free(tau, packet)
             self.mode, self._refused_in_a_row = Mode.HOLDING, 0
             return self._still()
-        before = self._limiter.q
+        before = self._limiter.memory
         if self.mode is Mode.HOLDING and q is not None:
-            problem = entry_refusal(q, before, self._limits.entry, self._robot)
+            problem = entry_refusal(q, self._limiter.q, self._limits.entry, self._robot)
             if problem:
                 return self._refuse_entry(problem)
         reply = self._limiter.step(q, qd, self._dt, self._longest)
-        reply = self._torques.limited(reply, None if reply.refused else tau, self._dt, self._longest)
+        if tau is not None or self._torques.memory is not None:
+            reply = self._torques.limited(reply, None if reply.refused else tau, self._dt, self._longest)
         if reply.refused:
-            self._refuse(refusal(reply.refused, q, qd, before, self._robot))
+            self._refuse(refusal(reply.refused, q, qd, self._limiter.sent(before), self._robot))
         else:
             self.mode, self._refused_in_a_row, self._waited = Mode.RUNNING, 0, 0.0
         return reply
@@ -354,13 +337,8 @@ class StateMachine:
             self.guided, self.t, self.q_start = True, 0.0, packet.q
         self._on_event("The robot is ready and holds.")
 
-    def _check_feedback(self, sample: Sample) -> None:
-        """Doubt a feedback that is not plausible; three in a row stop the run."""
-        sent = self._last if self.ready else None
-        problem = self._feedback.check(sample.packet.q, sample.dt, sent)
-        self._doubtful = bool(problem)
-        if not problem:
-            return
+    def _doubt(self, problem: str) -> None:
+        """Tell of a feedback that is not plausible; three in a row stop the run."""
         if self._feedback.implausible <= 1.0:
             self._on_event(problem, warn=True)
         if self._feedback.implausible >= STOP_AFTER and (self.ready or self._feedback.q is None):

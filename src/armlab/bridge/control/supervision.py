@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 from armlab.bridge.control.session import EGM_ERROR, Session
@@ -31,7 +31,7 @@ class Settings:
     resume: bool = True
     clock: Literal["wall", "robot"] = "wall"
     patience: float = 30.0
-    alive: Callable[[], str] = field(default=lambda: "")
+    alive: Callable[[], str] = str  # says why the robot is gone, "" while it is not
     progress: Callable[[float], None] | None = None
 
 

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armlab.bridge.control.command_checks import wanted
 from armlab.bridge.control.limits import Limits, Reply
 from armlab.errors import CommandRefused, ConfigError
 from armlab.robots import Robot
-from armlab.state import Command
 from armlab.wire.egm.axes import Linkage
 
 __all__ = ["Admittance", "TorqueModel", "Torques", "admittances"]
@@ -65,12 +63,9 @@ class Torques:
         self.memory: np.ndarray | None = None
 
     def wanted(
-        self, command: Command, q: np.ndarray, qd: np.ndarray
+        self, q_ref: np.ndarray | None, qd_ref: np.ndarray | None, tau: np.ndarray, q: np.ndarray, qd: np.ndarray
     ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-        """Return the position, velocity and torque (n,) asked for; an admittance makes a velocity of the torque."""
-        q_ref, qd_ref, tau = wanted(command, self._robot)
-        if tau is None:
-            return q_ref, qd_ref, None
+        """Return the references (n,) for a command with a torque; an admittance makes a velocity of it."""
         if not np.isfinite(tau).all():
             raise CommandRefused(f"Expected finite numbers in Command.tau, got {tau}. NaN never goes to a robot.")
         if self.admittance is None:

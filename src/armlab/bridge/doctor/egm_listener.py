@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -31,14 +32,10 @@ _OLD = {
 }
 
 
-@dataclass(frozen=True)
-class _AnyArm:
-    """Six axes in ABB's order: every robot's packet fits, the seventh of a YuMi counts as external."""
-
-    n: int = 6
-    prismatic: np.ndarray = field(default_factory=lambda: np.zeros(6, dtype=bool))
-    abb_axes: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
-    coupling: np.ndarray = field(default_factory=lambda: np.eye(6))
+_AXES = 6
+_ANY_ARM: Any = SimpleNamespace(  # every robot's packet fits, the seventh axis of a YuMi counts as external
+    n=_AXES, prismatic=np.zeros(_AXES, dtype=bool), abb_axes=(1, 2, 3, 4, 5, 6), coupling=np.eye(_AXES)
+)
 
 
 class EgmListener:
@@ -47,7 +44,7 @@ class EgmListener:
     def __init__(self, number: int, robot: Robot | None = None) -> None:
         self.number, self._robot = number, robot
         self.senders: Counter[tuple[str, int]] = Counter()
-        self.session = Session(EgmCodec(_AnyArm() if robot is None else robot))
+        self.session = Session(EgmCodec(_ANY_ARM if robot is None else robot))
         self._sizes: Counter[int] = Counter()
         self._first: Sample | None = None
         self._last: Sample | None = None
@@ -82,6 +79,12 @@ class EgmListener:
         if self._first is None or self._last is None:
             return [*found, self._foreign(name)]
         first, last = self._first, self._last
+        clock = f"robot minus computer {self._offset:+.3f} s" if last.packet.robot_ns else "the robot sends no time"
+        extension = (
+            "research extension present: velocity and torque are measured"
+            if last.packet.qd is not None
+            else "absent: velocities are differences, torque is not measured"
+        )
         return [
             *found,
             self._timing(name),
@@ -89,8 +92,8 @@ class EgmListener:
             self._posture(name, first),
             self._guidance(name, last),
             self._sessions(name),
-            Finding(f"{name}, clock", "ok", self._clock(last)),
-            Finding(f"{name}, extension", "ok", _extension(last)),
+            Finding(f"{name}, clock", "ok", clock),
+            Finding(f"{name}, extension", "ok", extension),
         ]
 
     def _packets(self, name: str, seconds: float) -> Finding:
@@ -129,7 +132,7 @@ class EgmListener:
     def _robotware(self, name: str, first: Sample) -> Finding:
         packet = first.packet
         external = f" and {len(packet.q_ext)} external" if len(packet.q_ext) else ""
-        hint = ", a YuMi's seventh axis or a track" if external and len(packet.q) == len(_AnyArm().abb_axes) else ""
+        hint = ", a YuMi's seventh axis or a track" if external and len(packet.q) == _AXES else ""
         value = f"RobotWare {packet.robotware}, {len(packet.q)} axes{external}{hint}"
         old = _OLD.get(packet.robotware, "")
         return Finding.judged(f"{name}, first packet", "warning", bool(old), value, old)
@@ -158,14 +161,3 @@ class EgmListener:
         )
         value = f"{session.number}{why}"
         return Finding.judged(f"{name}, sessions", "warning", bool(why), value, advice)
-
-    def _clock(self, last: Sample) -> str:
-        if not last.packet.robot_ns:
-            return "the robot sends no time"
-        return f"robot minus computer {self._offset:+.3f} s"
-
-
-def _extension(last: Sample) -> str:
-    if last.packet.qd is None:
-        return "absent: velocities are differences, torque is not measured"
-    return "research extension present: velocity and torque are measured"

@@ -5,11 +5,9 @@ Sends nothing to a robot.
 
 from __future__ import annotations
 
-import fcntl
 import secrets
 import select
 import socket
-import struct
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -17,27 +15,14 @@ from pathlib import Path
 
 from armlab.bridge.doctor.egm_listener import EgmListener
 from armlab.bridge.doctor.machine import Finding, machine
-from armlab.bridge.net.sockets import Arrival, Port
+from armlab.bridge.net.sockets import Arrival, Port, local_addresses
 from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
 
-__all__ = ["DEFAULT_PORTS", "LONGEST", "addresses", "examine", "firewall", "listen", "local_addresses", "route_to"]
+__all__ = ["DEFAULT_PORTS", "LONGEST", "addresses", "examine", "firewall", "listen", "route_to"]
 
-_SIOCGIFADDR = 0x8915
-_INTERFACE = struct.Struct("256s")
 _FIREWALL = Path("/etc/ufw/ufw.conf")
 _SELF_TEST = 0.2  # s at least for the self-test to come back
-
-
-def local_addresses() -> dict[str, str]:
-    """Return the IPv4 address of each network interface that has one."""
-    found: dict[str, str] = {}
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
-        for _, name in socket.if_nameindex():
-            with suppress(OSError):  # an interface without an address
-                answer = fcntl.ioctl(asked.fileno(), _SIOCGIFADDR, _INTERFACE.pack(name.encode()[:15]))
-                found[name] = socket.inet_ntoa(answer[20:24])
-    return found
 
 
 def addresses(found: Mapping[str, str]) -> Finding:

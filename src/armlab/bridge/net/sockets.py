@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import ipaddress
 import socket
 from collections.abc import Callable
@@ -22,6 +23,7 @@ __all__ = [
     "Port",
     "process_using_port",
     "listening_socket",
+    "local_addresses",
     "pair",
     "program",
 ]
@@ -257,3 +259,17 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+_SIOCGIFADDR = 0x8915
+
+
+def local_addresses() -> dict[str, str]:
+    """Return the IPv4 address of each network interface that has one."""
+    found: dict[str, str] = {}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        for _, name in socket.if_nameindex():
+            with contextlib.suppress(OSError):  # an interface without an address
+                answer = fcntl.ioctl(asked.fileno(), _SIOCGIFADDR, name.encode()[:15].ljust(256, b"\0"))
+                found[name] = socket.inet_ntoa(answer[20:24])
+    return found

@@ -72,10 +72,10 @@ def parse_signature(data: bytes, dialect: str = "2014v1", limits: Limits | None 
         tree, pos = done.value
         if pos == len(data):
             return tree
-        raise _bad_signature(pos, "the end of the signature", f"{len(data) - pos} more bytes") from None
+        raise _bad(pos, "the end of the signature", f"{len(data) - pos} more bytes") from None
     except Cut:
         pass
-    raise _bad_signature(len(data), "the rest of the signature", "its end")
+    raise _bad(len(data), "the rest of the signature", "its end")
 
 
 class SignatureWalk:
@@ -97,7 +97,7 @@ class SignatureWalk:
         code, pos = yield from self.number(first)
         self.nodes += 1
         if depth > self.limits.depth or self.nodes > self.limits.values:
-            raise _bad_signature(first, f"at most {self.limits.depth} levels and {self.limits.values} nodes", "more")
+            raise _bad(first, f"at most {self.limits.depth} levels and {self.limits.values} nodes", "more")
         node: Type
         if code == ARRAY:
             node, pos = yield from self._array(pos, depth)
@@ -108,24 +108,24 @@ class SignatureWalk:
         elif code >= FIRST_INDEX and self.type_refs:
             return TypeRef(code), pos
         else:
-            raise _bad_signature(first, "a type code", f"{code:#x}")
+            raise _bad(first, "a type code", f"{code:#x}")
         size = node.min_size(self.dialect.name)
         if size > self.limits.packet or node.values > self.limits.values:
             limits = f"a type of at most {self.limits.packet} bytes and {self.limits.values} values"
-            raise _bad_signature(first, limits, f"{size} bytes and {node.values} values")
+            raise _bad(first, limits, f"{size} bytes and {node.values} values")
         return node, pos
 
     def _array(self, pos: int, depth: int) -> Generator[None, None, tuple[Type, int]]:
         count, after = yield from self.number(pos)
         if not 1 <= count <= self.limits.dims:
-            raise _bad_signature(pos, f"an array of 1 to {self.limits.dims} dimensions", str(count))
+            raise _bad(pos, f"an array of 1 to {self.limits.dims} dimensions", str(count))
         dims, product = [], 1
         for _ in range(count):
             pos = after
             size, after = yield from self.number(pos)
             product *= size or 1
             if product > self.limits.values:
-                raise _bad_signature(pos, f"sizes whose product is at most {self.limits.values}", str(product))
+                raise _bad(pos, f"sizes whose product is at most {self.limits.values}", str(product))
             dims.append(size)
         elem, pos = yield from self._part(after, depth)
         return Array(tuple(dims), elem), pos
@@ -133,7 +133,7 @@ class SignatureWalk:
     def _struct(self, first: int, pos: int, depth: int) -> Generator[None, None, tuple[Type, int]]:
         count, pos = yield from self.number(pos)
         if count > self.limits.values:
-            raise _bad_signature(first, f"at most {self.limits.values} nodes", f"{count} fields")
+            raise _bad(first, f"at most {self.limits.values} nodes", f"{count} fields")
         if not count:
             return VOID, pos
         fields: dict[str, Field] = {}
@@ -141,7 +141,7 @@ class SignatureWalk:
             where = pos
             name, notes, pos = yield from label(self.source, pos, self.end, self.dialect, self.limits)
             if name in fields:
-                raise _bad_signature(where, "different names for the fields of a struct", f"{name!r} again")
+                raise _bad(where, "different names for the fields of a struct", f"{name!r} again")
             part, pos = yield from self._part(pos, depth)
             fields[name] = Field(name, part, notes)
         return Struct(tuple(fields.values())), pos
@@ -149,12 +149,8 @@ class SignatureWalk:
     def _part(self, first: int, depth: int) -> Generator[None, None, tuple[Type, int]]:
         node, pos = yield from self.tree(first, depth + 1)
         if node == VOID:
-            raise _bad_signature(first, "a type with a value inside an array or struct", "void")
+            raise _bad(first, "a type with a value inside an array or struct", "void")
         return node, pos
-
-
-def _bad_signature(offset: int, expected: str, got: str) -> LabCommError:
-    return LabCommError(f"Expected {expected} at byte {offset}, got {got}.", offset)
 
 
 class Head(NamedTuple):

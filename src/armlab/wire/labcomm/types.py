@@ -123,15 +123,15 @@ def _check_part(node: _Node, what: str) -> None:
         raise LabCommError(f"Expected at most {_MAX_DEPTH} levels in a type, got more in {what}.")
 
 
+@dataclass(frozen=True, slots=True)
 class _Node:
-    """What all types have."""
+    """What all types have: bytes besides those of numbers and strings, of which there are `numbers`; and counts."""
 
-    __slots__ = ()
-    depth: int
-    nodes: int
-    values: int
-    size: int
-    numbers: int
+    size: int = field(init=False, compare=False, repr=False, default=0)
+    numbers: int = field(init=False, compare=False, repr=False, default=1)
+    depth: int = field(init=False, compare=False, repr=False, default=1)
+    nodes: int = field(init=False, compare=False, repr=False, default=1)
+    values: int = field(init=False, compare=False, repr=False, default=1)
 
     @property
     def fixed_size(self) -> int | None:
@@ -172,11 +172,6 @@ class Prim(_Node):
     name: str
     code: int = field(init=False, compare=False, repr=False)
     letter: str = field(init=False, compare=False, repr=False)
-    size: int = field(init=False, compare=False, repr=False)
-    numbers: int = field(init=False, compare=False, repr=False)
-    depth: int = field(init=False, compare=False, repr=False, default=1)
-    nodes: int = field(init=False, compare=False, repr=False, default=1)
-    values: int = field(init=False, compare=False, repr=False, default=1)
 
     def __post_init__(self) -> None:
         if self.name not in _CODES:
@@ -190,11 +185,6 @@ class TypeRef(_Node):
     """A type by its index; only in the signature of a TYPE_DEF."""
 
     index: int
-    size: int = field(init=False, compare=False, repr=False, default=0)
-    numbers: int = field(init=False, compare=False, repr=False, default=1)
-    depth: int = field(init=False, compare=False, repr=False, default=1)
-    nodes: int = field(init=False, compare=False, repr=False, default=1)
-    values: int = field(init=False, compare=False, repr=False, default=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,11 +198,6 @@ class Array(_Node):
 
     dims: tuple[int, ...]
     elem: Type
-    size: int = field(init=False, compare=False, repr=False)
-    numbers: int = field(init=False, compare=False, repr=False)
-    depth: int = field(init=False, compare=False, repr=False)
-    nodes: int = field(init=False, compare=False, repr=False)
-    values: int = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         dims, elem = tuple(self.dims), self.elem
@@ -244,11 +229,6 @@ class Struct(_Node):
     """Named fields in order; without fields it is `VOID`."""
 
     fields: tuple[Field, ...]
-    size: int = field(init=False, compare=False, repr=False)
-    numbers: int = field(init=False, compare=False, repr=False)
-    depth: int = field(init=False, compare=False, repr=False)
-    nodes: int = field(init=False, compare=False, repr=False)
-    values: int = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         fields = tuple(Field(*entry) for entry in self.fields)
