@@ -80,7 +80,7 @@ def view(
 
 
 def _watch_fleet(url: str, port: int | None) -> None:
-    from armlab.bridge.servers.zenoh.keys import EVERY
+    from armlab.bridge.servers.zenoh.messages import EVERY
     from armlab.bridge.servers.zenoh.session import LabAddress
     from armlab.live.fleet_view import watch_fleet
 

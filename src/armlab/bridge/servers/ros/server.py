@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from armlab.bridge.control.command_checks import joint_name
+from armlab.bridge.control.limits import joint_name
 from armlab.bridge.servers.messages import CommandRequest, Leave, Report, Request, SetRequest, Stop
 from armlab.bridge.servers.ros.topics import Messages, RosTopic, Topics, content, store
 from armlab.bridge.servers.server_end import Clients, LoopEnd
