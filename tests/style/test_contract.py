@@ -21,9 +21,13 @@ def fits() -> Iterator[tuple[str, str]]:
 
 
 def judged(source: str) -> set[str]:
-    """Return the names in a test that calls `check_estimator`, and in what it calls of the same module."""
-    functions = {node.name: node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)}
-    names = {one: set(words(node)) for one, node in functions.items()}
+    """Return the names in a test that calls `check_estimator`, and in functions and tables of the module it uses."""
+    names = {}
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.FunctionDef):
+            names[node.name] = set(words(node))
+        elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            names[node.targets[0].id] = set(words(node.value))
     found: set[str] = set()
     for inside in names.values():
         if "check_estimator" in inside:

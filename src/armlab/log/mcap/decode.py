@@ -502,12 +502,12 @@ def skipped(count: int, topic: str, reason: str) -> str:
 
 
 def messages(view: memoryview, found: Contents, channel: int) -> Iterator[tuple[int, int, bytes]]:
-    """Yield (sequence, log time, message) of one channel; damaged chunks are left out."""
+    """Yield (sequence, log time, message) of one channel, times as int64 has them; damaged chunks are left out."""
     for piece in pieces(found):
         if piece is None or not found.indexed or channel in piece.indexes:
             for number, sequence, log_ns, _, message in messages_in(records_at(view, found, piece)):
                 if number == channel:
-                    yield sequence, log_ns, message
+                    yield sequence, log_ns - (log_ns >> 63 << 64), message
 
 
 def message_counts(view: memoryview, found: Contents) -> Counter[int]:
