@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import gc
 import socket
 import struct
-import sys
 import time
 from collections.abc import Iterator
-from dataclasses import FrozenInstanceError, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -208,33 +205,3 @@ def test_messages_what_does_not_fit_is_refused() -> None:
     for array in (fixed, np.zeros(3), np.zeros(4)[::2], np.zeros((2, 2)), np.zeros((1, 2)), np.zeros(2, "<f4")):
         with pytest.raises(ShapeError, match="Expected writable arrays with a row of 8 bytes for every message, got"):
             maker([(0, 8)], array)
-
-
-@dataclass(frozen=True, slots=True)
-class Slotted:
-    a: Any
-    b: Any = 2
-    c: Any = 3
-
-
-def test_a_record_is_as_if_made_by_its_class() -> None:
-    maker = kernels.RecordMaker(Slotted, ("c", "a", "b"))
-    text = "".join(["te", "xt"])
-    before = sys.getrefcount(text)
-    made = maker.make((text, None, [1]))
-    assert made == Slotted(None, [1], "text")
-    assert type(made) is Slotted
-    assert sys.getrefcount(text) == before + 1
-    assert gc.is_tracked(made)
-    with pytest.raises(FrozenInstanceError):
-        made.a = 1
-    del made
-    assert sys.getrefcount(text) == before
-    assert not hasattr(kernels.RecordMaker(Slotted, ("a",)).make((1,)), "b")
-
-
-def test_records_what_does_not_fit_is_refused() -> None:
-    with pytest.raises(ShapeError, match=r"^Expected slots of the class, got d\.$"):
-        kernels.RecordMaker(Slotted, ("a", "d"))
-    with pytest.raises(ShapeError, match=r"^Expected one value for each of 1 slots, got 2\.$"):
-        kernels.RecordMaker(Slotted, ("a",)).make((1, 2))

@@ -101,7 +101,6 @@ LEFT_OUT = {  # kernels without a table, and what holds them instead
     "Primitive.design": "values of basis times factors, in their places",
     "PrimitiveStepper.follow": "the steps of step, one after the other",
     "PrimitiveStepper.outputs": "what step returns",
-    "RecordMaker": BYTES,
     "RowEncoder": BYTES,
     "RowPacker": BYTES,
     "SignalOperator.reset": "forgets, and computes nothing",

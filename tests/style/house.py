@@ -137,7 +137,7 @@ def public_names() -> int:
 
 def datagram() -> tuple[int, int]:
     """Return the files and calls of the package from a received datagram to its reply and row, in a steady cycle."""
-    robot, port, calls = robots.load("yumi_right"), Port("127.0.0.1", 0), list[str]()
+    robot, port, calls, cycles = robots.load("yumi_right"), Port("127.0.0.1", 0), list[str](), list[tuple[int, int]]()
     quiet: dict[str, Any] = {"extra": None, "attachments": {}, "feeds": (), "sources": ()}
     arms = assemble(
         [End(robot, port, EgmCodec(robot))],
@@ -164,9 +164,10 @@ def datagram() -> tuple[int, int]:
             sys.setprofile(count)
             loop.cycle()
             sys.setprofile(None)
+            cycles.append((len(set(calls)), len(calls)))
             time.sleep(2e-3)
     port.close()
-    return len(set(calls)), len(calls)
+    return sorted(cycles)[len(cycles) // 2]
 
 
 def short_log() -> tuple[Any, Any]:

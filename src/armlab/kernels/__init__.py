@@ -21,7 +21,6 @@ try:
         Obstacles,
         Primitive,
         PrimitiveStepper,
-        RecordMaker,
         RotationStepper,
         RowEncoder,
         RowPacker,

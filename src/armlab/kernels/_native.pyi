@@ -535,31 +535,6 @@ class PrimitiveStepper:
     forcing: np.ndarray
     tau: float
 
-class RecordMaker:
-    """Makes frozen dataclasses with slots of values that are known to be right: their own way takes ten times as long.
-
-    Parameters
-    ----------
-    kind : the class. names : of its slots, in the order of the values; all, or the others stay unset.
-
-    Raises
-    ------
-    ShapeError : a name that is no slot.
-    """
-
-    def __init__(self, kind: type, names: Sequence[str]) -> None: ...
-    def make(self, values: tuple[Any, ...]) -> Any:
-        """Return an instance.
-
-        Parameters
-        ----------
-        values : of the slots.
-
-        Raises
-        ------
-        ShapeError : too few or too many.
-        """
-
 class RotationStepper:
     """One run of orientations, sample by sample.
 
