@@ -198,9 +198,9 @@ def _elements(value: Any, depth: int) -> Iterator[tuple[str, Any]]:
     if not depth:
         yield "", value
         return
-    for number, part in enumerate(value):
+    for index, part in enumerate(value):
         for place, element in _elements(part, depth - 1):
-            yield f"[{number}]{place}", element
+            yield f"[{index}]{place}", element
 
 
 def _column(leaf: _Leaf, rows: int) -> np.ndarray:
