@@ -148,16 +148,11 @@ class Channel:
         """Queue what the bridge publishes for all clients."""
         raise NotImplementedError
 
-
-def _send(sample: SampleType, value: Any, peers: Iterable[Peer]) -> None:
-    """Queue a value of the one type of a port; it has the same bytes in every stream of a dialect."""
-    packets: dict[str, bytes] = {}
-    for peer in peers:
-        if peer.encoder is not None:
-            dialect = peer.encoder.dialect
-            if dialect not in packets:
-                packets[dialect] = peer.encoder.data(sample, value)
-            peer.push(packets[dialect])
+    def _send(self, value: Any, peers: Iterable[Peer]) -> None:
+        """Queue a value of the one type of the port."""
+        for peer in peers:
+            if peer.encoder is not None and self.sent is not None:
+                peer.push(peer.encoder.data(self.sent, value))
 
 
 class ArmChannel(Channel):
@@ -197,7 +192,7 @@ class ArmChannel(Channel):
 
     def put(self, item: Row, peers: Iterable[Peer]) -> None:
         """Queue one row for all clients."""
-        _send(self.types.sent, self.types.value(item), peers)
+        self._send(self.types.value(item), peers)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
         """Take a command; what is none is counted, and told by the server.
@@ -253,7 +248,7 @@ class FusedChannel(Channel):
         follows_client: bool = False,
     ) -> None:
         super().__init__("fused", port, dialect, follows_client)
-        self.sent = self._sample = idl.samples("armlab")["fused_row"]
+        self.sent = idl.samples("armlab")["fused_row"]
         self._types = RowTypes(axes, order)
         if self._types.n != 7:
             raise ConfigError(f"Expected arms of 7 joints for fused rows, got {self._types.n}.")
@@ -266,7 +261,7 @@ class FusedChannel(Channel):
             "arm": [{"name": one.name, "t_us": one.t_us, **self._types.value(one.row)} for one in arms],
             "source": [one._asdict() for one in sources],
         }
-        _send(self._sample, value, peers)
+        self._send(value, peers)
 
 
 Value = float | bool | str | Sequence[float] | np.ndarray
