@@ -12,7 +12,7 @@ import pytest
 from armlab import bridge, robots
 from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row
 from armlab.bridge.servers.labcomm.channels import ParameterChannel
-from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, RowCodec, RowPort, connected, far_end
+from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, RowCodec, RowPort, far_end
 from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.log import Column
@@ -91,8 +91,6 @@ def test_what_goes_wrong_is_a_link_error() -> None:
             LabCommClient(port=port, dialect="2015")
     with pytest.raises(LinkError, match="Start it"):
         LabCommClient(port=port, types=RowTypes(order="chain"), patience=1.0)
-    with pytest.raises(LinkError, match="Start it"):
-        connected("127.0.0.1", port, 1.0)
 
 
 def test_a_client_that_is_closed_says_so(start: Start) -> None:
@@ -176,28 +174,18 @@ def robot() -> Robot:
     return robots.load("yumi_right")
 
 
-class Arm:
-    """An arm behind a LabComm server, in lockstep: it follows each command and sends the next row then."""
-
-    def __init__(self, robot: Robot, port: int = 0) -> None:
-        self.q, self.tm, self.commands = np.array(robot.q_home), 10_000, []
-        self.server = LabCommServer([ArmChannel("right", port, self.take, robot.abb_axes)])
-        self.port = self.server.ports["right"]
-
-    def send(self) -> None:
-        self.server.row("right", Row(self.tm, self.q, np.zeros(7), np.zeros(7)))
-
-    def take(self, name: str, command: Row, client: str) -> None:
-        if command.tm != self.tm or command.q is None:
-            return
-        self.commands.append(command)
-        self.q, self.tm = command.q, self.tm + 4
-        self.send()
-
-
-def test_a_controller_moves_an_arm_over_labcomm(robot: Robot) -> None:
-    arm = Arm(robot)
+def test_a_controller_moves_an_arm_over_labcomm(start: Start, robot: Robot) -> None:
+    """In lockstep: the arm follows each command and sends the next row then."""
     seen: list[State] = []
+    commands: list[Row] = []
+    now = Row(10_000, np.array(robot.q_home), np.zeros(7), np.zeros(7))
+
+    def take(name: str, command: Row, client: str) -> None:
+        nonlocal now
+        if command.tm == now.tm and command.q is not None:
+            commands.append(command)
+            now = now._replace(tm=now.tm + 4, q=command.q)
+            one.server.row("right", now)
 
     def controller(state: State) -> Command:
         seen.append(state)
@@ -205,13 +193,13 @@ def test_a_controller_moves_an_arm_over_labcomm(robot: Robot) -> None:
         q[0] += 0.05 * (1.0 - np.cos(2.0 * np.pi * state.t))
         return Command(q)
 
-    with bridge.connect(f"labcomm://127.0.0.1:{arm.port}", robot, clock="robot") as link:
-        until(lambda: arm.server.counts["right"]["clients"] == 1)
-        arm.send()
+    one = start(ArmChannel("right", 0, take, robot.abb_axes))
+    with bridge.connect(f"labcomm://127.0.0.1:{one.server.ports['right']}", robot, clock="robot") as link:
+        until(lambda: one.server.counts["right"]["clients"] == 1)
+        one.server.row("right", now)
         run = link.run(controller, seconds=0.5)
-    arm.server.close()
     assert run.reason == "the time is up"
-    assert max(np.abs(command.q - robot.q_home).max() for command in arm.commands) == pytest.approx(0.1, abs=0.01)
+    assert max(np.abs(command.q - robot.q_home).max() for command in commands) == pytest.approx(0.1, abs=0.01)
     assert np.allclose([state.dt for state in seen], 0.004, rtol=0, atol=1e-9)
     assert run.table["q"].shape[1] == 7
     assert seen[-1].tau_source == "measured"
