@@ -20,19 +20,22 @@ ROBOTWARE = ("6.06", "6.07", "6.10", "7")
 MAX_BYTES = 1024
 """abb_libegm and abbegm receive into buffers of this size and are silent above it."""
 
-EXTENSION_ARRAYS = ("qd", "tau", "tau_total", "tau_gravity", "current", "q_reference", "qd_reference")
+_WIRE_ARRAYS = {
+    "qd": "jointVel",
+    "tau": "torqueMeas",
+    "tau_total": "torqueRefTotal",
+    "tau_gravity": "torqueGravity",
+    "current": "motorCurrent",
+    "q_reference": "jointPosRef",
+    "qd_reference": "jointVelRef",
+}
+
+EXTENSION_ARRAYS = tuple(_WIRE_ARRAYS)
 """Arrays of EgmRIState by their names in `RobotMessage`, in the order of its fields 1 to 7."""
 
 DEFAULT_ARRAYS = EXTENSION_ARRAYS[:4]
 """Arrays sent unless told otherwise."""
 
-_WIRE_ARRAYS: dict[str, str] = dict(
-    zip(
-        EXTENSION_ARRAYS,
-        ("jointVel", "torqueMeas", "torqueRefTotal", "torqueGravity", "motorCurrent", "jointPosRef", "jointVelRef"),
-        strict=True,
-    )
-)
 _ANGULAR = ("qd", "q_reference", "qd_reference")
 _DATA, _CORRECTION, _PATH_CORRECTION = 2, 3, 4
 _KINEMATIC = 1

@@ -155,16 +155,14 @@ def test_parameters_are_told_to_who_asks_and_echoed_to_all_of_them() -> None:
 
 @pytest.mark.parametrize("text", ["a\0b", "a\ud800b"])
 def test_a_text_that_clients_cannot_be_told_is_refused(text: str) -> None:
-    """In mode "all" a client is told every parameter when it comes, and may set any."""
-    channel, (a,) = ParameterChannel({"gain": 1.0, "task": "grind"}, mode="all"), fakes("a")
+    channel, (a,) = ParameterChannel({"task": "grind"}), fakes("a")
     channel.greet(a)
-    assert values(a) == [("gain", 1.0), ("task", "grind")]
+    channel.take(a, Definition("sample", 0x50, "task", PRIMS["string"]), [a])
     channel.take(a, sample(text, PRIMS["string"], "task"), [a])
-    channel.take(a, sample(4.0, PRIMS["double"], "gain"), [a])
-    assert values(a)[2:] == [("task", "grind"), ("gain", 4.0)]
+    assert values(a) == [("task", "grind"), ("task", "grind")]
+    channel.take(a, sample("polish", PRIMS["string"], "task"), [a])
+    assert values(a)[-1] == ("task", "polish"), "without anybody to decide every other value is taken"
     assert channel.counts == {"refused": 1, "set": 1}
-    with pytest.raises(ConfigError, match="asked"):
-        ParameterChannel({}, mode="none")  # type: ignore[arg-type]
 
 
 CHAIN = np.array([1.0, 2.0, 7.0, 3.0, 4.0, 5.0, 6.0])  # number of each joint from base to tool

@@ -11,7 +11,6 @@ import pytest
 
 from armlab import bridge, robots
 from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row
-from armlab.bridge.servers.labcomm.channels import ParameterChannel
 from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, RowCodec, RowPort, far_end
 from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.errors import ConfigError, LinkError, UnknownName
@@ -20,7 +19,7 @@ from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Codec, Drop, Packet, Reference
 from armlab.wire.labcomm import Decoder, Encoder, Sample
-from armlab.wire.labcomm.types import Prim
+from armlab.wire.labcomm.types import PRIMS, Array
 
 from ..conftest import PATIENCE, until
 from .conftest import Started, row
@@ -142,31 +141,34 @@ def test_it_connects_again_and_says_what_is_wrong(start: Start) -> None:
 def test_a_clock_that_is_no_number_is_told(stamp: Any) -> None:
     source = LabCommSource("arm", {"q": Column((2,), "rad")}, 0.004, 1)
     for value in ({"q": [0.0, 1.0], "t_us": stamp}, {"q": [0.0, 1.0], "tm": stamp}):
-        source._take(Sample(64, "row", value, Prim("double")))
+        source._take(Sample(64, "row", value, PRIMS["double"]))
         assert source.newest() is None
         assert "at most 64 bits" in source.problem
-    source._take(Sample(64, "row", {"q": [0.0, 1.0], "tm": 1.5}, Prim("double")))
+    source._take(Sample(64, "row", {"q": [0.0, 1.0], "tm": 1.5}, PRIMS["double"]))
     reading: Any = source.newest()
     assert reading.source_ns == 1_500_000
 
 
-def test_numbers_and_other_samples(start: Start) -> None:
-    one = start(ParameterChannel({"force": [1.0, 2.0], "other": 3.0}, 0, mode="all"))
-    port = one.server.ports["parameters"]
-    source = LabCommSource("sensor", {"f": Column((2,), "N")}, 0.01, port, sample="force")
-    wrong = LabCommSource("sensor", {"f": Column((3,), "N")}, 0.01, port, sample="force")
-    missing = LabCommSource("sensor", FIELDS, 0.01, port, sample="other")
-    for each in (source, wrong, missing):
-        each.start()
-    until(lambda: source.newest() and wrong.problem and missing.problem)
-    for each in (source, wrong, missing):
-        each.close()
+def test_numbers_and_other_samples() -> None:
+    """A sample may be a list alone; one without the fields is no reading, and is told where it was asked for."""
+    listed = Sample(64, "force", [1.0, 2.0], Array((0,), PRIMS["double"]))
+    source = LabCommSource("sensor", {"f": Column((2,), "N")}, 0.01, 1, sample="force")
+    wrong = LabCommSource("sensor", {"f": Column((3,), "N")}, 0.01, 1, sample="force")
+    for each in (source, wrong):
+        each._take(listed._replace(name="other"))
+        assert (each.newest(), each.problem) == (None, "")
+        each._take(listed)
     reading: Any = source.newest()
     assert reading.values["f"].tolist() == [1.0, 2.0]
     assert "shape (3,)" in wrong.problem
-    assert "trq" in missing.problem
+    for name, problem in ((None, ""), ("other", "trq in the sample other")):
+        missing = LabCommSource("sensor", FIELDS, 0.01, 1, sample=name)
+        missing._take(Sample(65, "other", {"pos": [0.0] * 7}, PRIMS["double"]))
+        assert missing.newest() is None
+        assert problem in missing.problem
+        assert bool(missing.problem) == bool(problem)
     with pytest.raises(ConfigError, match="without dots"):
-        LabCommSource("a.b", FIELDS, 0.01, port)
+        LabCommSource("a.b", FIELDS, 0.01, 1)
 
 
 @pytest.fixture(scope="module")

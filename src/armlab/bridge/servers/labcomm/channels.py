@@ -8,7 +8,7 @@ import socket
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -47,7 +47,6 @@ class Peer:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the system took nothing the last time."""
         return self._stuck is not None
 
     def push(self, packet: bytes, may_drop: bool = True) -> None:
@@ -284,22 +283,12 @@ class ParameterChannel(Channel):
         values: Mapping[str, Value],
         port: int = 7513,
         on_set: OnSet | None = None,
-        mode: Literal["asked", "all"] = "asked",
         dialect: str = "2014v1",
         follows_client: bool = False,
     ) -> None:
         super().__init__("parameters", port, dialect, follows_client)
-        if mode not in ("asked", "all"):
-            raise ConfigError(f'Expected mode to be "asked" or "all", got {mode!r}.')
-        self._values, self._on_set, self._mode = dict(values), on_set, mode
+        self._values, self._on_set = dict(values), on_set
         self._asked: dict[Peer, dict[str, Type]] = {}
-
-    def greet(self, peer: Peer) -> None:
-        """Queue VERSION, and in mode "all" every parameter."""
-        super().greet(peer)
-        if self._mode == "all":
-            for name in self._values:
-                self._ask(peer, name, self._types(name)[0])
 
     def put(self, item: tuple[str, Value], peers: Iterable[Peer]) -> None:
         """Queue the value now in force, (name, value), for all who asked for it."""
@@ -317,7 +306,11 @@ class ParameterChannel(Channel):
             self.counts["other type" if event.name in self._values else "unknown"] += 1
             return
         if isinstance(event, Definition):
-            self._ask(peer, event.name, event.type)
+            asked = self._asked.setdefault(peer, {})
+            if peer.encoder is not None and event.name not in asked:
+                asked[event.name] = event.type
+                peer.push(peer.encoder.define(SampleType(event.name, event.type)), may_drop=False)
+                self._tell(peer, event.name)
             return
         value, now = event.value, self._values[event.name]
         if not _may_be(value):
@@ -342,13 +335,6 @@ class ParameterChannel(Channel):
         if isinstance(value, Sequence | np.ndarray):
             return Array((0,), PRIMS["double"]), Array((len(value),), PRIMS["double"])
         return (PRIMS["double"],)
-
-    def _ask(self, peer: Peer, name: str, node: Type) -> None:
-        asked = self._asked.setdefault(peer, {})
-        if peer.encoder is not None and name not in asked:
-            asked[name] = node
-            peer.push(peer.encoder.define(SampleType(name, node)), may_drop=False)
-            self._tell(peer, name)
 
     def _tell(self, peer: Peer, name: str) -> None:
         if peer.encoder is not None:
