@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import pi
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,16 +12,9 @@ from armlab import robots
 from armlab.errors import ConfigError, RobotError
 from armlab.wire.egm import Drop, EgmCodec, Packet, Reference
 from armlab.wire.egm.axes import Linkage
-from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessage
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
-YUMI = (1, 2, 7, 3, 4, 5, 6)
-
-
-def arm(coupling: Any, axes: tuple[int, ...] = (), linear: tuple[int, ...] = ()) -> Any:
-    n = len(coupling)
-    prismatic = np.isin(np.arange(n), linear)
-    axes = axes or tuple(range(1, n + 1))
-    return SimpleNamespace(n=n, prismatic=prismatic, abb_axes=axes, coupling=np.array(coupling))
+from .conftest import YUMI, arm
 
 
 def heard(codec: EgmCodec, wire: Any, joints: list[float], external: list[float]) -> Packet | Drop:
@@ -124,17 +116,13 @@ def test_power_is_the_same_on_both_sides() -> None:
 def test_on_the_wire_are_axes(wire: Any) -> None:
     """Joints at 0, 60 and -80 degrees are ABB's axes at 0, 60 and -20."""
     q = np.radians([0, 60, -80, 10, 20, 30])
-    motion = wire.m(1, wire.joints(0.0, 60, -20, 10, 20, 30)), wire.m(4, wire.u(1, 7), wire.u(2, 0))
-    data, plain = wire.header(3, 4) + wire.m(2, *motion), EgmCodec(IRB2400)
-    for _ in range(2):  # parsed, and read where the numbers lay
-        packet = plain.decode(data)
-        assert isinstance(packet, Packet)
-        np.testing.assert_allclose(packet.q, q)
+    packet = heard(EgmCodec(IRB2400), wire, [0, 60, -20, 10, 20, 30], [])
+    assert isinstance(packet, Packet)
+    np.testing.assert_allclose(packet.q, q)
     codec = EgmCodec(IRB2400, extension=True)
     reply = codec.encode(Reference(q, 0 * q, np.arange(6.0), 1, 2))
     assert wire.m(1, wire.d(1, *np.degrees(rod().axes(q)))) in reply
-    found = RobotSideCodec(IRB2400).decode_sensor(reply)
-    assert isinstance(found, SensorMessage)
+    found: Any = RobotSideCodec(IRB2400).decode_sensor(reply)
     np.testing.assert_allclose(found.q, q)
     np.testing.assert_allclose(found.tau, np.arange(6.0))
     message = RobotMessage(1, 2, q, q, qd=q, tau=q, tau_gravity=2 * q)
@@ -143,8 +131,7 @@ def test_on_the_wire_are_axes(wire: Any) -> None:
     assert isinstance(packet, Packet)
     for values in (packet.q, packet.qd, packet.tau, packet.q_planned):
         np.testing.assert_allclose(values, q)
-    details = codec.details(data)
-    assert details is not None
+    details: Any = codec.details(data)
     np.testing.assert_allclose(details.tau_gravity, 2 * q)
 
 
