@@ -156,7 +156,7 @@ def test_signatures_are_those_of_the_vectors(name: str, folder: Path) -> None:
     assert len(both) == 3
     for one in both:
         assert one.type == ours[one.name].type
-    assert len(idl.samples("armlab")["fused_row"].signature()) == 91
+    assert len(idl.samples("armlab")["fused_row"].type.signature()) == 91
 
 
 def test_presets() -> None:

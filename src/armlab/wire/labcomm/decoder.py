@@ -91,7 +91,7 @@ class SignatureWalk:
             return TypeRef(code), pos
         else:
             raise _bad(first, "a type code", f"{code:#x}")
-        size = node.min_size(self.dialect.name)
+        size = node.min_size(self.dialect.wide)
         if size > self.limits.packet or node.values > self.limits.values:
             limits = f"a type of at most {self.limits.packet} bytes and {self.limits.values} values"
             raise _bad(first, limits, f"{size} bytes and {node.values} values")

@@ -125,9 +125,9 @@ class _Node:
         """Bytes of every value, None where they differ."""
         return None if self.numbers else self.size
 
-    def min_size(self, dialect: str = "2014v1") -> int:
-        """Return the bytes of the smallest value in a dialect."""
-        return self.size + self.numbers * (4 if dialect_named(dialect).wide else 1)
+    def min_size(self, wide: bool) -> int:
+        """Return the bytes of the smallest value; `wide`: numbers have 4."""
+        return self.size + self.numbers * (4 if wide else 1)
 
     def signature(self, dialect: str = "2014v1") -> bytes:
         """Return the flat signature as a dialect writes it."""
@@ -245,10 +245,6 @@ class SampleType(NamedTuple):
     name: str
     type: Type
     notes: Notes = ()
-
-    def signature(self, dialect: str = "2014v1") -> bytes:
-        """Return the flat signature as a dialect writes it."""
-        return self.type.signature(dialect)
 
 
 def typename(node: Type) -> str:

@@ -199,7 +199,7 @@ def checked_shape(node: Array, read: Sequence[Size], rest: int, wide: bool, limi
     count = math.prod(sizes)
     if not count and product > limits.empty_rows and last is not None:
         raise _bad_array(last, f"at most {limits.empty_rows} rows without elements", product)
-    smallest = count * (node.elem.size + node.elem.numbers * (4 if wide else 1))
+    smallest = count * node.elem.min_size(wide)
     if smallest > rest:
         if last is None:
             raise Cut
