@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armlab.errors import LogError, UnknownName
+from armlab.errors import LogError, ShapeError, UnknownName
 from armlab.log import read, read_labcomm
 from armlab.wire.labcomm import Encoder, parse_lc
 from armlab.wire.labcomm.types import DIALECTS, SampleType
@@ -105,10 +105,15 @@ def test_without_a_clock_the_rate_is_asked_for(tmp_path: Path) -> None:
     table = read_labcomm(path, rate=1 / 0.004032)
     np.testing.assert_allclose(table.t, 0.004032 * np.arange(4))
     assert len(read_labcomm(path, sample="big", rate=1.0)) == 1
-    with pytest.raises(UnknownName, match=r"'word'.*force"):
-        read_labcomm(path, sample="word", rate=1.0)
-    with pytest.raises(LogError, match="rate above 0 Hz"):
-        read_labcomm(path, rate=0.0)
+    refused = [
+        ("word", 1.0, UnknownName, r"'word'.*force"),
+        (np.array([1, 2]), 1.0, UnknownName, "sample with values"),
+        (None, 0.0, LogError, "rate above 0 Hz"),
+        (np.array([]), np.eye(3), ShapeError, r"the rate \[Hz\] to be one number"),
+    ]
+    for sample, rate, error, words in refused:
+        with pytest.raises(error, match=words):
+            read_labcomm(path, sample=sample, rate=rate)
 
 
 def test_a_stream_cut_anywhere_is_read_as_far_as_it_goes(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.errors import LogError
-from armlab.wire.cdr import NO_MEMBER, Field, Layout, bounded, definitions, held, layout, with_bytes
+from armlab.wire.cdr import NO_MEMBER, Field, Layout, bounded, definitions, layout, with_bytes
 
 MIXED = """
 uint8 flag
@@ -178,9 +178,7 @@ def test_messages_without_fields_have_a_byte() -> None:
     assert [one.path for one in found.fields if one.path.endswith(NO_MEMBER)] == [
         f"{where}.{NO_MEMBER}" for where in ("e", "several[0]", "several[1]", "several[2]")
     ]
-    x, y = found.field("x"), found.field("y")
-    assert x is not None
-    assert y is not None
+    x, y = (next(one for one in found.fields if one.path == path) for path in "xy")
     assert raw[x.start] == 7
     assert np.frombuffer(raw[y.start : y.stop], y.dtype)[0] == 2.5
 
@@ -191,14 +189,6 @@ def test_the_most_fields_that_a_type_may_have() -> None:
         nested("M1[300] a\nstring[] b\nuint8[1000000] picture", "float64[300] c\nM2 d\nM2[2] e", "int8 x"),
     )
     assert bounded("test_msgs/msg/M0", types) is types
-    assert [held(one) for _, one in types["test_msgs/msg/M0"]] == [
-        ("test_msgs/msg/M1", 300, False),
-        ("", 1, True),
-        ("", 1000000, False),
-    ]
-    assert [held(one) for _, one in types["test_msgs/msg/M1"]][1:] == [
-        ("test_msgs/msg/M2", 1, False), ("test_msgs/msg/M2", 2, False)
-    ]  # fmt: skip
 
 
 def test_the_types_of_ros_are_bounded() -> None:

@@ -4,38 +4,39 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from tomllib import loads
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-
-@dataclass(frozen=True)
-class MadeArm:
-    n: int
-    prismatic: np.ndarray
-    abb_axes: tuple[int, ...]
-
-    @property
-    def coupling(self) -> np.ndarray:
-        return np.eye(self.n)
+YUMI = (1, 2, 7, 3, 4, 5, 6)
 
 
-@pytest.fixture(scope="session")
-def six() -> MadeArm:
-    return MadeArm(6, np.zeros(6, dtype=bool), (1, 2, 3, 4, 5, 6))
+def arm(coupling: Any, axes: tuple[int, ...] = (), linear: tuple[int, ...] = ()) -> Any:
+    """A robot as the codec knows it; `linear`: prismatic joints, from 0."""
+    n = len(coupling)
+    prismatic = np.isin(np.arange(n), linear)
+    return SimpleNamespace(
+        n=n, prismatic=prismatic, abb_axes=axes or tuple(range(1, n + 1)), coupling=np.array(coupling)
+    )
 
 
 @pytest.fixture(scope="session")
-def yumi() -> MadeArm:
-    return MadeArm(7, np.zeros(7, dtype=bool), (1, 2, 7, 3, 4, 5, 6))
+def six() -> Any:
+    return arm(np.eye(6))
 
 
 @pytest.fixture(scope="session")
-def scara() -> MadeArm:
-    return MadeArm(4, np.array([False, False, True, False]), (1, 2, 3, 4))
+def yumi() -> Any:
+    return arm(np.eye(7), YUMI)
+
+
+@pytest.fixture(scope="session")
+def scara() -> Any:
+    return arm(np.eye(4), linear=(2,))
 
 
 def varint(value: int) -> bytes:

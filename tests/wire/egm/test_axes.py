@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from math import pi
 from typing import Any
 
 import numpy as np
@@ -10,36 +10,46 @@ import pytest
 
 from armlab import robots
 from armlab.errors import ConfigError, RobotError
-from armlab.wire.egm import EgmCodec, Packet, Reference
-from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
-from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessage
+from armlab.wire.egm import Drop, EgmCodec, Packet, Reference
+from armlab.wire.egm.axes import Linkage
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
+
+from .conftest import YUMI, arm
 
 
-@pytest.mark.parametrize("elbow", [135.0, -135.0])
-def test_both_signs_of_the_yumi_elbow(yumi: Any, elbow: float) -> None:
-    """The start targets of ABB's templates: [0, -130, 30, 0, 40, 0], eax_a = 135 left, -135 right."""
-    axes = AxisMap(yumi)
-    q = np.array(axes.joints([0, -130, 30, 0, 40, 0], [elbow])) * axes.scale
-    expected = [0.0, -2.268928027592628, np.copysign(2.356194490192345, elbow), 0.5235987755982988, 0.0]
-    np.testing.assert_allclose(q[:5], expected, rtol=1e-15)
-    assert axes.wire(q, axes.scale) == pytest.approx((0, -130, 30, 0, 40, 0, elbow))
+def heard(codec: EgmCodec, wire: Any, joints: list[float], external: list[float]) -> Packet | Drop:
+    time = wire.m(4, wire.u(1, 7), wire.u(2, 0))  # RobotWare 6.06, which has none, sends radians
+    motion = wire.m(1, wire.joints(*joints)), wire.m(3, wire.d(1, *external)), time
+    return codec.decode(wire.header(3, 4) + wire.m(2, *motion))
 
 
-def test_scara_linear_joint_is_metres_with_the_rotary_factor(scara: Any) -> None:
-    """-90 mm arrived as -5.155 (abb_libegm, pull request 142)."""
-    axes = AxisMap(scara)
-    q = np.array(axes.joints([10, 20, -5.156620156177409, 30], [])) * axes.scale
-    np.testing.assert_allclose(q, [10 * RADIAN, 20 * RADIAN, -0.09, 30 * RADIAN], rtol=1e-12)
-    assert not axes.can_move
+SCARA = arm(np.eye(4), linear=(2,))
+DEGREES = ("deg",) * 4
 
 
-def test_linear_axis_beyond_the_sixth_is_in_millimetres() -> None:
-    arm = SimpleNamespace(
-        n=7, prismatic=np.array([False] * 6 + [True]), abb_axes=(1, 2, 3, 4, 5, 6, 7), coupling=np.eye(7)
-    )
-    axes = AxisMap(arm)
-    assert axes.scale[6] == 1e-3
-    assert axes.can_move
+@pytest.mark.parametrize(
+    ("robot", "units", "joints", "external", "q", "q_ext"),
+    [
+        # the start targets of ABB's templates: [0, -130, 30, 0, 40, 0], eax_a = 135 left, -135 right
+        (arm(np.eye(7), YUMI), (), [0, -130, 30, 0, 40, 0], [135], [0, -130, 135, 30, 0, 40, 0], []),
+        (arm(np.eye(7), YUMI), (), [0, -130, 30, 0, 40, 0], [-135, 9], [0, -130, -135, 30, 0, 40, 0], [9]),
+        # -90 mm arrived as -5.155 (abb_libegm, pull request 142): metres with the rotary factor
+        (SCARA, (), [10, 20, -5.156620156177409, 30], [], [10, 20, -0.09 * 180 / pi, 30], []),
+        (SCARA, (*DEGREES, "mm"), [1, 2, 3, 4], [500, 90], [1, 2, 3, 4], [0.5 * 180 / pi, 90]),
+        (SCARA, ("deg", "deg", "mm", "deg"), [10, 20, -90, 30], [], [10, 20, -0.09 * 180 / pi, 30], []),
+        (arm(np.eye(7), linear=(6,)), (), [0] * 6, [250], [0] * 6 + [0.25 * 180 / pi], []),  # beyond the sixth: mm
+        (arm(np.eye(1)), (), [5], [], [5], []),
+    ],
+)
+def test_axes_of_the_wire_are_joints(wire, robot, units, joints, external, q, q_ext) -> None:
+    codec = EgmCodec(robot, units=units)
+    packet = heard(codec, wire, joints, external)
+    assert isinstance(packet, Packet)
+    np.testing.assert_allclose(packet.q, np.radians(q), rtol=1e-14)
+    np.testing.assert_allclose(packet.q_ext, np.radians(q_ext), rtol=1e-14)
+    if not units:
+        message: Any = RobotSideCodec(robot).decode_sensor(codec.encode(Reference(packet.q, None, None, 1, 2)))
+        np.testing.assert_allclose(message.q, packet.q, rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -52,52 +62,20 @@ def test_linear_axis_beyond_the_sixth_is_in_millimetres() -> None:
         ([1, 2, 3, 4, 5, 6], [], "joint count"),
     ],
 )
-def test_wrong_counts_are_refused_by_name(yumi: Any, joints: list[float], external: list[float], reason: str) -> None:
-    with pytest.raises(Refused) as refused:
-        AxisMap(yumi).joints(joints, external)
-    assert refused.value.drop.reason == reason
+def test_wrong_counts_are_dropped_by_name(wire: Any, joints: list[float], external: list[float], reason: str) -> None:
+    found: Any = heard(EgmCodec(arm(np.eye(7), YUMI)), wire, joints, external)
+    assert found.reason == reason
 
 
-def test_extension_arrays_in_both_orders(yumi: Any) -> None:
-    axes = AxisMap(yumi)
-    assert axes.array([1.0, 2, 3, 4, 5, 6, 7], is_kinematic=False) == (1, 2, 7, 3, 4, 5, 6)
-    assert axes.array([1.0, 2, 7, 3, 4, 5, 6], is_kinematic=True) == (1, 2, 7, 3, 4, 5, 6)
-    assert axes.array([], is_kinematic=True) is None
-    with pytest.raises(Refused):
-        axes.array([1.0] * 6, is_kinematic=True)
-
-
-def test_one_joint() -> None:
-    axes = AxisMap(SimpleNamespace(n=1, prismatic=np.array([False]), abb_axes=(1,), coupling=np.eye(1)))
-    assert axes.joints([5.0], []) == (5.0,)
-    assert axes.wire(np.array([5.0]), np.ones(1)) == (5.0,)
-
-
-def test_axes_that_are_no_permutation() -> None:
+def test_axes_and_units_that_fit_no_robot() -> None:
     with pytest.raises(RobotError, match="each of 1 to 2 once"):
-        AxisMap(SimpleNamespace(n=2, prismatic=np.zeros(2, bool), abb_axes=(1, 3), coupling=np.eye(2)))
-
-
-def test_units_of_each_axis(scara: Any) -> None:
-    """Where the user knows the units; external axes follow the joints, and the rest of them is in degrees."""
-    axes = AxisMap(scara, ("deg", "deg", "mm", "deg", "mm"))
-    assert axes.can_move
-    np.testing.assert_array_equal(axes.scale, [RADIAN, RADIAN, 1e-3, RADIAN])
-    np.testing.assert_array_equal(axes.external_scale(2), [1e-3, RADIAN])
-    assert axes.external_scale(0).shape == (0,)
+        EgmCodec(arm(np.eye(2), (1, 3)))
     for units in (("deg",) * 3, ("deg",) * 3 + ("inch",)):
         with pytest.raises(ConfigError, match=r'"deg" or "mm" for 4 joints'):
-            AxisMap(scara, units)
+            EgmCodec(SCARA, units=units)
 
 
 IRB2400 = robots.load("irb2400")
-
-
-def arm(coupling: Any) -> Any:
-    n = len(coupling)
-    return SimpleNamespace(
-        n=n, prismatic=np.zeros(n, bool), abb_axes=tuple(range(1, n + 1)), coupling=np.array(coupling)
-    )
 
 
 def rod() -> Linkage:
@@ -138,17 +116,13 @@ def test_power_is_the_same_on_both_sides() -> None:
 def test_on_the_wire_are_axes(wire: Any) -> None:
     """Joints at 0, 60 and -80 degrees are ABB's axes at 0, 60 and -20."""
     q = np.radians([0, 60, -80, 10, 20, 30])
-    motion = wire.m(1, wire.joints(0.0, 60, -20, 10, 20, 30)), wire.m(4, wire.u(1, 7), wire.u(2, 0))
-    data, plain = wire.header(3, 4) + wire.m(2, *motion), EgmCodec(IRB2400)
-    for _ in range(2):  # parsed, and read where the numbers lay
-        packet = plain.decode(data)
-        assert isinstance(packet, Packet)
-        np.testing.assert_allclose(packet.q, q)
+    packet = heard(EgmCodec(IRB2400), wire, [0, 60, -20, 10, 20, 30], [])
+    assert isinstance(packet, Packet)
+    np.testing.assert_allclose(packet.q, q)
     codec = EgmCodec(IRB2400, extension=True)
     reply = codec.encode(Reference(q, 0 * q, np.arange(6.0), 1, 2))
     assert wire.m(1, wire.d(1, *np.degrees(rod().axes(q)))) in reply
-    found = RobotSideCodec(IRB2400).decode_sensor(reply)
-    assert isinstance(found, SensorMessage)
+    found: Any = RobotSideCodec(IRB2400).decode_sensor(reply)
     np.testing.assert_allclose(found.q, q)
     np.testing.assert_allclose(found.tau, np.arange(6.0))
     message = RobotMessage(1, 2, q, q, qd=q, tau=q, tau_gravity=2 * q)
@@ -157,8 +131,7 @@ def test_on_the_wire_are_axes(wire: Any) -> None:
     assert isinstance(packet, Packet)
     for values in (packet.q, packet.qd, packet.tau, packet.q_planned):
         np.testing.assert_allclose(values, q)
-    details = codec.details(data)
-    assert details is not None
+    details: Any = codec.details(data)
     np.testing.assert_allclose(details.tau_gravity, 2 * q)
 
 

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from armlab.errors import ConfigError, UnknownName
 from armlab.wire.egm import Drop, EgmCodec, Packet, Reference
 from armlab.wire.egm import armlab_egm_pb2 as pb
-from armlab.wire.egm.pose_force import NO_POSE, pose_from_matrix, pose_values, read_pose
 from armlab.wire.egm.robot_side import (
     DEFAULT_ARRAYS,
     EXTENSION_ARRAYS,
@@ -171,66 +170,53 @@ def test_wrong_names(six: Any) -> None:
         RobotSideCodec(six, extension=("gravity",))
 
 
-def written(message: pb.EgmPose) -> np.ndarray:
-    where, turn = message.pos, message.orient
-    return np.reshape(pose_values((where.x, where.y, where.z, turn.u0, turn.u1, turn.u2, turn.u3)), (4, 4))
-
-
-def test_millimetres_and_scalar_first() -> None:
-    """A quarter turn about z is (cos 45, 0, 0, sin 45); x goes to y."""
-    half = np.sqrt(0.5)
-    T = np.reshape(pose_values((400.0, -50.0, 300.0, half, 0.0, 0.0, half)), (4, 4))
-    expected = [[0, -1, 0, 0.4], [1, 0, 0, -0.05], [0, 0, 1, 0.3], [0, 0, 0, 1]]
-    np.testing.assert_allclose(T, expected, atol=1e-15)
-
-
 unit = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda u: sum(x * x for x in u) > 1e-3)
+half_turn = st.sampled_from([(0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)])
 
 
-@given(unit, st.tuples(*[st.floats(-3, 3)] * 3))
-def test_round_trip(quaternion: tuple[float, ...], position: tuple[float, ...]) -> None:
-    T = np.reshape(pose_values((*(1e3 * x for x in position), *quaternion)), (4, 4))
-    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
-    message = pb.EgmPose()
-    pose_from_matrix(message, T)
-    assert message.orient.u0 >= 0.0
-    assert not message.HasField("euler")
-    np.testing.assert_allclose(written(message), T, atol=1e-12)
+@given(unit | half_turn, st.tuples(*[st.floats(-3, 3)] * 3))
+def test_poses_arrive(six: Any, quaternion: tuple[float, ...], position: tuple[float, ...]) -> None:
+    """The matrix of the textbooks for a quaternion with the scalar first."""
+    a, b, c, d = np.array(quaternion) / np.linalg.norm(quaternion)
+    cross = np.array([[0, -d, c], [d, 0, -b], [-c, b, 0]])
+    T = np.eye(4)
+    T[:3, :3] += 2 * a * cross + 2 * cross @ cross
+    T[:3, 3] = position
+    data = EgmCodec(six).encode_pose(T, None, 1, 2)
+    pose = pb.EgmSensor.FromString(data).planned.cartesian
+    assert pose.orient.u0 >= 0.0
+    assert not pose.HasField("euler")
+    np.testing.assert_allclose(heard(RobotSideCodec(six).decode_sensor(data)).T_frame_tool, T, atol=1e-12)
 
 
-@pytest.mark.parametrize("turn", [(0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)])
-def test_half_turns(turn: tuple[float, ...]) -> None:
-    T = np.reshape(pose_values((0, 0, 0, *turn)), (4, 4))
-    message = pb.EgmPose()
-    pose_from_matrix(message, T)
-    np.testing.assert_allclose(written(message), T, atol=1e-12)
+def told(six: Any, pose: pb.EgmPose) -> np.ndarray | None:
+    sensor = pb.EgmSensor(header=pb.EgmHeader(mtype=3), planned=pb.EgmMotion(cartesian=pose))
+    return heard(RobotSideCodec(six).decode_sensor(sensor.SerializeToString())).T_frame_tool
 
 
 @pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (np.nan, 0, 0, 0), (np.inf, 0, 0, 0)])
-def test_an_unusable_quaternion_is_no_pose(quaternion: tuple[float, ...]) -> None:
-    assert pose_values((0, 0, 0, *quaternion)) is NO_POSE
-    assert np.isnan(NO_POSE).all()
+def test_an_unusable_quaternion_is_no_pose(six: Any, quaternion: tuple[float, ...]) -> None:
+    turn = pb.EgmQuaternion(**dict(zip(("u0", "u1", "u2", "u3"), quaternion, strict=True)))
+    assert np.isnan(told(six, pb.EgmPose(pos=pb.EgmCartesian(x=1.0, y=2.0, z=3.0), orient=turn))).all()  # type: ignore[arg-type]
 
 
-def test_euler_angles_win_where_the_controller_reads() -> None:
-    """A rotation about x, then y, then z of the frame; without them, or for us, the quaternion counts."""
+def test_euler_angles_win_where_the_controller_reads(six: Any) -> None:
+    """A rotation about x, then y, then z of the frame; without them the quaternion counts."""
     pose = pb.EgmPose(
         pos=pb.EgmCartesian(x=1.0, y=2.0, z=3.0),
         orient=pb.EgmQuaternion(u0=1.0, u1=0.0, u2=0.0, u3=0.0),
         euler=pb.EgmEuler(x=30.0, y=-50.0, z=110.0),
     )
-    assert read_pose(pose) == (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
-    assert read_pose(pb.EgmPose()) is None
     (cx, sx), (cy, sy), (cz, sz) = ((np.cos(a), np.sin(a)) for a in np.radians([30.0, -50.0, 110.0]))
     turn_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     turn_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     turn_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    found = read_pose(pose, euler_wins=True)
-    assert found is not None
-    np.testing.assert_allclose(np.reshape(pose_values(found), (4, 4))[:3, :3], turn_z @ turn_y @ turn_x, atol=1e-15)
-    pose.ClearField("orient")
-    assert read_pose(pose) is None
-    assert read_pose(pose, euler_wins=True) == found
+    for _ in range(2):
+        T: Any = told(six, pose)
+        np.testing.assert_allclose(T[:3, :3], turn_z @ turn_y @ turn_x, atol=1e-15)
+        np.testing.assert_allclose(T[:3, 3], [1e-3, 2e-3, 3e-3])
+        pose.ClearField("orient")
     pose.euler.x = np.inf
-    assert np.isnan(read_pose(pose, euler_wins=True)[3:]).all()  # type: ignore[index]
+    assert np.isnan(told(six, pose)).all()  # type: ignore[arg-type]
+    pose.ClearField("euler")
+    assert told(six, pose) is None

@@ -141,11 +141,16 @@ def test_a_type_is_defined_before_its_values() -> None:
         Encoder().data(ROW, VALUE)
     with pytest.raises(UnknownName):
         Encoder("2012")
+    with pytest.raises(LabCommError, match="a name that UTF-8 can write"):
+        Encoder().define(SampleType("\ud800", ROW.type))
 
 
 def test_write_packet_says_what_a_dialect_cannot() -> None:
     assert write_packet(Version("LabComm2014"), "2014old", 13)[1] == 13
     assert write_packet(Unknown(0x50, b"ab"), "2014") == b"\x50\x02ab"
+    assert write_packet(Unknown(2**32 - 1, b""), "2014").hex() == "8fffffff7f00"
+    with pytest.raises(LabCommError, match="from 0 to 4294967295"):
+        write_packet(Unknown(2**32, b""), "2014")
     with pytest.raises(LabCommError, match="Unknown"):
         write_packet(Unknown(0x50, b"ab"), "2013")
     with pytest.raises(LabCommError, match="2006"):

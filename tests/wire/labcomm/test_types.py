@@ -1,4 +1,4 @@
-"""Types, signatures, dialects and the .lc language of LabComm."""
+"""Types, malformed signatures and the .lc language of LabComm."""
 
 from __future__ import annotations
 
@@ -8,57 +8,8 @@ import pytest
 
 from armlab.errors import LabCommError, UnknownName
 from armlab.wire.labcomm import Decoder, Encoder, Limits, Sample, idl, parse_lc
-from armlab.wire.labcomm.decoder import FIRST_INDEX, SignatureWalk, parse_signature
 from armlab.wire.labcomm.idl import Typedef, to_lc
-from armlab.wire.labcomm.types import (
-    PRIMS,
-    VOID,
-    Array,
-    Field,
-    Prim,
-    SampleType,
-    Struct,
-    Type,
-    TypeRef,
-    dialect_named,
-    encode_packed32,
-)
-from armlab.wire.labcomm.values import Source
-
-
-def one(text: str) -> Type:
-    return parse_lc(f"sample {text};")[0].type
-
-
-@pytest.mark.parametrize(
-    ("text", "fixed", "smallest", "smallest_2006", "values", "form"),
-    [
-        ("int a", 4, 4, 4, 1, ">i"),
-        ("string a", None, 1, 4, 1, None),
-        ("void a", 0, 0, 0, 1, ">"),
-        ("double a[7]", 56, 56, 56, 8, ">7d"),
-        ("int a[2,3]", 24, 24, 24, 9, ">6i"),
-        ("int a[2][3]", 24, 24, 24, 9, ">6i"),
-        ("int a[2,_]", None, 1, 4, 1, None),
-        ("int a[_][_]", None, 1, 4, 1, None),
-        ("string a[3]", None, 3, 12, 4, None),
-        ("struct { int tm; double pos[7]; double vel[7]; double trq[7]; } a", 172, 172, 172, 26, ">i21d"),
-        ("struct { boolean b; struct { byte x; byte y[3]; } c[2]; } a", 9, 9, 9, 15, ">?8B"),
-    ],
-)
-def test_sizes(text: str, fixed: int | None, smallest: int, smallest_2006: int, values: int, form: str | None) -> None:
-    node = one(text)
-    assert (node.fixed_size, node.min_size(), node.min_size("2006")) == (fixed, smallest, smallest_2006)
-    assert (node.values, node.struct_format) == (values, form)
-
-
-def test_signatures_of_the_dialects() -> None:
-    node = Struct((Field("val", PRIMS["int"], (("unit", "rad"),)),))
-    assert node.signature().hex() == "11010376616c23"
-    assert node.signature("2014i").hex() == "1101" + "02" + "00" + "0376616c" + "04756e6974" + "03726164" + "23"
-    assert node.signature("2006").hex() == "00000011" + "00000001" + "00000003" + "76616c" + "00000023"
-    with pytest.raises(LabCommError, match="reference"):
-        PRIMS["sample"].signature("2013")
+from armlab.wire.labcomm.types import PRIMS, VOID, Array, Field, Prim, SampleType, Struct, Type
 
 
 def test_what_is_no_type_is_refused() -> None:
@@ -80,20 +31,12 @@ def test_what_is_no_type_is_refused() -> None:
         Array((0,), node)
 
 
-def test_a_robot_row_has_the_signature_of_the_format() -> None:
-    (row,) = parse_lc("sample struct { int tm; double pos[7]; double vel[7]; double trq[7]; } robot_row;")
-    raw = row.type.signature()
-    assert raw.hex() == "110402746d2303706f731001072603" + "76656c1001072603" + "74727110010726"
-    assert parse_signature(raw) == row.type
-    assert len(raw) == 30
-
-
 @pytest.mark.parametrize(
     ("raw", "offset", "what"),
     [
-        ("", 0, "the rest"),
-        ("10 01", 2, "the rest"),
-        ("23 00", 1, "1 more"),
+        ("", -1, "a whole type"),
+        ("10 01", -1, "a whole type"),
+        ("23 00", -1, "ends 1 bytes before"),
         ("30", 0, "type code"),
         ("40", 0, "type code"),
         ("10 00 23", 1, "1 to 16 dimensions"),
@@ -107,51 +50,18 @@ def test_a_robot_row_has_the_signature_of_the_format() -> None:
     ],
 )
 def test_malformed_signatures_are_refused_at_their_byte(raw: str, offset: int, what: str) -> None:
+    signature = bytes.fromhex(raw)
+    packet = bytes([2, 4 + len(signature), 0x40, 1, 0x6E, len(signature)]) + signature
     with pytest.raises(LabCommError, match=what) as caught:
-        parse_signature(bytes.fromhex(raw), limits=Limits(packet=65_536, values=16_384, definitions=1, nodes=1))
-    assert caught.value.offset == offset
+        Decoder("2014v1", require_version=False).feed(packet)
+    assert caught.value.offset == 6 + offset
 
 
-def test_type_indices_are_for_type_defs_only() -> None:
-    source = Source()
-    source.add(b"\x40")
-    walk = SignatureWalk(source, dialect_named("2014"), Limits.server(), 1, type_refs=True)
-    with pytest.raises(StopIteration) as done:
-        next(walk.tree(0))
-    assert done.value.value == (TypeRef(FIRST_INDEX), 1)
-    with pytest.raises(LabCommError):
-        parse_signature(b"\x28", "2013")
-    with pytest.raises(UnknownName):
-        parse_signature(b"\x28", "2015")
-
-
-def test_numbers_names_and_packets() -> None:
-    new, notes, old = (dialect_named(name) for name in ("2014v1", "2014i", "2006"))
-    assert new.number(300).hex() == "822c"
-    assert old.number(300).hex() == "0000012c"
-    assert new.label("val") == b"\3val"
-    assert notes.label("val", (("foo", "bar"),)) == b"\x02\x00\x03val\x03foo\x03bar"
-    assert new.packet(0x44, bytes(4)).hex() == "440400000000"
-    assert new.packet(0x44, bytes(4), length=5).hex() == "440500000000"
-    assert old.packet(0x44, bytes(4)).hex() == "0000004400000000"
-    with pytest.raises(LabCommError, match="UTF-8"):
-        new.label("\ud800")
-    with pytest.raises(LabCommError, match="from 0 to"):
-        old.number(2**32)
-
-
-@pytest.mark.parametrize(
-    ("n", "raw"),
-    [(0, "00"), (127, "7f"), (128, "8100"), (300, "822c"), (172, "812c"), (2**32 - 1, "8fffffff7f")],
-)
-def test_the_bytes_of_the_format(n: int, raw: str) -> None:
-    assert encode_packed32(n).hex() == raw
-
-
-@pytest.mark.parametrize("n", [-1, 2**32])
-def test_numbers_out_of_range_are_refused(n: int) -> None:
-    with pytest.raises(LabCommError, match="from 0 to"):
-        encode_packed32(n)
+def test_old_dialects_have_no_references_to_samples() -> None:
+    with pytest.raises(LabCommError, match="a type code"):
+        Decoder("2013", require_version=False).feed(b"\x02\x40\x01n\x28")
+    with pytest.raises(LabCommError, match="a reference to a sample"):
+        Encoder("2013").define(SampleType("n", PRIMS["sample"]))
 
 
 def test_declarations() -> None:
@@ -246,7 +156,7 @@ def test_signatures_are_those_of_the_vectors(name: str, folder: Path) -> None:
     assert len(both) == 3
     for one in both:
         assert one.type == ours[one.name].type
-    assert len(idl.samples("armlab")["fused_row"].signature()) == 91
+    assert len(idl.samples("armlab")["fused_row"].type.signature()) == 91
 
 
 def test_presets() -> None:

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from armlab import glossary
-from armlab.errors import ArmlabError, LabCommError, LogError, UnknownName
+from armlab._numbers import check_name, number
+from armlab.errors import ArmlabError, LabCommError, LogError
 from armlab.log.assembly import rows_in_order
 from armlab.log.column import Column, refuse_ragged
 from armlab.log.file_formats.opening import FIRST, file_hash, format_of
@@ -103,9 +104,10 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
         sample that is declared twice, as numbers and texts or with arrays of other dimensions, values whose columns
         would hardly hold anything.
     UnknownName : no values of that sample; lists those that have some.
+    ShapeError : a rate that is not one number.
     """
     path = Path(path)
-    if rate is not None and not 0.0 < rate < np.inf:
+    if rate is not None and not 0.0 < number(rate, "the rate [Hz]") < np.inf:
         raise LogError(f"Expected a rate above 0 Hz, got {rate}.")
     samples, torn = _samples(path)
     counts: dict[str, int] = {}
@@ -113,8 +115,8 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
         counts[one.name] = counts.get(one.name, 0) + 1
     if not counts:
         raise LogError(f"Expected values of samples in the LabComm stream {path}, got definitions at most.")
-    if sample is not None and sample not in counts:
-        raise UnknownName.among("sample with values", sample, counts)
+    if sample is not None:
+        check_name(sample, "sample with values", counts)
     pace = max(counts, key=counts.__getitem__) if sample is None else sample
     try:
         leaves = _leaves(samples, pace)
@@ -196,9 +198,9 @@ def _elements(value: Any, depth: int) -> Iterator[tuple[str, Any]]:
     if not depth:
         yield "", value
         return
-    for number, part in enumerate(value):
+    for index, part in enumerate(value):
         for place, element in _elements(part, depth - 1):
-            yield f"[{number}]{place}", element
+            yield f"[{index}]{place}", element
 
 
 def _column(leaf: _Leaf, rows: int) -> np.ndarray:

@@ -7,9 +7,8 @@ robot's description without its gear ratios, which are ABB's own business: EGM i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import pi
-from operator import itemgetter
 from typing import Any, TypeVar
 
 import numpy as np
@@ -63,8 +62,15 @@ class AxisMap:
                 raise ConfigError(f'Expected units of "deg" or "mm" for {arm.n} joints at least, got {tuple(units)}.')
             factors = np.array([_UNITS[unit] for unit in units])
             self.scale, self.beyond = factors[: arm.n], factors[arm.n :]
-        self.kinematic = _picker(order)
-        self.abb = _picker(tuple(order.index(k) for k in range(arm.n)))
+        self._inverse = tuple(order.index(k) for k in range(arm.n))
+
+    def kinematic(self, values: Sequence[float]) -> tuple[float, ...]:
+        """Return values of ABB's axes in kinematic order."""
+        return tuple(values[k] for k in self.order)
+
+    def abb(self, values: Sequence[float]) -> tuple[float, ...]:
+        """Return values of the joints in ABB's order."""
+        return tuple(values[k] for k in self._inverse)
 
     def joints(self, joints: Sequence[float], external: Sequence[float]) -> tuple[float, ...]:
         """Return the n joints in kinematic order, in wire units.
@@ -99,11 +105,6 @@ class AxisMap:
         `q`: (n,) SI, kinematic order; `scale`: (n,) SI per wire unit.
         """
         return self.abb((q / scale).tolist())
-
-
-def _picker(order: tuple[int, ...]) -> Callable[[Sequence[float]], tuple[float, ...]]:
-    """Return the function that picks the elements `order` of a sequence."""
-    return itemgetter(*order) if len(order) > 1 else lambda values: tuple(values[k] for k in order)
 
 
 Message = TypeVar("Message", bound=Any)

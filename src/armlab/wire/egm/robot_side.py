@@ -20,19 +20,22 @@ ROBOTWARE = ("6.06", "6.07", "6.10", "7")
 MAX_BYTES = 1024
 """abb_libegm and abbegm receive into buffers of this size and are silent above it."""
 
-EXTENSION_ARRAYS = ("qd", "tau", "tau_total", "tau_gravity", "current", "q_reference", "qd_reference")
+_WIRE_ARRAYS = {
+    "qd": "jointVel",
+    "tau": "torqueMeas",
+    "tau_total": "torqueRefTotal",
+    "tau_gravity": "torqueGravity",
+    "current": "motorCurrent",
+    "q_reference": "jointPosRef",
+    "qd_reference": "jointVelRef",
+}
+
+EXTENSION_ARRAYS = tuple(_WIRE_ARRAYS)
 """Arrays of EgmRIState by their names in `RobotMessage`, in the order of its fields 1 to 7."""
 
 DEFAULT_ARRAYS = EXTENSION_ARRAYS[:4]
 """Arrays sent unless told otherwise."""
 
-_WIRE_ARRAYS: dict[str, str] = dict(
-    zip(
-        EXTENSION_ARRAYS,
-        ("jointVel", "torqueMeas", "torqueRefTotal", "torqueGravity", "motorCurrent", "jointPosRef", "jointVelRef"),
-        strict=True,
-    )
-)
 _ANGULAR = ("qd", "q_reference", "qd_reference")
 _DATA, _CORRECTION, _PATH_CORRECTION = 2, 3, 4
 _KINEMATIC = 1
@@ -41,18 +44,10 @@ _MILLIMETRE = 1e-3
 
 
 class RobotMessage(NamedTuple):
-    """What a robot controller says in one EgmRobot, for the simulated controller. None leaves a field out.
+    """What a robot controller says in one EgmRobot, SI, (n,) in kinematic order; None leaves a field out.
 
-    Attributes
-    ----------
-    seqno, tm_ms : header. q, q_planned : (n,) measured and planned joints.
-    robot_ns : nanoseconds since 1970. q_ext : external axes [rad].
-    T_frame_tool : (4, 4). motors, mci, rapid : states as ABB numbers them. converged : the window of EGMAct is met.
-    utilization : percent. wrench_raw : (6,) N, N m. rapid_data, rapid_digital : RAPIDfromRobot.
-    tau_reference : (n,) the standard torqueRef field (RobotWare 7; ABB axes 1 to 6 only).
-    qd, tau, tau_total, tau_gravity, current, q_reference, qd_reference : (n,) arrays of the extension, in the order
-        of its fields 1 to 7; those that the codec was not configured for are left out.
-    mono_ns, overruns, mode, used_seq, queue_depth : scalars of the extension.
+    `q_ext` [rad]; `utilization` [%]; `tau_reference`: the standard torqueRef (RobotWare 7, ABB axes 1 to 6 only); from
+    `qd` to `queue_depth`: the extension, of whose arrays those go out that the codec was configured for.
     """
 
     seqno: int
@@ -86,18 +81,10 @@ class RobotMessage(NamedTuple):
 
 
 class SensorMessage(NamedTuple):
-    """One decoded EgmSensor or EgmSensorPathCorr, as the robot controller sees it. NaN is let through.
+    """One decoded EgmSensor or EgmSensorPathCorr as the robot controller sees it, SI; None was not sent.
 
-    Attributes
-    ----------
-    seqno, tm_ms : header, None when absent. mtype : 3 correction, 4 path correction.
-    q : (n,) planned joints or None. qd : (n,) speed reference or None.
-    T_frame_tool : (4, 4) planned pose or None. twist : (6,) speed reference of the pose, or None.
-    path_yz, path_age : path correction in the sensor's tool frame [m] and its age [s], or None.
-    rapid_data, rapid_digital : RAPIDtoRobot, None when absent.
-    tau, qd_reference, q_reference, gain_q, gain_qd : (n,) valid arrays of the extension, else None.
-    echo_mono_ns, echo_seq : echoes of the extension, None without it.
-    q_ext : references of external axes beyond the robot's own [rad], None without any.
+    NaN is let through. `mtype`: 3 correction, 4 path correction; `path_yz` [m] in the sensor's tool frame, of age
+    `path_age` [s]; from `tau` to `echo_seq`: the valid arrays and the echoes of the extension.
     """
 
     seqno: int | None
@@ -124,14 +111,9 @@ class SensorMessage(NamedTuple):
 class RobotSideCodec:
     """`RobotMessage` to EgmRobot and EgmSensor to `SensorMessage`, for one arm.
 
-    Parameters
-    ----------
-    arm : the arm.
-    robotware : one of `ROBOTWARE`; 6.06 sends angles in radians.
-    extension : names of `EXTENSION_ARRAYS` to send; True for `DEFAULT_ARRAYS`.
-    force : messages will hold `wrench_raw`.
-    external : number of external axes in `q_ext`.
-    data : number of values in `rapid_data`.
+    `robotware`: one of `ROBOTWARE`, 6.06 sends angles in radians; `extension`: names of `EXTENSION_ARRAYS` to send,
+    True for `DEFAULT_ARRAYS`; `force`, `external`, `data`: messages will hold `wrench_raw`, so many external axes and
+    so many values for RAPID.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Decoder of LabComm streams, and signatures of types.
+"""Decoder of LabComm streams.
 
 One generator walks the stream and waits where bytes are missing, so every cut of a stream gives the same events. A
 packet with a length is decoded once it has come whole; without one (2013, 2006, data of 2014old) a walk finds its end
@@ -27,7 +27,6 @@ from armlab.wire.labcomm.types import (
     Event,
     Field,
     Kind,
-    Notes,
     Other,
     Pragma,
     Sample,
@@ -61,23 +60,6 @@ FIRST_INDEX = 0x40
 _BY_CODE = {prim.code: prim for prim in PRIMS.values()}
 
 
-def parse_signature(data: bytes, dialect: str = "2014v1", limits: Limits | None = None) -> Type:
-    """Return the type of a flat signature; ``parse_signature(t.signature()) == t``."""
-    source = Source()
-    source.add(data)
-    walk = SignatureWalk(source, dialect_named(dialect), limits or Limits.file(), len(data))
-    try:
-        next(walk.tree(0))
-    except StopIteration as done:
-        tree, pos = done.value
-        if pos == len(data):
-            return tree
-        raise _bad(pos, "the end of the signature", f"{len(data) - pos} more bytes") from None
-    except Cut:
-        pass
-    raise _bad(len(data), "the rest of the signature", "its end")
-
-
 class SignatureWalk:
     """Walks over one signature.
 
@@ -109,7 +91,7 @@ class SignatureWalk:
             return TypeRef(code), pos
         else:
             raise _bad(first, "a type code", f"{code:#x}")
-        size = node.min_size(self.dialect.name)
+        size = node.min_size(self.dialect.wide)
         if size > self.limits.packet or node.values > self.limits.values:
             limits = f"a type of at most {self.limits.packet} bytes and {self.limits.values} values"
             raise _bad(first, limits, f"{size} bytes and {node.values} values")
@@ -153,39 +135,29 @@ class SignatureWalk:
         return node, pos
 
 
-class Head(NamedTuple):
-    """What a definition packet says."""
-
-    index: int  # pyright: ignore[reportIncompatibleMethodOverride]
-    name: str
-    notes: Notes
-    type: Type
-    end: int
-
-
 def definition(
-    source: Source, pos: int, end: int, dialect: Dialect, limits: Limits, type_refs: bool
-) -> Generator[None, None, Head]:
+    source: Source, pos: int, end: int, kind: Kind, dialect: Dialect, limits: Limits
+) -> Generator[None, None, tuple[Definition, int]]:
     """Walk over the body of a SAMPLE_DEF, SAMPLE_REF or TYPE_DEF; `Cut` leaves it when the body is too short."""
     first = pos
     index, pos = yield from number(source, pos, end, dialect.wide)
     if index < FIRST_INDEX:
         raise _bad(first, f"an index from {FIRST_INDEX:#x} on", f"{index:#x}")
     name, notes, pos = yield from label(source, pos, end, dialect, limits)
-    if not dialect.lengths:
-        tree, pos = yield from SignatureWalk(source, dialect, limits, end, type_refs).tree(pos)
-        return Head(index, name, notes, tree, pos)
-    declared = pos
-    size, pos = yield from number(source, pos, end, dialect.wide)
-    if pos + size != end:
-        raise _bad(declared, f"a signature of the {end - pos} bytes left in the packet", f"a length of {size}")
+    declared, size = pos, None
+    if dialect.lengths:
+        size, pos = yield from number(source, pos, end, dialect.wide)
+        if pos + size != end:
+            raise _bad(declared, f"a signature of the {end - pos} bytes left in the packet", f"a length of {size}")
     try:
-        tree, pos = yield from SignatureWalk(source, dialect, limits, end, type_refs).tree(pos)
+        tree, pos = yield from SignatureWalk(source, dialect, limits, end, kind == "type").tree(pos)
     except Cut:
+        if size is None:
+            raise
         raise _bad(declared, f"a signature of {size} bytes that is a whole type", "one that goes on") from None
-    if pos != end:
+    if size is not None and pos != end:
         raise _bad(declared, f"a signature of {size} bytes", f"one that ends {end - pos} bytes before")
-    return Head(index, name, notes, tree, pos)
+    return Definition(kind, index, name, tree, notes), pos
 
 
 def value_end(source: Source, node: Type, pos: int, end: int, wide: bool, limits: Limits) -> Generator[None, None, int]:
@@ -289,17 +261,15 @@ def version(source: Source, wanted: Set[str], limits: Limits) -> Generator[None,
 class Known:
     """A sample type and what reads its values, made with the first value: many types are defined and never sent.
 
-    `index`, `name`, `type`: as defined; `left`: values that a packet may hold besides those that every value has;
-    `read`: the reader.
+    `left`: values that a packet may hold besides those that every value has.
     """
 
-    def __init__(self, definition: Definition, limits: Limits) -> None:
-        _, self.index, self.name, self.type, _ = definition
+    def __init__(self, index: int, sample: SampleType, limits: Limits) -> None:
+        self.index, self.name, self.type = index, sample.name, sample.type
         self.left = limits.values - self.type.values
 
     @cached_property
     def read(self) -> Reader:
-        """What reads a value."""
         return reader(self.type)
 
 
@@ -307,27 +277,24 @@ class Tables:
     """Samples, references and types by index, and the readers of the samples; dicts, since indices may be sparse."""
 
     def __init__(self, limits: Limits) -> None:
-        self.samples: dict[int, SampleType] = {}
-        self.refs: dict[int, SampleType] = {}
-        self.types: dict[int, SampleType] = {}
+        self.kinds: dict[Kind, dict[int, SampleType]] = {"sample": {}, "ref": {}, "type": {}}
         self.known: dict[int, Known] = {}
         self._limits, self._nodes = limits, 0
 
-    def keep(self, kind: Kind, head: Head, offset: int) -> Definition:
+    def keep(self, event: Definition, offset: int) -> None:
         """Enter a definition; a repeated one costs nothing, another for its index replaces it."""
-        table = {"sample": self.samples, "ref": self.refs, "type": self.types}[kind]
-        event, entry = Definition(kind, head.index, head.name, head.type, head.notes), SampleType(head.name, head.type)
-        old = table.get(head.index)
-        if old != entry:
-            nodes = self._nodes + head.type.nodes - (0 if old is None else old.type.nodes)
-            limits = self._limits
-            if (old is None and len(table) >= limits.definitions) or nodes > limits.nodes:
-                most = f"at most {limits.definitions} definitions and {limits.nodes} nodes"
-                raise LabCommError(f"Expected {most} in a stream, got one more at byte {offset}.", offset)
-            self._nodes, table[head.index] = nodes, entry
-            if kind == "sample":
-                self.known[head.index] = Known(event, limits)
-        return event
+        table, entry = self.kinds[event.kind], SampleType(event.name, event.type)
+        old = table.get(event.index)
+        if old == entry:
+            return
+        nodes = self._nodes + event.type.nodes - (0 if old is None else old.type.nodes)
+        limits = self._limits
+        if (old is None and len(table) >= limits.definitions) or nodes > limits.nodes:
+            most = f"at most {limits.definitions} definitions and {limits.nodes} nodes"
+            raise LabCommError(f"Expected {most} in a stream, got one more at byte {offset}.", offset)
+        self._nodes, table[event.index] = nodes, entry
+        if event.kind == "sample":
+            self.known[event.index] = Known(event.index, entry, limits)
 
 
 _KINDS: dict[int, Kind] = {SAMPLE_DEF: "sample", SAMPLE_REF: "ref", TYPE_DEF: "type"}
@@ -358,7 +325,7 @@ class Decoder:
         self._dialect, self._undecided = self._given, False
         self._limits, self._require_version = limits or Limits.server(), require_version
         self._tables, self._source = Tables(self._limits), Source()
-        self.refs, self.samples = self._tables.refs, self._tables.samples
+        self.refs, self.samples = self._tables.kinds["ref"], self._tables.kinds["sample"]
         self._events: list[Event] = []
         self._error: LabCommError | None = None
         self._closed = False
@@ -496,7 +463,7 @@ class Decoder:
     def _packet(self, tag: int, cursor: Cursor) -> Event:
         """Decode one whole packet that is no data of a defined index."""
         if tag in _KINDS:
-            return self._define(tag, cursor)
+            return self._define(_KINDS[tag], cursor)
         if tag == TYPE_BINDING:
             return Binding(cursor.number(), cursor.number())
         where = cursor.base + cursor.at
@@ -513,32 +480,30 @@ class Decoder:
         cursor.left = known.left
         return Sample(known.index, known.name, known.read(cursor), known.type)
 
-    def _define(self, tag: int, cursor: Cursor) -> Definition:
+    def _define(self, kind: Kind, cursor: Cursor) -> Definition:
         """Read a whole definition; the first one of an undecided stream tells 2014 from 2014i."""
         dialect = self._dialect or DIALECTS["2014"]
         start, end = cursor.base + cursor.at, cursor.base + cursor.end
         try:
-            head = self._head(dialect, tag, start, end)
-        except (LabCommError, Cut):
+            event = self._whole_definition(kind, dialect, start, end)
+        except (LabCommError, Cut) as fault:
             if not self._undecided:
                 raise
+            dialect = DIALECTS["2014i"]
             try:
-                head = self._head(DIALECTS["2014i"], tag, start, end)
+                event = self._whole_definition(kind, dialect, start, end)
             except (LabCommError, Cut):
-                head = None
-            if head is None:
-                raise
-            self._dialect = DIALECTS["2014i"]
-        self._undecided = False
+                raise fault from None
+        self._dialect, self._undecided = dialect, False
         cursor.at = cursor.end
-        return self._tables.keep(_KINDS[tag], head, start)
+        self._tables.keep(event, start)
+        return event
 
-    def _head(self, dialect: Dialect, tag: int, start: int, end: int) -> Head:
-        walk = definition(self._source, start, end, dialect, self._limits, tag == TYPE_DEF)
+    def _whole_definition(self, kind: Kind, dialect: Dialect, start: int, end: int) -> Definition:
         try:
-            next(walk)
+            next(definition(self._source, start, end, kind, dialect, self._limits))
         except StopIteration as done:
-            return done.value
+            return done.value[0]
         raise Cut  # not reached: the packet has come whole
 
     def _bare(self, dialect: Dialect) -> Walk:
@@ -551,11 +516,12 @@ class Decoder:
             yield from self._measured(known, dialect, pos)
         elif tag == SAMPLE_DEF:
             try:
-                head = yield from definition(source, pos, pos + limits.packet, dialect, limits, type_refs=False)
+                event, end = yield from definition(source, pos, pos + limits.packet, "sample", dialect, limits)
             except Cut:
                 raise _bad(start, f"a definition of at most {limits.packet} bytes", "a longer one") from None
-            self._events.append(self._tables.keep("sample", head, pos))
-            source.at = head.end
+            self._tables.keep(event, pos)
+            self._events.append(event)
+            source.at = end
         else:
             raise _bad(start, "a definition or data of a defined index", f"tag {tag:#x}")
 

@@ -9,22 +9,6 @@ from typing import Any, Literal, NamedTuple
 
 from armlab.errors import LabCommError, UnknownName
 
-_LARGEST = 2**32 - 1
-_LONGEST = 5  # bytes
-
-
-def encode_packed32(n: int) -> bytes:
-    """Return the shortest form of a number: 0 is 00, 128 is 81 00, 300 is 82 2c."""
-    if 0 <= n < 0x80:
-        return bytes((n,))
-    if not 0 <= n <= _LARGEST:
-        raise LabCommError(f"Expected a number from 0 to {_LARGEST}, got {n}.")
-    groups = [n & 0x7F]
-    while n := n >> 7:
-        groups.append(n & 0x7F | 0x80)
-    return bytes(reversed(groups))
-
-
 Notes = tuple[tuple[str, str], ...]
 
 
@@ -47,12 +31,15 @@ class Dialect:
     references: bool = True
 
     def number(self, n: int) -> bytes:
-        """Return a number as this dialect writes it."""
-        if not self.wide:
-            return encode_packed32(n)
+        """Return a number in its shortest form, 300 is 82 2c, or in 4 bytes."""
         if not 0 <= n < 2**32:
             raise LabCommError(f"Expected a number from 0 to {2**32 - 1}, got {n}.")
-        return n.to_bytes(4, "big")
+        if self.wide:
+            return n.to_bytes(4, "big")
+        groups = [n & 0x7F]
+        while n := n >> 7:
+            groups.append(n & 0x7F | 0x80)
+        return bytes(reversed(groups))
 
     def text(self, raw: bytes) -> bytes:
         """Return a string: its length in bytes, then the bytes."""
@@ -138,21 +125,9 @@ class _Node:
         """Bytes of every value, None where they differ."""
         return None if self.numbers else self.size
 
-    def min_size(self, dialect: str = "2014v1") -> int:
-        """Return the bytes of the smallest value in a dialect."""
-        return self.size + self.numbers * (4 if dialect_named(dialect).wide else 1)
-
-    @property
-    def struct_format(self) -> str | None:
-        """The value for Python's `struct`, for example ">i21d"; None for types of no fixed size."""
-        if self.numbers:
-            return None
-        runs: list[tuple[str, int]] = []
-        for code, count in _leaves(self):
-            if runs and runs[-1][0] == code:
-                count += runs.pop()[1]
-            runs.append((code, count))
-        return ">" + "".join(code if count == 1 else f"{count}{code}" for code, count in runs)
+    def min_size(self, wide: bool) -> int:
+        """Return the bytes of the smallest value; `wide`: numbers have 4."""
+        return self.size + self.numbers * (4 if wide else 1)
 
     def signature(self, dialect: str = "2014v1") -> bytes:
         """Return the flat signature as a dialect writes it."""
@@ -271,10 +246,6 @@ class SampleType(NamedTuple):
     type: Type
     notes: Notes = ()
 
-    def signature(self, dialect: str = "2014v1") -> bytes:
-        """Return the flat signature as a dialect writes it."""
-        return self.type.signature(dialect)
-
 
 def typename(node: Type) -> str:
     """Return a type in words for errors: "double[7]", "struct"."""
@@ -290,22 +261,6 @@ def containers(shape: tuple[int, ...]) -> int:
         rows *= size
         total += rows
     return total
-
-
-def _leaves(node: _Node) -> Iterator[tuple[str, int]]:
-    """Yield the letters of a fixed type in order, with how often each repeats."""
-    if isinstance(node, Prim):
-        yield node.letter, 1
-    elif isinstance(node, Struct):
-        for entry in node.fields:
-            yield from _leaves(entry.type)
-    elif isinstance(node, Array):
-        count = math.prod(node.dims)
-        if isinstance(node.elem, Prim):
-            yield node.elem.letter, count
-        else:
-            for _ in range(count):
-                yield from _leaves(node.elem)
 
 
 def _signature(node: _Node, name: str) -> Iterator[bytes]:

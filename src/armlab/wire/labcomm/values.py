@@ -10,6 +10,7 @@ import math
 import struct
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from operator import itemgetter
 from struct import Struct as Format
 from struct import unpack_from
@@ -198,7 +199,7 @@ def checked_shape(node: Array, read: Sequence[Size], rest: int, wide: bool, limi
     count = math.prod(sizes)
     if not count and product > limits.empty_rows and last is not None:
         raise _bad_array(last, f"at most {limits.empty_rows} rows without elements", product)
-    smallest = count * (node.elem.size + node.elem.numbers * (4 if wide else 1))
+    smallest = count * node.elem.min_size(wide)
     if smallest > rest:
         if last is None:
             raise Cut
@@ -290,23 +291,26 @@ def reader(node: Type) -> Reader:
 def runs(node: Struct) -> list[list[Field]]:
     """Return the fields of a struct in order, those together that one `struct` call takes."""
     found: list[list[Field]] = []
-    was_flat = False
-    for field in node.fields:
-        is_flat = row_size(field.type) is not None
-        if is_flat and was_flat:
-            found[-1].append(field)
-        else:
-            found.append([field])
-        was_flat = is_flat
+    for _, group in groupby(node.fields, key=lambda field: flat_form(field.type) is not None):
+        fields = list(group)
+        found += [fields] if flat_form(fields[0].type) else [[field] for field in fields]
     return found
 
 
-def row_size(node: Type) -> int | None:
-    """Return how many numbers a fixed row has, -1 for a scalar; None of what is not numbers alone."""
+def flat_form(node: Type) -> tuple[str, int] | None:
+    """Return the `struct` form of a fixed row of numbers and how many, -1 for a scalar; None of what is no such row."""
     size = -1
     if isinstance(node, Array) and len(node.dims) == 1 and node.dims[0]:
         size, node = node.dims[0], node.elem
-    return size if isinstance(node, Prim) and node.letter not in ("", "?", "B") else None
+    if isinstance(node, Prim) and node.letter not in ("", "?", "B"):
+        return f"{abs(size)}{node.letter}", size
+    return None
+
+
+def _flat_forms(fields: Sequence[Field]) -> tuple[Format, list[int]]:
+    """Return the form of fields that one `struct` call takes, and how many numbers each has."""
+    forms = [form for field in fields if (form := flat_form(field.type)) is not None]
+    return Format(">" + "".join(letters for letters, _ in forms)), [count for _, count in forms]
 
 
 def decoded(raw: bytes) -> str:
@@ -348,11 +352,10 @@ def _prim(node: Prim) -> Reader:
 
 def _flat(fields: Sequence[Field]) -> Reader:
     """One `struct` call for all; a slice or an index of its result per field."""
-    node = Struct(tuple(fields))
-    unpack, size = Format(node.struct_format or "").unpack_from, node.size
+    form, counts = _flat_forms(fields)
+    unpack, size = form.unpack_from, form.size
     names, places, at = [field.name for field in fields], [], 0
-    for field in fields:
-        count = row_size(field.type) or 0
+    for count in counts:
         places.append(at if count < 0 else slice(at, at + count))
         at += abs(count)
     pick = itemgetter(*places)
@@ -495,14 +498,14 @@ def _write_struct(node: Struct, wire: Wire) -> Writer:
 
 def _write_flat(fields: Sequence[Field], wire: Wire) -> Writer:
     """One `struct` call for all these fields of a value; whatever is odd goes one by one, which says what is wrong."""
-    pack = Format(Struct(tuple(fields)).struct_format or "").pack
-    counts = [(field.name, row_size(field.type) or 0) for field in fields]
+    form, counts = _flat_forms(fields)
+    pack, parts = form.pack, list(zip([field.name for field in fields], counts, strict=True))
     one_by_one = [_field(field, wire) for field in fields]
 
     def write(value: Any) -> bytes:
         flat: list[Any] = []
         try:
-            for name, count in counts:
+            for name, count in parts:
                 part = value[name]
                 if count < 0:
                     flat.append(part)

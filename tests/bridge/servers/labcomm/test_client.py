@@ -11,8 +11,7 @@ import pytest
 
 from armlab import bridge, robots
 from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row
-from armlab.bridge.servers.labcomm.channels import ParameterChannel
-from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, RowCodec, RowPort, connected, far_end
+from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, RowCodec, RowPort, far_end
 from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.log import Column
@@ -20,7 +19,7 @@ from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Codec, Drop, Packet, Reference
 from armlab.wire.labcomm import Decoder, Encoder, Sample
-from armlab.wire.labcomm.types import Prim
+from armlab.wire.labcomm.types import PRIMS, Array
 
 from ..conftest import PATIENCE, until
 from .conftest import Started, row
@@ -91,8 +90,6 @@ def test_what_goes_wrong_is_a_link_error() -> None:
             LabCommClient(port=port, dialect="2015")
     with pytest.raises(LinkError, match="Start it"):
         LabCommClient(port=port, types=RowTypes(order="chain"), patience=1.0)
-    with pytest.raises(LinkError, match="Start it"):
-        connected("127.0.0.1", port, 1.0)
 
 
 def test_a_client_that_is_closed_says_so(start: Start) -> None:
@@ -144,31 +141,34 @@ def test_it_connects_again_and_says_what_is_wrong(start: Start) -> None:
 def test_a_clock_that_is_no_number_is_told(stamp: Any) -> None:
     source = LabCommSource("arm", {"q": Column((2,), "rad")}, 0.004, 1)
     for value in ({"q": [0.0, 1.0], "t_us": stamp}, {"q": [0.0, 1.0], "tm": stamp}):
-        source._take(Sample(64, "row", value, Prim("double")))
+        source._take(Sample(64, "row", value, PRIMS["double"]))
         assert source.newest() is None
         assert "at most 64 bits" in source.problem
-    source._take(Sample(64, "row", {"q": [0.0, 1.0], "tm": 1.5}, Prim("double")))
+    source._take(Sample(64, "row", {"q": [0.0, 1.0], "tm": 1.5}, PRIMS["double"]))
     reading: Any = source.newest()
     assert reading.source_ns == 1_500_000
 
 
-def test_numbers_and_other_samples(start: Start) -> None:
-    one = start(ParameterChannel({"force": [1.0, 2.0], "other": 3.0}, 0, mode="all"))
-    port = one.server.ports["parameters"]
-    source = LabCommSource("sensor", {"f": Column((2,), "N")}, 0.01, port, sample="force")
-    wrong = LabCommSource("sensor", {"f": Column((3,), "N")}, 0.01, port, sample="force")
-    missing = LabCommSource("sensor", FIELDS, 0.01, port, sample="other")
-    for each in (source, wrong, missing):
-        each.start()
-    until(lambda: source.newest() and wrong.problem and missing.problem)
-    for each in (source, wrong, missing):
-        each.close()
+def test_numbers_and_other_samples() -> None:
+    """A sample may be a list alone; one without the fields is no reading, and is told where it was asked for."""
+    listed = Sample(64, "force", [1.0, 2.0], Array((0,), PRIMS["double"]))
+    source = LabCommSource("sensor", {"f": Column((2,), "N")}, 0.01, 1, sample="force")
+    wrong = LabCommSource("sensor", {"f": Column((3,), "N")}, 0.01, 1, sample="force")
+    for each in (source, wrong):
+        each._take(listed._replace(name="other"))
+        assert (each.newest(), each.problem) == (None, "")
+        each._take(listed)
     reading: Any = source.newest()
     assert reading.values["f"].tolist() == [1.0, 2.0]
     assert "shape (3,)" in wrong.problem
-    assert "trq" in missing.problem
+    for name, problem in ((None, ""), ("other", "trq in the sample other")):
+        missing = LabCommSource("sensor", FIELDS, 0.01, 1, sample=name)
+        missing._take(Sample(65, "other", {"pos": [0.0] * 7}, PRIMS["double"]))
+        assert missing.newest() is None
+        assert problem in missing.problem
+        assert bool(missing.problem) == bool(problem)
     with pytest.raises(ConfigError, match="without dots"):
-        LabCommSource("a.b", FIELDS, 0.01, port)
+        LabCommSource("a.b", FIELDS, 0.01, 1)
 
 
 @pytest.fixture(scope="module")
@@ -176,28 +176,18 @@ def robot() -> Robot:
     return robots.load("yumi_right")
 
 
-class Arm:
-    """An arm behind a LabComm server, in lockstep: it follows each command and sends the next row then."""
-
-    def __init__(self, robot: Robot, port: int = 0) -> None:
-        self.q, self.tm, self.commands = np.array(robot.q_home), 10_000, []
-        self.server = LabCommServer([ArmChannel("right", port, self.take, robot.abb_axes)])
-        self.port = self.server.ports["right"]
-
-    def send(self) -> None:
-        self.server.row("right", Row(self.tm, self.q, np.zeros(7), np.zeros(7)))
-
-    def take(self, name: str, command: Row, client: str) -> None:
-        if command.tm != self.tm or command.q is None:
-            return
-        self.commands.append(command)
-        self.q, self.tm = command.q, self.tm + 4
-        self.send()
-
-
-def test_a_controller_moves_an_arm_over_labcomm(robot: Robot) -> None:
-    arm = Arm(robot)
+def test_a_controller_moves_an_arm_over_labcomm(start: Start, robot: Robot) -> None:
+    """In lockstep: the arm follows each command and sends the next row then."""
     seen: list[State] = []
+    commands: list[Row] = []
+    now = Row(10_000, np.array(robot.q_home), np.zeros(7), np.zeros(7))
+
+    def take(name: str, command: Row, client: str) -> None:
+        nonlocal now
+        if command.tm == now.tm and command.q is not None:
+            commands.append(command)
+            now = now._replace(tm=now.tm + 4, q=command.q)
+            one.server.row("right", now)
 
     def controller(state: State) -> Command:
         seen.append(state)
@@ -205,13 +195,13 @@ def test_a_controller_moves_an_arm_over_labcomm(robot: Robot) -> None:
         q[0] += 0.05 * (1.0 - np.cos(2.0 * np.pi * state.t))
         return Command(q)
 
-    with bridge.connect(f"labcomm://127.0.0.1:{arm.port}", robot, clock="robot") as link:
-        until(lambda: arm.server.counts["right"]["clients"] == 1)
-        arm.send()
+    one = start(ArmChannel("right", 0, take, robot.abb_axes))
+    with bridge.connect(f"labcomm://127.0.0.1:{one.server.ports['right']}", robot, clock="robot") as link:
+        until(lambda: one.server.counts["right"]["clients"] == 1)
+        one.server.row("right", now)
         run = link.run(controller, seconds=0.5)
-    arm.server.close()
     assert run.reason == "the time is up"
-    assert max(np.abs(command.q - robot.q_home).max() for command in arm.commands) == pytest.approx(0.1, abs=0.01)
+    assert max(np.abs(command.q - robot.q_home).max() for command in commands) == pytest.approx(0.1, abs=0.01)
     assert np.allclose([state.dt for state in seen], 0.004, rtol=0, atol=1e-9)
     assert run.table["q"].shape[1] == 7
     assert seen[-1].tau_source == "measured"

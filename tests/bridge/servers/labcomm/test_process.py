@@ -5,6 +5,7 @@ from __future__ import annotations
 import select
 import socket
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.labcomm import LabCommClient, Row
-from armlab.bridge.servers.labcomm.process import ArmPlaces, HeldArm, LabCommProcess, SourcePlaces, labcomm_options
+from armlab.bridge.servers.labcomm.process import LabCommProcess, arm_in, labcomm_options
 from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.bridge.servers.row import RowSchema, RowWriter, read_row
 from armlab.bridge.servers.supervisor import Servers, server_command
@@ -51,7 +52,7 @@ class Running(Served):
         declared = [Parameter(name, value, types[name], rights="anyone") for name, value in values.items()]
         declared.append(Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"))
         options = labcomm_options([robot], ports=[0], parameters=0, fused=0)
-        sources = {"force": {"f": Column((3,), "N")}}
+        sources = {"force": {"f": Column((3,), "N"), "n": Column((), "1")}}
         super().__init__("labcomm", robot, lambda feed: LabCommProcess(feed, options), declared, sources=sources)
         found = [text.partition(" (labcomm, ") for text in self.where]
         self.ports = {name.rstrip(")"): int(address.rpartition(":")[2]) for address, _, name in found}
@@ -89,56 +90,51 @@ def test_rows_go_out_and_commands_come_back(running: Running, robot: Robot) -> N
     until(lambda: running.exchange.poll() or not running.exchange.arbiter.commander(robot.name))
 
 
-def test_fused_rows_have_sources_that_were_heard(running: Running, robot: Robot) -> None:
+@pytest.mark.parametrize("age", [0.002, np.inf, 1e300])
+def test_fused_rows_have_sources_that_were_heard(running: Running, robot: Robot, age: float) -> None:
+    held = SimpleNamespace(age=age, kept={"f": [1.0, 2.0, 3.0], "n": 4.0})
     with LabCommClient(port=running.ports["fused"]) as client:
         events: list[Any] = []
 
         def heard() -> list[Any]:
-            running.exchange.row(state(robot), None, TICK)
+            running.exchange.row(state(robot, sources={"force": held}), None, TICK)
             events.extend(event for event in client.events(0.0) if isinstance(event, Sample))
             return events
 
         until(heard)
     value = events[0].value
-    assert (value["t_us"], value["source"]) == (5_000_000, [])
+    source = {"name": "force", "t_us": 4_998_000, "value": [1.0, 2.0, 3.0, 4.0]}
+    assert (value["t_us"], value["source"]) == (5_000_000, [source] if age == 0.002 else [])
     assert [(arm["name"], arm["tm"], arm["t_us"]) for arm in value["arm"]] == [(robot.name, 1500, 4_999_000)]
 
 
-def test_parameters_are_echoed_as_the_loop_decides(running: Running) -> None:
+def test_parameters_of_every_type_are_echoed_as_the_loop_decides(running: Running) -> None:
     (gain,) = parse_lc("sample double gain;")
-    with LabCommClient(port=running.ports["parameters"]) as client:
-        values: list[float] = []
-
-        def told(count: int) -> bool:
-            running.exchange.poll()
-            values.extend(event.value for event in client.events(0.0) if isinstance(event, Sample))
-            return len(values) >= count
-
-        client.define(gain)
-        until(lambda: told(1))
-        client.send(gain, 0.75)
-        until(lambda: told(2))
-        client.send(gain, 7.0)
-        until(lambda: told(3))
-    assert values == [0.5, 0.75, 0.75]
-    assert running.exchange.parameters.gain == 0.75
-
-
-def test_parameters_of_every_type(running: Running) -> None:
     text = "sample boolean gentle; sample string note; sample double n; sample double push[3];"
+    others = zip(parse_lc(text), (False, "h\u00e9", 5.0, [3.0, 4.0, 5.0]), strict=True)
     with LabCommClient(port=running.ports["parameters"]) as client:
-        for one, value in zip(parse_lc(text), (False, "h\u00e9", 5.0, [3.0, 4.0, 5.0]), strict=True):
-            client.send(one, value)  # type: ignore[arg-type]
-        params = running.exchange.parameters
-        until(lambda: running.exchange.poll() or params.push[0] == 3.0)
-        assert (params.gentle, params.note, params.n, params.push.tolist()) == (False, "h\u00e9", 5, [3.0, 4.0, 5.0])
+        gains: list[float] = []
         seen: dict[str, Any] = {}
 
-        def echoed() -> bool:
-            seen.update({event.name: event.value for event in client.events(0.01) if isinstance(event, Sample)})
-            return seen == {"gentle": False, "note": "h\u00e9", "n": 5.0, "push": [3.0, 4.0, 5.0]}
+        def told() -> dict[str, Any]:
+            running.exchange.poll()
+            found = [event for event in client.events(0.0) if isinstance(event, Sample)]
+            gains.extend(event.value for event in found if event.name == "gain")
+            seen.update({event.name: event.value for event in found if event.name != "gain"})
+            return seen
 
-        until(echoed)
+        client.define(gain)
+        until(lambda: told() or len(gains) == 1)
+        for count, value in enumerate((0.75, 7.0), 2):
+            client.send(gain, value)
+            until(lambda: told() or len(gains) == count)  # noqa: B023
+        for one, value in others:
+            client.send(one, value)  # type: ignore[arg-type]
+        until(lambda: told() == {"gentle": False, "note": "h\u00e9", "n": 5.0, "push": [3.0, 4.0, 5.0]})
+    params = running.exchange.parameters
+    assert gains == [0.5, 0.75, 0.75]
+    assert (params.gain, params.gentle, params.note) == (0.75, False, "h\u00e9")
+    assert (params.n, params.push.tolist()) == (5, [3.0, 4.0, 5.0])
 
 
 def flood(kind: str) -> tuple[bytes, bytes]:
@@ -254,56 +250,20 @@ def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:
     assert np.allclose(rows[0].q, robot.q_home, rtol=0, atol=1e-6)
 
 
-LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
-SCHEMA = RowSchema.of([LEFT, RIGHT], {"force": {"f": Column((3,), "N"), "n": Column((), "1")}})
-VIEW_TICK = Tick(3, -1, 5_000_000_000, 4_999_000_000, -1, 0)
+def test_an_arm_is_taken_as_it_stands_in_the_row() -> None:
+    """An arm that was never heard is not there, nor one whose time is beyond all clocks; the newest of others is."""
+    left, right = robots.load("yumi_left"), robots.load("yumi_right")
+    schema, q = RowSchema.of([left, right]), np.arange(7.0)
+    writer = RowWriter(schema)
 
+    def written(robot: Robot, t: float) -> Any:
+        now = State(t=t, dt=0.004, q=q, qd=q, tau=q, robot=robot.name)
+        return read_row(schema, writer.row(now, None, TICK, 1)).values
 
-@pytest.mark.parametrize("robot_ns", [0, 9_000_000])
-def test_an_arm_is_taken_as_it_stands_in_the_row(robot_ns: int) -> None:
-    q = np.arange(7.0) / 8
-    state = State(t=1.5, dt=0.004, q=q, qd=-q, tau=np.full(7, np.nan), robot=LEFT.name, robot_ns=robot_ns)
-    data = RowWriter(SCHEMA).row(state, None, VIEW_TICK, 1)
-    held = ArmPlaces(SCHEMA, LEFT.name).held(data)
-    assert isinstance(held, HeldArm)
-    assert held.is_fresh
-    assert (held.arm.name, held.arm.t_us) == (LEFT.name, 4_999_000)
-    values = read_row(SCHEMA, data).values
-    assert held.arm.row.tm == (9 if robot_ns else 1500)
-    assert held.arm.row.q == tuple(values["yumi_left.q"])
-    assert held.arm.row.qd == tuple(values["yumi_left.qd"])
-    assert np.isnan(held.arm.row.tau).all()
-    assert ArmPlaces(SCHEMA, RIGHT.name).held(data) is None, "it was never heard"
-
-
-def test_the_newest_of_an_arm_whose_row_it_is_not() -> None:
-    writer, q = RowWriter(SCHEMA), np.arange(7.0)
-    for robot in (RIGHT, LEFT):
-        data = writer.row(State(t=1.5, dt=0.004, q=q, qd=q, tau=q, robot=robot.name), None, VIEW_TICK, 1)
-    held = ArmPlaces(SCHEMA, RIGHT.name).held(data)
-    assert held is not None
-    assert not held.is_fresh
-    assert held.arm.row.q == tuple(q)
-
-
-def _written(*numbers: float) -> bytes:
-    """A row whose source has these numbers and an age."""
-    q = np.zeros(7)
-    data = bytearray(RowWriter(SCHEMA).row(State(t=0.0, dt=0.0, q=q, qd=q, tau=q, robot=LEFT.name), None, VIEW_TICK, 1))
-    place = SCHEMA.fields["force.f"].offset
-    data[place : place + 8 * len(numbers)] = np.array(numbers, "<f8").tobytes()
-    return bytes(data)
-
-
-def test_times_beyond_all_clocks_are_none() -> None:
-    q = np.zeros(7)
-    data = RowWriter(SCHEMA).row(State(t=1.7e308, dt=0.0, q=q, qd=q, tau=q, robot=LEFT.name), None, VIEW_TICK, 1)
-    assert ArmPlaces(SCHEMA, LEFT.name).held(data) is None
-    assert SourcePlaces(SCHEMA, "force").held(_written(1.0, 2.0, 3.0, 4.0, 1e300), 5_000_000_000) is None
-
-
-def test_a_source_has_its_numbers_in_order_and_its_age() -> None:
-    places = SourcePlaces(SCHEMA, "force")
-    found = places.held(_written(1.0, 2.0, 3.0, 4.0, 0.002), 5_000_000_000)
-    assert found == ("force", 4_998_000, [1.0, 2.0, 3.0, 4.0])
-    assert places.held(_written(1.0, 2.0, 3.0, 4.0, np.inf), 5_000_000_000) is None
+    values = written(right, 1.5)
+    assert arm_in(values, left.name) is None
+    assert arm_in(written(left, 1.7e308), left.name) is None
+    values = written(left, 1.5)
+    held: Any = arm_in(values, right.name)
+    assert not values[f"{right.name}.fresh"]
+    assert (held.name, held.row.tm, held.row.q.tolist()) == (right.name, 1500, q.tolist())

@@ -8,7 +8,7 @@ import socket
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -47,7 +47,6 @@ class Peer:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the system took nothing the last time."""
         return self._stuck is not None
 
     def push(self, packet: bytes, may_drop: bool = True) -> None:
@@ -148,16 +147,11 @@ class Channel:
         """Queue what the bridge publishes for all clients."""
         raise NotImplementedError
 
-
-def _send(sample: SampleType, value: Any, peers: Iterable[Peer]) -> None:
-    """Queue a value of the one type of a port; it has the same bytes in every stream of a dialect."""
-    packets: dict[str, bytes] = {}
-    for peer in peers:
-        if peer.encoder is not None:
-            dialect = peer.encoder.dialect
-            if dialect not in packets:
-                packets[dialect] = peer.encoder.data(sample, value)
-            peer.push(packets[dialect])
+    def _send(self, value: Any, peers: Iterable[Peer]) -> None:
+        """Queue a value of the one type of the port."""
+        for peer in peers:
+            if peer.encoder is not None and self.sent is not None:
+                peer.push(peer.encoder.data(self.sent, value))
 
 
 class ArmChannel(Channel):
@@ -197,7 +191,7 @@ class ArmChannel(Channel):
 
     def put(self, item: Row, peers: Iterable[Peer]) -> None:
         """Queue one row for all clients."""
-        _send(self.types.sent, self.types.value(item), peers)
+        self._send(self.types.value(item), peers)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
         """Take a command; what is none is counted, and told by the server.
@@ -253,7 +247,7 @@ class FusedChannel(Channel):
         follows_client: bool = False,
     ) -> None:
         super().__init__("fused", port, dialect, follows_client)
-        self.sent = self._sample = idl.samples("armlab")["fused_row"]
+        self.sent = idl.samples("armlab")["fused_row"]
         self._types = RowTypes(axes, order)
         if self._types.n != 7:
             raise ConfigError(f"Expected arms of 7 joints for fused rows, got {self._types.n}.")
@@ -266,7 +260,7 @@ class FusedChannel(Channel):
             "arm": [{"name": one.name, "t_us": one.t_us, **self._types.value(one.row)} for one in arms],
             "source": [one._asdict() for one in sources],
         }
-        _send(self._sample, value, peers)
+        self._send(value, peers)
 
 
 Value = float | bool | str | Sequence[float] | np.ndarray
@@ -289,22 +283,12 @@ class ParameterChannel(Channel):
         values: Mapping[str, Value],
         port: int = 7513,
         on_set: OnSet | None = None,
-        mode: Literal["asked", "all"] = "asked",
         dialect: str = "2014v1",
         follows_client: bool = False,
     ) -> None:
         super().__init__("parameters", port, dialect, follows_client)
-        if mode not in ("asked", "all"):
-            raise ConfigError(f'Expected mode to be "asked" or "all", got {mode!r}.')
-        self._values, self._on_set, self._mode = dict(values), on_set, mode
+        self._values, self._on_set = dict(values), on_set
         self._asked: dict[Peer, dict[str, Type]] = {}
-
-    def greet(self, peer: Peer) -> None:
-        """Queue VERSION, and in mode "all" every parameter."""
-        super().greet(peer)
-        if self._mode == "all":
-            for name in self._values:
-                self._ask(peer, name, self._types(name)[0])
 
     def put(self, item: tuple[str, Value], peers: Iterable[Peer]) -> None:
         """Queue the value now in force, (name, value), for all who asked for it."""
@@ -322,7 +306,11 @@ class ParameterChannel(Channel):
             self.counts["other type" if event.name in self._values else "unknown"] += 1
             return
         if isinstance(event, Definition):
-            self._ask(peer, event.name, event.type)
+            asked = self._asked.setdefault(peer, {})
+            if peer.encoder is not None and event.name not in asked:
+                asked[event.name] = event.type
+                peer.push(peer.encoder.define(SampleType(event.name, event.type)), may_drop=False)
+                self._tell(peer, event.name)
             return
         value, now = event.value, self._values[event.name]
         if not _may_be(value):
@@ -347,13 +335,6 @@ class ParameterChannel(Channel):
         if isinstance(value, Sequence | np.ndarray):
             return Array((0,), PRIMS["double"]), Array((len(value),), PRIMS["double"])
         return (PRIMS["double"],)
-
-    def _ask(self, peer: Peer, name: str, node: Type) -> None:
-        asked = self._asked.setdefault(peer, {})
-        if peer.encoder is not None and name not in asked:
-            asked[name] = node
-            peer.push(peer.encoder.define(SampleType(name, node)), may_drop=False)
-            self._tell(peer, name)
 
     def _tell(self, peer: Peer, name: str) -> None:
         if peer.encoder is not None:

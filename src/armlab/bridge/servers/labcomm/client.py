@@ -9,7 +9,7 @@ import socket
 import struct
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -34,6 +34,15 @@ def connected(host: str, port: int, patience: float) -> socket.socket:
         raise LinkError(
             f"Expected a LabComm server at {host}:{port}, got: {error}. Start it (armlab bridge) or check the address."
         ) from error
+
+
+def greeted(connection: socket.socket, address: str, encoder: Encoder, samples: Iterable[SampleType]) -> Peer:
+    """Return a peer for which the announcement and the definitions of what we send wait."""
+    peer = Peer(connection, address, encoder)
+    peer.push(encoder.version(), may_drop=False)
+    for sample in samples:
+        peer.push(encoder.define(sample), may_drop=False)
+    return peer
 
 
 class LabCommClient:
@@ -218,12 +227,10 @@ class LabCommClient:
         return calls
 
     def _open(self) -> None:
-        encoder = Encoder(self._dialect)
+        self._encoder = Encoder(self._dialect)
         connection = connected(self.host, self.port, self._patience)
-        self._encoder, self._peer = encoder, Peer(connection, f"{self.host}:{self.port}", encoder)
-        self._push(encoder.version(), may_drop=False)
-        for sample in self._defined:
-            self._push(encoder.define(sample), may_drop=False)
+        self._peer = greeted(connection, f"{self.host}:{self.port}", self._encoder, self._defined)
+        self._flush()
 
     def _again(self) -> None:
         end = time.monotonic() + self._patience
@@ -394,10 +401,8 @@ class RowPort:
             self._lose()
 
     def _greeted(self) -> Peer:
-        encoder = Encoder(self._dialect)
-        peer = Peer(self._socket, f"{self.host}:{self.port}", encoder)
-        peer.push(encoder.version(), may_drop=False)
-        peer.push(encoder.define(self._types.accepted), may_drop=False)
+        address, encoder = f"{self.host}:{self.port}", Encoder(self._dialect)
+        peer = greeted(self._socket, address, encoder, [self._types.accepted])
         peer.flush()
         return peer
 

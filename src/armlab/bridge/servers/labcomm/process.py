@@ -10,8 +10,11 @@ from __future__ import annotations
 import logging
 import math
 import socket
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
+
+import numpy as np
 
 from armlab.bridge.servers.labcomm.channels import (
     ArmChannel,
@@ -25,52 +28,28 @@ from armlab.bridge.servers.labcomm.channels import (
 from armlab.bridge.servers.labcomm.rows import Order, Row
 from armlab.bridge.servers.labcomm.server import Ports
 from armlab.bridge.servers.messages import CommandRequest, Leave, Listening, Report, SetRequest, Stop
-from armlab.bridge.servers.row import RowSchema, clock_ms, places, read_head
+from armlab.bridge.servers.row import clock_ms, read_row
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError
 from armlab.robots import Robot
 
-_WANTED = ("fresh", "age", "receive_ns", "robot_ns", "session_t", "q", "qd", "tau")
+
+def arm_in(values: Mapping[str, Any], name: str) -> FusedArm | None:
+    """Return what a row of the loop has of an arm, None before its first and for times beyond all clocks."""
+    tm = clock_ms(values[f"{name}.robot_ns"], values[f"{name}.session_t"])
+    if tm is None or not math.isfinite(values[f"{name}.age"]):
+        return None
+    row = Row(tm, *(values[f"{name}.{part}"] for part in ("q", "qd", "tau")))
+    return FusedArm(name, values[f"{name}.receive_ns"] // 1000, row)
 
 
-class HeldArm(NamedTuple):
-    """What a row of the loop holds of an arm."""
-
-    is_fresh: bool
-    arm: FusedArm
-
-
-class ArmPlaces:
-    """Where a row of the loop has what LabComm has of an arm."""
-
-    def __init__(self, schema: RowSchema, robot: str) -> None:
-        found = places(schema, robot)
-        self._name, self._places = robot, [found[name] for name in _WANTED]
-
-    def held(self, data: bytes) -> HeldArm | None:
-        """Return what a row holds of the arm, None before its first."""
-        found: Any = [form.unpack_from(data, offset) for form, offset in self._places]
-        (fresh,), (age,), (receive_ns,), (robot_ns,), (session_t,), q, qd, tau = found
-        tm = clock_ms(robot_ns, session_t)
-        if tm is None or not math.isfinite(age):
-            return None
-        return HeldArm(bool(fresh), FusedArm(self._name, receive_ns // 1000, Row(tm, q, qd, tau)))
-
-
-class SourcePlaces:
-    """Where a row of the loop has the values of a source."""
-
-    def __init__(self, schema: RowSchema, source: str) -> None:
-        self._name, self._places = source, places(schema, source)
-        self._form, self._offset = self._places.pop("age")
-
-    def held(self, data: bytes, now_ns: int) -> FusedSource | None:
-        """Return what the source gave last, None when it was never heard."""
-        age_ns = 1e9 * self._form.unpack_from(data, self._offset)[0]
-        if not math.isfinite(age_ns):
-            return None
-        numbers = [number for form, offset in self._places.values() for number in form.unpack_from(data, offset)]
-        return FusedSource(self._name, (now_ns - round(age_ns)) // 1000, numbers)
+def source_in(values: Mapping[str, Any], name: str, fields: Sequence[str], now_ns: int) -> FusedSource | None:
+    """Return what a source gave last, None when it was never heard."""
+    age_ns = 1e9 * values[f"{name}.age"]
+    if not math.isfinite(age_ns):
+        return None
+    numbers = np.concatenate([np.ravel(values[field]) for field in fields]).tolist()
+    return FusedSource(name, (now_ns - round(age_ns)) // 1000, numbers)
 
 
 _LEFT, _PARAMETERS, _FUSED = 7511, 7513, 7514
@@ -120,10 +99,10 @@ class LabCommProcess:
         self._commands: dict[tuple[str, str], CommandRequest] = {}  # the newest of a turn: the loop takes no other
         self._loop = LoopEnd(feed, lambda: self._ports.clients)
         self._sequences = self._set_sequences()
-        schema = self._loop.schema
-        self._arms = [ArmPlaces(schema, name) for name in options["arms"]]
-        sources = dict.fromkeys(field.source for field in schema.fields.values())
-        self._sources = [SourcePlaces(schema, name) for name in sources if name not in schema.robots]
+        schema, self._sources = self._loop.schema, defaultdict[str, list[str]](list)
+        for field in schema.fields.values():
+            if field.source not in schema.robots and field.name != f"{field.source}.age":
+                self._sources[field.source].append(field.name)
         self._ports = Ports(self._channels(), options["host"], self._event, self._stop, feed)
 
     def run(self) -> None:
@@ -213,14 +192,16 @@ class LabCommProcess:
 
     def _row(self, data: bytes) -> None:
         ports, pace = self._ports, next(iter(self._options["arms"]))
-        _, _, wall_ns = read_head(self._loop.schema, data)
-        held = [one for places in self._arms if (one := places.held(data)) is not None]
-        for is_fresh, arm in held:
-            if is_fresh and ports.has_clients(arm.name):
+        _, _, wall_ns, values = read_row(self._loop.schema, data)
+        held = [one for name in self._options["arms"] if (one := arm_in(values, name)) is not None]
+        for arm in held:
+            if not values[f"{arm.name}.fresh"]:
+                continue
+            if ports.has_clients(arm.name):
                 ports.put(arm.name, arm.row)
-            if is_fresh and arm.name == pace and ports.has_clients("fused"):
-                sources = [one for places in self._sources if (one := places.held(data, wall_ns)) is not None]
-                ports.put("fused", (wall_ns // 1000, [one.arm for one in held], sources))
+            if arm.name == pace and ports.has_clients("fused"):
+                found = (source_in(values, name, fields, wall_ns) for name, fields in self._sources.items())
+                ports.put("fused", (wall_ns // 1000, held, [one for one in found if one is not None]))
 
     def _event(self, text: str, warn: bool = False, each: bool = False) -> None:
         if warn:

@@ -93,7 +93,7 @@ class RowTypes:
     def command(self, value: Mapping[str, Any]) -> Row:
         """Return the command of a value from the wire; zeros and NaN in `vel` and `trq` ask for nothing."""
         row = self.row(value)
-        if row.q is None or not all(map(math.isfinite, value["pos"])):
+        if row.q is None or not np.isfinite(row.q).all():
             raise LabCommError(f"Expected finite positions in a command, got {value.get('pos')}.")
         return Row(row.tm, row.q, _asked(row.qd, "vel", value), _asked(row.tau, "trq", value))
 
@@ -125,12 +125,12 @@ class RowTypes:
 
 
 def _asked(part: np.ndarray | None, name: str, value: Mapping[str, Any]) -> np.ndarray | None:
-    """Return what a vector of a command asks for, None when that is nothing; on lists, faster than on short arrays."""
-    if part is None or not any(number and not math.isnan(number) for number in value[name]):
+    """Return what a vector of a command asks for, None when that is nothing."""
+    if part is None or not np.nan_to_num(part).any():
         return None
-    if any(map(math.isinf, value[name])):
+    if np.isinf(part).any():
         raise LabCommError(f"Expected finite numbers in {name} of a command, got {value[name]}.")
-    return np.nan_to_num(part) if any(map(math.isnan, value[name])) else part
+    return np.nan_to_num(part)
 
 
 def _fields(sample: SampleType) -> dict[str, Any]:

@@ -31,7 +31,7 @@ _LOOK = 0.05  # s between two looks at what is overdue
 _TURN = 4096  # bytes that a turn reads of all clients together: what they send in it delays everything else
 _LEAST = 256  # of them for each
 _EVERY = 1.0  # s between two sentences on what a client sent and was not taken
-_SNIFF = 0.2  # s that a port which follows its client waits for the first packets
+_SNIFF = 0.15  # s that a port which follows its client waits for the first packets, until somebody looks
 
 
 class Ports:
@@ -50,8 +50,6 @@ class Ports:
         self._listeners: list[socket.socket] = []
         self.numbers: dict[str, int] = {}
         self._gone: dict[str, tuple[int, int]] = {}
-        self._unknown: list[tuple[Channel, Peer, float]] = []  # clients whose dialect is awaited
-        self._full: set[Peer] = set()  # clients for whom something waits until the system takes it
         self._looked = time.monotonic()
         try:
             for channel in channels:
@@ -113,7 +111,7 @@ class Ports:
                 channel, peer = key.data
                 self._serve(channel, peer, mask, most)
         now = time.monotonic()
-        if now - self._looked > _LOOK or self._unknown:
+        if now - self._looked > _LOOK:
             self._looked = now
             self._look(now)
         return served
@@ -146,11 +144,8 @@ class Ports:
         peers.append(peer)
         self._selector.register(connection, selectors.EVENT_READ, (channel, peer))
         self._tell(f"{channel.name}: {address} connected.")
-        if peer.encoder is None:
-            self._unknown.append((channel, peer, peer.began + _SNIFF))
-        else:
-            channel.greet(peer)
-            self._flush(channel, peer)
+        channel.greet(peer)
+        self._flush(channel, peer)
 
     def _serve(self, channel: Channel, peer: Peer, mask: int, most: int) -> None:
         """Read from and write to one client, once."""
@@ -165,13 +160,14 @@ class Ports:
                 self._drop(channel, peer, reason)
             if events:
                 self._flush_all(channel)
-        if mask & selectors.EVENT_WRITE:
+        if mask & selectors.EVENT_WRITE and peer in self._peers[channel.name]:
             self._flush(channel, peer)
 
     def _take(self, channel: Channel, peer: Peer, events: Iterable[Event]) -> None:
         has_stopped = False  # one stop of a read is enough
         for event in events:
-            self._settle(channel, peer, isinstance(event, Definition))
+            if isinstance(event, Definition):
+                self._settle(channel, peer)
             try:
                 if isinstance(event, Sample) and (event.name, event.type) == (STOP.name, STOP.type):
                     if not has_stopped:
@@ -194,20 +190,19 @@ class Ports:
 
     def _look(self, now: float) -> None:
         """Close whom patience has ended for; speak to clients whose dialect was awaited."""
-        for channel, peer, until in list(self._unknown):
-            if now > until:
-                self._settle(channel, peer, is_over=True)
-                self._flush(channel, peer)
         for name, peers in self._peers.items():
+            channel = self._channels[name]
             for peer in list(peers):
                 reason = peer.overdue(now)
                 if reason:
-                    self._drop(self._channels[name], peer, reason)
+                    self._drop(channel, peer, reason)
+                elif peer.encoder is None and now - peer.began > _SNIFF:
+                    self._settle(channel, peer)
+                    self._flush(channel, peer)
 
-    def _settle(self, channel: Channel, peer: Peer, is_over: bool) -> None:
+    def _settle(self, channel: Channel, peer: Peer) -> None:
         """Choose the dialect for a client of a port that follows it, once a definition or the time tells."""
-        if peer.encoder is None and is_over:
-            self._unknown = [entry for entry in self._unknown if entry[1] is not peer]
+        if peer.encoder is None:
             peer.encoder = Encoder(peer.decoder.dialect or channel.dialect)
             channel.greet(peer)
 
@@ -220,9 +215,9 @@ class Ports:
     def _flush(self, channel: Channel, peer: Peer) -> None:
         if not peer.flush():
             self._drop(channel, peer, "")
-        elif peer.is_waiting != (peer in self._full):
-            self._full ^= {peer}
-            wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if peer.is_waiting else 0)
+            return
+        wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if peer.is_waiting else 0)
+        if self._selector.get_key(peer.socket).events != wanted:
             self._selector.modify(peer.socket, wanted, (channel, peer))
 
     def _drop(self, channel: Channel, peer: Peer, reason: str) -> None:
@@ -233,8 +228,6 @@ class Ports:
         if len(self._gone) > _KEPT:
             del self._gone[next(iter(self._gone))]
         peers.remove(peer)
-        self._full.discard(peer)
-        self._unknown = [entry for entry in self._unknown if entry[1] is not peer]
         with contextlib.suppress(KeyError, ValueError):
             self._selector.unregister(peer.socket)
         peer.close()
