@@ -1,8 +1,8 @@
 """Started by tests: `zenoh_client.py DIALECT PORT ROLE LETTER`, a client of a cell with the arm yumi_left.
 
-DIALECT is zenoh or rmw_zenoh. ROLE "command" asks for a small velocity at 250 Hz, and says what it is answered over
-zenoh; "read" reads all that there is, says "row" at the first, "gap 3 KEY" when three are missing and "back 1 KEY" when
-one comes that is not after the last. LETTER makes the identity of the sender. Ends by a signal.
+DIALECT is zenoh or rmw_zenoh. ROLE "command", of zenoh, asks for a small velocity at 250 Hz and says what it is
+answered; "read" reads all that there is, says "row" at the first, "gap 3 KEY" when three are missing and "back 1 KEY"
+when one comes that is not after the last. LETTER makes the identity of the sender. Ends by a signal.
 """
 
 from __future__ import annotations
@@ -14,32 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin
-from armlab.bridge.servers.ros.topics import store
+from armlab.bridge.servers.ros.rmw_zenoh import Origin
 from armlab.bridge.servers.zenoh.messages import Attachment, key
 from armlab.bridge.servers.zenoh.session import LabAddress
 
-ARRAY, JOINTS = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
-VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
 PERIOD = 0.004
 SPEED = 0.01  # rad/s
 
 
-def command(session: Any, dialect: str, sender: bytes) -> None:
-    """Ask for a velocity until the process ends."""
-    qd = np.full(7, SPEED)
-    types, names = store().types, Names(0, str(session.zid()))
-    message = types[ARRAY](types["std_msgs/msg/MultiArrayLayout"]([], 0), qd)
-    if dialect == "zenoh":
-        place = key("lab", "yumi_left", f"answer/{sender.hex()}")
-        session.declare_subscriber(place, lambda sample: print(sample.payload.to_string(), flush=True))
-    cdr, due = bytes(store().serialize_cdr(message, ARRAY)), time.monotonic()
+def command(session: Any, sender: bytes) -> None:
+    """Ask over zenoh for a velocity until the process ends."""
+    place = key("lab", "yumi_left", f"answer/{sender.hex()}")
+    session.declare_subscriber(place, lambda sample: print(sample.payload.to_string(), flush=True))
+    place, qd, due = key("lab", "yumi_left", "command/velocity"), np.full(7, SPEED), time.monotonic()
     for k in range(1, 10**6):
-        if dialect == "zenoh":
-            place = key("lab", "yumi_left", "command/velocity")
-            session.put(place, qd.tobytes(), attachment=Attachment(sender, k, 0).pack())
-        else:
-            session.put(names.data(VELOCITY, ARRAY), cdr, attachment=Origin(k, 0, sender).pack())
+        session.put(place, qd.tobytes(), attachment=Attachment(sender, k, 0).pack())
         due = max(due + PERIOD, time.monotonic() - PERIOD)
         time.sleep(max(0.0, due - time.monotonic()))
 
@@ -73,7 +62,7 @@ def main() -> None:
     dialect, port, role, letter = sys.argv[1:]
     session = LabAddress("127.0.0.1", int(port)).open(20.0)
     if role == "command":
-        command(session, dialect, 16 * letter.encode())
+        command(session, 16 * letter.encode())
     else:
         read(session, dialect)
 
