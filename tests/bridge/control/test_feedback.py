@@ -113,23 +113,14 @@ def test_one_false_packet_in_motion_is_a_hold_and_three_stop_the_run(bench: Foll
     assert bench.machine.reason == "the feedback is not plausible"
 
 
-def test_an_arm_that_does_not_follow_stops_the_run(bench: Follower) -> None:
-    bench.moving()
-    stuck = bench.q
-    for k in range(400):
-        bench(Command(qd=np.full(7, 0.2)), q=stuck + 1e-4 * (k % 2))
-    assert bench.machine.mode is Mode.ENDED
-    assert "a following error of 0.1" in bench.reason
-    assert "MaxSpeedDeviation" in bench.reason
-
-
-def test_the_following_error_allowed_is_an_option(robot: Robot) -> None:
-    for allowed, stops in ((0.3, False), (0.05, True)):
-        bench = Follower(robot, Limits.of(robot, following_error=allowed)).moving()
+def test_an_arm_that_does_not_follow_stops_the_run(robot: Robot) -> None:
+    for options, cycles, stops in (({}, 400, True), ({"following_error": 0.3}, 260, False)):  # 260: 0.2 rad
+        bench = Follower(robot, Limits.of(robot, **options)).moving()
         stuck = bench.q
-        for k in range(260):  # 0.2 rad
+        for k in range(cycles):
             bench(Command(qd=np.full(7, 0.2)), q=stuck + 1e-4 * (k % 2))
-        assert (bench.machine.mode is not Mode.RUNNING) is stops
+        assert bench.machine.mode is (Mode.ENDED if stops else Mode.RUNNING)
+        assert ("a following error of 0.1" in bench.reason and "MaxSpeedDeviation" in bench.reason) == stops
 
 
 def test_an_arm_that_follows_late_at_first_may_catch_up(robot: Robot) -> None:
@@ -283,15 +274,8 @@ def test_exactly_the_patience_is_not_too_long(feed: Any, robot: Robot, monkeypat
         told.append(len(bench.told))
         ended.append(bench.machine.mode is Mode.ENDED)
     assert told == [0, 1, 1, 1]
+    assert bench.told[0] == (f"No packet yet. {check_list(bench.port)}", True)
     assert ended == [False, False, False, True]
-
-
-def test_the_check_list_is_told_before(feed: Any, robot: Robot) -> None:
-    bench = Supervised(feed, robot, patience=30.0)
-    bench.check_silence(5.5)
-    bench.check_silence(5.6)
-    assert bench.told == [(f"No packet yet. {check_list(bench.port)}", True)]
-    assert bench.machine.mode is Mode.WAITING
 
 
 def test_silence_ends_the_session_and_waits(feed: Any, robot: Robot) -> None:

@@ -264,7 +264,7 @@ def test_in_a_run_and_replayed(play: Any) -> None:
 
 
 def test_a_raw_sensor_gives_the_push_alone(robot: Robot) -> None:
-    """0.8 kg on a raw sensor: the wrench of a State is the push, wherever the wrist is; NaN when the sensor is silent."""
+    """0.8 kg on a raw sensor: `State.wrench` is the push, wherever the wrist is; NaN when the sensor is silent."""
     m, c, push = 0.8, np.array([0.01, -0.02, 0.06]), np.array([2.0, -1.0, 3.0, 0.1, 0.2, -0.3])
     bias, p = np.array([5.0, -4.0, 3.0, 0.3, 0.2, 0.1]), np.array([0.0, 0.0, -0.04])
     R_tool_sensor = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
