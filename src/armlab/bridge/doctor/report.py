@@ -65,7 +65,6 @@ class _PortListener:
                     own.sendto(self.token + address.encode(), (address, port.port))
 
     def take(self) -> None:
-        """Take what waits."""
         arrival = self.port.receive()
         while arrival is not None:
             self._take(arrival)

@@ -15,19 +15,6 @@ from armlab import kernels
 from armlab._descriptors import Descriptor, apart
 from armlab.errors import LinkError
 
-__all__ = [
-    "is_here",
-    "is_loopback",
-    "Arrival",
-    "Outlet",
-    "Port",
-    "process_using_port",
-    "listening_socket",
-    "local_addresses",
-    "pair",
-    "program",
-]
-
 _LISTENING = "0A"  # state of a TCP socket in /proc/net/tcp
 
 
@@ -102,11 +89,9 @@ class Port:
 
     @property
     def errors(self) -> int:
-        """Socket errors so far."""
         return self._errors + self._datagrams.errors
 
     def close(self) -> None:
-        """Close the socket."""
         self._is_closed = True
         if self._descriptor.is_open:
             self._datagrams.close()
@@ -114,11 +99,9 @@ class Port:
             self._socket.detach()
 
     def fileno(self) -> int:
-        """Return the number by which the system knows the socket: one can wait on it."""
         return self._socket.fileno()
 
     def receive(self) -> Arrival | None:
-        """Return the next datagram, or None when there is none."""
         arrival = self._datagrams.receive()
         if arrival is None and self._datagrams.errors != self._seen and self._was_lost():
             arrival = self._datagrams.receive()
@@ -239,7 +222,6 @@ class Outlet:
             return False
 
     def receive(self) -> bytes | None:
-        """Return one message, None when none waits."""
         connection = self._socket
         try:
             return None if connection is None else connection.recv(_LARGEST) or None
