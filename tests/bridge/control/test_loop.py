@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import math
-import socket
 import threading
 import time
-from typing import Any, ClassVar
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab.bridge import Limits
 from armlab.bridge.control.state_machine import Mode
+from armlab.bridge.net.sockets import Arrival
 from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
 from armlab.log import Column
 from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Reference
 
-from .conftest import MS, Make, drift
+from .conftest import CONTROLLER, MS, Make, drift
 
 
 def test_an_interrupt_stops_at_the_next_packet_and_the_second_at_once(one: Make) -> None:
@@ -358,39 +359,18 @@ def test_what_fails_is_named_and_memory_is_given_back(one: Make, error: Exceptio
         assert words in str(hands.loop.failure)
 
 
-class Reserve:
-    """Stands for `mmap`: what was set aside and given back."""
-
-    made: ClassVar[list[Reserve]] = []
-
-    def __init__(self, file: int, size: int) -> None:
-        assert (file, size) == (-1, 2**24)
-        self.given_back = False
-        self.made.append(self)
-
-    def close(self) -> None:
-        self.given_back = True
-
-
-@pytest.fixture
-def reserves(monkeypatch: pytest.MonkeyPatch) -> list[Reserve]:
-    """What a run sets aside."""
-    monkeypatch.setattr(Reserve, "made", [])
-    monkeypatch.setattr("armlab.bridge.control.loop.mmap", Reserve)
-    return Reserve.made
-
-
-class Looks(Exception):
-    """Tells whether memory had been given back when its text was made."""
-
-    def __str__(self) -> str:
-        return f"{len(Reserve.made)} set aside, back {Reserve.made[0].given_back}"
-
-
 @pytest.mark.parametrize("where", ["controller", "progress", "bridge"])
-def test_memory_is_given_back_before_words_are_made(one: Make, reserves: list[Reserve], where: str) -> None:
+def test_memory_is_given_back_before_words_are_made(one: Make, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
+    reserve = SimpleNamespace(close=lambda: told.append("given back"))
+    told: list[str] = []
+    monkeypatch.setattr("armlab.bridge.control.loop.mmap", lambda file, size: told.append(f"{size} bytes") or reserve)
+
+    class Looks(Exception):
+        def __str__(self) -> str:
+            return ", ".join(told)
+
     def raises(_: Any) -> None:
-        assert not reserves[0].given_back
+        assert told == ["16777216 bytes"]
         raise Looks
 
     hands = one(raises if where == "controller" else drift, **({"progress": raises} if where == "progress" else {}))
@@ -398,7 +378,7 @@ def test_memory_is_given_back_before_words_are_made(one: Make, reserves: list[Re
         encode, left = hands.arms[0].codec.encode, [1]
         hands.arms[0].codec.encode = lambda reference: raises(left.pop()) if left else encode(reference)
     hands.run()
-    assert "1 set aside, back True" in str(hands.loop.failure)
+    assert "16777216 bytes, given back" in str(hands.loop.failure)
 
 
 def test_an_error_that_cannot_be_told_brings_the_arm_to_rest(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -450,50 +430,33 @@ def sway(state: State) -> Command:
     return Command(state.q_start + 0.05 * math.sin(3.0 * state.t) * np.ones(7))
 
 
-class Noise:
-    """Garbage from the robot's own address, and anything at all from another."""
-
-    def __init__(self) -> None:
-        self.rng = np.random.default_rng(5)
-        self.other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-
-    def __call__(self, peer: Any) -> None:
-        good = peer.packets()
-        peer.packets.seq, peer.packets.cycle = peer.packets.seq - 1, peer.packets.cycle - 1
-        wrong_type = peer.packets.codec.encode_robot(peer.packets.message())[11:]
-        peer.packets.seq, peer.packets.cycle = peer.packets.seq - 1, peer.packets.cycle - 1
-        for _ in range(20):
+def test_a_flood_of_garbage_changes_no_reference(one: Make) -> None:
+    """Bit for bit what an undisturbed run sends; nothing of it is answered, from the robot's address or another."""
+    rng, tables = np.random.default_rng(5), list[Any]()
+    for noisy in (True, False):
+        hands = one(sway)
+        packets, port = hands.robots[0], hands.ports[0]
+        hands.cycle()
+        for _ in range(100 * noisy):
+            good = packets()
+            packets.seq, packets.cycle = packets.seq - 1, packets.cycle - 1
             garbage = [
-                self.rng.bytes(int(self.rng.integers(0, 1500))),
-                good[: self.rng.integers(60)],
-                b"\x0a\x06\x08\x05\x10\x01\x18\x03" + wrong_type,
-                EgmCodec(peer.packets.robot).encode(Reference(peer.packets.q, None, None, 5, 5)),
+                rng.bytes(int(rng.integers(0, 1500))),
+                good[: rng.integers(60)],
+                b"\x0a\x06\x08\x05\x10\x01\x18\x03" + good[11:],
+                EgmCodec(packets.robot).encode(Reference(packets.q, None, None, 5, 5)),
             ]
-            peer.socket.sendto(garbage[self.rng.integers(4)], peer.to)
-            self.other.sendto([good, good[: self.rng.integers(len(good))]][self.rng.integers(2)], peer.to)
-
-
-def disturbed_by(play: Any, noise: Any) -> Any:
-    def script(peer: Any) -> None:
-        peer.cycles(2)
-        for _ in range(50):
-            noise(peer)
-            peer.cycle()
-        peer.rest()
-
-    return play(script, sway, play.link(), seconds=0.2)
-
-
-def test_a_flood_of_garbage_changes_no_reference(play: Any) -> None:
-    """Bit for bit what an undisturbed run sends; nothing of it is answered."""
-    noise = Noise()
-    disturbed = disturbed_by(play, noise)
-    assert play.peer.surplus() == 0
-    undisturbed = disturbed_by(play, lambda peer: None)
-    noise.other.close()
-    np.testing.assert_array_equal(disturbed.table["q_sent"], undisturbed.table["q_sent"])
-    for run, tells in (disturbed, True), (undisturbed, False):
-        assert any("Dropped a datagram from " in text for _, text in run.events) == tells
+            for _ in range(20):
+                port.waiting.append(Arrival(garbage[rng.integers(4)], CONTROLLER, hands.clock.now))
+                data = [good, good[: rng.integers(len(good))]][rng.integers(2)]
+                port.waiting.append(Arrival(data, ("10.0.0.9", 5000), hands.clock.now))
+            hands.cycle()
+        for _ in range(100 * (not noisy)):
+            hands.cycle()
+        assert len(port.sent) == 101
+        assert any("Dropped a datagram from " in text for text in hands.warned) == noisy
+        tables.append(hands.table())
+    np.testing.assert_array_equal(tables[0]["q_sent"], tables[1]["q_sent"])
 
 
 def test_what_is_not_finite_never_reaches_the_wire(play: Any) -> None:

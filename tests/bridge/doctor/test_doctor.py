@@ -217,13 +217,14 @@ def test_what_cannot_be_examined(ports: list[int], seconds: float, arms: Any, wo
 
 
 @contextmanager
-def streaming(peer: Any) -> Iterator[None]:
-    """Let a peer send at 500 Hz while the block runs."""
+def streaming(*peers: Any) -> Iterator[None]:
+    """Let peers send at 500 Hz while the block runs."""
     over = threading.Event()
 
     def play() -> None:
         while not over.wait(0.002):
-            peer.send()
+            for peer in peers:
+                peer.send()
 
     thread = threading.Thread(target=play, daemon=True)
     thread.start()
@@ -234,8 +235,10 @@ def streaming(peer: Any) -> Iterator[None]:
         thread.join(10)
 
 
-def named(findings: list[Finding]) -> dict[str, Finding]:
-    return {finding.name: finding for finding in findings}
+def listened(number: int, seconds: float = 0.01, robot: Robot | None = None) -> dict[str, Finding]:
+    """What is found at one port, by the second word of its name."""
+    found = listen([number], seconds, [robot], asked=True)
+    return {finding.name.partition(", ")[2]: finding for finding in found}
 
 
 def test_a_port_that_another_holds() -> None:
@@ -249,51 +252,36 @@ def test_a_port_that_another_holds() -> None:
 
 def test_silence_is_told_once_when_nobody_asked() -> None:
     one, two = free_port(), free_port()
-    found = named(listen([one, two], 0.01, [None, None], asked=False))
-    assert found[f"port {one}"].verdict == "ok"
-    assert found[f"port {one}, self-test"].verdict == "ok"
-    assert found[f"port {one}, packets"].verdict == "warning"
-    assert f"port {two}, packets" not in found
-    found = named(listen([one, two], 0.01, [None, None], asked=True))
-    assert found[f"port {two}, packets"].verdict == "warning"
+    for asked in (False, True):
+        found = {finding.name: finding for finding in listen([one, two], 0.01, [None, None], asked=asked)}
+        assert found[f"port {one}"].verdict == "ok"
+        assert found[f"port {one}, self-test"].verdict == "ok"
+        assert found[f"port {one}, packets"].verdict == "warning"
+        assert (f"port {two}, packets" in found) == asked
 
 
-def test_a_robot_is_heard_and_gets_nothing(robot: Robot, make_peer: Any) -> None:
-    number = free_port()
-    peer = make_peer(robot, number)
-    with streaming(peer):
-        found = named(listen([number], 0.1, [robot], asked=True))
-    assert peer.surplus() == 0
-    assert "7 axes" in found[f"port {number}, first packet"].value
-    assert "leave from 127.0.0.1" in found[f"port {number}, route"].value
-    assert found[f"port {number}, senders"].verdict == "ok"
-    assert f"from 127.0.0.1:{peer.socket.getsockname()[1]}" in found[f"port {number}, packets"].value
-
-
-def test_two_robots_on_one_port(robot: Robot, make_peer: Any) -> None:
+def test_robots_are_heard_and_get_nothing(robot: Robot, make_peer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     number = free_port()
     first, second = make_peer(robot, number), make_peer(robot, number)
-    with streaming(first), streaming(second):
-        found = named(listen([number], 0.1, [robot], asked=True))
-    assert found[f"port {number}, senders"].verdict == "failure"
+    with streaming(first):
+        found = listened(number, 0.1, robot)
+        monkeypatch.setattr(report, "route_to", lambda host: "")
+        lost = listened(number, 0.1, robot)["route"]
+    assert "7 axes" in found["first packet"].value
+    assert "leave from 127.0.0.1" in found["route"].value
+    assert found["senders"].verdict == "ok"
+    assert f"from 127.0.0.1:{first.socket.getsockname()[1]}" in found["packets"].value
+    assert lost.verdict == "failure"
+    assert "network of 127.0.0.1" in lost.advice
+    with streaming(first, second):
+        assert listened(number, 0.1, robot)["senders"].verdict == "failure"
     assert first.surplus() == second.surplus() == 0
-
-
-def test_no_route_to_a_robot(robot: Robot, make_peer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report, "route_to", lambda host: "")
-    number = free_port()
-    peer = make_peer(robot, number)
-    with streaming(peer):
-        found = named(listen([number], 0.1, [robot], asked=True))
-    assert found[f"port {number}, route"].verdict == "failure"
-    assert "network of 127.0.0.1" in found[f"port {number}, route"].advice
 
 
 def test_a_rule_that_drops_packets(monkeypatch: pytest.MonkeyPatch) -> None:
     """As a firewall does: an address of this computer from which nothing arrives."""
     monkeypatch.setattr(report, "local_addresses", lambda: {"eth9": "203.0.113.9"})
-    number = free_port()
-    found = named(listen([number], 0.01, [None], asked=True))[f"port {number}, self-test"]
+    found = listened(free_port())["self-test"]
     assert found.verdict == "failure"
     assert "203.0.113.9" in found.advice
 
