@@ -278,48 +278,32 @@ def test_exactly_the_patience_is_not_too_long(feed: Any, robot: Robot, monkeypat
     assert ended == [False, False, False, True]
 
 
-def test_silence_ends_the_session_and_waits(feed: Any, robot: Robot) -> None:
-    bench = Supervised(feed, robot)
+def died() -> str:
+    raise LinkError("Expected the simulator to go on, but it ended with status 2.")
+
+
+@pytest.mark.parametrize(
+    ("settings", "silent_for", "mode", "reason", "failure"),
+    [
+        ({}, 0.4, Mode.HOLDING, "", None),
+        ({}, 0.6, Mode.WAITING, "", None),
+        ({"resume": False}, 0.6, Mode.ENDED, "the controller stopped sending", None),
+        ({"patience": 3.0}, 3.5, Mode.ENDED, "no packet came", SessionEnded),
+        ({"alive": lambda: "the simulated robot ended"}, 0.0, Mode.ENDED, "the simulated robot ended", None),
+        ({"alive": died}, 0.0, Mode.ENDED, "the robot is gone", LinkError),
+    ],
+)
+def test_silence_and_a_robot_that_is_gone(
+    feed: Any, robot: Robot, settings: dict[str, Any], silent_for: float, mode: Mode, reason: str, failure: Any
+) -> None:
+    bench = Supervised(feed, robot, **settings)
     bench.packet()
-    bench.check_silence(0.4)
-    assert feed.session.active
-    bench.check_silence(0.6)
-    assert not feed.session.active
-    assert bench.machine.mode is Mode.WAITING
-
-
-def test_silence_ends_the_run_when_asked(feed: Any, robot: Robot) -> None:
-    bench = Supervised(feed, robot, resume=False)
-    bench.packet()
-    bench.check_silence(0.6)
-    assert (bench.machine.mode, bench.machine.reason) == (Mode.ENDED, "the controller stopped sending")
-
-
-def test_no_other_session_is_an_error(feed: Any, robot: Robot) -> None:
-    bench = Supervised(feed, robot, patience=3.0)
-    bench.packet()
-    bench.check_silence(3.5)
-    assert isinstance(bench.machine.failure, SessionEnded)
-    assert "the controller stopped sending" in str(bench.machine.failure)
-
-
-def test_a_robot_that_ended_ends_the_run(feed: Any, robot: Robot) -> None:
-    bench = Supervised(feed, robot, alive=lambda: "the simulated robot ended")
-    bench.packet()
-    bench.check_silence(0.0)
-    assert (bench.machine.mode, bench.machine.reason) == (Mode.ENDED, "the simulated robot ended")
-    assert bench.machine.failure is None
-    assert not feed.session.active
-
-
-def test_a_robot_that_died_is_an_error(feed: Any, robot: Robot) -> None:
-    def alive() -> str:
-        raise LinkError("Expected the simulator to go on, but it ended with status 2.")
-
-    bench = Supervised(feed, robot, alive=alive)
-    bench.check_silence(0.0)
-    assert "status 2" in str(bench.machine.failure)
-    assert bench.machine.mode is Mode.ENDED
+    bench.check_silence(silent_for)
+    assert feed.session.active == (mode is Mode.HOLDING)
+    assert (bench.machine.mode, bench.machine.reason) == (mode, reason)
+    assert type(bench.machine.failure) is (failure or type(None))
+    words = {SessionEnded: "the controller stopped sending", LinkError: "status 2"}
+    assert words.get(failure, "") in str(bench.machine.failure)
 
 
 def sessions(bench: Supervised, count: int, packets: int, **fields: Any) -> None:

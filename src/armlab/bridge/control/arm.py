@@ -7,6 +7,8 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+
 from armlab.bridge.control.limits import Limits, Reply, kept
 from armlab.bridge.control.realtime import Prediction
 from armlab.bridge.control.recording import Recording
@@ -43,12 +45,8 @@ class Latency:
         """Return the time [us] that `percent` of the times do not exceed; NaN when nothing was counted."""
         if not self.count:
             return float("nan")
-        wanted, seen = percent / 100.0 * self.count, 0
-        for microseconds, number in enumerate(self._bins):
-            seen += number
-            if number and seen >= wanted:
-                return min(microseconds + 1.0, self.longest) if microseconds < _BINS - 1 else self.longest
-        return self.longest
+        index = int(np.searchsorted(np.cumsum(self._bins), percent / 100.0 * self.count))
+        return min(index + 1.0, self.longest) if index < _BINS - 1 else self.longest
 
     def summary(self) -> dict[str, float]:
         names = {"p50": 50.0, "p90": 90.0, "p99": 99.0, "p99.9": 99.9}
