@@ -359,19 +359,51 @@ def test_duplicates_and_old_packets_are_dropped(feed: Any, seqno: int, reason: s
     assert feed.sample(seqno=8).missed == 0
 
 
-@pytest.mark.parametrize(("ahead", "counts"), [(2**16, True), (2**16 + 1, False)])
-def test_how_many_packets_may_be_lost(feed: Any, ahead: int, counts: bool) -> None:
-    feed(seqno=7)
-    sample = feed(seqno=7 + ahead)
-    assert (sample is not None) == counts
-    assert feed.session.missed == (ahead - 1 if counts else 0)
+OLD, NEXT = -1, 0  # of a packet that does not count, and of one of the session that is; else packets missed before it
+FIFTY = [(k, 60_000 + 4 * k, 1.0, NEXT) for k in range(50)]
 
 
-def test_numbers_wrap(feed: Any) -> None:
-    feed(seqno=2**32 - 1, tm_ms=2**32 - 2)
-    sample = feed.sample(seqno=0, tm_ms=2)
-    assert (sample.session, sample.missed) == (1, 0)
-    assert feed.sample(seqno=3, tm_ms=14).missed == 2
+@pytest.mark.parametrize(
+    ("packets", "sessions"),
+    [
+        # Number, tm, periods since the packet before, and what is made of it.
+        ([(7, 0, 1, 0), (7 + 2**16, 4, 1, 2**16 - 1)], 1),
+        ([(7, 0, 1, 0), (7 + 2**16 + 1, 4, 1, OLD)], 1),
+        ([(2**32 - 1, 2**32 - 2, 1, 0), (0, 2, 1, 0), (3, 14, 1, 2)], 1),
+        # Without a tm number 0 twice in a row is a duplicate, after another number a session, as numbers that go on.
+        ([(0, None, 1, 0), (1, None, 1, 0), (0, None, 1, 0), (0, None, 1, OLD)], 2),
+        ([(0, None, 1, 0), (50, None, 1, 49), (7, None, 3, OLD), (8, None, 3, OLD), (9, None, 3, 0)], 2),
+        # A tm half a turn ahead is one of the past.
+        ([(5, 0, 1, 0), (6, 2**31, 1, OLD), (6, 2**31 - 1, 1, 0)], 1),
+        # The number of a late packet of the session before may be ahead of ours: only its tm tells.
+        *(
+            ([(0, 1000, 1, 0), (0, 3000, 1, 0), (1, 3004, 1, 0), (seqno, tm, 1, OLD), (2, 3008, 1, 0)], 2)
+            for seqno, tm in ((3, 2000), (40, 2000), (0, 1000))
+        ),
+        # The first packets of eight sessions are remembered.
+        ([*((0, 1000 * k, 1, 0) for k in range(1, 11)), (1, 10_004, 1, 0), (0, 2000, 1, OLD), (0, 1000, 1, 0)], 11),
+        # Number 0 with a clock that went back is a robot that restarted; nobody waits for half a second of silence.
+        *(([*FIFTY, (0, tm, 1, 0), (1, (tm + 4) % 2**32, 1, 0)], 2) for tm in (12, 50_000, 2**32 - 9)),
+        # A first packet that was overtaken by up to 0.1 s begins none.
+        (
+            [
+                *[(1, 10_004, 1, 0), (0, 10_000, 1, OLD), (2, 10_008, 1, 0)],
+                *[(0, 10_003, 1, OLD), (0, 9905, 1, OLD), (0, 9904, 1, 0), (0, 500, 1, 0)],
+            ],
+            3,
+        ),
+        # Three that were delayed together begin none: they come within less than a period.
+        ([*FIFTY, (1, 200, 8, OLD), (2, 204, 0.375, OLD), (3, 208, 0.375, OLD), (4, 212, 0.375, 0)], 2),
+        # Packets out of order between others do not add up.
+        ([*FIFTY, (1, 60_004, 1, OLD), (2, 60_008, 1, OLD), (50, 60_200, 1, 0), (3, 60_012, 8, OLD)], 1),
+    ],
+    ids=range(16),
+)
+def test_which_packets_count(feed: Any, packets: Any, sessions: int) -> None:
+    for seqno, tm, periods, missed in packets:
+        sample = feed(seqno=seqno, tm_ms=tm, after=round(periods * PERIOD_NS))
+        assert (OLD if sample is None else sample.missed) == missed, (seqno, tm)
+    assert feed.session.number == sessions
 
 
 def test_number_zero_is_a_new_session(feed: Any) -> None:
@@ -382,54 +414,6 @@ def test_number_zero_is_a_new_session(feed: Any) -> None:
     assert (sample.session, sample.fresh, sample.dt, feed.session.seq) == (2, True, 0.004, 0)
     assert feed.session.received == 6
     assert feed.warnings == ["Session 1 ended: the controller stopped sending."]
-
-
-def test_without_a_tm_the_number_tells(feed: Any) -> None:
-    """Number 0 twice in a row is a duplicate, after another number a session; numbers that go on begin one too."""
-    for seqno in (0, 1):
-        feed(seqno=seqno, tm_ms=None)
-    assert feed.sample(seqno=0, tm_ms=None).session == 2
-    assert feed(seqno=0, tm_ms=None) is None
-    feed(seqno=50, tm_ms=None)
-    found = [feed(seqno=7 + k, tm_ms=None, after=3 * PERIOD_NS) for k in range(3)]
-    assert (found[:2], found[2].session) == ([None, None], 3)
-
-
-def test_a_tm_half_a_turn_ahead_is_one_of_the_past(feed: Any) -> None:
-    feed(seqno=5, tm_ms=0)
-    assert feed(seqno=6, tm_ms=2**31) is None
-    assert feed.sample(seqno=6, tm_ms=2**31 - 1).missed == 0
-
-
-@pytest.mark.parametrize(("seqno", "tm"), [(3, 2000), (40, 2000), (0, 1000)])
-def test_a_late_packet_of_the_session_before_is_old(feed: Any, seqno: int, tm: int) -> None:
-    """Its number may be ahead of ours: only its tm tells."""
-    feed(seqno=0, tm_ms=1000)
-    feed(seqno=0, tm_ms=3000)
-    feed(seqno=1, tm_ms=3004)
-    assert feed(seqno=seqno, tm_ms=tm) is None
-    assert feed.session.drops == {"old": 1}
-    assert feed.sample(seqno=2, tm_ms=3008).missed == 0
-    assert feed.session.number == 2
-
-
-def test_the_first_packets_of_eight_sessions_are_remembered(feed: Any) -> None:
-    for k in range(1, 11):
-        assert feed.sample(seqno=0, tm_ms=1000 * k).session == k
-    feed(seqno=1, tm_ms=10_004)
-    assert feed(seqno=0, tm_ms=2000) is None
-    assert feed.sample(seqno=0, tm_ms=1000).session == 11
-
-
-@pytest.mark.parametrize("tm", [12, 50_000, 2**32 - 9])
-def test_number_zero_with_a_clock_that_went_back_is_a_robot_that_restarted(feed: Any, tm: int) -> None:
-    """Without waiting for half a second of silence, in which the controller would time out."""
-    for k in range(5):
-        feed(seqno=k, tm_ms=60_000 + 4 * k)
-    sample = feed.sample(seqno=0, tm_ms=tm)
-    assert (sample.session, sample.fresh, feed.session.seq) == (2, True, 0)
-    assert feed.sample(seqno=1, tm_ms=(tm + 4) % 2**32).missed == 0
-    assert not feed.session.drops
 
 
 def fifty(feed: Any) -> None:
@@ -457,21 +441,6 @@ def test_packets_go_on_from_each_other_by_number_and_tm(feed: Any, step: int, be
     assert (found[2] is not None) == begins
 
 
-def test_packets_that_were_delayed_together_begin_no_session(feed: Any) -> None:
-    """Three within less than a period are none yet."""
-    fifty(feed)
-    found = [feed(seqno=1 + k, tm_ms=200 + 4 * k, after=8 * PERIOD_NS if k == 0 else 1_500_000) for k in range(4)]
-    assert found[:3] == [None] * 3
-    assert found[3].session == 2
-
-
-def test_packets_out_of_order_between_others_do_not_add_up(feed: Any) -> None:
-    fifty(feed)
-    assert [feed(seqno=1 + k, tm_ms=60_004 + 4 * k) for k in range(2)] == [None, None]
-    feed(seqno=50, tm_ms=60_200)
-    assert feed(seqno=3, tm_ms=60_012, after=8 * PERIOD_NS) is None
-
-
 def test_old_packets_in_a_row_do_not_take_over_from_a_session_that_goes_on(feed: Any) -> None:
     """A stall that delayed many packets behind newer ones; and single packets after a pause."""
     fifty(feed)
@@ -484,17 +453,6 @@ def test_old_packets_in_a_row_do_not_take_over_from_a_session_that_goes_on(feed:
     for k in (7, 3, 9, 11):
         assert feed(seqno=k, tm_ms=60_000 + 4 * k, after=12 * PERIOD_NS) is None
     assert feed.sample(seqno=51, tm_ms=60_204).session == 1
-
-
-def test_a_first_packet_that_was_overtaken_begins_no_session(feed: Any) -> None:
-    assert feed(seqno=1, tm_ms=10_004) is not None
-    assert feed(seqno=0, tm_ms=10_000) is None
-    assert feed(seqno=2, tm_ms=10_008) is not None
-    for before in (1, 99):
-        assert feed(seqno=0, tm_ms=10_004 - before) is None
-    assert feed.session.number == 1
-    assert feed.sample(seqno=0, tm_ms=10_004 - 100).session == 2
-    assert feed.sample(seqno=0, tm_ms=500).session == 3
 
 
 DATAGRAMS = 1_000_000
