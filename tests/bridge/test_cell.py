@@ -370,7 +370,7 @@ def test_ten_idle_clients_and_one_that_never_reads(cell_text: str, bench: Bench,
 
 @pytest.mark.slow
 def test_a_full_run_with_every_server_listens_on_this_computer_only(cell_text: str, bench: Bench) -> None:
-    """Cyclone DDS alone binds to all addresses, and is tied to loopback: see servers/ros/test_dds.py. Takes 10 s."""
+    """Cyclone DDS alone binds to all addresses, and is tied to loopback: see its own tests. Takes 10 s."""
     for module, extra in (("cyclonedds", "ros"), ("zenoh", "net"), ("websockets", "net"), ("xxhash", "net")):
         pytest.importorskip(module, reason=f"the extra {extra} is not installed")
     from .servers.ros.dds_peers import free_domain

@@ -32,11 +32,10 @@ from armlab.log import Table
 from armlab.state import Command
 
 from ..processes import free_port, until
-from .labcomm_client import SPEED as DOWN
 
 pytest.importorskip("zenoh", reason="the extra net is not installed")
 
-from .zenoh_client import SPEED as UP
+from .client import DOWN, UP
 
 PATIENCE = 60.0  # s; only a test that fails waits so long
 WINDOW = 100  # ticks before and after what happened, in which packets without an answer are compared
@@ -93,7 +92,7 @@ def more_missed(table: Table, ticks: Sequence[int], window: int = WINDOW) -> lis
 
 
 pytestmark = pytest.mark.slow
-PROGRAM = Path(__file__).with_name("zenoh_client.py")
+PROGRAM = Path(__file__).with_name("client.py")
 MOST_MISSED = 20  # packets, 0.08 s: a busy machine misses some; a loop that is held up has more
 LEASE_NS = int(1e9 * LEASE)
 STOPPED = 2500  # ticks that a reader stands still: more than its buffers hold
@@ -128,8 +127,6 @@ class Bench:
         """Start one that commands, or reads, until it dies."""
         port = str(self.ports[server])
         words = [str(PROGRAM), server, port, role, next(self.letters)]
-        if server == "labcomm":
-            words = [str(PROGRAM.with_name("labcomm_client.py")), port]
         self.clients.append(subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, text=True))
         return self.clients[-1]
 

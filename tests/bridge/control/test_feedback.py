@@ -19,7 +19,7 @@ from armlab.bridge.control.feedback import (
     not_ready_reason,
     outside_range,
 )
-from armlab.bridge.control.limits import Limiter, Limits, Reply
+from armlab.bridge.control.limits import Limiter, Limits
 from armlab.bridge.control.state_machine import Mode, StateMachine
 from armlab.bridge.control.supervision import Settings, Supervisor, check_list
 from armlab.bridge.net.sockets import Port
@@ -29,39 +29,32 @@ from armlab.state import Command
 from armlab.wire.egm import EgmCodec, Packet
 
 from ..conftest import Feed
+from .test_state_machine import Bench
 
 T = 0.004
 
 
-class Follower:
+class Follower(Bench):
     """A machine with its real rule of three packets, and an arm that follows unless a feedback is given."""
 
     def __init__(self, robot: Robot, limits: Limits | None = None) -> None:
-        self.feed, self.robot, self.q = Feed(robot), robot, np.array(robot.q_home)
-        self.machine = StateMachine(robot, limits or Limits.of(robot), on_event=self.feed.tell)
+        super().__init__(Feed(robot), robot, limits)
+        self.q = np.array(robot.q_home)
 
-    def __call__(self, command: Command | None = None, **fields: Any) -> Reply | None:
-        self.machine.observe(self.feed.sample(**{"q": self.q, **fields}))
+    def __call__(self, command: Command | None = None, **fields: Any) -> Any:
+        self.see(**{"q": self.q, **fields})
         reply = self.machine.answer(command if self.machine.calls else None, T)
         if reply is not None and self.machine.ready and "q" not in fields:
             self.q = reply.q
         return reply
 
-    def ready(self) -> Follower:
+    def moving(self) -> Follower:
         while not self.machine.ready:
             self()
-        return self
-
-    def moving(self) -> Follower:
-        self.ready()
         for _ in range(300):
             self(Command(qd=np.full(self.robot.n, 0.2)))
-        assert self.machine.mode is Mode.RUNNING
+        assert self.mode is Mode.RUNNING
         return self
-
-    @property
-    def reason(self) -> str:
-        return str(self.machine.failure)
 
 
 @pytest.fixture
@@ -120,7 +113,10 @@ def test_an_arm_that_does_not_follow_stops_the_run(robot: Robot) -> None:
         for k in range(cycles):
             bench(Command(qd=np.full(7, 0.2)), q=stuck + 1e-4 * (k % 2))
         assert bench.machine.mode is (Mode.ENDED if stops else Mode.RUNNING)
-        assert ("a following error of 0.1" in bench.reason and "MaxSpeedDeviation" in bench.reason) == stops
+        assert (
+            "a following error of 0.1" in str(bench.machine.failure)
+            and "MaxSpeedDeviation" in str(bench.machine.failure)
+        ) == stops
 
 
 def test_an_arm_that_follows_late_at_first_may_catch_up(robot: Robot) -> None:

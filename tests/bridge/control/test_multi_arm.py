@@ -227,17 +227,6 @@ def test_in_lockstep_no_arm_is_stale(two: Make) -> None:
     assert len(called) == 21
 
 
-def test_nobody_is_asked_before_all_arms_have_been_heard(two: Make) -> None:
-    called: list[int] = []
-    hands = two(lambda state: called.append(state.seq))
-    hands.cycle(0)
-    hands.cycle(0)
-    assert not called
-    hands.cycle(1)
-    hands.cycle(0)
-    assert called == [2]
-
-
 def test_an_arm_that_never_comes_ends_the_run(two: Make) -> None:
     hands = two(drift, patience=1.0)
     for _ in range(270):

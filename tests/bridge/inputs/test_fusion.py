@@ -216,19 +216,13 @@ def test_a_drift_is_followed(drift: float) -> None:
 def test_a_clock_that_was_set_is_mapped_anew(step: int) -> None:
     clock = ClockMap()
     for k in range(100):
-        clock.add(4 * MS * k, 4 * MS * k + OFFSET)
+        late = 80 * MS if k in (50, 51, 52) else 0
+        assert clock.add(4 * MS * k, 4 * MS * k + OFFSET + late) == 4 * MS * k + OFFSET, "a late packet is no step"
+    assert clock.resets == 0
     for k in range(100, 120):
         mapped = clock.add(4 * MS * k + step, 4 * MS * k + OFFSET)
     assert clock.resets == 1
     assert mapped == 4 * MS * 119 + OFFSET
-
-
-def test_a_late_packet_is_no_step() -> None:
-    clock = ClockMap()
-    for k in range(100):
-        mapped = clock.add(4 * MS * k, 4 * MS * k + OFFSET + (80 * MS if k in (50, 51, 52) else 0))
-        assert mapped == 4 * MS * k + OFFSET
-    assert clock.resets == 0
 
 
 def test_in_a_run_and_replayed(play: Any) -> None:

@@ -53,10 +53,7 @@ class Latency:
         return {name: self.percentile(percent) for name, percent in names.items()} | {"max": self.longest}
 
     def histogram(self) -> dict[str, list[int]]:
-        """Return how many times lie below each limit and not below the one before; in the last are all longer ones.
-
-        Keys: "below_us", limits that double from 2 us on, and "count".
-        """
+        """Return limits that double from 2 us on, "below_us", and the "count" of times from the one before to each."""
         limits = [1 << k for k in range(1, _BINS.bit_length() + 1)]
         counts = [sum(self._bins[before:limit]) for before, limit in zip([0, *limits], limits, strict=False)]
         return {"below_us": limits, "count": counts}

@@ -40,10 +40,7 @@ class Period:
         self._learnt = False
 
     def add(self, sample: float) -> bool:
-        """Add the time between two packets over the difference of their numbers [s]; return whether the cycle changed.
-
-        A change shows after five packets: they are the majority of the window then.
-        """
+        """Add the time between two packets per difference of their numbers [s]; return whether the cycle changed."""
         if sample < _SHORTEST:
             return False
         self._recent.append(sample)

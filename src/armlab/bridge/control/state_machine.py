@@ -98,10 +98,7 @@ class StateMachine:
 
     @property
     def _may_be_guided(self) -> bool:
-        """Whether a robot that was ready has only stopped reporting its states.
-
-        The arm then holds; no step to the feedback.
-        """
+        """Whether a robot that was ready has only stopped reporting its states: it holds, no step to the feedback."""
         return self.guided and self._readiness.is_unknown
 
     @property

@@ -19,10 +19,7 @@ _LISTENING = "0A"  # state of a TCP socket in /proc/net/tcp
 
 
 def process_using_port(port: int, kind: Literal["udp", "tcp"] = "udp") -> str:
-    """Return who holds a port, "process 4711 (armlab sim ...)", or "" when that cannot be told.
-
-    Processes of other users stay hidden.
-    """
+    """Return who holds a port, "process 4711 (armlab sim ...)", or "" when unknown, as of another user's process."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         inodes = _inodes(port, kind)
         for process in Path("/proc").iterdir():

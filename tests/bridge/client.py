@@ -1,8 +1,8 @@
-"""Started by tests: `zenoh_client.py DIALECT PORT ROLE LETTER`, a client of a cell with the arm yumi_left.
+"""Started by tests: `client.py SERVER PORT ROLE LETTER`, a client of a cell with the arm yumi_left; ends by a signal.
 
-DIALECT is zenoh or rmw_zenoh. ROLE "command", of zenoh, asks for a small velocity at 250 Hz and says what it is
-answered; "read" reads all that there is, says "row" at the first, "gap 3 KEY" when three are missing and "back 1 KEY"
-when one comes that is not after the last. LETTER makes the identity of the sender. Ends by a signal.
+SERVER is labcomm, zenoh or rmw_zenoh. ROLE "command", of the first two, asks for a small velocity in each cycle; over
+zenoh it says what it is answered. "read" reads all that there is, says "row" at the first, "gap 3 KEY" when three are
+missing and "back 1 KEY" when one comes that is not after the last. LETTER makes the identity of the sender.
 """
 
 from __future__ import annotations
@@ -14,19 +14,21 @@ from typing import Any
 
 import numpy as np
 
+from armlab.bridge.servers.labcomm import Row
+from armlab.bridge.servers.labcomm.client import LabCommClient
 from armlab.bridge.servers.ros.rmw_zenoh import Origin
 from armlab.bridge.servers.zenoh.messages import Attachment, key
 from armlab.bridge.servers.zenoh.session import LabAddress
 
 PERIOD = 0.004
-SPEED = 0.01  # rad/s
+UP, DOWN = 0.01, -0.01  # rad/s, over zenoh and labcomm
 
 
 def command(session: Any, sender: bytes) -> None:
     """Ask over zenoh for a velocity until the process ends."""
     place = key("lab", "yumi_left", f"answer/{sender.hex()}")
     session.declare_subscriber(place, lambda sample: print(sample.payload.to_string(), flush=True))
-    place, qd, due = key("lab", "yumi_left", "command/velocity"), np.full(7, SPEED), time.monotonic()
+    place, qd, due = key("lab", "yumi_left", "command/velocity"), np.full(7, UP), time.monotonic()
     for k in range(1, 10**6):
         session.put(place, qd.tobytes(), attachment=Attachment(sender, k, 0).pack())
         due = max(due + PERIOD, time.monotonic() - PERIOD)
@@ -60,6 +62,10 @@ def read(session: Any, dialect: str) -> None:
 
 def main() -> None:
     dialect, port, role, letter = sys.argv[1:]
+    if dialect == "labcomm":
+        with LabCommClient(port=int(port)) as client:  # it goes on from where the arm is
+            client.run(lambda row: Row(row.tm, row.q, np.full(7, DOWN)))
+        return
     session = LabAddress("127.0.0.1", int(port)).open(20.0)
     if role == "command":
         command(session, 16 * letter.encode())
