@@ -160,6 +160,13 @@ def test_an_arm_unheard_for_three_periods_and_20_ms_holds_the_one_that_paces(
     assert len(called) == before + longest // period
     hands.cycle(1, 0)
     assert len(called) == before + longest // period + 1
+    for _ in range(150):
+        hands.cycle(0)
+    assert any("Session 1 ended: the controller stopped sending" in text for text in hands.warned)
+    held = len(called)
+    hands.robots[1].seq = 0
+    hands.cycle(1, 0)
+    assert len(called) == held + 1, "the run goes on when both are there"
 
 
 def test_a_session_that_begins_while_the_controller_computes_is_not_sent_its_command(two: Make) -> None:
