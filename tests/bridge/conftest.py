@@ -228,46 +228,6 @@ class Play:
                 raise failures[0]
 
 
-class Pair(Play):
-    """The same with the two arms of a YuMi: a script plays both."""
-
-    def __init__(self) -> None:
-        super().__init__(robots.load("yumi_left"))
-        self.robots = [self.robot, robots.load("yumi_right")]
-
-    def link(self, clock: Any = "robot", **options: Any) -> Link:
-        urls = ["egm://127.0.0.1:0"] * 2
-        link = bridge.connect(urls, self.robots, clock=clock, **{"patience": PATIENCE, **options})
-        self.links.append(link)
-        return link
-
-    def __call__(
-        self, script: Callable[[Peer, Peer], None], controller: Any, link: Link | None = None, **options: Any
-    ) -> Run:
-        link = link or self.link()
-        left = Peer(self.robots[0], link.ports[0])
-        self.peers.append(left)
-        return super().__call__(lambda right: script(left, right), controller, link, **options)
-
-    def rest(self, left: Peer, right: Peer) -> None:
-        """Both go on, in turns, until the run has ended."""
-        over = self.peers[-1].over
-        while not over.is_set():
-            for peer in (left, right):
-                peer.send()
-                peer.answer_or_end(over)
-
-
-@pytest.fixture
-def pair() -> Iterator[Pair]:
-    made = Pair()
-    yield made
-    for link in made.links:
-        link.close()
-    for peer in made.peers:
-        peer.socket.close()
-
-
 @pytest.fixture
 def play(robot: Robot) -> Iterator[Play]:
     made = Play(robot)

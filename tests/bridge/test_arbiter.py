@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections import deque
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armlab import bridge, robots
-from armlab.bridge.arbiter import LEASE, Arbiter, Order, read_order
+from armlab import robots
+from armlab.bridge.arbiter import LEASE, Arbiter, Order
 from armlab.bridge.control.limits import joint_name
 from armlab.state import Command, State
 
@@ -170,11 +169,6 @@ def test_torque_where_the_link_carries_it() -> None:
     np.testing.assert_array_equal(command.tau, np.ones(7))
 
 
-def test_states_of_other_arms_are_none_of_ours() -> None:
-    with pytest.raises(ValueError, match="shorter"):
-        Bench((LEFT, RIGHT)).arbiter(Bench().state())
-
-
 def test_older_numbers_are_ignored() -> None:
     bench = Bench()
     assert bench(order(seq=5)).q[0] == HOME[0] + 0.01
@@ -199,21 +193,18 @@ def test_stop_is_for_everybody_and_resume_for_operators() -> None:
     bench(order())
     bench.arbiter.resume("local 1")
     assert bench.arbiter.commander("yumi_left") == "labcomm a", "nothing was stopped"
-    bench.arbiter.stop("web b")
+    for client in ("web b", "web c"):
+        bench.arbiter.stop(client)
     assert bench.warnings == ["Stopped by web b. An operator ends this: armlab bridge resume."]
     assert bench.events[-1] == "labcomm a no longer commands yumi_left: all arms were stopped. The arm holds."
-    bench.arbiter.stop("web c")
     assert bench(order()) is None
     assert "All arms hold, since web b stopped them." in bench.answers[0][1]
     assert (bench.arbiter.stopped, bench.arbiter.commander("yumi_left")) == ("web b", "")
     bench.arbiter.submit(order())
     bench.arbiter.resume("local 1")
+    assert bench.events[-1] == "Resumed by local 1."
     assert bench() is None, "sent while all arms were stopped"
     assert bench(order()) is not None
-    assert [text.split(".")[0] for text in bench.events if "topped by" in text or "Resumed" in text] == [
-        "Stopped by web b",
-        "Resumed by local 1",
-    ]
 
 
 def test_release_and_leave() -> None:
@@ -397,72 +388,6 @@ def test_the_ends_of_what_is_allowed_are_within() -> None:
     bench.q_sent["yumi_left"] = HOME
     assert bench(Order("labcomm a", "yumi_left", q)) is not None
     assert bench.arbiter.refused == {}
-
-
-TICK = 4_000_000  # ns
-
-
-@pytest.mark.slow
-def test_two_commanders_of_a_simulated_arm() -> None:
-    """At 250 Hz for 40 s with random deaths: what is sent follows one of them or holds. Takes 13 s."""
-    chance = np.random.default_rng(7)
-    events: list[str] = []
-    ticks = [0]
-    offsets = {"labcomm a": 0.03, "labcomm b": -0.03}
-    dead_until = dict.fromkeys(offsets, 0)
-    newest = {client: deque[np.ndarray](maxlen=26) for client in offsets}  # of the last 100 ms
-
-    def poll() -> None:
-        ticks[0] += 1
-        for client, offset in offsets.items():
-            if ticks[0] >= dead_until[client]:
-                if chance.random() < 0.01:
-                    dead_until[client] = ticks[0] + int(chance.integers(10, 150))
-                q = HOME + offset * np.sin(0.004 * ticks[0])
-                newest[client].append(q)
-                arbiter.submit(
-                    Order(client, "yumi_left", q if chance.random() > 0.02 else q + chance.choice([0.3, np.nan]))
-                )
-
-    arbiter = Arbiter(
-        [LEFT],
-        ["labcomm"],
-        poll=poll,
-        tell=lambda text, *_, **__: events.append(text),
-        clock=lambda: 10**12 + TICK * ticks[0],
-    )
-    holders: list[str] = []
-
-    def controller(state: State) -> Any:
-        told, before = len(events), arbiter.commander("yumi_left")
-        command = arbiter(state)
-        holders.append(arbiter.commander("yumi_left"))
-        if holders[-1] not in ("", before):
-            assert f"{holders[-1]} commands yumi_left." in events[told:]
-        if command is not None:
-            sent = newest[holders[-1]]
-            assert any(np.array_equal(command.q, q) for q in sent), "exactly what its holder sent"
-        return command
-
-    with bridge.connect("sim://yumi_left?lockstep=true", LEFT) as link:
-        run = link.run(controller, seconds=40.0)
-    assert run.reason == "the time is up"
-    assert run.statistics["refused"] == 0
-    table = run.table
-    assert {"labcomm a", "labcomm b", ""} == set(holders)
-    limits = bridge.Limits.of(LEFT)
-    assert np.all(np.abs(np.diff(table["q_sent"], axis=0)) <= 0.004 * limits.qd_max * 1.01 + 1e-9)
-    assert np.all(np.abs(np.diff(table["qd_sent"], axis=0)) <= 0.004 * limits.qdd_max * 1.01 + 1e-6)
-    assert sum("commands yumi_left." in text for text in events) > 26
-    assert sum("no longer commands yumi_left" in text for text in events) > 26
-
-
-def test_an_order_becomes_a_command() -> None:
-    order = Order("labcomm 127.0.0.1:7", "yumi_left", HOME.tolist(), np.ones(7))
-    command, problem = read_order(order, LEFT)
-    assert (order.server, problem, command.tau) == ("labcomm", "", None)
-    np.testing.assert_array_equal(command.q, HOME)
-    assert not command.q.flags.writeable
 
 
 def test_a_joint_is_called_as_its_client_knows_it() -> None:

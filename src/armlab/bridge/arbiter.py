@@ -19,8 +19,6 @@ from armlab.bridge.net.events import Tell, nobody
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-__all__ = ["LEASE", "Arbiter", "Order"]
-
 
 class Order(NamedTuple):
     """What a client wants an arm to do next."""
@@ -176,7 +174,6 @@ class Arbiter:
                 self._free(arm, f"released by {who}")
 
     def leave(self, client: str) -> None:
-        """Take note that a client has gone: its arms are free."""
         for arm, holder in self._holders.items():
             self._inbox.pop((arm, client), None)
             if holder is not None and holder.client == client:

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from armlab._descriptors import Descriptor
-from armlab.bridge.control.arm import ArmSession
+from armlab.bridge.control.arm import ArmSession, End
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.loop import Controller, Loop
 from armlab.bridge.control.realtime import (
@@ -31,7 +31,7 @@ from armlab.bridge.control.realtime import (
     short_switches,
 )
 from armlab.bridge.control.recording import Feed
-from armlab.bridge.control.run import End, Run, assemble, checked_limits, finished, together
+from armlab.bridge.control.run import Run, assemble, checked_limits, finished, together
 from armlab.bridge.control.supervision import Settings
 from armlab.bridge.control.torque import TorqueModel, admittances
 from armlab.bridge.inputs.sources import Source
@@ -44,8 +44,6 @@ from armlab.log import Column
 from armlab.robots import Robot
 from armlab.wire.egm import Codec, EgmCodec
 
-__all__ = ["GROUP", "Link", "Simulator", "codec_named", "codecs_of", "connect"]
-
 GROUP = "armlab.bridge.codecs"
 """Group of entry points; each is a function from a Robot to its `wire.egm.Codec`."""
 
@@ -53,7 +51,6 @@ _METHODS = ("capabilities", "reset", "decode", "encode")
 
 
 def codec_named(name: str, robot: Robot, extension: bool = False) -> Codec:
-    """Return a new codec for a robot."""
     if name == "egm":
         return EgmCodec(robot, extension)
     from importlib.metadata import entry_points
@@ -135,7 +132,6 @@ class Simulator:
         raise LinkError(f"Expected `{self._command}` to go on, but it ended with status {status}. It said: {said}")
 
     def stop(self) -> None:
-        """End the process."""
         if self._process.poll() is None:
             self._process.terminate()
             try:

@@ -8,8 +8,6 @@ from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
 
 from armlab.errors import ConfigError
 
-__all__ = ["Address", "addresses", "simulator_options", "split_url"]
-
 _PORT = 6510  # of one arm
 _PORTS = 6511  # of the first of several: 6511 left, 6512 right
 _ZENOH = 7447  # of the router
@@ -27,7 +25,6 @@ class Address(NamedTuple):
 
 
 def addresses(urls: Sequence[str], count: int) -> list[Address]:
-    """Return the addresses of the robots of a link."""
     ports = [_PORTS + index if count > 1 else _PORT for index in range(len(urls))]
     rows = [_LABCOMM + index for index in range(len(urls))]
     found = [one for url, *numbers in zip(urls, ports, rows, strict=True) for one in _taken_apart(url, *numbers)]
@@ -51,12 +48,10 @@ def simulator_options(found: Sequence[Address]) -> dict[str, str]:
 
 
 def _shared(address: Address) -> dict[str, str]:
-    """Return the options in which all urls of a link must agree."""
     return {name: value for name, value in address.options.items() if (address.scheme, name) != ("sim", "seed")}
 
 
 def split_url(url: str) -> SplitResult:
-    """Return the parts of a url."""
     try:
         return urlsplit(url if isinstance(url, str) else "")
     except ValueError as error:

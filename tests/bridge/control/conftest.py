@@ -11,9 +11,9 @@ import pytest
 
 from armlab import robots
 from armlab.bridge import Limits
-from armlab.bridge.control.arm import ArmSession
+from armlab.bridge.control.arm import ArmSession, End
 from armlab.bridge.control.loop import Loop
-from armlab.bridge.control.run import End, assemble
+from armlab.bridge.control.run import assemble
 from armlab.bridge.control.supervision import Settings
 from armlab.bridge.net.sockets import Arrival
 from armlab.log import Tick

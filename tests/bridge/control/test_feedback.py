@@ -19,7 +19,7 @@ from armlab.bridge.control.feedback import (
     not_ready_reason,
     outside_range,
 )
-from armlab.bridge.control.limits import Limiter, Limits, Reply
+from armlab.bridge.control.limits import Limiter, Limits
 from armlab.bridge.control.state_machine import Mode, StateMachine
 from armlab.bridge.control.supervision import Settings, Supervisor, check_list
 from armlab.bridge.net.sockets import Port
@@ -29,39 +29,32 @@ from armlab.state import Command
 from armlab.wire.egm import EgmCodec, Packet
 
 from ..conftest import Feed
+from .test_state_machine import Bench
 
 T = 0.004
 
 
-class Follower:
+class Follower(Bench):
     """A machine with its real rule of three packets, and an arm that follows unless a feedback is given."""
 
     def __init__(self, robot: Robot, limits: Limits | None = None) -> None:
-        self.feed, self.robot, self.q = Feed(robot), robot, np.array(robot.q_home)
-        self.machine = StateMachine(robot, limits or Limits.of(robot), on_event=self.feed.tell)
+        super().__init__(Feed(robot), robot, limits)
+        self.q = np.array(robot.q_home)
 
-    def __call__(self, command: Command | None = None, **fields: Any) -> Reply | None:
-        self.machine.observe(self.feed.sample(**{"q": self.q, **fields}))
+    def __call__(self, command: Command | None = None, **fields: Any) -> Any:
+        self.see(**{"q": self.q, **fields})
         reply = self.machine.answer(command if self.machine.calls else None, T)
         if reply is not None and self.machine.ready and "q" not in fields:
             self.q = reply.q
         return reply
 
-    def ready(self) -> Follower:
+    def moving(self) -> Follower:
         while not self.machine.ready:
             self()
-        return self
-
-    def moving(self) -> Follower:
-        self.ready()
         for _ in range(300):
             self(Command(qd=np.full(self.robot.n, 0.2)))
-        assert self.machine.mode is Mode.RUNNING
+        assert self.mode is Mode.RUNNING
         return self
-
-    @property
-    def reason(self) -> str:
-        return str(self.machine.failure)
 
 
 @pytest.fixture
@@ -113,23 +106,17 @@ def test_one_false_packet_in_motion_is_a_hold_and_three_stop_the_run(bench: Foll
     assert bench.machine.reason == "the feedback is not plausible"
 
 
-def test_an_arm_that_does_not_follow_stops_the_run(bench: Follower) -> None:
-    bench.moving()
-    stuck = bench.q
-    for k in range(400):
-        bench(Command(qd=np.full(7, 0.2)), q=stuck + 1e-4 * (k % 2))
-    assert bench.machine.mode is Mode.ENDED
-    assert "a following error of 0.1" in bench.reason
-    assert "MaxSpeedDeviation" in bench.reason
-
-
-def test_the_following_error_allowed_is_an_option(robot: Robot) -> None:
-    for allowed, stops in ((0.3, False), (0.05, True)):
-        bench = Follower(robot, Limits.of(robot, following_error=allowed)).moving()
+def test_an_arm_that_does_not_follow_stops_the_run(robot: Robot) -> None:
+    for options, cycles, stops in (({}, 400, True), ({"following_error": 0.3}, 260, False)):  # 260: 0.2 rad
+        bench = Follower(robot, Limits.of(robot, **options)).moving()
         stuck = bench.q
-        for k in range(260):  # 0.2 rad
+        for k in range(cycles):
             bench(Command(qd=np.full(7, 0.2)), q=stuck + 1e-4 * (k % 2))
-        assert (bench.machine.mode is not Mode.RUNNING) is stops
+        assert bench.machine.mode is (Mode.ENDED if stops else Mode.RUNNING)
+        assert (
+            "a following error of 0.1" in str(bench.machine.failure)
+            and "MaxSpeedDeviation" in str(bench.machine.failure)
+        ) == stops
 
 
 def test_an_arm_that_follows_late_at_first_may_catch_up(robot: Robot) -> None:
@@ -283,59 +270,36 @@ def test_exactly_the_patience_is_not_too_long(feed: Any, robot: Robot, monkeypat
         told.append(len(bench.told))
         ended.append(bench.machine.mode is Mode.ENDED)
     assert told == [0, 1, 1, 1]
+    assert bench.told[0] == (f"No packet yet. {check_list(bench.port)}", True)
     assert ended == [False, False, False, True]
 
 
-def test_the_check_list_is_told_before(feed: Any, robot: Robot) -> None:
-    bench = Supervised(feed, robot, patience=30.0)
-    bench.check_silence(5.5)
-    bench.check_silence(5.6)
-    assert bench.told == [(f"No packet yet. {check_list(bench.port)}", True)]
-    assert bench.machine.mode is Mode.WAITING
+def died() -> str:
+    raise LinkError("Expected the simulator to go on, but it ended with status 2.")
 
 
-def test_silence_ends_the_session_and_waits(feed: Any, robot: Robot) -> None:
-    bench = Supervised(feed, robot)
+@pytest.mark.parametrize(
+    ("settings", "silent_for", "mode", "reason", "failure"),
+    [
+        ({}, 0.4, Mode.HOLDING, "", None),
+        ({}, 0.6, Mode.WAITING, "", None),
+        ({"resume": False}, 0.6, Mode.ENDED, "the controller stopped sending", None),
+        ({"patience": 3.0}, 3.5, Mode.ENDED, "no packet came", SessionEnded),
+        ({"alive": lambda: "the simulated robot ended"}, 0.0, Mode.ENDED, "the simulated robot ended", None),
+        ({"alive": died}, 0.0, Mode.ENDED, "the robot is gone", LinkError),
+    ],
+)
+def test_silence_and_a_robot_that_is_gone(
+    feed: Any, robot: Robot, settings: dict[str, Any], silent_for: float, mode: Mode, reason: str, failure: Any
+) -> None:
+    bench = Supervised(feed, robot, **settings)
     bench.packet()
-    bench.check_silence(0.4)
-    assert feed.session.active
-    bench.check_silence(0.6)
-    assert not feed.session.active
-    assert bench.machine.mode is Mode.WAITING
-
-
-def test_silence_ends_the_run_when_asked(feed: Any, robot: Robot) -> None:
-    bench = Supervised(feed, robot, resume=False)
-    bench.packet()
-    bench.check_silence(0.6)
-    assert (bench.machine.mode, bench.machine.reason) == (Mode.ENDED, "the controller stopped sending")
-
-
-def test_no_other_session_is_an_error(feed: Any, robot: Robot) -> None:
-    bench = Supervised(feed, robot, patience=3.0)
-    bench.packet()
-    bench.check_silence(3.5)
-    assert isinstance(bench.machine.failure, SessionEnded)
-    assert "the controller stopped sending" in str(bench.machine.failure)
-
-
-def test_a_robot_that_ended_ends_the_run(feed: Any, robot: Robot) -> None:
-    bench = Supervised(feed, robot, alive=lambda: "the simulated robot ended")
-    bench.packet()
-    bench.check_silence(0.0)
-    assert (bench.machine.mode, bench.machine.reason) == (Mode.ENDED, "the simulated robot ended")
-    assert bench.machine.failure is None
-    assert not feed.session.active
-
-
-def test_a_robot_that_died_is_an_error(feed: Any, robot: Robot) -> None:
-    def alive() -> str:
-        raise LinkError("Expected the simulator to go on, but it ended with status 2.")
-
-    bench = Supervised(feed, robot, alive=alive)
-    bench.check_silence(0.0)
-    assert "status 2" in str(bench.machine.failure)
-    assert bench.machine.mode is Mode.ENDED
+    bench.check_silence(silent_for)
+    assert feed.session.active == (mode is Mode.HOLDING)
+    assert (bench.machine.mode, bench.machine.reason) == (mode, reason)
+    assert type(bench.machine.failure) is (failure or type(None))
+    words = {SessionEnded: "the controller stopped sending", LinkError: "status 2"}
+    assert words.get(failure, "") in str(bench.machine.failure)
 
 
 def sessions(bench: Supervised, count: int, packets: int, **fields: Any) -> None:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
-import socket
 import threading
 import time
-from typing import Any, ClassVar
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from armlab.bridge import Limits
 from armlab.bridge.control.state_machine import Mode
+from armlab.bridge.net.sockets import Arrival
 from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
+from armlab.log import Column
+from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Reference
 
-from .conftest import MS, Make, drift
+from .conftest import CONTROLLER, MS, Make, drift
 
 
 def test_an_interrupt_stops_at_the_next_packet_and_the_second_at_once(one: Make) -> None:
@@ -208,18 +212,6 @@ def test_the_controller_is_blamed_for_late_replies_when_it_took_more_than_half_a
     assert isinstance(hands.loop.failure, ControllerLate) == stops
 
 
-def test_in_lockstep_a_controller_takes_what_time_it_likes(one: Make) -> None:
-    def controller(state: State) -> Command:
-        hands.clock.now += 10**9
-        return drift(state)
-
-    hands = one(controller, clock="robot")
-    for _ in range(10):
-        hands.cycle()
-    assert hands.loop.reason == ""
-    assert not hands.table()["late"].any()
-
-
 @pytest.mark.parametrize(
     ("clock", "took", "collects"),
     [("wall", 2.9, True), ("wall", 3.0, True), ("wall", 3.1, False), ("robot", 3.1, True)],
@@ -367,39 +359,18 @@ def test_what_fails_is_named_and_memory_is_given_back(one: Make, error: Exceptio
         assert words in str(hands.loop.failure)
 
 
-class Reserve:
-    """Stands for `mmap`: what was set aside and given back."""
-
-    made: ClassVar[list[Reserve]] = []
-
-    def __init__(self, file: int, size: int) -> None:
-        assert (file, size) == (-1, 2**24)
-        self.given_back = False
-        self.made.append(self)
-
-    def close(self) -> None:
-        self.given_back = True
-
-
-@pytest.fixture
-def reserves(monkeypatch: pytest.MonkeyPatch) -> list[Reserve]:
-    """What a run sets aside."""
-    monkeypatch.setattr(Reserve, "made", [])
-    monkeypatch.setattr("armlab.bridge.control.loop.mmap", Reserve)
-    return Reserve.made
-
-
-class Looks(Exception):
-    """Tells whether memory had been given back when its text was made."""
-
-    def __str__(self) -> str:
-        return f"{len(Reserve.made)} set aside, back {Reserve.made[0].given_back}"
-
-
 @pytest.mark.parametrize("where", ["controller", "progress", "bridge"])
-def test_memory_is_given_back_before_words_are_made(one: Make, reserves: list[Reserve], where: str) -> None:
+def test_memory_is_given_back_before_words_are_made(one: Make, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
+    reserve = SimpleNamespace(close=lambda: told.append("given back"))
+    told: list[str] = []
+    monkeypatch.setattr("armlab.bridge.control.loop.mmap", lambda file, size: told.append(f"{size} bytes") or reserve)
+
+    class Looks(Exception):
+        def __str__(self) -> str:
+            return ", ".join(told)
+
     def raises(_: Any) -> None:
-        assert not reserves[0].given_back
+        assert told == ["16777216 bytes"]
         raise Looks
 
     hands = one(raises if where == "controller" else drift, **({"progress": raises} if where == "progress" else {}))
@@ -407,7 +378,7 @@ def test_memory_is_given_back_before_words_are_made(one: Make, reserves: list[Re
         encode, left = hands.arms[0].codec.encode, [1]
         hands.arms[0].codec.encode = lambda reference: raises(left.pop()) if left else encode(reference)
     hands.run()
-    assert "1 set aside, back True" in str(hands.loop.failure)
+    assert "16777216 bytes, given back" in str(hands.loop.failure)
 
 
 def test_an_error_that_cannot_be_told_brings_the_arm_to_rest(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -455,71 +426,37 @@ def test_a_stop_of_which_the_system_sends_nothing_ends_the_run(one: Make) -> Non
     assert any("Expected the replies that bring the arm to rest to go out" in text for text in hands.warned)
 
 
-CYCLES = 60
-
-
 def sway(state: State) -> Command:
     return Command(state.q_start + 0.05 * math.sin(3.0 * state.t) * np.ones(7))
 
 
-def test_one_reply_per_packet(play: Any) -> None:
-    def script(peer: Any) -> None:
-        peer.rest()
-
-    run = play(script, sway, seconds=0.004 * CYCLES)
-    assert play.peer.surplus() == 0
-    sent = play.peer.replies[: len(run.table)]
-    assert len(run.table) == run.statistics["packets"] == run.statistics["replies"]
-    assert [reply.seqno for reply in sent] == list(range(len(sent)))
-    assert [reply.tm_ms for reply in sent] == [10_000 + 4 * k for k in range(len(sent))]
-    np.testing.assert_allclose(run.table["q_sent"], [reply.q for reply in sent], rtol=1e-14)
-    np.testing.assert_allclose(run.table["qd_sent"], [reply.qd for reply in sent], atol=1e-14)
-
-
-class Noise:
-    """Garbage from the robot's own address, and anything at all from another."""
-
-    def __init__(self) -> None:
-        self.rng = np.random.default_rng(5)
-        self.other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-
-    def __call__(self, peer: Any) -> None:
-        good = peer.packets()
-        peer.packets.seq, peer.packets.cycle = peer.packets.seq - 1, peer.packets.cycle - 1
-        wrong_type = peer.packets.codec.encode_robot(peer.packets.message())[11:]
-        peer.packets.seq, peer.packets.cycle = peer.packets.seq - 1, peer.packets.cycle - 1
-        for _ in range(20):
+def test_a_flood_of_garbage_changes_no_reference(one: Make) -> None:
+    """Bit for bit what an undisturbed run sends; nothing of it is answered, from the robot's address or another."""
+    rng, tables = np.random.default_rng(5), list[Any]()
+    for noisy in (True, False):
+        hands = one(sway)
+        packets, port = hands.robots[0], hands.ports[0]
+        hands.cycle()
+        for _ in range(100 * noisy):
+            good = packets()
+            packets.seq, packets.cycle = packets.seq - 1, packets.cycle - 1
             garbage = [
-                self.rng.bytes(int(self.rng.integers(0, 1500))),
-                good[: self.rng.integers(60)],
-                b"\x0a\x06\x08\x05\x10\x01\x18\x03" + wrong_type,
-                EgmCodec(peer.packets.robot).encode(Reference(peer.packets.q, None, None, 5, 5)),
+                rng.bytes(int(rng.integers(0, 1500))),
+                good[: rng.integers(60)],
+                b"\x0a\x06\x08\x05\x10\x01\x18\x03" + good[11:],
+                EgmCodec(packets.robot).encode(Reference(packets.q, None, None, 5, 5)),
             ]
-            peer.socket.sendto(garbage[self.rng.integers(4)], peer.to)
-            self.other.sendto([good, good[: self.rng.integers(len(good))]][self.rng.integers(2)], peer.to)
-
-
-def disturbed_by(play: Any, noise: Any) -> Any:
-    def script(peer: Any) -> None:
-        peer.cycles(2)
-        for _ in range(50):
-            noise(peer)
-            peer.cycle()
-        peer.rest()
-
-    return play(script, sway, play.link(), seconds=0.2)
-
-
-def test_a_flood_of_garbage_changes_no_reference(play: Any) -> None:
-    """Bit for bit what an undisturbed run sends; nothing of it is answered."""
-    noise = Noise()
-    disturbed = disturbed_by(play, noise)
-    assert play.peer.surplus() == 0
-    undisturbed = disturbed_by(play, lambda peer: None)
-    noise.other.close()
-    np.testing.assert_array_equal(disturbed.table["q_sent"], undisturbed.table["q_sent"])
-    for run, tells in (disturbed, True), (undisturbed, False):
-        assert any("Dropped a datagram from " in text for _, text in run.events) == tells
+            for _ in range(20):
+                port.waiting.append(Arrival(garbage[rng.integers(4)], CONTROLLER, hands.clock.now))
+                data = [good, good[: rng.integers(len(good))]][rng.integers(2)]
+                port.waiting.append(Arrival(data, ("10.0.0.9", 5000), hands.clock.now))
+            hands.cycle()
+        for _ in range(100 * (not noisy)):
+            hands.cycle()
+        assert len(port.sent) == 101
+        assert any("Dropped a datagram from " in text for text in hands.warned) == noisy
+        tables.append(hands.table())
+    np.testing.assert_array_equal(tables[0]["q_sent"], tables[1]["q_sent"])
 
 
 def test_what_is_not_finite_never_reaches_the_wire(play: Any) -> None:
@@ -587,22 +524,17 @@ def test_a_busy_controller_is_answered_for_by_the_guard(play: Any) -> None:
     np.testing.assert_array_equal(answered[np.isfinite(answered)], np.arange(np.isfinite(answered).sum()))
 
 
-def test_progress_and_extra_columns(play: Any) -> None:
-    from armlab.log import Column
-
+def test_progress_extra_columns_and_own_limits(play: Any, robot: Robot) -> None:
     told: list[tuple[float, float, str]] = []
-
-    def controller(state: State) -> Command:
-        return Command(sway(state).q, record={"mine": state.t})
-
     run = play(
         lambda peer: peer.rest(),
-        controller,
+        lambda state: Command(sway(state).q, record={"mine": state.t}),
         seconds=0.2,
         progress=lambda *what: told.append(what),
         extra={"mine": Column(unit="s")},
+        limits=Limits.of(robot, speed=0.01),
     )
     assert told == sorted(told)
     assert 2 <= len(told) <= 8
-    mine = run.table["mine"]
-    np.testing.assert_allclose(mine[2:50], run.table["session_t"][2:50])
+    np.testing.assert_allclose(run.table["mine"][2:50], run.table["session_t"][2:50])
+    assert np.abs(run.table["qd_sent"]).max() <= 0.01 * robot.qd_max.max() + 1e-9

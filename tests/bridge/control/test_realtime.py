@@ -32,11 +32,13 @@ from armlab.bridge.control.realtime import (
 from armlab.bridge.net.sockets import Port
 
 
-def test_the_collector_sleeps_and_wakes() -> None:
+def test_the_collector_sleeps_and_wakes_and_switches_are_short() -> None:
+    before = sys.getswitchinterval()
     assert gc.isenabled()
 
     def fail() -> None:
-        with quiet_memory():
+        with short_switches(), quiet_memory():
+            assert sys.getswitchinterval() == pytest.approx(5e-4)
             assert not gc.isenabled()
             assert gc.get_freeze_count() > 0
             raise RuntimeError("anything")
@@ -45,14 +47,12 @@ def test_the_collector_sleeps_and_wakes() -> None:
         fail()
     assert gc.isenabled()
     assert gc.get_freeze_count() == 0
-
-
-def test_a_collector_that_was_off_stays_off() -> None:
+    assert sys.getswitchinterval() == before
     gc.disable()
     try:
         with quiet_memory():
             pass
-        assert not gc.isenabled()
+        assert not gc.isenabled(), "one that was off stays off"
     finally:
         gc.enable()
 
@@ -64,13 +64,6 @@ def test_young_garbage_is_collected_when_there_is_much() -> None:
         collect_if_due()
         assert gc.get_count()[0] < 700
         assert len(kept) == 2000
-
-
-def test_switches_are_short_inside() -> None:
-    before = sys.getswitchinterval()
-    with short_switches():
-        assert sys.getswitchinterval() == pytest.approx(5e-4)
-    assert sys.getswitchinterval() == before
 
 
 def test_priority_is_raised_or_told_and_given_back() -> None:
@@ -248,12 +241,7 @@ def test_five_percent_in_one_second() -> None:
     assert "within one second" in verdicts[first]
     rarely = Lateness()
     assert not any(rarely.add(k * PERIOD, k % 25 == 0, 0) for k in range(1000))
-
-
-def test_what_was_late_a_second_ago_counts_no_more_and_what_is_late_now_does() -> None:
-    lateness = Lateness()
-    assert not any(lateness.add(k * PERIOD, k % 25 == 0, 0) for k in range(1000))
-    assert any(lateness.add(k * PERIOD, k % 10 == 0, 0) for k in range(1000, 1250))
+    assert any(rarely.add(k * PERIOD, k % 10 == 0, 0) for k in range(1000, 1250)), "what is late now counts"
 
 
 def test_exactly_five_percent_is_not_too_much() -> None:

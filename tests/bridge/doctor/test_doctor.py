@@ -56,92 +56,81 @@ def test_all_checks_of_this_computer_say_something() -> None:
     assert all(finding.advice for finding in found if finding.verdict != "ok")
 
 
-def test_python() -> None:
-    assert python().verdict == "ok"
-    assert python((3, 10, 4)).verdict == "failure"
-    assert "3.10.4" in python((3, 10, 4)).value
+def versions(missing: str = "", **newer: str) -> Any:
+    """Return what tells the versions of packages, of which some are missing and some newer than 1.0."""
 
-
-def test_packages() -> None:
-    assert packages().verdict == "ok"
-    assert "numpy" in packages().value
-
-    def without_zstandard(name: str) -> str:
-        if name in ("zstandard", "viser"):
+    def version(name: str) -> str:
+        if name in missing.split():
             raise importlib.metadata.PackageNotFoundError(name)
-        return "1.0"
+        return newer.get(name, "1.0")
 
-    found = packages(without_zstandard)
-    assert (found.verdict, found.value, found.advice) == ("failure", "missing: zstandard", "pip install zstandard")
+    return version
 
 
-def test_packages_that_do_not_go_together() -> None:
-    found = packages(lambda name: "15.1" if name == "rich" else "1.0")
-    assert found.verdict == "warning"
-    assert "rich<15" in found.advice
-    assert packages(lambda name: "14.9").verdict == "ok"
+ROS = "/opt/ros/humble/lib/python3.10/site-packages"
+NODES = {"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
+LOOP = {"lo": "127.0.0.1"}
 
 
 @pytest.mark.parametrize(
-    ("environment", "path", "where"),
+    ("found", "verdict", "value", "advice"),
     [
-        ({"PYTHONPATH": "/opt/ros/humble/lib/python3.10/site-packages"}, [], "PYTHONPATH"),
-        ({"LD_LIBRARY_PATH": "/lib:/opt/ros/humble/lib"}, [], "LD_LIBRARY_PATH"),
-        ({}, ["/opt/ros/noetic/lib/python3/dist-packages"], "sys.path"),
+        (python(), "ok", "", ""),
+        (python((3, 10, 4)), "failure", "3.10.4", "3.11 or newer"),
+        (packages(), "ok", "numpy", ""),
+        (packages(versions("zstandard viser")), "failure", "missing: zstandard", "pip install zstandard"),
+        (packages(versions(rich="15.1")), "warning", "rich 15.1", "rich<15"),
+        (packages(versions(rich="14.9")), "ok", "rich 14.9", ""),
+        (ros_on_path({"PYTHONPATH": ROS}, []), "warning", "PYTHONPATH", "setup.bash"),
+        (ros_on_path({"LD_LIBRARY_PATH": f"/lib:{ROS}"}, []), "warning", "LD_LIBRARY_PATH", "setup.bash"),
+        (ros_on_path({}, [ROS]), "warning", "sys.path", "setup.bash"),
+        (ros_on_path({"PYTHONPATH": "/home"}, ["/usr/lib"]), "ok", "not on the path", ""),
+        (ros_nodes({}), "ok", "domain 0, nodes: no settings; bridge: 127.0.0.1", ""),
+        (ros_nodes(NODES), "warning", "domain 7, nodes: RMW_IMPLEMENTATION=rmw_cyclonedds_cpp;", "RANGE=LOCALHOST"),
+        (ros_nodes({**NODES, "CYCLONEDDS_URI": "<CycloneDDS/>"}), "ok", "<CycloneDDS/>", ""),
+        (ros_nodes({**NODES, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}), "ok", "LOCALHOST", ""),
+        (ros_nodes({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}), "ok", "rmw_fastrtps_cpp", ""),
+        (clock(1e-9), "ok", "1 ns", ""),
+        (clock(4e-3), "warning", "4000000 ns", "high-resolution"),
+        (blas(), "ok", "", ""),
+        (other_programs(lambda name: None), "ok", "no Chromium", ""),
+        (other_programs(lambda name: "/usr/bin/" + name), "ok", "chromium,", ""),
+        (addresses({**LOOP, "eth0": "192.0.2.1"}), "ok", "eth0 192.0.2.1", ""),
+        (addresses(LOOP), "warning", "", "cable"),
+        (addresses({}), "warning", "none", "cable"),
+        (Finding.judged("a", "failure", True, "v", "do"), "failure", "v", "do"),
+        (Finding.judged("a", "failure", False, "v", "do"), "ok", "v", ""),
     ],
 )
-def test_ros_on_the_path(environment: dict[str, str], path: list[str], where: str) -> None:
-    found = ros_on_path(environment, path)
-    assert found.verdict == "warning"
-    assert where in found.value
-    assert "setup.bash" in found.advice
-
-
-def test_no_ros_on_the_path() -> None:
-    assert ros_on_path({"PYTHONPATH": "/home"}, ["/usr/lib"]).verdict == "ok"
-
-
-def test_settings_of_nodes_that_would_look_for_the_bridge() -> None:
-    assert ros_nodes({}).value.startswith("domain 0, nodes: no settings; bridge: 127.0.0.1")
-    told = {"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
-    found = ros_nodes(told)
-    assert found.value.startswith("domain 7, nodes: RMW_IMPLEMENTATION=rmw_cyclonedds_cpp;")
-    assert found.verdict == "warning"
-    assert "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST" in found.advice
-    for more in ({"CYCLONEDDS_URI": "<CycloneDDS/>"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}):
-        assert ros_nodes({**told, **more}).verdict == "ok"
-    assert ros_nodes({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}).verdict == "ok"
-
-
-def test_clock() -> None:
-    assert clock(1e-9).verdict == "ok"
-    assert clock(4e-3).verdict == "warning"
-
-
-def test_real_time_priority(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*arguments: object) -> None:
-        raise PermissionError(1, "Operation not permitted")
-
-    asked: list[int] = []
-    monkeypatch.setattr(os, "sched_setscheduler", lambda pid, policy, parameters: asked.append(policy))
-    assert real_time().verdict == "ok"
-    assert len(asked) == 2
-    monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    found = real_time()
-    assert found.verdict == "warning"
-    assert "rtprio" in found.advice
+def test_verdicts(found: Finding, verdict: str, value: str, advice: str) -> None:
+    assert found.verdict == verdict
+    assert value in found.value
+    assert advice in found.advice
+    assert bool(found.advice) == bool(advice)
+    assert get_args(Verdict) == ("ok", "warning", "failure")
 
 
 @pytest.mark.parametrize(
-    ("text", "verdict", "value"),
-    [("950000\n", "ok", "95 %"), ("-1", "ok", "off"), ("0", "warning", "0 %"), ("?", "ok", "not told")],
+    ("check", "text", "verdict", "value"),
+    [
+        (throttle, "950000\n", "ok", "95 %"),
+        (throttle, "-1", "ok", "off"),
+        (throttle, "0", "warning", "0 %"),
+        (throttle, "?", "ok", "not told"),
+        (throttle, None, "ok", ""),
+        (firewall, None, "ok", ""),
+        (firewall, "# comment\nENABLED=no\n", "ok", ""),
+        (firewall, "ENABLED=yes\n", "warning", ""),
+    ],
 )
-def test_throttle(tmp_path: Path, text: str, verdict: str, value: str) -> None:
-    file = tmp_path / "runtime"
-    file.write_text(text, encoding="utf-8")
-    assert throttle(file).verdict == verdict
-    assert value in throttle(file).value
-    assert throttle(tmp_path / "none").verdict == "ok"
+def test_settings_in_files(tmp_path: Path, check: Any, text: str | None, verdict: str, value: str) -> None:
+    file = tmp_path / "setting"
+    if text is not None:
+        file.write_text(text, encoding="utf-8")
+    found = check(file)
+    assert found.verdict == verdict
+    assert value in found.value
+    assert check is throttle or ("ufw allow" in found.advice) == (verdict == "warning")
 
 
 def test_governor(tmp_path: Path) -> None:
@@ -152,6 +141,21 @@ def test_governor(tmp_path: Path) -> None:
         (folder / "scaling_governor").write_text(f"{kind}\n", encoding="utf-8")
         assert governor(tmp_path).verdict == ("ok" if number == 0 else "warning")
     assert governor(tmp_path).value == "performance, powersave"
+
+
+@pytest.mark.parametrize(("error", "verdict"), [(None, "ok"), (PermissionError(1, "not permitted"), "warning")])
+def test_real_time_priority(monkeypatch: pytest.MonkeyPatch, error: Exception | None, verdict: str) -> None:
+    asked: list[int] = []
+
+    def schedule(pid: int, policy: int, parameters: Any) -> None:
+        asked.append(policy)
+        if error is not None:
+            raise error
+
+    monkeypatch.setattr(os, "sched_setscheduler", schedule)
+    found = real_time()
+    assert (found.verdict, len(asked)) == (verdict, 2 if error is None else 1)
+    assert ("rtprio" in found.advice) == (verdict == "warning")
 
 
 def test_wake_up() -> None:
@@ -178,62 +182,49 @@ def test_garbage(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "200.0 ms" in found.value
 
 
-def test_what_is_only_told() -> None:
-    assert blas().verdict == other_programs().verdict == "ok"
-    assert "no Chromium" in other_programs(lambda name: None).value
-    assert other_programs(lambda name: "/usr/bin/" + name).value.startswith("chromium,")
-
-
-def test_every_question_is_answered() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("0.0.0.0", 0))
-        number = one.getsockname()[1]
-    found = examine([number], 0.05, wake_up=0.02)
-    names = [finding.name for finding in found]
-    assert len(set(names)) == len(names)
-    for name in ("Python", "ROS", "wake-up", "addresses", "firewall", f"port {number}"):
-        assert name in names
-    assert names[-1] == f"port {number}, packets"
-    assert DEFAULT_PORTS == (6510, 6511, 6512)
-
-
-@pytest.mark.parametrize("ports", [[], [70_000], [-1], [6510, 6510]])
-def test_ports_that_cannot_be(ports: list[int]) -> None:
-    with pytest.raises(ConfigError, match="different UDP ports"):
-        examine(ports, 0.1)
-
-
-@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf"), LONGEST + 1.0])
-def test_seconds_that_cannot_be(seconds: float) -> None:
-    with pytest.raises(ConfigError, match="Expected seconds"):
-        examine([6510], seconds)
-
-
-def test_robots_and_ports(robot: Robot) -> None:
-    with pytest.raises(ConfigError, match="got 1 robots and 2 ports"):
-        examine([6511, 6512], 0.1, [robot])
-
-
-def test_advice_belongs_to_what_is_wrong() -> None:
-    assert Finding.judged("a", "failure", True, "v", "do") == Finding("a", "failure", "v", "do")
-    assert Finding.judged("a", "failure", False, "v", "do") == Finding("a", "ok", "v", "")
-    assert get_args(Verdict) == ("ok", "warning", "failure")
-
-
 def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         one.bind(("0.0.0.0", 0))
         return one.getsockname()[1]
 
 
+def test_every_question_is_answered() -> None:
+    number = free_port()
+    names = [finding.name for finding in examine([number], 0.05, wake_up=0.02)]
+    assert len(set(names)) == len(names)
+    for name in ("Python", "ROS", "wake-up", "addresses", "firewall", f"port {number}"):
+        assert name in names
+    assert names[-1] == f"port {number}, packets"
+    assert DEFAULT_PORTS == (6510, 6511, 6512)
+    assert local_addresses()["lo"] == route_to("127.0.0.1") == "127.0.0.1"
+    assert route_to("no such host") == ""
+
+
+@pytest.mark.parametrize(
+    ("ports", "seconds", "arms", "words"),
+    [
+        ([], 0.1, None, "different UDP ports"),
+        ([70_000], 0.1, None, "different UDP ports"),
+        ([-1], 0.1, None, "different UDP ports"),
+        ([6510, 6510], 0.1, None, "different UDP ports"),
+        *(([6510], seconds, None, "Expected seconds") for seconds in (0.0, -1.0, np.nan, np.inf, LONGEST + 1.0)),
+        ([6511, 6512], 0.1, ["yumi_left"], "got 1 robots and 2 ports"),
+    ],
+)
+def test_what_cannot_be_examined(ports: list[int], seconds: float, arms: Any, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        examine(ports, seconds, arms)
+
+
 @contextmanager
-def streaming(peer: Any) -> Iterator[None]:
-    """Let a peer send at 500 Hz while the block runs."""
+def streaming(*peers: Any) -> Iterator[None]:
+    """Let peers send at 500 Hz while the block runs."""
     over = threading.Event()
 
     def play() -> None:
         while not over.wait(0.002):
-            peer.send()
+            for peer in peers:
+                peer.send()
 
     thread = threading.Thread(target=play, daemon=True)
     thread.start()
@@ -244,34 +235,10 @@ def streaming(peer: Any) -> Iterator[None]:
         thread.join(10)
 
 
-def named(findings: list[Finding]) -> dict[str, Finding]:
-    return {finding.name: finding for finding in findings}
-
-
-def test_own_addresses() -> None:
-    found = local_addresses()
-    assert found["lo"] == "127.0.0.1"
-    assert addresses({"lo": "127.0.0.1", "eth0": "192.0.2.1"}).verdict == "ok"
-    assert "eth0 192.0.2.1" in addresses({"lo": "127.0.0.1", "eth0": "192.0.2.1"}).value
-    alone = addresses({"lo": "127.0.0.1"})
-    assert alone.verdict == "warning"
-    assert "cable" in alone.advice
-    assert addresses({}).value == "none"
-
-
-def test_route() -> None:
-    assert route_to("127.0.0.1") == "127.0.0.1"
-    assert route_to("no such host") == ""
-
-
-def test_firewall(tmp_path: Path) -> None:
-    file = tmp_path / "ufw.conf"
-    assert firewall(file).verdict == "ok"
-    file.write_text("# comment\nENABLED=no\n", encoding="utf-8")
-    assert firewall(file).verdict == "ok"
-    file.write_text("ENABLED=yes\n", encoding="utf-8")
-    assert firewall(file).verdict == "warning"
-    assert "ufw allow" in firewall(file).advice
+def listened(number: int, seconds: float = 0.01, robot: Robot | None = None) -> dict[str, Finding]:
+    """What is found at one port, by the second word of its name."""
+    found = listen([number], seconds, [robot], asked=True)
+    return {finding.name.partition(", ")[2]: finding for finding in found}
 
 
 def test_a_port_that_another_holds() -> None:
@@ -285,51 +252,36 @@ def test_a_port_that_another_holds() -> None:
 
 def test_silence_is_told_once_when_nobody_asked() -> None:
     one, two = free_port(), free_port()
-    found = named(listen([one, two], 0.01, [None, None], asked=False))
-    assert found[f"port {one}"].verdict == "ok"
-    assert found[f"port {one}, self-test"].verdict == "ok"
-    assert found[f"port {one}, packets"].verdict == "warning"
-    assert f"port {two}, packets" not in found
-    found = named(listen([one, two], 0.01, [None, None], asked=True))
-    assert found[f"port {two}, packets"].verdict == "warning"
+    for asked in (False, True):
+        found = {finding.name: finding for finding in listen([one, two], 0.01, [None, None], asked=asked)}
+        assert found[f"port {one}"].verdict == "ok"
+        assert found[f"port {one}, self-test"].verdict == "ok"
+        assert found[f"port {one}, packets"].verdict == "warning"
+        assert (f"port {two}, packets" in found) == asked
 
 
-def test_a_robot_is_heard_and_gets_nothing(robot: Robot, make_peer: Any) -> None:
-    number = free_port()
-    peer = make_peer(robot, number)
-    with streaming(peer):
-        found = named(listen([number], 0.1, [robot], asked=True))
-    assert peer.surplus() == 0
-    assert "7 axes" in found[f"port {number}, first packet"].value
-    assert "leave from 127.0.0.1" in found[f"port {number}, route"].value
-    assert found[f"port {number}, senders"].verdict == "ok"
-    assert f"from 127.0.0.1:{peer.socket.getsockname()[1]}" in found[f"port {number}, packets"].value
-
-
-def test_two_robots_on_one_port(robot: Robot, make_peer: Any) -> None:
+def test_robots_are_heard_and_get_nothing(robot: Robot, make_peer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     number = free_port()
     first, second = make_peer(robot, number), make_peer(robot, number)
-    with streaming(first), streaming(second):
-        found = named(listen([number], 0.1, [robot], asked=True))
-    assert found[f"port {number}, senders"].verdict == "failure"
+    with streaming(first):
+        found = listened(number, 0.1, robot)
+        monkeypatch.setattr(report, "route_to", lambda host: "")
+        lost = listened(number, 0.1, robot)["route"]
+    assert "7 axes" in found["first packet"].value
+    assert "leave from 127.0.0.1" in found["route"].value
+    assert found["senders"].verdict == "ok"
+    assert f"from 127.0.0.1:{first.socket.getsockname()[1]}" in found["packets"].value
+    assert lost.verdict == "failure"
+    assert "network of 127.0.0.1" in lost.advice
+    with streaming(first, second):
+        assert listened(number, 0.1, robot)["senders"].verdict == "failure"
     assert first.surplus() == second.surplus() == 0
-
-
-def test_no_route_to_a_robot(robot: Robot, make_peer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report, "route_to", lambda host: "")
-    number = free_port()
-    peer = make_peer(robot, number)
-    with streaming(peer):
-        found = named(listen([number], 0.1, [robot], asked=True))
-    assert found[f"port {number}, route"].verdict == "failure"
-    assert "network of 127.0.0.1" in found[f"port {number}, route"].advice
 
 
 def test_a_rule_that_drops_packets(monkeypatch: pytest.MonkeyPatch) -> None:
     """As a firewall does: an address of this computer from which nothing arrives."""
     monkeypatch.setattr(report, "local_addresses", lambda: {"eth9": "203.0.113.9"})
-    number = free_port()
-    found = named(listen([number], 0.01, [None], asked=True))[f"port {number}, self-test"]
+    found = listened(free_port())["self-test"]
     assert found.verdict == "failure"
     assert "203.0.113.9" in found.advice
 
@@ -389,45 +341,38 @@ def test_silence(heard: EgmListener) -> None:
     assert (finding.verdict, finding.value) == ("warning", "none in 5 s")
     for word in ("UDPUC", "EGMRunJoint", "ufw allow 6510/udp"):
         assert word in finding.advice
+    for data in (b"", b"hello", b"\xff" * 40):
+        heard.add(Arrival(data, SOURCE, 1))
+        assert judged(heard)["first packet"].verdict == "failure"
+    assert judged(heard)["first packet"].value.startswith("no packet of a robot: ")
 
 
-@pytest.mark.parametrize("data", [b"", b"hello", b"\xff" * 40])
-def test_something_else(heard: EgmListener, data: bytes) -> None:
-    heard.add(Arrival(data, SOURCE, 1))
-    found = judged(heard)["first packet"]
-    assert found.verdict == "failure"
-    assert "no packet of a robot: 1 " in found.value
-
-
-def test_wrong_axes(heard: EgmListener) -> None:
-    Line(robots.load("irb120"), heard)(0)
-    found = judged(heard)["first packet"]
-    assert found.verdict == "failure"
-    assert "wrong axes: 1 joint count" in found.value
-    assert "not a yumi_right, which has 7 axes" in found.advice
-
-
-@pytest.mark.parametrize(("name", "words"), [("irb120", "6 axes"), ("yumi_left", "6 axes and 1 external, a YuMi's")])
-def test_any_robot(name: str, words: str) -> None:
-    heard = EgmListener(6510)
-    Line(robots.load(name), heard)(0)
+@pytest.mark.parametrize(
+    ("sender", "robotware", "expected", "verdict", "value", "advice"),
+    [
+        ("irb120", "6.10", RIGHT, "failure", "wrong axes: 1 joint count", "not a yumi_right, which has 7 axes"),
+        ("irb120", "6.10", None, "ok", "6 axes", ""),
+        ("yumi_left", "6.10", None, "ok", "6 axes and 1 external, a YuMi's", ""),
+        ("yumi_right", "6.06", RIGHT, "warning", "RobotWare 6.06", "radians"),
+        ("yumi_right", "6.07", RIGHT, "warning", "RobotWare 6.07", "6.07.01"),
+    ],
+)
+def test_the_first_packet(
+    sender: str, robotware: str, expected: Robot | None, verdict: str, value: str, advice: str
+) -> None:
+    heard = EgmListener(6510, expected)
+    line = Line(robots.load(sender), heard, robotware)
+    line(0)
     found = judged(heard)
-    assert words in found["first packet"].value
-    assert found["posture"].verdict == "ok"
+    assert found["first packet"].verdict == verdict
+    assert value in found["first packet"].value
+    assert advice in found["first packet"].advice
+    if verdict == "ok":
+        assert found["posture"].verdict == "ok"
 
 
-@pytest.mark.parametrize(("robotware", "advice"), [("6.06", "radians"), ("6.07", "6.07.01")])
-def test_old_robotware(robot: Robot, heard: EgmListener, robotware: str, advice: str) -> None:
-    Line(robot, heard, robotware)(0)
-    found = judged(heard)["first packet"]
-    assert found.verdict == "warning"
-    assert f"RobotWare {robotware}" in found.value
-    assert advice in found.advice
-
-
-def test_the_extension(robot: Robot, heard: EgmListener) -> None:
-    line = Line(robot, heard)
-    line.codec = RobotSideCodec(robot, extension=True)
+def test_the_extension(heard: EgmListener, line: Line) -> None:
+    line.codec = RobotSideCodec(line.robot, extension=True)
     line(0, qd=np.zeros(7), tau=np.zeros(7))
     assert "present" in judged(heard)["extension"].value
 

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armlab.bridge.control.recording import Recording
-from armlab.bridge.net.events import Limited, Tell, nobody
+from armlab.bridge.net.events import Limited, Tell
 from armlab.bridge.net.sockets import Arrival, Outlet, Port, listening_socket, pair, process_using_port, program
 from armlab.errors import LinkError
 from armlab.robots import Robot
@@ -37,6 +37,13 @@ def test_send_and_receive() -> None:
     assert isinstance(arrival, Arrival)
     assert (arrival.data, arrival.source) == (b"abc", (two.host, two.port))
     assert before - 1_000_000 <= arrival.ns <= time.monotonic_ns()
+    for _ in range(5):
+        two.send(b"old", (one.host, one.port))
+    assert arrived(one, 5.0)
+    one.flush()
+    assert one.receive() is None
+    assert not two.send(b"x" * 70_000, (one.host, one.port))
+    assert two.errors == 1, "counted, not raised"
     one.close()
     two.close()
 
@@ -53,23 +60,6 @@ def test_the_stamp_is_the_arrival_not_the_reading() -> None:
     time.sleep(0.01)
     arrival = port.receive()
     assert arrival.ns < reading + 1_000_000
-    port.close()
-
-
-def test_flush() -> None:
-    port = Port("127.0.0.1", 0)
-    for _ in range(5):
-        port.send(b"old", (port.host, port.port))
-    assert arrived(port, 5.0)
-    port.flush()
-    assert port.receive() is None
-    port.close()
-
-
-def test_errors_are_counted_not_raised() -> None:
-    port = Port("127.0.0.1", 0)
-    assert not port.send(b"x" * 70_000, ("127.0.0.1", port.port))
-    assert port.errors == 1
     port.close()
 
 
@@ -132,22 +122,14 @@ def test_the_holder_of_a_port_is_named(kind: str) -> None:
         assert process_using_port(number, "tcp" if kind == "udp" else "udp") == ""
 
 
-def test_nobody_holds_a_free_port() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        number = free.getsockname()[1]
-    assert process_using_port(number) == ""
-
-
-def test_a_connection_is_no_listener() -> None:
-    """Nor is a client whose own end has that number."""
+def test_who_has_no_port() -> None:
+    """Neither a client whose own end has that number nor a connection listens."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         with socket.create_connection(server.getsockname()) as client:
-            assert process_using_port(client.getsockname()[1], "tcp") == ""
+            number = client.getsockname()[1]
+            assert process_using_port(number, "tcp") == ""
         assert str(os.getpid()) in process_using_port(server.getsockname()[1], "tcp")
-
-
-def test_a_process_that_is_gone() -> None:
+    assert process_using_port(number) == ""
     assert program(os.getpid()).startswith(f"process {os.getpid()} (")
     assert program(2**22 + 1) == f"process {2**22 + 1}"
 
@@ -208,11 +190,6 @@ def test_what_is_wrong_is_a_warning(robot: Robot, caplog: pytest.LogCaptureFixtu
     assert list(recording.events) == [(7, "All is well."), (7, "The motors are off.")]
 
 
-def test_nobody_listens(capsys: pytest.CaptureFixture[str]) -> None:
-    nobody("anything", warn=True)
-    assert capsys.readouterr() == ("", "")
-
-
 SECOND = 10**9
 
 
@@ -237,15 +214,12 @@ def test_of_a_kind_one_a_second() -> None:
     ]
 
 
-def test_other_kinds_are_not_touched() -> None:
-    said = [("Ready.", 0.0), ("Not ready.", 0.1), ("Stopped by a 1.", 0.2), ("Ready.", 0.3), ("Not ready.", 5.0)]
-    assert [text for text, _ in told_of(*said)] == [text for text, _ in said]
-
-
 def test_what_must_be_told_one_by_one_is_unless_it_floods() -> None:
     """Ten a second for ten seconds, as the lease allows; a client that takes an arm and lets go of it in every tick."""
     said = [(f"zenoh {k} commands arm.", 0.1 * k) for k in range(100)]
     assert [text for text, _ in told_of(*said, each=True)] == [text for text, _ in said]
+    others = [("Ready.", 0.0), ("Not ready.", 0.1), ("Stopped by a 1.", 0.2), ("Ready.", 0.3), ("Not ready.", 5.0)]
+    assert [text for text, _ in told_of(*others)] == [text for text, _ in others]
     told = told_of(*((f"zenoh {k} commands arm.", 0.004 * k) for k in range(1000)), each=True)
     assert len(told) == 4 * 50 + 1
     assert told[50] == ("zenoh 249 commands arm. (199 like it left out.)", 996_000_000)

@@ -5,13 +5,17 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
-from armlab.bridge.control.limits import Reply, kept
+import numpy as np
+
+from armlab.bridge.control.limits import Limits, Reply, kept
 from armlab.bridge.control.realtime import Prediction
 from armlab.bridge.control.recording import Recording
 from armlab.bridge.control.session import Sample, Session
 from armlab.bridge.control.state_machine import StateMachine
 from armlab.bridge.control.supervision import Settings, Supervisor
+from armlab.bridge.control.torque import Admittance
 from armlab.bridge.inputs.fusion import Fusion
 from armlab.bridge.net.events import Tell, nobody
 from armlab.bridge.net.sockets import Arrival, Port
@@ -20,8 +24,6 @@ from armlab.robots import Robot
 from armlab.state import Command
 from armlab.wire.egm import Codec, Reference
 from armlab.wire.egm.types import StandingQueue
-
-__all__ = ["ArmSession", "Latency", "QueueTrimming"]
 
 _BINS = 20_000  # of one microsecond; the last one takes everything longer
 
@@ -35,7 +37,6 @@ class Latency:
         self.longest = 0.0
 
     def add(self, nanoseconds: int) -> None:
-        """Count one time."""
         self.count += 1
         self._bins[min(max(nanoseconds, 0) // 1000, _BINS - 1)] += 1
         self.longest = max(self.longest, 1e-3 * nanoseconds)
@@ -44,23 +45,15 @@ class Latency:
         """Return the time [us] that `percent` of the times do not exceed; NaN when nothing was counted."""
         if not self.count:
             return float("nan")
-        wanted, seen = percent / 100.0 * self.count, 0
-        for microseconds, number in enumerate(self._bins):
-            seen += number
-            if number and seen >= wanted:
-                return min(microseconds + 1.0, self.longest) if microseconds < _BINS - 1 else self.longest
-        return self.longest
+        index = int(np.searchsorted(np.cumsum(self._bins), percent / 100.0 * self.count))
+        return min(index + 1.0, self.longest) if index < _BINS - 1 else self.longest
 
     def summary(self) -> dict[str, float]:
-        """Return p50, p90, p99, p99.9 and max [us]."""
         names = {"p50": 50.0, "p90": 90.0, "p99": 99.0, "p99.9": 99.9}
         return {name: self.percentile(percent) for name, percent in names.items()} | {"max": self.longest}
 
     def histogram(self) -> dict[str, list[int]]:
-        """Return how many times lie below each limit and not below the one before; in the last are all longer ones.
-
-        Keys: "below_us", limits that double from 2 us on, and "count".
-        """
+        """Return limits that double from 2 us on, "below_us", and the "count" of times from the one before to each."""
         limits = [1 << k for k in range(1, _BINS.bit_length() + 1)]
         counts = [sum(self._bins[before:limit]) for before, limit in zip([0, *limits], limits, strict=False)]
         return {"below_us": limits, "count": counts}
@@ -103,23 +96,45 @@ _BACKLOG = 1000  # datagrams per wake-up, more than wait after any stall: all bu
 _DEADLINE = 0.75  # of a period, from arrival to reply
 
 
+_SILENCE = 0.5  # s that end a session
+
+
+class End(NamedTuple):
+    """The port and codec of an arm; `admittance` makes velocities of torques, None where they are sent or refused."""
+
+    robot: Robot
+    port: Port
+    codec: Codec
+    admittance: Admittance | None = None
+
+
 class ArmSession:
     """One arm of a loop: everything that concerns it alone. Its methods are called under the loop's lock."""
 
     def __init__(
         self,
-        robot: Robot,
-        port: Port,
-        codec: Codec,
-        session: Session,
-        machine: StateMachine,
-        recording: Recording,
+        end: End,
+        limits: Limits,
         settings: Settings,
         wall_ns: int,
+        recording: Recording,
         fusion: Fusion,
+        *,
+        commands: bool,
+        answer_stream: bool,
     ) -> None:
-        self.robot, self.port, self.codec, self.session = robot, port, codec, session
-        self.machine, self.recording = machine, recording
+        self.robot, self.port, self.codec, self.recording = end.robot, end.port, end.codec, recording
+        self.machine = machine = StateMachine(
+            end.robot,
+            limits,
+            commands=commands,
+            capabilities=end.codec.capabilities,
+            answer_stream=answer_stream,
+            on_event=recording.event,
+            admittance=end.admittance,
+        )
+        timeout = float("inf") if settings.clock == "robot" else _SILENCE
+        self.session = session = Session(end.codec, timeout, recording.event)
         self.latency, self.prediction = Latency(), Prediction()
         self.replies = self.overtaken = self.late = self._ticks = 0
         self.was_late = self._went_out = self._left_out = False
@@ -128,12 +143,12 @@ class ArmSession:
         self._in_lockstep, self._resumes = settings.clock == "robot", settings.resume
         self.fusion = fusion
         self.trimming = QueueTrimming(recording.event)
-        self.supervisor = Supervisor(port, session, machine, settings, recording.event)
+        self.supervisor = Supervisor(end.port, session, machine, settings, recording.event)
         self._wall_ns, self.arrived_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
         self._surpassed: list[Sample] = []
         self._rows: list[Sample] = []
         self._arrival: Arrival | None = None
-        self._details = getattr(codec, "details", None)  # a codec of the user's need not have it
+        self._details = getattr(end.codec, "details", None)  # a codec of the user's need not have it
         self.set_command(None)
 
     @property

@@ -12,8 +12,6 @@ from armlab.errors import CommandRefused
 from armlab.state import Command
 from armlab.wire.egm import Beside, Packet
 
-__all__ = ["ExternalReferences", "joined"]
-
 _MOST_DATA = 40  # numbers that EgmRAPIDdata holds
 _OUTSIDE, _STEP, _FASTER = 0.1, 0.02, 2.0  # as those of the joints, see `feedback`
 _KNOWS_DATA = "7"  # RobotWare
@@ -33,7 +31,6 @@ class ExternalReferences:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the references of the external axes stand still."""
         return not self.moves or self._limiter is None or self._limiter.at_rest
 
     @property
@@ -89,7 +86,6 @@ class ExternalReferences:
         return Beside(reply.q, reply.qd)
 
     def follow(self, command: Command, packet: Packet, dt: float, longest: float) -> Beside | None:
-        """Return what goes with the reply to a command."""
         if command.rapid_data is None and command.rapid_digital is None and command.q_ext is None:
             return self.hold(dt, longest)
         data = self._data(command, packet)
@@ -98,7 +94,6 @@ class ExternalReferences:
         return (moved or Beside())._replace(rapid_data=data, rapid_digital=command.rapid_digital)
 
     def _data(self, command: Command, packet: Packet) -> np.ndarray | None:
-        """Return the numbers for RAPID, checked together with the digital value."""
         if command.rapid_data is None and command.rapid_digital is None:
             return None
         if "rapid_data" not in self._capabilities or packet.robotware != _KNOWS_DATA:
@@ -121,7 +116,6 @@ class ExternalReferences:
         return data
 
     def _moved(self, q_ext: Any, packet: Packet, dt: float, longest: float) -> Beside:
-        """Return the next references of the external axes on the way to `q_ext`."""
         limiter, limits, measured = self._limiter, self._limits, packet.q_ext
         if "external_axes" not in self._capabilities:
             raise CommandRefused("Expected no q_ext in the Command: the codec of this link cannot send external axes.")
@@ -166,12 +160,10 @@ class ExternalReferences:
 
 
 def joined(reply: Reply, beside: Beside | None) -> Reply:
-    """Return a reply for the joints with what goes beside."""
     return reply if beside is None else reply._replace(beside=beside)
 
 
 def _numbers(name: str, values: Any) -> np.ndarray:
-    """Return a copy of what a controller gave, in finite numbers."""
     try:
         array = np.array(numbers(values), dtype=np.float64)
     except Exception as error:  # what a controller returned may be anything

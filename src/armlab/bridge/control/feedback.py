@@ -9,16 +9,6 @@ from armlab.robots import Robot
 from armlab.wire.egm import Packet
 from armlab.wire.egm.axes import Linkage
 
-__all__ = [
-    "FeedbackCheck",
-    "MCI_RUNNING",
-    "READY_AFTER",
-    "Readiness",
-    "STOP_AFTER",
-    "not_ready_reason",
-    "outside_range",
-]
-
 READY_AFTER = 3
 """Plausible packets in a row before the robot counts as ready."""
 STOP_AFTER = 3.0
@@ -46,7 +36,6 @@ class FeedbackCheck:
         self.begin()
 
     def begin(self) -> None:
-        """Forget the session before."""
         self.plausible, self.implausible = 0, 0.0
         self.q: np.ndarray | None = None
         self.confirmed = False
@@ -157,7 +146,6 @@ class Readiness:
         self.begin()
 
     def begin(self) -> None:
-        """Forget the session before."""
         self._motors = self._mci = self._absent = 0
         self.is_unknown = False
 

@@ -18,23 +18,6 @@ from armlab.state import Command
 from armlab.wire.egm import Beside
 from armlab.wire.egm.axes import Linkage
 
-__all__ = [
-    "ENTRY",
-    "Limiter",
-    "Limits",
-    "LinkedLimiter",
-    "Reply",
-    "axes_of",
-    "entry_refusal",
-    "joint_name",
-    "jump_refusal",
-    "kept",
-    "limiter_of",
-    "numbers",
-    "refusal",
-    "wanted",
-]
-
 ENTRY = 0.05
 """How far the first position may be from where the arm holds, when nothing else is said [rad or m]."""
 
@@ -198,7 +181,6 @@ class Limiter:
 
     @property
     def q(self) -> np.ndarray:
-        """(n,) position sent last."""
         return self.sent(self.memory)
 
     def sent(self, memory: Memory) -> np.ndarray:
@@ -207,7 +189,6 @@ class Limiter:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the last reference stood still."""
         return not self.memory[0][1:].any()
 
     def rest(self, q: np.ndarray) -> Reply:
@@ -249,19 +230,15 @@ class LinkedLimiter(Limiter):
         self._linkage = linkage
 
     def sent(self, memory: Memory) -> np.ndarray:
-        """Return the position (n,) of the joints, as `Limiter.sent`."""
         return self._linkage.joints(memory[0][0])
 
     def rest(self, q: np.ndarray) -> Reply:
-        """Stand still at `q` (n,), as `Limiter.rest`."""
         return self._linkage.heard(super().rest(self._linkage.axes(q)))
 
     def follow(self, q: np.ndarray, qd: np.ndarray) -> Reply:
-        """Go along with an arm at `q` and `qd` (n,), as `Limiter.follow`."""
         return self._linkage.heard(super().follow(self._linkage.axes(q), self._linkage.axes(qd)))
 
     def step(self, q: np.ndarray | None, qd: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
-        """Return the reference for `q` and `qd` (n,) of the joints, as `Limiter.step`."""
         wanted, speed = (None if values is None else self._linkage.axes(values) for values in (q, qd))
         return self._linkage.heard(super().step(wanted, speed, dt, longest))
 
@@ -319,7 +296,6 @@ def _vector(name: str, values: Any, robot: Robot) -> np.ndarray:
 
 
 def numbers(values: Any) -> np.ndarray:
-    """Return what a controller gave as an array of real numbers."""
     array = np.asarray(values)
     if array.dtype.kind not in _REAL:
         raise TypeError(f"of type {array.dtype}")

@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from mmap import mmap
 from operator import attrgetter
 from typing import Any
@@ -28,9 +29,11 @@ from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, Link
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-__all__ = ["Controller", "Loop", "merge_states", "split_command"]
-
 _JOINTS = ("q", "qd", "tau", "q_start", "q_planned", "q_sent", "qd_sent")
+_OF_PACE = (
+    "dt", "seq", "missed", "session", "qd_source", "tau_source", "motors", "rapid", "mci", "converged", "utilization",
+    "robotware", "robot_ns", "t_receive", "sources",
+)  # fmt: skip
 
 
 def merge_states(states: Sequence[State], ages: Sequence[float], pace: int, t: float) -> State:
@@ -39,57 +42,19 @@ def merge_states(states: Sequence[State], ages: Sequence[float], pace: int, t: f
     Time, sequence and state numbers are those of the pacing arm. What a fused state cannot say (poses, wrenches) is
     NaN: look into `arms`.
     """
-    first = states[pace]
-    clamped = np.concatenate([state.clamped for state in states])
-    clamped.flags.writeable = False
+    fields: dict[str, Any] = {name: getattr(states[pace], name) for name in _OF_PACE}
+    for name in (*_JOINTS, "clamped"):
+        fields[name] = np.concatenate([getattr(state, name) for state in states])
+        fields[name].flags.writeable = False
     return State(
         t=t,
-        dt=first.dt,
-        seq=first.seq,
-        missed=first.missed,
-        session=first.session,
-        qd_source=first.qd_source,
-        tau_source=first.tau_source,
-        motors=first.motors,
-        rapid=first.rapid,
-        mci=first.mci,
-        converged=first.converged,
-        utilization=first.utilization,
-        robotware=first.robotware,
-        robot_ns=first.robot_ns,
-        t_receive=first.t_receive,
-        sources=first.sources,
         robot="+".join(state.robot for state in states),
-        arms=tuple(_aged(state, age) for state, age in zip(states, ages, strict=True)),
-        clamped=clamped,
-        **_joints(states),
+        arms=tuple(replace(one, age=age) if age > 0.0 else one for one, age in zip(states, ages, strict=True)),
+        **fields,
     )
 
 
-def _joints(states: Sequence[State]) -> dict[str, Any]:
-    """Return the joint arrays as views of one: putting each together alone would take five times as long."""
-    parts = [[getattr(state, name) for state in states] for name in _JOINTS]
-    whole = np.concatenate([part for one in parts for part in one])
-    whole.flags.writeable = False
-    joints, start = {}, 0
-    for name, one in zip(_JOINTS, parts, strict=True):
-        stop = start + sum(map(len, one))
-        joints[name], start = whole[start:stop], stop
-    return joints
-
-
-def _aged(state: State, age: float) -> State:
-    """Return the state with its age; `dataclasses.replace` would take four times as long."""
-    if age <= 0.0:
-        return state
-    aged = object.__new__(State)
-    for name in State.__slots__:
-        object.__setattr__(aged, name, age if name == "age" else getattr(state, name))
-    return aged
-
-
 def split_command(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequence[Command | None]:
-    """Return the part of each arm in what a controller returned."""
     if len(robots) == 1:
         return (asked,)
     if asked is None:
@@ -117,18 +82,14 @@ def split_command(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequenc
 def _parts(name: str, values: Any, robots: Sequence[Robot]) -> Sequence[np.ndarray | None]:
     if values is None:
         return (None,) * len(robots)
-    array, total = np.asarray(values), sum(robot.n for robot in robots)
-    if array.shape != (total,):
+    array, ends = np.asarray(values), np.cumsum([robot.n for robot in robots])
+    if array.shape != (ends[-1],):
         joints = " and ".join(f"{robot.n} of {robot.name}" for robot in robots)
         raise CommandRefused(
-            f"Expected Command.{name} of shape ({total},), {joints}, got {array.shape}. "
+            f"Expected Command.{name} of shape ({ends[-1]},), {joints}, got {array.shape}. "
             "Write all joints one arm after another, or return a tuple of one Command per arm."
         )
-    parts, start = [], 0
-    for robot in robots:
-        parts.append(array[start : start + robot.n])
-        start += robot.n
-    return parts
+    return np.split(array, ends[:-1])
 
 
 Controller = Callable[[State], Command | Sequence[Command | None] | None]
@@ -194,7 +155,6 @@ class Loop:
         return self._calling and time.monotonic_ns() - self._called_ns > _HANGS
 
     def run(self) -> None:
-        """Run until every machine has ended."""
         try:
             self._reserve = mmap(-1, _RESERVE)
         except OSError as error:
@@ -215,7 +175,6 @@ class Loop:
         self._give_back()
 
     def _give_back(self) -> None:
-        """Give back what was set aside for the end of the run."""
         if self._reserve is not None:
             self._reserve.close()
 
@@ -376,7 +335,6 @@ class Loop:
                     self._stop("the controller was late", ControllerLate(f"{sentence} Give work to another thread."))
 
     def _state(self, pending: Sample) -> State:
-        """Return the states of all arms as one."""
         pendings = [arm.newest or pending for arm in self._arms]
         sessions = tuple(one.session for one in pendings)
         if sessions != self._sessions:

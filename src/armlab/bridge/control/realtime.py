@@ -19,21 +19,6 @@ from armlab._interrupts import handling
 from armlab.bridge.net.events import Tell, nobody
 from armlab.bridge.net.sockets import Arrival, Port
 
-__all__ = [
-    "GUARD_PRIORITY",
-    "Guard",
-    "LOOP_PRIORITY",
-    "Lateness",
-    "Prediction",
-    "Wait",
-    "Waiting",
-    "collect_if_due",
-    "interrupts",
-    "priority",
-    "quiet_memory",
-    "short_switches",
-]
-
 LOOP_PRIORITY, GUARD_PRIORITY = 50, 55
 _SWITCH_INTERVAL = 5e-4  # s; with Python's 5 ms the guard comes a cycle late against a busy controller
 _DUE = 700  # new objects after which the youngest generation is collected
@@ -131,7 +116,6 @@ class Prediction:
         self.next_ns: float | None = None  # on our monotonic clock, None before the first
 
     def add(self, arrival_ns: int, periods: int, period: float) -> None:
-        """Take one arrival."""
         last, period_ns = float(arrival_ns), 1e9 * period
         if self._last is not None:
             expected = self._last + periods * period_ns
@@ -149,7 +133,6 @@ class Waiting:
         self._poller, self._numbers = select.poll(), set[int]()
 
     def next(self, seconds: float = 0.0) -> tuple[int, Arrival] | None:
-        """Return the next datagram with the index of its port, or None when none came in the time."""
         for index, port in self._ports:
             arrival = port.receive()
             if arrival is not None:

@@ -16,8 +16,6 @@ from armlab.log import Column, Log, Recorder, Table, Tail, Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-__all__ = ["Feed", "Recording", "paths"]
-
 _KEPT_SECONDS = 10.0  # in `.table` of errors
 _KEPT_EVENTS = 1000
 _logger = logging.getLogger("armlab.bridge")
@@ -106,7 +104,6 @@ class Recording:
         return command
 
     def publish(self, state: State, command: Command | None, tick: Tick) -> None:
-        """Give a row that was kept to the file and the feeds."""
         if self._recorder is not None and not self._recorder.row(state, command, tick):
             self._tell_stop(self._recorder)
         if self._feeds:
@@ -123,7 +120,6 @@ class Recording:
         self._limited(text, warn, self._clock(), each)
 
     def parameter(self, change: Change) -> None:
-        """Keep the value of a parameter that came into force."""
         recorder = self._recorder
         if recorder is not None:
             self._stamped(lambda stamp: recorder.parameter(*change, stamp), self._clock())

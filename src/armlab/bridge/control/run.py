@@ -3,49 +3,29 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from armlab.bridge.control.arm import ArmSession
+from armlab.bridge.control.arm import ArmSession, End
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.recording import Feed, Recording, paths
-from armlab.bridge.control.session import Session
-from armlab.bridge.control.state_machine import StateMachine
 from armlab.bridge.control.supervision import Settings
-from armlab.bridge.control.torque import Admittance
 from armlab.bridge.inputs.fusion import Fusion
-from armlab.bridge.inputs.parameters import Change
 from armlab.bridge.inputs.sources import Source, check_source
 from armlab.bridge.net.events import nobody
-from armlab.bridge.net.sockets import Port
 from armlab.errors import ConfigError
 from armlab.log import Column, Table
 from armlab.robots import Robot
-from armlab.wire.egm import Codec
-
-__all__ = ["End", "Run", "assemble", "checked_limits", "finished", "served", "statistics", "together"]
-
-_SILENCE = 0.5  # s that end a session
-
-
-class End(NamedTuple):
-    """The port and codec of an arm; `admittance` makes velocities of torques, None where they are sent or refused."""
-
-    robot: Robot
-    port: Port
-    codec: Codec
-    admittance: Admittance | None = None
 
 
 def checked_limits(
     limits: Limits | Sequence[Limits] | None, robots: Sequence[Robot], commands: bool = True
 ) -> list[Limits]:
-    """Return the limits of each arm."""
     given: list[Any] = [Limits.of(robot) for robot in robots]
     if limits is not None:
         given = list(limits) if isinstance(limits, list | tuple) else [limits]
@@ -84,25 +64,32 @@ def assemble(
     """Return the arms of one run, on one clock."""
     wall_ns = time.time_ns() - time.monotonic_ns()
     told = list(feeds)  # one list: a feed that fails is dropped for all arms
-    columns = {**Fusion(sources).columns, **_columns(extra)}
+    for name, column in (extra or {}).items():
+        if not isinstance(column, Column):
+            raise ConfigError(f"Expected `extra` to name columns, as extra={{'{name}': Column('N')}}, got {column!r}.")
+    columns = {**Fusion(sources).columns, **(extra or {})}
     for source in sources:
         check_source(source, [end.robot for end in ends])
     files = paths(record, [end.robot for end in ends])
     arms: list[ArmSession] = []
     try:
-        for end, one, file in zip(ends, limits, files, strict=True):
+        for index, (end, one, file) in enumerate(zip(ends, limits, files, strict=True)):
             recording = Recording(
                 end.robot,
                 file,
                 columns,
                 attachments=attachments,
                 wait=settings.clock == "robot",
-                clock=_clock(arms, len(arms)),
+                clock=lambda index=index: arms[index].stamp_ns,
                 feeds=told,
                 label=end.robot.name if len(ends) > 1 else "",
             )
             fusion = Fusion(sources, recording.event if not arms else nobody)
-            arms.append(_arm(end, one, settings, wall_ns, recording, fusion, commands, answer_stream))
+            arms.append(
+                ArmSession(
+                    end, one, settings, wall_ns, recording, fusion, commands=commands, answer_stream=answer_stream
+                )
+            )
     except BaseException:
         for arm in arms:
             arm.recording.close({})
@@ -111,48 +98,8 @@ def assemble(
         begin = getattr(feed, "begin", None)
         if begin is not None:
             files = [arm.recording.path for arm in arms if arm.recording.path is not None]
-            begin(arms[0].recording.note, files, lambda change: _keep(arms, change))
+            begin(arms[0].recording.note, files, lambda change: [arm.recording.parameter(change) for arm in arms])
     return arms
-
-
-def _columns(extra: Mapping[str, Column] | None) -> Mapping[str, Column]:
-    for name, column in (extra or {}).items():
-        if not isinstance(column, Column):
-            raise ConfigError(f"Expected `extra` to name columns, as extra={{'{name}': Column('N')}}, got {column!r}.")
-    return extra or {}
-
-
-def _keep(arms: Sequence[ArmSession], change: Change) -> None:
-    for arm in arms:
-        arm.recording.parameter(change)
-
-
-def _clock(arms: Sequence[ArmSession], index: int) -> Callable[[], int]:
-    return lambda: arms[index].stamp_ns
-
-
-def _arm(
-    end: End,
-    limits: Limits,
-    settings: Settings,
-    wall_ns: int,
-    recording: Recording,
-    fusion: Fusion,
-    commands: bool,
-    answer_stream: bool,
-) -> ArmSession:
-    robot = end.robot
-    machine = StateMachine(
-        robot,
-        limits,
-        commands=commands,
-        capabilities=end.codec.capabilities,
-        answer_stream=answer_stream,
-        on_event=recording.event,
-        admittance=end.admittance,
-    )
-    session = Session(end.codec, float("inf") if settings.clock == "robot" else _SILENCE, recording.event)
-    return ArmSession(robot, end.port, end.codec, session, machine, recording, settings, wall_ns, fusion)
 
 
 def finished(arms: Sequence[ArmSession], reason: str, feeds: Sequence[Feed] = ()) -> Run:
@@ -241,7 +188,6 @@ class Run:
 
 
 def statistics(arm: ArmSession, reason: str) -> dict[str, Any]:
-    """Return what was counted of one arm."""
     session, machine = arm.session, arm.machine
     return {
         "robot": arm.robot.name,

@@ -15,8 +15,6 @@ from armlab.bridge.net.sockets import Arrival
 from armlab.state import Command, State
 from armlab.wire.egm import Codec, Drop, Packet
 
-__all__ = ["EGM_ERROR", "NOMINAL_PERIOD", "Period", "RobotClock", "Sample", "Session"]
-
 NOMINAL_PERIOD = 0.004
 """Cycle time of EGM that is assumed before the first measurement [s]; a real controller has 4.032 ms."""
 
@@ -42,10 +40,7 @@ class Period:
         self._learnt = False
 
     def add(self, sample: float) -> bool:
-        """Add the time between two packets over the difference of their numbers [s]; return whether the cycle changed.
-
-        A change shows after five packets: they are the majority of the window then.
-        """
+        """Add the time between two packets per difference of their numbers [s]; return whether the cycle changed."""
         if sample < _SHORTEST:
             return False
         self._recent.append(sample)
@@ -84,7 +79,6 @@ class RobotClock:
         self._last: tuple[int, int | None, int] | None = None  # robot ns, tm ms, arrival ns
 
     def step(self, packet: Packet, arrival_ns: int) -> float | None:
-        """Return the seconds since the previous packet, None for the first."""
         last, self._last = self._last, (packet.robot_ns, packet.tm_ms, arrival_ns)
         if last is None:
             return None
@@ -200,7 +194,6 @@ class Session:
         self._begun_ns = self._replied_ns = 0
 
     def accept(self, arrival: Arrival) -> Sample | None:
-        """Return the sample of one datagram, or None when it does not count."""
         last = self._last
         if last is not None and arrival.ns - last.arrival_ns >= self._timeout_ns:
             self.end()

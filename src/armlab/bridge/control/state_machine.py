@@ -28,8 +28,6 @@ from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Packet
 
-__all__ = ["StateMachine", "Mode"]
-
 _SETTERS = tuple(getattr(State, name).__set__ for name in State.__slots__)  # a third of the time of its constructor
 _PLAIN = State(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
 
@@ -96,15 +94,11 @@ class StateMachine:
 
     @property
     def calls(self) -> bool:
-        """Whether the controller is asked for this packet."""
         return self.ready and not self._doubtful and self.mode in _ASKED
 
     @property
     def _may_be_guided(self) -> bool:
-        """Whether a robot that was ready has only stopped reporting its states.
-
-        The arm then holds; no step to the feedback.
-        """
+        """Whether a robot that was ready has only stopped reporting its states: it holds, no step to the feedback."""
         return self.guided and self._readiness.is_unknown
 
     @property
@@ -243,7 +237,6 @@ class StateMachine:
         self._on_event(f"Stopping: {reason}.")
 
     def lose(self, reason: str, resume: bool) -> None:
-        """Take note that the session ended."""
         self.ready = False
         self._packet = None
         if self.mode is Mode.STOPPING:

@@ -16,8 +16,6 @@ from armlab.bridge.net.events import Tell
 from armlab.bridge.net.sockets import Port
 from armlab.errors import ControllerFailed, LinkError, NoRobot, SessionEnded
 
-__all__ = ["Settings", "Supervisor", "check_list"]
-
 _CHECKLIST_AFTER = 5.0  # s without any packet
 _BRIEF = 0.1  # s under guidance: a session that ends sooner did not move the run on
 _BRIEF_IN_A_ROW = 10  # end the run: `Settings.seconds` counts time under guidance, of which they have none

@@ -16,8 +16,6 @@ from armlab.errors import CommandRefused, ConfigError
 from armlab.robots import Robot
 from armlab.wire.egm.axes import Linkage
 
-__all__ = ["Admittance", "TorqueModel", "Torques", "admittances"]
-
 TorqueModel = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """From positions and velocities (n,) to the torques (n,) that a free motion needs."""
 
@@ -39,7 +37,6 @@ class Admittance:
         object.__setattr__(self, "damping", damping)
 
     def velocity(self, tau: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """Return the velocity (n,) asked for."""
         return (tau if self.model is None else tau - self.model(q, qd)) / self.damping
 
 
@@ -78,7 +75,6 @@ class Torques:
         return None, self.admittance.velocity(tau, q, qd), None
 
     def _check(self) -> None:
-        """Refuse torques that this link cannot carry, or that have no limits."""
         if "torque" not in self._capabilities:
             able = ", ".join(sorted(self._capabilities)) or "nothing"
             raise CommandRefused(

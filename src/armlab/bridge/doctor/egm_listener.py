@@ -16,8 +16,6 @@ from armlab.bridge.net.sockets import Arrival
 from armlab.robots import Robot
 from armlab.wire.egm import EgmCodec
 
-__all__ = ["EgmListener"]
-
 _SPREAD = 2e-3  # s between the median and the 99th percentile of the time between packets
 _REMEDY = {
     "the motors are off": "Switch the motors on; in manual mode hold the enabling device.",
@@ -52,7 +50,6 @@ class EgmListener:
         self._offset = 0.0
 
     def add(self, arrival: Arrival) -> None:
-        """Take one datagram."""
         self.senders[arrival.source] += 1
         self._sizes[len(arrival.data)] += 1
         sample = self.session.accept(arrival)

@@ -20,24 +20,6 @@ import numpy as np
 
 from armlab.bridge.control.realtime import LOOP_PRIORITY, priority
 
-__all__ = [
-    "Finding",
-    "Verdict",
-    "blas",
-    "clock",
-    "garbage",
-    "governor",
-    "machine",
-    "other_programs",
-    "packages",
-    "python",
-    "real_time",
-    "ros_nodes",
-    "ros_on_path",
-    "throttle",
-    "wake_up",
-]
-
 Verdict = Literal["ok", "warning", "failure"]
 """How good a finding is."""
 
@@ -61,15 +43,7 @@ class Finding:
 
     @classmethod
     def judged(cls, name: str, problem: Verdict, is_bad: bool, value: str, advice: str) -> Finding:
-        """Return a finding that is `problem` with its advice when it is bad, else "ok" without.
-
-        Parameters
-        ----------
-        name, value : see `Finding`.
-        problem : verdict when bad.
-        is_bad : the outcome.
-        advice : what to do when bad.
-        """
+        """Return a finding that is `problem` with its advice when it is bad, else "ok" without."""
         return cls(name, problem, value, advice) if is_bad else cls(name, "ok", value)
 
 
@@ -85,7 +59,6 @@ _ROS_SETTINGS = ("RMW_IMPLEMENTATION", "CYCLONEDDS_URI", "ROS_AUTOMATIC_DISCOVER
 
 
 def machine(seconds: float = 2.0) -> list[Finding]:
-    """Return all checks of this computer."""
     return [
         python(),
         packages(),
@@ -159,7 +132,6 @@ def ros_nodes(environment: Mapping[str, str]) -> Finding:
 
 
 def clock(resolution: float = time.get_clock_info("monotonic").resolution) -> Finding:
-    """Check the resolution of the monotonic clock."""
     value = f"{1e9 * resolution:.0f} ns"
     return Finding.judged("clock", "warning", resolution > _FINE, value, "Use a Linux with high-resolution timers.")
 

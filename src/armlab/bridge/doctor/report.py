@@ -15,7 +15,7 @@ from pathlib import Path
 
 from armlab.bridge.doctor.egm_listener import EgmListener
 from armlab.bridge.doctor.machine import Finding, machine
-from armlab.bridge.net.sockets import Arrival, Port, local_addresses
+from armlab.bridge.net.sockets import Port, local_addresses
 from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
 
@@ -65,17 +65,11 @@ class _PortListener:
                     own.sendto(self.token + address.encode(), (address, port.port))
 
     def take(self) -> None:
-        """Take what waits."""
-        arrival = self.port.receive()
-        while arrival is not None:
-            self._take(arrival)
-            arrival = self.port.receive()
-
-    def _take(self, arrival: Arrival) -> None:
-        if arrival.data.startswith(self.token):
-            self.came.add(arrival.data[len(self.token) :].decode())
-        else:
-            self.heard.add(arrival)
+        while (arrival := self.port.receive()) is not None:
+            if arrival.data.startswith(self.token):
+                self.came.add(arrival.data[len(self.token) :].decode())
+            else:
+                self.heard.add(arrival)
 
     def self_test(self) -> Finding:
         """Return whether what this computer sends to its own addresses arrives."""

@@ -20,8 +20,6 @@ from armlab.errors import ConfigError
 from armlab.kinematics import forward
 from armlab.robots import Robot
 
-__all__ = ["ClockMap", "Fusion", "Held"]
-
 _WINDOW = 10_000_000_000  # ns of the running minimum
 _BUCKET = 500_000_000  # ns of which the minimum is one point
 _STEP = 50_000_000  # ns that a clock was set when it departs further
@@ -52,7 +50,6 @@ class ClockMap:
         self._forget()
 
     def add(self, source_ns: int, receive_ns: int) -> int:
-        """Take one pair of stamps and return the source's on our clock."""
         offset = receive_ns - source_ns
         if self._points:
             error = offset - self._offset(source_ns)
@@ -144,7 +141,6 @@ class Fusion:
         self._told: dict[str, str] = {}
 
     def tick(self, now_ns: int) -> Mapping[str, Held]:
-        """Return what each source has at a tick, by name."""
         held = {source.name: self._look(source, now_ns) for source in self.sources}
         self.missing = next((s.name for s in self.sources if s.role == "required" and held[s.name].stale), "")
         return MappingProxyType(held)

@@ -14,8 +14,6 @@ import numpy as np
 
 from armlab.errors import CommandRefused, ConfigError, UnknownName
 
-__all__ = ["Change", "Parameter", "Parameters"]
-
 _TYPES = ("float", "int", "bool", "text")
 _VECTOR = re.compile(r"float\[([1-9]\d{0,2})\]")
 _NAME = re.compile(r"[a-zA-Z][a-zA-Z0-9_]{0,63}")

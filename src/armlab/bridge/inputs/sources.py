@@ -1,7 +1,7 @@
 """What is fused with the arms: a `Source` and its kinds. None of them ever makes the loop wait.
 
 A source holds its latest `Reading`; the loop looks at it in each tick (`fusion`). A user's own is a subclass of
-`Source` with the method `newest`. More kinds are in `udp` and `replay`.
+`Source` with the method `newest`.
 """
 
 from __future__ import annotations
@@ -23,19 +23,6 @@ from armlab.log import Column, Table
 from armlab.log.column import resolved
 from armlab.models import ForceSensor
 from armlab.robots import Robot
-
-__all__ = [
-    "CallableSource",
-    "Reading",
-    "ReplaySource",
-    "Source",
-    "TICK_COLUMNS",
-    "ThreadSource",
-    "TimerSource",
-    "UdpSource",
-    "check_source",
-    "whole",
-]
 
 _DEFAULT_AGE = 0.02  # s
 _ROLES = ("pacing", "required", "optional")

@@ -8,8 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-__all__ = ["Limited", "Tell", "nobody"]
-
 _EVERY = 1_000_000_000  # ns between two sentences of one kind
 _EACH = 50  # of a kind in that time that are told one by one: arms that the lease frees change hands ten times a second
 _KINDS = 64  # that are told apart at a time; more are a flood and share one turn
@@ -54,7 +52,6 @@ class Limited:
         self._lock = threading.RLock()  # to tell may lead to another sentence
 
     def __call__(self, text: str, warn: bool, stamp_ns: int, each: bool = False) -> None:
-        """Take one sentence."""
         with self._lock:
             self.due(stamp_ns)
             name = _CHANGING.sub("#", text)
@@ -76,12 +73,10 @@ class Limited:
             self._tell(text, warn, stamp_ns)
 
     def due(self, now_ns: int) -> None:
-        """Pass on what has waited for its turn."""
         if self.waiting:
             self._publish(lambda kind: _is_over(kind, now_ns), now_ns)
 
     def close(self) -> None:
-        """Pass on all that waits."""
         self._publish(lambda kind: True, 0)
 
     def _publish(self, condition: Callable[[_Kind], bool], now_ns: int) -> None:

@@ -15,27 +15,11 @@ from armlab import kernels
 from armlab._descriptors import Descriptor, apart
 from armlab.errors import LinkError
 
-__all__ = [
-    "is_here",
-    "is_loopback",
-    "Arrival",
-    "Outlet",
-    "Port",
-    "process_using_port",
-    "listening_socket",
-    "local_addresses",
-    "pair",
-    "program",
-]
-
 _LISTENING = "0A"  # state of a TCP socket in /proc/net/tcp
 
 
 def process_using_port(port: int, kind: Literal["udp", "tcp"] = "udp") -> str:
-    """Return who holds a port, "process 4711 (armlab sim ...)", or "" when that cannot be told.
-
-    Processes of other users stay hidden.
-    """
+    """Return who holds a port, "process 4711 (armlab sim ...)", or "" when unknown, as of another user's process."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         inodes = _inodes(port, kind)
         for process in Path("/proc").iterdir():
@@ -102,11 +86,9 @@ class Port:
 
     @property
     def errors(self) -> int:
-        """Socket errors so far."""
         return self._errors + self._datagrams.errors
 
     def close(self) -> None:
-        """Close the socket."""
         self._is_closed = True
         if self._descriptor.is_open:
             self._datagrams.close()
@@ -114,11 +96,9 @@ class Port:
             self._socket.detach()
 
     def fileno(self) -> int:
-        """Return the number by which the system knows the socket: one can wait on it."""
         return self._socket.fileno()
 
     def receive(self) -> Arrival | None:
-        """Return the next datagram, or None when there is none."""
         arrival = self._datagrams.receive()
         if arrival is None and self._datagrams.errors != self._seen and self._was_lost():
             arrival = self._datagrams.receive()
@@ -239,7 +219,6 @@ class Outlet:
             return False
 
     def receive(self) -> bytes | None:
-        """Return one message, None when none waits."""
         connection = self._socket
         try:
             return None if connection is None else connection.recv(_LARGEST) or None
