@@ -302,15 +302,6 @@ def test_presliding_is_a_spring_with_hysteresis(smooth: Truth) -> None:
     assert (again < up).all()
 
 
-def test_step_length_does_not_matter_at_constant_speed(smooth: Truth) -> None:
-    coarse, fine = JointFriction(smooth), JointFriction(smooth)
-    qd = np.full(7, 0.05)
-    coarse.advance(2e-4 * np.ones(7), qd)
-    for _ in range(200):
-        fine.advance(1e-6 * np.ones(7), qd)
-    np.testing.assert_allclose(coarse.bristle, fine.bristle, rtol=1e-12)
-
-
 def test_ripple_and_offset() -> None:
     smooth = synthetic_truth(robots.load("yumi_left"))
     friction, q = JointFriction(smooth), np.linspace(-1, 1, 7)
@@ -368,15 +359,6 @@ ZERO = np.zeros(2)
 
 def drive() -> JointDrives:
     return JointDrives(INERTIA, TAU_MAX, np.array([0.9, 0.9]), 1e-3)
-
-
-def test_law_without_integral() -> None:
-    error = np.array([1e-4, -2e-4])
-    speed = np.array([0.01, 0.02])
-    e = POSITION_GAIN * error + speed
-    expected = INERTIA * (3.0 + VELOCITY_GAIN * (e + e * 1e-3 / INTEGRAL_TIME)) + 0.9 * np.array([2.0, 1.0])
-    tau = drive().torque(error, speed, np.full(2, 3.0), ZERO, ZERO, np.array([2.0, 1.0]), np.empty(2))
-    np.testing.assert_allclose(tau, expected, rtol=1e-12)
 
 
 def test_saturation_stops_the_integral() -> None:
