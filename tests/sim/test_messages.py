@@ -13,7 +13,7 @@ from armlab.sim.arm.arm import SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.controller import QUEUE_LENGTH, ReplyQueue, Sent
 from armlab.sim.controller.guidance import Guidance, ReferenceDecoder
-from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, Condition, PacketBuilder
+from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, PacketBuilder
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import EventLog, Statistics
 from armlab.wire.egm import Drop, EgmCodec, Packet, Reference
@@ -22,14 +22,14 @@ from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 ROBOT = robots.load("yumi_left")
 ARM = SimulatedArm(ROBOT, synthetic_truth(ROBOT))
-CONDITION = Condition(seq=5, motors=1, mci=3, rapid=2, converged=False, mode=1, used_seq=4, left=0)
+CONDITION = {"seqno": 5, "motors": 1, "mci": 3, "rapid": 2, "converged": False}
 
 
 def packet(robotware: str = "6.10", external: int = 0, **options: Any) -> bytes:
     codec = RobotSideCodec(ROBOT, robotware, force=options.get("force", False), external=external)
     guidance = Guidance(ROBOT, ControllerSettings(), ROBOT.q_home)
     packets = PacketBuilder(codec, 0.004032, **options)
-    return packets.encode(250, ARM, guidance, CONDITION, [0.25] * external)
+    return packets.encode(250, ARM, guidance, [0.25] * external, **CONDITION)
 
 
 def decode(data: bytes) -> Packet:
@@ -77,12 +77,10 @@ def test_torque_reference_of_robotware_7() -> None:
 def test_rapid_sends_back_what_it_heard() -> None:
     target = ReferenceDecoder(ROBOT, ControllerSettings())
     target.accept(SensorMessage(0, 1, 3, rapid_data=np.arange(5.0), rapid_digital=True), ROBOT.q_home, None)
-    condition = Condition(0, 1, 3, 2, False, 1, 0, 0)
     for data in (0, 3):
         packets = PacketBuilder(RobotSideCodec(ROBOT, "7"), 0.004, data=data)
-        found = decode(
-            packets.encode(0, ARM, Guidance(ROBOT, ControllerSettings(), ROBOT.q_home), condition, (), target)
-        )
+        guidance = Guidance(ROBOT, ControllerSettings(), ROBOT.q_home)
+        found = decode(packets.encode(0, ARM, guidance, (), target, **CONDITION))
         assert (found.rapid_data.tolist(), found.rapid_digital) == ([0.0, 1.0, 2.0][:data], data > 0)
 
 
