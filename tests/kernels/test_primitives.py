@@ -201,38 +201,9 @@ def turning(phase: str = "canonical", n: int = 3) -> Any:
     return kernels.Primitive(centres, np.full(12, 0.06), weights, 25.0, 156.25, 1.0, 1 / 3, phase)
 
 
-def test_a_stepper_is_a_rollout_and_takes_another_goal_and_time_constant() -> None:
-    stepper = kernels.RotationStepper(turning())
-    stepper.start(Q0, W0, GOAL, MAP, TAU)
-    rows = [stepper.outputs(), *(stepper.step(dt) for dt in np.diff(T[:20]))]
-    whole = kernels.rotation_rollout(turning(), T[:20], TAU, Q0, W0, GOAL, MAP)
-    for own, wanted in zip((np.array(part) for part in zip(*rows)), whole):
-        np.testing.assert_array_equal(own, wanted)
-    q, w, _ = rows[-1]
-    stepper.change_tau(2 * TAU)
-    np.testing.assert_allclose(stepper.outputs()[1], w, rtol=1e-14)
-    assert stepper.tau == 2 * TAU
-    stepper.change_goal(Q0, 0 * MAP)
-    for _ in range(60):
-        q, w, _ = stepper.step(0.1)
-    np.testing.assert_allclose(np.abs(q @ Q0), 1.0, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(np.linalg.norm(whole[0], axis=1), 1.0, rtol=0, atol=1e-12)
-    assert stepper.elapsed > 9
-
-
-def test_order_is_four() -> None:
-    """On the way of a smooth force, against many small steps; and where the goal is half a turn away nothing breaks."""
-    smooth = kernels.Primitive(
-        np.linspace(0, 1, 4), np.full(4, 0.3), np.full((4, 3), [60, -80, 40.0]), 25, 156.25, 1, 1 / 3, "canonical"
-    )
-    ends = {}
-    for n in (100, 200, 3200):
-        ends[n] = kernels.rotation_rollout(smooth, np.linspace(0, 1, n + 1), 1 / 3, Q0, W0, GOAL, np.eye(3))[0][n // 2]
-    fine = ends[max(ends)]
-    coarse, better = (np.linalg.norm(ends[n] - fine) for n in (100, 200))
-    assert np.log2(coarse / better) > 3.8
+def test_a_goal_half_a_turn_away_breaks_nothing() -> None:
     half = quaternion.multiply(quaternion.from_matrix(so3.exp([0, 0, np.pi])), Q0)
-    q, _, _ = kernels.rotation_rollout(smooth, T, TAU, Q0, 0 * W0, half, np.eye(3))
+    q, _, _ = kernels.rotation_rollout(turning(), T, TAU, Q0, 0 * W0, half, np.eye(3))
     assert np.isfinite(q).all()
 
 

@@ -11,7 +11,7 @@ import pytest
 from armlab import robots
 from armlab.sim.arm.arm import SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
-from armlab.sim.controller.controller import QUEUE_LENGTH, ReplyQueue, Sent
+from armlab.sim.controller.controller import ReplyQueue, Sent
 from armlab.sim.controller.guidance import Guidance, ReferenceDecoder
 from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, PacketBuilder
 from armlab.sim.controller.settings import ControllerSettings
@@ -164,21 +164,6 @@ def test_a_packet_without_a_reply_within_its_period_is_missed() -> None:
         if k == 0:
             matched(box, SensorMessage(0, 10_000, 3), 10**9 + 200_000)
     assert statistics.counts["missed"] == 1, "packet 0 was answered, 2 did not guide, 3 has time left"
-
-
-def test_first_in_first_out_of_64_with_ages() -> None:
-    box, statistics = inbox()
-    assert QUEUE_LENGTH == 64
-    assert all(box.put(SensorMessage(k, None, 3), k) for k in range(QUEUE_LENGTH))
-    assert not box.put(SensorMessage(99, None, 3), None)
-    assert len(box) == QUEUE_LENGTH
-    taken = [box.take(10) for _ in range(3)]
-    assert [message and message.seqno for message in taken] == [0, 1, 2]
-    assert dict(statistics.age) == {10: 1, 9: 1, 8: 1}
-    assert statistics.last_age == 8
-    assert statistics.queue[QUEUE_LENGTH] == 1
-    box.begin()
-    assert box.take(11) is None
 
 
 @pytest.mark.parametrize(("mode", "reason"), [("joint", None), ("pose", "no pose"), ("path", "no path correction")])
