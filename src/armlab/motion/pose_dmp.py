@@ -74,12 +74,8 @@ class PoseRollout:
 class PoseDmp(Saved, kind="pose_dmp"):
     """A movement primitive of poses.
 
-    The position is a `Dmp`. The orientation q follows, with angular velocity eta / tau_d in base axes ::
-
-        tau_d eta' = alpha_z (beta_z log(g q^-1) - eta) + f(x),    tau_d q' = eta q / 2
-
-    where log is the rotation vector on the shorter way and x the phase that both share. The forcing of the orientation
-    is scaled by its rotation vector from start to goal, as that of the position by its displacement.
+    The position is a `Dmp`. The orientation has a spring along the shorter way to its goal, and a forcing over the same
+    phase, scaled by the rotation vector from start to goal: docs/theory/pose_dmp.md.
 
     Attributes
     ----------
