@@ -254,7 +254,7 @@ void armlab::python::bind_estimator(nb::module_ &m) {
                         arg("cutoff"), arg("method") = 0, arg("point") = nb::none());
   bind_steps(wrench);
   auto momentum = nb::class_<MomentumEstimator>(
-      m, "MomentumEstimator", "Contact wrench by momentum; see tests/oracles/momentum.py.")
+      m, "MomentumEstimator", "Contact wrench by momentum; see docs/theory/contact_force.md.")
                       .def("__init__", &construct_momentum, arg("chain"), array("gravity"),
                           array("links"), array("rotor"), arg("drive"), array("gains"),
                           arg("gain_variance"), array("covariance"), array("prior"),
@@ -265,7 +265,7 @@ void armlab::python::bind_estimator(nb::module_ &m) {
   bind_steps(momentum);
   m.def("momentum_step", &filter_step, array("x"), array("P"), array("G"), array("u"), array("y"),
       array("R"), arg("h"), array("Qp"), array("q"), array("a"),
-      "One step of the momentum filter; see tests/oracles/momentum.py.");
+      "One step of the momentum filter; see docs/theory/contact_force.md.");
   m.def("solve_wrench", &solve, array("A"), array("error"), array("variance"), array("bound"),
       array("prior"), arg("method"), "Wrench of one instant; see tests/oracles/wrench.py.");
   m.def("wrench_interval", &interval, array("A"), array("error"), array("spread"), array("box"),

@@ -188,7 +188,7 @@ def test_around_the_arms(tmp_path: Path) -> None:
     around = SurroundingOptions(operator=push, motors="0:on,2:off", rapid="undefined")
     first, second = (around.scene(ROBOT, index, [0, index], 1) for index in (0, 1))
     assert first.operator.at(1.0) is not None
-    assert second.operator.at(1.0) is None, "the files are for the first robot"
+    assert second.operator is None, "the files are for the first robot"
     assert first.hand is not None
     assert (first.motors.at(3.0), first.rapid.at(3.0), first.external) == (2, 0, 1)
     with pytest.raises(UnknownName, match="off"):

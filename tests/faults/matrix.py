@@ -51,11 +51,13 @@ class Cell:
 
 def _read() -> Iterator[Cell]:
     text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
-    for row in tomllib.loads(text)["cell"]:
-        states = row.pop("states").split(", ")
-        assert row["kind"] in KINDS, row
-        assert set(states) <= set(STATES), (states, row)
-        yield from (Cell(state=state, **row) for state in states)
+    for shared in tomllib.loads(text)["test"]:
+        for own in shared.pop("cells"):
+            row = shared | own
+            states = row.pop("states").split(", ")
+            assert row["kind"] in KINDS, row
+            assert set(states) <= set(STATES), (states, row)
+            yield from (Cell(state=state, **row) for state in states)
 
 
 CELLS = tuple(_read())

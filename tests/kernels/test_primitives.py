@@ -1,4 +1,4 @@
-"""Movement primitives, of orientations too, their control and obstacles: against oracles and closed forms."""
+"""Movement primitives, of orientations too, and their control: against oracles and closed forms; refusals."""
 
 from __future__ import annotations
 
@@ -165,19 +165,6 @@ def primitive(module: Any, weights: Any, alpha: float = 25.0, stiffness: float =
     return module.Primitive(centres, widths, np.reshape(weights, (3, 1)), alpha, stiffness, 1.0, pace, "time")
 
 
-def test_the_gate_of_time_is_the_quintic_smooth_step() -> None:
-    """From 1 at x = 1 to 0 at 1.1, where its second derivative is zero as beside them."""
-    gate = primitive(kernels, np.ones(3)).forcing  # kernels sum to 1
-    u = np.linspace(-3.0, 3.0, 121)
-    late = u.clip(0.0, 1.0)
-    wanted = 1.0 - (10 * late**3 - 15 * late**4 + 6 * late**5)
-    np.testing.assert_allclose(gate(1.0 + 0.1 * u)[:, 0], wanted, rtol=0, atol=1e-12)
-    h = 1e-4
-    for end in (1.0, 1.1):
-        before, at, after = gate(end + h * np.array([-1.0, 0.0, 1.0]))[:, 0]
-        assert abs(before - 2 * at + after) / h**2 < 2.0  # 300 with a cubic step, 1e5 with a line
-
-
 SPRINGS = {  # damping and stiffness; near critical both sides, for the series of cosh and cos
     "critical": (25.0, 156.25),
     "nearly, above": (25.0, 156.25 - 1e-6),
@@ -214,38 +201,9 @@ def turning(phase: str = "canonical", n: int = 3) -> Any:
     return kernels.Primitive(centres, np.full(12, 0.06), weights, 25.0, 156.25, 1.0, 1 / 3, phase)
 
 
-def test_a_stepper_is_a_rollout_and_takes_another_goal_and_time_constant() -> None:
-    stepper = kernels.RotationStepper(turning())
-    stepper.start(Q0, W0, GOAL, MAP, TAU)
-    rows = [stepper.outputs(), *(stepper.step(dt) for dt in np.diff(T[:20]))]
-    whole = kernels.rotation_rollout(turning(), T[:20], TAU, Q0, W0, GOAL, MAP)
-    for own, wanted in zip((np.array(part) for part in zip(*rows)), whole):
-        np.testing.assert_array_equal(own, wanted)
-    q, w, _ = rows[-1]
-    stepper.change_tau(2 * TAU)
-    np.testing.assert_allclose(stepper.outputs()[1], w, rtol=1e-14)
-    assert stepper.tau == 2 * TAU
-    stepper.change_goal(Q0, 0 * MAP)
-    for _ in range(60):
-        q, w, _ = stepper.step(0.1)
-    np.testing.assert_allclose(np.abs(q @ Q0), 1.0, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(np.linalg.norm(whole[0], axis=1), 1.0, rtol=0, atol=1e-12)
-    assert stepper.elapsed > 9
-
-
-def test_order_is_four() -> None:
-    """On the way of a smooth force, against many small steps; and where the goal is half a turn away nothing breaks."""
-    smooth = kernels.Primitive(
-        np.linspace(0, 1, 4), np.full(4, 0.3), np.full((4, 3), [60, -80, 40.0]), 25, 156.25, 1, 1 / 3, "canonical"
-    )
-    ends = {}
-    for n in (100, 200, 3200):
-        ends[n] = kernels.rotation_rollout(smooth, np.linspace(0, 1, n + 1), 1 / 3, Q0, W0, GOAL, np.eye(3))[0][n // 2]
-    fine = ends[max(ends)]
-    coarse, better = (np.linalg.norm(ends[n] - fine) for n in (100, 200))
-    assert np.log2(coarse / better) > 3.8
+def test_a_goal_half_a_turn_away_breaks_nothing() -> None:
     half = quaternion.multiply(quaternion.from_matrix(so3.exp([0, 0, np.pi])), Q0)
-    q, _, _ = kernels.rotation_rollout(smooth, T, TAU, Q0, 0 * W0, half, np.eye(3))
+    q, _, _ = kernels.rotation_rollout(turning(), T, TAU, Q0, 0 * W0, half, np.eye(3))
     assert np.isfinite(q).all()
 
 
@@ -406,61 +364,6 @@ SLIDING = np.zeros(7, dtype=bool)
 SLIDING[2] = True
 
 
-def pair(kind: str, rng: np.random.Generator, by_potential: bool) -> tuple[Any, Any]:
-    if kind in ("plane", "space"):
-        arm = 2 if kind == "plane" else 3
-        return tuple(module.Obstacles(arm, None, None, 0.02, 0.5, by_potential) for module in (kernels, oracles))
-    links, bodies = np.array([7.0, 3.0, 1.0]), rng.normal(0, 0.1, (3, 7))
-    bodies[:, 6] = 0.02
-    bodies[2, 3:6] = bodies[2, :3]  # a sphere
-    chains = (module.Chain(ROBOT.chain.frames, SLIDING) for module in (kernels, oracles))
-    modules = zip((kernels, oracles), chains)
-    return tuple(module.Obstacles(chain, links, bodies, 0.02, 0.5, by_potential) for module, chain in modules)
-
-
-def capsules(kind: str, rng: np.random.Generator, near: np.ndarray, count: int) -> np.ndarray:
-    rows = np.concatenate([near + rng.normal(0, 0.2, (count, 3)) for _ in range(2)], axis=1)
-    rows = np.concatenate([rows, rng.uniform(0, 0.05, (count, 1)), rng.normal(0, 0.3, (count, 3))], axis=1)
-    if kind == "plane":
-        rows[:, [2, 5, 9]] = 0.0
-    rows[: count // 2, 3:6] = rows[: count // 2, :3]
-    return rows
-
-
-@given(st.sampled_from(["plane", "space", "arm"]), st.booleans(), st.integers(0, 5), st.integers(0, 999))
-@settings(max_examples=40)
-def test_what_obstacles_add_is_the_reference(kind: str, by_potential: bool, count: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    ours, wanted = pair(kind, rng, by_potential)
-    n = {"plane": 2, "space": 3, "arm": ROBOT.n}[kind]
-    y, yd, g, ydd = rng.normal(0, 0.5, (4, n))
-    near = ROBOT.chain.forward(y)[:3, 3] if kind == "arm" else np.append(y, np.zeros(3 - n))
-    rows = capsules(kind, rng, near, count)
-    for field in (ours, wanted):
-        field.place(rows)
-        field.advance(0.01)
-    np.testing.assert_allclose(ours.distance(y[None]), wanted.distance(y[None]), rtol=0, atol=1e-13)
-    found, specified = ours.add(y, yd, g, ydd), wanted.add(y, yd, g, ydd)
-    np.testing.assert_allclose(found, specified, rtol=0, atol=1e-11 * max(1.0, np.abs(specified).max()))
-
-
-@pytest.mark.parametrize("phase", ["time", "position"])
-def test_steps_among_obstacles_are_the_reference(phase: str) -> None:
-    """Into the reach of one that moves, with a goal that is filtered."""
-    rng = np.random.default_rng(0)
-    runs = []
-    for module, around in zip((kernels, oracles), pair("space", rng, False)):
-        law = module.Primitive(np.linspace(0, 1, 8), np.full(8, 0.1), np.ones((8, 3)), 25.0, 156.25, 1.0, 0.4, phase)
-        around.place(np.array([[0.9, 0.1, 0.0, 0.9, 0.1, 0.0, 0.05, -0.1, 0.0, 0.0]]))
-        one = module.PrimitiveStepper(law, 12.5, around)
-        one.start(np.zeros(3), np.zeros(3), np.array([1.2, 0.5, -0.5]), np.ones(3), 0.3)
-        first = one.follow(np.arange(8) * 0.01)
-        one.change_goal(np.array([1.5, 0.4, -0.4]), np.ones(3))
-        runs.append([*first, *one.follow(np.array([0.0, 0.05, 0.06])), around.distance(first[0])])
-    for ours, wanted in zip(*runs, strict=True):
-        np.testing.assert_allclose(ours, wanted, rtol=0, atol=1e-11 * max(1.0, np.abs(wanted).max()))
-
-
 def test_bad_obstacles_are_refused() -> None:
     good = np.zeros((1, 10))
     chain = kernels.Chain(ROBOT.chain.frames, SLIDING)
@@ -482,9 +385,11 @@ def test_bad_obstacles_are_refused() -> None:
 
 @pytest.mark.parametrize("kind", ["plane", "space", "arm"])
 def test_a_distance_that_is_not_known_is_no_large_one(kind: str) -> None:
-    n = {"plane": 2, "space": 3, "arm": ROBOT.n}[kind]
-    for field in pair(kind, np.random.default_rng(0), False):
-        field.place(capsules(kind, np.random.default_rng(1), np.zeros(3), 3))
-        for i in range(n):
-            y = np.where(np.arange(n) == i, np.nan, 0.3)
-            assert np.isnan(field.distance(y)), i
+    arm = {"plane": 2, "space": 3, "arm": kernels.Chain(ROBOT.chain.frames, SLIDING)}[kind]
+    bodies = (np.array([7.0]), np.full((1, 7), 0.02)) if kind == "arm" else (None, None)
+    field = kernels.Obstacles(arm, *bodies, 0.02, 0.5)
+    field.place(np.full((2, 10), 0.1) * ([1, 1, 0, 1, 1, 0, 1, 1, 1, 0] if kind == "plane" else 1))
+    n = 7 if kind == "arm" else arm
+    for i in range(n):
+        y = np.where(np.arange(n) == i, np.nan, 0.3)
+        assert np.isnan(field.distance(y)), i

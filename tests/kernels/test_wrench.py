@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations, product
+from itertools import product
 
 import numpy as np
 import osqp
@@ -71,14 +71,6 @@ def test_without_a_bound_it_is_the_most_probable_wrench() -> None:
         np.testing.assert_allclose(free[1], plain[1], rtol=0, atol=1e-8)
 
 
-def test_both_forms_of_the_most_probable_wrench_agree() -> None:
-    for A, _, _, variance, bound, error in problems(200, 1):
-        x, P, *_ = solve_wrench(A, error, variance, bound, PRIOR, MAP)
-        information = np.linalg.inv((A / variance) @ A.T + np.diag(1 / PRIOR))
-        np.testing.assert_allclose(P, information, rtol=0, atol=1e-8)
-        np.testing.assert_allclose(x, information @ (A / variance) @ error, rtol=0, atol=1e-9)
-
-
 def test_newton_finds_the_minimum_that_a_quadratic_programme_finds() -> None:
     """300 problems: KKT below 1e-8 everywhere; two other solvers, asked for 50 of them, agree within 1e-3 N."""
     iterations = []
@@ -110,71 +102,12 @@ def test_the_clip_iteration_creeps_to_the_same_minimum() -> None:
     assert np.median(rounds) > 50
 
 
-def test_a_small_change_of_torque_changes_the_wrench_little() -> None:
-    rng = np.random.default_rng(4)
-    for A, _, _, variance, bound, error in problems(100, 4):
-        x = solve_wrench(A, error, variance, bound, PRIOR, BOUNDED)[0]
-        y = solve_wrench(A, error + 1e-6 * rng.standard_normal(7), variance, bound, PRIOR, BOUNDED)[0]
-        assert np.max(np.abs(x - y) / np.sqrt(PRIOR)) < 1e-3
-
-
 def test_inside_every_band_there_is_no_contact() -> None:
     A, _, _, variance, _, _ = next(problems(1, 5))
     x, P, active, *_ = solve_wrench(A, 0.9 * COULOMB, variance, COULOMB, PRIOR, BOUNDED)
     assert np.array_equal(x, np.zeros(6))
     assert not active.any()
     np.testing.assert_allclose(P, np.diag(PRIOR))
-
-
-def test_a_bound_beats_a_variance_where_friction_is_bounded() -> None:
-    """Pushes of 10 N, each joint stuck with probability 1/2, against MAP with s^2 + D^2/3.
-
-    Median force error at least 10 % lower, false force without contact at most a third. (Forces as large as the prior
-    expects are the home ground of MAP: the bounded estimate admits only the force that is proven, and is worse there.)
-    """
-    bounded, random, false = [], [], []
-    rng = np.random.default_rng(60)
-    for A, _, d, variance, bound, _ in problems(600, 6):
-        push = rng.standard_normal(3)
-        F = np.r_[10 * push / np.linalg.norm(push), 0, 0, 0]
-        free = d + np.sqrt(variance) * rng.standard_normal(7)
-        wide = variance + bound**2 / 3
-        for error, into in ((A.T @ F + free, (bounded, random)), (free, None)):
-            ours = solve_wrench(A, error, variance, bound, PRIOR, BOUNDED)[0][:3]
-            theirs = solve_wrench(A, error, wide, bound, PRIOR, MAP)[0][:3]
-            if into is None:
-                false.append((np.linalg.norm(ours), np.linalg.norm(theirs)))
-            else:
-                into[0].append(np.linalg.norm(ours - F[:3]))
-                into[1].append(np.linalg.norm(theirs - F[:3]))
-    assert np.median(bounded) < 0.9 * np.median(random)
-    ours, theirs = np.median(false, axis=0)
-    assert ours < theirs / 3
-
-
-def test_the_prior_is_worth_most_near_singular_poses() -> None:
-    """Torque deviation of 5 % of the largest torque: map beats the printed formula, and both least squares by far."""
-    errors = {MAP: [], LUND: [], LS: []}
-    rng = np.random.default_rng(70)
-    for A, F, _, _, bound, _ in problems(1000, 7, stuck=0.0):
-        error = A.T @ F + COULOMB * rng.standard_normal(7)
-        for method, found in errors.items():
-            x, *_, singular = solve_wrench(A, error, COULOMB**2, bound, PRIOR, method)
-            assert not singular
-            found.append(np.linalg.norm(x[:3] - F[:3]))
-    rms = {method: np.sqrt(np.mean(np.square(found))) for method, found in errors.items()}
-    assert rms[MAP] < 0.95 * rms[LUND]
-    assert rms[LS] > 3 * rms[MAP]
-
-
-def test_the_covariance_of_every_linear_method_is_that_of_its_errors() -> None:
-    """NEES over wrenches from the prior: the printed formula is worse than map, but it knows by how much."""
-    nees = {MAP: [], LUND: []}
-    for A, F, _, variance, bound, error in problems(2000, 8, stuck=0.0):
-        for method, found in nees.items():
-            x, P, *_ = solve_wrench(A, error, variance, bound, PRIOR, method)
-            found.append((x - F) @ np.linalg.solve(P, x - F) / 6)
-    assert all(abs(np.mean(found) - 1) < 0.05 for found in nees.values())
 
 
 def test_least_squares_says_where_the_pose_does_not_determine_the_wrench() -> None:
@@ -203,43 +136,12 @@ def test_the_interval_holds_the_truth() -> None:
             assert np.all(wider[:, 1] >= ends[:, 1] - 1e-6)
 
 
-def test_the_interval_is_that_of_all_corners() -> None:
-    """Three unknowns: the corners are the meetings of three planes that satisfy all others."""
-    rng = np.random.default_rng(11)
-    for _ in range(10):
-        A, x, spread, box = rng.standard_normal((3, 7)), rng.standard_normal(3), rng.uniform(0.1, 2, 7), np.full(3, 4.0)
-        error = A.T @ x + rng.uniform(-1, 1, 7) * spread
-        normals = np.vstack([A.T, np.eye(3)])
-        low, high = np.r_[error - spread, -box], np.r_[error + spread, box]
-        corners = []
-        for rows in combinations(range(10), 3):
-            for side in product((low, high), repeat=3):
-                planes = np.array([side[i][row] for i, row in enumerate(rows)])
-                corner = np.linalg.solve(normals[list(rows)], planes)
-                if np.all((normals @ corner >= low - 1e-9) & (normals @ corner <= high + 1e-9)):
-                    corners.append(corner)
-        ends, _ = wrench_interval(A, error, spread, box)
-        np.testing.assert_allclose(ends[:, 0], np.min(corners, axis=0), rtol=0, atol=1e-7)
-        np.testing.assert_allclose(ends[:, 1], np.max(corners, axis=0), rtol=0, atol=1e-7)
-
-
 def test_torques_that_no_wrench_explains_are_named() -> None:
     A = np.ones((1, 3))
     ends, violated = wrench_interval(A, np.array([1.0, 1.0, 5.0]), np.full(3, 0.5), np.array([10.0]))
     assert ends is None
     assert violated[2]
     assert violated.sum() <= 2
-
-
-@pytest.mark.parametrize("method", [MAP, BOUNDED, CLIP, LUND])
-def test_thousands_of_units_are_the_same_wrench(method: int) -> None:
-    """Newtons in kilonewtons, metres in millimetres: moments in N m either way; the wrench is the same to 1e-9."""
-    unit = np.array([1e3, 1e3, 1e3, 1, 1, 1])
-    for A, _, _, variance, bound, error in problems(20, 12):
-        variance = variance * 25.0
-        x = solve_wrench(A, error, variance, bound, PRIOR, method)[0]
-        y = solve_wrench(A * unit[:, None], error, variance, bound, PRIOR / unit**2, method)[0]
-        np.testing.assert_allclose(y * unit, x, rtol=0, atol=1e-9 * np.max(np.abs(x)) + (1e-6 if method == CLIP else 0))
 
 
 def test_nothing_in_place_of_an_array_is_refused() -> None:

@@ -87,30 +87,6 @@ def test_dh_poe_and_local_poe_are_one() -> None:
 
 
 @everywhere
-def test_base_and_tool_differ_by_the_rotation(robot: Robot, batch: tuple[int, ...], sampler: Sampler) -> None:
-    q = sampler(np.random.default_rng(2), (*batch, robot.n))
-    R = kinematics.forward(robot, q)[..., :3, :3]
-    J, J_tool = kinematics.jacobian(robot, q), kinematics.jacobian(robot, q, frame="tool")
-    for half in (slice(0, 3), slice(3, 6)):
-        scale = max(1.0, np.abs(J[..., half, :]).max(initial=0.0))
-        assert distance(R @ J_tool[..., half, :], J[..., half, :]) <= 1e-14 * scale
-
-
-@everywhere
-def test_power_is_that_of_the_joints(robot: Robot, batch: tuple[int, ...], sampler: Sampler) -> None:
-    """twist . wrench = qd . (J^T wrench), in base axes and in tool axes."""
-    rng = np.random.default_rng(3)
-    q, qd = sampler(rng, (*batch, robot.n)), rng.standard_normal((*batch, robot.n))
-    wrench = rng.standard_normal((*batch, 6))
-    R_transposed = np.swapaxes(kinematics.forward(robot, q)[..., :3, :3], -1, -2)
-    wrench_tool = np.concatenate([apply(R_transposed, wrench[..., :3]), apply(R_transposed, wrench[..., 3:])], axis=-1)
-    J, J_tool = kinematics.jacobian(robot, q), kinematics.jacobian(robot, q, frame="tool")
-    power = np.vecdot(apply(J, qd), wrench)
-    assert distance(np.vecdot(qd, apply(np.swapaxes(J, -1, -2), wrench)), power) <= 1e-12
-    assert distance(np.vecdot(qd, apply(np.swapaxes(J_tool, -1, -2), wrench_tool)), power) <= 1e-12
-
-
-@everywhere
 def test_jacobian_derivative(robot: Robot, batch: tuple[int, ...], sampler: Sampler) -> None:
     """It is linear in qd, and the acceleration of a motion is J qdd + Jd qd."""
     rng, h = np.random.default_rng(4), 2e-4
@@ -127,15 +103,6 @@ def test_jacobian_derivative(robot: Robot, batch: tuple[int, ...], sampler: Samp
         change = 8 * (twist(h) - twist(-h)) - (twist(2 * h) - twist(-2 * h))  # error of fourth order
         acceleration = apply(kinematics.jacobian(robot, q, frame), b) + apply(Jd, a)
         assert distance(acceleration, change / (12 * h)) <= 1e-8
-
-
-@everywhere
-def test_derivative_of_the_jacobian_is_symmetric(robot: Robot, batch: tuple[int, ...], sampler: Sampler) -> None:
-    """The position is a function: d2p/dq_i dq_j = d2p/dq_j dq_i, so the upper half of dJ_i/dq_j is symmetric."""
-    q = sampler(np.random.default_rng(5), (*batch, robot.n))
-    unit = np.broadcast_to(np.eye(robot.n), (*batch, robot.n, robot.n))
-    dJ = kinematics.jacobian_derivative(robot, np.broadcast_to(q[..., None, :], unit.shape), unit)[..., :3, :]
-    assert distance(dJ, np.swapaxes(dJ, -3, -1)) <= 1e-14 * max(1.0, np.abs(dJ).max(initial=0.0))
 
 
 @everywhere

@@ -20,7 +20,6 @@ from armlab.motion.control import Arms, Controller, robots_of
 
 PERIOD = 0.004032
 ROBOT = robots.load("yumi_right")
-REACH = 0.3 * np.array([1, 1, 1, 1, -1, 1, 1])
 
 
 def made(dmp: Dmp, kind: str, **more: Any) -> Controller:

@@ -28,15 +28,6 @@ def shifted(w: list[float], p: list[float]) -> np.ndarray:
 MOVE = shifted([0.4, 1.1, -0.7], [0.2, -0.5, 0.1])
 
 
-def test_it_starts_and_ends_where_it_was_taught(pose_fit: Taught, pose_demo: tuple[np.ndarray, np.ndarray]) -> None:
-    dmp, T = pose_fit.value, pose_demo[1]
-    np.testing.assert_allclose(dmp.T_start, T[0], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(dmp.T_goal, T[-1], rtol=0, atol=1e-12)
-    assert dmp.duration == 1.0
-    late = dmp.rollout(np.linspace(0, 8, 2001)).T[-1]
-    np.testing.assert_allclose(late, T[-1], rtol=0, atol=1e-9)
-
-
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_another_goal_and_start_are_reached_from_quaternions_of_either_sign(pose_fit: Taught, sign: float) -> None:
     start, goal = (np.r_[T[:3, 3], sign * quaternion.from_matrix(T[:3, :3])] for T in (MOVE, MOVE @ MOVE))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from armlab import State, bridge, robots
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.dmp import DmpController
-from armlab.motion.timing import PacedDmp, PacedStepper, fastest, peaks, retimed, shortest_duration
+from armlab.motion.timing import PacedDmp, PacedStepper, fastest, retimed, shortest_duration
 
 U = np.linspace(0.0, 1.0, 501)
 S = U**3 * (10 - 15 * U + 6 * U**2)
@@ -49,11 +49,6 @@ def test_slow_motion_keeps_its_duration_and_far_goals_take_longer(dmp: Dmp) -> N
     assert shortest_duration(dmp, 100.0, 1000.0) == dmp.duration
     near, far = (shortest_duration(dmp, [0.5, 100.0], g=dmp.y0 + s * (dmp.g - dmp.y0)) for s in (1.0, 3.0))
     assert far == pytest.approx(3 * near, rel=1e-9)
-
-
-def test_peaks_are_found_between_samples(dmp: Dmp) -> None:
-    coarse, fine = (peaks(dmp.rollout(np.linspace(0, 1, N))) for N in (1001, 20001))
-    np.testing.assert_allclose(coarse, fine, rtol=1e-6)
 
 
 TURN = 2.8 * np.pi * S

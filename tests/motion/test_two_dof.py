@@ -114,18 +114,6 @@ def test_events_happen_between_the_samples(primitive: Build) -> None:
     assert run.disturbed == ((0.4013, 0.5005), (0.4013, 0.5005))
 
 
-def test_a_run_is_that_on_a_grid_with_the_times_of_its_events(primitive: Build) -> None:
-    two_dof, t = TwoDofDmp(primitive(), kc=100.0), 0.01 * np.arange(101)
-    events = [Hold(0.3033, 0.4521, [1]), Push(0.6077, 0.7049, 0.2, [0]), Displace(0.8012, 0.1)]
-    finer = np.union1d(t, [0.3033, 0.4521, 0.6077, 0.7049, 0.8012])
-    run, wanted = two_dof.simulate(t, events, dt=0.01), two_dof.simulate(finer, events, dt=0.01)
-    rows = np.searchsorted(finer, t)
-    for name in ("yc", "ycd", "ya", "yad", "e", "x", "tau_a"):
-        np.testing.assert_allclose(getattr(run, name), getattr(wanted, name)[rows], rtol=0, atol=1e-9, err_msg=name)
-    alone = two_dof.simulate(t, [], dt=0.01)
-    assert np.abs(run.ya - alone.ya).max() > 0.01
-
-
 def test_at_the_time_of_an_event_is_what_was_before_it(primitive: Build) -> None:
     two_dof, t = TwoDofDmp(primitive()), np.array([0.0, 0.5, 0.5 + 1e-9])
     run = two_dof.simulate(t, [Displace(0.5, [0.1, 0.0, -0.2])])

@@ -24,8 +24,7 @@ One run of a movement primitive, sample by sample.
 
 A goal that has moved is reached at once, or by ``g' = filter (target - g)``, exactly; so is the scale. Where a
 coordinate brakes, ``v^2 <= 2 limit |target - y|`` on the way to the new goal, and y stays on the side of it where it
-was; it brakes only if that holds already when the goal changes. Obstacles within reach add to the acceleration; then a
-step is by Runge and Kutta, and 0.35 time constants of the spring at most.
+was; it brakes only if that holds already when the goal changes.
 """
 
 from __future__ import annotations
@@ -33,8 +32,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-
-from .obstacles import Obstacles
 
 PHASES = ("canonical", "time", "position", "periodic")
 FADED = 40.0
@@ -205,14 +202,11 @@ def share(p: Primitive, x: np.ndarray) -> np.ndarray:
     return 1.0 - late**3 * (late * (6.0 * late - 15.0) + 10.0)
 
 
-COUPLED_STEP = 0.35  # time constants of the spring
-
-
 class PrimitiveStepper:
     """One run of a primitive."""
 
-    def __init__(self, primitive: Primitive, filter: float = 0.0, around: Obstacles | None = None) -> None:
-        self.primitive, self.filter, self._around = primitive, filter, around
+    def __init__(self, primitive: Primitive, filter: float = 0.0) -> None:
+        self.primitive, self.filter = primitive, filter
         self.n = primitive.weights.shape[1]
         self.tau, self.elapsed = 1.0, 0.0
         self.y = self.z = self.y0 = self.g = self.target = self.scale = self.forcing = np.zeros(self.n)
@@ -249,9 +243,7 @@ class PrimitiveStepper:
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Advance by dt and return y, yd, ydd."""
         r = dt / self.tau
-        if self._around is not None:
-            self._step_coupled(r, self._around)
-        elif self.primitive.phase == "position":
+        if self.primitive.phase == "position":
             self._step_position(r)
         else:
             self._step_spring(r)
@@ -272,24 +264,11 @@ class PrimitiveStepper:
         for _ in range(parts):
             self._step_runge(r / parts)
 
-    def _step_coupled(self, r: float, around: Obstacles) -> None:
-        p = self.primitive
-        parts = max(int(np.ceil(max(p.alpha, np.sqrt(p.stiffness)) * r / COUPLED_STEP)), 1)
-        h = r / parts
-        for _ in range(parts):
-            if p.phase == "position" or around.acts(self.y):
-                self._step_runge(h)
-            else:
-                self._step_spring(h)
-                around.advance(h * self.tau)
-
     def _step_runge(self, h: float) -> None:
         s, y, z = self.elapsed, self.y, self.z
         a = self._slope(s, y, z)
-        self._wait(h / 2)
         b = self._slope(s + h / 2, y + h / 2 * a[0], z + h / 2 * a[1])
         c = self._slope(s + h / 2, y + h / 2 * b[0], z + h / 2 * b[1])
-        self._wait(h / 2)
         d = self._slope(s + h, y + h * c[0], z + h * c[1])
         self.y = y + h / 6 * (a[0] + 2 * b[0] + 2 * c[0] + d[0])
         self.z = z + h / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
@@ -298,13 +277,8 @@ class PrimitiveStepper:
         self.forcing = self._force(self.elapsed, self.y, self.g)
 
     def _slope(self, s: float, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        p, g, square = self.primitive, self._goal(s), self.tau**2
-        a = p.stiffness * (g - y) - p.alpha * z + self._force(s, y, g)
-        return z, a if self._around is None else square * self._around.add(y, z / self.tau, g, a / square)
-
-    def _wait(self, r: float) -> None:
-        if self._around is not None:
-            self._around.advance(r * self.tau)
+        p, g = self.primitive, self._goal(s)
+        return z, p.stiffness * (g - y) - p.alpha * z + self._force(s, y, g)
 
     def _brake(self) -> None:
         left, v = self.side * (self.target - self.y), self.side * self.z / self.tau
@@ -345,6 +319,4 @@ class PrimitiveStepper:
         """Return y, yd, ydd as they are now."""
         p, yd = self.primitive, self.z / self.tau
         ydd = (p.stiffness * (self.g - self.y) - p.alpha * self.z + self.forcing) / self.tau**2
-        if self._around is not None:
-            ydd = self._around.add(self.y, yd, self.g, ydd)
         return self.y.copy(), yd, np.where(self.braking, np.where(yd == 0, 0.0, -self.side * self.limit), ydd)

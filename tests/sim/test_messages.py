@@ -11,9 +11,9 @@ import pytest
 from armlab import robots
 from armlab.sim.arm.arm import SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
-from armlab.sim.controller.controller import QUEUE_LENGTH, ReplyQueue, Sent
+from armlab.sim.controller.controller import ReplyQueue, Sent
 from armlab.sim.controller.guidance import Guidance, ReferenceDecoder
-from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, Condition, PacketBuilder
+from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, PacketBuilder
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import EventLog, Statistics
 from armlab.wire.egm import Drop, EgmCodec, Packet, Reference
@@ -22,14 +22,14 @@ from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 ROBOT = robots.load("yumi_left")
 ARM = SimulatedArm(ROBOT, synthetic_truth(ROBOT))
-CONDITION = Condition(seq=5, motors=1, mci=3, rapid=2, converged=False, mode=1, used_seq=4, left=0)
+CONDITION = {"seqno": 5, "motors": 1, "mci": 3, "rapid": 2, "converged": False}
 
 
 def packet(robotware: str = "6.10", external: int = 0, **options: Any) -> bytes:
     codec = RobotSideCodec(ROBOT, robotware, force=options.get("force", False), external=external)
     guidance = Guidance(ROBOT, ControllerSettings(), ROBOT.q_home)
     packets = PacketBuilder(codec, 0.004032, **options)
-    return packets.encode(250, ARM, guidance, CONDITION, [0.25] * external)
+    return packets.encode(250, ARM, guidance, [0.25] * external, **CONDITION)
 
 
 def decode(data: bytes) -> Packet:
@@ -77,12 +77,10 @@ def test_torque_reference_of_robotware_7() -> None:
 def test_rapid_sends_back_what_it_heard() -> None:
     target = ReferenceDecoder(ROBOT, ControllerSettings())
     target.accept(SensorMessage(0, 1, 3, rapid_data=np.arange(5.0), rapid_digital=True), ROBOT.q_home, None)
-    condition = Condition(0, 1, 3, 2, False, 1, 0, 0)
     for data in (0, 3):
         packets = PacketBuilder(RobotSideCodec(ROBOT, "7"), 0.004, data=data)
-        found = decode(
-            packets.encode(0, ARM, Guidance(ROBOT, ControllerSettings(), ROBOT.q_home), condition, (), target)
-        )
+        guidance = Guidance(ROBOT, ControllerSettings(), ROBOT.q_home)
+        found = decode(packets.encode(0, ARM, guidance, (), target, **CONDITION))
         assert (found.rapid_data.tolist(), found.rapid_digital) == ([0.0, 1.0, 2.0][:data], data > 0)
 
 
@@ -166,21 +164,6 @@ def test_a_packet_without_a_reply_within_its_period_is_missed() -> None:
         if k == 0:
             matched(box, SensorMessage(0, 10_000, 3), 10**9 + 200_000)
     assert statistics.counts["missed"] == 1, "packet 0 was answered, 2 did not guide, 3 has time left"
-
-
-def test_first_in_first_out_of_64_with_ages() -> None:
-    box, statistics = inbox()
-    assert QUEUE_LENGTH == 64
-    assert all(box.put(SensorMessage(k, None, 3), k) for k in range(QUEUE_LENGTH))
-    assert not box.put(SensorMessage(99, None, 3), None)
-    assert len(box) == QUEUE_LENGTH
-    taken = [box.take(10) for _ in range(3)]
-    assert [message and message.seqno for message in taken] == [0, 1, 2]
-    assert dict(statistics.age) == {10: 1, 9: 1, 8: 1}
-    assert statistics.last_age == 8
-    assert statistics.queue[QUEUE_LENGTH] == 1
-    box.begin()
-    assert box.take(11) is None
 
 
 @pytest.mark.parametrize(("mode", "reason"), [("joint", None), ("pose", "no pose"), ("path", "no path correction")])

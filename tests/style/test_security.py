@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from .test_architecture import FILES, ROOT, SOURCE, nodes
+from .test_architecture import FILES, SOURCE, nodes
 
 RUNS_DATA = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "joblib", "runpy", "code", "ctypes"}
 """Modules by which data can become code."""
@@ -134,12 +134,6 @@ def test_only_what_is_listed_knows_all_addresses() -> None:
 
 def test_sockets_are_read_up_to_a_size() -> None:
     assert [one for path in FILES for one in found(path, reads_without_a_bound)] == []
-
-
-def test_the_page_names_tests_that_are_there() -> None:
-    named = re.findall(r"`(tests/[^`]+)`", (ROOT / "docs/security.md").read_text(encoding="utf-8"))
-    assert len(named) > 10
-    assert [one for one in named if not (ROOT / one).exists()] == []
 
 
 BAD = {

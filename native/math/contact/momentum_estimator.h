@@ -1,4 +1,4 @@
-// Contact wrench by the generalised momentum; mathematics: tests/oracles/momentum.py.
+// Contact wrench by the generalised momentum; mathematics: docs/theory/contact_force.md.
 #pragma once
 
 #include "math/contact/estimator.h"

@@ -1,4 +1,4 @@
-// Three angles about three axes. Specification: tests/oracles/lie.py.
+// Three angles about three axes. Exact values: tests/numerics/tables/groups.json.
 #pragma once
 
 #include "math/lie/lie.h"

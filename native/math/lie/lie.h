@@ -1,7 +1,8 @@
 // Rotations and rigid motions: exponential, logarithm and quaternions over Real (double or Lanes).
 //
-// Specification: tests/oracles/lie.py. Both sides of every `select` are computed, and the one that
-// is not chosen may be NaN; so a batch gives bit for bit what single calls give. No arc cosine.
+// Exact values: tests/numerics/tables/groups.json. Both sides of every `select` are computed, and
+// the one that is not chosen may be NaN; so a batch gives bit for bit what single calls give. No
+// arc cosine.
 #pragma once
 
 #include "math/lie/vec3.h"

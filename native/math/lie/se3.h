@@ -1,6 +1,6 @@
 // Exponential and logarithm of twists [v; w], and the left Jacobians of SO(3) and SE(3).
 //
-// Specification: tests/oracles/lie.py.
+// Exact values: tests/numerics/tables/groups.json.
 #pragma once
 
 #include <cstddef>

@@ -1,4 +1,4 @@
-// Obstacles that a motion goes around. Specification: tests/oracles/obstacles.py.
+// Obstacles that a motion goes around. Specification: docs/theory/obstacles.md.
 #pragma once
 
 #include <optional>

@@ -117,9 +117,9 @@ class SurroundingOptions:
     rapid: str = "running"
 
     def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Surroundings:
-        from armlab.sim.events import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
+        from armlab.sim.events import MOTORS, RAPID, Grip, HandPath, StateScript, Surroundings
 
-        operator = AppliedWrench.idle() if self.operator is None or index else read_operator(self.operator)
+        operator = None if self.operator is None or index else read_operator(self.operator)
         hand = HandPath.random(robot, seed) if self.hand is None or index else read_hand(self.hand, robot.n)
         grip = None if self.grip is None or index else Grip(*pair("grip", self.grip))
         return Surroundings(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -210,22 +210,13 @@ class Dmp(Equation, Saved, kind="dmp"):
         return DmpController(robot, self, {"duration": duration, "g": g, "amplitude": amplitude}, limits)
 
 
-class Steppable(Protocol):
-    """A motion with a stepper of `step`, `state`, `t`, `duration`, `goal` and `change_goal`: a `Dmp` and its kind."""
-
-    @property
-    def n(self) -> int: ...
-    @property
-    def stepper(self) -> Callable[..., Any]: ...
-
-
 class DmpController(Controller):
-    """A plain `Dmp`: the arm is told the path and its velocity, whatever it does."""
+    """A plain `Dmp`, or its kind with a stepper: the arm is told the path and its velocity, whatever it does."""
 
     def __init__(
         self,
         robot: Arms,
-        dmp: Steppable,
+        dmp: Any,
         settings: Mapping[str, Any],
         limits: JointLimits | Sequence[JointLimits] | None = None,
     ) -> None:

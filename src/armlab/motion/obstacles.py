@@ -72,17 +72,9 @@ class Capsule:
 class AvoidingDmp:
     """A movement primitive that goes around obstacles and keeps a clearance from them.
 
-    Of each obstacle within `reach` with d the distance, theta the angle from the velocity v to it, n the direction away
-    from it and R the direction across v, away, the acceleration of the primitive is added
-
-    "steering": ``C = w(d) 12 theta exp(-20 theta / pi) |v| R``;
-    "potential": ``C = w(d) 0.15 |v| cos(theta) (2 sin(theta) R + cos(theta) n) / d^2`` while it comes nearer, the slope
-    of a potential ``cos(theta)^2 |v| / d``.
-
-    w rises from 0 at `reach` to 1 at the clearance, so what is further away does not act. Last a guard keeps
-    ``h = d - clearance`` above zero: ``h'' >= -2 k h' - k^2 h`` with k = 15 per s, or as fast as the approach asks for.
-    What it adds pushes along the surface too. Of an arm the point p of a capsule on a link takes the place of y: an
-    acceleration along e acts on the joints as ``J^T e / (|J^T e|^2 + 0.02^2)``, with J of p.
+    Within `reach` the acceleration of an obstacle is added, steering the velocity away from it or as the slope of a
+    potential; a guard keeps the distance above the clearance. The laws, and what is guaranteed and what is not:
+    docs/theory/obstacles.md.
 
     Attributes
     ----------
@@ -102,7 +94,6 @@ class AvoidingDmp:
     ----------
     Park, Hoffmann, Pastor and Schaal, Humanoids 2008; Hoffmann, Pastor, Park and Schaal, ICRA 2009; Maciejewski and
     Klein, Int. J. Robotics Research 4(3), 1985; Nguyen and Sreenath, ACC 2016.
-    What is guaranteed and what is not: docs/theory/obstacles.md.
     """
 
     dmp: Dmp

@@ -319,8 +319,7 @@ def fit_periodic_dmp(
 ) -> Fit[PeriodicDmp]:
     """Fit a rhythmic movement primitive: the weights whose own steady motion is nearest to the demonstration.
 
-    The steady motion is linear in the weights: kernel j alone makes ``sum_k F_jk exp(i k phi) / (alpha_z beta_z - k^2 +
-    i alpha_z k)``, with F_jk the Fourier coefficients of the kernel. Nothing that was measured is differentiated.
+    The steady motion is linear in the weights, see docs/theory/periodic_dmp.md; nothing measured is differentiated.
 
     Parameters
     ----------

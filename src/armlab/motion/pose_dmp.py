@@ -74,12 +74,8 @@ class PoseRollout:
 class PoseDmp(Saved, kind="pose_dmp"):
     """A movement primitive of poses.
 
-    The position is a `Dmp`. The orientation q follows, with angular velocity eta / tau_d in base axes ::
-
-        tau_d eta' = alpha_z (beta_z log(g q^-1) - eta) + f(x),    tau_d q' = eta q / 2
-
-    where log is the rotation vector on the shorter way and x the phase that both share. The forcing of the orientation
-    is scaled by its rotation vector from start to goal, as that of the position by its displacement.
+    The position is a `Dmp`. The orientation has a spring along the shorter way to its goal, and a forcing over the same
+    phase, scaled by the rotation vector from start to goal: docs/theory/pose_dmp.md.
 
     Attributes
     ----------
@@ -150,7 +146,9 @@ class PoseDmp(Saved, kind="pose_dmp"):
         """Resolve what the caller has left out by the demonstration."""
         p0, q0 = pose(self.T_start if start is None else start, "start")
         p1, q1 = pose(self.T_goal if goal is None else goal, "goal")
-        A = rotation_between(self.goal, q1) if self.frame == "goal" else np.eye(3)
+        A = np.eye(3)
+        if self.frame == "goal":
+            A = quaternion.to_matrix(quaternion.multiply(q1, quaternion.conjugate(self.goal)))
         v0 = w0 = None
         if twist0 is not None:
             v0, w0 = vector(twist0, "twist0", 6).reshape(2, 3) @ A
@@ -417,11 +415,6 @@ def matrix(p: np.ndarray, q: np.ndarray) -> np.ndarray:
     return T
 
 
-def rotation_between(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
-    """Return the rotation (3, 3) from one orientation to another, base axes."""
-    return so3.exp(log(quaternion.multiply(q1, quaternion.conjugate(q0))))
-
-
 FARTHEST = 3.0  # rad from the goal: beyond half a turn the shorter way is another one
 
 FINE = 1000  # steps of the slopes over a duration, at least
@@ -534,14 +527,8 @@ class Turning:
 def fit_turning(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> Turning:
     """Correct weights and start velocity of a first guess until its motion is nearest to orientations q (N, 4).
 
-    Gauss-Newton on the group of rotations. A turn psi of the path, base axes, and a change of eta = tau_d w obey, in
-    units of tau_d, the linearised equation
-
-        psi' = d_eta + eta x psi,    d_eta' = alpha_z beta_z (J_l^-1(e) gamma - J_r^-1(e) psi) - alpha_z d_eta + df
-
-    with the way e to the goal, its turn gamma, and the forcing's change df. One sweep over the motion gives the slopes
-    of all weights, of the velocity and turn at the start, and of the goal. `hold` is the rest at the goal after the
-    end, over the duration.
+    Gauss-Newton on the group of rotations, with the linearised equation of docs/theory/pose_dmp.md. `hold` is the rest
+    at the goal after the end, over the duration.
     """
     step = dmp.duration / (len(t) - 1)
     rest = dmp.duration + step * np.arange(1, round(hold * dmp.duration / step) + 1)

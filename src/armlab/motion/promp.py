@@ -193,13 +193,9 @@ class ProMP(Saved, kind="promp"):
         return self._conditioned(np.stack(rows), index, np.concatenate(z), R.reshape(len(rows) * k, -1))
 
     def _conditioned(self, rows: np.ndarray, index: np.ndarray, z: np.ndarray, R: np.ndarray) -> ProMP:
-        def at_point(w: np.ndarray) -> np.ndarray:
-            """Return H w of weights (n_basis n, ...): H would be nothing but `rows` for each coordinate, and zeros."""
-            of_each = w.reshape(self.n, len(self.centres), -1)[index]
-            return np.concatenate([row @ of_each for row in rows]).reshape(len(z), *w.shape[1:])
-
-        w, H_cov = self.mean.T.ravel(), at_point(self.cov)
-        off, S = z - at_point(w), at_point(H_cov.T) + R
+        H = np.concatenate([np.kron(np.eye(self.n)[index], row) for row in rows])
+        w, H_cov = self.mean.T.ravel(), H @ self.cov
+        off, S = z - H @ w, H_cov @ H.T + R
         values, vectors = np.linalg.eigh(S)
         free = values > SAME * max(float(values[-1]), 1e-300)
         along = vectors.T @ off
@@ -324,10 +320,8 @@ def fit_promp(
 ) -> Fit[ProMP]:
     """Fit mean and covariance of the weights of M demonstrations, apart from the noise of the samples.
 
-    Each demonstration is fitted by least squares, ``w_i`` with covariance ``sigma^2 G_i``; sigma comes from all of
-    their residuals. The covariance over demonstrations is what they differ by beyond that,
-    ``cov = S - mean sigma^2 G_i`` with the sample covariance S, without its negative part. The mean weighs each by
-    ``(cov + sigma^2 G_i)^-1``.
+    The covariance over demonstrations is what their weights differ by beyond the noise of their samples; the mean
+    weighs each demonstration by both: docs/theory/promp.md.
 
     Parameters
     ----------

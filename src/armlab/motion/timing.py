@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Unpack
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,12 +14,9 @@ from armlab._numbers import make_read_only, positive
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion import arguments
 from armlab.motion.arguments import clock
-from armlab.motion.dmp import Dmp
+from armlab.motion.control import Arms, JointLimits
+from armlab.motion.dmp import Dmp, DmpController
 from armlab.motion.primitive.run import Rollout, RunOptions
-
-if TYPE_CHECKING:
-    from armlab.motion.control import Arms, JointLimits
-    from armlab.motion.dmp import DmpController
 
 PEAK_STEPS = 4000  # over a duration, in which peaks are looked for
 FINER = 20  # parts of a step around the largest acceleration: that of many kernels is no parabola there
@@ -226,8 +223,6 @@ class PacedDmp:
         ------
         ShapeError : as of `Dmp.controller`.
         """
-        from armlab.motion.dmp import DmpController
-
         return DmpController(robot, self, {}, limits)
 
 

@@ -28,12 +28,7 @@ if TYPE_CHECKING:
 class TwoDofDmp(Saved, kind="two_dof_dmp"):
     """A movement primitive whose path yc an arm follows at ya, and which slows down while the arm cannot follow.
 
-    With e the filtered error, ``e' = alpha_e (ya - yc - e)``, and d that part of it beyond the dead zone::
-
-        tau_a = tau_d (1 + kc sum (d / e_scale)^2)
-        tau_a yc' = z,   tau_a z' = alpha_z (beta_z (g - yc) - z) + f(x),   tau_a x' = -alpha_x x
-        ya_ref'' = kp (yc - ya) + kv (yc' - ya') + yc''
-
+    With the error filtered and beyond a dead zone the time constant grows; the law: docs/theory/two_dof_dmp.md.
     All coordinates share the phase x and tau_a, so the path keeps its shape. A standing error of 1, 2, 5, 10, 20 mrad
     slows by 1.01, 1.04, 1.25, 2, 5: set `e0` above the level of sensors, friction and delay.
 

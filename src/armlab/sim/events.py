@@ -71,11 +71,6 @@ class AppliedWrench:
                 f"in row {late[0] + 2}."
             )
 
-    @classmethod
-    def idle(cls) -> AppliedWrench:
-        """Return the operator who never touches the arm."""
-        return cls(np.zeros(0), np.zeros((0, 6)))
-
     def at(self, t: float) -> np.ndarray | None:
         """Return the wrench (6,) at guidance time `t`, or None when there is no contact."""
         times = self._t
@@ -177,7 +172,7 @@ class HandPath:
 class Surroundings:
     """What happens around the controller."""
 
-    operator: AppliedWrench = field(default_factory=AppliedWrench.idle)
+    operator: AppliedWrench | None = None
     hand: HandPath | None = None
     motors: StateScript = field(default_factory=lambda: StateScript("on", MOTORS))
     rapid: StateScript = field(default_factory=lambda: StateScript("running", RAPID))
@@ -186,7 +181,7 @@ class Surroundings:
 
     def wrench(self, t: float, T_base_tool: np.ndarray) -> np.ndarray | None:
         """Return the wrench of all hands (6,), base axes, at the tool point, at a guidance time [s]; None for none."""
-        both = self.operator.at(t), self.grip and self.grip.at(t, T_base_tool)
+        both = self.operator and self.operator.at(t), self.grip and self.grip.at(t, T_base_tool)
         acting = [wrench for wrench in both if wrench is not None]
         return np.sum(acting, axis=0) if acting else None
 

@@ -16,7 +16,6 @@ from armlab.motion.primitive.equation import UNSCALED
 from armlab.motion.primitive.run import rotation
 
 FEWEST = 3  # samples
-EVEN = 1e-9  # relative deviation of a step below which it is the rounding of the clock
 LISTED = 10  # row numbers that a message names
 BACK = 1e-3  # of the displacement: a step back or a rest that is no turn
 PAUSE = 0.05  # of the duration without progress that is a pause
@@ -41,12 +40,12 @@ class Demo:
     @cached_property
     def velocity(self) -> np.ndarray:
         """Central differences on the true time stamps (N, n), one-sided at the ends."""
-        return differences(self.y, self.t)
+        return np.gradient(self.y, self.t, axis=0)
 
     @cached_property
     def acceleration(self) -> np.ndarray:
         """Differences of the velocity (N, n)."""
-        return differences(self.velocity, self.t)
+        return np.gradient(self.velocity, self.t, axis=0)
 
     @cached_property
     def behind(self) -> np.ndarray:
@@ -67,18 +66,6 @@ class Demo:
         later = np.searchsorted(self.t, self.t[inside] + PAUSE * self.duration).clip(max=len(p) - 1)
         still = np.flatnonzero(p[later] - p[inside] < BACK)
         return int(inside[still[0]]) if len(still) else None
-
-
-def differences(y: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return central differences of y (N, n) on true time stamps t (N,), one-sided at the ends."""
-    steps = np.diff(t)
-    mean = t[-1] / len(steps) if t[0] == 0.0 else (t[-1] - t[0]) / len(steps)
-    if np.ptp(steps) >= EVEN * mean:
-        return np.gradient(y, t, axis=0)
-    slopes = np.empty_like(y)  # as np.gradient makes them, in half its time
-    slopes[1:-1] = (y[2:] - y[:-2]) / (2.0 * mean)
-    slopes[0], slopes[-1] = (y[1] - y[0]) / mean, (y[-1] - y[-2]) / mean
-    return slopes
 
 
 def read_demos(t: Any, y: Any, sample_weights: Any) -> list[Demo]:

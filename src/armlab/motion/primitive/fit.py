@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -216,7 +215,6 @@ def _fit(dmp: Dmp, problem: WeightProblem, learned: Learned) -> Fit[Dmp]:
     )
 
 
-@lru_cache(16)  # as long to make as the kernels
 def _names(m: int, n: int, M: int, with_ends: bool) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
     """Return names of the unknowns of one coordinate, and names and units of all parameters."""
     ends = [f"{name} of demonstration {k}" if M > 1 else name for k in range(M) for name in ENDS]

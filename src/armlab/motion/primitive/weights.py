@@ -86,9 +86,9 @@ def learn(problem: WeightProblem) -> Learned:
     by_motion = problem.method == "trajectory"
     if by_motion and problem.blank.schedule != "position":
         return fit_trajectory(problem)
-    forced, speeds = zip(*(_forced(problem, k) for k in range(len(problem.demos))))
+    phases, forcings, speeds = zip(*(_forced(problem, k) for k in range(len(problem.demos))))
     ends = np.stack([problem.starts, np.array(speeds), problem.goals], axis=1)
-    first = fit_regression(problem, forced, ends)
+    first = fit_regression(problem, np.concatenate(phases), np.concatenate(forcings), ends)
     return _descended(problem, first) if by_motion else first
 
 
@@ -221,19 +221,11 @@ def _covariance(
     return cov, float(dof)
 
 
-@dataclass(frozen=True)
-class Forced:
-    """What one demonstration asks for: phase x (N,), or (N, n) where every coordinate has its own; forcing f (N, n);
-    scale (n,) of it; weights of the samples (N,)."""
+def _forced(problem: WeightProblem, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return phase, ``f = tau^2 ydd - alpha_z (beta_z (g - y) - tau yd)`` and start velocity of demonstration k.
 
-    x: np.ndarray
-    f: np.ndarray
-    scale: np.ndarray
-    weights: np.ndarray
-
-
-def _forced(problem: WeightProblem, k: int) -> tuple[Forced, np.ndarray]:
-    """Return ``f = tau^2 ydd - alpha_z (beta_z (g - y) - tau yd)`` of demonstration k, and its start velocity."""
+    The phase is (N,), or (N, n) where every coordinate has its own.
+    """
     blank, demo, goal = problem.blank, problem.demos[k], problem.goals[k]
     velocity, acceleration, tau = demo.velocity, demo.acceleration, problem.tau(demo)
     if problem.bandwidth is not None:
@@ -245,24 +237,24 @@ def _forced(problem: WeightProblem, k: int) -> tuple[Forced, np.ndarray]:
     by_position = blank.schedule == "position"
     x = progress(demo.y, problem.starts[k], goal) if by_position else blank.phase(demo.t, tau)
     start = problem.known["v0"] if "v0" in problem.known else np.asarray(velocity)[0]
-    return Forced(x, f, problem.scales[k], demo.weights), start
+    return x, f, start
 
 
-def fit_regression(problem: WeightProblem, demos: tuple[Forced, ...], ends: np.ndarray) -> Learned:
-    """Fit weights that demonstrations share to their forcing.
+def fit_regression(problem: WeightProblem, x: np.ndarray, f: np.ndarray, ends: np.ndarray) -> Learned:
+    """Fit weights that demonstrations share to their forcing f (N, n) at phases x (N,) or (N, n).
 
     By least squares, or with method "lwr" each weight as a mean weighed by its own kernel, ``sum bell x f / sum bell
     x^2``. The forcing has the factor x but for schedule "time".
     """
     blank, m, fades = problem.blank, problem.blank.n_basis, problem.blank.schedule != "time"
     fit = _kernel_by_kernel if problem.method == "lwr" else _least_squares
-    weights = np.concatenate([demo.weights for demo in demos])
+    weights = np.concatenate([demo.weights for demo in problem.demos])
+    scales = np.repeat(problem.scales, [len(demo.t) for demo in problem.demos], axis=0)
     found, left = [], []
-    for block in problem.blocks(alike=demos[0].x.ndim == 1):
+    for block in problem.blocks(alike=x.ndim == 1):
         i = block.start
-        x = np.concatenate([demo.x if demo.x.ndim == 1 else demo.x[:, i] for demo in demos])
-        lever = np.repeat(problem.scales[:, i], [len(demo.f) for demo in demos]) * (x if fades else 1.0)
-        rows = _ForcingRows(blank, x, lever, np.concatenate([demo.f[:, block] for demo in demos]), weights)
+        own = x if x.ndim == 1 else x[:, i]
+        rows = _ForcingRows(blank, own, scales[:, i] * (own if fades else 1.0), f[:, block], weights)
         found.append(fit(rows, problem))
         left.append(rows.residuals(found[-1][0]))
     w, squares = (np.concatenate([one[k] for one in found], axis=-1) for k in (0, 3))

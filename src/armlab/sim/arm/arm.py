@@ -73,10 +73,9 @@ class Sensors:
         self._truth, self._period = truth, period
         self._noise = np.random.default_rng(seed)
         self._torques: deque[np.ndarray] = deque(maxlen=int(mismatch.torque_delay) + 1)
-        self._compliance = mismatch.elasticity / truth.tau_max if mismatch.elasticity else None
+        self._compliance = mismatch.elasticity / truth.tau_max
         self._stretch = self._stretching = np.zeros(n)
-        gains = position_gain(mismatch, n), torque_gain(mismatch, n)
-        self._gains = None if np.all(np.stack(gains) == 1.0) else gains
+        self._gains = position_gain(mismatch, n), torque_gain(mismatch, n)
         self._sample: TrueState | None = None
 
     def reset(self) -> None:
@@ -87,12 +86,9 @@ class Sensors:
     def see(self, sample: TrueState) -> None:
         """Receive the exact state of one instant; call once per instant, in order."""
         self._torques.append(sample.tau)
-        if self._compliance is not None:
-            carried = sample.tau - sample.tau_friction - self._truth.rotor * sample.qdd
-            before, self._stretch = self._stretch, self._compliance * carried
-            self._stretching = (
-                np.zeros_like(before) if self._sample is None else (self._stretch - before) / self._period
-            )
+        carried = sample.tau - sample.tau_friction - self._truth.rotor * sample.qdd
+        before, self._stretch = self._stretch, self._compliance * carried
+        self._stretching = 0.0 * before if self._sample is None else (self._stretch - before) / self._period
         self._sample = sample
 
     def measure(self) -> SensorReading:
@@ -101,14 +97,9 @@ class Sensors:
         if sample is None:
             raise ConfigError("Expected an instant to measure, got none. Call see first.")
         noise = self._noise.standard_normal((2, len(truth.pi)))
-        q, qd = sample.q, sample.qd
-        if self._compliance is not None:
-            q, qd = q + self._stretch, qd + self._stretching
-        q = _quantise(q, truth.q_step)
-        qd = qd + truth.qd_noise * noise[0]
+        q = _quantise(sample.q + self._stretch, truth.q_step)
+        qd = sample.qd + self._stretching + truth.qd_noise * noise[0]
         tau = _quantise(self._torques[0] + truth.tau_noise * noise[1], truth.tau_step)
-        if self._gains is None:
-            return SensorReading(q=q, qd=qd, tau=tau)
         of_position, of_torque = self._gains
         return SensorReading(q=of_position * q, qd=of_position * qd, tau=of_torque * tau)
 

@@ -1,33 +1,16 @@
-"""Joint drives and joint friction of the simulated arms.
+"""Joint drives and joint friction of the simulated arms; numbers and reasons: docs/theory/simulated_arm.md.
 
-Drive: a position loop around a velocity loop with integral action.
-
-Per joint, at every physics step h, with the nominal inertia J of the joint at the home posture::
-
-    e   = (v_ref + POSITION_GAIN (q_ref - q)) - v
-    I  += h e / INTEGRAL_TIME
-    tau = J (a_ref + VELOCITY_GAIN (e + I)) + feedforward (C v + G),     |tau| <= tau_max
-
-References of the research extension scale both gains and add a torque. The integral and the acceleration term belong to
-the position and to the velocity loop, so a joint with both scales 0 feels the feed-forward and the added torque alone::
+Drive: a position loop around a velocity loop with integral action. Per joint, at every physics step h, with the nominal
+inertia J at the home posture; the research extension scales both gains (1 else) and adds a torque (0 else)::
 
     e   = gain_qd (v_ref - v) + gain_q POSITION_GAIN (q_ref - q),   I += gain_q h e / INTEGRAL_TIME
-    tau = J (gain_qd a_ref + VELOCITY_GAIN (e + gain_q I)) + feedforward (C v + G) + tau_added
+    tau = J (gain_qd a_ref + VELOCITY_GAIN (e + gain_q I)) + feedforward (C v + G) + tau_added,   |tau| <= tau_max
 
-The integral stops growing while the torque is saturated. The feed-forward is incomplete, as in real drives. The drive
-sees position and velocity without quantisation and noise.
+The integral stops growing while the torque is saturated. Position and velocity have no quantisation and no noise here.
 
-Friction, `JointFriction` (LuGre): bristle state, Stribeck curve, viscous part, offset and torque ripple. Between
-reversals the bristle force f of a joint relaxes over distance, not over time (Canudas de Wit et al. 1995)::
-
-    df/dq = (c / delta) (1 - f s / g(v)),   g(v) = c (1 + (ratio - 1) exp(-(v / vs)^2)),   s = sign(v)
-
-with c = c_pos or c_neg by direction. At rest it keeps its value: a joint really sticks, and needs ``ratio`` x Coulomb
-to break away. For constant v in a step the solution is exact::
-
-    f' = s g + (f - s g) exp(-(c / delta) |dq| / g)
-
-The torque against motion adds ``viscous v + offset + ripple sin(cycles q + phase)``.
+Friction (LuGre): between reversals the bristle force f relaxes over distance; for constant v in a step, exactly by
+``f' = s g + (f - s g) exp(-(c / delta) |dq| / g)`` with ``g = c (1 + (ratio - 1) exp(-(v / vs)^2))``, s the sign of v
+and c that of its direction. The torque against motion adds ``viscous v + offset + ripple sin(cycles q + phase)``.
 
 `WornFriction` also depends on temperature and load, each by a parameter of `Mismatch`::
 
@@ -56,11 +39,9 @@ class JointDrives:
         self._tau_max, self._tau_min = tau_max, -tau_max
         self._gain = inertia * VELOCITY_GAIN
         self._rate = step / INTEGRAL_TIME
-        self._integral = np.zeros_like(inertia)
-        self._error, self._growth = np.zeros((2, len(inertia)))
-        self.gravity = np.zeros_like(inertia)
+        self._integral, self.gravity = np.zeros((2, len(inertia)))
         self.saturated = 0
-        self._added: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self.alone()
 
     def assist(self, tau: np.ndarray, gain_q: np.ndarray, gain_qd: np.ndarray) -> None:
         """Add a torque (n,) [N m] and scale the gains of position and velocity loop (n,) from now on."""
@@ -68,7 +49,7 @@ class JointDrives:
 
     def alone(self) -> None:
         """Work with the drive's own gains and no added torque."""
-        self._added = None
+        self._added = np.zeros_like(self._inertia), np.ones_like(self._inertia), np.ones_like(self._inertia)
 
     def reset(self, holding: np.ndarray, bias: np.ndarray) -> None:
         """Set the integral so that the torque at rest, on its reference, is `holding`; `bias` is gravity's [N m]."""
@@ -85,33 +66,16 @@ class JointDrives:
         out: np.ndarray,
     ) -> np.ndarray:
         """Write the torque of this step to `out` and return it; the drive knows a part of the true `bias` [N m]."""
-        error, growth = self._error, self._growth
-        np.subtract(q_ref, q, out=error)
-        error *= POSITION_GAIN
-        if self._added is None:
-            error += qd_ref
-            error -= qd
-            np.multiply(error, self._rate, out=growth)
-            self._integral += growth
-            np.add(error, self._integral, out=out)
-            out *= self._gain
-            np.multiply(self._inertia, qdd_ref, out=error)
-            out += error
-        else:
-            tau, gain_q, gain_qd = self._added
-            error *= gain_q
-            error += gain_qd * (qd_ref - qd)
-            np.multiply(error, self._rate * gain_q, out=growth)
-            self._integral += growth
-            out[:] = self._gain * (error + gain_q * self._integral) + gain_qd * self._inertia * qdd_ref + tau
-        np.multiply(self._feedforward, bias, out=self.gravity)
-        out += self.gravity
-        np.minimum(out, self._tau_max, out=error)
-        np.maximum(error, self._tau_min, out=error)
-        error -= out
-        if error.dot(error) > 0.0:  # the cheapest test for "any"
-            self._integral -= np.where(error == 0.0, 0.0, growth)
-            out += error
+        tau, gain_q, gain_qd = self._added
+        error = gain_q * (POSITION_GAIN * (q_ref - q)) + gain_qd * qd_ref - gain_qd * qd
+        growth = error * (self._rate * gain_q)
+        self._integral += growth
+        self.gravity[:] = self._feedforward * bias
+        wanted = self._gain * (error + gain_q * self._integral) + gain_qd * self._inertia * qdd_ref + tau + self.gravity
+        np.maximum(np.minimum(wanted, self._tau_max), self._tau_min, out=out)
+        beyond = out != wanted
+        if beyond.any():
+            self._integral[beyond] -= growth[beyond]
             self.saturated += 1
         return out
 
@@ -129,7 +93,6 @@ class JointFriction:
         self._mean = 0.5 * (truth.coulomb_pos + truth.coulomb_neg)
         self._skew = 0.5 * (truth.coulomb_pos - truth.coulomb_neg)
         self._viscous, self._phase = truth.viscous, truth.ripple_phase
-        self._work = np.empty((4, n))
 
     def reset(self) -> None:
         """Unload the bristles."""
@@ -137,37 +100,17 @@ class JointFriction:
 
     def advance(self, dq: np.ndarray, qd: np.ndarray) -> None:
         """Move the bristles by `dq` [rad] at velocity `qd` [rad/s], for the Stribeck curve."""
-        ratio, sliding, sign, decay = self._work
-        np.multiply(qd, self._speed_scale, out=ratio)
-        np.multiply(ratio, ratio, out=ratio)
-        np.negative(ratio, out=ratio)
-        np.exp(ratio, out=ratio)
-        ratio *= self._excess
-        ratio += 1.0
+        ratio = 1.0 + self._excess * np.exp(-np.square(qd * self._speed_scale))
+        sign = np.sign(dq)
         # s c = mean s + skew for both signs, because c_pos = mean + skew and c_neg = mean - skew
-        np.sign(dq, out=sign)
-        np.multiply(self._mean, sign, out=sliding)
-        sliding += self._skew
-        sliding *= ratio
-        np.multiply(dq, sign, out=decay)
-        decay *= self._rate
-        decay /= ratio
-        np.exp(decay, out=decay)
-        self.bristle -= sliding
-        self.bristle *= decay
-        self.bristle += sliding
+        sliding = (self._mean * sign + self._skew) * ratio
+        self.bristle[:] = (self.bristle - sliding) * np.exp(dq * sign * self._rate / ratio) + sliding
 
     def torque(self, q: np.ndarray, qd: np.ndarray, out: np.ndarray) -> np.ndarray:
         """Write the friction torque against motion [N m], ripple included, to `out` and return it."""
-        truth, angle = self._truth, self._work[0]
-        np.multiply(q, truth.ripple_cycles, out=angle)
-        angle += self._phase
-        np.sin(angle, out=angle)
-        angle *= truth.ripple
-        np.multiply(qd, self._viscous, out=out)
-        out += self.bristle
-        out += truth.offset
-        out += angle
+        truth = self._truth
+        ripple = truth.ripple * np.sin(q * truth.ripple_cycles + self._phase)
+        out[:] = qd * self._viscous + self.bristle + truth.offset + ripple
         return out
 
 

@@ -3,15 +3,7 @@
 No manufacturer publishes these numbers. They are invented in believable proportions so that identification and force
 estimation can be judged against something known. They live here only: never in the robot library, and the wire carries
 no more of them than the drives' own torque command and gravity feed-forward, which no part of armlab reads.
-
-Rule of the set (all robots, with ``tau_max`` by size)::
-
-    link i: solid cylinder from its joint's frame to the next, radius `radius`, length at least `shortest`
-    Coulomb 5 % of tau_max, 5 % more in the positive and 5 % less in the negative direction
-    static 1.3 x Coulomb, Stribeck speed 0.05 rad/s (Gaussian), viscous x speed limit = Coulomb
-    offset 1 % of tau_max with alternating sign, presliding distance 1e-4 rad
-    ripple 1 % of tau_max at 2 |gear| cycles per turn, phase (i - 1) rad at joint i
-    torque noise 0.5 % of tau_max per sample, white, quantised to 0.1 %; position quantised to 1e-5 rad
+The rule of the set is in docs/theory/simulated_arm.md.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ import numpy as np
 
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm
 from armlab.sim.controller.guidance import ExternalAxes, Guidance, ReferenceDecoder, has_numbers
-from armlab.sim.controller.packets import Condition, PacketBuilder
+from armlab.sim.controller.packets import PacketBuilder
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import ControllerEvent, EventLog, Statistics
 from armlab.sim.events import AppliedWrench, Surroundings
@@ -170,7 +170,7 @@ class SimulatedController:
         self.arm, self.statistics = arm, Statistics()
         self.packets = wire if isinstance(wire, PacketBuilder) else PacketBuilder(wire, settings.period)
         self._settings, self._event_log = settings, EventLog(arm.robot.name, self.statistics, on_event)
-        self._surroundings = scene if isinstance(scene, Surroundings) else Surroundings(scene or AppliedWrench.idle())
+        self._surroundings = scene if isinstance(scene, Surroundings) else Surroundings(scene)
         self._hand = self._surroundings.leads(settings.program, arm.robot.n)
         if self._hand is not None:
             arm.place(self._hand.at(0.0)[0])
@@ -210,13 +210,21 @@ class SimulatedController:
         if self.phase not in _MCI:
             return None
         scene, t, target = self._surroundings, self.uptime, self._target
-        states = scene.motors.at(t), _MCI[self.phase], scene.rapid.at(t)
-        condition = Condition(self.seq, *states, self._near, target.drive_mode, self._used_seq, self._left)
+        condition = {
+            "seqno": self.seq,
+            "motors": scene.motors.at(t),
+            "mci": _MCI[self.phase],
+            "rapid": scene.rapid.at(t),
+            "converged": self._near,
+            "mode": target.drive_mode,
+            "used_seq": self._used_seq,
+            "queue_depth": self._left,
+        }
         self.inbox.note(Sent(self.seq, self.packets.tm_ms(self.cycle), self.cycle, self.phase == "guiding"))
         self.seq += 1
         self.statistics.counts["packets"] += 1
         q_ext = self._external.q.tolist()
-        return self.packets.encode(self.cycle, self.arm, self._guidance, condition, q_ext, target)
+        return self.packets.encode(self.cycle, self.arm, self._guidance, q_ext, target, **condition)
 
     def accept(self, data: bytes, arrival_ns: int = 0) -> SensorMessage | None:
         """Decode an arrived datagram and queue it. Return the message, or None for what is no message to us."""

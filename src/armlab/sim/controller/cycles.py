@@ -92,48 +92,38 @@ def _lockstep(
                     return f"no reply for {pace.gone:g} s: the peer is gone"
 
 
-@dataclass
-class _Beat:
-    """Channels that send at the same time, and when they do next."""
-
-    due: float
-    channels: list[UdpClient]
-
-
 def _real_time(
     channels: Sequence[UdpClient], pace: Timing, alive: Callable[[], bool], observe: Callable[[UdpClient], None]
 ) -> str:
     """Keep the schedule ``t0 + k T + phase``; cycles missed by this process pass without packets, never in a burst."""
     period = channels[0].controller.arm.period
     start = time.monotonic() + period
-    beats = [
-        _Beat(start + phase, [channel for channel in channels if channel.phase == phase])
-        for phase in sorted({channel.phase for channel in channels})
-    ]
+    due = {phase: start + phase for phase in sorted({channel.phase for channel in channels})}
     while True:
         reason = _end(channels, pace, alive)
         if reason:
             return reason
-        beat = min(beats, key=lambda beat: beat.due)
+        phase = min(due, key=due.__getitem__)
+        beat = [channel for channel in channels if channel.phase == phase]
         begun = time.thread_time()
-        _prepare(beat.channels, observe)
-        left = beat.due - time.monotonic()
+        _prepare(beat, observe)
+        left = due[phase] - time.monotonic()
         if left > 0:
             time.sleep(left)
-        for channel in beat.channels:
-            channel.controller.statistics.late(time.monotonic() - beat.due, channel.controller.uptime)
-        for channel in beat.channels:
+        for channel in beat:
+            channel.controller.statistics.late(time.monotonic() - due[phase], channel.controller.uptime)
+        for channel in beat:
             channel.drain()  # first, or a fast reply to the packet that leaves now would count for this cycle
             channel.send()
-        for channel in beat.channels:
+        for channel in beat:
             channel.controller.advance()
-        missed = int((time.monotonic() - beat.due) / period)
+        missed = int((time.monotonic() - due[phase]) / period)
         work = time.thread_time() - begun
-        for channel in beat.channels:
+        for channel in beat:
             channel.controller.statistics.worked(work, missed if work > period else 0, channel.controller.uptime)
         if missed:
-            _miss(beat.channels, missed)
-        beat.due += (1 + missed) * period
+            _miss(beat, missed)
+        due[phase] += (1 + missed) * period
 
 
 def _miss(channels: Sequence[UdpClient], cycles: int) -> None:

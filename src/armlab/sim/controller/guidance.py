@@ -1,15 +1,6 @@
 """From a message to the reference of the drives: `ReferenceDecoder`, `Guidance` (joint mode), `ExternalAxes`.
 
-Per cycle, per joint, T = period (ABB 3HAC073318-001, section 2.3; the filter is our model, ABB gives no number)::
-
-    v* = w (k g (q_ref - p) + qd_ref),   w = min(1, time / ramp_in)
-    v* is scaled for all joints by min(1, max_speed / max |v*|)
-    v += (1 - exp(-2 pi f T)) (v* - v), once for level 0, twice in series for levels 1 and 2
-    p += v T
-
-At constant speed without qd_ref the reference p lags by v / (k g): 2 degrees at 10 deg/s with k = 5. With qd_ref it
-does not lag.
-
+The reference generator is ABB's (3HAC073318-001, section 2.3); its filter is our model: docs/theory/simulated_arm.md.
 Pose and path correction exist for tests of codecs: the goal is the posture that inverse kinematics finds from the
 planned one. A path correction shifts the posture at the beginning of guidance by y and z of the tool frame.
 """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,20 +29,6 @@ OPTIONAL_FIELDS = {
 """Fields of EgmRobot that can be left out, by their names on the wire."""
 
 _UPTIME_MS = 10_000  # tm of the first packet; 0 would look like "no tm" when it is echoed
-
-
-@dataclass(frozen=True, slots=True)
-class Condition:
-    """State fields of a packet; `used_seq` and `left`: the last reply taken and the queue length after it."""
-
-    seq: int
-    motors: int
-    mci: int
-    rapid: int
-    converged: bool
-    mode: int
-    used_seq: int
-    left: int
 
 
 class PacketBuilder:
@@ -85,26 +70,21 @@ class PacketBuilder:
         cycle: int,
         arm: SimulatedArm | LaggingArm,
         guidance: Guidance,
-        condition: Condition,
         q_ext: Sequence[float] = (),
         target: ReferenceDecoder | None = None,
+        **condition: Any,
     ) -> bytes:
-        """Return the bytes of a cycle's packet; RAPID sends back what it heard of `target`."""
-        measured, sample, c = arm.measure(), arm.sample, condition
+        """Return the bytes of a cycle's packet, RAPID's echo of `target` and other fields of `condition` included."""
+        measured, sample = arm.measure(), arm.sample
         feels = arm.has_torque
         heard = target if self._data else None
         message = RobotMessage(
-            seqno=c.seq,
             tm_ms=self.tm_ms(cycle),
             q=measured.q,
             q_planned=guidance.q,
             robot_ns=self.time_ns(cycle),
             q_ext=q_ext,
             T_frame_tool=arm.robot.chain.forward(measured.q),
-            motors=c.motors,
-            mci=c.mci,
-            rapid=c.rapid,
-            converged=c.converged,
             utilization=guidance.utilization,
             wrench_raw=np.array(sample.wrench) if self._force else None,
             rapid_data=heard.rapid_data[: self._data].tolist() if heard else (),
@@ -117,8 +97,6 @@ class PacketBuilder:
             q_reference=guidance.q,
             qd_reference=guidance.qd,
             mono_ns=self.time_ns(cycle) - EPOCH_NS,
-            mode=c.mode,
-            used_seq=c.used_seq,
-            queue_depth=c.left,
+            **condition,
         )
         return self.codec.encode_robot(message._replace(**self._left_out) if self._left_out else message)
