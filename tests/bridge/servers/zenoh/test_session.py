@@ -9,7 +9,6 @@ import socket
 import struct
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +30,6 @@ from armlab.bridge.servers.zenoh.messages import (
     Gaps,
     Inbox,
     checksum,
-    data_of,
     key,
     read_about,
     read_message,
@@ -59,7 +57,7 @@ from armlab.robots import to_toml
 from armlab.state import State
 
 from ....processes import free_port
-from ..conftest import PATIENCE, until
+from ..conftest import until
 
 FORGOTTEN = """
 from armlab.bridge.servers.zenoh.session import open_session
@@ -71,25 +69,6 @@ raise SystemExit(3)
 
 def test_a_program_that_forgets_to_close_ends() -> None:
     assert subprocess.run([sys.executable, "-c", FORGOTTEN], timeout=30.0, check=False).returncode == 3
-
-
-def test_two_find_each_other_through_a_router_and_ask() -> None:
-    port = free_port()
-    router, where = open_near("127.0.0.1", port)
-    assert where == f"tcp/127.0.0.1:{port} (zenoh router)"
-    peers = [open_session("peer", ["127.0.0.1:0"], [f"127.0.0.1:{port}"]) for _ in range(2)]
-    assert all(wait_for_router(peer, 5.0) for peer in peers)
-    samples: list[Any] = []
-    peers[0].declare_subscriber("a/b", samples.append)
-    answering = peers[0].declare_queryable("a/c", lambda query: query.reply("a/c", b"yes"))
-    until(lambda: peers[1].put("a/b", b"1", attachment=b"2") or samples)
-    assert (data_of(samples[0].payload), data_of(samples[0].attachment), data_of(None)) == (b"1", b"2", None)
-    until(lambda: queried(peers[1], "a/c", 1.0) == [("a/c", b"yes")])
-    assert answering is not None
-    with pytest.raises(LinkError, match="in use"):
-        open_session("router", [f"127.0.0.1:{port}"])
-    for session in (*peers, router, router):
-        close_session(session)
 
 
 def test_what_is_too_large_is_not_put_together_and_the_next_message_comes() -> None:
@@ -385,17 +364,6 @@ def test_the_oldest_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [inbox.get() for _ in range(3)] == [2, 3, None]
     inbox.put(9, 10**9)  # one message is always kept
     assert (len(inbox), inbox.get(), inbox._size) == (1, 9, 0)
-
-
-def test_who_waits_is_woken() -> None:
-    inbox: Inbox[str] = Inbox(5)
-    assert not inbox.wait(0.0)
-    assert inbox.get(0.01) is None
-    sender = threading.Timer(0.05, inbox.put, ["came"])
-    sender.start()
-    assert inbox.wait(PATIENCE)
-    assert inbox.get(PATIENCE) == "came"
-    sender.join()
 
 
 ARMS = [robots.load(name) for name in ("yumi_left", "yumi_right")]
