@@ -33,7 +33,7 @@ def test_who_comes_is_seen_and_who_goes_is_gone(fleet: Fleet) -> None:
 
     def there(name: str) -> bool:
         known = rows.robots.get(name)
-        return known is not None and known.state == "there" and known.decode() and math.isfinite(known.rate)
+        return known is not None and known.state == "there" and known.row is not None and math.isfinite(known.rate)
 
     for name, wanted in (("lab1/arm", LEFT), ("lab2/arm", UR)):
         hear_fleet(rows, lambda name=name: there(name))
@@ -93,7 +93,7 @@ def test_a_description_that_is_none_is_asked_again(about: bytes) -> None:
     seen.live(True)
     seen.describe(about)
     seen.status(about)
-    assert (seen.wants, seen.robot, seen.missed, seen.decode(), seen.refused) == (True, None, 0, False, 2)
+    assert (seen.wants, seen.robot, seen.missed, seen.row, seen.refused) == (True, None, 0, None, 2)
 
 
 def test_a_silent_robot_and_rows_of_another_schema() -> None:
@@ -103,7 +103,7 @@ def test_a_silent_robot_and_rows_of_another_schema() -> None:
     assert (seen.state, seen.value("q"), seen.wants) == ("silent", None, False)
     seen.take(b"ALR1    " + schema.id)  # too short
     assert seen.state == "there"
-    assert not seen.decode()
+    assert seen.row is None
     seen.listened(1.9)
     assert seen.state == "there"
     seen.listened(0.2)
