@@ -131,8 +131,10 @@ def test_a_viewer_that_was_not_run_takes_no_robot_for_silent(fleet: Fleet, monke
     bridge.close()
 
 
-def test_each_robot_stands_at_its_place_in_the_pose_of_its_rows(server: Any, fleet: Fleet) -> None:
+def test_each_robot_stands_at_its_place_in_the_pose_of_its_rows(server: Any, fleet: Fleet, page: Any) -> None:
+    """Who looks is put before them all when one comes."""
     rows = fleet.rows()
+    looks = page(server.get_port())
     view = FleetView(server, rows)
     arms = {"lab1/a": fleet.bridge(UR, "a"), "lab1/b": fleet.bridge(LEFT, "b")}
 
@@ -147,6 +149,9 @@ def test_each_robot_stands_at_its_place_in_the_pose_of_its_rows(server: Any, fle
         for name, one in arms.items():
             np.testing.assert_allclose(tool(server, name, one.robot.n), forward(one.robot, one.q), atol=1e-9)
     apart = pose(node(server, "/lab1/a")) - pose(node(server, "/lab1/b"))
+    (camera,) = (one.camera for one in server.get_clients().values())
+    np.testing.assert_allclose(camera.position, server.initial_camera.position)
+    looks.close()
     assert np.linalg.norm(apart) > 1.5  # two arms of 0.9 m and 0.6 m do not reach each other
 
     gone = arms.pop("lab1/a")

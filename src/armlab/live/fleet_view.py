@@ -211,7 +211,7 @@ class FleetView:
     def __init__(self, server: ViserServer, rows: FleetRows) -> None:
         self._server, self._rows = server, rows
         self._scene: RobotScene | None = None
-        self._labels: dict[str, _Label] = {}
+        self._labels: dict[str, Any] = {}
         self._drawn: dict[str, Robot] = {}
         self._shown: dict[str, Row | None] = {}
         self._due = 0.0
@@ -243,7 +243,10 @@ class FleetView:
         else:
             self._scene.add(robot)
         self._drawn[one.name] = robot
-        self._labels[one.name] = _Label(self._server, robot)
+        above = tuple(robot.T_base_mount[:3, 3] + [0.0, 0.0, 0.9 * arm_length(robot)])
+        self._labels[one.name] = self._server.scene.add_label(
+            f"/{robot.name}/label", robot.name, position=above, anchor="bottom-center"
+        )
 
     def _arrange(self) -> None:
         """Put all robots in a grid by their names, and who looks before it."""
@@ -279,24 +282,10 @@ class FleetView:
             words = _words(robots[name])
             lines.append("".join(f"<td style='{cell}'>{html.escape(word)}</td>" for word in words))
             if name in self._labels:
-                self._labels[name].say(*words[:2])
+                _, state, *_ = words
+                self._labels[name].text = name if state == "there" else f"{name}: {state}"
         body = "".join(f"<tr>{line}</tr>" for line in lines)
         self._table.show(f"<table style='font-size:0.75em;line-height:1.4;margin:0 1em'>{body}</table>")
-
-
-class _Label:
-    """What stands over a robot."""
-
-    def __init__(self, server: ViserServer, robot: Robot) -> None:
-        above = tuple(robot.T_base_mount[:3, 3] + [0.0, 0.0, 0.9 * arm_length(robot)])
-        self._handle = server.scene.add_label(
-            f"/{robot.name}/label", robot.name, position=above, anchor="bottom-center"
-        )
-
-    def say(self, name: str, state: str) -> None:
-        text = name if state == "there" else f"{name}: {state}"
-        if text != self._handle.text:
-            self._handle.text = text
 
 
 def _words(one: SeenRobot) -> tuple[str, ...]:
