@@ -19,13 +19,12 @@ import numpy as np
 import pytest
 from websockets.asyncio.client import connect as one_thread
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.frames import Frame, Opcode
 from websockets.sync.client import ClientConnection, connect
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.rosbridge.server import Access, RosbridgeServer, _head, read_access
+from armlab.bridge.servers.rosbridge.server import Access, RosbridgeServer, read_access
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import ConfigError
 from armlab.log import Tick
@@ -192,12 +191,6 @@ def test_a_client_that_does_not_read_disturbs_nobody(running: Running) -> None:
             assert message["msg"]["header"]["stamp"]["nanosec"] == last + 1
             last += 1
         running.exchange.outlets["rosbridge"].send(b'{"kind":"count"}')
-
-
-@pytest.mark.parametrize("size", [0, 125, 126, 65535, 65536, 100000])
-def test_a_frame_is_that_of_websockets(size: int) -> None:
-    text = bytes(size)
-    assert _head(size) + text == Frame(Opcode.TEXT, text).serialize(mask=False)
 
 
 def test_sixteen_clients_at_most(running: Running) -> None:

@@ -85,8 +85,6 @@ def test_what_is_too_large_is_not_put_together_and_the_next_message_comes() -> N
         until(lambda size=size, sender=sender: sender.put("a/b", bytes(size)) or size in samples)
     assert max(samples[1:]) == 2
     assert reading is not None
-    for session in (*senders, router):
-        close_session(session)
 
 
 def test_answers_without_end_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,8 +104,6 @@ def test_answers_without_end_are_left_out(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(queried(asker, "a/*", 5.0)) == 3
     assert rest
     assert answering is not None
-    for session in (asker, router):
-        close_session(session)
 
 
 def test_commands_do_not_come_by_a_router_that_listens_at_every_address() -> None:
@@ -120,29 +116,24 @@ def test_commands_do_not_come_by_a_router_that_listens_at_every_address() -> Non
     assert f"through the router at 127.0.0.1:{port}" in where
     for session in (reading, everywhere):
         close_session(session)
-    near = open_session("router", [f"127.0.0.1:{port}"])
-    commanding, _ = open_near("127.0.0.1", port, commands=True)
+    open_session("router", [f"127.0.0.1:{port}"])
+    open_near("127.0.0.1", port, commands=True)
     with pytest.raises(LinkError, match="another router listens there on this computer only"):
         open_near("0.0.0.0", port)
-    for session in (commanding, near):
-        close_session(session)
 
 
 def test_a_server_with_a_router_elsewhere_is_found_at_its_own_port() -> None:
     far, own = free_port(), free_port()
-    router = open_session("router", [f"127.0.0.1:{far}"])
-    first, where = open_near("127.0.0.1", own, f"127.0.0.1:{far}")
+    open_session("router", [f"127.0.0.1:{far}"])
+    _, where = open_near("127.0.0.1", own, f"127.0.0.1:{far}")
     assert where == f"tcp/127.0.0.1:{own} (zenoh, through the router at 127.0.0.1:{far})"
-    second, where = open_near("127.0.0.1", own, f"127.0.0.1:{far}")
+    _, where = open_near("127.0.0.1", own, f"127.0.0.1:{far}")
     assert re.fullmatch(rf"tcp/127.0.0.1:[1-9]\d* \(zenoh, through the router at 127.0.0.1:{far}\)", where)
     assert f":{own} " not in where
     for address in (f"127.0.0.1:{own}", where.split()[0].removeprefix("tcp/")):
-        client = open_session("client", connect=[address])
-        close_session(client)
-    chosen, where = open_near("127.0.0.1", 0)
+        open_session("client", connect=[address])
+    _, where = open_near("127.0.0.1", 0)
     assert re.fullmatch(r"tcp/127.0.0.1:[1-9]\d* \(zenoh router\)", where)
-    for session in (chosen, second, first, router):
-        close_session(session)
 
 
 @pytest.mark.parametrize("router", ["192.168.1.9:7447", "127.lab.example:7447"])
@@ -158,7 +149,6 @@ def test_no_commands_by_a_router_elsewhere(router: str) -> None:
 def test_nobody_is_found() -> None:
     session = open_session("peer", [], [f"127.0.0.1:{free_port()}"])
     assert not wait_for_router(session, 0.1)
-    close_session(session)
     with pytest.raises(LinkError, match="Expected a Zenoh session"):
         open_session("peer", ["no address"])
 
@@ -243,12 +233,11 @@ def test_nobody_there() -> None:
     with pytest.raises(LinkError, match="Expected a Zenoh router"):
         LabAddress(port=free_port()).open_behind(0.2)
     port = free_port()
-    router, place = open_session("router", [f"127.0.0.1:{port}"]), LabAddress(port=port, lab="lab2")
+    open_session("router", [f"127.0.0.1:{port}"])
+    place = LabAddress(port=port, lab="lab2")
     asker = place.open()
     with pytest.raises(LinkError, match="See whether the bridge of that robot runs"):
         place.ask(asker, key("lab2", "arm", "schema"), 0.1)
-    for session in (asker, router):
-        close_session(session)
 
 
 def test_a_port_that_something_else_holds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -349,8 +338,6 @@ def test_nothing_is_sent_to_nobody_and_a_waiting_output_counts_what_found_no_roo
     for _ in range(2501):
         waiting.put(b"2")
     assert (waiting.sent, waiting.dropped) == (1, 1)
-    close_session(reader)
-    close_session(router)
 
 
 def test_the_oldest_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
