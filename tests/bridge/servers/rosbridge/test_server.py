@@ -22,15 +22,11 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from armlab import robots
-from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.rosbridge.server import Access, RosbridgeServer, read_access
-from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import ConfigError
-from armlab.log import Tick
-from armlab.state import State
 
-from ..conftest import PATIENCE, until
+from ..conftest import PATIENCE, ServedProcess, until
 from .conftest import HANDSHAKE
 
 STATES = "/yumi_right/joint_states"
@@ -38,32 +34,17 @@ POSITION = "/yumi_right/joint_group_position_controller/command"
 OPTIONS = {"host": "127.0.0.1", "port": 0, "dialect": "ros2", "origins": ["https://lab.example"]}
 
 
-class Running:
-    """A server process at the other end of an exchange, and its clients."""
+class Running(ServedProcess):
+    """The server and its clients."""
 
     def __init__(self, stack: contextlib.ExitStack, **options: Any) -> None:
-        self.robot = robots.load("yumi_right")
-        parameters = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0)])
-        self.exchange = Hub([self.robot], ["rosbridge"], parameters, ["rosbridge"], about={"cell": "yumi"})
-        command = server_command("rosbridge", {**OPTIONS, **options})
-        self.stack = stack
-        (self.where,) = stack.enter_context(Servers(self.exchange, {"rosbridge": command})).ready(PATIENCE)
+        super().__init__(stack, "rosbridge", {**OPTIONS, **options})
         self.port = int(self.where.partition(" ")[0].rpartition(":")[2])
-        self.number = 0
 
     def client(self, **options: Any) -> ClientConnection:
         scheme = "wss" if "ssl" in options else "ws"
         options |= {"max_queue": None, "close_timeout": 1.0}
         return self.stack.enter_context(connect(f"{scheme}://127.0.0.1:{self.port}", **options))
-
-    def state(self) -> State:
-        q = np.array(self.robot.q_home)
-        return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=q, robot=self.robot.name, q_start=q)
-
-    def row(self) -> None:
-        """Send the next row; its number is in its stamp."""
-        self.number += 1
-        self.exchange.row(self.state(), None, Tick(self.number, -1, self.number, 0, -1, 0))
 
     def until(self, condition: Callable[[], Any]) -> Any:
         """Send rows until something is so."""
