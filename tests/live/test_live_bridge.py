@@ -217,6 +217,8 @@ def test_a_silent_arm_shows_no_force_and_no_torque(server: Any, bridge: Any, fol
 def test_curves_and_path_do_not_bridge_a_gap(server: Any, bridge: Any, following: Any, hear_until: Any) -> None:
     one, running = bridge(LEFT), following(rate=1e6)
     view = RunningView(server, running)
+    hear_until(running, lambda: running.robots)
+    view.draw()  # makes the scene, which may take as long as a gap
     for _ in range(3):
         before = running.row
         hear_until(running, lambda before=before: running.row is not before, lambda: one.row(LEFT))
