@@ -67,7 +67,7 @@ def _viewed(about: bytes, text: bytes, rows: list[bytes]) -> None:
     seen.status(text)
     for row in rows:
         seen.take(row)
-        if seen.decode() and seen.robot is not None and seen.value("q") is not None:
+        if seen.robot is not None and seen.value("q") is not None:
             assert seen.value("q").shape == (seen.robot.n,)
     assert all(isinstance(word, str) for word in _words(seen))
     seen.status(about)

@@ -11,14 +11,8 @@ import pytest
 
 from armlab import robots
 from armlab.kinematics import forward, link_transforms
-from armlab.live.scene import Surface, along, arrow, bodies, box, capsule, mesh_bodies
+from armlab.live.scene import along, arrow, bodies, box, capsule, mesh_bodies
 from armlab.robots import Mesh, Robot
-
-
-def volume(body: Surface) -> float:
-    """Signed volume by the divergence theorem: positive when all faces look outside."""
-    p = body.vertices[body.faces]
-    return float(np.einsum("fi,fi->", p[:, 0], np.cross(p[:, 1], p[:, 2])) / 6.0)
 
 
 def distance(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -32,12 +26,12 @@ def test_a_capsule_is_all_points_near_a_line(b: list[float]) -> None:
     body = capsule(a, end, r)
     np.testing.assert_allclose(distance(body.vertices, a, end), r, atol=1e-12, rtol=0)
     ideal = np.pi * r**2 * (np.linalg.norm(b) + 4.0 / 3.0 * r)
-    assert 0.95 * ideal < volume(body) < ideal
+    assert 0.95 * ideal < body.volume < ideal
 
 
 def test_an_arrow_points_along_z_and_is_turned_anywhere() -> None:
     body = arrow()
-    assert volume(body) > 0
+    assert body.volume > 0
     np.testing.assert_array_equal(body.vertices[:, 2].min(), 0.0)
     np.testing.assert_array_equal(body.vertices[body.vertices[:, 2].argmax()], [0.0, 0.0, 1.0])
     a, b = np.array([0.1, 0.2, 0.3]), np.array([0.4, -0.2, 0.9])
@@ -57,7 +51,7 @@ def test_links_hang_together(name: str) -> None:
     q = robot.q_home + 0.1
     T = np.concatenate([np.eye(4)[None], link_transforms(robot, q), forward(robot, q)[None]])
     for i, body in enumerate(shapes):
-        assert volume(body) > 0
+        assert body.volume > 0
         origin = (np.linalg.inv(T[i]) @ T[i + 1])[:3, 3]
         low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
         assert (low - 1e-9 <= origin).all()
@@ -78,10 +72,10 @@ def with_mesh(*files: str) -> Robot:
 
 
 def test_meshes_are_read_where_there_are_any(tmp_path: Path) -> None:
-    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("trimesh")
     (tmp_path / "maker").mkdir()
     for name, length in (("maker/one.stl", 300.0), ("two.stl", 10.0)):
-        trimesh.Trimesh(*box(np.zeros(3), np.array([0.0, 0.0, length]), 100.0)).export(tmp_path / name)
+        box(np.zeros(3), np.array([0.0, 0.0, length]), 100.0).export(tmp_path / name)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = mesh_bodies(

@@ -16,11 +16,11 @@ from armlab.bridge.servers.zenoh.messages import EVERY
 from armlab.bridge.servers.zenoh.session import LabAddress
 from armlab.errors import LinkError
 from armlab.kinematics import forward
-from armlab.lie import quaternion, se3
 from armlab.live.fleet_view import FleetRows, FleetView, SeenRobot, watch_fleet
-from armlab.robots import Robot, to_toml
+from armlab.robots import to_toml
 
 from .fleet_bridges import Fleet, hear_fleet
+from .nodes import link, node, pose, tool
 
 LEFT, UR = robots.load("yumi_left"), robots.load("ur5e")
 
@@ -33,7 +33,7 @@ def test_who_comes_is_seen_and_who_goes_is_gone(fleet: Fleet) -> None:
 
     def there(name: str) -> bool:
         known = rows.robots.get(name)
-        return known is not None and known.state == "there" and known.decode() and math.isfinite(known.rate)
+        return known is not None and known.state == "there" and known.row is not None and math.isfinite(known.rate)
 
     for name, wanted in (("lab1/arm", LEFT), ("lab2/arm", UR)):
         hear_fleet(rows, lambda name=name: there(name))
@@ -93,7 +93,7 @@ def test_a_description_that_is_none_is_asked_again(about: bytes) -> None:
     seen.live(True)
     seen.describe(about)
     seen.status(about)
-    assert (seen.wants, seen.robot, seen.missed, seen.decode(), seen.refused) == (True, None, 0, False, 2)
+    assert (seen.wants, seen.robot, seen.missed, seen.row, seen.refused) == (True, None, 0, None, 2)
 
 
 def test_a_silent_robot_and_rows_of_another_schema() -> None:
@@ -103,7 +103,7 @@ def test_a_silent_robot_and_rows_of_another_schema() -> None:
     assert (seen.state, seen.value("q"), seen.wants) == ("silent", None, False)
     seen.take(b"ALR1    " + schema.id)  # too short
     assert seen.state == "there"
-    assert not seen.decode()
+    assert seen.row is None
     seen.listened(1.9)
     assert seen.state == "there"
     seen.listened(0.2)
@@ -131,21 +131,10 @@ def test_a_viewer_that_was_not_run_takes_no_robot_for_silent(fleet: Fleet, monke
     bridge.close()
 
 
-def handle(server: Any, name: str) -> Any:
-    return server.scene._handle_from_node_name[name]
-
-
-def tool(server: Any, name: str, robot: Robot) -> np.ndarray:
-    """Where the scene has the tool of an arm, in the world."""
-    path, found = f"/{name}", np.eye(4)
-    for part in ("", "/arm", *(f"/link_{i + 1}" for i in range(robot.n)), "/tool"):
-        path += part
-        found = found @ se3.from_rp(quaternion.to_matrix(handle(server, path).wxyz), handle(server, path).position)
-    return found
-
-
-def test_each_robot_stands_at_its_place_in_the_pose_of_its_rows(server: Any, fleet: Fleet) -> None:
+def test_each_robot_stands_at_its_place_in_the_pose_of_its_rows(server: Any, fleet: Fleet, page: Any) -> None:
+    """Who looks is put before them all when one comes."""
     rows = fleet.rows()
+    looks = page(server.get_port())
     view = FleetView(server, rows)
     arms = {"lab1/a": fleet.bridge(UR, "a"), "lab1/b": fleet.bridge(LEFT, "b")}
 
@@ -158,26 +147,27 @@ def test_each_robot_stands_at_its_place_in_the_pose_of_its_rows(server: Any, fle
             one.q = one.robot.q_home + turn
         hear_fleet(rows, lambda: all(drawn(name) for name in arms), view.draw)
         for name, one in arms.items():
-            root = handle(server, f"/{name}")
-            T = se3.from_rp(quaternion.to_matrix(root.wxyz), root.position)
-            np.testing.assert_allclose(tool(server, name, one.robot), T @ forward(one.robot, one.q), atol=1e-9)
-    apart = np.linalg.norm(np.subtract(handle(server, "/lab1/a").position, handle(server, "/lab1/b").position))
-    assert apart > 1.5  # two arms of 0.9 m and 0.6 m do not reach each other
+            np.testing.assert_allclose(tool(server, name, one.robot.n), forward(one.robot, one.q), atol=1e-9)
+    apart = pose(node(server, "/lab1/a")) - pose(node(server, "/lab1/b"))
+    (camera,) = (one.camera for one in server.get_clients().values())
+    np.testing.assert_allclose(camera.position, server.initial_camera.position)
+    looks.close()
+    assert np.linalg.norm(apart) > 1.5  # two arms of 0.9 m and 0.6 m do not reach each other
 
     gone = arms.pop("lab1/a")
     gone.close()
-    hear_fleet(rows, lambda: handle(server, "/lab1/a/label").text == "lab1/a: gone", view.draw)
-    assert not handle(server, "/lab1/a/arm").visible
+    hear_fleet(rows, lambda: node(server, "/lab1/a/label").text == "lab1/a: gone", view.draw)
+    assert not node(server, "/lab1/a/arm").visible
     hear_fleet(rows, lambda: "1 of 2 robots" in view._state._html.content, view.draw)
-    hear_fleet(rows, lambda: handle(server, "/lab1/b/arm").visible, view.draw)
+    hear_fleet(rows, lambda: node(server, "/lab1/b/arm").visible, view.draw)
     assert "<td" in view._table._html.content
-    hear_fleet(rows, lambda: handle(server, "/lab1/b/label").text == "lab1/b", view.draw)
+    hear_fleet(rows, lambda: node(server, "/lab1/b/label").text == "lab1/b", view.draw)
 
     arms["lab1/a"] = fleet.bridge(LEFT, "a")  # comes again as another arm
     arms["lab1/c"] = fleet.bridge(UR, "c")
     hear_fleet(rows, lambda: all(drawn(name) for name in arms) and rows.robots["lab1/a"].restarts == 1, view.draw)
-    hear_fleet(rows, lambda: handle(server, "/lab1/a/arm").visible, view.draw)
-    assert "/lab1/a/arm/link_1/link_2/link_3/link_4/link_5/link_6/link_7" in server.scene._handle_from_node_name
+    hear_fleet(rows, lambda: node(server, "/lab1/a/arm").visible, view.draw)
+    assert node(server, link("lab1/a", 7))
     hear_fleet(rows, lambda: "3 of 3 robots" in view._state._html.content, view.draw)
 
 

@@ -13,13 +13,13 @@ from armlab import robots
 from armlab.contact import Estimator
 from armlab.errors import ConfigError, LinkError, ModelMismatchError, UnknownName
 from armlab.kinematics import forward
-from armlab.lie import quaternion, se3
 from armlab.live.live_bridge import Force, RunningView, watch
 from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.state import State
 
 from .fleet_bridges import Fleet
+from .nodes import node, tip, tool
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
 
@@ -162,10 +162,6 @@ LOOKS = 1000  # frames; only a test that fails takes all
 HAT = np.array([0.0, 0.0, 10.0, 0.0, 0.5, 0.0])
 
 
-def handle(server: Any, name: str) -> Any:
-    return server.scene._handle_from_node_name[name]
-
-
 def data(view: RunningView, arm: str, plot: str) -> np.ndarray:
     """What a plot holds: times, then the curves; NaN where they are interrupted."""
     columns = [
@@ -188,16 +184,11 @@ def test_the_arms_are_drawn_as_the_bridge_has_them(server: Any, bridge: Any, fol
     hear_until(running, lambda: running.row, lambda: one.row(RIGHT, record, **row))
     view.draw()
     T = forward(RIGHT, q)
-    path, found = "/yumi_right/arm", np.eye(4)
-    for name in (*(f"link_{i}" for i in range(1, 8)), "tool"):
-        path += f"/{name}"
-        found = found @ se3.from_rp(quaternion.to_matrix(handle(server, path).wxyz), handle(server, path).position)
-    np.testing.assert_allclose(found, T, atol=1e-9)
-    arrow = handle(server, "/yumi_right/force")
+    np.testing.assert_allclose(tool(server, "yumi_right", 7), T, atol=1e-9)
+    arrow = node(server, "/yumi_right/force")
     assert arrow.visible
-    along = quaternion.to_matrix(arrow.wxyz)[:, 2]
-    np.testing.assert_allclose(arrow.scale[2] * along, [0.0, 0.0, 0.1], atol=1e-9)
-    assert not handle(server, "/yumi_left/arm").visible, "of this arm nothing came yet"
+    np.testing.assert_allclose(tip(arrow) - T[:3, 3], [0.0, 0.0, 0.1], atol=1e-9)
+    assert not node(server, "/yumi_left/arm").visible, "of this arm nothing came yet"
     np.testing.assert_allclose(data(view, "yumi_right", "torque")[1:, -1], np.arange(7.0))
     np.testing.assert_allclose(data(view, "yumi_right", "force")[1:4, -1], HAT[:3])
     np.testing.assert_allclose(data(view, "yumi_right", "force")[4:, -1], [2.0, -2.0, 4.0, -4.0, 16.0, 4.0])
@@ -215,17 +206,19 @@ def test_a_silent_arm_shows_no_force_and_no_torque(server: Any, bridge: Any, fol
     view = RunningView(server, running)
     hear_until(running, lambda: running.row, lambda: one.row(RIGHT, wrench=HAT))
     view.draw()
-    assert handle(server, "/yumi_right/force").visible
+    assert node(server, "/yumi_right/force").visible
     hear_until(running, lambda: running.value("yumi_right", "age") > 0.5, lambda: one.row(LEFT, later=0.6))
     view.draw()
-    assert not handle(server, "/yumi_right/force").visible
-    assert handle(server, "/yumi_right/arm").visible
+    assert not node(server, "/yumi_right/force").visible
+    assert node(server, "/yumi_right/arm").visible
     assert np.isnan(data(view, "yumi_right", "torque")[1:, -1]).all(), "no line goes on"
 
 
 def test_curves_and_path_do_not_bridge_a_gap(server: Any, bridge: Any, following: Any, hear_until: Any) -> None:
     one, running = bridge(LEFT), following(rate=1e6)
     view = RunningView(server, running)
+    hear_until(running, lambda: running.robots)
+    view.draw()  # makes the scene, which may take as long as a gap
     for _ in range(3):
         before = running.row
         hear_until(running, lambda before=before: running.row is not before, lambda: one.row(LEFT))
@@ -258,7 +251,7 @@ def test_other_arms_get_another_scene(server: Any, bridge: Any, following: Any, 
     hear_until(running, lambda: running.row, lambda: other.row(RIGHT))
     view.draw()
     assert list(view._arms) == ["yumi_right"]
-    assert "/yumi_left" not in server.scene._handle_from_node_name
+    assert server.scene.get_handle_by_name("/yumi_left") is None
 
 
 def test_the_words_of_a_bridge_are_no_markup(server: Any, bridge: Any, following: Any, hear_until: Any) -> None:

@@ -12,13 +12,14 @@ import pytest
 from armlab import log, robots
 from armlab.errors import LogError, ModelMismatchError, RobotError, ShapeError
 from armlab.kinematics import forward
-from armlab.lie import quaternion, se3
 from armlab.live.recording_view import Player, Recorded, read_arms
 from armlab.live.scene import rgb
 from armlab.log import Recorder, Table, Tick
 from armlab.models import TorqueModel
 from armlab.robots import Robot
 from armlab.state import Command, State
+
+from .nodes import tip, tool
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
 START = 1_700_000_000_000_000_000
@@ -178,19 +179,6 @@ def pressed() -> Recorded:
     return arm(LEFT, wrench_hat=f, wrench_hat_cov=np.eye(6) * (30.0 - T)[:, None, None])
 
 
-def tool(server: Any, robot: robots.Robot) -> np.ndarray:
-    path, T = f"/{robot.name}/arm", np.eye(4)
-    for name in (*(f"link_{i + 1}" for i in range(robot.n)), "tool"):
-        path += f"/{name}"
-        handle = server.scene.get_handle_by_name(path)
-        T = T @ se3.from_rp(quaternion.to_matrix(handle.wxyz), handle.position)
-    return T[:3, 3]
-
-
-def tip(arrow: Any) -> np.ndarray:
-    return arrow.position + quaternion.to_matrix(arrow.wxyz) @ [0.0, 0.0, arrow.scale[2]]
-
-
 def control(server: Any, label: str) -> Any:
     found = [one for one in server.gui._gui_input_handle_from_uuid.values() if one.label == label]
     assert len(found) == 1, label
@@ -206,19 +194,19 @@ def test_arms_stand_where_the_log_says(server: Any) -> None:
         k = max(int(np.searchsorted(T, t, side="right")) - 1, 0)
         for robot in (LEFT, RIGHT):
             want = forward(robot, robot.q_home + 0.3 * np.sin(T[k]))[:3, 3]
-            np.testing.assert_allclose(tool(server, robot), want, atol=1e-12, rtol=0)
+            np.testing.assert_allclose(tool(server, robot.name, 7)[:3, 3], want, atol=1e-12, rtol=0)
 
 
 def test_time_goes_on_while_playing_at_its_speed_and_ends(server: Any) -> None:
     player = Player(server, [arm(LEFT)])
-    before = tool(server, LEFT)
+    before = tool(server, "yumi_left", 7)[:3, 3]
     player.advance(1.0)
     assert player.t == 0.0
     player.play()
     player.speed = 4.0
     player.advance(0.5)
     assert player.t == pytest.approx(2.0)
-    assert np.abs(tool(server, LEFT) - before).max() > 1e-3
+    assert np.abs(tool(server, "yumi_left", 7)[:3, 3] - before).max() > 1e-3
     player.pause()
     player.advance(1.0)
     assert player.t == pytest.approx(2.0)
@@ -249,7 +237,9 @@ def test_the_force_of_that_instant_and_its_covariance_are_drawn(server: Any, pre
         player.seek(t)
         player.advance(0.0)
         arrow = server.scene.get_handle_by_name("/yumi_left/force")
-        np.testing.assert_allclose(tip(arrow), tool(server, LEFT) + 0.01 * t * np.eye(3)[0], atol=1e-9, rtol=0)
+        np.testing.assert_allclose(
+            tip(arrow), tool(server, "yumi_left", 7)[:3, 3] + 0.01 * t * np.eye(3)[0], atol=1e-9, rtol=0
+        )
         assert (tuple(arrow.color) == rgb("#D55E00")) is significant
         widths.append(max(server.scene.get_handle_by_name("/yumi_left/uncertainty").scale))
     np.testing.assert_allclose(widths, 0.02 * np.sqrt([25.0, 12.0]))
@@ -289,7 +279,7 @@ def test_sliders_set_speed_and_length_of_a_force(server: Any, pressed: Recorded)
     player.advance(0.0)
     assert player.speed == 0.5
     arrow = server.scene.get_handle_by_name("/yumi_left/force")
-    np.testing.assert_allclose(tip(arrow), tool(server, LEFT) + 0.2 * np.eye(3)[0], atol=1e-9, rtol=0)
+    np.testing.assert_allclose(tip(arrow), tool(server, "yumi_left", 7)[:3, 3] + 0.2 * np.eye(3)[0], atol=1e-9, rtol=0)
     assert control(server, "time [s]").value == 10.0
     assert (control(server, "speed").min, control(server, "speed").max) == (0.1, 4.0)
 

@@ -11,54 +11,27 @@ import pytest
 from armlab import robots
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward, link_transforms
-from armlab.lie import quaternion, se3
-from armlab.live.scene import (
-    ARROW,
-    ForceArrow,
-    RobotScene,
-    _towards,
-    ellipsoid_axes,
-    is_significant,
-    rgb,
-)
-from armlab.robots import Robot
+from armlab.lie import se3
+from armlab.live.scene import ARROW, LINK_COLORS, ForceArrow, RobotScene, ellipsoid_axes, is_significant, rgb
+
+from .nodes import link, node, pose, tip, tool
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
-C = np.diag([1.0, 4.0, 9.0, 0.1, 0.1, 0.1])
-
-
-def node(server: Any, name: str) -> Any:
-    found = server.scene.get_handle_by_name(name)
-    assert found is not None, name
-    return found
-
-
-def pose(handle: Any) -> np.ndarray:
-    return se3.from_rp(quaternion.to_matrix(handle.wxyz), handle.position)
-
-
-def tip(arrow: Any) -> np.ndarray:
-    """Where the arrow from (0, 0, 0) to (0, 0, 1) ends."""
-    return (pose(arrow) @ [0.0, 0.0, arrow.scale[2], 1.0])[:3]
-
-
-def link(robot: Robot, number: int) -> str:
-    """Return the name of a link's node: below those of the links before."""
-    return f"/{robot.name}/arm" + "".join(f"/link_{i}" for i in range(1, number + 1))
 
 
 def test_links_and_tool_stand_where_the_kinematics_put_them(server: Any) -> None:
     T_world_base = se3.from_rp(np.eye(3), [0.0, 1.0, 0.2])
     scene = RobotScene(server, [LEFT, RIGHT], {"yumi_right": T_world_base})
     q = LEFT.q_home + 0.2
-    for robot in (LEFT, RIGHT):
+    for robot, color in zip((LEFT, RIGHT), LINK_COLORS, strict=True):
         scene.show(robot.name, q)
         T, found = link_transforms(robot, q), np.eye(4)
         for i in range(robot.n):
-            found = found @ pose(node(server, link(robot, i + 1)))
+            one = node(server, link(robot.name, i + 1))
+            found = found @ pose(one)
             np.testing.assert_allclose(found, T[i], atol=1e-12, rtol=0)
-        found = found @ pose(node(server, f"{link(robot, robot.n)}/tool"))
-        np.testing.assert_allclose(found, forward(robot, q), atol=1e-12, rtol=0)
+            assert tuple(one.color) == rgb(color)
+        np.testing.assert_allclose(tool(server, robot.name, robot.n), forward(robot, q), atol=1e-12, rtol=0)
     np.testing.assert_allclose(pose(node(server, "/yumi_right")), T_world_base, atol=1e-12, rtol=0)
     np.testing.assert_allclose(pose(node(server, "/yumi_left")), np.eye(4), atol=1e-12, rtol=0)
     arm = robots.from_dh("slider", [0.3, 0.5, 0.0], [0.1, 0.2, 0.1], [0.2, 0.0, 0.1], prismatic=[False, True, False])
@@ -67,7 +40,7 @@ def test_links_and_tool_stand_where_the_kinematics_put_them(server: Any) -> None
         scene.show("slider", q)
         found = np.eye(4)
         for i in range(3):
-            found = found @ pose(node(server, link(arm, i + 1)))
+            found = found @ pose(node(server, link("slider", i + 1)))
             np.testing.assert_allclose(found, link_transforms(arm, q)[i], atol=1e-12, rtol=0)
 
 
@@ -85,7 +58,7 @@ def test_arms_come_go_and_move(server: Any) -> None:
     assert floor.height > 5.0
     scene.remove("yumi_left")
     assert list(scene.robots) == ["yumi_right"]
-    assert server.scene.get_handle_by_name(link(LEFT, 1)) is None
+    assert server.scene.get_handle_by_name(link("yumi_left", 1)) is None
     with pytest.raises(UnknownName, match="yumi_left"):
         scene.remove("yumi_left")
     with pytest.raises(UnknownName, match="yumi_left"):
@@ -93,27 +66,32 @@ def test_arms_come_go_and_move(server: Any) -> None:
     six = replace(robots.load("ur5e"), name="yumi_right")
     scene.add(six)
     scene.show("yumi_right", six.q_home)
-    assert server.scene.get_handle_by_name(link(RIGHT, 7)) is None
+    assert server.scene.get_handle_by_name(link("yumi_right", 7)) is None
 
 
 def test_a_force_is_an_arrow_at_the_tool_with_its_ellipsoid_at_the_tip(server: Any) -> None:
     scene = RobotScene(server, [LEFT])
-    force = np.array([10.0, -5.0, 20.0])
+    root = np.random.default_rng(3).normal(size=(6, 6))
+    force, C = np.array([10.0, -5.0, 20.0]), root @ root.T
     scene.show("yumi_left", LEFT.q_home, [*force, 0, 0, 0], C)
-    tool = forward(LEFT, LEFT.q_home)[:3, 3]
+    at = forward(LEFT, LEFT.q_home)[:3, 3]
     arrow, ball = node(server, "/yumi_left/force"), node(server, "/yumi_left/uncertainty")
     assert arrow.visible
     assert ball.visible
-    np.testing.assert_allclose(arrow.position, tool)
-    np.testing.assert_allclose(tip(arrow), tool + ARROW * force)
-    np.testing.assert_allclose(ball.position, tool + ARROW * force)
-    np.testing.assert_allclose(sorted(ball.scale), ARROW * 2.0 * np.array([1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(arrow.position, at)
+    np.testing.assert_allclose(tip(arrow), at + ARROW * force)
+    np.testing.assert_allclose(ball.position, at + ARROW * force)
+    axes = pose(ball)[:3, :3] * ball.scale
+    np.testing.assert_allclose(axes @ axes.T, (2.0 * ARROW) ** 2 * C[:3, :3], atol=1e-12, rtol=1e-6)
     assert tuple(arrow.color) == tuple(ball.color) == rgb("#D55E00")
     assert pytest.approx(0.2) == ARROW * 20.0
     scene.arrow = 2 * ARROW
     scene.show("yumi_left", LEFT.q_home, force)
-    np.testing.assert_allclose(tip(arrow), tool + 2 * ARROW * force)
+    np.testing.assert_allclose(tip(arrow), at + 2 * ARROW * force)
     assert not ball.visible
+    for down in (*np.eye(3), *-np.eye(3), [1e-5, 0.0, -1.0], [0.0, 1e-6, -1.0], [1e-9, 0.0, -1.0]):
+        scene.show("yumi_left", LEFT.q_home, 10.0 * np.array(down))  # the turn has no axis of its own near -z
+        np.testing.assert_allclose(tip(arrow), at + 20.0 * ARROW * np.array(down), atol=1e-8, rtol=0)
 
 
 def test_an_arm_whose_joints_are_not_known_is_hidden(server: Any) -> None:
@@ -177,26 +155,6 @@ def test_wrong_input_gets_a_sentence(server: Any) -> None:
 
 TOOL = np.array([0.3, 0.1, 0.2])
 C_FORCE = np.diag([1.0, 4.0, 9.0])
-
-
-def test_an_arrow_turns_towards_every_force() -> None:
-    """Straight down and nearly so are the hard ones: the turn has no axis of its own there."""
-    rng = np.random.default_rng(4)
-    forces = [*rng.normal(size=(50, 3)), *np.eye(3), *-np.eye(3), [1e-5, 0.0, -1.0], [0.0, 1e-6, -1.0], [1e-9, 0, -1.0]]
-    for force in forces:
-        unit = np.array(force) / np.linalg.norm(force)
-        wxyz = _towards(*unit.tolist())
-        assert np.linalg.norm(wxyz) == pytest.approx(1.0, abs=1e-12)
-        np.testing.assert_allclose(quaternion.to_matrix(wxyz)[:, 2], unit, atol=1e-8)
-
-
-def test_ellipsoids_are_those_of_two_sigma() -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(5):
-        root = rng.normal(size=(3, 3))
-        axes, half = ellipsoid_axes(root @ root.T)
-        assert np.linalg.det(axes) == pytest.approx(1.0)
-        np.testing.assert_allclose(axes @ np.diag(half**2) @ axes.T, 4.0 * root @ root.T, atol=1e-12, rtol=1e-9)
 
 
 def test_a_force_is_significant_beyond_the_ellipsoid_of_95_percent() -> None:

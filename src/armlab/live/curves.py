@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,43 +16,40 @@ from armlab._palette import AXIS_COLORS, COLORS
 from armlab.errors import ShapeError
 from armlab.robots import Robot
 
-_LEAST_ROWS = 256  # rows for which there is room at least
-
 
 class RingBuffer:
-    """Samples of the last seconds; adding one costs the same however many there are."""
+    """Samples of the last seconds."""
 
     def __init__(self, width: int, seconds: float) -> None:
-        self._table, self._seconds = np.empty((_LEAST_ROWS, 1 + width)), seconds
-        self._first = self._end = 0
+        self._width, self._seconds = width, seconds
+        self._rows: deque[tuple[float, np.ndarray]] = deque()
 
     def __len__(self) -> int:
-        return self._end - self._first
+        return len(self._rows)
+
+    @property
+    def last(self) -> float:
+        """Time of the newest sample [s], -inf without any."""
+        return self._rows[-1][0] if self._rows else -np.inf
 
     @property
     def t(self) -> np.ndarray:
-        """Times (N,); they do not change when samples are added."""
-        return self._table[self._first : self._end, 0]
+        """Times (N,)."""
+        return np.array([t for t, _ in self._rows])
 
     @property
     def values(self) -> np.ndarray:
-        """Samples (N, width); they do not change when samples are added."""
-        return self._table[self._first : self._end, 1:]
+        """Samples (N, width)."""
+        return np.array([values for _, values in self._rows]).reshape(-1, self._width)
 
-    def add(self, t: float, values: ArrayLike) -> None:
+    def add(self, t: float, values: np.ndarray) -> None:
         """Add a sample. `t`: [s], not before the last one. `values`: (width,)."""
-        if self._end == len(self._table):  # what is kept goes to the front of another array: views of this one stay
-            kept = self._table[self._first :]
-            self._table = np.empty((max(_LEAST_ROWS, 2 * len(kept)), self._table.shape[1]))
-            self._table[: len(kept)] = kept
-            self._first, self._end = 0, len(kept)
-        row = self._table[self._end]
-        row[0], row[1:] = t, values
-        self._end += 1
-        self._first += int(np.searchsorted(self.t, t - self._seconds))
+        self._rows.append((t, values))
+        while self._rows[0][0] < t - self._seconds:
+            self._rows.popleft()
 
     def clear(self) -> None:
-        self._first = self._end
+        self._rows.clear()
 
 
 _STRETCHES = 200  # of a plot some 400 pixels wide: minimum and maximum of each are drawn
@@ -193,7 +191,7 @@ class Window:
 
     def push(self, t: float, values: ArrayLike, half: ArrayLike | None = None) -> None:
         """Add a sample (k,) at t [s], which the next `draw` shows; a time that does not advance begins anew."""
-        if len(self._recent) and t <= self._recent.t[-1]:
+        if t <= self._recent.last:
             self._recent.clear()
             self._drawn = -np.inf
         values = numbers(values, "a sample of curves", ShapeError)
@@ -205,10 +203,10 @@ class Window:
     def draw(self) -> None:
         """Show the samples, unless the last picture is too new."""
         recent = self._recent
-        if not len(recent) or recent.t[-1] - self._drawn < self._period:
+        if not len(recent) or recent.last - self._drawn < self._period:
             return
-        self._drawn = float(recent.t[-1])
-        values, half = recent.values[:, : self._curves.k], recent.values[:, self._curves.k :]
+        self._drawn = recent.last
+        values, half = np.split(recent.values, 2, axis=1)
         self._curves.show(recent.t, values, None if np.isnan(half).all() else half)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import math
 import time
@@ -44,13 +45,12 @@ class SeenRobot:
         self._text, self._run = "", ""
         self._schema: RowSchema | None = None
         self._quiet = math.inf  # s of listening since the newest row
-        self._data = b""
 
     def live(self, is_alive: bool) -> None:
         """Take that the bridge has come, or has gone or the way to it: what comes again may be another run."""
         self.is_alive = is_alive
         self.wants = True
-        self._data, self._quiet = b"", math.inf
+        self._quiet = math.inf
 
     def take(self, data: bytes | None) -> None:
         """Take a row. `data`: as it came, None when it was damaged."""
@@ -59,7 +59,9 @@ class SeenRobot:
         elif self._schema is None or data[8:16] != self._schema.id:
             self.wants = True
         elif not self.wants:
-            self.rows, self._data, self._quiet = self.rows + 1, data, 0.0
+            self.rows, self._quiet = self.rows + 1, 0.0
+            with contextlib.suppress(LinkError):
+                self.row = read_row(self._schema, data)
 
     def listened(self, seconds: float) -> None:
         """Take that somebody listened; what came meanwhile is taken after this."""
@@ -77,7 +79,7 @@ class SeenRobot:
             self.robot, self._text = replace(robot, name=self.name), text
         if self._run and said.run != self._run:
             self.restarts += 1
-            self.row, self._data = None, b""
+            self.row = None
         self._schema, self._run, self.wants = said.schema, said.run, False
 
     def status(self, data: bytes) -> None:
@@ -90,17 +92,6 @@ class SeenRobot:
         arm = said.get("arms", {}).get(self._arm)
         if arm is not None:
             self.rate, self.missed = arm.get("rate") or math.nan, arm.get("missed", 0)
-
-    def decode(self) -> bool:
-        """Make `row` of the newest bytes; return whether there are new ones."""
-        data, self._data = self._data, b""
-        if not data or self._schema is None:
-            return False
-        try:
-            self.row = read_row(self._schema, data)
-        except ArmlabError:
-            return False
-        return True
 
     def value(self, name: str) -> Any:
         return None if self.row is None else self.row.values.get(f"{self._arm}.{name}")
@@ -220,8 +211,9 @@ class FleetView:
     def __init__(self, server: ViserServer, rows: FleetRows) -> None:
         self._server, self._rows = server, rows
         self._scene: RobotScene | None = None
-        self._labels: dict[str, _Label] = {}
+        self._labels: dict[str, Any] = {}
         self._drawn: dict[str, Robot] = {}
+        self._shown: dict[str, Row | None] = {}
         self._due = 0.0
         server.scene.reset()
         self._state, self._table = Lines(server.gui), Markup(server.gui)
@@ -251,7 +243,10 @@ class FleetView:
         else:
             self._scene.add(robot)
         self._drawn[one.name] = robot
-        self._labels[one.name] = _Label(self._server, robot)
+        above = tuple(robot.T_base_mount[:3, 3] + [0.0, 0.0, 0.9 * arm_length(robot)])
+        self._labels[one.name] = self._server.scene.add_label(
+            f"/{robot.name}/label", robot.name, position=above, anchor="bottom-center"
+        )
 
     def _arrange(self) -> None:
         """Put all robots in a grid by their names, and who looks before it."""
@@ -269,12 +264,11 @@ class FleetView:
             client.camera.position, client.camera.look_at = camera.position, camera.look_at
 
     def _show(self, one: SeenRobot) -> None:
-        is_there = one.state == "there"
-        is_new = one.decode()
-        q = one.value("q")
-        if self._scene is None or q is None or not (is_new or not is_there):
+        q, row = one.value("q"), one.row if one.state == "there" else None
+        if self._scene is None or q is None or (row is not None and row is self._shown.get(one.name)):
             return
-        self._scene.show(one.name, q if is_there else np.full_like(q, np.nan))
+        self._shown[one.name] = row
+        self._scene.show(one.name, np.full_like(q, np.nan) if row is None else q)
 
     def _say(self) -> None:
         robots = self._rows.robots
@@ -288,24 +282,10 @@ class FleetView:
             words = _words(robots[name])
             lines.append("".join(f"<td style='{cell}'>{html.escape(word)}</td>" for word in words))
             if name in self._labels:
-                self._labels[name].say(*words[:2])
+                _, state, *_ = words
+                self._labels[name].text = name if state == "there" else f"{name}: {state}"
         body = "".join(f"<tr>{line}</tr>" for line in lines)
         self._table.show(f"<table style='font-size:0.75em;line-height:1.4;margin:0 1em'>{body}</table>")
-
-
-class _Label:
-    """What stands over a robot."""
-
-    def __init__(self, server: ViserServer, robot: Robot) -> None:
-        above = tuple(robot.T_base_mount[:3, 3] + [0.0, 0.0, 0.9 * arm_length(robot)])
-        self._handle = server.scene.add_label(
-            f"/{robot.name}/label", robot.name, position=above, anchor="bottom-center"
-        )
-
-    def say(self, name: str, state: str) -> None:
-        text = name if state == "there" else f"{name}: {state}"
-        if text != self._handle.text:
-            self._handle.text = text
 
 
 def _words(one: SeenRobot) -> tuple[str, ...]:

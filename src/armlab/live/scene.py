@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +24,7 @@ from armlab.robots import Mesh, Robot
 from armlab.robots.robot import arm_length, bends
 
 if TYPE_CHECKING:
+    from trimesh import Trimesh
     from viser import ViserServer
 
 
@@ -34,56 +35,44 @@ _SIDES = 20
 _SHAFT, _HEAD = 0.008, (0.02, 0.72)  # of an arrow: radius [m]; radius [m] and where it begins
 
 
-class Surface(NamedTuple):
-    """A closed surface: vertices (V, 3) [m] and faces (F, 3), corners counter-clockwise from outside."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-
-    def moved(self, T_a_b: np.ndarray) -> Surface:
-        """Return the body in frame a. `T_a_b`: (4, 4), where it is in b now."""
-        return Surface(self.vertices @ T_a_b[:3, :3].T + T_a_b[:3, 3], self.faces)
-
-
-def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Surface:
+def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Trimesh:
     """Return all points within a radius of the line from a to b: a cylinder and two half spheres."""
-    polar = np.linspace(0.0, np.pi, _SIDES + 1)
-    polar = np.insert(polar, _SIDES // 2, np.pi / 2)  # the equator twice: one ring for each end
-    height = np.where(np.arange(len(polar)) <= _SIDES // 2, np.linalg.norm(b - a), 0.0)
-    profile = np.stack([radius * np.sin(polar), radius * np.cos(polar) + height], axis=1)
-    return _turned(profile).moved(along(a, b))
+    from trimesh import creation
+
+    length = float(np.linalg.norm(b - a))
+    body = creation.capsule(length, radius, count=[_SIDES, _SIDES])
+    body.apply_translation([0.0, 0.0, length / 2.0 - body.bounds[:, 2].mean()])
+    return body.apply_transform(along(a, b))
 
 
-def _drum(radius: float, length: float) -> Surface:
-    """Return a cylinder about the z axis, centred at the origin."""
-    top = length / 2.0
-    return _turned(np.array([[0.0, top], [radius, top], [radius, top], [radius, -top], [radius, -top], [0.0, -top]]))
-
-
-def box(a: np.ndarray, b: np.ndarray, width: float) -> Surface:
+def box(a: np.ndarray, b: np.ndarray, width: float) -> Trimesh:
     """Return a rod of square section from a to b. `a`, `b`: (3,) middles of its ends. `width`: [m]."""
-    h, length = width / 2.0, float(np.linalg.norm(b - a))
-    corners = np.array([[x, y, z] for z in (0.0, length) for y in (-h, h) for x in (-h, h)])
-    squares = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    faces = np.array([(p, *pair) for p, q, r, s in squares for pair in ((q, r), (r, s))])
-    return Surface(corners, faces).moved(along(a, b))
+    from trimesh import creation
+
+    T = along(a, b)
+    T[:3, 3] = 0.5 * (a + b)
+    return creation.box((width, width, float(np.linalg.norm(b - a))), transform=T)
 
 
-def arrow() -> Surface:
+def arrow() -> Trimesh:
     """Return an arrow from the origin to (0, 0, 1); scaled along z it has the length of a force."""
-    return _turned(
-        np.array(
-            [[0.0, 1.0], [_HEAD[0], _HEAD[1]], [_HEAD[0], _HEAD[1]], [_SHAFT, _HEAD[1]], [_SHAFT, 0.0], [0.0, 0.0]]
-        )
-    )
+    from trimesh import creation
+
+    radius, begin = _HEAD
+    shaft, head = creation.cylinder(_SHAFT, begin, sections=_SIDES), creation.cone(radius, 1.0 - begin, sections=_SIDES)
+    shaft.apply_translation([0.0, 0.0, begin / 2.0])
+    head.apply_translation([0.0, 0.0, begin])
+    return shaft + head
 
 
-def bodies(robot: Robot) -> list[Surface]:
+def bodies(robot: Robot) -> list[Trimesh]:
     """Return n + 1 shapes: that from base to joint 1 in base axes, then each link in its link frame, the tool included.
 
     A link runs along its joint axes and the common normal between them, as in `plots.robot`; it gets thinner towards
     the tool. What slides is a rod along its axis, as long as its stroke.
     """
+    from trimesh.util import concatenate
+
     length = arm_length(robot)
     radii = length * np.linspace(*_THICK, robot.n + 1)
     shapes = []
@@ -98,14 +87,16 @@ def bodies(robot: Robot) -> list[Surface]:
             limits = np.array([robot.q_min[i - 1], robot.q_max[i - 1]])
             low, high = np.where(np.isfinite(limits), limits, [0.0, _STROKE * length])
             parts.append(box(-max(high, 0.0) * axis, -min(low, 0.0) * axis, 2.0 * radii[i]))
-        shapes.append(_together(parts or [capsule(start, start, radii[i])]))
+        shapes.append(concatenate(parts or [capsule(start, start, radii[i])]))
     return shapes
 
 
-def drums(robot: Robot) -> list[Surface]:
+def drums(robot: Robot) -> list[Trimesh]:
     """Return the n joints, each about the z axis of its link frame."""
+    from trimesh import creation
+
     radii = arm_length(robot) * np.linspace(*_THICK, robot.n + 1)[1:]
-    return [_drum(_DRUM[0] * radius, _DRUM[1] * radius) for radius in radii]
+    return [creation.cylinder(_DRUM[0] * radius, _DRUM[1] * radius, sections=_SIDES) for radius in radii]
 
 
 def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -117,27 +108,29 @@ def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return se3.from_rp(np.stack([x, np.cross(z, x), z], axis=1), a)
 
 
-def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Surface | None]:
+def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Trimesh | None]:
     """Return n + 1 shapes from the robot's visual meshes (base axes, link frames); None for a link without.
 
     One warning names all files that are missing or cannot be read. ``package://maker/a/b.stl`` is looked for as
     ``maker/a/b.stl`` and ``a/b.stl`` in each folder.
     """
+    from trimesh.util import concatenate
+
     missing: list[str] = []
-    shapes: list[Surface | None] = []
+    shapes: list[Trimesh | None] = []
     for i, link in enumerate(robot.meshes):
         visual = [mesh for mesh in link if mesh.kind == "visual"]
         found = [_read(mesh, folders or [Path()]) for mesh in visual]
         missing += [mesh.file for mesh, one in zip(visual, found) if one is None]
         parts = [one for one in found if one is not None]
-        whole = _together(parts) if parts and len(parts) == len(visual) else None
-        shapes.append(whole.moved(robot.T_base_mount) if whole is not None and i == 0 else whole)
+        whole: Any = concatenate(parts) if parts and len(parts) == len(visual) else None
+        shapes.append(whole.apply_transform(robot.T_base_mount) if whole is not None and i == 0 else whole)
     if missing:
         warnings.warn(f"no mesh for {', '.join(missing)} of {robot.name}: links without are capsules", stacklevel=2)
     return shapes or [None] * (robot.n + 1)
 
 
-def _read(mesh: Mesh, folders: Sequence[Path]) -> Surface | None:
+def _read(mesh: Mesh, folders: Sequence[Path]) -> Trimesh | None:
     """Return what a file of a mesh holds, in its link frame."""
     import trimesh
 
@@ -151,46 +144,14 @@ def _read(mesh: Mesh, folders: Sequence[Path]) -> Surface | None:
         if path.is_file():
             try:
                 read = trimesh.load_mesh(path)
-                if not len(read.faces):
-                    return None
-                return Surface(np.asarray(read.vertices) * mesh.scale, np.asarray(read.faces)).moved(mesh.T_link_mesh)
+                return read.apply_scale(mesh.scale).apply_transform(mesh.T_link_mesh) if len(read.faces) else None
             except Exception:  # each reader of each format has errors of its own
                 return None
     return None
 
 
-def _turned(profile: np.ndarray) -> Surface:
-    """Return the surface that a profile (K, 2) of radius and height, from the top down, makes about the z axis."""
-    angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
-    rings = [np.stack([r * np.cos(angle), r * np.sin(angle), np.full(_SIDES, z)], axis=1) for r, z in profile]
-    k, i = np.meshgrid(np.arange(len(profile) - 1), np.arange(_SIDES), indexing="ij")
-    upper, lower = k * _SIDES + i, (k + 1) * _SIDES + i
-    after = (i + 1) % _SIDES - i
-    faces = np.stack([upper, lower, lower + after, upper, lower + after, upper + after], axis=-1).reshape(-1, 3)
-    return Surface(np.concatenate(rings), faces)
-
-
-def _together(parts: Sequence[Surface]) -> Surface:
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    faces = [part.faces + start for part, start in zip(parts, starts)]
-    return Surface(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
-
-
-class SceneNode:
-    """Remembers what it set: viser takes longer to find that a pose is the old one than to send a new one."""
-
-    def __init__(self, handle: Any) -> None:
-        self.handle, self._set = handle, dict[str, tuple[float, ...]]()
-
-    def set(self, **values: tuple[float, ...]) -> None:
-        """Set attributes of the handle: ``position``, ``wxyz``, ``scale`` or ``color``."""
-        for name, value in values.items():
-            if self._set.get(name) != value:
-                setattr(self.handle, name, value)
-                self._set[name] = value
-
-
-def solid(scene: Any, name: str, body: Surface, color: str) -> Any:
+def solid(scene: Any, name: str, body: Trimesh, color: str) -> Any:
+    body = body.smooth_shaded  # sharp edges stay sharp
     return scene.add_mesh_simple(name, body.vertices.astype(np.float32), body.faces.astype(np.uint32), color=rgb(color))
 
 
@@ -209,16 +170,14 @@ class ForceArrow:
     """Arrow and ellipsoid; both are grey while zero lies inside the 95 % ellipsoid."""
 
     def __init__(self, scene: Any, root: str) -> None:
-        self._arrow = SceneNode(solid(scene, f"{root}/force", arrow(), VERMILION))
-        self._spread = SceneNode(
-            scene.add_icosphere(
-                f"{root}/uncertainty", 1.0, rgb(VERMILION), opacity=0.3, visible=False, cast_shadow=False
-            )
+        self._arrow = solid(scene, f"{root}/force", arrow(), VERMILION)
+        self._spread = scene.add_icosphere(
+            f"{root}/uncertainty", 1.0, rgb(VERMILION), opacity=0.3, visible=False, cast_shadow=False
         )
         self.hide()
 
     def hide(self) -> None:
-        self._arrow.handle.visible = self._spread.handle.visible = False
+        self._arrow.visible = self._spread.visible = False
 
     def show(self, tool: np.ndarray, force: np.ndarray | None, covariance: np.ndarray | None, unit: float) -> None:
         """Draw a force (3,) [N] at the tool, `unit` metres long per newton, with its ellipsoid; nothing where NaN."""
@@ -231,19 +190,15 @@ class ForceArrow:
         color = rgb(VERMILION if is_significant(force, axes, half) else GREY)
         tip = unit * force
         length = math.hypot(*tip)
-        self._arrow.handle.visible = length >= _SHORTEST
+        self._arrow.visible = length >= _SHORTEST
         if length >= _SHORTEST:
             thick = min(max(length / _FULL, 0.3), 1.0)
-            wxyz, scale = _towards(*(tip / length).tolist()), (thick, thick, length)
-            self._arrow.set(position=tuple(tool.tolist()), wxyz=wxyz, scale=scale, color=color)
-        self._spread.handle.visible = known
+            self._arrow.position, self._arrow.wxyz = tool, _towards(*(tip / length).tolist())
+            self._arrow.scale, self._arrow.color = (thick, thick, length), color
+        self._spread.visible = known
         if known:
-            self._spread.set(
-                position=tuple((tool + tip).tolist()),
-                wxyz=tuple(quaternion.from_matrix(axes).tolist()),
-                scale=tuple((unit * np.maximum(half, _SURE)).tolist()),
-                color=color,
-            )
+            self._spread.position, self._spread.wxyz = tool + tip, quaternion.from_matrix(axes)
+            self._spread.scale, self._spread.color = tuple(unit * np.maximum(half, _SURE)), color
 
 
 def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -413,11 +368,11 @@ class _ArmNodes:
         self._arm = scene.add_frame(f"{root}/arm", show_axes=False)
         shapes, given, joints = bodies(robot), mesh_bodies(robot, meshes), drums(robot)
         solid(scene, f"{root}/arm/mount", given[0] or shapes[0], color)
-        self._links: list[SceneNode] = []
-        self._placed, path = False, f"{root}/arm"
+        self._links: list[Any] = []
+        path = f"{root}/arm"
         for i in range(robot.n):
-            path += f"/link_{i + 1}"  # below the link before: where it turns about its joint, only the turn is sent
-            self._links.append(SceneNode(solid(scene, path, given[i + 1] or shapes[i + 1], color)))
+            path += f"/link_{i + 1}"
+            self._links.append(solid(scene, path, given[i + 1] or shapes[i + 1], color))
             if given[i + 1] is None:
                 solid(scene, f"{path}/joint", joints[i], COLORS[i % len(COLORS)])
         _place(
@@ -437,12 +392,8 @@ class _ArmNodes:
             return
         T = link_transforms(self._robot, q)
         local = np.concatenate([T[:1], se3.inv(T[:-1]) @ T[1:]])
-        turns, places = quaternion.from_matrix(local[:, :3, :3]).tolist(), local[:, :3, 3].tolist()
-        for link, turn, place, slides in zip(self._links, turns, places, self._robot.prismatic):
-            link.set(wxyz=tuple(turn))
-            if slides or not self._placed:
-                link.set(position=tuple(place))
-        self._placed = True
+        for link, T_link in zip(self._links, local):
+            _place(link, T_link)
         self._force.show(forward(self._robot, q)[:3, 3], force, spread, unit)
 
     def trace(self, points: np.ndarray) -> None:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pytest
 
+from armlab import robots
 from armlab.bridge.arbiter import Arbiter
 from armlab.bridge.cell import Cell, run_cell
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
+from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.log import Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -71,6 +74,28 @@ class Served:
         self.thread.join(PATIENCE)
         assert not self.thread.is_alive()
         self.feed.close()
+
+
+class ServedProcess:
+    """The process of a server at the other end of a hub, and rows of the right arm, whose number is in their stamp."""
+
+    def __init__(
+        self, stack: contextlib.ExitStack, name: str, options: Mapping[str, Any], restarts: Sequence[float] = ()
+    ) -> None:
+        self.robot, self.stack, self.number = robots.load("yumi_right"), stack, 0
+        parameters = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0)])
+        self.exchange = Hub([self.robot], [name], parameters, [name], about={"cell": "yumi"})
+        self.servers = stack.enter_context(Servers(self.exchange, {name: server_command(name, options)}, restarts))
+        (self.where,) = self.servers.ready(60.0)
+
+    def state(self) -> State:
+        q = np.array(self.robot.q_home)
+        return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=q, robot=self.robot.name, q_start=q)
+
+    def row(self) -> None:
+        """Send the next row."""
+        self.number += 1
+        self.exchange.row(self.state(), None, Tick(self.number, -1, self.number, 0, -1, 0))
 
 
 def nested(depth: int) -> list[Any]:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from armlab.lie import quaternion
 from armlab.live.scene import TOOL_COLOR, rgb
@@ -24,19 +23,19 @@ def axes() -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def projected(points: np.ndarray, position: np.ndarray = POSITION) -> np.ndarray:
+def projected(points: np.ndarray) -> np.ndarray:
     """Return columns and rows (..., 2) of points (..., 3): a pinhole camera."""
-    x, y, z = np.moveaxis((points - position) @ axes(), -1, 0)
+    x, y, z = np.moveaxis((points - POSITION) @ axes(), -1, 0)
     focal = HEIGHT / 2.0 / np.tan(FOV / 2.0)
     return np.stack([WIDTH / 2.0 + focal * x / z, HEIGHT / 2.0 + focal * y / z], axis=-1)
 
 
-def taken(server: Any, path: Path, position: np.ndarray = POSITION) -> np.ndarray:
+def taken(server: Any, path: Path) -> np.ndarray:
     """Return what the page of a server draws (HEIGHT, WIDTH, 4), and keep it."""
     import imageio.v3 as iio
 
     client = next(iter(server.get_clients().values()))
-    view = {"wxyz": quaternion.from_matrix(axes()), "position": position, "fov": FOV}
+    view = {"wxyz": quaternion.from_matrix(axes()), "position": POSITION, "fov": FOV}
     picture = client.get_render(HEIGHT, WIDTH, **view, transport_format="png", timeout=120.0)
     iio.imwrite(path, picture)
     return picture
@@ -55,15 +54,12 @@ def off(picture: np.ndarray, at: np.ndarray) -> float:
     return float(np.hypot(columns[there].mean() - at[0], rows[there].mean() - at[1]))
 
 
-def seen(server: Any, points: list[np.ndarray], path: Path, place: ArrayLike = (0.0, 0.0, 0.0)) -> float:
-    """Return how far the tools in the picture are from where they should be, once they are there or too late.
-
-    The camera looks at an arm whose base is at `place`.
-    """
-    worst, position = np.inf, POSITION + place
+def seen(server: Any, points: list[np.ndarray], path: Path) -> float:
+    """Return how far the tools in the picture are from where they should be, once they are there or too late."""
+    worst = np.inf
     for _ in range(PICTURES):
-        picture = taken(server, path, position)
-        worst = max(off(picture, projected(point, position)) for point in points)
+        picture = taken(server, path)
+        worst = max(off(picture, projected(point)) for point in points)
         if worst < 6.0:
             break
     return worst

@@ -56,7 +56,6 @@ class Hub:
         self.parameters = Parameters() if parameters is None else parameters
         self.outlets = {name: Outlet(name) for name in servers}
         self.schema = RowSchema.of(robots, sources)
-        self.mistakes = 0
         self._writer = RowWriter(self.schema)
         self._about = {
             "run": secrets.token_hex(8),
@@ -186,8 +185,7 @@ class Hub:
     def _take(self, outlet: Outlet, data: bytes) -> None:
         try:
             request = messages.read_request(data)
-        except LinkError:
-            self.mistakes += 1
+        except LinkError:  # noise
             return
         client, is_operator = f"{outlet.name} {request.client}".rstrip(), outlet.name == OPERATOR
         match request:

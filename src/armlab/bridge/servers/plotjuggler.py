@@ -5,14 +5,13 @@ from __future__ import annotations
 import ipaddress
 import math
 import socket
-import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import msgspec
 
 from armlab.bridge.servers.messages import Listening
-from armlab.bridge.servers.row import RowField, RowSchema, read_head
+from armlab.bridge.servers.row import RowField, RowSchema, places, read_head
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError, UnknownName
 
@@ -20,7 +19,6 @@ _FIELDS = ("q", "qd", "tau", "wrench", "wrench_hat", "q_sent", "qd_sent", "tau_s
 _LARGEST = 1400  # bytes towards other computers: one packet of a network
 _LARGEST_HERE = 65507
 _NUMBER = len("-1234567890123456789012.0")  # the longest; "-1.2345678901234567e-308" is shorter by one
-_FORMS = {"float64": "d", "int64": "q"}  # of `struct`
 _STAMP = len('{"timestamp":1700000000.1234567}')
 
 
@@ -47,12 +45,8 @@ class Datagrams:
                     f"Expected fields that fit into {largest} bytes for PlotJuggler on another computer, but {name} "
                     "does not any more. Choose fewer."
                 )
-        self._parts = {
-            robot: _FieldGroup([field for name in self.fields if (field := schema.fields.get(f"{robot}.{name}"))])
-            for robot in schema.robots
-        }
-        sources = dict.fromkeys(one.source for one in others)
-        self._sources = {source: _FieldGroup([one for one in others if one.source == source]) for source in sources}
+        self._parts = {robot: _FieldGroup(schema, robot, self.fields) for robot in schema.robots}
+        self._sources = {one.source: _FieldGroup(schema, one.source) for one in others}
         self._fresh = [(robot, schema.fields[f"{robot}.fresh"].offset) for robot in schema.robots]
 
     def datagram(self, data: bytes) -> bytes:
@@ -70,23 +64,19 @@ class Datagrams:
 class _FieldGroup:
     """The fields of an arm or of a source in a datagram: joints and axes are numbered from 1."""
 
-    def __init__(self, fields: Sequence[RowField]) -> None:
+    def __init__(self, schema: RowSchema, source: str, names: Iterable[str] | None = None) -> None:
+        known = places(schema, source)
         self._fields = [
-            (
-                one.name.partition(".")[2],
-                struct.Struct(f"<{math.prod(one.shape)}{_FORMS[one.type]}"),
-                one.offset,
-                [str(k) for k in range(1, math.prod(one.shape) + 1)] if one.shape else None,
-            )
-            for one in fields
-            if one.type in _FORMS
+            (name, *known[name], bool(schema.fields[f"{source}.{name}"].shape))
+            for name in names or known
+            if name in known
         ]
 
     def values(self, data: bytes) -> dict[str, Any]:
         found: dict[str, Any] = {}
-        for name, form, offset, keys in self._fields:
+        for name, form, offset, is_array in self._fields:
             values = form.unpack_from(data, offset)
-            found[name] = values[0] if keys is None else dict(zip(keys, values))
+            found[name] = {str(k): value for k, value in enumerate(values, 1)} if is_array else values[0]
         return found
 
 

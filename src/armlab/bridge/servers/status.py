@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shutil
-import struct
 import time
 from collections import deque
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.bridge.control.feedback import not_ready_reason
-from armlab.bridge.servers.row import RowSchema
+from armlab.bridge.servers.row import RowSchema, places, read_head
 from armlab.errors import UnknownName
 
 if TYPE_CHECKING:
@@ -21,8 +20,7 @@ if TYPE_CHECKING:
 
 
 _KEPT = 2500  # round trips: 10 s at 250 Hz
-_HEAD_SEQ, _HEAD_MONO = 16, 24  # bytes from the beginning of a row
-_TOGETHER = 64  # rows: one alone takes eight times as long, as nothing of this is in the cache then
+_COUNTED = ("fresh", "receive_ns", "send_ns", "missed", "late", "drops", "session", "clamped")
 _BITS = {"position": 1, "velocity": 2, "acceleration": 4, "braking": 8}
 
 
@@ -30,64 +28,51 @@ class _ArmCounts:
     """What is counted of one arm."""
 
     def __init__(self, schema: RowSchema, name: str) -> None:
-        fields = schema.fields
-        self.at = {
-            word: fields[f"{name}.{word}"].offset
-            for word in ("fresh", "receive_ns", "send_ns", "missed", "late", "drops", "session", "clamped")
-        }
-        self.joints = struct.Struct(f"<{math.prod(fields[f'{name}.clamped'].shape)}q")
+        self._places = places(schema, name)
         self.trips: deque[float] = deque(maxlen=_KEPT)
         self.times: deque[int] = deque(maxlen=_KEPT)
         self.rows = self.missed = self.late = self.drops = self.session = 0
         self.longest = 0.0
-        self.clamps = {kind: [0] * (self.joints.size // 8) for kind in _BITS}
+        self.clamps = {kind: [0] * math.prod(schema.fields[f"{name}.clamped"].shape) for kind in _BITS}
+
+    def add(self, data: bytes, mono_ns: int) -> None:
+        fresh, received, sent, missed, late, drops, session, *clamped = (
+            value
+            for form, offset in map(self._places.__getitem__, _COUNTED)
+            for value in form.unpack_from(data, offset)
+        )
+        if not fresh:
+            return
+        self.rows += 1
+        self.times.append(mono_ns)
+        if sent > 0:
+            self.trips.append(1e-3 * (sent - received))
+            self.longest = max(self.longest, self.trips[-1])
+        self.missed, self.late = self.missed + missed, self.late + late
+        self.drops, self.session = drops, session
+        if any(clamped):
+            for kind, bit in _BITS.items():
+                self.clamps[kind] = [count + bool(word & bit) for count, word in zip(self.clamps[kind], clamped)]
 
 
 class Status:
     """Counts rows as they come."""
 
     def __init__(self, schema: RowSchema) -> None:
+        self._schema = schema
         self._arms = {name: _ArmCounts(schema, name) for name in schema.robots}
         self._seq = self._first = self._rows = 0
-        self._waiting: list[bytes] = []
 
     def add(self, data: bytes) -> None:
-        """Count one row, at the latest when somebody asks for the counts."""
-        self._waiting.append(data)
-        if len(self._waiting) == _TOGETHER:
-            self._count_waiting()
-
-    def _count_waiting(self) -> None:
-        for data in self._waiting:
-            self._count(data)
-        self._waiting.clear()
-
-    def _count(self, data: bytes) -> None:
-        (self._seq,) = struct.unpack_from("<Q", data, _HEAD_SEQ)
-        (mono_ns,) = struct.unpack_from("<q", data, _HEAD_MONO)
+        """Count one row."""
+        self._seq, mono_ns, _ = read_head(self._schema, data)
         self._rows += 1
         self._first = self._first or self._seq
         for arm in self._arms.values():
-            if not _integer(data, arm.at["fresh"]):
-                continue
-            arm.rows += 1
-            arm.times.append(mono_ns)
-            received, sent = _integer(data, arm.at["receive_ns"]), _integer(data, arm.at["send_ns"])
-            if sent > 0:
-                trip = 1e-3 * (sent - received)
-                arm.trips.append(trip)
-                arm.longest = max(arm.longest, trip)
-            arm.missed += _integer(data, arm.at["missed"])
-            arm.late += _integer(data, arm.at["late"])
-            arm.drops, arm.session = _integer(data, arm.at["drops"]), _integer(data, arm.at["session"])
-            clamped = arm.joints.unpack_from(data, arm.at["clamped"])
-            if any(clamped):
-                for kind, bit in _BITS.items():
-                    arm.clamps[kind] = [count + bool(word & bit) for count, word in zip(arm.clamps[kind], clamped)]
+            arm.add(data, mono_ns)
 
     def summary(self) -> dict[str, Any]:
         """Return the counts: of the feed, and by name of each arm; round trips in microseconds, NaN without any."""
-        self._count_waiting()
         arms = {}
         for name, arm in self._arms.items():
             seconds = 1e-9 * (arm.times[-1] - arm.times[0]) if len(arm.times) > 1 else 0.0
@@ -107,10 +92,6 @@ class Status:
             }
         lost = self._seq - self._first + 1 - self._rows if self._rows else 0
         return {"rows": self._rows, "lost": lost, "arms": arms}
-
-
-def _integer(data: bytes, offset: int) -> int:
-    return struct.unpack_from("<q", data, offset)[0]
 
 
 _SILENT = 0.5  # s after which an arm sends no packets

@@ -1,10 +1,10 @@
-"""What the tests over DDS share: a domain of their own, and participants in this process."""
+"""The server of ROS 2 over DDS in a thread, in a domain of its own, and participants that play its nodes."""
 
 from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import count
 from typing import Any
 
@@ -12,9 +12,12 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
 
+from armlab import robots
+from armlab.bridge.inputs.parameters import Parameter
 from armlab.bridge.servers.ros.dds import (
     DataReader,
     DataWriter,
+    DdsServer,
     DdsTopic,
     DomainParticipant,
     Policy,
@@ -23,6 +26,8 @@ from armlab.bridge.servers.ros.dds import (
     topic_name,
 )
 from armlab.bridge.servers.ros.topics import store
+
+from ..conftest import Served
 
 RELIABLE = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(10))
 
@@ -59,12 +64,40 @@ class Node:
 
     def __init__(self, domain: int) -> None:
         self.domain, self.participant = domain, DomainParticipant(domain)
+        self.client = self.participant.guid.hex[:24]
 
     def reader(self, name: str, type_: str) -> DataReader[Any]:
         return DataReader(self.participant, DdsTopic(self.participant, topic_name(name), carrier(type_)), RELIABLE)
 
-    def writer(self, name: str, type_: str) -> DataWriter[Any]:
-        return DataWriter(self.participant, DdsTopic(self.participant, topic_name(name), carrier(type_)), RELIABLE)
+    def read(self, name: str, type_: str) -> Callable[[], list[Any]]:
+        """Return what gives all messages that have come."""
+        reader, found = self.reader(name, type_), list[Any]()
+
+        def come() -> list[Any]:
+            found.extend(taken(reader, type_))
+            return found
+
+        return come
+
+    def writer(self, name: str, type_: str) -> Writer:
+        topic = DdsTopic(self.participant, topic_name(name), carrier(type_))
+        return Writer(DataWriter(self.participant, topic, RELIABLE), type_)
+
+
+class Writer:
+    """A writer of a node."""
+
+    def __init__(self, writer: DataWriter[Any], type_: str) -> None:
+        self.writers, self._type = [writer], type_
+
+    def write(self, raw: bytes) -> None:
+        self.writers[0].write(carrier(self._type)(raw + bytes(-len(raw) % 4)))
+
+    def leave(self) -> None:
+        self.writers.clear()
+
+    def is_matched(self) -> bool:
+        return bool(self.writers[0].get_matched_subscriptions())
 
 
 def taken(reader: DataReader[Any], type_: str) -> list[Any]:
@@ -73,14 +106,20 @@ def taken(reader: DataReader[Any], type_: str) -> list[Any]:
     return [store().deserialize_cdr(sample.cdr, type_) for sample in samples]
 
 
-def write(writer: DataWriter[Any], type_: str, *fields: Any) -> None:
-    """Send a message of `store`."""
-    message = store().types[type_](*fields)
-    writer.write(carrier(type_)(bytes(store().serialize_cdr(message, type_))))
+class DdsCell(Served):
+    """The server, and a node."""
 
+    def __init__(self, rights: Any = "anyone") -> None:
+        gain = Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights=rights)
+        self.domain = free_domain()
+        options = {"domain": self.domain, "host": "127.0.0.1"}
+        super().__init__("ros2", robots.load("yumi_left"), lambda feed: DdsServer(feed, options), [gain])
+        assert self.where == [f"127.0.0.1 (ros2, DDS domain {self.domain})"]
+        self.node = self.join()
 
-def numbers(*values: float) -> tuple[Any, Any]:
-    """Fields of a Float64MultiArray."""
-    import numpy as np
+    def join(self, name: str = "") -> Node:
+        return Node(self.domain)
 
-    return store().types["std_msgs/msg/MultiArrayLayout"]([], 0), np.array(values)
+    def close(self) -> None:
+        del self.node
+        super().close()

@@ -10,7 +10,6 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -78,17 +77,6 @@ OUTPUT = "".join(f"== {name}\n{text}" for name, text in {**SAID, "pub": "publish
 GOOD = dict.fromkeys(("echo", "hz", "info -v", "parameter", "command", "stop"), "")
 
 
-def test_what_ros2_says_is_read() -> None:
-    said = JOB.sections(OUTPUT)
-    assert {name: said[name] for name in SAID} == SAID
-    assert JOB.rate(said["hz"]) == 247.013
-    assert JOB.rate("no new messages\n") == 0.0
-    assert JOB.numbers(said["moved"], "position") == [0.0, -2.2, 1e-05, 0.5, 0.0, 0.7, 0.3]
-    assert JOB.numbers(said["moved"], "velocity") == []
-    for middleware in JOB.MIDDLEWARE:
-        assert JOB.judge(said, "jazzy", middleware) == GOOD
-
-
 @pytest.mark.parametrize(
     ("part", "text", "check", "words"),
     [
@@ -104,22 +92,6 @@ def test_what_does_not_hold_is_told(part: str, text: str, check: str, words: str
     found = JOB.judge({**SAID, part: text}, "jazzy", "rmw_zenoh_cpp")
     assert words in found[check]
     assert all(JOB.judge({}, "humble", "rmw_fastrtps_cpp").values()), "nodes that say nothing pass nothing"
-
-
-def run_of(distribution: str, middleware: str, **wrong: str) -> dict[str, Any]:
-    return {"distribution": distribution, "middleware": middleware, "checks": {**GOOD, **wrong}}
-
-
-def test_the_sentence_says_what_passed_and_what_did_not() -> None:
-    assert JOB.clause([]) == "not yet against a running ROS 2 node"
-    fast, zenoh, bad = run_of("jazzy", "f"), run_of("jazzy", "z"), run_of("humble", "z", hz="31 Hz")
-    assert JOB.clause([bad]) == "not yet against a running ROS 2 node"
-    assert JOB.clause([fast, zenoh]) == "nodes of ROS 2 Jazzy (f, z) read and command"
-    assert JOB.clause([bad, fast]) == "nodes of ROS 2 Jazzy (f) read and command, not those of Humble (z)"
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    changed = JOB.stated(readme, [fast])
-    assert "; nodes of ROS 2 Jazzy (f) read and command. ROS 1: " in changed
-    assert JOB.stated(changed, []) == JOB.stated(readme, [])
 
 
 def test_cells_and_settings_are_those_of_the_page() -> None:

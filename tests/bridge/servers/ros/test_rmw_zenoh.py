@@ -15,7 +15,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armlab import robots
-from armlab.bridge.inputs.parameters import Parameter
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.ros.rmw_zenoh import ANY, Distribution, Names, Nodes, Origin, RmwZenohServer, Writer
 from armlab.bridge.servers.ros.topics import store
@@ -24,6 +23,7 @@ from armlab.errors import ConfigError, MissingExtra
 
 from ....processes import Started, free_port
 from ..conftest import WALL, Served, until
+from .zenoh_nodes import ZenohCell
 
 pytest.importorskip("zenoh", reason="the extra net is not installed")
 pytest.importorskip("xxhash", reason="the extra net is not installed")
@@ -33,49 +33,11 @@ DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
 
 
-class Running(Served):
-    """The server in a thread, and a session of a node."""
-
-    def __init__(self) -> None:
-        gain, port = Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"), free_port()
-        options = {"domain": 0, "host": "127.0.0.1", "port": port, "router": "", "distribution": "jazzy"}
-        super().__init__("rmw_zenoh", ARM, lambda feed: RmwZenohServer(feed, options), [gain])
-        self.node = LabAddress("127.0.0.1", port).open()
-        self.names = Names(0, str(self.node.zid()), node="theirs")
-        self.sent = 0
-
-    def read(self, topic: str, type_: str) -> list[Any]:
-        """Return a list that fills with the samples of a topic."""
-        samples: list[Any] = []
-        self.node.declare_subscriber(self.names.data(topic, type_), samples.append)
-        return samples
-
-    def write(self, topic: str, type_: str, raw: bytes, sender: bytes = b"s" * 16) -> None:
-        self.sent += 1
-        self.node.put(self.names.data(topic, type_), raw, attachment=Origin(self.sent, 0, sender).pack())
-
-    def close(self) -> None:
-        close_session(self.node)
-        super().close()
-
-
-@pytest.fixture(autouse=True)
-def often(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Parameters and diagnostics come ten times a second, an arm is silent after a fifth of one."""
-    monkeypatch.setattr("armlab.bridge.servers.ros.server._AGAIN", 0.1)
-    monkeypatch.setattr("armlab.bridge.servers.ros.topics._PERIOD_NS", 10**8)
-    monkeypatch.setattr("armlab.bridge.servers.ros.topics._SILENT", 0.2)
-
-
 @pytest.fixture
-def running() -> Iterator[Running]:
-    one = Running()
+def running(often: None) -> Iterator[ZenohCell]:
+    one = ZenohCell()
     yield one
     one.close()
-
-
-def message(sample: Any, type_: str) -> Any:
-    return store().deserialize_cdr(sample.payload.to_bytes(), type_)
 
 
 def numbers(values: Any) -> bytes:
@@ -84,37 +46,12 @@ def numbers(values: Any) -> bytes:
     return bytes(store().serialize_cdr(array, ARRAY))
 
 
-def answer(running: Running, diagnostics: list[Any]) -> str:
-    """What the newest diagnostics say to clients, "" while none has come."""
-    running.tick += 250
-    running.commanded()
-    found = [message(sample, DIAGNOSTICS) for sample in diagnostics]
-    values = {one.key: one.value for each in found for one in each.status[0].values}
-    return values.get("last answer", "none").replace("none", "")
-
-
-def test_joint_states_reach_a_node_that_reads_them(running: Running) -> None:
-    running.commanded()
-    assert running.server.wanted() == frozenset()
-    samples = running.read("/yumi_left/joint_states", JOINTS)
-    until(lambda: running.server.wanted() == {"/yumi_left/joint_states"})
-    for _ in range(5):
-        running.commanded()
-    until(lambda: len(samples) == 5)
-    found = message(samples[0], JOINTS)
-    assert np.array_equal(found.position, ARM.q_home)
-    assert (list(found.name), len(found.effort)) == (list(ARM.ros_joint_names), 0)
-    origins = [Origin.read(sample.attachment.to_bytes()) for sample in samples]
-    assert [origin.seq for origin in origins if origin] == [1, 2, 3, 4, 5]
-    assert samples[0].payload.to_bytes()[:4] == b"\0\1\0\0"
-
-
-def test_what_a_reader_missed_that_comes_again_is_numbered(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_reader_missed_that_comes_again_is_numbered(running: ZenohCell, monkeypatch: pytest.MonkeyPatch) -> None:
     topic = "/yumi_left/joint_states"
     output = running.server._outputs[topic]
     samples: list[Any] = []
     for last in (1, 5):
-        reader = running.node.declare_subscriber(running.names.data(topic, JOINTS), samples.append)
+        reader = running.node.session.declare_subscriber(running.node.names.data(topic, JOINTS), samples.append)
         until(lambda: output.wanted and topic in running.server.wanted())
         running.commanded()
         until(lambda last=last: samples and Origin.read(samples[-1].attachment.to_bytes()).seq == last)
@@ -130,11 +67,11 @@ def test_what_a_reader_missed_that_comes_again_is_numbered(running: Running, mon
 
 
 def test_what_is_read_is_noted_also_while_parameters_are_told_all_the_time(
-    running: Running, monkeypatch: pytest.MonkeyPatch
+    running: ZenohCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else a topic whose reader's way is cut would not be numbered: its half minute had passed."""
     topic = "/yumi_left/joint_states"
-    running.read(topic, JOINTS)
+    running.node.read(topic, JOINTS)
     until(lambda: topic in running.server.wanted())
     monkeypatch.setattr("armlab.bridge.servers.ros.rmw_zenoh._LOOK", 0.05)
     running.server._told = math.inf
@@ -143,9 +80,9 @@ def test_what_is_read_is_noted_also_while_parameters_are_told_all_the_time(
         until(lambda before=before: running.server._read_until[topic] > before)
 
 
-def test_the_graph_has_the_node_its_writers_and_readers(running: Running) -> None:
+def test_the_graph_has_the_node_its_writers_and_readers(running: ZenohCell) -> None:
     def tokens() -> list[list[str]]:
-        replies = running.node.liveliness().get("@ros2_lv/0/**", timeout=2.0)
+        replies = running.node.session.liveliness().get("@ros2_lv/0/**", timeout=2.0)
         return [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None]
 
     expected = len(running.server._topics.published) + len(running.server._commands.types) + 1
@@ -160,90 +97,15 @@ def test_the_graph_has_the_node_its_writers_and_readers(running: Running) -> Non
     assert len(origin.id) == 16
 
 
-def test_all_writers_of_a_node_are_one_client_until_the_last_goes(running: Running) -> None:
-    names, node = running.names, running.node
-    tokens = [names.writer(1, VELOCITY, ARRAY), names.writer(2, "/yumi_left/set_parameter", TEXT)]
-    lives = [node.liveliness().declare_token(token) for token in tokens]
-    ids = [Writer(token).id for token in tokens]
-    until(lambda: all(one in running.server._nodes._clients for one in ids))
-    who = f"rmw_zenoh /theirs@{node.zid()!s}"
-
-    def commanded(k: int) -> bool:
-        running.write(VELOCITY, ARRAY, numbers([0.0] * 7), ids[k])
-        return running.commanded() is not None
-
-    until(lambda: commanded(0))
-    running.exchange.arbiter._lease_ns = 10**12  # silence frees nothing
-    assert running.exchange.arbiter.commander(ARM.name) == who
-    refused = running.exchange.arbiter.refused
-    obeyed = running.exchange.arbiter.obeyed[ARM.name]
-    so_far = obeyed[who]
-    until(lambda: commanded(1) and obeyed[who] > so_far + 1)
-    assert not refused
-    lives[0].undeclare()
-    until(lambda: ids[0] not in running.server._nodes._clients)
-    running.commanded()
-    assert running.exchange.arbiter.commander(ARM.name) == who
-    lives[1].undeclare()
-    until(lambda: running.commanded() is None and running.exchange.arbiter.commander(ARM.name) == "")
-
-
-def test_what_is_no_command_is_told(running: Running) -> None:
-    diagnostics = running.read("/yumi_left/diagnostics", DIAGNOSTICS)
+def test_writers_of_every_distribution_are_heard_and_others_are_told_why_not(running: ZenohCell) -> None:
+    """Humble has no hashes; its key differs, and the subscription takes any."""
+    humble, put = Names(0, "1", "humble").data(VELOCITY, ARRAY), running.node.session.put
     events: list[str] = []
     running.exchange.begin(lambda text, *_: events.append(text))
-    for type_, raw, words in (
-        (ARRAY, numbers([0.0] * 6), "Expected 7 numbers"),
-        (ARRAY, b"\0\1\0\0nothing", "Expected a std_msgs/msg/Float64MultiArray, got 11 bytes"),
-        (ARRAY, numbers([np.nan] * 7), "Expected finite numbers"),
-    ):
-
-        def told(type_: str = type_, raw: bytes = raw, words: str = words) -> bool:
-            running.write(VELOCITY, type_, raw)
-            return words in answer(running, diagnostics) and any(words in text for text in events)
-
-        until(told)
-
-    half = bytes(store().serialize_cdr(store().types[TEXT]('{"gain": "\\ud800"}'), TEXT))
-
-    def answered() -> bool:
-        running.write("/yumi_left/set_parameter", TEXT, half)
-        return "Expected what JSON in UTF-8 can say" in answer(running, diagnostics)
-
-    until(answered)
-
-    def dropped() -> bool:
-        running.node.put(running.names.data(VELOCITY, ARRAY), numbers([0.0] * 7))
-        words = "33 bytes attached"
-        return words in answer(running, diagnostics) and any(words in text for text in events)
-
-    until(dropped)
+    until(lambda: put(humble, numbers([0.0] * 7)) or running.commanded() or any("33 bytes" in one for one in events))
     assert not running.exchange.arbiter.obeyed[ARM.name]
-
-
-def test_writers_of_every_distribution_are_heard(running: Running) -> None:
-    """Humble has no hashes; its key differs, and the subscription takes any."""
-    humble = Names(0, "1", "humble")
-
-    def commanded() -> bool:
-        running.sent += 1
-        attached = Origin(running.sent, 0, b"h" * 16).pack()
-        running.node.put(humble.data(VELOCITY, ARRAY), numbers([0.0] * 7), attachment=attached)
-        return running.commanded() is not None
-
-    until(commanded)
-
-
-def test_parameters_and_stop(running: Running) -> None:
-    echoes = running.read("/yumi_left/parameters", TEXT)
-    raw = bytes(store().serialize_cdr(store().types[TEXT]('{"gain": 0.75}'), TEXT))
-    until(lambda: running.write("/yumi_left/set_parameter", TEXT, raw) or running.commanded() or echoes)
-    until(lambda: running.commanded() or message(echoes[-1], TEXT).data == '{"gain": 0.75}')
-    empty = b"\0\1\0\0\0"
-    stop = "std_msgs/msg/Empty"
-    until(
-        lambda: running.write("/yumi_left/stop", stop, empty) or running.commanded() or running.exchange.arbiter.stopped
-    )
+    attached = Origin(1, 0, b"h" * 16).pack()
+    until(lambda: put(humble, numbers([0.0] * 7), attachment=attached) or running.commanded())
 
 
 def test_it_refuses_commands_through_a_router_elsewhere() -> None:
@@ -387,7 +249,7 @@ class Cell(Served):
 
 
 @pytest.fixture
-def cell(processes: Callable[..., Started]) -> Iterator[tuple[Cell, Callable[[], Started]]]:
+def cell(often: None, processes: Callable[..., Started]) -> Iterator[tuple[Cell, Callable[[], Started]]]:
     """Return the cell, and what kills the router and returns what starts the next one."""
     port = free_port()
     routers = [processes("router", port)]

@@ -13,6 +13,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +26,13 @@ from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.net.sockets import pair
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.ros1.process import Ros1Process
-from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import LinkError
 from armlab.lie import quaternion, se3
 from armlab.log import Recorder, Tick
 from armlab.state import State
 from tests.processes import bound, free_port
 
+from ..conftest import ServedProcess
 from .conftest import PATIENCE, PYTHON, Ros, end
 
 ROWS = 750  # 3 s
@@ -88,34 +89,26 @@ def on_a_network() -> str:
     pytest.skip("this computer is on no network")
 
 
-class Running:
-    """The server's process at the other end of an exchange, and rows at 250 Hz for as long as a test wants."""
+class Running(ServedProcess):
+    """The server, and rows at 250 Hz for as long as a test wants."""
 
     def __init__(self, stack: contextlib.ExitStack, uri: str, host: str = "127.0.0.1") -> None:
-        self.robot = robots.load("yumi_right")
-        parameters = Parameters([Parameter("gain", 0.5)])
-        self.exchange = Hub([self.robot], ["ros1"], parameters, ["ros1"], about={"cell": "yumi"})
-        self.told: list[str] = []
+        super().__init__(stack, "ros1", options(uri, host=host), restarts=(1.0, 2.0))
+        self.told, self.due = list[str](), time.monotonic()
         self.exchange.begin(lambda text, *_: self.told.append(text))
-        command = server_command("ros1", options(uri, host=host))
-        self.servers = stack.enter_context(Servers(self.exchange, {"ros1": command}, restarts=(1.0, 2.0)))
-        (self.where,) = self.servers.ready(PATIENCE)
-        self.number, self.due = 0, time.monotonic()
 
     def state(self) -> State:
         q = np.array(self.robot.q_home)
         q[6] = np.sin(self.number)
-        return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=q, robot=self.robot.name, q_start=q)
+        return replace(super().state(), q=q)
 
     def until(self, condition: Callable[[], Any]) -> Any:
         """Send rows until something is so; the number of a row is in its stamp."""
         end = time.monotonic() + PATIENCE
         while not (found := condition()):
             assert time.monotonic() < end, self.told
-            self.number += 1
-            now = self.state()
-            self.exchange.row(now, None, Tick(self.number, -1, self.number, 0, -1, 0))
-            self.exchange.arbiter(now)
+            self.row()
+            self.exchange.arbiter(self.state())
             self.due = max(self.due + 0.004, time.monotonic() - 0.1)
             time.sleep(max(0.0, self.due - time.monotonic()))
         return found

@@ -24,7 +24,6 @@ from armlab.bridge.servers.rosbridge.protocol import (
     id_of,
     parameter_name,
     publish,
-    read_operation,
     read_type,
 )
 from armlab.errors import CommandRefused
@@ -125,12 +124,20 @@ def test_what_cannot_be_done_comes_back_as_a_status(bench: Bench, operation: dic
     assert bench.heard(client) == []
 
 
-@pytest.mark.parametrize("text", ["[" * 20000, b"{}", "\ud800", "9" * LARGEST + "9"], ids=range(4))
-def test_what_is_no_operation_comes_back_as_a_status(bench: Bench, text: str | bytes) -> None:
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[" * 20000, "an operation of rosbridge v2 in JSON"),
+        (b"{}", "a text message"),
+        ("\ud800", "text in Unicode"),
+        ("9" * LARGEST + "9", "at most 65536 characters"),
+    ],
+    ids=range(4),
+)
+def test_what_is_no_operation_comes_back_as_a_status(bench: Bench, text: str | bytes, words: str) -> None:
     client = bench.client()
     bench.say(client, text)
-    (status,) = bench.heard(client)
-    assert status["msg"].startswith("Expected ")
+    assert bench.heard(client)[0]["msg"].startswith(f"Expected {words}")
 
 
 def test_commands_carry_the_identity_of_the_connection(bench: Bench) -> None:
@@ -325,9 +332,7 @@ def test_whatever_a_client_says_is_done_or_answered(said: list[Any]) -> None:
     assert bench.loop.asked[-1] == Leave(client.name)
 
 
-def test_too_long_and_ids_that_are_none() -> None:
-    with pytest.raises(CommandRefused, match="at most 65536 characters"):
-        read_operation(" " * (LARGEST + 1))
+def test_ids_that_are_none() -> None:
     assert id_of('{"id": 3, "op": "unsubscribe"}') == 3
     assert id_of('{"id": [1], "op": 3}') is None
     assert id_of(json.dumps({"id": "x" * 1000})) == "x" * 256
@@ -369,21 +374,13 @@ def test_message_details_name_all_types_inside(bench: Bench) -> None:
     client = bench.client()
     asked = {"type": "sensor_msgs/msg/JointState"}
     states, header, time = bench.ask(client, "/rosapi/message_details", args=asked)["typedefs"]
-    assert (states["type"], header["type"], time["type"]) == (
-        "sensor_msgs/msg/JointState",
-        "std_msgs/msg/Header",
-        "builtin_interfaces/msg/Time",
-    )
+    assert (header["type"], time["type"]) == ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
     assert states["fieldnames"] == ["header", "name", "position", "velocity", "effort"]
     assert states["fieldtypes"] == ["std_msgs/msg/Header", "string", "float64", "float64", "float64"]
     assert states["fieldarraylen"] == [-1, 0, 0, 0, 0]
     states, header = bench.ask(client, "/rosapi/message_details", args=["sensor_msgs/JointState"])["typedefs"]
     assert states["fieldtypes"][0] == header["type"] == "std_msgs/Header"
-    assert dict(zip(header["fieldnames"], header["fieldtypes"])) == {
-        "seq": "uint32",
-        "stamp": "time",
-        "frame_id": "string",
-    }
+    assert header["fieldtypes"] == ["uint32", "time", "string"]
     diagnostics = bench.ask(client, "/rosapi/message_details", args=["diagnostic_msgs/DiagnosticStatus"])["typedefs"]
     assert diagnostics[0]["constnames"] == ["OK", "WARN", "ERROR", "STALE"]
     assert diagnostics[1]["type"] == "diagnostic_msgs/KeyValue"

@@ -19,19 +19,14 @@ import numpy as np
 import pytest
 from websockets.asyncio.client import connect as one_thread
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.frames import Frame, Opcode
 from websockets.sync.client import ClientConnection, connect
 
 from armlab import robots
-from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.rosbridge.server import Access, RosbridgeServer, _head, read_access
-from armlab.bridge.servers.supervisor import Servers, server_command
+from armlab.bridge.servers.rosbridge.server import Access, RosbridgeServer, read_access
 from armlab.errors import ConfigError
-from armlab.log import Tick
-from armlab.state import State
 
-from ..conftest import PATIENCE, until
+from ..conftest import PATIENCE, ServedProcess, until
 from .conftest import HANDSHAKE
 
 STATES = "/yumi_right/joint_states"
@@ -39,32 +34,17 @@ POSITION = "/yumi_right/joint_group_position_controller/command"
 OPTIONS = {"host": "127.0.0.1", "port": 0, "dialect": "ros2", "origins": ["https://lab.example"]}
 
 
-class Running:
-    """A server process at the other end of an exchange, and its clients."""
+class Running(ServedProcess):
+    """The server and its clients."""
 
     def __init__(self, stack: contextlib.ExitStack, **options: Any) -> None:
-        self.robot = robots.load("yumi_right")
-        parameters = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0)])
-        self.exchange = Hub([self.robot], ["rosbridge"], parameters, ["rosbridge"], about={"cell": "yumi"})
-        command = server_command("rosbridge", {**OPTIONS, **options})
-        self.stack = stack
-        (self.where,) = stack.enter_context(Servers(self.exchange, {"rosbridge": command})).ready(PATIENCE)
+        super().__init__(stack, "rosbridge", {**OPTIONS, **options})
         self.port = int(self.where.partition(" ")[0].rpartition(":")[2])
-        self.number = 0
 
     def client(self, **options: Any) -> ClientConnection:
         scheme = "wss" if "ssl" in options else "ws"
         options |= {"max_queue": None, "close_timeout": 1.0}
         return self.stack.enter_context(connect(f"{scheme}://127.0.0.1:{self.port}", **options))
-
-    def state(self) -> State:
-        q = np.array(self.robot.q_home)
-        return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=q, robot=self.robot.name, q_start=q)
-
-    def row(self) -> None:
-        """Send the next row; its number is in its stamp."""
-        self.number += 1
-        self.exchange.row(self.state(), None, Tick(self.number, -1, self.number, 0, -1, 0))
 
     def until(self, condition: Callable[[], Any]) -> Any:
         """Send rows until something is so."""
@@ -192,12 +172,6 @@ def test_a_client_that_does_not_read_disturbs_nobody(running: Running) -> None:
             assert message["msg"]["header"]["stamp"]["nanosec"] == last + 1
             last += 1
         running.exchange.outlets["rosbridge"].send(b'{"kind":"count"}')
-
-
-@pytest.mark.parametrize("size", [0, 125, 126, 65535, 65536, 100000])
-def test_a_frame_is_that_of_websockets(size: int) -> None:
-    text = bytes(size)
-    assert _head(size) + text == Frame(Opcode.TEXT, text).serialize(mask=False)
 
 
 def test_sixteen_clients_at_most(running: Running) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from armlab.bridge.inputs.parameters import Parameter
 from armlab.bridge.servers.zenoh.process import ZenohProcess
-from armlab.bridge.servers.zenoh.session import LabAddress, close_session
+from armlab.bridge.servers.zenoh.session import LabAddress, _open, close_session
 from armlab.robots import Robot
 
 from ....processes import free_port
@@ -94,15 +94,15 @@ def start(robot: Robot) -> Iterator[Callable[..., Running]]:
         one.close()
 
 
-@pytest.fixture
-def session() -> Iterator[Callable[..., Any]]:
-    """Return what opens sessions to a server."""
-    made: list[Any] = []
-
-    def begin(port: int, **options: str) -> Any:
-        made.append(LabAddress.of("127.0.0.1", port, options).open())
-        return made[-1]
-
-    yield begin
-    for one in made:
+@pytest.fixture(autouse=True)
+def closed() -> Iterator[None]:
+    """Close what a test opened, after its servers."""
+    yield
+    for one in list(_open):
         close_session(one)
+
+
+@pytest.fixture
+def session() -> Callable[..., Any]:
+    """Return what opens sessions to a server."""
+    return lambda port, **options: LabAddress.of("127.0.0.1", port, options).open()

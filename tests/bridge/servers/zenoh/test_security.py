@@ -16,7 +16,7 @@ from armlab.bridge.servers.zenoh.feed import robots_at
 from armlab.bridge.servers.zenoh.messages import Attachment, key
 from armlab.bridge.servers.zenoh.process import ZenohProcess
 from armlab.bridge.servers.zenoh.security import BRIDGE, COMMANDER, Security
-from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_near, queried, wait_for_router
+from armlab.bridge.servers.zenoh.session import LabAddress, open_near, queried, wait_for_router
 from armlab.cli.bridge import write_certificates
 from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
@@ -144,17 +144,15 @@ def test_commands_through_a_router_elsewhere_need_both(robot: Robot) -> None:
 
 def test_a_bridge_comes_to_a_router_with_passwords(lab: Path) -> None:
     files, far, own = bridge_files(lab), free_port(), free_port()
-    router, _ = open_near("127.0.0.1", far, security=Security.of(files))
+    open_near("127.0.0.1", far, security=Security.of(files))
     secret = {"secret": str(lab / "bridge.secret")}
     place = f"127.0.0.1:{far}"
     reading, where = open_near("127.0.0.1", own, place, Security.of({"ca": files["ca"], **secret}))
     assert where == f"tls (zenoh, only through the router at {place})"
     assert wait_for_router(reading, 20.0)
-    commanded, where = open_near("127.0.0.1", own, place, Security.of({**files, **secret}), commands=True)
+    _, where = open_near("127.0.0.1", own, place, Security.of({**files, **secret}), commands=True)
     assert where == f"tls/127.0.0.1:{own} (zenoh, through the router at {place})"
-    commander = LabAddress.of("127.0.0.1", own, user(lab, "commander")).open(20.0)
-    for session in (commander, commanded, reading, router):
-        close_session(session)
+    LabAddress.of("127.0.0.1", own, user(lab, "commander")).open(20.0)
 
 
 def test_configuration(lab: Path) -> None:

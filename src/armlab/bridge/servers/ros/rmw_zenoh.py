@@ -215,7 +215,7 @@ class RmwZenohServer(RosServer):
         self._declared += [lives.declare_token(token) for token in tokens]
 
     def _read(self) -> None:
-        """Take note of what is read now: the same set until it changes; by any thread.
+        """Take note of what is read now; by any thread.
 
         A reader whose way is cut is as one that has left. What it would have got is numbered still, for a while.
         """
@@ -223,9 +223,7 @@ class RmwZenohServer(RosServer):
         with self._reading:
             read = [name for name, output in list(self._outputs.items()) if output.wanted]
             self._read_until.update(dict.fromkeys(read, now + _MAY_COME_AGAIN))
-            wanted = frozenset([name for name, until in self._read_until.items() if until > now])
-            if wanted != self._wanted:
-                self._wanted = wanted
+            self._wanted = frozenset([name for name, until in self._read_until.items() if until > now])
 
     def _token(self, sample: Any) -> None:
         self._nodes.token(str(sample.key_expr), sample.kind == zenoh().SampleKind.PUT)

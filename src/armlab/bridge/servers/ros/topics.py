@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from struct import Struct
 from typing import Any
 
@@ -82,12 +82,9 @@ class RosTopic:
 class ArmRow:
     """The fields of one arm in a row of bytes; `places` says where they are (see `row.places`)."""
 
-    __slots__ = ("_T_base_tool", "_data", "_places", "robot", "wall_ns")
-
     def __init__(self, robot: Robot, places: Mapping[str, tuple[Struct, int]], data: bytes, wall_ns: int) -> None:
         self.robot, self.wall_ns = robot, wall_ns
         self._places, self._data = places, data
-        self._T_base_tool: np.ndarray | None = None
 
     def __getitem__(self, name: str) -> tuple[Any, ...]:
         """Return the numbers of a field, named without the robot."""
@@ -97,16 +94,12 @@ class ArmRow:
     def numbers(self, name: str) -> tuple[float, ...]:
         """Return the numbers of a field, or none when one of them is NaN: the field is missing."""
         values = self[name]
-        if math.isnan(sum(values)) and any(map(math.isnan, values)):  # a sum of infinities is NaN, too
-            return ()
-        return values
+        return () if any(map(math.isnan, values)) else values
 
-    @property
+    @cached_property
     def T_base_tool(self) -> np.ndarray:
         """Pose of the tool in the base (4, 4) at the measured joint positions."""
-        if self._T_base_tool is None:
-            self._T_base_tool = kinematics.forward(self.robot, self["q"])
-        return self._T_base_tool
+        return kinematics.forward(self.robot, self["q"])
 
     def in_tool_axes(self, wrench: Sequence[float]) -> tuple[float, ...]:
         """Return a wrench of six numbers, of base axes at the tool point, in the axes of the tool."""

@@ -34,13 +34,14 @@ class Subscribers:
     """Writes messages to whoever reads their topic; for a slow node they wait, and the oldest are dropped."""
 
     def __init__(self, looks: select.poll) -> None:
-        self.wanted: frozenset[str] = frozenset()
         self.counts: dict[str, tuple[int, int]] = {}
         self._looks = looks
         self._connections: dict[int, _Connection] = {}
-        self._readers: dict[str, tuple[_Connection, ...]] = {}
         self._seq: Counter[str] = Counter()
-        self._headed: dict[str, bool] = {}
+
+    @property
+    def wanted(self) -> frozenset[str]:
+        return frozenset(one.topic for one in self._connections.values())
 
     def add(self, topic: str, connection: socket.socket, known: Iterable[bytes] = ()) -> str:
         """Take over a connection whose header of ROS has gone out; return a sentence when it was ended instead."""
@@ -53,7 +54,6 @@ class Subscribers:
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         self._connections[connection.fileno()] = one
         self._looks.register(connection, select.POLLIN)
-        self._sort()
         for raw in known:
             self._put(one, _SIZE.pack(len(raw)) + raw)
         return ""
@@ -61,12 +61,10 @@ class Subscribers:
     def send(self, topic: RosTopic, raw: bytes) -> None:
         """Send a message to all nodes that read it; their connections that have ended are let go."""
         name = topic.name
-        headed = self._headed.get(name)
-        if headed is None:
-            headed = self._headed[name] = fields(store().types[topic.type])[0].name == "header"
+        headed = fields(store().types[topic.type])[0].name == "header"
         self._seq[name] = (self._seq[name] + 1) % 2**32
         data = _SIZE_AND_SEQ.pack(len(raw), self._seq[name]) + raw[4:] if headed else _SIZE.pack(len(raw)) + raw
-        for one in self._readers.get(name, ()):
+        for one in [one for one in self._connections.values() if one.topic == name]:
             self._put(one, data)
 
     def look(self, number: int) -> None:
@@ -99,16 +97,10 @@ class Subscribers:
             if one.waiting:
                 self._count(one, 0, len(one.waiting))
             one.close()
-            self._sort()
 
     def _count(self, one: _Connection, added: int, dropped: int) -> None:
         sent, lost = self.counts.get(one.topic, (0, 0))
         self.counts[one.topic] = sent + added - dropped, lost + dropped
-
-    def _sort(self) -> None:
-        held = list(self._connections.values())
-        self.wanted = frozenset(one.topic for one in held)
-        self._readers = {name: tuple(one for one in held if one.topic == name) for name in self.wanted}
 
 
 class _Connection:

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import msgspec
 
-from armlab.bridge.servers.messages import CommandRequest, Leave, Report, Request, SetRequest
+from armlab.bridge.servers.messages import CommandRequest, Leave, Report, SetRequest
 from armlab.bridge.servers.ros.server import Commands
 from armlab.bridge.servers.ros.topics import Messages, RosTopic, Topics
 from armlab.bridge.servers.rosbridge import protocol
 from armlab.bridge.servers.rosbridge.protocol import Dialect, Level, Rosapi, full_name, parameter_name
-from armlab.bridge.servers.row import RowSchema
+from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import CommandRefused, UnknownName
-from armlab.robots import Robot
 
 _KEPT = 1_000_000_000  # ns that a message waits at most
 _PATIENCE = 10_000_000_000  # ns without progress after which a client is given up
@@ -183,21 +182,10 @@ _SETTINGS = 64  # of a client that wait for the loop
 _ABSENT: Mapping[str, Any] = {"std_msgs/msg/Float64MultiArray": [], "std_msgs/msg/String": ""}
 
 
-class _Loop(Protocol):
-    """What is needed of `LoopEnd`."""
-
-    schema: RowSchema
-    about: dict[str, Any]
-    parameters: dict[str, dict[str, Any]]
-
-    def robots(self) -> dict[str, Robot]: ...
-    def ask(self, request: Request) -> bool: ...
-
-
 class Engine:
     """All clients of one server."""
 
-    def __init__(self, loop: _Loop, server: str = "rosbridge", dialect: Dialect = "ros2") -> None:
+    def __init__(self, loop: LoopEnd, server: str = "rosbridge", dialect: Dialect = "ros2") -> None:
         robots = loop.robots()
         self._dialect: Dialect = dialect
         self._loop, self._server = loop, server

@@ -11,7 +11,6 @@ import re
 import socket
 import ssl
 import stat
-import struct
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -191,7 +190,9 @@ class RosbridgeServer:
         if transport.get_write_buffer_size() > _WRITE_LIMIT or connection.state is not self._open:
             return
         if messages := session.outbox.take(_SEND_BUFFER):
-            transport.write(b"".join([part for data in messages for part in (_head(len(data)), data)]))
+            frames = self._websockets.frames
+            texts = [frames.Frame(frames.Opcode.TEXT, data) for data in messages]
+            transport.write(b"".join([one.serialize(mask=False) for one in texts]))
 
     def _judge(self, connection: ServerConnection, request: Request) -> Response | None:
         """Refuse a connection before it is one: too many clients, or a wrong token."""
@@ -228,16 +229,10 @@ class RosbridgeServer:
         return {**self._gone, **here}
 
 
-def _head(size: int) -> bytes:
-    """Return what stands before a text of so many bytes: RFC 6455, section 5.2, a whole message and no mask."""
-    if size < 126:
-        return struct.pack(">BB", 0x81, size)
-    return struct.pack(">BBH", 0x81, 126, size) if size < 65536 else struct.pack(">BBQ", 0x81, 127, size)
-
-
 def _websockets() -> Any:
     try:
         import websockets.asyncio.server
+        import websockets.frames
     except ImportError:
         raise MissingExtra(
             "Expected websockets for the rosbridge server, got none. Install it: pip install 'armlab[net]'."

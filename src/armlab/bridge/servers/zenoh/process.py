@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from armlab.bridge.servers.messages import CommandRequest, Listening, Report, Request, SetRequest, Stop
+from armlab.bridge.servers.row import MONO, Pace
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.bridge.servers.status import Status
 from armlab.bridge.servers.zenoh.messages import COMMANDS, Attachment, checksum, data_of, key
@@ -26,7 +27,7 @@ _STATUS = 500_000_000  # ns between two reports
 _LONGEST = 65536  # bytes of a setting
 _MOST = 64  # joints
 _CLIENTS = 256  # of which is known where their answers go
-_HEAD_MONO = struct.Struct("<q")
+_MONO = struct.Struct("<q")
 _NOBODY = "unknown"
 
 
@@ -170,7 +171,7 @@ class _ArmOutput:
         self.rows: dict[str, Publisher] = {}
         self.texts: dict[str, Publisher] = {}
         self._status: Status | None = None
-        self._due = {"view": 0, "status": 0}
+        self._view, self._report = Pace(_VIEW), Pace(_STATUS)
 
     def open(self, session: Any, lab: str) -> None:
         kinds = {"state": BlockingPublisher, "live": Publisher, "view": Publisher}
@@ -187,12 +188,12 @@ class _ArmOutput:
     def row(self, data: bytes) -> None:
         """Send a row of this arm to those that want it; a row of another arm is none."""
         self._count(data)
-        if not _HEAD_MONO.unpack_from(data, self._fresh)[0]:
+        if not any(data[self._fresh : self._fresh + 8]):
             return
         attached = checksum(data)
         self.rows["live"].put(data, attached)
         self.rows["state"].put(data, attached)
-        if self._is_due("view", data, _VIEW):
+        if self._view.takes([self.name], _MONO.unpack_from(data, MONO)[0]):
             self.rows["view"].put(data, attached)
 
     def _count(self, data: bytes) -> None:
@@ -202,15 +203,8 @@ class _ArmOutput:
             return
         self._status = self._status or Status(self._schema)
         self._status.add(data)
-        if self._is_due("status", data, _STATUS):
+        if self._report.takes([self.name], _MONO.unpack_from(data, MONO)[0]):
             output.put(msgspec.json.encode({"kind": "status", **self._status.summary()}))
-
-    def _is_due(self, what: str, data: bytes, every: int) -> bool:
-        now = _HEAD_MONO.unpack_from(data, 24)[0]
-        if now < self._due[what]:
-            return False
-        self._due[what] = max(self._due[what] + every, now)
-        return True
 
 
 def _order(robot: str, kind: str, data: bytes, attached: Attachment) -> CommandRequest:
