@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from cyclopts import App
 
-from armlab import cli, log, robots
+from armlab import cli, log, models, robots
 from armlab.motion import fit_dmp
 
 NEED_NOTHING = {  # verbs without a required argument
@@ -163,9 +163,16 @@ dmp fit good.csv -o motion.toml | --force
 dmp fit good.csv -o x.toml --column speed | speed
 dmp fit good.csv -o x.toml --period 2 | --kind periodic
 dmp fit good.csv -o x.toml --kind pose | --robot
+dmp fit good.csv -o x.toml --frame goal | --kind pose
+dmp fit good.csv -o x.toml --kind periodic | Expected --period
+dmp fit good.csv -o x.toml --kind rhythm | periodic
+dmp fit good.csv good.csv -o x.toml --kind periodic --period 1 | Expected one log
 dmp play motion.toml | --robot NAME
 dmp play motion.toml --robot yumi_left --goal -9,0,0,0,0,0,0 | got -9 for joint 1
 dmp play motion.toml -o x.csv --goal here | numbers with commas
+dmp play motion.toml -o x.csv --amplitude 2 | --amplitude
+dmp play motion.toml -o x.csv --via now:1 | TIME:Y
+dmp play robot.toml -o x.csv | a movement primitive
 """
 FAILED_WORK = """
 sim yumi_right --to 127.0.0.1:9 --stats missing/stats.json | missing/stats.json
@@ -229,6 +236,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     log.write(table, folder / "good.csv")
     log.write(table, folder / "good.mcap", arm)
     fit_dmp(t, q, n_basis=8).value.save(folder / "motion.toml")
+    models.save(arm, folder / "robot.toml")
     (folder / "still.py").write_text("def still(state):\n    return None\n")
     return folder
 
