@@ -23,7 +23,6 @@ from armlab.cli.plot.options import (
     PoseRobot,
     Primitive,
     RobotName,
-    chosen,
     chosen_of,
     poses_in,
     torque_model,
@@ -372,6 +371,6 @@ def two_dof(
             raise ConfigError(f"Expected --disturbed as START,END, got {' '.join(disturbed or ())}.")
         held = [(float(span[0]), float(span[1])) for span in spans if span is not None]
         run = law.recorded(read, held, duration=duration, g=numbers_in(goal, "goal"))
-        return plots.two_dof(run, chosen(joints, run.yc.shape[1]))
+        return plots.two_dof(run, None if joints is None else joints_in(joints, run.yc.shape[1]))
 
     return figure.draw(log, "two_dof", draw)

@@ -162,15 +162,10 @@ def torque_model(path: Path) -> TorqueModel:
     return armlab.models.load(path, "torque_model")
 
 
-def chosen(joints: str | None, n: int) -> list[int] | None:
-    """Return the joints to draw, numbers from 0; None for all."""
-    return None if joints is None else joints_in(joints, n)
-
-
 def chosen_of(model: Path, joints: str | None) -> tuple[TorqueModel, list[int] | None]:
     """Return the torque model of a file, and which of its joints to draw."""
     known = torque_model(model)
-    return known, chosen(joints, known.n)
+    return known, None if joints is None else joints_in(joints, known.n)
 
 
 def poses_in(table: Table, path: Path, column: str | None, robot: str | None) -> np.ndarray:
