@@ -80,7 +80,6 @@ def test_the_motion_is_written_to_a_file(primitive: Path, tmp_path: Path, comman
     ] == pytest.approx(2.0, abs=0.004)
     table = log.read(path)
     np.testing.assert_allclose(table["y"][-1], goal, rtol=0, atol=1e-3)
-    assert "--force" in command([*words, path], 2).err
     assert main([*words, str(path), "--force", "--robot", "yumi_left", "--speed", "0.1"]) == 0
     table, robot = log.read(path), robots.load("yumi_left")
     assert np.abs(table["qd"]).max() <= 0.1 * robot.qd_max.max() * (1 + 1e-9)

@@ -278,7 +278,6 @@ def test_phase_plane_and_names(tmp_path: Path, command) -> None:
     pose = motions()["pose"].save(tmp_path / "pose.toml")
     taught = log.write(Table(T_MOTION, {"q": Q}), tmp_path / "taught.csv")
     for words, sentence in {
-        ("dmp_phase", primitive, "-o", tmp_path / "b.svg"): "--force",
         ("dmp_phase", pose): "pose_dmp",
         ("two_dof", pose, taught): "primitive of joints",
     }.items():
