@@ -18,11 +18,7 @@ from armlab.bridge.doctor.machine import Finding
 from armlab.cli import main
 from armlab.cli.doctor import disk
 
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("0.0.0.0", 0))
-        return one.getsockname()[1]
+from ..processes import free_port
 
 
 @contextmanager
