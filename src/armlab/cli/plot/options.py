@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -50,20 +49,19 @@ class FigureFile:
     show: bool = False
     force: bool = False
 
-    def draw(self, source: Path | str, name: str, make: Callable[[Any], Any]) -> int:
-        """Write a figure of a source, print its path, open a window if asked; return the exit code.
-
-        `make` draws it with the module `armlab.plots`; a file that cannot be written is refused before.
-        """
-        from armlab.plots.style import show
-
+    def path(self, source: Path | str, name: str) -> Path:
+        """Return where a figure of a source goes; refuse, before it is drawn, a file that cannot be written."""
         beside = Path(source)
         path = beside.with_name(f"{beside.stem}_{name}.png") if self.output is None else self.output
         check_output(path, self.force, FIGURES)
-        save_figure(make(armlab.plots), path)
+        return path
+
+    def save(self, path: Path, drawn: Any) -> int:
+        """Write a figure, print its path, open a window if asked; return the exit code."""
+        save_figure(drawn, path)
         result(str(path))
         if self.show:
-            show()
+            armlab.plots.style.show()
         return 0
 
 
