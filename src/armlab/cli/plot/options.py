@@ -61,7 +61,9 @@ class FigureFile:
         save_figure(drawn, path)
         result(str(path))
         if self.show:
-            armlab.plots.style.show()
+            from armlab.plots.style import show
+
+            show()
         return 0
 
 
