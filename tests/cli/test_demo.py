@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-from types import SimpleNamespace
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 from armlab import robots
 from armlab.cli import main
-from armlab.cli.demo import PRESSES, DemoVerdict, Plan, demo, figures, judge, rehearse
+from armlab.cli.demo import PRESSES, Plan, demo, judge, rehearse
 from armlab.errors import ControllerLate, LogError
 from armlab.log import Table
 
@@ -124,17 +122,3 @@ def test_what_has_no_estimate_misses_the_bar_when_it_is_too_much(plan: Plan) -> 
     assert all(np.isfinite(press["error"]) for press in few.presses)
     assert not any("without an estimate" in missed for missed in few.missed)
     assert any("without an estimate" in missed for missed in judge(without(20), plan).missed)
-
-
-def test_figures_and_summary_are_written(monkeypatch, plan: Plan, tmp_path, model, excited) -> None:
-    monkeypatch.setattr("armlab.log.read", lambda path, **_: excited.between(0.0, 4.0))
-    for name in ("torque_fit", "wrench"):
-        monkeypatch.setattr(f"armlab.plots.{name}", lambda *_: plt.figure(figsize=(1, 1)))
-    table = pretend(plan, noise(plan, 0.5))
-    verdict = judge(table, plan)
-    assert isinstance(verdict, DemoVerdict)
-    files = figures(tmp_path, {"plan": plan, "estimate": table, "fit": SimpleNamespace(value=model)}, verdict)
-    assert [path.name for path in files] == ["summary.json", "torque.png", "wrench.png"]
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["passed"] is verdict.passed
-    assert len(summary["presses"]) == 9

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,11 +18,7 @@ from armlab.bridge.doctor.machine import Finding
 from armlab.cli import main
 from armlab.cli.doctor import disk
 
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("0.0.0.0", 0))
-        return one.getsockname()[1]
+from ..processes import free_port
 
 
 @contextmanager
@@ -81,14 +78,19 @@ def test_ports_follow_the_robots(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 
 
 def test_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    good = disk(tmp_path, lambda number: None, lambda folder: 10**12)
+    now, free = [0.0], [10**12]
+    monkeypatch.setattr("armlab.cli.doctor.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("armlab.cli.doctor.shutil.disk_usage", lambda folder: SimpleNamespace(free=free[0]))
+    monkeypatch.setattr("armlab.cli.doctor.os.fsync", lambda number: now.__setitem__(0, now[0] + 1e-3))
+    good = disk(tmp_path)
     assert good.verdict == "ok"
     assert "room for" in good.value
-    full = disk(tmp_path, lambda number: None, lambda folder: 10**6)
+    free[0] = 10**6
+    full = disk(tmp_path)
     assert (full.verdict, "room for 0 h" in full.value) == ("warning", True)
     assert disk(tmp_path / "none").verdict == "failure"
     assert not list(tmp_path.iterdir())
-    now = [0.0]
-    monkeypatch.setattr("armlab.cli.doctor.time.perf_counter", lambda: now[0])
-    slow = disk(tmp_path, lambda number: now.__setitem__(0, now[0] + 0.6), lambda folder: 10**12)
+    free[0] = 10**12
+    monkeypatch.setattr("armlab.cli.doctor.os.fsync", lambda number: now.__setitem__(0, now[0] + 0.6))
+    slow = disk(tmp_path)
     assert (slow.verdict, "sync 600.0 ms" in slow.value) == ("warning", True)

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from cyclopts import App
 
-from armlab import cli, log, robots
+from armlab import cli, log, models, robots
 from armlab.motion import fit_dmp
 
 NEED_NOTHING = {  # verbs without a required argument
@@ -163,12 +163,24 @@ dmp fit good.csv -o motion.toml | --force
 dmp fit good.csv -o x.toml --column speed | speed
 dmp fit good.csv -o x.toml --period 2 | --kind periodic
 dmp fit good.csv -o x.toml --kind pose | --robot
+dmp fit good.csv -o x.toml --frame goal | --kind pose
+dmp fit good.csv -o x.toml --kind periodic | Expected --period
+dmp fit good.csv -o x.toml --kind rhythm | periodic
+dmp fit good.csv good.csv -o x.toml --kind periodic --period 1 | Expected one log
 dmp play motion.toml | --robot NAME
 dmp play motion.toml --robot yumi_left --goal -9,0,0,0,0,0,0 | got -9 for joint 1
 dmp play motion.toml -o x.csv --goal here | numbers with commas
+robot convert yumi_left x.json | ends in .toml or .urdf, got x.json
+robot show yumi_left --figure x.txt | ends in
+calibrate hand-eye | files of samples, got none
+dmp play motion.toml -o x.csv --amplitude 2 | --amplitude
+dmp play motion.toml -o x.csv --via now:1 | TIME:Y
+dmp play robot.toml -o x.csv | a movement primitive
 """
 FAILED_WORK = """
 sim yumi_right --to 127.0.0.1:9 --stats missing/stats.json | missing/stats.json
+sim yumi_right --to 127.0.0.1:9 --seconds 0.05 --stats /dev/full | Expected to write /dev/full, got: No space left
+sim yumi_right --to 127.0.0.1:9 --seconds 0.05 --truth /dev/full | Expected to write /dev/full, got: No space left
 excite yumi_left --saved none.csv --run sim://yumi_left | none.csv
 log show folder | Is a directory
 log cut good.mcap --from 9 -o to.mcap | got none; it has 0 s to 0.996 s
@@ -197,6 +209,7 @@ dmp fit good.csv -o new.toml
 dmp play motion.toml -o new.csv
 robot convert yumi_left new.toml
 robot convert yumi_left new.urdf
+robot show yumi_left --figure new.png
 excite yumi_left --joint 1 -o new.csv
 """
 
@@ -229,6 +242,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     log.write(table, folder / "good.csv")
     log.write(table, folder / "good.mcap", arm)
     fit_dmp(t, q, n_basis=8).value.save(folder / "motion.toml")
+    models.save(arm, folder / "robot.toml")
     (folder / "still.py").write_text("def still(state):\n    return None\n")
     return folder
 

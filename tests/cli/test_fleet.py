@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import threading
 from pathlib import Path
 
@@ -12,20 +11,17 @@ import pytest
 from armlab import cli, log, models, robots
 from armlab.fleet import Router
 
-
-@pytest.fixture
-def port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+from ..processes import free_port
 
 
-def test_a_router_says_where_it_listens(port: int, command) -> None:
+def test_a_router_says_where_it_listens(command) -> None:
+    port = free_port()
     said = command(["fleet", "router", "--port", port, "--seconds", "0"]).err
     assert said == f"zenoh router at tcp/127.0.0.1:{port}\n"
 
 
-def test_an_empty_fleet(port: int, tmp_path: Path, command) -> None:
+def test_an_empty_fleet(tmp_path: Path, command) -> None:
+    port = free_port()
     with Router(port=port):
         where = ["--router", f"127.0.0.1:{port}"]
         assert command(["fleet", "list", *where, "--seconds", "0"]).out == "No robot is there.\n"

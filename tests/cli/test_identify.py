@@ -222,7 +222,6 @@ def test_a_load_is_weighed_saved_and_reported(words: list[str], tmp_path: Path, 
     assert "m c_z" in page
     assert "data:image/png" in page
     assert files[2].exists()
-    assert "--force" in command([*words, *options], 2).err
 
 
 def test_json_and_mode(words: list[str], command) -> None:

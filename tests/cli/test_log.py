@@ -29,30 +29,6 @@ def path(tmp_path: Path) -> Path:
     return recorder.path
 
 
-def test_the_history_of_the_parameters(path: Path, tmp_path: Path, command, capsys) -> None:
-    assert command(["log", "show", "--parameters", path]).out == "This log has no parameters.\n"
-    with Recorder(tmp_path / "set.mcap", robots.load("yumi_right")) as recorder:
-        start = 1_700_000_000_000_000_000
-        recorder.parameter(0, "gain", 2.0, "in force at the start", start)
-        recorder.parameter(1, "gain", 3.0, "local 1", start + 2)
-        recorder.event("A setting of local 1 was refused: too large.", start + 1)
-        recorder.event("Something else.", start)
-        recorder.close({"parameters": {"gain": 3.0}})
-    assert cli.main(["log", "show", "--parameters", str(recorder.path)]) == 0
-    first, second, third, last = capsys.readouterr().out.splitlines()
-    assert first == "2023-11-14 22:13:20.000000 UTC  gain = 2.0, in force at the start"
-    assert second.endswith("A setting of local 1 was refused: too large.")
-    assert third.endswith("gain = 3.0, set by local 1 (1)")
-    assert last == "At the end: gain = 3.0."
-    told = json.loads(command(["log", "show", "--parameters", "--json", recorder.path]).out)
-    assert [(one["value"], one["who"]) for one in told["parameters"]] == [
-        (2.0, "in force at the start"),
-        (3.0, "local 1"),
-    ]
-    assert told["parameters_at_end"] == {"gain": 3.0}
-    assert told.items() <= json.loads(command(["log", "show", "--json", recorder.path]).out).items()
-
-
 @pytest.mark.parametrize("size", [2000])
 def test_a_log_cut_off_before_its_first_message_says_what_recover_says(
     path: Path, tmp_path: Path, command, size: int
@@ -181,39 +157,6 @@ def test_cut_and_merge(path: Path, tmp_path: Path, command) -> None:
     assert read(part).sha256 == table.between(0.2, 0.3).sha256
 
 
-def test_both_arms_in_one_file_are_shown_and_exported(path: Path, tmp_path: Path, command, capsys) -> None:
-    with Recorder(tmp_path / "left.mcap", robots.load("yumi_left")) as recorder:
-        for i in range(20):
-            stamp = 1_700_000_000_000_000_000 + i * 4_000_000
-            state = State(i * 0.004, 0.004, np.full(7, i), np.zeros(7), np.zeros(7), seq=i, robot_ns=stamp)
-            recorder.row(state, None, Tick(i, i, stamp, stamp, stamp, 10))
-    both, left = str(tmp_path / "both.mcap"), str(tmp_path / "only.csv")
-    assert cli.main(["log", "merge", str(path), str(recorder.path), "-o", both]) == 0
-    capsys.readouterr()
-    text = command(["log", "show", both]).out
-    for words in (
-        "yumi_right: Table of 300 rows",
-        "yumi_left: Table of 20 rows",
-        "robot       yumi_left",
-        "the operator pressed",
-    ):
-        assert words in text, words
-    told = json.loads(command(["log", "show", both, "--json"]).out)["robots"]
-    assert {name: data["rows"] for name, data in told.items()} == {"yumi_right": 300, "yumi_left": 20}
-    assert cli.main(["log", "export", both, left, "--robot", "yumi_left"]) == 0
-    assert read(left).sha256 == read(recorder.path).sha256
-    for name in ("part.csv", "part.mcap"):
-        words = ["log", "cut", both, "--to", "0.04", "--robot", "yumi_left", "-o", str(tmp_path / name)]
-        assert cli.main(words) == 0
-        assert read(tmp_path / name).sha256 == read(recorder.path).between(-np.inf, 0.04).sha256
-    assert cli.main(["log", "cut", both, "--robot", "yumi_left", "-o", str(tmp_path / "left_alone.mcap")]) == 0
-    assert read(tmp_path / "left_alone.mcap").sha256 == read(left).sha256
-    assert cli.main(["log", "cut", left, "--to", "0.04", "--robot", "yumi_left", "-o", str(tmp_path / "new.mcap")]) == 0
-    assert len(read(tmp_path / "new.mcap")) == 10
-    capsys.readouterr()
-    assert "--robot" in command(["log", "cut", both, "--to", "0.04", "-o", tmp_path / "which.csv"], 1).err
-
-
 def test_open_calls_an_installed_program(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -> None:
     """The first that is installed, or the one that is asked for; Rerun for this computer only."""
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -252,9 +195,6 @@ def test_a_bag_of_another_program(ur5e_bag: Path, tmp_path: Path, command) -> No
     np.testing.assert_array_equal(table["q"][0], np.arange(6.0))
 
 
-NAMES = [f"yumi_robr_joint_{k}" for k in range(1, 8)]
-
-
 def names_in(bag: Path) -> set[tuple[str, ...]]:
     from rosbags.highlevel import AnyReader
 
@@ -264,23 +204,70 @@ def names_in(bag: Path) -> set[tuple[str, ...]]:
     return {tuple(message.name) for message in messages}
 
 
-def test_a_bag_of_a_recording_has_the_joint_names_of_the_urdf(path: Path, tmp_path: Path) -> None:
-    whole, part = tmp_path / "whole.rosbag2", tmp_path / "part.rosbag2"
-    assert cli.main(["log", "export", str(path), str(whole)]) == 0
-    assert cli.main(["log", "cut", str(path), "--to", "0.1", "-o", str(part)]) == 0
-    for bag in (whole, part):
-        assert names_in(bag) == {tuple(NAMES)}
-        assert read(bag).columns["q"].labels == read(path).columns["q"].labels, "our own reader gives the same table"
-
-
-def test_of_a_log_without_a_description_the_robot_is_named(path: Path, tmp_path: Path, command, capsys) -> None:
+def test_a_bag_has_the_joint_names_of_the_robot(path: Path, tmp_path: Path, command) -> None:
+    """Those of the URDF, of a recording and where it is named; else the labels of the columns."""
     csv, bag = tmp_path / "run.csv", tmp_path / "run.rosbag2"
-    assert cli.main(["log", "export", str(path), str(csv)]) == 0
-    assert cli.main(["log", "export", str(csv), str(bag)]) == 0
-    assert names_in(bag) == {robots.load("yumi_right").joint_names}, "labels of the columns"
-    assert cli.main(["log", "export", str(csv), str(bag), "--robot", "yumi_right", "--force"]) == 0
-    assert names_in(bag) == {tuple(NAMES)}
-    capsys.readouterr()
+    of_urdf = {tuple(f"yumi_robr_joint_{k}" for k in range(1, 8))}
+    command(["log", "export", path, csv])
+    for words, names in (
+        (["export", path, bag], of_urdf),
+        (["cut", path, "--to", "0.1", "-o", bag], of_urdf),
+        (["export", csv, bag], {robots.load("yumi_right").joint_names}),
+        (["export", csv, bag, "--robot", "yumi_right"], of_urdf),
+    ):
+        command(["log", *words, "--force"])
+        assert names_in(bag) == names
+        assert read(bag).columns["q"].labels == read(path).columns["q"].labels, "our own reader gives the same table"
     said = command(["log", "export", csv, bag, "--robot", "irb120", "--force"], 1).err
     assert "(300, 6) for robot 'irb120' of 6 joints, got (300, 7). Name the robot" in said
-    assert names_in(bag) == {tuple(NAMES)}, "the bag from before stays"
+    assert names_in(bag) == of_urdf, "the bag from before stays"
+
+
+def test_both_arms_in_one_file(path: Path, tmp_path: Path, command) -> None:
+    with Recorder(tmp_path / "left.mcap", robots.load("yumi_left")) as recorder:
+        for i in range(20):
+            stamp = 1_700_000_000_000_000_000 + i * 4_000_000
+            state = State(i * 0.004, 0.004, np.full(7, i), np.zeros(7), np.zeros(7), seq=i, robot_ns=stamp)
+            recorder.row(state, None, Tick(i, i, stamp, stamp, stamp, 10))
+    both, left = tmp_path / "both.mcap", read(recorder.path)
+    command(["log", "merge", path, recorder.path, "-o", both])
+    text = command(["log", "show", both]).out
+    for words in ("yumi_right: Table of 300 rows", "yumi_left: Table of 20 rows", "robot       yumi_left", "pressed"):
+        assert words in text
+    told = json.loads(command(["log", "show", both, "--json"]).out)["robots"]
+    assert {name: data["rows"] for name, data in told.items()} == {"yumi_right": 300, "yumi_left": 20}
+    assert "--robot" in command(["log", "cut", both, "--to", "0.04", "-o", tmp_path / "which.csv"], 1).err
+    command(["log", "export", both, tmp_path / "left.csv", "--robot", "yumi_left"])
+    assert read(tmp_path / "left.csv").sha256 == left.sha256
+    for source, name, end in (
+        (both, "part.csv", 0.04),
+        (both, "part.mcap", 0.04),
+        (both, "whole.mcap", np.inf),
+        (tmp_path / "left.csv", "new.mcap", 0.04),
+    ):
+        until = [] if end == np.inf else ["--to", end]
+        command(["log", "cut", source, *until, "--robot", "yumi_left", "-o", tmp_path / name])
+        assert read(tmp_path / name).sha256 == left.between(-np.inf, end).sha256
+
+
+def test_the_history_of_the_parameters(path: Path, tmp_path: Path, command) -> None:
+    assert command(["log", "show", "--parameters", path]).out == "This log has no parameters.\n"
+    start = 1_700_000_000_000_000_000
+    with Recorder(tmp_path / "set.mcap", robots.load("yumi_right")) as recorder:
+        recorder.parameter(0, "gain", 2.0, "in force at the start", start)
+        recorder.parameter(1, "gain", 3.0, "local 1", start + 2)
+        recorder.event("A setting of local 1 was refused: too large.", start + 1)
+        recorder.event("Something else.", start)
+        recorder.close({"parameters": {"gain": 3.0}})
+    first, second, third, last = command(["log", "show", "--parameters", recorder.path]).out.splitlines()
+    assert first == "2023-11-14 22:13:20.000000 UTC  gain = 2.0, in force at the start"
+    assert second.endswith("A setting of local 1 was refused: too large.")
+    assert third.endswith("gain = 3.0, set by local 1 (1)")
+    assert last == "At the end: gain = 3.0."
+    told = json.loads(command(["log", "show", "--parameters", "--json", recorder.path]).out)
+    assert [(one["value"], one["who"]) for one in told["parameters"]] == [
+        (2.0, "in force at the start"),
+        (3.0, "local 1"),
+    ]
+    assert told["parameters_at_end"] == {"gain": 3.0}
+    assert told.items() <= json.loads(command(["log", "show", "--json", recorder.path]).out).items()

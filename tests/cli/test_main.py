@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,28 +12,6 @@ import pytest
 from armlab import cli
 from armlab._interrupts import deferred
 from armlab.errors import LogError
-
-
-def test_help_imports_no_command(command) -> None:
-    code = (
-        "import sys\nfrom armlab.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
-        "print([m for m in sys.modules if m.startswith(('armlab.', 'numpy')) and m != 'armlab.cli'], file=sys.stderr)"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert result.stderr == "['armlab.errors', 'armlab._interrupts']\n"
-    for name in ("demo", "sim", "doctor", "run", "record", "excite", "identify", "estimate", "payload", "log", "robot"):
-        assert name in result.stdout
-
-
-def test_wrong_use_is_2_and_an_error_1_each_in_one_line(command) -> None:
-    """A name that does not exist is wrong use, as a word that is missing; a file that cannot be read is a failure."""
-    assert cli.main(["robot", "show"]) == cli.WRONG_USE
-    assert cli.main(["robot", "show", "yumi_rihgt"]) == cli.WRONG_USE
-    lines = command(["log", "show", "no_such_log.mcap"], cli.FAILED).err.splitlines()
-    assert len(lines) == 3
-    assert "--name requires an argument" in lines[0]
-    assert "Did you mean 'yumi_right'?" in lines[1]
-    assert "no_such_log.mcap" in lines[2]
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import base64
-import json
 import re
 import subprocess
 import sys
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,36 +15,8 @@ import pytest
 from armlab import identify, log, robots
 from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.log_input import doubts, gaps, read_log
-from armlab.cli.support.output import FIGURES, aligned, check_output, print_json, progress, save_figure
+from armlab.cli.support.output import FIGURES, check_output
 from armlab.errors import ConfigError, ModelMismatchError
-
-
-def test_what_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert aligned([("name", "n"), ("yumi", "7"), ("x", "12")], right=(1,)) == "name   n\nyumi   7\nx     12"
-    assert aligned([]) == ""
-    print_json({"q": np.array([1.0, np.nan]), "n": np.int64(7), "names": ("a", "b"), "none": None})
-    assert json.loads(capsys.readouterr().out) == {"q": [1.0, None], "n": 7, "names": ["a", "b"], "none": None}
-    with progress("identify") as tell:
-        for done in range(3):
-            tell(done, 4, "reading")
-        tell(4, 4, "done")
-    assert capsys.readouterr().err.splitlines() == ["identify: reading", "identify: done"]
-
-
-@pytest.mark.parametrize("fails", [True, False])
-def test_a_figure_is_written_whole_or_not_at_all(fails: bool, tmp_path: Path) -> None:
-    class Figure:
-        def savefig(self, path: Path, **_: object) -> None:
-            path.write_bytes(b"new")
-            if fails:
-                raise OSError(28, "No space left on device")
-
-    path = tmp_path / "a.png"
-    path.write_bytes(b"old")
-    with pytest.raises(OSError, match="space") if fails else nullcontext():
-        save_figure(Figure(), path)
-    assert path.read_bytes() == (b"old" if fails else b"new")
-    assert [file.name for file in tmp_path.iterdir()] == ["a.png"]
 
 
 def test_what_is_read_is_never_replaced(tmp_path: Path) -> None:
@@ -76,35 +46,21 @@ def test_a_warning_is_written_once() -> None:
     assert said == "warning: Twice.\n"
 
 
-PIXEL = b"\x89PNG\r\n\x1a\n not really"
-
-
-@pytest.fixture
-def page() -> HtmlReport:
-    page = HtmlReport("Arm <1> & more", "a log & a model")
-    page.verdict(Verdict(good=("It <fits>.",), bad=("Joint 7.",)))
+def test_the_words_of_a_page_are_no_markup_and_nothing_is_asked_from_outside() -> None:
+    page, pixel = HtmlReport("Arm <1> & more", "a log & a model"), b"\x89PNG\r\n\x1a\n not really"
+    page.verdict(Verdict(good=["It <fits>."], bad=["Joint 7."]))
     page.section("Per joint", "How to read it.")
     page.table([("joint", "RMS"), ("1", "0.5 & up")])
-    page.figure(PIXEL, 'the "residual"', "A caption.")
+    page.figure(pixel, 'the "residual"', "A caption.")
     page.verbatim("a < b")
-    return page
-
-
-def test_the_words_are_there_and_none_of_them_is_markup(page: HtmlReport) -> None:
     html = page.html()
-    for words in (
-        "Arm &lt;1&gt; &amp; more",
-        "It &lt;fits&gt;.",
-        "0.5 &amp; up",
-        "the &quot;residual&quot;",
-        "a &lt; b",
-    ):
-        assert words in html
+    escaped = ("Arm &lt;1&gt; &amp; more", "It &lt;fits&gt;.", "0.5 &amp; up", "the &quot;residual&quot;", "a &lt; b")
+    assert all(words in html for words in escaped)
     assert "<fits>" not in html
     assert html.startswith("<!doctype html>")
     (data,) = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
-    assert base64.b64decode(data) == PIXEL
-    assert not re.findall(r"https?:|//\w|<script|<link|@import|url\(", html), "nothing is asked from outside"
+    assert base64.b64decode(data) == pixel
+    assert not re.findall(r"https?:|//\w|<script|<link|@import|url\(", html)
     assert "default-src 'none'; img-src data:" in html
 
 

@@ -39,12 +39,12 @@ def test_the_file_stands_beside_its_source_and_the_ending_gives_the_format(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     file = FigureFile(None if output is None else Path(output))
-    assert file.draw(source, "a", lambda _: plt.figure(figsize=(2, 2)).add_subplot()) == 0
+    assert file.save(file.path(source, "a"), plt.figure(figsize=(2, 2)).add_subplot()) == 0
     assert capsys.readouterr().out == f"{path}\n"
     assert Path(path).read_bytes().lstrip()[:5] in (b"\x89PNG\r", b"<?xml")
     assert [one.name for one in tmp_path.iterdir()] == [path]
     with pytest.raises(ConfigError, match="--force"):
-        file.draw(source, "a", lambda _: pytest.fail("drawn before the name is looked at"))
+        file.path(source, "a")
     plt.close("all")
 
 
@@ -278,7 +278,6 @@ def test_phase_plane_and_names(tmp_path: Path, command) -> None:
     pose = motions()["pose"].save(tmp_path / "pose.toml")
     taught = log.write(Table(T_MOTION, {"q": Q}), tmp_path / "taught.csv")
     for words, sentence in {
-        ("dmp_phase", primitive, "-o", tmp_path / "b.svg"): "--force",
         ("dmp_phase", pose): "pose_dmp",
         ("two_dof", pose, taught): "primitive of joints",
     }.items():

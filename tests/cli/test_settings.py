@@ -10,9 +10,9 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.urls import addresses
-from armlab.cli.support.options import as_given, known_ports, links_to, ports_in, simulated
+from armlab.cli.support.options import known_ports, links_to, ports_in, simulated
 from armlab.cli.support.settings import PREFIX, UserSettings, load_settings, log_folder, read_text, user_file
-from armlab.errors import ConfigError, LogError, ShapeError, UnknownName
+from armlab.errors import ConfigError, UnknownName
 from armlab.sim.arm.arm import scara
 
 
@@ -77,13 +77,6 @@ def test_the_folder_of_logs_is_made(home: Path, tmp_path: Path) -> None:
     assert (tmp_path / "work" / "of" / "today").is_dir()
     (tmp_path / "a").write_bytes("\ufeffspeed = 1 # µ".encode())
     assert read_text(tmp_path / "a", "settings") == "speed = 1 # µ", "without its byte order mark"
-
-
-def test_what_the_library_refuses_of_the_words_is_wrong_use() -> None:
-    with pytest.raises(ConfigError, match=r"^Expected a goal\.$"), as_given():
-        raise ShapeError("Expected a goal.")
-    with pytest.raises(LogError), as_given():
-        raise LogError("Expected a log.")
 
 
 @pytest.fixture

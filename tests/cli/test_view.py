@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import re
-import signal
 import socket
-import subprocess
-import sys
-import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -37,24 +32,6 @@ def test_a_port_that_is_taken(alone: None, capsys: Any) -> None:
         taken.listen()
         assert main(["view", "--live", "--port", str(taken.getsockname()[1])]) == 1
     assert "is taken. Choose another: --port" in capsys.readouterr().err
-
-
-@pytest.mark.slow  # `beside` below starts one too
-def test_ctrl_c_ends_it_without_a_traceback(alone: None) -> None:
-    words = [sys.executable, "-m", "armlab", "view", "--live", "--port", "0"]
-    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(words, **pipes) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        line = process.stdout.readline()
-        assert re.fullmatch(r"View: http://127\.0\.0\.1:\d+\n", line)
-        page = urllib.request.urlopen(line.split()[1], timeout=20.0).read()
-        assert b"<html" in page
-        assert process.stderr.readline().startswith("Waiting for a bridge of this user")
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=20.0)
-    assert process.returncode == 130
-    assert "Traceback" not in said
 
 
 @pytest.fixture

@@ -111,18 +111,6 @@ def test_commands_on_the_pages_are_those_of_the_program() -> None:
         assert not ignored, line
 
 
-def test_a_wrong_line_is_found(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("# A page\n\n```python\nimport numpy as np\n```\n\n```python\nassert np.pi < 3\n```\n")
-    first, second = programs(page)
-    namespace: dict[str, Any] = {}
-    exec(compile(first, str(page), "exec"), namespace)
-    with pytest.raises(AssertionError) as error:
-        exec(compile(second, str(page), "exec"), namespace)
-    assert error.traceback[-1].lineno + 1 == 8
-    assert namespace["np"] is np
-
-
 SHOWN = re.compile(
     r"^### (\w+)\n.*?^```\{literalinclude\} (\S+)\n.*?^:start-at: (.+?)\n:end-at: (.+?)\n"
     r".*?^```\{figure\} _figures/(\S+)$",

@@ -61,6 +61,7 @@ def test_without_covariance_and_truth(estimate: Table) -> None:
     assert not ax.collections
     axes = plt.figure().subplots(3, 1)
     wrench(estimate, ax=axes)
+    assert axes[0].get_legend() is not None, "the figure of the caller has no room of its own"
     assert [ax.get_ylabel() for ax in axes] == ["f_x [N]", "f_y [N]", "f_z [N]"]
     cov = estimate["wrench_hat_cov"].copy()
     cov[800:] *= 1e4

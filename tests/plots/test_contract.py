@@ -171,6 +171,9 @@ def test_spikes_of_long_logs_stay_visible(name: str, drawing: dict[str, Any], es
     lines = [line for ax in panels_of(drawn) for line in ax.lines if len(line.get_xdata()) > 100]
     assert lines
     assert all(len(line.get_xdata()) < 10_000 for line in lines)
+    assert all((np.diff(line.get_xdata()) >= 0).all() for line in lines)
+    if name not in ("poses", "table"):
+        assert all(np.isnan(line.get_ydata()).any() for line in lines), "a gap stays one"
     if name != "poses":
         highest = max(np.nanmax(np.abs(line.get_ydata())) for line in lines)
         source = {"observability": "observability", "table": "q"}.get(name, "wrench_hat")

@@ -8,11 +8,9 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from armlab.errors import ConfigError
-from armlab.plots.style import band, envelope, legend, look, panels, png, shade, show
+from armlab.plots.style import band, legend, look, panels, png, shade, show
 
 
 def test_a_backend_that_turns_interactive_while_drawing_stays_so() -> None:
@@ -28,34 +26,6 @@ def test_a_backend_that_turns_interactive_while_drawing_stays_so() -> None:
         assert mpl.is_interactive()
     finally:
         mpl.interactive(was)
-
-
-@settings(max_examples=20)
-@given(st.integers(0, 99_999), st.integers(0, 99_999))
-def test_an_envelope_keeps_every_spike_and_every_gap(spike: int, hole: int) -> None:
-    t, y = np.arange(100_000.0), np.zeros(100_000)
-    y[hole : hole + 60] = np.nan
-    if np.isfinite(y[spike]):
-        y[spike] = 7.0
-    drawn_t, drawn = envelope(t, y)
-    assert len(drawn) <= 8_000
-    assert np.all(np.diff(drawn_t) >= 0)
-    assert np.nanmax(drawn) == np.nanmax(y)
-    if hole + 60 <= 100_000:
-        assert np.isnan(drawn).any()
-
-
-def test_bands_and_shades_are_where_they_should_be(spans) -> None:
-    _, ax = plt.subplots()
-    t = np.arange(10.0)
-    band(ax, t, np.zeros(10), np.full(10, 2.0))
-    vertices = ax.collections[0].get_paths()[0].vertices
-    assert (vertices[:, 1].min(), vertices[:, 1].max()) == (-2.0, 2.0)
-    shade(ax, t, np.isin(t, [2, 3, 4, 8]), label="on")
-    assert spans(ax) == [(2.0, 5.0), (8.0, 9.0)]
-    assert ax.get_legend_handles_labels()[1] == ["on"]
-    shade(ax, t, np.zeros(10, dtype=bool))
-    assert len(spans(ax)) == 2
 
 
 def test_spikes_of_bands_stay_and_spans_of_one_sample_are_seen(spans) -> None:
@@ -74,19 +44,6 @@ def test_spikes_of_bands_stay_and_spans_of_one_sample_are_seen(spans) -> None:
     shade(ax, t, np.arange(len(t)) == 50_000)
     assert spans(ax)[1] == pytest.approx((t[50_000], t[50_001]))
     assert ax.collections[-1].get_linewidth()[0] > 0
-
-
-def test_one_legend_for_all() -> None:
-    with panels(2, 1) as (figure, axes):
-        for ax in axes[:, 0]:
-            ax.plot([0, 1], label="same")
-        axes[1, 0].plot([0, 1], label="other")
-        legend(figure, *axes[:, 0])
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["same", "other"]
-    mine, ax = plt.subplots()
-    ax.plot([0, 1], label="same")
-    legend(mine, ax)
-    assert ax.get_legend() is not None
 
 
 @pytest.mark.parametrize(("name", "rows"), [("shoulder_pan_joint_{}", 3), ("{}" + 300 * "x", 7)])

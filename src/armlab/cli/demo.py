@@ -6,7 +6,7 @@ import json
 import os
 import sys
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -179,15 +179,11 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
             controller = _estimating(plan, armlab.contact.Estimator(fit.value, robot))
             url = _url(robot_name, fast, 2 * seed + 1, press_file)
             run = _drive(robot, url, controller, APPROACH + plan.test.seconds, folder / "press.mcap", tell, cell)
-    return {"plan": plan, "fit": fit, "run": run, "estimate": armlab.log.read(folder / "press.mcap"), "robot": robot}
+    return {"plan": plan, "fit": fit, "run": run, "estimate": armlab.log.read(folder / "press.mcap")}
 
 
 def _url(robot: str, fast: bool, seed: int, operator: Path | None = None) -> str:
-    query: dict[str, str] = {"seed": str(seed)}
-    if fast:
-        query["lockstep"] = "true"
-    if operator is not None:
-        query["operator"] = str(operator)
+    query = {"seed": seed} | ({"lockstep": "true"} if fast else {}) | ({"operator": operator} if operator else {})
     return f"sim://{robot}?{urlencode(query)}"
 
 
@@ -229,11 +225,32 @@ class DemoVerdict:
     rest_inside: float  # share of samples at rest inside 2 sigma
     rest_band: np.ndarray  # their mean 2-sigma (3,) [N]
     holes: float  # share of the cycles of the sway that have no estimate
-    missed: tuple[str, ...] = field(default=())  # targets that are not met, in words
 
     @property
     def passed(self) -> bool:
         return not self.missed
+
+    @property
+    def missed(self) -> tuple[str, ...]:
+        """Targets that are not met, in words."""
+        missed = [
+            f"{what} {AXES[i]} {values[i]:.2f} N"
+            for what, values in (("force error", self.rms), ("false force", self.free_rms))
+            for i in range(3)
+            if not values[i] <= MAX_RMS
+        ]
+        if self.holes > MAX_HOLES:
+            missed.append(f"{100 * self.holes:.1f} % of the cycles without an estimate")
+        if not COVERAGE[0] <= self.coverage <= COVERAGE[1]:
+            missed.append(f"coverage {100 * self.coverage:.1f} %")
+        missed += [
+            f"{p['name']}: {p['error']:+.2f} N"
+            for p in self.presses
+            if p["name"].startswith("500 g") and not abs(p["error"]) <= MAX_PRESS_ERROR * abs(p["true"])
+        ]
+        if not self.rest_inside >= 1.0:
+            missed.append(f"truth inside 2 sigma at rest only {100 * self.rest_inside:.1f} %")
+        return tuple(missed)
 
     def text(self) -> str:
         rows = [("press", "true [N]", "estimated x", "y", "z", "2-sigma", "error")]
@@ -299,7 +316,7 @@ def judge(table: Table, plan: Plan) -> DemoVerdict:
         presses.append(
             {"name": name, "true": true, "force": mean.tolist(), "band": band, "error": float(mean[axis] - true)}
         )
-    verdict = DemoVerdict(
+    return DemoVerdict(
         presses=tuple(presses),
         rms=rms(sway),
         free_rms=rms(window(plan.free)),
@@ -308,28 +325,6 @@ def judge(table: Table, plan: Plan) -> DemoVerdict:
         rest_band=2 * sigma[rest].mean(axis=0),
         holes=holes,
     )
-    return DemoVerdict(**{**vars(verdict), "missed": _missed(verdict)})
-
-
-def _missed(v: DemoVerdict) -> tuple[str, ...]:
-    missed = [
-        f"{what} {AXES[i]} {values[i]:.2f} N"
-        for what, values in (("force error", v.rms), ("false force", v.free_rms))
-        for i in range(3)
-        if not values[i] <= MAX_RMS
-    ]
-    if v.holes > MAX_HOLES:
-        missed.append(f"{100 * v.holes:.1f} % of the cycles without an estimate")
-    if not COVERAGE[0] <= v.coverage <= COVERAGE[1]:
-        missed.append(f"coverage {100 * v.coverage:.1f} %")
-    missed += [
-        f"{p['name']}: {p['error']:+.2f} N"
-        for p in v.presses
-        if p["name"].startswith("500 g") and not abs(p["error"]) <= MAX_PRESS_ERROR * abs(p["true"])
-    ]
-    if not v.rest_inside >= 1.0:
-        missed.append(f"truth inside 2 sigma at rest only {100 * v.rest_inside:.1f} %")
-    return tuple(missed)
 
 
 def latency_line(run: Any) -> str:

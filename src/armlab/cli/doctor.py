@@ -6,7 +6,6 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -55,11 +54,7 @@ def doctor(*robot: str, port: str | None = None, seconds: float = 5.0, json: Jso
     return FAILED if "failure" in verdicts else SKIPPED if "warning" in verdicts else 0
 
 
-def disk(
-    folder: Path,
-    sync: Callable[[int], None] = os.fsync,
-    free: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
-) -> Finding:
+def disk(folder: Path) -> Finding:
     """Measure the disk on which a log would be written: speed, how long a sync takes, hours of room."""
     from armlab.bridge.doctor.machine import Finding
 
@@ -71,12 +66,12 @@ def disk(
                 file.write(_BLOCK)
                 file.flush()
                 before = time.perf_counter()
-                sync(file.fileno())
+                os.fsync(file.fileno())
                 syncs.append(time.perf_counter() - before)
             speed = 20 * len(_BLOCK) / (time.perf_counter() - start)
     except OSError as error:
         return Finding("disk", "failure", f"{folder} cannot be written ({error.strerror})", "Choose another folder.")
-    hours = free(folder) / (_ROW_BYTES * _PACKETS)
+    hours = shutil.disk_usage(folder).free / (_ROW_BYTES * _PACKETS)
     value = f"{1e-6 * speed:.0f} MB/s, sync {1e3 * max(syncs):.1f} ms at most, room for {hours:.0f} h of one arm"
     bad = hours < _LEAST_HOURS or speed < _LEAST_SPEED or max(syncs) > _LONGEST_SYNC
     advice = "Record to a local disk with room: rows that cannot be written in time are lost, and counted."

@@ -122,9 +122,7 @@ def excite(
     if output is not None:
         note(f"motion: {armlab.log.write(table, output)}")
     if figure is not None:
-        from armlab import plots
-
-        save_figure(plots.table(table, "q", "qd", "qdd"), figure)
+        save_figure(armlab.plots.table(table, "q", "qd", "qdd"), figure)
         note(f"figure: {figure}")
     if run is not None:
         return _run(arm, trajectory, run, log or log_folder() / "excite.mcap", approach)

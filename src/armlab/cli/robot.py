@@ -56,9 +56,7 @@ def show(
         return
     arm = armlab.robots.load(name, base=base, tip=tip)
     if figure is not None:
-        from armlab import plots
-
-        save_figure(plots.robot(arm), figure)
+        save_figure(armlab.plots.robot(arm), figure)
         note(f"figure: {figure}")
     _show_arm(arm, json)
 

@@ -74,7 +74,8 @@ def run(
         try:
             done = end.run(step, seconds, record=base, **options)
         except KeyboardInterrupt:
-            _report_of_logs(end)
+            if end.last is not None:
+                result(end.last.report())
             raise
         except ControllerFailed as error:
             note(_raised_at(error))
@@ -166,16 +167,6 @@ def _files(link: Link) -> list[Path]:
     last = link.last
     runs = () if last is None else last.arms or (last,)
     return [one.path for one in runs if one.path is not None and one.path.exists()]
-
-
-def _report_of_logs(link: Link) -> None:
-    """Print the report of a run that was interrupted: its numbers are the summary of the log."""
-    from armlab.bridge.control.run import Run
-
-    for path in _files(link):
-        summary = armlab.log.inspect(path).summary
-        if summary:
-            result(Run(summary["reason"], {**summary, "problems": []}, (), path, None).report())
 
 
 def _prompt(done: Run, link: Link) -> None:

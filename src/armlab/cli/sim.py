@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import json as json_format
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO
@@ -190,29 +189,21 @@ class TextFile:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        with self._named():
-            self._file: TextIO = path.open("w", encoding="utf-8")
-
-    def __enter__(self) -> TextFile:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        with self._named(quiet=kind is not None):  # an error that is on its way already says more
-            self._file.close()
+        self._file: TextIO = self._named(lambda: path.open("w", encoding="utf-8"))
 
     def write(self, text: str) -> None:
-        with self._named():
-            self._file.write(text)
+        self._named(lambda: self._file.write(text))
 
-    @contextlib.contextmanager
-    def _named(self, quiet: bool = False) -> Iterator[None]:
+    def close(self) -> None:
+        self._named(self._file.close)
+
+    def _named(self, work: Callable[[], Any]) -> Any:
         try:
-            yield
+            return work()
         except OSError as error:
-            if not quiet:
-                raise LogError(
-                    f"Expected to write {self._path}, got: {error.strerror}. Make room there or choose another file."
-                ) from None
+            raise LogError(
+                f"Expected to write {self._path}, got: {error.strerror}. Make room there or choose another file."
+            ) from None
 
 
 def truth_writer(file: TextFile, controller: SimulatedController) -> Callable[[UdpClient], None]:
@@ -311,7 +302,7 @@ def sim(
             with deferred():  # MuJoCo loads here
                 channels.append(cell.channel(name, address, i, [seeds[i], i]))
             opened.callback(channels[-1].close)
-        summary, exact = (path and opened.enter_context(TextFile(path)) for path in (stats, truth))
+        summary, exact = (path and opened.enter_context(closing(TextFile(path))) for path in (stats, truth))
         observe = truth_writer(exact, channels[0].controller) if exact else None
         try:
             # never outlive the program that started us

@@ -30,17 +30,18 @@ AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)
 _SOLID, _ARROW, _WORD = 5, 6, 7  # order of drawing; lines have 2
 _EDGE = "#B0B0B0"  # as the grid of three dimensions
 _FLATTEST = 0.3  # smallest side of the box over its largest: a planar robot still has a box
+_FILLED = 0.84  # of the axes on paper that the box fills
 _HALF_SIDE = 0.0925  # of the axes on paper, in the units of matplotlib
 _LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # distances of the names of axes in a cube; matplotlib's own
 _ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # parts of the sides in them, as `PROJECTION` sees them
 
 
-def space(ax: Any = None, *, width: float = 6.4, height: float = 5.4) -> tuple[Figure, Axes3D]:
+def space(ax: Any = None) -> tuple[Figure, Axes3D]:
     """Return a figure and its three-dimensional axes in metres: new ones, or those the caller gave."""
     if ax is None:
         import matplotlib.pyplot as plt
 
-        figure = plt.figure(figsize=(width, height))
+        figure = plt.figure(figsize=(6.4, 5.4))
         ax = figure.add_subplot(**PROJECTION)
     elif getattr(ax, "name", "") != "3d":
         kind = f"{np.size(ax)} in an array" if np.ndim(ax) else f"{getattr(ax, 'name', type(ax).__name__)} Axes"
@@ -62,7 +63,7 @@ def extent(ax: Axes3D) -> np.ndarray:
     return np.stack([*ax.xy_dataLim.get_points().T, ax.zz_dataLim.get_points()[:, 0]], axis=-1)
 
 
-def equal_scale(ax: Axes3D, part: float = 0.84, ticks: int = 7) -> None:
+def equal_scale(ax: Axes3D, ticks: int = 7) -> None:
     """Give the three axes one scale and room for everything drawn so far."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.proj3d import proj_transform
@@ -82,7 +83,7 @@ def equal_scale(ax: Axes3D, part: float = 0.84, ticks: int = 7) -> None:
     ax.set_box_aspect(tuple(span))
     corners = middle + span / 2 * np.array(list(product((-1, 1), repeat=3)))
     x, y, _ = proj_transform(corners[:, 0], corners[:, 1], corners[:, 2], ax.get_proj())
-    ax.set_box_aspect(tuple(span), zoom=part * _HALF_SIDE / np.abs([x, y]).max())
+    ax.set_box_aspect(tuple(span), zoom=_FILLED * _HALF_SIDE / np.abs([x, y]).max())
 
 
 def frame(

@@ -21,7 +21,6 @@ from armlab.errors import ConfigError, LogError
 if TYPE_CHECKING:
     import numpy as np
 
-    from armlab.cli.support.html_report import Verdict
     from armlab.estimation import Fit
 
 SampleFile = Annotated[Path, Parameter(help="CSV, MAT or MCAP; several are joined.")]

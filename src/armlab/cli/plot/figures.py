@@ -23,7 +23,6 @@ from armlab.cli.plot.options import (
     PoseRobot,
     Primitive,
     RobotName,
-    chosen,
     chosen_of,
     poses_in,
     torque_model,
@@ -40,7 +39,8 @@ def table(log: Path, *columns: str, split: bool = False, figure: LogFigure = OF_
         columns: Names of columns; default: q, qd, tau and wrench_hat, as far as the log has them.
         split: A panel for each joint.
     """
-    return figure.draw(log, "table", lambda plots: plots.table(figure.read(log), *columns, split=split))
+    path = figure.path(log, "table")
+    return figure.save(path, armlab.plots.table(figure.read(log), *columns, split=split))
 
 
 def poses(log: Path, *, column: PoseColumn = None, robot: PoseRobot = None, figure: LogFigure = OF_LOG) -> int:
@@ -49,12 +49,9 @@ def poses(log: Path, *, column: PoseColumn = None, robot: PoseRobot = None, figu
     Parameters:
         log: Recording with poses, or with q and --robot.
     """
-
-    def draw(plots: Any) -> Any:
-        read = figure.read(log, robot)
-        return plots.poses(poses_in(read, log, column, robot), read.t)
-
-    return figure.draw(log, "poses", draw)
+    path = figure.path(log, "poses")
+    read = figure.read(log, robot)
+    return figure.save(path, armlab.plots.poses(poses_in(read, log, column, robot), read.t))
 
 
 def scene(
@@ -81,15 +78,12 @@ def scene(
     sources = [*logs, *(cloud or ()), *(plane or ()), *(pose or ())]
     if not sources:
         raise ConfigError("Expected something to draw, got none. Give logs, or --cloud, --plane or --pose with a file.")
-
-    def draw(plots: Any) -> Any:
-        items: list[Any] = [poses_in(figure.read(log, robot), log, column, robot) for log in logs]
-        items += [nikon.read_cloud(one).p for one in cloud or ()]
-        items += [armlab.frames.Plane.of(read.normal, read.point) for read in map(nikon.read_plane, plane or ())]
-        items += [{one.stem: nikon.read_matrix(one, project=True).T} for one in pose or ()]
-        return plots.scene(*items, frames=frames)
-
-    return figure.draw(sources[0], "scene", draw)
+    path = figure.path(sources[0], "scene")
+    items: list[Any] = [poses_in(figure.read(log, robot), log, column, robot) for log in logs]
+    items += [nikon.read_cloud(one).p for one in cloud or ()]
+    items += [armlab.frames.Plane.of(read.normal, read.point) for read in map(nikon.read_plane, plane or ())]
+    items += [{one.stem: nikon.read_matrix(one, project=True).T} for one in pose or ()]
+    return figure.save(path, armlab.plots.scene(*items, frames=frames))
 
 
 def latency(log: Path, *, figure: LogFigure = OF_LOG) -> int:
@@ -98,30 +92,26 @@ def latency(log: Path, *, figure: LogFigure = OF_LOG) -> int:
     Parameters:
         log: Recording of a run.
     """
-
-    def draw(plots: Any) -> Any:
-        read = figure.read(log)
-        try:
-            return plots.latency(read)
-        except UnknownName as error:  # the log lacks a column; the user named none
-            raise LogError(str(error)) from error
-
-    return figure.draw(log, "latency", draw)
+    path = figure.path(log, "latency")
+    read = figure.read(log)
+    try:
+        drawn = armlab.plots.latency(read)
+    except UnknownName as error:  # the log lacks a column; the user named none
+        raise LogError(str(error)) from error
+    return figure.save(path, drawn)
 
 
 def torque_fit(model: Model, log: FreeMotion, *, figure: ModelFigure = OF_MODEL) -> int:
     """Draw measured and modelled torque of each joint, and the residual with its 2-sigma band."""
-    return figure.draw(log, "torque_fit", lambda plots: plots.torque_fit(*figure.with_log(model, log)))
+    path = figure.path(log, "torque_fit")
+    return figure.save(path, armlab.plots.torque_fit(*figure.with_log(model, log)))
 
 
 def friction(model: Model, log: FreeMotion | None = None, *, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the friction of each joint against its velocity, with its uncertainty; a log is drawn as points."""
-
-    def draw(plots: Any) -> Any:
-        fit = armlab.estimation.Fit.load(model, "torque_model")
-        return plots.friction(fit, None if log is None else figure.estimate(fit.value, log))
-
-    return figure.draw(model, "friction", draw)
+    path = figure.path(model, "friction")
+    fit = armlab.estimation.Fit.load(model, "torque_model")
+    return figure.save(path, armlab.plots.friction(fit, None if log is None else figure.estimate(fit.value, log)))
 
 
 def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, figure: ModelFigure = OF_MODEL) -> int:
@@ -130,53 +120,47 @@ def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, fig
     Parameters:
         joint: Number from 1.
     """
-
-    def draw(plots: Any) -> Any:
-        known = torque_model(model)
-        (number,) = joints_in(str(joint), known.n)
-        return plots.friction_map(known, number, None if log is None else figure.log_of(known, log))
-
-    return figure.draw(model, f"friction_map_{joint}", draw)
+    path = figure.path(model, f"friction_map_{joint}")
+    known = torque_model(model)
+    (number,) = joints_in(str(joint), known.n)
+    return figure.save(
+        path, armlab.plots.friction_map(known, number, None if log is None else figure.log_of(known, log))
+    )
 
 
 def spectrum(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the spectrum of the torque residual over cycles per turn, without and with the ripple of the model."""
-
-    def draw(plots: Any) -> Any:
-        known, drawn = chosen_of(model, joints)
-        return plots.spectrum(known, figure.log_of(known, log), drawn)
-
-    return figure.draw(log, "spectrum", draw)
+    path = figure.path(log, "spectrum")
+    known, drawn = chosen_of(model, joints)
+    return figure.save(path, armlab.plots.spectrum(known, figure.log_of(known, log), drawn))
 
 
 def velocity_covariance(model: Model, *, figure: FigureFile = BESIDE) -> int:
     """Draw the standard deviation of the torque error of each joint against its velocity."""
-    return figure.draw(model, "velocity_covariance", lambda plots: plots.velocity_covariance(torque_model(model)))
+    path = figure.path(model, "velocity_covariance")
+    return figure.save(path, armlab.plots.velocity_covariance(torque_model(model)))
 
 
 def residual_speed(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the torque residual against velocity, with the 2-sigma curves of the model."""
-
-    def draw(plots: Any) -> Any:
-        known, drawn = chosen_of(model, joints)
-        return plots.residual_speed(figure.estimate(known, log), {"model": known.covariance}, drawn)
-
-    return figure.draw(log, "residual_speed", draw)
+    path = figure.path(log, "residual_speed")
+    known, drawn = chosen_of(model, joints)
+    return figure.save(
+        path, armlab.plots.residual_speed(figure.estimate(known, log), {"model": known.covariance}, drawn)
+    )
 
 
 def autocorrelation(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the autocorrelation of the torque residual."""
-
-    def draw(plots: Any) -> Any:
-        known, drawn = chosen_of(model, joints)
-        return plots.autocorrelation(figure.estimate(known, log), drawn)
-
-    return figure.draw(log, "autocorrelation", draw)
+    path = figure.path(log, "autocorrelation")
+    known, drawn = chosen_of(model, joints)
+    return figure.save(path, armlab.plots.autocorrelation(figure.estimate(known, log), drawn))
 
 
 def wrench(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
     """Draw the estimated contact wrench with its 2-sigma band; contact is shaded."""
-    return figure.draw(log, "wrench", lambda plots: plots.wrench(figure.estimated(log)))
+    path = figure.path(log, "wrench")
+    return figure.save(path, armlab.plots.wrench(figure.estimated(log)))
 
 
 def wrenches(*logs: Path, figure: LogFigure = OF_LOG) -> int:
@@ -187,14 +171,14 @@ def wrenches(*logs: Path, figure: LogFigure = OF_LOG) -> int:
     """
     if len({log.stem for log in logs}) < max(len(logs), 1):
         raise ConfigError(f"Expected logs of different names, one per arm, got {', '.join(map(str, logs)) or 'none'}.")
-    return figure.draw(
-        logs[0], "wrenches", lambda plots: plots.wrenches({log.stem: figure.estimated(log) for log in logs})
-    )
+    path = figure.path(logs[0], "wrenches")
+    return figure.save(path, armlab.plots.wrenches({log.stem: figure.estimated(log) for log in logs}))
 
 
 def observability(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
     """Draw how well the torques showed each axis of the wrench; times when one is weak are shaded."""
-    return figure.draw(log, "observability", lambda plots: plots.observability(figure.estimated(log, "observability")))
+    path = figure.path(log, "observability")
+    return figure.save(path, armlab.plots.observability(figure.estimated(log, "observability")))
 
 
 def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_MODEL) -> int:
@@ -204,31 +188,27 @@ def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_M
         log: Recording of a run that estimated, with a force sensor; or of free motion, with --model.
         model: Model file of `armlab identify`, whose torques are compared with those of the log.
     """
-
-    def draw(plots: Any) -> Any:
-        if model is not None:
-            return plots.coverage(armlab.identify.predict(*figure.with_log(model, log)))
-        read = figure.read(log, figure.robot)
-        if not {"wrench", "wrench_true"} & set(read.names):
-            raise LogError(
-                f"Expected a force sensor in {log}, column wrench, to compare the estimate with, got none. "
-                "Add --model MODEL to compare torques."
-            )
-        return plots.coverage(read)
-
-    return figure.draw(log, "coverage", draw)
+    path = figure.path(log, "coverage")
+    if model is not None:
+        return figure.save(path, armlab.plots.coverage(armlab.identify.predict(*figure.with_log(model, log))))
+    read = figure.read(log, figure.robot)
+    if not {"wrench", "wrench_true"} & set(read.names):
+        raise LogError(
+            f"Expected a force sensor in {log}, column wrench, to compare the estimate with, got none. "
+            "Add --model MODEL to compare torques."
+        )
+    return figure.save(path, armlab.plots.coverage(read))
 
 
 def hypotheses(
     model: Model, log: Annotated[Path, Parameter(help="Recording with contact.")], *, figure: ModelFigure = OF_MODEL
 ) -> int:
     """Draw the probability that there is a contact, and where."""
-
-    def draw(plots: Any) -> Any:
-        known = torque_model(model)
-        return plots.hypotheses(armlab.contact.hypotheses(figure.estimate(known, log), figure.robot_of(known)))
-
-    return figure.draw(log, "hypotheses", draw)
+    path = figure.path(log, "hypotheses")
+    known = torque_model(model)
+    return figure.save(
+        path, armlab.plots.hypotheses(armlab.contact.hypotheses(figure.estimate(known, log), figure.robot_of(known)))
+    )
 
 
 def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
@@ -237,16 +217,13 @@ def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     Parameters:
         fit: File of `armlab calibrate`; that command draws the residuals too, with --figure, for files keep none.
     """
-
-    def draw(plots: Any) -> Any:
-        found = armlab.estimation.Fit.load(fit)
-        if isinstance(found.value, armlab.models.TorqueModel):
-            raise ModelMismatchError(
-                f"Expected the file of a calibration, got a torque model in {fit}. Draw its torque_fit or its friction."
-            )
-        return plots.calibration(found)
-
-    return figure.draw(fit, "calibration", draw)
+    path = figure.path(fit, "calibration")
+    found = armlab.estimation.Fit.load(fit)
+    if isinstance(found.value, armlab.models.TorqueModel):
+        raise ModelMismatchError(
+            f"Expected the file of a calibration, got a torque model in {fit}. Draw its torque_fit or its friction."
+        )
+    return figure.save(path, armlab.plots.calibration(found))
 
 
 def excitation(fit: Path, *, figure: FigureFile = BESIDE) -> int:
@@ -255,7 +232,8 @@ def excitation(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     Parameters:
         fit: File of `armlab identify` or `armlab calibrate`.
     """
-    return figure.draw(fit, "excitation", lambda plots: plots.excitation(armlab.estimation.Fit.load(fit).excitation))
+    path = figure.path(fit, "excitation")
+    return figure.save(path, armlab.plots.excitation(armlab.estimation.Fit.load(fit).excitation))
 
 
 Posture = Annotated[Path | None, Parameter(help="Recording with q.")]
@@ -267,16 +245,16 @@ def robot(robot: RobotName, log: Posture = None, *, tool_path: bool = False, fig
     Parameters:
         tool_path: Draw the path of the tool through the log.
     """
-    return figure.draw(
-        log or robot,
-        "robot",
-        lambda plots: plots.robot(armlab.robots.load(robot), figure.positions(log, robot), path=tool_path),
+    path = figure.path(log or robot, "robot")
+    return figure.save(
+        path, armlab.plots.robot(armlab.robots.load(robot), figure.positions(log, robot), path=tool_path)
     )
 
 
 def workspace(robot: RobotName, *, figure: FigureFile = BESIDE) -> int:
     """Draw where the tool of an arm can be: from the side, from above, in space."""
-    return figure.draw(robot, "workspace", lambda plots: plots.workspace(armlab.robots.load(robot)))
+    path = figure.path(robot, "workspace")
+    return figure.save(path, armlab.plots.workspace(armlab.robots.load(robot)))
 
 
 def manipulability(
@@ -291,11 +269,8 @@ def manipulability(
     Parameters:
         of: position: velocity of the tool point. rotation: its angular velocity.
     """
-    return figure.draw(
-        log or robot,
-        "manipulability",
-        lambda plots: plots.manipulability(armlab.robots.load(robot), figure.positions(log, robot), of),
-    )
+    path = figure.path(log or robot, "manipulability")
+    return figure.save(path, armlab.plots.manipulability(armlab.robots.load(robot), figure.positions(log, robot), of))
 
 
 def dmp(
@@ -313,30 +288,28 @@ def dmp(
     from armlab.cli.dmp.teaching import MotionWindow, read_demonstration
     from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
 
-    def draw(plots: Any) -> Any:
-        motion = armlab.models.load(primitive)
-        motion = motion.dmp if isinstance(motion, TwoDofDmp) else motion
-        if not isinstance(motion, Dmp | PoseDmp | PeriodicDmp | ProMP):
-            raise ConfigError(
-                f"Expected the file of a movement primitive, got another in {primitive}. Name the right one."
-            )
-        kind = "pose" if isinstance(motion, PoseDmp) else "joints"
-        columns = () if column is None else (column,)
-        taught = [read_demonstration(log, kind, columns, robot, MotionWindow()) for log in demos]
-        shown = [(demo.t, demo.y) for demo in taught]
-        if isinstance(motion, ProMP):
-            return plots.promp(motion, shown)
-        if len(shown) > 1:
-            raise ConfigError(f"Expected one demonstration of a primitive that is no distribution, got {len(shown)}.")
-        figures = {PoseDmp: plots.pose_dmp, PeriodicDmp: plots.periodic_dmp, Dmp: plots.dmp}
-        return figures[type(motion)](motion, shown[0] if shown else None)
-
-    return figure.draw(primitive, "dmp", draw)
+    path = figure.path(primitive, "dmp")
+    motion = armlab.models.load(primitive)
+    motion = motion.dmp if isinstance(motion, TwoDofDmp) else motion
+    if not isinstance(motion, Dmp | PoseDmp | PeriodicDmp | ProMP):
+        raise ConfigError(f"Expected the file of a movement primitive, got another in {primitive}. Name the right one.")
+    kind = "pose" if isinstance(motion, PoseDmp) else "joints"
+    columns = () if column is None else (column,)
+    taught = [read_demonstration(log, kind, columns, robot, MotionWindow()) for log in demos]
+    shown = [(demo.t, demo.y) for demo in taught]
+    if isinstance(motion, ProMP):
+        return figure.save(path, armlab.plots.promp(motion, shown))
+    if len(shown) > 1:
+        raise ConfigError(f"Expected one demonstration of a primitive that is no distribution, got {len(shown)}.")
+    plots: Any = armlab.plots
+    draw = {PoseDmp: plots.pose_dmp, PeriodicDmp: plots.periodic_dmp, Dmp: plots.dmp}[type(motion)]
+    return figure.save(path, draw(motion, shown[0] if shown else None))
 
 
 def dmp_phase(primitive: Primitive, *, figure: FigureFile = BESIDE) -> int:
     """Draw the phase plane of a movement primitive of joints: velocity against position."""
-    return figure.draw(primitive, "dmp_phase", lambda plots: plots.dmp_phase(armlab.motion.Dmp.load(primitive)))
+    path = figure.path(primitive, "dmp_phase")
+    return figure.save(path, armlab.plots.dmp_phase(armlab.motion.Dmp.load(primitive)))
 
 
 def two_dof(
@@ -359,19 +332,17 @@ def two_dof(
     """
     from armlab.cli.dmp.playing import numbers_in
 
-    def draw(plots: Any) -> Any:
-        motion = armlab.models.load(primitive)
-        law = armlab.motion.TwoDofDmp(motion) if isinstance(motion, armlab.motion.Dmp) else motion
-        if not isinstance(law, armlab.motion.TwoDofDmp):
-            raise ConfigError(f"Expected a primitive of joints, got another kind in {primitive}. Name the right file.")
-        read = armlab.log.read(log)
-        if "path_error" not in read:
-            raise LogError(f"Expected a run that waits for its arm in {log}, got none. Record it without --firm.")
-        spans = [numbers_in(word, "disturbed") for word in disturbed or ()]
-        if any(span is None or len(span) != 2 for span in spans):
-            raise ConfigError(f"Expected --disturbed as START,END, got {' '.join(disturbed or ())}.")
-        held = [(float(span[0]), float(span[1])) for span in spans if span is not None]
-        run = law.recorded(read, held, duration=duration, g=numbers_in(goal, "goal"))
-        return plots.two_dof(run, chosen(joints, run.yc.shape[1]))
-
-    return figure.draw(log, "two_dof", draw)
+    path = figure.path(log, "two_dof")
+    motion = armlab.models.load(primitive)
+    law = armlab.motion.TwoDofDmp(motion) if isinstance(motion, armlab.motion.Dmp) else motion
+    if not isinstance(law, armlab.motion.TwoDofDmp):
+        raise ConfigError(f"Expected a primitive of joints, got another kind in {primitive}. Name the right file.")
+    read = armlab.log.read(log)
+    if "path_error" not in read:
+        raise LogError(f"Expected a run that waits for its arm in {log}, got none. Record it without --firm.")
+    spans = [numbers_in(word, "disturbed") for word in disturbed or ()]
+    if any(span is None or len(span) != 2 for span in spans):
+        raise ConfigError(f"Expected --disturbed as START,END, got {' '.join(disturbed or ())}.")
+    held = [(float(span[0]), float(span[1])) for span in spans if span is not None]
+    run = law.recorded(read, held, duration=duration, g=numbers_in(goal, "goal"))
+    return figure.save(path, armlab.plots.two_dof(run, None if joints is None else joints_in(joints, run.yc.shape[1])))

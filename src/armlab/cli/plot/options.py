@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -50,19 +49,20 @@ class FigureFile:
     show: bool = False
     force: bool = False
 
-    def draw(self, source: Path | str, name: str, make: Callable[[Any], Any]) -> int:
-        """Write a figure of a source, print its path, open a window if asked; return the exit code.
-
-        `make` draws it with the module `armlab.plots`; a file that cannot be written is refused before.
-        """
-        from armlab.plots.style import show
-
+    def path(self, source: Path | str, name: str) -> Path:
+        """Return where a figure of a source goes; refuse, before it is drawn, a file that cannot be written."""
         beside = Path(source)
         path = beside.with_name(f"{beside.stem}_{name}.png") if self.output is None else self.output
         check_output(path, self.force, FIGURES)
-        save_figure(make(armlab.plots), path)
+        return path
+
+    def save(self, path: Path, drawn: Any) -> int:
+        """Write a figure, print its path, open a window if asked; return the exit code."""
+        save_figure(drawn, path)
         result(str(path))
         if self.show:
+            from armlab.plots.style import show
+
             show()
         return 0
 
@@ -162,15 +162,10 @@ def torque_model(path: Path) -> TorqueModel:
     return armlab.models.load(path, "torque_model")
 
 
-def chosen(joints: str | None, n: int) -> list[int] | None:
-    """Return the joints to draw, numbers from 0; None for all."""
-    return None if joints is None else joints_in(joints, n)
-
-
 def chosen_of(model: Path, joints: str | None) -> tuple[TorqueModel, list[int] | None]:
     """Return the torque model of a file, and which of its joints to draw."""
     known = torque_model(model)
-    return known, chosen(joints, known.n)
+    return known, None if joints is None else joints_in(joints, known.n)
 
 
 def poses_in(table: Table, path: Path, column: str | None, robot: str | None) -> np.ndarray:

@@ -76,11 +76,11 @@ def _holds(outer: Path, inner: Path) -> bool:
     return any(outer.samefile(one) for one in (place, *place.parents))
 
 
-def save_figure(drawn: Any, path: Path, dpi: int = 150) -> None:
+def save_figure(drawn: Any, path: Path) -> None:
     """Write a figure; an existing file is replaced in one step or not at all."""
     figure = drawn if hasattr(drawn, "savefig") else drawn.get_figure(root=True)
     with whole_file(path) as part:
-        figure.savefig(part, format=path.suffix[1:].lower(), dpi=dpi)
+        figure.savefig(part, format=path.suffix[1:].lower(), dpi=150)
 
 
 @contextmanager

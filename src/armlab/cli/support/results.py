@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
 
 if TYPE_CHECKING:
@@ -52,9 +53,7 @@ class Results:
     def write(self, draw: Callable[[Any], Any], page: Callable[[Tell], HtmlReport]) -> None:
         """Write figure and page where they are wanted; `draw` gets the module `armlab.plots`."""
         if self.figure is not None:
-            from armlab import plots
-
-            save_figure(draw(plots), self.figure)
+            save_figure(draw(armlab.plots), self.figure)
             note(f"figure: {self.figure}")
         if self.report is not None:
             with progress("report") as tell:
