@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import frames, sim
+from armlab import sim
 from armlab.calibrate import (
     fit_accelerometer,
     fit_dual_arm,
@@ -20,7 +20,6 @@ from armlab.calibrate import (
 )
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Fit
-from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3
 from armlab.sim.experiments import sensors
 
@@ -304,8 +303,7 @@ def test_good_data_are_not_suspected() -> None:
     (lambda: dual(PAIR.q_a[1:], PAIR.q_b[:-1], PAIR.pose[1:], noise=ARM, robust=True), "of 59 that do not"),
     (lambda: dual(PAIR.q_a[:25], PAIR.q_b[:25], MIRROR @ PAIR.pose[:25] @ MIRROR), "an arm that fits the"),
     (lambda: laser(SCANS.A[1:], SCANS.scans[:-1], SCANS.plane[:-1]), "scan i and pose i are of the same moment"),
-    (lambda: laser(plane=np.random.default_rng(0).permutation(SCANS.plane), noise=LINE), "Check the labels"),
-], ids=["shifted poses", "shifted arm", "mirrored", "shifted scans", "labels"])  # fmt: skip
+], ids=["shifted poses", "shifted arm", "mirrored", "shifted scans"])  # fmt: skip
 def test_records_of_two_arms_and_of_scans_that_do_not_belong_together(case: Callable[[], Any], words: str) -> None:
     with pytest.raises(NotConverged, match=words):
         case()
@@ -349,14 +347,6 @@ class TestHalfATurn:
             fit_kinematics(run.robot, run.q, distance=-distance, anchor=anchor)
 
 
-def joined() -> tuple[np.ndarray, np.ndarray]:
-    """Joint positions of two arms whose tools are held together."""
-    q_a = np.random.default_rng(0).uniform(-0.6, 0.6, (60, 6))
-    held = se3.from_rp(so3.exp([3.0, 0.2, 0.1]), [0.05, 0.02, 0.3])
-    found = inverse(PAIR.robot_b, se3.inv(PAIR.T_basea_baseb) @ forward(PAIR.robot_a, q_a) @ held)
-    return q_a[found.success][:25], found.q[found.success][:25]
-
-
 def shaken(T: np.ndarray, size: tuple[float, float] = (2e-4, 5e-4)) -> np.ndarray:
     """Poses (N, 4, 4), or orientations (N, 3, 3), with noise of the robot."""
     rng = np.random.default_rng(7)
@@ -366,33 +356,16 @@ def shaken(T: np.ndarray, size: tuple[float, float] = (2e-4, 5e-4)) -> np.ndarra
     return se3.from_rp(T[:, :3, :3] @ turns, T[:, :3, 3] + size[0] * rng.standard_normal((len(T), 3)))
 
 
-VERTICAL, SHORT = turned([0, 0, 1]), turned([1, 0, 0], angle=np.radians(3.0))
-STILL_4 = TABLE.q * [1, 1, 1, 0, 1, 1]
-ON_AXIS = CELL.kinematics(N=100, tool=False)
-POINT = forward(ON_AXIS.robot, ON_AXIS.q)[:, :3, 3] + 1e-4 * np.random.default_rng(1).standard_normal((100, 3))
-
-
 def test_what_must_be_refused_by_name_from_noisy_poses() -> None:
     one_way = se3.from_rp(shaken(stay(SCANS.A[:, :3, :3], 60)), SCANS.A[:, :3, 3])
-    line = np.linspace(0, 1, 9)[:, None] * [1.0, 2.0, 3.0]
-    cases: list[tuple[Callable[[], Any], str]] = [
-        (lambda: eye(shaken(VERTICAL), see(VERTICAL), noise=CAMERA), "along tool axis z"),
-        (lambda: eye(shaken(stay(EYE.A)), stay(EYE.B), noise=CAMERA), "translation of T_tool_marker"),
-        (
-            lambda: force(shaken(VERTICAL), weigh(VERTICAL[:, :3, :3])),
-            "rotation about tool axis|rotations about the ve",
-        ),
-        (lambda: force(shaken(SHORT), weigh(SHORT[:, :3, :3])[:, :3]), "rotation about tool axis .*, bias along it"),
-        (lambda: force(shaken(SHORT), weigh(SHORT[:, :3, :3])), "rotation about tool axis .*, bias and centre of"),
-        (lambda: arm(STILL_4, shaken(TABLE.truth.forward(STILL_4))), "joint 4 did not move"),
-        (lambda: fit_kinematics(ON_AXIS.robot, ON_AXIS.q, position=POINT, noise=1e-4), "on the axis of joint 6"),
-        (lambda: dual(*joined(), None, closed=True), "overall scale"),
-        (lambda: laser(one_way, noise=LINE), "translation of the sensor along tool axis"),
-        (lambda: frames.fit_plane(line), "."),
-    ]
-    for case, words in cases:
-        with pytest.raises(NotExcited, match=words):
-            case()
+    vertical, short = turned([0, 0, 1]), turned([1, 0, 0], angle=np.radians(3.0))
+    seen = weigh(vertical[:, :3, :3]), weigh(short[:, :3, :3])
+    with pytest.raises(NotExcited, match=r"rotation about tool axis|rotations about the ve"):
+        force(shaken(vertical), seen[0])
+    with pytest.raises(NotExcited, match=r"rotation about tool axis .*, bias and centre of"):
+        force(shaken(short), seen[1])
+    with pytest.raises(NotExcited, match="translation of the sensor along tool axis"):
+        laser(one_way, noise=LINE)
 
 
 def test_small_tilts_cost_degrees_not_half_turns() -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
-from armlab.calibrate.hand_eye import LIMITS, HandEyeEquation, Pair, inverse_noise
+from armlab.calibrate.hand_eye import LIMITS, HandEyeEquation, Pair
 from armlab.calibrate.hand_eye_points import PointModel, Points, marked_start
 from armlab.errors import NotExcited, UnknownName
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
@@ -64,15 +63,6 @@ def test_half_turns_are_angles_like_others() -> None:
     np.testing.assert_allclose(fit.value.Y, Y, atol=1e-12)
 
 
-def test_jacobian_is_the_derivative_of_the_residual() -> None:
-    equation = equation_of(sensors.seen_poses(1, 4, camera=(0.1, 0.2)), np.ones(6))
-    pair = equation.start()
-    (found,), h = equation.evaluate(pair), 1e-6
-    for k, step in enumerate(np.eye(12) * h):
-        up, down = (equation.evaluate(pair.plus(x))[0].r for x in (step, -step))
-        np.testing.assert_allclose(found.J[:, :, k], (up - down) / (2 * h), atol=1e-6)
-
-
 def test_both_setups_are_one_equation() -> None:
     data = sensors.seen_poses(4)
     still = fit_hand_eye(**data.given, noise=CAMERA)
@@ -83,19 +73,6 @@ def test_both_setups_are_one_equation() -> None:
     assert still.names[-1] == "T_base_cam rz"
     with pytest.raises(UnknownName, match="eye_in_hand"):
         fit_hand_eye(**data.given, setup="eye_on_hand")  # type: ignore[arg-type]
-
-
-def test_noise_of_an_inverse_pose() -> None:
-    """The covariance of T^-1 by its first-order formula, against differences."""
-    T = sensors.seen_poses(0, 1).A[0]
-    columns = []
-    for step in np.eye(6) * 1e-6:
-        moved = T.copy()
-        moved[:3, 3] += step[:3]
-        moved[ROTATION] = T[ROTATION] @ so3.exp(step[3:])
-        columns.append(pose_error(se3.inv(moved), se3.inv(T)) / 1e-6)
-    M, S = np.array(columns).T, np.diag(np.arange(1.0, 7.0))
-    np.testing.assert_allclose(inverse_noise(S, T[None, :3, :3], T[None, :3, 3])[0], M @ S @ M.T, rtol=1e-4, atol=1e-4)
 
 
 def test_a_robot_without_noise_is_the_same_as_none_told() -> None:
@@ -334,23 +311,6 @@ def test_one_point_is_enough_for_the_camera() -> None:
     assert fit.value.X is None
 
 
-@pytest.mark.parametrize("known", [True, False], ids=["known marker", "unknown marker"])
-def test_from_points_jacobian_is_the_derivative_of_the_residual(known) -> None:
-    data = sensors.seen_points(4, 5)
-    model = model_of(data, data.visible)
-    X, Y = data.X, data.Y
-    problem = model.marked(sensors.MARKER) if known else model.free()
-    free = Points(sensors.MARKER @ X[:3, :3].T + X[:3, 3], Y[:3, :3], Y[:3, 3])
-    value = free
-    if known:
-        value = marked_start(free, sensors.MARKER)
-        np.testing.assert_allclose(value.poses()[0], X, atol=1e-12)
-    (found,), h = problem.evaluate(value), 1e-6
-    for k, step in enumerate(np.eye(found.J.shape[2]) * h):
-        up, down = (problem.evaluate(problem.retract(value, x))[0].r for x in (step, -step))
-        np.testing.assert_allclose(found.J[:, :, k], (up - down) / (2 * h), atol=1e-6)
-
-
 def test_a_missing_point_costs_three_residuals_and_nothing_else() -> None:
     data = sensors.seen_points(5)
     seen = np.ones((100, 3), dtype=bool)
@@ -484,31 +444,6 @@ def test_from_points_noise_of_the_robot_makes_the_covariance_honest(setup, known
     assert np.mean(nees[False]) > 1.5
 
 
-def test_from_points_noise_of_the_robot_reaches_all_points_of_a_sample() -> None:
-    """The covariance of a sample's residuals, against differences of the poses; one sample misses a point."""
-    data, seen = sensors.seen_points(11, 3), np.ones((3, 3), dtype=bool)
-    seen[1, 0] = False
-    S = np.diag(np.arange(1.0, 7.0))
-    points = sensors.MARKER @ data.X[:3, :3].T + data.X[:3, 3]
-    at = Points(points, data.Y[:3, :3], data.Y[:3, 3])
-    sight = replace(model_of(data, seen), noise_A=S)
-    columns = []
-    for step in np.eye(6) * 1e-6:
-        moved = model_of(
-            replace(data, A=se3.from_rp(data.A[:, :3, :3] @ so3.exp(step[3:]), data.A[:, :3, 3] + step[:3])), seen
-        )
-        columns.append((moved.free().evaluate(at)[0].r - model_of(data, seen).free().evaluate(at)[0].r) / 1e-6)
-    G = np.stack(columns, axis=2)
-    two, three = sight.free().evaluate(at)
-    for one, parts in ((two, [[3, 4]]), (three, [[0, 1, 2], [5, 6, 7]])):
-        assert one.added is not None
-        for cov, rows in zip(one.added, parts, strict=True):
-            M = G[rows].reshape(-1, 6)
-            np.testing.assert_allclose(cov, M @ S @ M.T, rtol=1e-4, atol=1e-4)
-    np.testing.assert_array_equal(two.sample, [1])
-    np.testing.assert_array_equal(three.sample, [0, 2])
-
-
 def test_from_points_noise_of_the_camera_is_found_beside_that_of_the_robot() -> None:
     found = []
     for run in range(5):
@@ -559,22 +494,3 @@ def test_unequal_noise_of_poses_counts_by_its_size() -> None:
             values.append(e @ np.linalg.solve(fit.cov, e) / 12)
     assert 0.85 < np.mean(told) < 1.15
     assert np.mean(equal) > 4.0 * np.mean(told)
-
-
-def test_noise_of_the_robot_reaches_position_and_rotation_of_a_pair() -> None:
-    """Its covariance in the residuals, lever arm of the marker included, against differences of the poses."""
-    rng = np.random.default_rng(2)
-    X, Y = se3.exp(0.5 * rng.standard_normal(6)), se3.exp(rng.standard_normal(6))
-    A = se3.exp(rng.standard_normal((4, 6)))
-    B = se3.inv(Y) @ A @ X
-    L = rng.standard_normal((6, 6))
-    S = L @ L.T
-    at = Pair(X[:3, :3], X[:3, 3], Y[:3, :3], Y[:3, 3])
-
-    def residuals(step: np.ndarray) -> np.ndarray:
-        moved = HandEyeEquation(A[:, :3, :3] @ so3.exp(step[3:]), A[:, :3, 3] + step[:3], B[:, :3, :3], B[:, :3, 3])
-        return moved.evaluate(at)[0].r
-
-    G = np.stack([(residuals(step) - residuals(-step)) / 2e-6 for step in np.eye(6) * 1e-6], axis=2)
-    added = HandEyeEquation(A[:, :3, :3], A[:, :3, 3], B[:, :3, :3], B[:, :3, 3], None, S).evaluate(at)[0].added
-    np.testing.assert_allclose(added, G @ S @ G.transpose(0, 2, 1), rtol=1e-7, atol=1e-7)

@@ -14,9 +14,9 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from armlab.errors import NotExcited
 from armlab.estimation import Prior, Rows, least_squares
-from armlab.estimation.linear_problem import ActiveBound, LinearProblem, LinearSolution, solve, within_bounds
+from armlab.estimation.linear_problem import ActiveBound, within_bounds
 from armlab.estimation.robust import METHODS, huber, least_trimmed_squares, mad
-from armlab.estimation.tsqr import Factors, factorise, one_thread, triangle
+from armlab.estimation.tsqr import Factors, factorise, one_thread
 
 BLOCKS = 30
 
@@ -170,19 +170,6 @@ def test_what_the_data_do_not_tell_is_refused_by_name_or_held_by_a_prior(problem
     np.testing.assert_allclose(bounded.x[0] + 2 * bounded.x[3], found.x[0] + 2 * found.x[3], rtol=0.05)
 
 
-def test_one_pass_serves_any_weights(problems) -> None:
-    A, y = problems.draw(6, 300, k=2)
-    factors = factorise(iter(rows(A, y)), 3)
-    problem = LinearProblem.of(problems.names, "model")
-    assert isinstance(solve(problem, factors), LinearSolution)
-    found = solve(problem, factors, np.array([3.0, 1.0]), kept=np.arange(BLOCKS) != 4)
-    keep = np.arange(300) * BLOCKS // 300 != 4
-    w = np.tile([3.0, 1.0], keep.sum())[:, None]
-    dense = np.linalg.lstsq(A[keep].reshape(-1, 3) * w, y[keep].ravel() * w[:, 0], rcond=None)[0]
-    np.testing.assert_allclose(found.x, dense, rtol=1e-12)
-    assert not found.kept[4]
-
-
 @pytest.mark.parametrize("seed", range(24))
 def test_within_bounds_agrees_with_bounded_least_squares(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -243,15 +230,6 @@ def test_pieces_and_their_order_change_nothing_but_rounding(cuts: list[int], ord
 def _pieces(a: int, b: int) -> list[Rows]:
     columns = (np.arange(3), np.arange(4))
     return [Rows(A[a:b, g][:, columns[g]], Y[a:b, g], BLOCK[a:b], g, columns[g]) for g in range(2)]
-
-
-def test_the_triangle_of_many_rows_has_their_gram_matrix() -> None:
-    rng = np.random.default_rng(0)
-    A, y = rng.standard_normal((2500, 4)), rng.standard_normal(2500)
-    R, both = triangle(A), triangle(A, y)
-    np.testing.assert_allclose(R.T @ R, A.T @ A, rtol=1e-12, atol=1e-10)
-    np.testing.assert_allclose(both[:, 4] @ both[:, 4], y @ y, rtol=1e-12)
-    assert triangle(A[:2]).shape == (4, 4)
 
 
 def threads() -> dict[str, int]:

@@ -88,6 +88,8 @@ def test_project_is_the_nearest_rotation() -> None:
     np.testing.assert_allclose(distance, np.linalg.norm(projected - M, axis=(1, 2)), rtol=1e-14)
     nearby = projected @ so3.exp(1e-3 * rng.standard_normal((20, 50, 3)))
     assert (np.linalg.norm(nearby - M, axis=(-1, -2)) > distance).all()
+    symmetric = np.swapaxes(projected, 1, 2) @ M
+    np.testing.assert_allclose(symmetric, np.swapaxes(symmetric, 1, 2), rtol=0, atol=3e-15)
 
 
 def test_project_of_a_reflection_and_of_nothing() -> None:

@@ -167,16 +167,6 @@ def test_equal_amplitudes_are_a_plain_line() -> None:
     assert lines().n == 2
 
 
-def test_each_direction_may_have_its_own_amplitude() -> None:
-    speeds, widths = speed_basis(0.0, 1.0)
-    both = np.zeros((1, 2, 8, 2))
-    both[0, 0, :, 0], both[0, 1, :, 1] = 2.0, 3.0
-    part = RippleLines([0], [50.0], speeds[None], widths[None], both)
-    q = np.linspace(0, 1, 30)[:, None]
-    np.testing.assert_allclose(part.torque(q, 0 * q + 0.3, 0 * q + 1), 2 * np.cos(50 * q), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(part.torque(q, 0 * q - 0.3, 0 * q - 1), 3 * np.sin(50 * q), rtol=0, atol=1e-12)
-
-
 # Warm-up.
 
 

@@ -129,20 +129,6 @@ def test_a_chain_has_what_its_branch_has(tree: Tree) -> None:
     np.testing.assert_allclose(z, [np.cos(np.pi / 4 + 1.2), np.sin(np.pi / 4 + 1.2), 0], rtol=0, atol=1e-15)
 
 
-def test_what_is_rigidly_joined_is_one_body(tree: Tree) -> None:
-    """The cup hangs on left_2 by a fixed joint; both are in one link of the arm."""
-    robot = tree.chain("body", "left_2")
-    assert robot.inertias is not None
-    np.testing.assert_array_equal(robot.inertias[:, 0], [2, 1.5])
-    T_link_left = se3.inv(robot.links[1]) @ se3.from_rp(euler.rot_z(1.2), [0.1, 0, 0])
-    R = euler.rot_x(0.3)
-    cup = inertia.from_body(0.5, [0, 0, 0.3], R @ np.diag([0.003, 0.002, 0.001]) @ R.T)
-    own = inertia.from_body(1.0, [0, 0, 0], 0.01 * np.eye(3))
-    np.testing.assert_allclose(robot.inertias[1], inertia.transform(T_link_left, cup + own), rtol=0, atol=1e-15)
-    same = tree.chain("body", "cup").inertias
-    np.testing.assert_array_equal(robot.inertias, same)
-
-
 def test_meshes_move_with_their_links(tree: Tree) -> None:
     robot = tree.chain("left_base", "cup")
     foot, first, second = robot.meshes

@@ -101,25 +101,6 @@ def test_exponential_step_response_and_alpha() -> None:
     np.testing.assert_array_equal(filter_.run(np.ones(200)), exact)
 
 
-def damped(t: np.ndarray, w: float, z: float) -> np.ndarray:
-    turn = w * np.sqrt(1 - z * z)
-    return 1 - np.exp(-z * w * t) * (np.cos(turn * t) + z * w / turn * np.sin(turn * t))
-
-
-@pytest.mark.parametrize("jitter", [0.0, 0.4])
-def test_oscillators_follow_their_formula_whatever_the_jitter(jitter: float) -> None:
-    """Step response of the continuous filter at the true time stamps, to 1e-12."""
-    rng = np.random.default_rng(0)
-    t = np.concatenate([[0.0], np.cumsum(DT * (1 + jitter * rng.uniform(-1, 1, 200)))])
-    w, ones = 2 * np.pi * 10.0, np.ones(201)
-    exact = damped(t, w, np.sqrt(0.5))
-    np.testing.assert_allclose(LowPass2(10.0, init=0.0).run(ones, t), exact, atol=1e-12)
-    turn = w * np.sqrt(0.5)
-    np.testing.assert_allclose(ExpFilter(0.1, init=0.0).run(ones, t), 1 - np.exp(-t / 0.1), atol=1e-12)
-    slope = np.exp(-turn * t) * np.sin(turn * t) * w * w / turn
-    np.testing.assert_allclose(CausalDiff(10.0, init=0.0).run(ones, t), slope, atol=1e-12 * w)
-
-
 def gain_of(operator: Operator, frequency: float) -> float:
     t = np.arange(20_000) * 1e-3
     y = operator.run(np.sin(2 * np.pi * frequency * t), t)[10_000:]
