@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from armlab.calibrate import fit_dual_arm
-from armlab.errors import ConfigError, NotConverged, NotExcited, ShapeError
+from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3
@@ -194,20 +193,6 @@ class TestAncestor:
             truth = run.relative(run.q_valid_a, run.q_valid_b)
             Z = fit.value.forward(run.q_valid_a, run.q_valid_b)
             np.testing.assert_allclose(Z[:, :3, 3], truth[:, :3, 3], rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize(("error", "words", "change"), [
-    (ConfigError, "either pose or position", lambda pose: {"pose": None}),
-    (ConfigError, "no position for a closed", lambda p: {"pose": None, "position": p[:, :3, 3], "closed": True}),
-    (ConfigError, "noise and noise_absolute together", lambda pose: {"noise": NOISE, "absolute_a": pose}),
-    (ShapeError, "as many rows of q_a", lambda pose: {"q_b": np.zeros((59, 6))}),
-    (ShapeError, "finite q_b, got NaN or Inf in 60 rows: 0", lambda pose: {"q_b": np.full((60, 6), np.nan)}),
-    (NotExcited, "at least 3 samples", lambda pose: {"visible": np.arange(60) < 2}),
-    (NotExcited, r"at least 54 numbers .* got 48", lambda pose: {"visible": np.arange(60) < 8, "noise": NOISE}),
-])  # fmt: skip
-def test_sentences(case: DualRun, error: type[Exception], words: str, change: Callable) -> None:
-    with pytest.raises(error, match=words):
-        fit_dual_arm(**{**case.given, **change(case.pose)})
 
 
 def validation(fit: Fit[DualArmCorrection], truth: DualRun) -> tuple[np.ndarray, np.ndarray]:

@@ -187,7 +187,13 @@ def little_turned(free: float, noise: tuple[float, float] | None = None) -> dict
     return {"T_base_tool": A, "T_cam_marker": B}
 
 
-def contract(runs: int, robot: tuple[float, float] | None = None, tilt: float | None = None):
+@pytest.mark.parametrize(("runs", "robot", "tilt"), [
+    (10, None, None),
+    pytest.param(60, None, None, marks=pytest.mark.slow),  # 2 s each
+    pytest.param(60, ROBOT, None, marks=pytest.mark.slow),
+    pytest.param(60, None, np.radians(30.0), marks=pytest.mark.slow),
+])  # fmt: skip
+def test_the_statistical_contract(runs: int, robot: tuple[float, float] | None, tilt: float | None) -> None:
     def spoil(data: dict[str, Any], rng: np.random.Generator) -> tuple[dict[str, Any], np.ndarray]:
         bad = np.zeros(len(data["T_cam_marker"]), dtype=bool)
         bad[rng.choice(len(bad), max(len(bad) // 20, 1), replace=False)] = True
@@ -203,21 +209,11 @@ def contract(runs: int, robot: tuple[float, float] | None = None, tilt: float | 
         "translation of T_tool_marker along tool axis y": little_turned(0.0, CAMERA),
         "2 poses": {"T_base_tool": data.A[:2], "T_cam_marker": data.B[:2]},
     }
-    return check_estimator(
+    found = check_estimator(
         fit_hand_eye, experiment_of(tilt, robot), runs, n=30, error=error, gauges=gauges(robot is None),
         blocks={"X t": range(3), "X R": range(3, 6), "Y t": range(6, 9), "Y R": range(9, 12)},
         refusals=refusals, spoil=spoil,
     )  # fmt: skip
-
-
-@pytest.mark.parametrize(("runs", "robot", "tilt"), [
-    (10, None, None),
-    pytest.param(60, None, None, marks=pytest.mark.slow),  # 2 s each
-    pytest.param(60, ROBOT, None, marks=pytest.mark.slow),
-    pytest.param(60, None, np.radians(30.0), marks=pytest.mark.slow),
-])  # fmt: skip
-def test_the_statistical_contract(runs: int, robot: tuple[float, float] | None, tilt: float | None) -> None:
-    found = contract(runs, robot, tilt)
     assert found.passed, found.text()
 
 
@@ -344,7 +340,13 @@ def experiment_of_points(known: bool, missing: bool):
     return experiment
 
 
-def contract_points(runs: int, known: bool = True, missing: bool = False):
+@pytest.mark.parametrize(("runs", "known", "missing"), [
+    (5, True, False),
+    pytest.param(120, True, False, marks=pytest.mark.slow),  # 3 s each
+    pytest.param(120, True, True, marks=pytest.mark.slow),
+    pytest.param(120, False, False, marks=pytest.mark.slow),
+])  # fmt: skip
+def test_from_points_the_statistical_contract(runs: int, known: bool, missing: bool) -> None:
     G = se3.exp(np.array([0.3, -0.2, 0.5, 1.0, 2.0, -0.5]))
     inv = se3.inv(G)
 
@@ -372,11 +374,12 @@ def contract_points(runs: int, known: bool = True, missing: bool = False):
             bad &= data["visible"].any(axis=1)
         return {**data, "p_cam": p, "robust": True}, bad
 
-    return check_estimator(
+    found = check_estimator(
         fit_hand_eye_points, experiment_of_points(known, missing), runs, n=40, error=error_points, gauges=gauges,
         refusals=refusals(known), spoil=spoil,
         skip={"clean": "NaN is allowed where visible says so"} if missing else None,
     )  # fmt: skip
+    assert found.passed, found.text()
 
 
 def refusals(known: bool) -> dict[str, dict[str, Any]]:
@@ -400,17 +403,6 @@ def refusals(known: bool) -> dict[str, dict[str, Any]]:
         f"{still} along tool axis y": seen(fixed, np.radians(0.05)),
         "2 poses": {"T_base_tool": data.A[:2], "p_cam": data.p[:2], **more},
     }
-
-
-@pytest.mark.parametrize(("runs", "known", "missing"), [
-    (5, True, False),
-    pytest.param(120, True, False, marks=pytest.mark.slow),  # 3 s each
-    pytest.param(120, True, True, marks=pytest.mark.slow),
-    pytest.param(120, False, False, marks=pytest.mark.slow),
-])  # fmt: skip
-def test_from_points_the_statistical_contract(runs: int, known: bool, missing: bool) -> None:
-    found = contract_points(runs, known, missing)
-    assert found.passed, found.text()
 
 
 def test_from_points_noise_in_three_forms_is_the_same_noise() -> None:

@@ -13,12 +13,14 @@ import pytest
 from armlab import identify
 from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Estimator, Wrench
 from armlab.errors import ConcurrentUse, NotExcited
+from armlab.lie import se3
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.torque import FORCE_RATES, PRIOR
 from armlab.state import State
 
 PRIOR_SD = np.array([20.0, 20, 20, 2, 2, 2])
+ON_ONE_LINE = np.tile(se3.from_rp(np.eye(3), [0.0, 0.0, 0.1]), (8, 1, 1))  # frames of seven axes that see one direction
 WAYS: dict[str, dict[str, Any]] = {
     **{name: {"method": name} for name in ("map", "bounded", "clip", "interval", "ls", "lund", "observer", "kf")},
     "kf with bias": {"method": "kf", "bias": True},
@@ -121,9 +123,7 @@ def test_a_press_appears_along_its_axes_with_its_signs(truth, model, perfect, wa
 def test_a_singular_pose_gives_a_finite_estimate_and_a_hidden_direction(truth, perfect) -> None:
     """Seven axes on one line: five directions of the wrench stay as the prior has them."""
     q, zero = np.zeros(7), np.zeros(7)
-    axes = np.tile(np.eye(4), (8, 1, 1))
-    axes[:, 2, 3] = 0.1
-    planar = replace(perfect, frames=axes)
+    planar = replace(perfect, frames=ON_ONE_LINE)
     wrench = Estimator(planar, truth.robot).step(State(t=0.0, dt=0.004, q=q, qd=zero, tau=np.ones(7)))
     J = planar.chain.jacobian(q)
     assert np.linalg.matrix_rank(J) == 1
@@ -221,9 +221,7 @@ def test_in_motion_the_bounded_estimate_is_as_good_as_the_random_one(truth, mode
 
 
 def test_without_a_prior_a_singular_pose_is_said_and_not_guessed(truth, perfect) -> None:
-    axes = np.tile(np.eye(4), (8, 1, 1))
-    axes[:, 2, 3] = 0.1
-    planar = replace(perfect, frames=axes)
+    planar = replace(perfect, frames=ON_ONE_LINE)
     state = State(t=0.0, dt=0.004, q=np.zeros(7), qd=np.zeros(7), tau=np.ones(7))
     wrench = Estimator(planar, truth.robot, "ls").step(state)
     assert wrench.flags & SINGULAR
@@ -471,9 +469,7 @@ def test_at_rest_the_band_holds_whatever_friction_does(truth, model, resting, op
 
 def test_what_a_pose_hides_stays_as_the_prior_has_it(truth, model, way) -> None:
     """Seven axes on one line for a minute: five directions keep their prior, and no force is made up."""
-    axes = np.tile(np.eye(4), (8, 1, 1))
-    axes[:, 2, 3] = 0.1
-    estimator = Estimator(replace(model, frames=axes, gravity=np.zeros(3)), truth.robot, **way)
+    estimator = Estimator(replace(model, frames=ON_ONE_LINE, gravity=np.zeros(3)), truth.robot, **way)
     state = State(t=0.0, dt=0.02, q=np.zeros(7), qd=np.zeros(7), tau=0.3 * np.ones(7))
     for _ in range(3000):
         wrench = estimator.step(state)

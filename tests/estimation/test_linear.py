@@ -15,8 +15,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from armlab.errors import NotExcited
 from armlab.estimation import Prior, Rows, least_squares
 from armlab.estimation.linear_problem import ActiveBound, within_bounds
-from armlab.estimation.robust import METHODS, huber, least_trimmed_squares, mad
-from armlab.estimation.tsqr import Factors, factorise, one_thread
+from armlab.estimation.robust import METHODS, least_trimmed_squares
+from armlab.estimation.tsqr import factorise, one_thread
 
 BLOCKS = 30
 
@@ -107,20 +107,6 @@ def test_gross_outliers(method: str, stays: bool, problems) -> None:
         assert ratio[0] > 2.0
 
 
-# Robust methods.
-
-
-def test_huber_is_a_stationary_point_of_its_loss(problems) -> None:
-    A, y = problems.draw(1, 500)
-    y[::20] += 30.0
-    rows = list(Rows.of(A, y, np.arange(500) // 50))
-    found = huber(rows, least_squares(rows, problems.names))
-    scaled = (y - A @ found.x)[:, 0] / mad(y - A @ found.x)
-    gradient = A[:, 0].T @ np.clip(scaled, -1.345, 1.345)
-    assert np.max(np.abs(gradient) / np.linalg.norm(A[:, 0], axis=0)) < 1e-6
-    assert found.rounds < 30
-
-
 def test_trimming_needs_blocks_that_determine_the_model_together(problems) -> None:
     A, y = problems.draw(3, 600)
     A[60:, 0, 2] *= 1e-5  # one block of ten tells the third parameter
@@ -197,23 +183,6 @@ A = RNG.standard_normal((90, 2, 4))
 A[:, 0, 3] = 0.0  # class 0 has no fourth column
 Y = RNG.standard_normal((90, 2))
 BLOCK = np.arange(90) // 30
-
-
-def test_factors_are_those_of_dense_qr() -> None:
-    factors = factorise(Rows.of(A, Y, BLOCK), 4)
-    assert isinstance(factors, Factors)
-    assert factors.rows.tolist() == [[30, 30]] * 3
-    x = np.array([1.0, -2.0, 3.0, 0.5])
-    np.testing.assert_allclose(factors.power(x), np.sum((Y - A @ x).reshape(3, 30, 2) ** 2, axis=1), rtol=1e-13)
-    holed = factorise([Rows(np.ones((2, 1)), np.ones(2), np.array([0, 3]))], 1)
-    assert holed.rows.tolist() == [[1], [0], [0], [1]]
-    np.testing.assert_array_equal(holed.R[0][1:3], 0.0)
-    R = factors.merge(factors.of_groups(), np.array([2.0, 0.5]))
-    dense = np.concatenate([2.0 * np.c_[A[:, 0], Y[:, 0]], 0.5 * np.c_[A[:, 1], Y[:, 1]]])
-    np.testing.assert_allclose(R.T @ R, dense.T @ dense, rtol=1e-12, atol=1e-12)
-    left = factors.merge(factors.of_groups(np.array([True, False, True])), np.ones(2))
-    some = np.concatenate([np.c_[A[BLOCK != 1, g], Y[BLOCK != 1, g]] for g in range(2)])
-    np.testing.assert_allclose(left.T @ left, some.T @ some, rtol=1e-12, atol=1e-12)
 
 
 @given(cuts=st.lists(st.integers(1, 89), max_size=6, unique=True), order=st.randoms())

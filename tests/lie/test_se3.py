@@ -76,13 +76,7 @@ def test_project() -> None:
 
 
 @pytest.mark.parametrize(("call", "sentence"), [
-    (lambda: se3.exp([1, 2, 3]), r"Expected xi of shape \(\.\.\., 6\), got \(3,\)\."),
-    (lambda: se3.inv(np.eye(3)), r"Expected T of shape \(\.\.\., 4, 4\), got \(3, 3\)\."),
-    (lambda: se3.inv(2 * np.eye(4)), "Expected the rotation of T to be a rotation within 1e-06"),
-    (lambda: se3.log(np.diag([1.0, 1, 1, 2])), r"Expected \(0, 0, 0, 1\) as the last row of T, got one off by 1\."),
     (lambda: se3.project(np.diag([1.0, 1, 1, 2])), "as the last row of M"),
-    (lambda: se3.inv(np.diag([1.0, 1, 1, np.nan])), "as the last row of T, got one off by nan"),
-    (lambda: se3.adjoint(np.zeros((4, 4))), "Expected the rotation of T_a_b"),
     (lambda: se3.from_rp(np.eye(3), [1, 2]), "Expected p of shape"),
     (lambda: se3.from_rp(-np.eye(3)), "determinant = -1"),
     (lambda: se3.from_rp(np.tile(np.eye(3), (2, 1, 1)), np.ones((5, 3))), r"leading axes that broadcast, got R"),

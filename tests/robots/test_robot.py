@@ -221,21 +221,6 @@ def random_screws(rng: np.random.Generator, n: int) -> np.ndarray:
     return np.where(slides, np.hstack([axis, 0 * axis]), np.hstack([np.cross(rng.standard_normal((n, 3)), axis), axis]))
 
 
-def test_from_poe_is_the_product_of_exponentials() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(100):
-        n = int(rng.integers(2, 10))
-        screws, T_home, q = random_screws(rng, n), se3.exp(rng.standard_normal(6)), rng.uniform(-2, 2, n)
-        robot = robots.from_poe("random", screws, T_home)
-        T = np.eye(4)
-        for xi, position in zip(screws, q):
-            T = T @ se3.exp(xi * position)
-        np.testing.assert_allclose(kinematics.forward(robot, q), T @ T_home, atol=1e-12, rtol=0)
-        np.testing.assert_allclose(robot.screws, screws, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(robot.T_home, T_home, rtol=0, atol=1e-13)
-        np.testing.assert_array_equal(robot.prismatic, ~screws[:, 3:].any(axis=1))
-
-
 def test_the_ancestors_test_robot() -> None:
     """Robotlib.jl's runtests.jl: axes z y y x y x. It takes v = -p × w, so its axes go through the points -p."""
     axes = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0]], dtype=float)
