@@ -9,7 +9,7 @@ import pytest
 
 from armlab import sim
 from armlab.calibrate import fit_accelerometer, fit_force_sensor
-from armlab.calibrate.gravity_load.model import Load, WeightEquation
+from armlab.calibrate.gravity_load.model import Load, WeightEquation, mirror_solution
 from armlab.errors import NotConverged, NotExcited
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3
@@ -246,6 +246,26 @@ def test_contacts_do_not_lead_to_another_answer(known, torque, unknown, N, bad) 
         assert e @ np.linalg.solve(fit.cov[:3, :3], e) < 25.0
         np.testing.assert_allclose(fit.value.mass * fit.value.gravity, G, atol=6 * 0.1)
         assert "outliers left out" in fit.report()
+
+
+@pytest.mark.parametrize("torque", [None, 0.0], ids=["forces", "torques"])
+def test_the_twin_reads_the_same_to_first_order(torque) -> None:
+    for tilt in (0.2, 0.02):
+        data = sensors.weighed(22, sigma=0.0, tilt=tilt, torque=torque)
+        equation = WeightEquation(data.RA, data.y, None, True, None, None, ("f",) * data.y.shape[1], "force sensor")
+        other = mirror_solution(equation, Load(data.R, G, data.bias, data.centre))
+        assert other is not None
+        assert np.abs(so3.log(data.R.T @ other.R)).max() > 1.0
+        np.testing.assert_array_equal(other.gamma, -G)
+        swing = np.abs(data.y - data.y.mean(axis=0)).max()
+        assert np.abs(equation.evaluate(other)[0].r).max() < tilt * swing
+
+
+def test_where_there_is_no_twin() -> None:
+    for tilt, bias in ((None, True), (0.1, False)):
+        data = sensors.weighed(23, tilt=tilt)
+        equation = WeightEquation(data.RA, data.y, None, bias, None, None, ("f",) * 3, "force sensor")
+        assert mirror_solution(equation, Load(data.R, G, data.bias, data.centre)) is None
 
 
 @pytest.mark.parametrize(

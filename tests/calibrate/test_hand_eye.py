@@ -307,6 +307,23 @@ def test_one_point_is_enough_for_the_camera() -> None:
     assert fit.value.X is None
 
 
+@pytest.mark.parametrize("known", [True, False], ids=["known marker", "unknown marker"])
+def test_from_points_jacobian_is_the_derivative_of_the_residual(known) -> None:
+    data = sensors.seen_points(4, 5)
+    model = model_of(data, data.visible)
+    X, Y = data.X, data.Y
+    problem = model.marked(sensors.MARKER) if known else model.free()
+    free = Points(sensors.MARKER @ X[:3, :3].T + X[:3, 3], Y[:3, :3], Y[:3, 3])
+    value = free
+    if known:
+        value = marked_start(free, sensors.MARKER)
+        np.testing.assert_allclose(value.poses()[0], X, atol=1e-12)
+    (found,), h = problem.evaluate(value), 1e-6
+    for k, step in enumerate(np.eye(found.J.shape[2]) * h):
+        up, down = (problem.evaluate(problem.retract(value, x))[0].r for x in (step, -step))
+        np.testing.assert_allclose(found.J[:, :, k], (up - down) / (2 * h), atol=1e-6)
+
+
 def test_a_missing_point_costs_three_residuals_and_nothing_else() -> None:
     data = sensors.seen_points(5)
     seen = np.ones((100, 3), dtype=bool)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.calibrate import fit_laser_plane
-from armlab.calibrate.laser_model import tangents
+from armlab.calibrate.laser_model import Scans, Scene, tangents
 from armlab.errors import NotConverged
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3
@@ -44,6 +44,20 @@ def test_exact_data_give_the_exact_answer_without_a_guess(N, plates, noise) -> N
     np.testing.assert_allclose(value.offsets, data.d, atol=1e-9)
     found = value.points(data.scans[:, :2], data.A)
     np.testing.assert_allclose(np.sum(found * data.n[data.plane], axis=1), 1.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("raw", [False, True], ids=["lines", "profiles"])
+def test_jacobian_is_the_derivative_of_the_residual(raw) -> None:
+    data = sensors.scanned(4, 6)
+    points = np.concatenate(profiles(data, 0.0, 3)) if raw else None
+    owner = np.repeat(np.arange(6), 3) if raw else np.arange(6)
+    p, line = data.scans[:, :2], data.scans[:, 2:]
+    scans = Scans(data.A[:, :3, :3], data.A[:, :3, 3], data.plane, p, line, points, owner, None)
+    scene = Scene(so3.exp([0.3, 0.2, -0.5]), np.array([0.1, 0.2, 0.3]), np.roll(data.n, 1, axis=0), 0.7 * data.d)
+    (found,), h = scans.evaluate(scene), 1e-6
+    for k, step in enumerate(np.eye(15) * h):
+        up, down = (scans.evaluate(scene.plus(x))[0].r for x in (step, -step))
+        np.testing.assert_allclose(found.J[..., k], (up - down) / (2 * h), atol=1e-6)
 
 
 def test_the_way_of_a_line_and_the_names_of_plates_do_not_matter() -> None:

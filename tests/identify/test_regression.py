@@ -255,27 +255,23 @@ def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:
 # The structure of friction, chosen on held-out blocks.
 
 
-def record(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """A joint that goes to and fro at many speeds: q and qd (N, 1), 100 Hz."""
-    rng = np.random.default_rng(seed)
+def record() -> tuple[np.ndarray, np.ndarray]:
+    """A joint that goes to and fro at many speeds: q and qd (6000, 1), 100 Hz."""
+    rng = np.random.default_rng(0)
     t = np.arange(6000) * 0.01
     f, phase = rng.uniform(0.1, 0.8, 8), rng.uniform(0, 6, 8)
     wave = 2 * np.pi * f * t[:, None] + phase
     return (0.05 * np.sin(wave)).sum(axis=1)[:, None], (0.05 * 2 * np.pi * f * np.cos(wave)).sum(axis=1)[:, None]
 
 
-def choice(q: np.ndarray, qd: np.ndarray, y: np.ndarray, trust: np.ndarray) -> StructureChoice:
-    """All rows of a record without a filter, in folds of half a second."""
+def chosen(torque, noise: float = 0.02, trust: np.ndarray | float = 1.0) -> FrictionStructure:
+    """Of all rows of a record without a filter, in folds of half a second."""
+    q, qd = record()
     rows = np.arange(len(q))
+    y = torque(q, qd) + noise * np.random.default_rng(1).standard_normal(q.shape)
     motion = FrictionColumns(Decimation(((0, len(q)),), 1, np.ones(1), rows), q, qd, np.zeros(1))
     fixed = np.column_stack([qd, np.ones_like(qd)])
-    return StructureChoice(motion, fixed, y[:, 0], rows // 50 % FOLDS, trust)
-
-
-def chosen(torque, noise: float = 0.02) -> FrictionStructure:
-    q, qd = record()
-    y = torque(q, qd) + noise * np.random.default_rng(1).standard_normal(q.shape)
-    return choose(choice(q, qd, y, np.ones(len(q))))
+    return choose(StructureChoice(motion, fixed, y[:, 0], rows // 50 % FOLDS, trust * np.ones(len(q))))
 
 
 def test_presliding_friction_is_told_from_a_smooth_sign_and_refined() -> None:
@@ -311,9 +307,9 @@ def test_stribeck_is_found_with_its_speed() -> None:
 
 
 def test_rows_without_trust_do_not_count() -> None:
-    q, qd = record()
-    y = presliding(q, np.array([1e-3]), np.zeros(1))
-    bad = np.arange(len(q)) % 20 == 0
-    y = np.where(bad[:, None], 50.0, y)
-    found = choose(choice(q, qd, y, 1.0 - bad))
-    assert found.delta[0] == pytest.approx(1e-3, rel=0.1)
+    bad = np.arange(6000)[:, None] % 20 == 0
+
+    def torque(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        return np.where(bad, 50.0, presliding(q, np.array([1e-3]), np.zeros(1)))
+
+    assert chosen(torque, 0.0, 1.0 - bad[:, 0]).delta[0] == pytest.approx(1e-3, rel=0.1)

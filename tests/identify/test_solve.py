@@ -9,9 +9,10 @@ import pytest
 
 from armlab import identify
 from armlab.estimation import Rows, least_squares
+from armlab.estimation.linear_problem import LinearSolution
 from armlab.identify import base_parameters, prepare
 from armlab.identify.regression import Design
-from armlab.identify.solve import GAIN_SD, GainProblem, calibrated, linearised
+from armlab.identify.solve import GAIN_SD, GainProblem, calibrated, gain_share, linearised
 
 
 def test_numbers_that_the_log_does_not_tell_have_no_slope(short_arm) -> None:
@@ -30,14 +31,13 @@ X = np.array([2.0, -1.0, 0.5])
 NAMES = ("a", "b", "c")
 
 
-def problem(gains: np.ndarray, gain_sd: float = 0.05, seed: int = 0, noise: float = 0.01):
+def problem(gains: np.ndarray, seed: int = 0, noise: float = 0.01) -> GainProblem:
     rng = np.random.default_rng(seed)
     N, n = 400, len(gains)
     A = rng.standard_normal((N, n, 3))
     y = (1 + gains) * (A @ X) + noise * rng.standard_normal((N, n))
     found = least_squares(list(Rows.of(A, y, np.arange(N) // 20)), NAMES)
-    made = GainProblem.of(found, y - A @ found.x, np.zeros(n), gain_sd)
-    return A, y, found, made
+    return GainProblem.of(found, y - A @ found.x, np.zeros(n), 0.05)
 
 
 def test_parameters_and_gains_err_as_their_covariances_say() -> None:
@@ -45,7 +45,7 @@ def test_parameters_and_gains_err_as_their_covariances_say() -> None:
     nees = []
     for seed in range(60):
         gains = 0.05 * np.random.default_rng([1, seed]).standard_normal(4)
-        made = problem(gains, seed=seed, noise=0.3)[3]
+        made = problem(gains, seed=seed, noise=0.3)
         x, g = made.solve()
         pairs = (x - X, made.covariance(x, g)), (g - gains, made.gain_covariance(x, g))
         nees.append([e @ np.linalg.solve(cov, e) / len(e) for e, cov in pairs])
@@ -54,7 +54,7 @@ def test_parameters_and_gains_err_as_their_covariances_say() -> None:
 
 def test_exact_measurements_are_solved() -> None:
     """Without noise a joint would seem to know its gain infinitely well."""
-    _, _, _, made = problem(np.array([0.04, -0.03, 0.02, -0.05]), noise=0.0)
+    made = problem(np.array([0.04, -0.03, 0.02, -0.05]), noise=0.0)
     x, g = made.solve()
     np.testing.assert_allclose(np.outer(1 + g, x), np.outer([1.04, 0.97, 1.02, 0.95], X), rtol=1e-3)
     information = made.information(x, g)
@@ -92,6 +92,20 @@ def test_what_all_have_in_common_is_left_to_the_prior(misread) -> None:
     one = calibrated(misread, "wls")[0].gains
     other = calibrated(misread.with_torque(1.03 * misread.data.tau), "wls")[0].gains
     np.testing.assert_allclose(other, one, atol=2e-3)
+
+
+def test_the_share_of_the_gains_is_the_derivative(misread) -> None:
+    """One gain a little larger: the parameters move by what its covariance is made of."""
+
+    def solve(design: Design) -> LinearSolution:
+        rows = design.stream(np.zeros(len(design.rows), dtype=int))
+        return least_squares(rows, design.layout.names, method="ols")
+
+    found = solve(misread)
+    step = np.array([0, 0, 1e-4, 0, 0, 0, 0])
+    moved = solve(misread.with_gains(1.0 + step)).x - found.x
+    share = gain_share(found, np.outer(step, step))
+    np.testing.assert_allclose(share, np.outer(moved, moved), rtol=0.01, atol=1e-4 * np.abs(share).max())
 
 
 def test_where_the_log_tells_nothing_gains_stay(misread) -> None:
