@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import frames, sim
+from armlab import sim
 from armlab.calibrate import (
     fit_accelerometer,
     fit_dual_arm,
@@ -18,9 +18,8 @@ from armlab.calibrate import (
     fit_kinematics,
     fit_laser_plane,
 )
-from armlab.errors import NotConverged, NotExcited, ShapeError
+from armlab.errors import ConfigError, NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit
-from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3
 from armlab.sim.experiments import sensors
 
@@ -121,8 +120,8 @@ SMOOTH = se3.from_rp(*(
     so3.exp(np.stack([np.sin(0.10 * k), np.cos(0.13 * k), np.sin(0.07 * k)], axis=1))
     for amplitude, k in ((1.0, np.arange(60)), (0.5, np.arange(60)))
 ))  # fmt: skip
+PROFILES = [s[:2] + np.linspace(-0.1, 0.1, 5)[:, None] * s[2:] for s in SCANS.scans]
 Q_STILL, ONE_JOINT = stay(TABLE.q, 30), stay(TABLE.q, 30) + np.linspace(0, 1, 30)[:, None] * np.eye(6)[2]
-STILL_LASER = se3.from_rp(stay(SCANS.A[:, :3, :3], 60), SCANS.A[:, :3, 3])
 
 MIRRORED = [
     (lambda: eye(B=left_handed(EYE.B)), ShapeError, "T_cam_marker, got left-handed axes in rows 0, 1"),
@@ -143,16 +142,8 @@ UNEXCITED = [
      "joint 1 of arm a did not move"),
     (lambda: dual(stay(PAIR.q_a, 60), stay(PAIR.q_b, 60), None, position=stay(PAIR.pose, 60)[:, :3, 3]), NotExcited,
      "joint 6 of arm b did not move"),
-    (lambda: laser(STILL_LASER), NotExcited, "translation of the sensor along tool axis x"),
-    (lambda: eye(turned([0, 0, 1]), see(turned([0, 0, 1]))), NotExcited, "T_tool_marker along tool axis z"),
-    (lambda: points(turned([0, 0, 1]), see_points(turned([0, 0, 1]))), NotExcited, "along tool axis z"),
-    (lambda: force(turned([0, 0, 1]), weigh(turned([0, 0, 1])[:, :3, :3])), NotExcited, "about the vertical only"),
     (lambda: force(turned([1, 0, 0]), weigh(turned([1, 0, 0])[:, :3, :3]), "unknown"), NotExcited,
      "rotation about tool axis x, weight and bias along it"),
-    (lambda: acc(turned([0, 0, 1]), stay(MOVED.y, 40)), NotExcited, "about the vertical only"),
-    (lambda: eye(EYE.A[:2], EYE.B[:2]), NotExcited, "at least 3 pairs of poses, got 2"),
-    (lambda: points(SEEN.A[:2], SEEN.p[:2]), NotExcited, "at least 3 pairs of poses with points .*, got 2"),
-    (lambda: force(WEIGHED.RA[:2], WEIGHED.y[:2]), NotExcited, "at least 3 samples .*, got 2"),
     (lambda: acc(MOVED.RA[:2], MOVED.y[:2]), NotExcited, "at least 3 samples .*, got 2"),
     (lambda: arm(TABLE.q[:3], TABLE.pose[:3]), NotExcited, "at least 31 numbers .*, got 18"),
     (lambda: dual(PAIR.q_a[:2], PAIR.q_b[:2], PAIR.pose[:2]), NotExcited, "at least 3 samples .*, got 2"),
@@ -208,7 +199,7 @@ BROKEN = [
     (lambda: force(y=gap(WEIGHED.y)), "wrench, got NaN or Inf in 1 rows: 3"),
     (lambda: acc(y=gap(MOVED.y)), "acc, got NaN or Inf in 1 rows: 3"),
     (lambda: arm(q=gap(TABLE.q)), "q, got NaN or Inf in 1 rows: 3"),
-    (lambda: arm(pose=gap(TABLE.pose)), "pose, got NaN or Inf in 1 rows: 3"),
+    (lambda: arm(pose=gap(TABLE.pose)), "pose, got NaN or Inf in 1 rows: 3.*visible"),
     (lambda: dual(q_a=gap(PAIR.q_a)), "q_a, got NaN or Inf in 1 rows: 3"),
     (lambda: laser(A=gap(SCANS.A)), "T_base_tool, got NaN or Inf in 1 rows: 3"),
     (lambda: laser(scans=gap(SCANS.scans)), "scans, got NaN or Inf in 1 rows: 3"),
@@ -247,13 +238,55 @@ BROKEN += [
     (lambda: force(limits=(0.2, 0.3)), "limits as three numbers"),
     (lambda: acc(y=MOVED.y[:, :2]), r"readings of shape \(50, 3\)"),
 ]
+BROKEN += [
+    (lambda: arm(TABLE.q[:, :5]), r"q of shape \(N, 6\)"),
+    (lambda: arm(pose=TABLE.pose[:-1]), r"pose of shape \(50, 4, 4\)"),
+    (lambda: arm(pose=TABLE.pose.swapaxes(1, 2)), "transposed"),
+    (lambda: arm(noise=1e-4), "noise of pose"),
+    (lambda: arm(noise=(0.0, 1.0)), "noise of pose"),
+    (lambda: arm(noise=(np.inf, np.inf)), "noise of pose"),
+    (lambda: arm(noise=-np.eye(6)), "noise of pose"),
+    (lambda: arm(visible=np.ones(3, dtype=bool)), "visible"),
+    (lambda: arm(free=np.ones((6, 6)) > 0), r"free as True and False of shape \(7, 6\)"),
+    (lambda: arm(joint_terms=np.ones((50, 6))), r"joint_terms of shape \(50, 6, L\)"),
+    (lambda: arm(pose=None, pair_distance=([1], [1], [0.2])), "two different samples"),
+    (lambda: dual(q_b=np.zeros((59, 6))), "as many rows of q_a"),
+    (lambda: dual(q_b=np.full((60, 6), np.nan)), "finite q_b, got NaN or Inf in 60 rows: 0"),
+    (lambda: laser(SCANS.A[:59], plane=SCANS.plane[:59]), "Expected 59 scans"),
+    (lambda: laser(scans=SCANS.scans[:, :3]), r"lines of shape \(60, 4\)"),
+    (lambda: laser(plane=SCANS.plane[:5]), "one label per scan"),
+    (lambda: laser(plane=SCANS.plane * 0.5), "whole numbers or texts"),
+    (lambda: laser(scans=SCANS.scans * [1, 1, 2, 2]), "unit directions"),
+    (lambda: laser(scans=[*PROFILES[:59], PROFILES[59] * np.nan]), "NaN or Inf in 1 rows: 59"),
+    (lambda: laser(scans=[*PROFILES[:59], PROFILES[59][:1]]), "profiles of two points"),
+    (lambda: laser(scans=[*PROFILES[:59], np.eye(2)[[0, 1, 0]] * [[1], [1], [-1]]]), "what is no line in rows 59"),
+    (lambda: laser(noise=5e-4), "sd of angles"),
+    (lambda: laser(scans=PROFILES, noise=LINE), "one sd of raw points"),
+    (lambda: laser(limits=(0.2,)), "limits as two numbers"),
+]
+CHOICES = [
+    (lambda: arm(pose=None), ConfigError, "at least one of pose, position"),
+    (lambda: arm(pose=None, distance=np.ones(50)), ConfigError, "first guess of the fixed point"),
+    (lambda: arm(position=TABLE.pose[:, :3, 3], noise=ARM), ConfigError, "noise of each kind"),
+    (lambda: arm(harmonics=(1, 1)), ConfigError, "harmonics"),
+    (lambda: arm(weak="prior", prior=0.0), ConfigError, "prior"),
+    (lambda: arm(model="poe", free="offsets"), ConfigError, "free='all' with model='poe'"),
+    (lambda: arm(model="dh"), UnknownName, "Known: local_poe, poe"),
+    (lambda: arm(weak="ignore"), UnknownName, "Known: prior, refuse"),
+    (lambda: arm(free="tool"), UnknownName, "Known: all, base_tool, offsets"),
+    (lambda: arm(visible={"position": np.ones(50) > 0}), UnknownName, "position"),
+    (lambda: dual(pose=None), ConfigError, "either pose or position"),
+    (lambda: dual(pose=None, position=PAIR.pose[:, :3, 3], closed=True), ConfigError, "no position for a closed"),
+    (lambda: dual(noise=ARM, absolute_a=PAIR.pose), ConfigError, "noise and noise_absolute together"),
+]
 NEVER = np.ones((40, 3), dtype=bool) * [True, True, False] > 0
 UNEXCITED += [
+    (lambda: dual(visible=np.arange(60) < 2), NotExcited, "at least 3 samples"),
+    (lambda: dual(visible=np.arange(60) < 8, noise=ARM), NotExcited, r"at least 54 numbers .* got 48"),
     (lambda: points(visible=NEVER), NotExcited, "none of points 2"),
     (lambda: points(marker=LEDS[[0, 0, 0]] + LEDS[1] * [[1], [2], [3]]), NotExcited, "not in a line"),
     (lambda: force(stay(WEIGHED.RA), stay(WEIGHED.y), "unknown"), NotExcited, "orientation of the tool does not"),
     (lambda: force(WEIGHED.RA[:4], WEIGHED.y[:4], "unknown"), NotExcited, "at least 5 samples .*, got 4"),
-    (lambda: force(y=0.0 * WEIGHED.y[:, :3], gravity="unknown"), NotExcited, "weight in the readings .*, got none"),
     (lambda: force(turned([1, 0, 0], angle=0.1), weigh(turned([1, 0, 0], angle=0.1)[:, :3, :3])), NotExcited,
      "rotation about tool axis .*, bias and centre of mass along it"),
 ]  # fmt: skip
@@ -275,7 +308,7 @@ REPORTED = [
     (lambda: arm(pose=MIRROR @ TABLE.pose @ MIRROR), "from its description: a reversed joint"),
     (lambda: laser(millimetres(SCANS.A), SCANS.scans * [1e3, 1e3, 1, 1]), "millimetres given as metres?"),
 ]
-REFUSED = [*MIRRORED, *UNEXCITED, *UNITS, *((case, NotConverged, words) for case, words in PAIRING)]
+REFUSED = [*CHOICES, *MIRRORED, *UNEXCITED, *UNITS, *((case, NotConverged, words) for case, words in PAIRING)]
 REFUSED += [(case, ShapeError, words) for case, words in BROKEN]
 
 
@@ -284,7 +317,7 @@ def test_is_refused_by_name(case: Callable[[], Fit[Any]], error: type[Exception]
     with pytest.raises(error, match=words) as caught:
         case()
     assert str(caught.value).startswith("Expected ")
-    assert str(caught.value).endswith(".")
+    assert str(caught.value).endswith((".", "?"))  # "Did you mean ...?"
 
 
 @pytest.mark.parametrize(("case", "words"), REPORTED, ids=[words[:40] for _, words in REPORTED])
@@ -304,8 +337,7 @@ def test_good_data_are_not_suspected() -> None:
     (lambda: dual(PAIR.q_a[1:], PAIR.q_b[:-1], PAIR.pose[1:], noise=ARM, robust=True), "of 59 that do not"),
     (lambda: dual(PAIR.q_a[:25], PAIR.q_b[:25], MIRROR @ PAIR.pose[:25] @ MIRROR), "an arm that fits the"),
     (lambda: laser(SCANS.A[1:], SCANS.scans[:-1], SCANS.plane[:-1]), "scan i and pose i are of the same moment"),
-    (lambda: laser(plane=np.random.default_rng(0).permutation(SCANS.plane), noise=LINE), "Check the labels"),
-], ids=["shifted poses", "shifted arm", "mirrored", "shifted scans", "labels"])  # fmt: skip
+], ids=["shifted poses", "shifted arm", "mirrored", "shifted scans"])  # fmt: skip
 def test_records_of_two_arms_and_of_scans_that_do_not_belong_together(case: Callable[[], Any], words: str) -> None:
     with pytest.raises(NotConverged, match=words):
         case()
@@ -349,14 +381,6 @@ class TestHalfATurn:
             fit_kinematics(run.robot, run.q, distance=-distance, anchor=anchor)
 
 
-def joined() -> tuple[np.ndarray, np.ndarray]:
-    """Joint positions of two arms whose tools are held together."""
-    q_a = np.random.default_rng(0).uniform(-0.6, 0.6, (60, 6))
-    held = se3.from_rp(so3.exp([3.0, 0.2, 0.1]), [0.05, 0.02, 0.3])
-    found = inverse(PAIR.robot_b, se3.inv(PAIR.T_basea_baseb) @ forward(PAIR.robot_a, q_a) @ held)
-    return q_a[found.success][:25], found.q[found.success][:25]
-
-
 def shaken(T: np.ndarray, size: tuple[float, float] = (2e-4, 5e-4)) -> np.ndarray:
     """Poses (N, 4, 4), or orientations (N, 3, 3), with noise of the robot."""
     rng = np.random.default_rng(7)
@@ -366,33 +390,16 @@ def shaken(T: np.ndarray, size: tuple[float, float] = (2e-4, 5e-4)) -> np.ndarra
     return se3.from_rp(T[:, :3, :3] @ turns, T[:, :3, 3] + size[0] * rng.standard_normal((len(T), 3)))
 
 
-VERTICAL, SHORT = turned([0, 0, 1]), turned([1, 0, 0], angle=np.radians(3.0))
-STILL_4 = TABLE.q * [1, 1, 1, 0, 1, 1]
-ON_AXIS = CELL.kinematics(N=100, tool=False)
-POINT = forward(ON_AXIS.robot, ON_AXIS.q)[:, :3, 3] + 1e-4 * np.random.default_rng(1).standard_normal((100, 3))
-
-
 def test_what_must_be_refused_by_name_from_noisy_poses() -> None:
     one_way = se3.from_rp(shaken(stay(SCANS.A[:, :3, :3], 60)), SCANS.A[:, :3, 3])
-    line = np.linspace(0, 1, 9)[:, None] * [1.0, 2.0, 3.0]
-    cases: list[tuple[Callable[[], Any], str]] = [
-        (lambda: eye(shaken(VERTICAL), see(VERTICAL), noise=CAMERA), "along tool axis z"),
-        (lambda: eye(shaken(stay(EYE.A)), stay(EYE.B), noise=CAMERA), "translation of T_tool_marker"),
-        (
-            lambda: force(shaken(VERTICAL), weigh(VERTICAL[:, :3, :3])),
-            "rotation about tool axis|rotations about the ve",
-        ),
-        (lambda: force(shaken(SHORT), weigh(SHORT[:, :3, :3])[:, :3]), "rotation about tool axis .*, bias along it"),
-        (lambda: force(shaken(SHORT), weigh(SHORT[:, :3, :3])), "rotation about tool axis .*, bias and centre of"),
-        (lambda: arm(STILL_4, shaken(TABLE.truth.forward(STILL_4))), "joint 4 did not move"),
-        (lambda: fit_kinematics(ON_AXIS.robot, ON_AXIS.q, position=POINT, noise=1e-4), "on the axis of joint 6"),
-        (lambda: dual(*joined(), None, closed=True), "overall scale"),
-        (lambda: laser(one_way, noise=LINE), "translation of the sensor along tool axis"),
-        (lambda: frames.fit_plane(line), "."),
-    ]
-    for case, words in cases:
-        with pytest.raises(NotExcited, match=words):
-            case()
+    vertical, short = turned([0, 0, 1]), turned([1, 0, 0], angle=np.radians(3.0))
+    seen = weigh(vertical[:, :3, :3]), weigh(short[:, :3, :3])
+    with pytest.raises(NotExcited, match=r"rotation about tool axis|rotations about the ve"):
+        force(shaken(vertical), seen[0])
+    with pytest.raises(NotExcited, match=r"rotation about tool axis .*, bias and centre of"):
+        force(shaken(short), seen[1])
+    with pytest.raises(NotExcited, match="translation of the sensor along tool axis"):
+        laser(one_way, noise=LINE)
 
 
 def test_small_tilts_cost_degrees_not_half_turns() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,7 @@ import numpy as np
 import pytest
 
 from armlab.calibrate import fit_dual_arm
-from armlab.calibrate.kinematics.dual_arm import DualProblem, DualState
-from armlab.calibrate.kinematics.measurements import measured_kinds
-from armlab.calibrate.kinematics.model import Arm
-from armlab.errors import ConfigError, NotConverged, NotExcited, ShapeError
+from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3
@@ -197,44 +193,6 @@ class TestAncestor:
             truth = run.relative(run.q_valid_a, run.q_valid_b)
             Z = fit.value.forward(run.q_valid_a, run.q_valid_b)
             np.testing.assert_allclose(Z[:, :3, 3], truth[:, :3, 3], rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize(("error", "words", "change"), [
-    (ConfigError, "either pose or position", lambda pose: {"pose": None}),
-    (ConfigError, "no position for a closed", lambda p: {"pose": None, "position": p[:, :3, 3], "closed": True}),
-    (ConfigError, "noise and noise_absolute together", lambda pose: {"noise": NOISE, "absolute_a": pose}),
-    (ShapeError, "as many rows of q_a", lambda pose: {"q_b": np.zeros((59, 6))}),
-    (ShapeError, "finite q_b, got NaN or Inf in 60 rows: 0", lambda pose: {"q_b": np.full((60, 6), np.nan)}),
-    (NotExcited, "at least 3 samples", lambda pose: {"visible": np.arange(60) < 2}),
-    (NotExcited, r"at least 54 numbers .* got 48", lambda pose: {"visible": np.arange(60) < 8, "noise": NOISE}),
-])  # fmt: skip
-def test_sentences(case: DualRun, error: type[Exception], words: str, change: Callable) -> None:
-    with pytest.raises(error, match=words):
-        fit_dual_arm(**{**case.given, **change(case.pose)})
-
-
-@pytest.mark.parametrize("kind", ["pose", "position"])
-def test_derivatives_are_those_of_the_residuals(case: DualRun, kind: str) -> None:
-    """Central differences, away from the solution, with one arm measured from outside, harmonics and priors."""
-    N, rng = 5, np.random.default_rng(7)
-    measured = {"pose": case.pose[:N]} if kind == "pose" else {"position": case.pose[:N, :3, 3]}
-    kinds, _ = measured_kinds(N, measured, None, None)
-    kinds += measured_kinds(N, {"pose": case.truth_a.forward(case.q_a[:N])}, None, None)[0]
-    terms = np.zeros((N, 6, 0))
-    arms = [
-        Arm.of(robot, q[:N], (1,), terms, "local_poe")
-        for robot, q in ((case.robot_a, case.q_a), (case.robot_b, case.q_b))
-    ]
-    problem = DualProblem(arms[0], arms[1], tuple(kinds), True, False, np.zeros(0, dtype=bool), (0.1, 0.2))
-    problem = replace(problem, active=np.ones(problem.size, dtype=bool))
-    first = DualState(arms[0].first(), arms[1].first(), case.T_basea_baseb)
-    state = problem.retract(first, 0.05 * rng.standard_normal(problem.size))
-    found = problem.evaluate(state)
-    for k in range(problem.size):
-        step = 1e-6 * np.eye(problem.size)[k]
-        ends = [problem.evaluate(problem.retract(state, sign * step)) for sign in (1.0, -1.0)]
-        for here, up, down in zip(found, *ends, strict=True):
-            np.testing.assert_allclose(here.J[:, :, k], (up.r - down.r) / 2e-6, rtol=0, atol=1e-6)
 
 
 def validation(fit: Fit[DualArmCorrection], truth: DualRun) -> tuple[np.ndarray, np.ndarray]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
-from armlab.calibrate.hand_eye import LIMITS, HandEyeEquation, Pair, inverse_noise
+from armlab.calibrate.hand_eye import LIMITS, HandEyeEquation, Pair
 from armlab.calibrate.hand_eye_points import PointModel, Points, marked_start
 from armlab.errors import NotExcited, UnknownName
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
@@ -64,15 +63,6 @@ def test_half_turns_are_angles_like_others() -> None:
     np.testing.assert_allclose(fit.value.Y, Y, atol=1e-12)
 
 
-def test_jacobian_is_the_derivative_of_the_residual() -> None:
-    equation = equation_of(sensors.seen_poses(1, 4, camera=(0.1, 0.2)), np.ones(6))
-    pair = equation.start()
-    (found,), h = equation.evaluate(pair), 1e-6
-    for k, step in enumerate(np.eye(12) * h):
-        up, down = (equation.evaluate(pair.plus(x))[0].r for x in (step, -step))
-        np.testing.assert_allclose(found.J[:, :, k], (up - down) / (2 * h), atol=1e-6)
-
-
 def test_both_setups_are_one_equation() -> None:
     data = sensors.seen_poses(4)
     still = fit_hand_eye(**data.given, noise=CAMERA)
@@ -83,19 +73,6 @@ def test_both_setups_are_one_equation() -> None:
     assert still.names[-1] == "T_base_cam rz"
     with pytest.raises(UnknownName, match="eye_in_hand"):
         fit_hand_eye(**data.given, setup="eye_on_hand")  # type: ignore[arg-type]
-
-
-def test_noise_of_an_inverse_pose() -> None:
-    """The covariance of T^-1 by its first-order formula, against differences."""
-    T = sensors.seen_poses(0, 1).A[0]
-    columns = []
-    for step in np.eye(6) * 1e-6:
-        moved = T.copy()
-        moved[:3, 3] += step[:3]
-        moved[ROTATION] = T[ROTATION] @ so3.exp(step[3:])
-        columns.append(pose_error(se3.inv(moved), se3.inv(T)) / 1e-6)
-    M, S = np.array(columns).T, np.diag(np.arange(1.0, 7.0))
-    np.testing.assert_allclose(inverse_noise(S, T[None, :3, :3], T[None, :3, 3])[0], M @ S @ M.T, rtol=1e-4, atol=1e-4)
 
 
 def test_a_robot_without_noise_is_the_same_as_none_told() -> None:
@@ -210,7 +187,13 @@ def little_turned(free: float, noise: tuple[float, float] | None = None) -> dict
     return {"T_base_tool": A, "T_cam_marker": B}
 
 
-def contract(runs: int, robot: tuple[float, float] | None = None, tilt: float | None = None):
+@pytest.mark.parametrize(("runs", "robot", "tilt"), [
+    (10, None, None),
+    pytest.param(60, None, None, marks=pytest.mark.slow),  # 2 s each
+    pytest.param(60, ROBOT, None, marks=pytest.mark.slow),
+    pytest.param(60, None, np.radians(30.0), marks=pytest.mark.slow),
+])  # fmt: skip
+def test_the_statistical_contract(runs: int, robot: tuple[float, float] | None, tilt: float | None) -> None:
     def spoil(data: dict[str, Any], rng: np.random.Generator) -> tuple[dict[str, Any], np.ndarray]:
         bad = np.zeros(len(data["T_cam_marker"]), dtype=bool)
         bad[rng.choice(len(bad), max(len(bad) // 20, 1), replace=False)] = True
@@ -226,21 +209,11 @@ def contract(runs: int, robot: tuple[float, float] | None = None, tilt: float | 
         "translation of T_tool_marker along tool axis y": little_turned(0.0, CAMERA),
         "2 poses": {"T_base_tool": data.A[:2], "T_cam_marker": data.B[:2]},
     }
-    return check_estimator(
+    found = check_estimator(
         fit_hand_eye, experiment_of(tilt, robot), runs, n=30, error=error, gauges=gauges(robot is None),
         blocks={"X t": range(3), "X R": range(3, 6), "Y t": range(6, 9), "Y R": range(9, 12)},
         refusals=refusals, spoil=spoil,
     )  # fmt: skip
-
-
-@pytest.mark.parametrize(("runs", "robot", "tilt"), [
-    (10, None, None),
-    pytest.param(60, None, None, marks=pytest.mark.slow),  # 2 s each
-    pytest.param(60, ROBOT, None, marks=pytest.mark.slow),
-    pytest.param(60, None, np.radians(30.0), marks=pytest.mark.slow),
-])  # fmt: skip
-def test_the_statistical_contract(runs: int, robot: tuple[float, float] | None, tilt: float | None) -> None:
-    found = contract(runs, robot, tilt)
     assert found.passed, found.text()
 
 
@@ -384,7 +357,13 @@ def experiment_of_points(known: bool, missing: bool):
     return experiment
 
 
-def contract_points(runs: int, known: bool = True, missing: bool = False):
+@pytest.mark.parametrize(("runs", "known", "missing"), [
+    (5, True, False),
+    pytest.param(120, True, False, marks=pytest.mark.slow),  # 3 s each
+    pytest.param(120, True, True, marks=pytest.mark.slow),
+    pytest.param(120, False, False, marks=pytest.mark.slow),
+])  # fmt: skip
+def test_from_points_the_statistical_contract(runs: int, known: bool, missing: bool) -> None:
     G = se3.exp(np.array([0.3, -0.2, 0.5, 1.0, 2.0, -0.5]))
     inv = se3.inv(G)
 
@@ -412,11 +391,12 @@ def contract_points(runs: int, known: bool = True, missing: bool = False):
             bad &= data["visible"].any(axis=1)
         return {**data, "p_cam": p, "robust": True}, bad
 
-    return check_estimator(
+    found = check_estimator(
         fit_hand_eye_points, experiment_of_points(known, missing), runs, n=40, error=error_points, gauges=gauges,
         refusals=refusals(known), spoil=spoil,
         skip={"clean": "NaN is allowed where visible says so"} if missing else None,
     )  # fmt: skip
+    assert found.passed, found.text()
 
 
 def refusals(known: bool) -> dict[str, dict[str, Any]]:
@@ -440,17 +420,6 @@ def refusals(known: bool) -> dict[str, dict[str, Any]]:
         f"{still} along tool axis y": seen(fixed, np.radians(0.05)),
         "2 poses": {"T_base_tool": data.A[:2], "p_cam": data.p[:2], **more},
     }
-
-
-@pytest.mark.parametrize(("runs", "known", "missing"), [
-    (5, True, False),
-    pytest.param(120, True, False, marks=pytest.mark.slow),  # 3 s each
-    pytest.param(120, True, True, marks=pytest.mark.slow),
-    pytest.param(120, False, False, marks=pytest.mark.slow),
-])  # fmt: skip
-def test_from_points_the_statistical_contract(runs: int, known: bool, missing: bool) -> None:
-    found = contract_points(runs, known, missing)
-    assert found.passed, found.text()
 
 
 def test_from_points_noise_in_three_forms_is_the_same_noise() -> None:
@@ -482,31 +451,6 @@ def test_from_points_noise_of_the_robot_makes_the_covariance_honest(setup, known
             values.append(float(e @ np.linalg.solve(fit.cov, e)) / len(e))
     assert 0.75 < np.mean(nees[True]) < 1.3
     assert np.mean(nees[False]) > 1.5
-
-
-def test_from_points_noise_of_the_robot_reaches_all_points_of_a_sample() -> None:
-    """The covariance of a sample's residuals, against differences of the poses; one sample misses a point."""
-    data, seen = sensors.seen_points(11, 3), np.ones((3, 3), dtype=bool)
-    seen[1, 0] = False
-    S = np.diag(np.arange(1.0, 7.0))
-    points = sensors.MARKER @ data.X[:3, :3].T + data.X[:3, 3]
-    at = Points(points, data.Y[:3, :3], data.Y[:3, 3])
-    sight = replace(model_of(data, seen), noise_A=S)
-    columns = []
-    for step in np.eye(6) * 1e-6:
-        moved = model_of(
-            replace(data, A=se3.from_rp(data.A[:, :3, :3] @ so3.exp(step[3:]), data.A[:, :3, 3] + step[:3])), seen
-        )
-        columns.append((moved.free().evaluate(at)[0].r - model_of(data, seen).free().evaluate(at)[0].r) / 1e-6)
-    G = np.stack(columns, axis=2)
-    two, three = sight.free().evaluate(at)
-    for one, parts in ((two, [[3, 4]]), (three, [[0, 1, 2], [5, 6, 7]])):
-        assert one.added is not None
-        for cov, rows in zip(one.added, parts, strict=True):
-            M = G[rows].reshape(-1, 6)
-            np.testing.assert_allclose(cov, M @ S @ M.T, rtol=1e-4, atol=1e-4)
-    np.testing.assert_array_equal(two.sample, [1])
-    np.testing.assert_array_equal(three.sample, [0, 2])
 
 
 def test_from_points_noise_of_the_camera_is_found_beside_that_of_the_robot() -> None:
@@ -559,22 +503,3 @@ def test_unequal_noise_of_poses_counts_by_its_size() -> None:
             values.append(e @ np.linalg.solve(fit.cov, e) / 12)
     assert 0.85 < np.mean(told) < 1.15
     assert np.mean(equal) > 4.0 * np.mean(told)
-
-
-def test_noise_of_the_robot_reaches_position_and_rotation_of_a_pair() -> None:
-    """Its covariance in the residuals, lever arm of the marker included, against differences of the poses."""
-    rng = np.random.default_rng(2)
-    X, Y = se3.exp(0.5 * rng.standard_normal(6)), se3.exp(rng.standard_normal(6))
-    A = se3.exp(rng.standard_normal((4, 6)))
-    B = se3.inv(Y) @ A @ X
-    L = rng.standard_normal((6, 6))
-    S = L @ L.T
-    at = Pair(X[:3, :3], X[:3, 3], Y[:3, :3], Y[:3, 3])
-
-    def residuals(step: np.ndarray) -> np.ndarray:
-        moved = HandEyeEquation(A[:, :3, :3] @ so3.exp(step[3:]), A[:, :3, 3] + step[:3], B[:, :3, :3], B[:, :3, 3])
-        return moved.evaluate(at)[0].r
-
-    G = np.stack([(residuals(step) - residuals(-step)) / 2e-6 for step in np.eye(6) * 1e-6], axis=2)
-    added = HandEyeEquation(A[:, :3, :3], A[:, :3, 3], B[:, :3, :3], B[:, :3, 3], None, S).evaluate(at)[0].added
-    np.testing.assert_allclose(added, G @ S @ G.transpose(0, 2, 1), rtol=1e-7, atol=1e-7)

@@ -12,8 +12,6 @@ from armlab.calibrate import fit_force_sensor, fit_hand_eye, fit_hand_eye_points
 from armlab.errors import NotConverged
 from armlab.lie import quaternion, se3, so3
 
-CAMERA = (0.5e-3, np.radians(0.05))
-ROTATION = slice(0, 3), slice(0, 3)
 G = np.array([0.0, 0.0, -9.82])
 
 

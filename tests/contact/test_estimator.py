@@ -13,12 +13,14 @@ import pytest
 from armlab import identify
 from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Estimator, Wrench
 from armlab.errors import ConcurrentUse, NotExcited
+from armlab.lie import se3
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.torque import FORCE_RATES, PRIOR
 from armlab.state import State
 
 PRIOR_SD = np.array([20.0, 20, 20, 2, 2, 2])
+ON_ONE_LINE = np.tile(se3.from_rp(np.eye(3), [0.0, 0.0, 0.1]), (8, 1, 1))  # frames of seven axes that see one direction
 WAYS: dict[str, dict[str, Any]] = {
     **{name: {"method": name} for name in ("map", "bounded", "clip", "interval", "ls", "lund", "observer", "kf")},
     "kf with bias": {"method": "kf", "bias": True},
@@ -121,9 +123,7 @@ def test_a_press_appears_along_its_axes_with_its_signs(truth, model, perfect, wa
 def test_a_singular_pose_gives_a_finite_estimate_and_a_hidden_direction(truth, perfect) -> None:
     """Seven axes on one line: five directions of the wrench stay as the prior has them."""
     q, zero = np.zeros(7), np.zeros(7)
-    axes = np.tile(np.eye(4), (8, 1, 1))
-    axes[:, 2, 3] = 0.1
-    planar = replace(perfect, frames=axes)
+    planar = replace(perfect, frames=ON_ONE_LINE)
     wrench = Estimator(planar, truth.robot).step(State(t=0.0, dt=0.004, q=q, qd=zero, tau=np.ones(7)))
     J = planar.chain.jacobian(q)
     assert np.linalg.matrix_rank(J) == 1
@@ -134,24 +134,6 @@ def test_a_singular_pose_gives_a_finite_estimate_and_a_hidden_direction(truth, p
     np.testing.assert_allclose(wrench.wrench[:5], 0.0, atol=1e-9)
     assert wrench.cond > 1e6
     assert wrench.flags == WEAK
-
-
-def test_the_posterior_is_as_wide_as_the_errors(truth, perfect) -> None:
-    """NEES: over 4000 wrenches from the prior, at random poses, F^T P^-1 F errors average to 6 (0.97 to 1.03)."""
-    rng = np.random.default_rng(11)
-    estimator, zero, nees = Estimator(perfect, truth.robot), np.zeros(7), []
-    sd = np.sqrt(perfect.covariance.variance(zero) + perfect.friction.static**2)
-    q = rng.uniform(truth.robot.q_min, truth.robot.q_max, (4000, 7))
-    free = np.array([perfect.torque(row[None], zero[None])[0] for row in q])
-    J = truth.robot.chain.jacobian(q)
-    F = PRIOR_SD * rng.standard_normal((len(q), 6))
-    tau = free - np.einsum("kij,ki->kj", J, F) + sd * rng.standard_normal(q.shape)
-    for k in range(len(q)):
-        estimator.reset()
-        wrench = estimator.step(State(t=0.0, dt=0.004, q=q[k], qd=zero, tau=tau[k]))
-        error = wrench.wrench - F[k]
-        nees.append(error @ np.linalg.solve(wrench.cov, error) / 6)
-    assert 0.97 < np.mean(nees) < 1.03
 
 
 def test_coverage_and_force_error_on_another_motion(truth, model) -> None:
@@ -239,9 +221,7 @@ def test_in_motion_the_bounded_estimate_is_as_good_as_the_random_one(truth, mode
 
 
 def test_without_a_prior_a_singular_pose_is_said_and_not_guessed(truth, perfect) -> None:
-    axes = np.tile(np.eye(4), (8, 1, 1))
-    axes[:, 2, 3] = 0.1
-    planar = replace(perfect, frames=axes)
+    planar = replace(perfect, frames=ON_ONE_LINE)
     state = State(t=0.0, dt=0.004, q=np.zeros(7), qd=np.zeros(7), tau=np.ones(7))
     wrench = Estimator(planar, truth.robot, "ls").step(state)
     assert wrench.flags & SINGULAR
@@ -356,30 +336,6 @@ def test_the_wrench_is_the_same_in_kilonewtons_and_millimetres(truth, model, log
     np.testing.assert_allclose(other / PRIOR, F / PRIOR, rtol=0, atol=accuracy * np.abs(F / PRIOR).max())
     sizes = np.outer(PRIOR, PRIOR)
     np.testing.assert_allclose(other_cov / sizes, cov / sizes, rtol=0, atol=accuracy * np.abs(cov / sizes).max())
-
-
-def test_the_printed_formula_depends_on_units(truth, model, log) -> None:
-    """J C_tau J^T and C_F^-1 do not have one unit: why "lund" is to compare only."""
-    F, other = (estimate("lund", model, truth, log, force, 1.0)[0] for force in (1.0, 1e-3))
-    assert np.abs(other - F).max() > 0.1 * np.abs(F).max()
-
-
-def sensitivity(way: str, model: TorqueModel, truth: Any, log: Table, joint: int, factor: float) -> float:
-    """How much a torque more at one joint changes the last wrench, in units of the prior; its sd is `factor` times."""
-    scale = np.where(np.arange(7) == joint, factor, 1.0) ** 2
-    c = model.covariance
-    noisy = replace(model, covariance=velocity_covariance(c.kind, c.C0 * scale, c.Cinf * scale, c.shape, c.alpha2))
-    more = log.with_column("tau", log["tau"] + 0.02 * (np.arange(7) == joint))
-    change = estimate(way, noisy, truth, more)[0][-1] - estimate(way, noisy, truth, log)[0][-1]
-    return float(np.linalg.norm(change / PRIOR))
-
-
-@pytest.mark.parametrize("way", CHECKED)
-def test_a_joint_that_is_said_to_be_noisier_is_trusted_less(truth, model, log, way: str) -> None:
-    tell = Estimator(model, truth.robot, "bounded").run(log)["wrench_active"][-1]
-    assert tell.sum() >= 2
-    for joint in np.flatnonzero(tell)[:1]:
-        assert sensitivity(way, model, truth, log, joint, 2.0) < sensitivity(way, model, truth, log, joint, 1.0)
 
 
 # Momentum methods.
@@ -513,9 +469,7 @@ def test_at_rest_the_band_holds_whatever_friction_does(truth, model, resting, op
 
 def test_what_a_pose_hides_stays_as_the_prior_has_it(truth, model, way) -> None:
     """Seven axes on one line for a minute: five directions keep their prior, and no force is made up."""
-    axes = np.tile(np.eye(4), (8, 1, 1))
-    axes[:, 2, 3] = 0.1
-    estimator = Estimator(replace(model, frames=axes, gravity=np.zeros(3)), truth.robot, **way)
+    estimator = Estimator(replace(model, frames=ON_ONE_LINE, gravity=np.zeros(3)), truth.robot, **way)
     state = State(t=0.0, dt=0.02, q=np.zeros(7), qd=np.zeros(7), tau=0.3 * np.ones(7))
     for _ in range(3000):
         wrench = estimator.step(state)

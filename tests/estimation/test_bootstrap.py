@@ -164,16 +164,3 @@ def test_block_seconds_follow_the_longest_memory(problems) -> None:
     slow = problems.ar1(rng, (50_000, 1))
     assert block_seconds(white, 0.004) == 0.5
     assert block_seconds(np.hstack([white, slow]), 0.1) == 4.0 * correlation_time(slow[:, 0], 0.1)
-
-
-def test_effective_samples_make_the_band_of_a_mean_true(problems) -> None:
-    """AR(1) residuals, rho 0.95, 4 ms: two sigma of the mean of 1 s hold 90 to 97 %, of white noise below 60 %."""
-    dt, seconds = 0.004, 1.0
-    record = problems.ar1(np.random.default_rng(1), (1_250_000, 1))[:, 0]
-    training, means = record[:250_000], record[250_000:].reshape(-1, int(seconds / dt)).mean(axis=1)
-    variance = np.mean(training**2)
-    honest = np.sqrt(2.0 * variance * correlation_time(training, dt) / seconds)
-    white = np.sqrt(variance * dt / seconds)
-    assert 0.90 < np.mean(np.abs(means) < 2.0 * honest) < 0.97
-    assert np.mean(np.abs(means) < 2.0 * white) < 0.60
-    assert honest == pytest.approx(np.sqrt(variance / (effective_samples(training) * seconds / (dt * len(training)))))

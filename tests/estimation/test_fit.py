@@ -104,23 +104,6 @@ def test_check_excitation_is_free_of_units() -> None:
     assert "good" in plain.text()
 
 
-def test_a_direction_that_two_parameters_share_is_named() -> None:
-    A = np.random.default_rng(0).standard_normal((100, 3))
-    A[:, 2] = A[:, 0] + 1e-7 * A[:, 1]
-    with pytest.raises(NotExcited, match=r"mass and viscous|viscous and mass") as caught:
-        check_excitation(A, NAMES, "model")
-    assert len(caught.value.directions) == len(caught.value.spread) == 1
-
-
-def test_the_triangle_of_qr_tells_the_same_and_nothing_is_squared() -> None:
-    A = design()
-    A[:, 2] = A[:, 0] + 1e-10 * A[:, 2]  # a normal matrix would call it singular
-    whole, triangle = Excitation.of(A, NAMES), Excitation.of(np.linalg.qr(A, mode="r"), NAMES)
-    np.testing.assert_allclose(whole.singular_values, triangle.singular_values, rtol=1e-4)
-    assert 1e9 < whole.condition < 1e11
-    assert check_excitation(A, NAMES, "model", max_condition=1e12).rank == 3
-
-
 def test_a_prior_holds_what_would_be_refused_and_says_so() -> None:
     A = design([1.0, 0.0, 1.0])
     with pytest.raises(NotExcited, match="none at all for: offset") as caught:

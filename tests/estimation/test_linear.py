@@ -14,9 +14,9 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from armlab.errors import NotExcited
 from armlab.estimation import Prior, Rows, least_squares
-from armlab.estimation.linear_problem import ActiveBound, LinearProblem, LinearSolution, solve, within_bounds
-from armlab.estimation.robust import METHODS, huber, least_trimmed_squares, mad
-from armlab.estimation.tsqr import Factors, factorise, one_thread, triangle
+from armlab.estimation.linear_problem import ActiveBound, within_bounds
+from armlab.estimation.robust import METHODS, least_trimmed_squares
+from armlab.estimation.tsqr import factorise, one_thread
 
 BLOCKS = 30
 
@@ -107,20 +107,6 @@ def test_gross_outliers(method: str, stays: bool, problems) -> None:
         assert ratio[0] > 2.0
 
 
-# Robust methods.
-
-
-def test_huber_is_a_stationary_point_of_its_loss(problems) -> None:
-    A, y = problems.draw(1, 500)
-    y[::20] += 30.0
-    rows = list(Rows.of(A, y, np.arange(500) // 50))
-    found = huber(rows, least_squares(rows, problems.names))
-    scaled = (y - A @ found.x)[:, 0] / mad(y - A @ found.x)
-    gradient = A[:, 0].T @ np.clip(scaled, -1.345, 1.345)
-    assert np.max(np.abs(gradient) / np.linalg.norm(A[:, 0], axis=0)) < 1e-6
-    assert found.rounds < 30
-
-
 def test_trimming_needs_blocks_that_determine_the_model_together(problems) -> None:
     A, y = problems.draw(3, 600)
     A[60:, 0, 2] *= 1e-5  # one block of ten tells the third parameter
@@ -170,19 +156,6 @@ def test_what_the_data_do_not_tell_is_refused_by_name_or_held_by_a_prior(problem
     np.testing.assert_allclose(bounded.x[0] + 2 * bounded.x[3], found.x[0] + 2 * found.x[3], rtol=0.05)
 
 
-def test_one_pass_serves_any_weights(problems) -> None:
-    A, y = problems.draw(6, 300, k=2)
-    factors = factorise(iter(rows(A, y)), 3)
-    problem = LinearProblem.of(problems.names, "model")
-    assert isinstance(solve(problem, factors), LinearSolution)
-    found = solve(problem, factors, np.array([3.0, 1.0]), kept=np.arange(BLOCKS) != 4)
-    keep = np.arange(300) * BLOCKS // 300 != 4
-    w = np.tile([3.0, 1.0], keep.sum())[:, None]
-    dense = np.linalg.lstsq(A[keep].reshape(-1, 3) * w, y[keep].ravel() * w[:, 0], rcond=None)[0]
-    np.testing.assert_allclose(found.x, dense, rtol=1e-12)
-    assert not found.kept[4]
-
-
 @pytest.mark.parametrize("seed", range(24))
 def test_within_bounds_agrees_with_bounded_least_squares(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -212,23 +185,6 @@ Y = RNG.standard_normal((90, 2))
 BLOCK = np.arange(90) // 30
 
 
-def test_factors_are_those_of_dense_qr() -> None:
-    factors = factorise(Rows.of(A, Y, BLOCK), 4)
-    assert isinstance(factors, Factors)
-    assert factors.rows.tolist() == [[30, 30]] * 3
-    x = np.array([1.0, -2.0, 3.0, 0.5])
-    np.testing.assert_allclose(factors.power(x), np.sum((Y - A @ x).reshape(3, 30, 2) ** 2, axis=1), rtol=1e-13)
-    holed = factorise([Rows(np.ones((2, 1)), np.ones(2), np.array([0, 3]))], 1)
-    assert holed.rows.tolist() == [[1], [0], [0], [1]]
-    np.testing.assert_array_equal(holed.R[0][1:3], 0.0)
-    R = factors.merge(factors.of_groups(), np.array([2.0, 0.5]))
-    dense = np.concatenate([2.0 * np.c_[A[:, 0], Y[:, 0]], 0.5 * np.c_[A[:, 1], Y[:, 1]]])
-    np.testing.assert_allclose(R.T @ R, dense.T @ dense, rtol=1e-12, atol=1e-12)
-    left = factors.merge(factors.of_groups(np.array([True, False, True])), np.ones(2))
-    some = np.concatenate([np.c_[A[BLOCK != 1, g], Y[BLOCK != 1, g]] for g in range(2)])
-    np.testing.assert_allclose(left.T @ left, some.T @ some, rtol=1e-12, atol=1e-12)
-
-
 @given(cuts=st.lists(st.integers(1, 89), max_size=6, unique=True), order=st.randoms())
 @settings(max_examples=25)
 def test_pieces_and_their_order_change_nothing_but_rounding(cuts: list[int], order) -> None:
@@ -243,15 +199,6 @@ def test_pieces_and_their_order_change_nothing_but_rounding(cuts: list[int], ord
 def _pieces(a: int, b: int) -> list[Rows]:
     columns = (np.arange(3), np.arange(4))
     return [Rows(A[a:b, g][:, columns[g]], Y[a:b, g], BLOCK[a:b], g, columns[g]) for g in range(2)]
-
-
-def test_the_triangle_of_many_rows_has_their_gram_matrix() -> None:
-    rng = np.random.default_rng(0)
-    A, y = rng.standard_normal((2500, 4)), rng.standard_normal(2500)
-    R, both = triangle(A), triangle(A, y)
-    np.testing.assert_allclose(R.T @ R, A.T @ A, rtol=1e-12, atol=1e-10)
-    np.testing.assert_allclose(both[:, 4] @ both[:, 4], y @ y, rtol=1e-12)
-    assert triangle(A[:2]).shape == (4, 4)
 
 
 def threads() -> dict[str, int]:

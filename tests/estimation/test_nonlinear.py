@@ -8,7 +8,7 @@ import pytest
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Measurement, NonlinearProblem, nonlinear_least_squares, total_least_squares
 from armlab.estimation.errors_in_variables import TotalSolution
-from armlab.estimation.nonlinear import Descent, NonlinearSolution, Whitened, cost, descend, whiten
+from armlab.estimation.nonlinear import Descent, NonlinearSolution, descend
 from armlab.lie import so3
 
 SIGMA = 0.01
@@ -228,42 +228,6 @@ def test_a_wrong_jacobian_does_not_pass_for_a_minimum() -> None:
     wrong = problem(lambda x: np.array([x[0] - 3.0, x[1]]), lambda x: -np.eye(2))
     with pytest.raises(NotConverged):
         descend(wrong, np.zeros(2), {}, np.ones(2))
-
-
-RNG = np.random.default_rng(0)
-COV = np.array([[4.0, 1.0], [1.0, 9.0]])
-
-
-def poses(cov: np.ndarray | None, m: int = 5) -> Measurement:
-    return Measurement(RNG.standard_normal((m, 2)), RNG.standard_normal((m, 2, 3)), cov, ("t", "R"))
-
-
-def test_whitened_squares_are_mahalanobis_distances() -> None:
-    one = poses(COV)
-    rows = whiten([one], [one.roots({})])
-    assert isinstance(rows, Whitened)
-    expected = np.einsum("ni,ij,nj->n", one.r, np.linalg.inv(COV), one.r)
-    np.testing.assert_allclose(rows.squares(5), expected, rtol=1e-12)
-    assert rows.numbers(5).tolist() == [2] * 5
-    many = Measurement(one.r, one.J, np.broadcast_to(COV, (5, 2, 2)), one.classes)
-    np.testing.assert_array_equal(whiten([many], [many.roots({})]).J, rows.J)
-    np.testing.assert_allclose(cost([one], [one.roots({})], np.ones(5)), 0.5 * expected.sum(), rtol=1e-12)
-
-
-def test_weights_act_on_samples_and_spare_priors() -> None:
-    one = poses(COV)
-    known = Measurement(np.ones((1, 1)), np.ones((1, 1, 3)), np.eye(1) * 4.0, ("p",), prior=True)
-    everything = [one, known]
-    roots = [m.roots({}) for m in everything]
-    weight = np.array([1.0, 0.25, 0.0, 1.0, 1.0])
-    rows = whiten(everything, roots)
-    assert rows.names == ("t", "R")
-    kept = rows.times(weight)
-    assert len(kept.r) == len(rows.r) - 2
-    np.testing.assert_allclose(kept.r[2:4], 0.5 * rows.r[2:4])
-    assert kept.r[-1] == 0.5
-    assert cost(everything, roots, weight) == pytest.approx(0.5 * kept.r @ kept.r)
-    assert rows.times(np.ones(5)) is rows
 
 
 # Total least squares.

@@ -102,24 +102,36 @@ def test_the_first_is_exact_the_second_orthogonal_the_third_right_handed(one: st
     np.testing.assert_array_equal(found.T[:3, 3], [1, 2, 3])
 
 
+def shifted(item: Line | Plane, e: np.ndarray) -> Line | Plane:
+    """Return a feature with the errors e of its names."""
+    R = so3.exp(e[0] * item.axes[0] + e[1] * item.axes[1])
+    if isinstance(item, Line):
+        return Line.of(R @ item.v, item.centroid + e[2:] @ item.axes)
+    return Plane.of(R @ item.n, item.centroid + e[2] * item.n)
+
+
+def propagated(make: Callable, items: tuple, error: Callable) -> np.ndarray:
+    """Covariance of what is made of items, by central differences over the errors of their names."""
+    columns, variances = [], []
+    for which, item in enumerate(items):
+        for k, step in enumerate(1e-6 * np.eye(len(item.names))):
+            up, down = ((*items[:which], shifted(item, e), *items[which + 1 :]) for e in (step, -step))
+            columns.append((error(make(*up)) - error(make(*down))) / 2e-6)
+            variances.append(item.cov[k, k])
+    J = np.stack(columns, axis=1)
+    return J * variances @ J.T
+
+
 @pytest.mark.parametrize(("one", "two"), [("z", "y"), ("y", "x"), ("x", "z")])
 def test_the_covariance_is_that_of_central_differences(one: str, two: str) -> None:
     origin_cov = np.diag([1.0, 2.0, 3.0]) * 1e-8
-    found = build(**{one: LINE, two: -PLANE}, origin=[1.0, 2.0, 3.0], origin_cov=origin_cov)
-    J, variances = [], []
-    for item in (LINE, PLANE):
-        for k in range(2):
-            ends = []
-            for h in (1e-6, -1e-6):
-                R = so3.exp(h * item.axes[k])
-                line = Line.of(R @ LINE.v, LINE.r) if item is LINE else LINE
-                plane = Plane.of(R @ PLANE.n, PLANE.centroid) if item is PLANE else PLANE
-                there = build(**{one: line, two: -plane}, origin=[1.0, 2.0, 3.0]).T
-                ends.append(so3.log(found.T[:3, :3].T @ there[:3, :3]))
-            J.append((ends[0] - ends[1]) / 2e-6)
-            variances.append(item.cov[k, k])
-    J = np.stack(J, axis=1)
-    np.testing.assert_allclose(found.cov[3:, 3:], J * variances @ J.T, rtol=1e-6, atol=1e-14)
+
+    def make(line: Line, plane: Plane) -> BuiltFrame:
+        return build(**{one: line, two: -plane}, origin=[1.0, 2.0, 3.0], origin_cov=origin_cov)
+
+    found = make(LINE, PLANE)
+    expected = propagated(make, (LINE, PLANE), lambda there: so3.log(found.T[:3, :3].T @ there.T[:3, :3]))
+    np.testing.assert_allclose(found.cov[3:, 3:], expected, rtol=1e-6, atol=1e-14)
     np.testing.assert_array_equal(found.cov[:3, :3], origin_cov)
     np.testing.assert_array_equal(found.cov[:3, 3:], 0.0)
 
@@ -211,35 +223,18 @@ def test_distance_of_lines() -> None:
     assert distance(z, Line.of([1.0, 1.0, 1.0], [0, 0, 3.0])) == pytest.approx(0.0, abs=1e-15)
 
 
-def shifted(item: Line | Plane, e: np.ndarray) -> Line | Plane:
-    """Return a feature with the errors e of its names."""
-    R = so3.exp(e[0] * item.axes[0] + e[1] * item.axes[1])
-    if isinstance(item, Line):
-        return Line.of(R @ item.v, item.centroid + e[2:] @ item.axes)
-    return Plane.of(R @ item.n, item.centroid + e[2] * item.n)
-
-
 @pytest.mark.parametrize(
     ("make", "items"), [(project, (RAY, FLOOR)), (intersect, (FLOOR, OTHER))], ids=["shadow", "edge"]
 )
 def test_errors_go_through(make: Callable, items: tuple) -> None:
-    """The covariance of the result is that of its central differences."""
-    plain, columns, variances = make(*items), [], []
-    for which, item in enumerate(items):
-        for k in range(len(item.names)):
-            ends = []
-            for h in (1e-6, -1e-6):
-                e = np.zeros(len(item.names))
-                e[k] = h
-                found = make(*(shifted(item, e) if i == which else other for i, other in enumerate(items)))
-                turn = plain.axes @ np.cross(plain.v, found.v)
-                away = found.centroid - plain.centroid
-                away -= found.v * (plain.v @ away) / (plain.v @ found.v)  # where it passes the old centroid
-                ends.append(np.concatenate([turn, plain.axes @ away]))
-            columns.append((ends[0] - ends[1]) / 2e-6)
-            variances.append(item.cov[k, k])
-    J = np.stack(columns, axis=1)
-    np.testing.assert_allclose(plain.cov, J * variances @ J.T, rtol=1e-6, atol=1e-15)
+    plain = make(*items)
+
+    def error(found: Line) -> np.ndarray:
+        away = found.centroid - plain.centroid
+        away -= found.v * (plain.v @ away) / (plain.v @ found.v)  # where it passes the old centroid
+        return np.concatenate([plain.axes @ np.cross(plain.v, found.v), plain.axes @ away])
+
+    np.testing.assert_allclose(plain.cov, propagated(make, items, error), rtol=1e-6, atol=1e-15)
 
 
 def test_what_is_exact_stays_exact() -> None:

@@ -57,16 +57,6 @@ def test_residuals_and_report() -> None:
     assert "x = r + s v" in line.report()
 
 
-def test_the_covariance_is_that_of_the_text() -> None:
-    """sigma^2 over the sum of squares along each axis; a tilt about one axis lifts points along the other."""
-    p = sheet(60)
-    fit = fit_plane(p, noise=1e-4)
-    along = np.sum(((p - p.mean(axis=0)) @ fit.value.axes.T) ** 2, axis=0)
-    assert along[0] > along[1]
-    np.testing.assert_allclose(np.diag(fit.cov), 1e-8 / np.array([along[1], along[0], 60]), rtol=1e-12)
-    np.testing.assert_array_equal(fit.value.cov, fit.cov)
-
-
 def test_directions_follow_the_rule_in_every_orientation(cube: list[np.ndarray]) -> None:
     """Turned data give the turned answer: no sign of a decomposition is left in it."""
     plane, line = fit_plane(sheet()).value, fit_line(rod()).value

@@ -10,27 +10,17 @@ import pytest
 from armlab import identify
 from armlab.estimation import Experiment, Fit, check_estimator
 from armlab.identify import fit_friction, fit_warm_up, rbf_centres, rbf_regressor, ripple_lines
-from armlab.identify.drives.regularised import (
-    GroupLasso,
-    LassoSums,
-    group_lasso,
-    held_out_error,
-    refit,
-    ridge_solution,
-    select_groups,
-)
+from armlab.identify.drives.regularised import GroupLasso, LassoSums, group_lasso, refit, ridge_solution, select_groups
 from armlab.identify.drives.ripple import (
     highest_seen,
     refine_lines,
     ripple_amplitudes,
     ripple_regressor,
-    select_lines,
     warn_of_fast_lines,
 )
 from armlab.identify.record import prepare
 from armlab.identify.residuals import model_residuals
 from armlab.identify.validation import held_out
-from armlab.kernels import basis_weights
 from armlab.log import Table
 from armlab.models import TorqueModel, load, save
 from armlab.models.friction import FrictionMap, RippleLines, WarmUp, speed_basis
@@ -271,17 +261,6 @@ def test_a_short_range_or_no_gear_has_no_lines() -> None:
     assert len(ripple_lines(q, qd, np.cos(100 * q), RATE, 1.0)) == 0
 
 
-def test_only_lines_that_pay_on_held_out_blocks_stay() -> None:
-    t, q, qd = motion_of_ripple()
-    rng = np.random.default_rng(2)
-    speeds, widths = speed_basis(0.0, np.abs(qd).max())
-    A = ripple_regressor(q, qd, np.sign(qd), np.array([60.0, 100.0, 140.0]), speeds, widths)
-    y = 0.2 * np.cos(100.0 * q) + 0.2 * rng.standard_normal(len(q))
-    block = (t / 0.5).astype(int)
-    assert select_lines(A, y, 32, block).tolist() == [False, True, False]
-    assert not select_lines(A, rng.standard_normal(len(q)), 32, block).any()
-
-
 def test_a_line_is_refined_with_all_its_amplitudes_and_its_error_is_told() -> None:
     """Amplitudes over speed and direction, a search 0.1 off, 20 logs: errors are as large as stated."""
     t, q, qd = motion_of_ripple(20.0)
@@ -329,22 +308,6 @@ def test_the_objective_is_that_of_an_independent_solver(seed: int, penalty: floa
     assert found.objective == pytest.approx(least, rel=1e-5)
 
 
-@pytest.mark.slow  # 20 s
-def test_three_lines_of_twelve_are_found() -> None:
-    """The example of LPVSpectral.jl: amplitudes that grow, pass through a peak, and jump."""
-    rng = np.random.default_rng(0)
-    N, speeds = 500, 20
-    X, v = np.sort(rng.uniform(0, 10, N)), np.linspace(0, 1, N)
-    lines = np.arange(2.0, 26.0, 2.0)
-    y = v**2 * np.cos(2 * np.pi * 2 * X) + 2 * np.exp(-5 * np.abs(v - 0.5)) * np.cos(2 * np.pi * 10 * X)
-    y += np.where(v > 0.8, 0.5, 0.3) * np.cos(2 * np.pi * 20 * X) + np.sin(2 * np.pi * 20 * X)
-    y += 0.1 * rng.standard_normal(N)
-    psi = basis_weights(v, *speed_basis(0.0, 1.0, speeds))
-    waves = [wave(2 * np.pi * c * X)[:, None] * psi for c in lines for wave in (np.cos, np.sin)]
-    kept = select_groups(np.hstack(waves), y, 2 * speeds, np.arange(N) // 10)
-    assert lines[kept].tolist() == [2.0, 10.0, 20.0]
-
-
 def test_noise_selects_no_group() -> None:
     rng = np.random.default_rng(3)
     A, y = rng.standard_normal((300, 24)), rng.standard_normal(300)
@@ -353,20 +316,6 @@ def test_noise_selects_no_group() -> None:
 
 
 # Ridge regression on coloured residuals.
-
-
-def test_the_covariance_of_a_refit_is_true() -> None:
-    """Scatter of 60 refits of one problem with residuals that remember."""
-    rng = np.random.default_rng(3)
-    A, truth, block = rng.standard_normal((2000, 3)), np.array([1.0, -2.0, 0.5]), np.arange(2000) // 20
-    found = []
-    for _ in range(60):
-        e = np.repeat(rng.standard_normal(200), 10) + 0.1 * rng.standard_normal(2000)
-        found.append(refit(A, A @ truth + e, block))
-    errors = np.array([x - truth for x, _ in found])
-    nees = np.mean([e @ np.linalg.solve(cov, e) for e, (_, cov) in zip(errors, found)]) / 3
-    assert 0.8 < nees < 1.25
-    assert held_out_error(A, A @ truth, block) < 1e-6
 
 
 def test_few_blocks_leave_no_direction_without_spread() -> None:

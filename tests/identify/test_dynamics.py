@@ -16,7 +16,7 @@ from armlab.errors import ModelMismatchError, NotExcited, UnknownName
 from armlab.estimation import ContractLimits, check_estimator
 from armlab.estimation.contract import PROPERTIES
 from armlab.identify import fit_dynamics, fit_gravity
-from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums
+from armlab.identify.many import fit_draft, log_sums
 from armlab.identify.record import prepare_share
 from armlab.identify.regression import Design
 from armlab.identify.validation import assess
@@ -34,40 +34,25 @@ def test_fit_dynamics_predicts_the_torque_of_another_motion(truth, model) -> Non
     assert np.all(np.sqrt(np.mean(error[250:] ** 2, axis=0)) < 0.1 * truth.friction.coulomb_pos)
 
 
-LAWS = dict.fromkeys(PROPERTIES, "tested elsewhere")  # but those that are taken out
-
-
-@pytest.mark.slow  # 35 s beside other work
-def test_errors_halve_with_four_times_the_data_and_match_the_covariance(short_arm) -> None:
+@pytest.mark.slow  # 50 s beside other work
+@pytest.mark.parametrize(("fit", "slow", "runs", "limits"), [
+    (fit_dynamics, False, 24, ContractLimits(consistent=(0.45, 0.55), honest=(0.80, 1.25))),
+    (fit_gravity, True, 16, None),
+])  # fmt: skip
+def test_errors_halve_with_four_times_the_data_and_match_the_covariance(short_arm, fit, slow, runs, limits) -> None:
     """The statistical contract on a short arm whose structure of friction is unknown; the covariance counts it in.
 
     What gains have in common no length of a log tells: errors halve where there is none, and are judged where there is.
     """
-    limits = ContractLimits(consistent=(0.45, 0.55), honest=(0.80, 1.25))
     for law, gain_sd in (("consistent", 0.0), ("honest", 0.05)):
         found = check_estimator(
-            lambda table, robot: short_arm.of_base(fit_dynamics(table, robot)),
-            short_arm.experiment(gain_sd=gain_sd),
-            runs=24,
+            lambda table, robot: short_arm.of_base(fit(table, robot)),
+            short_arm.experiment(slow=slow, gain_sd=gain_sd),
+            runs=runs,
             n=3000,
             noise_given=False,
             limits=limits,
-            skip={name: reason for name, reason in LAWS.items() if name != law},
-        )
-        assert found.passed, found.text()
-
-
-@pytest.mark.slow  # 18 s
-def test_errors_halve_with_four_times_the_data_and_match_the_covariance_of_gravity(short_arm) -> None:
-    """The statistical contract on a short arm."""
-    for law, gain_sd in (("consistent", 0.0), ("honest", 0.05)):  # as for fit_dynamics
-        found = check_estimator(
-            lambda table, robot: short_arm.of_base(fit_gravity(table, robot)),
-            short_arm.experiment(slow=True, gain_sd=gain_sd),
-            runs=16,
-            n=3000,
-            noise_given=False,
-            skip=dict.fromkeys(set(PROPERTIES) - {law}, "as fit_dynamics, whose machinery it shares"),
+            skip=dict.fromkeys(set(PROPERTIES) - {law}, "tested elsewhere"),
         )
         assert found.passed, found.text()
 
@@ -136,12 +121,7 @@ def test_the_laws_of_the_statistical_contract(fit, short_arm) -> None:
     locked = np.arange(2) == 1
     still = log.with_column("q", np.where(locked, 0.3, log["q"])).with_column("qd", np.where(locked, 0.0, log["qd"]))
     contract = check_estimator(
-        fit,
-        experiment,
-        1,
-        n=3000,
-        refusals={robot.joint_names[1]: {"table": still, "robot": robot}},
-        skip=SKIPPED,
+        fit, experiment, 1, n=3000, refusals={robot.joint_names[1]: {"table": still, "robot": robot}}, skip=SKIPPED
     )
     assert contract.passed, contract.text()
 
@@ -279,31 +259,10 @@ def test_it_is_saved_and_estimates(truth, gravity, slow, tmp_path) -> None:
 # Sums of many logs.
 
 
-def test_the_fit_to_sums_is_the_draft_where_there_are_no_other_logs(short_arm) -> None:
-    """The draft has converged: one more step of weights and slopes from it moves it by little."""
-    tables = [short_arm.log(k, 1200, bad=0.02) for k in range(3)]
-    draft, pattern = fit_draft(tables, short_arm.robot, 3)
-    sums = [log_sums(table, pattern) for table in tables]
-    fit = fit_sums(draft, pattern, sums, [0, 1, 2])
-    assert fit.n == 3600
-    x, sd = draft.sums.solution.x, np.sqrt(np.diag(draft.sums.solution.cov))
-    in_units = draft.design.in_units(x, np.diag(sd**2), np.diag(sd**2))[0]
-    assert np.abs((fit.parameters - in_units) / fit.sd).max() < 0.5
-    assert np.all(fit.value.quality.coverage > 0.5)
-
-
-def test_sums_do_not_depend_on_other_logs_and_survive_a_journey(short_arm) -> None:
-    tables = [short_arm.log(k, 1500) for k in range(3)]
-    draft, pattern = fit_draft(tables[:2], short_arm.robot, 3)
-    sums = [log_sums(table, pattern) for table in tables]
-    assert all(isinstance(one, LogSums) for one in sums)
-    there: Pattern = pickle.loads(pickle.dumps(pattern))
-    assert there.sha256 == pattern.sha256
-    back = [pickle.loads(pickle.dumps(log_sums(table, there))) for table in reversed(tables)][::-1]
-    one, other = (fit_sums(draft, pattern, some, [0, 1]) for some in (sums, back))
-    assert one.parameters.tobytes() == other.parameters.tobytes()
-    assert one.cov.tobytes() == other.cov.tobytes()
-    assert [part.source for part in sums] == list(one.value.sources)
+def test_sums_are_known_by_all_that_they_depend_on(short_arm) -> None:
+    """Sums of a log are kept by this number: one that stayed the same would give those of another pattern."""
+    _, pattern = fit_draft([short_arm.log(0, 1500)], short_arm.robot, 1)
+    assert pickle.loads(pickle.dumps(pattern)).sha256 == pattern.sha256
     others = [
         replace(pattern, limit=2 * pattern.limit),
         replace(pattern, theta=pattern.theta + 1e-12),
@@ -312,7 +271,7 @@ def test_sums_do_not_depend_on_other_logs_and_survive_a_journey(short_arm) -> No
         replace(pattern, geared=True),
         replace(pattern, robot=robots.load("ur5e")),
     ]
-    assert len({one.sha256 for one in (pattern, *others)}) == 7, "known by all that sums depend on"
+    assert len({one.sha256 for one in (pattern, *others)}) == 7
 
 
 def test_the_draft_decides_on_ripple_for_every_log(short_arm) -> None:

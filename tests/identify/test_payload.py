@@ -13,13 +13,11 @@ from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, check_estimator
 from armlab.identify import fit_payload, physically_consistent, physically_consistent_load
 from armlab.identify.consistency import LEAST, PhysicallyConsistent, pseudo_inertia
-from armlab.identify.payload import LoadRecord, ModelError, _possible
+from armlab.identify.payload import LoadRecord, ModelError
 from armlab.identify.residuals import model_residuals
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import TorqueModel
-from armlab.models.friction import Friction
-from armlab.robots import Robot, from_links, inertia, load
+from armlab.robots import Robot, from_links, inertia
 
 MASS, CENTRE = 0.5, np.array([0.03, 0.0, 0.052])  # 60 mm from the flange
 POINT = inertia.from_body(MASS, CENTRE, np.zeros((3, 3)))
@@ -48,6 +46,9 @@ def table(truth, motion) -> Table:
 
 @pytest.mark.parametrize("pair", [False, True])
 def test_half_a_kilogram(truth, model, motion, table, pair: bool) -> None:
+    """With a log without the load, what the model has wrong of friction falls out of the difference."""
+    if pair:
+        model = replace(model, friction=replace(model.friction, viscous=1.5 * model.friction.viscous))
     fit = fit_payload(table, model, truth.robot, without=truth.log(motion, seed=4) if pair else None)
     assert fit.value.mass == pytest.approx(MASS, rel=0.03)
     np.testing.assert_allclose(fit.value.centre, CENTRE, atol=5e-3)
@@ -112,79 +113,10 @@ def test_no_load_is_no_load(truth, model, motion) -> None:
     assert np.linalg.norm(fit.parameters[1:]) <= 0.5 * fit.value.mass
 
 
-def test_bounds() -> None:
-    cov = np.diag([1e-4, 1e-5, 1e-5, 1e-5])
-    inside = np.array([0.5, 0.01, 0.0, 0.03])
-    assert _possible(inside, cov) is inside
-    np.testing.assert_array_equal(_possible(np.array([-0.1, 0.0, 0.001, 0.0]), cov), 0.0)
-    far = _possible(np.array([0.1, 0.0, 0.0, 0.08]), cov)
-    assert np.linalg.norm(far[1:]) == pytest.approx(0.5 * far[0])
-    rng = np.random.default_rng(0)
-    distance = (far - [0.1, 0, 0, 0.08]) ** 2 @ (1 / np.diag(cov))
-    for step in 1e-3 * rng.standard_normal((200, 4)):
-        other = far + step
-        if np.linalg.norm(other[1:]) <= 0.5 * other[0]:
-            assert (other - [0.1, 0, 0, 0.08]) ** 2 @ (1 / np.diag(cov)) > distance
-
-
 def test_a_load_that_the_log_cannot_weigh_is_refused_by_name(truth, model) -> None:
     with pytest.raises(NotExcited, match="payload") as caught:
         fit_payload(**weightless(truth, model))
     assert any("m" in direction.split() for direction in caught.value.directions)
-
-
-@pytest.mark.slow  # 16 s
-def test_the_truth_is_inside_over_fifty_seeds(model) -> None:
-    """The simulated arm, with its own friction and drives, and gains of the joints that nobody knows.
-
-    The arm runs twice; noise and gains are drawn again for every seed. The model has the right masses but friction of
-    another form: what that has wrong falls out of the difference.
-    """
-    robot = load("yumi_left")
-    truth = sim.synthetic_truth(robot)
-    exact = truth.without("noise")
-    motion = identify.design_excitation(robot, seconds=12, speed=0.4, acceleration=6.0, seed=5)
-    T_last_flange = robot.links[-1]
-    at = T_last_flange[:3, :3] @ CENTRE + T_last_flange[:3, 3]
-    full, empty = (sim.record(sim.SimulatedArm(robot, one), motion) for one in (exact.with_payload(MASS, at), exact))
-    simple = sim_model(model, truth)
-    errors, inside = [], []
-    for seed in range(50):
-        rng = np.random.default_rng(seed)
-        gains = 1.0 + 0.05 * rng.standard_normal(7) * (seed % 2)
-        logs = [noisy(one, truth, gains, rng) for one in (full, empty)]
-        fit = fit_payload(logs[0], simple, robot, without=logs[1])
-        inside.append(np.abs(fit.parameters - POINT[:4]) < 1.96 * fit.sd)
-        if not seed % 2:
-            errors.append((fit.value.mass / MASS - 1, *(fit.value.centre - CENTRE)))
-    assert np.abs(errors)[:, 0].max() < 0.03
-    assert np.abs(errors)[:, 1:].max() < 5e-3
-    assert np.mean(inside, axis=0) == pytest.approx(0.95, abs=0.05)
-
-
-def sim_model(model: TorqueModel, truth: sim.Truth) -> TorqueModel:
-    coulomb = 0.5 * (truth.coulomb_pos + truth.coulomb_neg)
-    return replace(
-        model,
-        link_parameters=truth.pi,
-        rotor=truth.rotor,
-        friction=Friction(
-            truth.viscous, truth.coulomb_pos, truth.coulomb_neg, truth.offset, (truth.static_ratio - 1) * coulomb,
-            truth.stribeck_speed, 3 * truth.delta, truth.q_step,
-        ),
-    )  # fmt: skip
-
-
-def noisy(table: Table, truth: sim.Truth, gains: np.ndarray, rng: np.random.Generator) -> Table:
-    noise = rng.standard_normal((2, *table["q"].shape))
-    return Table(
-        table.t,
-        {
-            "q": np.round(table["q"] / truth.q_step) * truth.q_step,
-            "qd": table["qd"] + truth.qd_noise * noise[0],
-            "tau": gains * (table["tau"] + truth.tau_noise * noise[1]),
-        },
-    )
 
 
 @pytest.fixture(scope="module")
@@ -303,20 +235,6 @@ def loaded(truth):
     return carrying(truth, PI)
 
 
-def test_the_load_explains_the_difference(truth, model, loaded, motion) -> None:
-    """Without noise the difference of the logs is the load, to the step from one sample to the next."""
-    record = LoadRecord.of(loaded.log(motion, noise=0.0), model, truth.robot, truth.log(motion, noise=0.0))
-    assert record.A.shape == (*record.y.shape, 10)
-    np.testing.assert_allclose(model.gains * record.y, record.A @ PI, atol=2e-3)
-    assert record.against.shape == (7, 10, len(model.base_names))
-    scale = np.abs(LoadRecord.of(loaded.log(motion, noise=0.0), model, truth.robot).against).max()
-    assert np.abs(record.against).max() < 1e-6 * scale
-    assert len(record.sources) == 2
-    block = record.blocks(1.0)
-    assert block[0] == 0
-    assert np.all(np.isin(np.diff(block), [0, 1]))
-
-
 @pytest.mark.parametrize("late", [300, -300])
 def test_a_log_that_began_at_another_time(truth, model, loaded, brief, late: int) -> None:
     one, two = loaded.log(brief, noise=0.0), truth.log(brief, noise=0.0)
@@ -329,39 +247,6 @@ def test_a_log_that_began_at_another_time(truth, model, loaded, brief, late: int
 
 
 # Uncertainty of the model of the arm.
-
-
-STEPS = {"viscous": 0.1, "coulomb_pos": 0.1, "coulomb_neg": 0.1, "offset": 0.1, "stribeck": 0.1, "delta": 1e-6}
-TERMS = {"coulomb_pos": "coulomb+", "coulomb_neg": "coulomb-"}
-
-
-@pytest.mark.parametrize("field", STEPS)
-def test_a_changed_model_changes_the_sums_as_said(truth, fitted, excited, field: str) -> None:
-    """A_i^T (y of the changed model - y) is minus the sums times the change, for every joint."""
-    robot, model, step = truth.robot, fitted.value, STEPS[field]
-    joint = 2
-    one = np.eye(robot.n)[joint] * step
-    changed = replace(model, friction=replace(model.friction, **{field: getattr(model.friction, field) + one}))
-    name = f"{TERMS.get(field, field)} {robot.joint_names[joint]}"
-    name = identify.base_parameters(robot).offset_names[joint] if field == "offset" else name
-    names, p = (*model.base_names, name), len(model.base_names)
-    known = replace(fitted, names=names, units=("1",) * (p + 1), parameters=np.zeros(p + 1), cov=np.eye(p + 1))
-    log = excited.between(0.0, 10.0)
-    record, other = (LoadRecord.of(log, one, robot) for one in (known, changed))
-    sums = np.einsum("kia,ki->ia", record.A, other.y - record.y)
-    np.testing.assert_allclose(sums, -step * record.against[:, :, p], atol=2e-3 * np.abs(sums).max())
-    assert np.abs(sums[joint]).max() > 0
-
-
-def test_every_parameter_of_a_fit_is_known_by_name(truth, fitted) -> None:
-    error = ModelError.of(fitted, truth.robot)
-    assert error.names == fitted.names
-    assert error.left_out == ()
-    held = replace(fitted, value=replace(fitted.value, gain_cov=np.zeros((7, 7))))
-    np.testing.assert_array_equal(ModelError.of(held, truth.robot).cov, fitted.cov)
-    alone = ModelError.of(fitted.value, truth.robot)
-    assert alone.names == fitted.value.base_names
-    np.testing.assert_array_equal(alone.cov, fitted.value.base_cov)
 
 
 def test_what_is_not_known_by_name_is_left_out_and_said(truth, fitted) -> None:

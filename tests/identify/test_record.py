@@ -10,37 +10,14 @@ import pytest
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Experiment, check_estimator
 from armlab.identify import fit_velocity_covariance, prepare, with_velocity
-from armlab.identify.record import (
-    SLOW_SHARE,
-    Record,
-    pieces,
-    prepare_share,
-    slow_enough,
-    torque_outliers,
-    without_outliers,
-)
-from armlab.identify.residuals import (
-    BIN,
-    ModelResiduals,
-    dry_torques,
-    friction_signs,
-    mean_power,
-    model_residuals,
-    relaxed,
-    seconds,
-    settled,
-)
-from armlab.identify.validation import begun, held_out, momentum_noise, stretches, velocity_noise
+from armlab.identify.record import Record, prepare_share, torque_outliers, without_outliers
+from armlab.identify.residuals import BIN, ModelResiduals, friction_signs, model_residuals, relaxed, settled
+from armlab.identify.validation import begun, held_out, momentum_noise, velocity_noise
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.friction import WarmUp
 from armlab.models.torque import FORCE_RATES, PRIOR
-
-
-def changed(table: Table, **columns: np.ndarray) -> Table:
-    values = {name: columns.get(name, table[name]) for name in ("q", "qd", "tau")}
-    return Table(table.t, values)
 
 
 def test_prepare_cuts_at_gaps_and_joins_logs(truth, excited) -> None:
@@ -68,14 +45,6 @@ def test_filter_and_differentiate_do_not_reach_across_a_gap(truth, excited) -> N
     N = len(excited)
     for result in (data.filter(data.q, 10.0), data.differentiate(data.q)):
         np.testing.assert_array_equal(result[:N], result[N:])
-
-
-def test_pieces_between_gaps_have_a_hundred_rows() -> None:
-    t = np.delete(0.004 * np.arange(500), np.r_[120:130, 180, 300:320])
-    assert pieces(t) == [(0, 120), (170, 289), (289, 469)]
-    for few in (t[:0], t[:1], t[:99]):
-        with pytest.raises(ShapeError, match=f"0 gaps in {len(few)} rows"):
-            pieces(few)
 
 
 def test_a_sliding_joint_moves_when_it_moves_by_millimetres(truth) -> None:
@@ -129,14 +98,6 @@ def test_of_a_share_joints_may_rest_but_what_is_there_is_checked(short_arm) -> N
 
 
 # Sampling rate and torque outliers.
-
-
-def test_ripple_that_folds_back_is_not_used() -> None:
-    """A line of 200 rad/rad at 250 Hz folds from 125 Hz on; a quarter of the rate is 62.5 Hz, 1.96 rad/s."""
-    assert SLOW_SHARE == 0.25
-    speed = np.array([[0.0, 0.0], [1.9, 1.9], [-2.0, -2.0]])
-    expected = [[True, True], [True, True], [False, True]]
-    np.testing.assert_array_equal(slow_enough(speed, 250.0, np.array([200.0, 100.0])), expected)
 
 
 def test_spikes_are_found_and_replaced_better_by_a_model(short_arm, short_fit) -> None:
@@ -197,20 +158,6 @@ def test_pieces_begin_as_warm_as_the_log_has_made_them(truth, excited, model) ->
     cold = hot.torque(data.q[4000:6000], data.qd[4000:6000], dt=data.dt[4000:6000])
     assert np.abs(cold[500:] - whole[4500:6000]).max() > 0.2
     assert [(one is model, a, b) for one, a, b in begun(model, data, pieces)] == [(True, 0, 1000), (True, 4000, 6000)]
-
-
-def test_the_power_of_friction_is_its_torque_times_speed(truth, excited, model) -> None:
-    data = prepare(excited, truth.robot)
-    qd, s, number = data.qd[:, 2], friction_signs(model, data), seconds(data.t)
-    c, rest = dry_torques(model, 2, qd, s[:, 2])
-    zero = np.zeros(7)
-    smooth = replace(model, ripple=replace(model.ripple, cosine=zero, sine=zero))
-    friction = smooth.drive.torque(data.q, data.qd, s)[:, 2]
-    np.testing.assert_allclose(
-        model.friction.viscous[2] * qd + c + rest + model.friction.offset[2], friction, atol=1e-9
-    )
-    means = mean_power(model, 2, qd, s[:, 2], number)
-    np.testing.assert_allclose(means[1, 1], np.mean((c * qd)[number == 1]), rtol=1e-12)
 
 
 # Torque covariance over velocity.
@@ -316,12 +263,6 @@ def test_what_the_data_do_not_tell_is_uncertain_and_never_exact() -> None:
 def test_velocity_noise_is_found_under_the_motion(truth, excited) -> None:
     noise = velocity_noise(prepare(excited, truth.robot))
     np.testing.assert_allclose(noise, 1e-3, rtol=0.05)
-
-
-def test_stretches_hold_the_rows_with_half_a_second_before(truth, excited) -> None:
-    data = prepare(excited, truth.robot)
-    rows = np.isin(np.arange(len(data.t)), [*range(50, 60), *range(2000, 2100), *range(2200, 2300)])
-    assert list(stretches(rows, data)) == [(0, 60), (1876, 2300)]
 
 
 def test_without_rows_that_count_nothing_is_scaled(truth, excited, model) -> None:

@@ -13,15 +13,7 @@ import pytest
 
 from armlab import identify, robots
 from armlab.contact import Estimator, compare, contacts, hypotheses
-from armlab.errors import (
-    ConfigError,
-    MissingExtra,
-    ModelMismatchError,
-    NotExcited,
-    RobotError,
-    ShapeError,
-    UnknownName,
-)
+from armlab.errors import ConfigError, MissingExtra, ModelMismatchError, NotExcited, RobotError, ShapeError, UnknownName
 from armlab.estimation import Fit
 from armlab.identify import excite, record
 from armlab.identify.drives.friction import rbf_centres, rbf_regressor

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -214,25 +215,26 @@ def test_prismatic_joints() -> None:
     assert max(pose_errors(robot, walk.q)) <= 1e-9
 
 
-def test_refusals_of_a_walk() -> None:
-    q = posture(0)
-    with pytest.raises(RobotError, match="a joint to spare for the task 'pose', got 'irb2400', which needs all its 6"):
-        self_motion(robots.load("irb2400"), np.ones(6) / 5)
-    with pytest.raises(RobotError, match="'planar', which needs all its 3 joints"):
-        self_motion(robots.from_dh("planar", 0.0, [0.5, 0.4, 0.3], 0.0), np.ones(3) / 5)
-    with pytest.raises(UnknownName, match=r"task, got \['pose'\]"):
-        self_motion(YUMI, q, task=cast(Any, ["pose"]))
-    with pytest.raises(ShapeError, match=r"Expected q inside the limits of 'yumi_left', got 3 for joint 1"):
-        self_motion(YUMI, [3.0, 0, 0, 0, 0, 0, 0])
-    with pytest.raises(ShapeError, match="Expected direction"):
-        self_motion(YUMI, q, direction=[1.0, 2.0])
-    with pytest.raises(ShapeError, match="Expected the gradient that direction"):
-        self_motion(YUMI, q, direction=lambda _: np.zeros(3))
-    for length, points in ((1001.0, 5), (0.0, 5), (np.nan, 5), (1.0, 1), (1.0, 10**30), (1.0, 2.5), ("1", 5)):
-        with pytest.raises(ShapeError, match="length above 0 and up to 1000, and from 2 to 1000000 points"):
-            self_motion(YUMI, q, length=cast(Any, length), points=cast(Any, points))
-    with pytest.raises(SingularPoseError, match="a direction with a part along the self-motion"):
-        self_motion(YUMI, q, direction=jacobian(YUMI, q)[0])
-    stretched = robots.from_dh("planar", 0.0, [0.5, 0.4, 0.3, 0.2], 0.0)
-    with pytest.raises(SingularPoseError, match="a regular posture to walk from"):
-        self_motion(stretched, np.zeros(4))
+DH = partial(robots.from_dh, "planar", 0.0)
+WALK = partial(self_motion, YUMI, posture(0))
+
+
+@pytest.mark.parametrize(("error", "words", "call"), [
+    (RobotError, "a joint to spare for the task 'pose', got 'irb2400', which needs all its 6",
+     lambda: self_motion(robots.load("irb2400"), np.ones(6) / 5)),
+    (RobotError, "'planar', which needs all its 3 joints", lambda: self_motion(DH([0.5, 0.4, 0.3], 0.0), np.ones(3))),
+    (UnknownName, r"task, got \['pose'\]", lambda: WALK(task=["pose"])),
+    (ShapeError, "Expected q inside the limits of 'yumi_left', got 3 for joint 1",
+     lambda: self_motion(YUMI, [3.0, 0, 0, 0, 0, 0, 0])),
+    (ShapeError, "Expected direction", lambda: WALK(direction=[1.0, 2.0])),
+    (ShapeError, "Expected the gradient that direction", lambda: WALK(direction=lambda _: np.zeros(3))),
+    *((ShapeError, "length above 0 and up to 1000, and from 2 to 1000000 points",
+       partial(WALK, length=length, points=points))
+      for length, points in ((1001.0, 5), (0.0, 5), (np.nan, 5), (1.0, 1), (1.0, 10**30), (1.0, 2.5), ("1", 5))),
+    (SingularPoseError, "a direction with a part along", lambda: WALK(direction=jacobian(YUMI, posture(0))[0])),
+    (SingularPoseError, "a regular posture to walk from",
+     lambda: self_motion(DH([0.5, 0.4, 0.3, 0.2], 0.0), np.zeros(4))),
+])  # fmt: skip
+def test_refusals_of_a_walk(error: type[Exception], words: str, call: Callable[[], Any]) -> None:
+    with pytest.raises(error, match=words):
+        call()

@@ -9,23 +9,8 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.kinematics import (
-    forward,
-    forward_jacobian,
-    jacobian,
-    jacobian_derivative,
-    link_transforms,
-    parameter_jacobian,
-)
+from armlab.kinematics import forward, forward_jacobian, jacobian, parameter_jacobian
 from armlab.lie import se3, so3
-from armlab.robots import Robot
-
-
-def test_link_transforms_lead_to_the_tool() -> None:
-    robot, q = robots.load("yumi_right"), np.arange(1, 8) / 10
-    T_base_link = link_transforms(robot, q)
-    assert T_base_link.shape == (7, 4, 4)
-    np.testing.assert_allclose(T_base_link[-1] @ robot.frames[-1], forward(robot, q), rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("frame", ["base", "tool"])
@@ -42,34 +27,6 @@ def test_pose_and_jacobian_in_one_call(frame: Literal["base", "tool"]) -> None:
     np.testing.assert_array_equal(out[0], T)
     np.testing.assert_array_equal(out[1], J)
     np.testing.assert_array_equal(jacobian(robot, q, frame, threads=2), J)
-
-
-def sliding(robot: Robot) -> Robot:
-    """The same links, but the second and the fifth joint slide."""
-    return replace(robot, prismatic=np.isin(np.arange(robot.n), (1, 4)))
-
-
-@pytest.fixture(params=["yumi_left", "ur5e", "sliding"])
-def robot(request: pytest.FixtureRequest) -> Robot:
-    return sliding(robots.load("irb2400")) if request.param == "sliding" else robots.load(request.param)
-
-
-@pytest.mark.parametrize("frame", ["base", "tool"])
-def test_pinocchio_agrees(robot: Robot, frame: str) -> None:
-    pin = pytest.importorskip("pinocchio")
-    model = pin.Model()
-    parent = 0
-    for i, (link, slides) in enumerate(zip(robot.frames, robot.prismatic)):
-        joint = pin.JointModelPZ() if slides else pin.JointModelRZ()
-        parent = model.addJoint(parent, joint, pin.SE3(link), f"joint {i}")
-    tool = model.addFrame(pin.Frame("tool", parent, 0, pin.SE3(robot.frames[-1]), pin.FrameType.OP_FRAME))
-    data = model.createData()
-    q, qd = np.random.default_rng(2).uniform(-2, 2, (2, robot.n))
-    pin.computeJointJacobiansTimeVariation(model, data, q, qd)
-    pin.updateFramePlacements(model, data)
-    axes = pin.LOCAL_WORLD_ALIGNED if frame == "base" else pin.LOCAL
-    theirs = pin.getFrameJacobianTimeVariation(model, data, tool, axes)
-    np.testing.assert_allclose(jacobian_derivative(robot, q, qd, frame), theirs, rtol=0, atol=1e-13)  # type: ignore[arg-type]
 
 
 @pytest.fixture(params=["irb2400", "sliding"])

@@ -13,15 +13,7 @@ import pytest
 
 from armlab import kernels, lie, robots
 from armlab.errors import NotConverged, ShapeError
-from armlab.kinematics import (
-    forward,
-    inverse,
-    inverse_path,
-    jacobian,
-    jacobian_derivative,
-    link_transforms,
-    singular_values,
-)
+from armlab.kinematics import forward, inverse, inverse_path, singular_values
 from armlab.kinematics.path import IkPath
 from armlab.robots import Robot
 
@@ -91,49 +83,26 @@ def test_detours_lead_on_where_the_least_motion_ends() -> None:
     assert mended >= broken / 2
 
 
-def singular_elbow(seed: int) -> np.ndarray:
-    """A posture of the stretched arm where a force along it needs no torque: J^T u = 0, by Newton steps in q and u."""
-    rng = np.random.default_rng(seed)
-    q = rng.uniform(0.6 * YUMI.q_min, 0.6 * YUMI.q_max)
-    q[3] = -1.15
-    u = np.linalg.svd(jacobian(YUMI, q))[0][:, 5]
-    for _ in range(100):
-        J = jacobian(YUMI, q)
-        dJ = jacobian_derivative(YUMI, np.tile(q, (7, 1)), np.eye(7))
-        residual = np.concatenate([J.T @ u, [(u @ u - 1) / 2]])
-        if np.linalg.norm(residual) < 1e-14:
-            break
-        slopes = np.block([[(np.swapaxes(dJ, 1, 2) @ u).T, J.T], [np.zeros(7), u]])
-        step = -np.linalg.lstsq(slopes, residual)[0]
-        step *= min(1.0, 0.1 / np.abs(step).max())
-        q, u = q + step[:7], u + step[7:]
-    return q
-
-
-def is_elbow(q: np.ndarray) -> bool:
-    """Whether the arm is stretched: the tool cannot be pushed along the line from shoulder to wrist."""
-    force = np.linalg.svd(jacobian(YUMI, q))[0][:3, 5]
-    p = link_transforms(YUMI, q)[:, :3, 3]
-    arm = p[5] - p[1]
-    return bool(abs(force @ arm) > 0.99 * np.linalg.norm(arm) * np.linalg.norm(force))
+ELBOWS = {  # a stretched arm whose Jacobian loses its rank, by Newton steps to J^T u = 0; seeds of a motion through it
+    2: [-0.93122445307, -0.90183311819, -0.08261445186, -1.1902285784, 0.28462911968, 0.61356286254, -1.49687788119],
+    3: [-1.47830751858, -1.06355786578, 0.91571908093, -1.23373591845, -2.2472460777, 0.013305745, -0.10047342614],
+    4: [1.5638315892, -0.57021512563, 1.67886154333, -1.42534095549, 0.63916739911, -0.02572055412, 1.44796793734],
+    5: [1.06509702266, 0.0, 0.05732155181, -1.11568027178, -2.71062754879, 0.02868927447, -0.438977589],
+    6: [0.15445713901, -0.86103170813, -0.17502963377, -1.09780358291, 2.79443944813, 0.56698011771, 0.83608629658],
+    7: [0.43397542038, 0.0, 0.68883896055, -1.1688460887, -1.26676860238, 1.14558488066, -2.3728291239],
+}  # fmt: skip
 
 
 def test_through_singular_elbows_without_a_jump() -> None:
     """4 ms steps of a joint motion at about 1 rad/s that passes exactly through a singular posture."""
-    passages, s = 0, np.linspace(-0.6, 0.6, 301)[:, None]
-    for seed in range(20):
-        q_singular = singular_elbow(seed)
-        q = q_singular + s * np.random.default_rng(seed + 100).uniform(-1, 1, 7)
-        inside = ((YUMI.q_min + 0.1 < q) & (q < YUMI.q_max - 0.1)).all()
-        if not inside or singular_values(YUMI, q_singular)[-1] > 1e-9 or not is_elbow(q_singular):
-            continue
+    for seed, singular in ELBOWS.items():
+        assert singular_values(YUMI, singular)[-1] < 1e-10
+        q = singular + np.linspace(-0.6, 0.6, 301)[:, None] * np.random.default_rng(seed + 100).uniform(-1, 1, 7)
         T = forward(YUMI, q)
         path = inverse_path(YUMI, T, q[0], max_step=0.05)
-        passages += 1
         assert path.success.all(), f"seed {seed}: {path.report()}"
         assert np.abs(np.diff(path.q, axis=0)).max() <= 0.05 + 1e-12
         assert max(errors(YUMI, path.q, T)) <= 1e-9
-    assert passages >= 12
 
 
 def test_through_a_singular_wrist() -> None:

@@ -48,9 +48,7 @@ def test_continuous_bridges_missing_samples() -> None:
 @pytest.mark.parametrize(("call", "sentence"), [
     (lambda: quaternion.to_matrix([0, 0, 0, 0]), r"Expected quaternion of length 1 within 0\.001 \(wxyz\), got"),
     (lambda: quaternion.to_matrix([1, 0, 0]), r"Expected quaternion of shape \(\.\.\., 4\), got \(3,\)\."),
-    (lambda: quaternion.to_matrix([[1, 0, 0, 0], [2, 0, 0, 0]]), "got length 2"),
     (lambda: quaternion.from_matrix(np.zeros((3, 3))), "Expected R to be a rotation"),
-    (lambda: quaternion.slerp([1, 0, 0, 0], [3, 0, 0, 0], 0.5), "Expected b of length 1"),
     (lambda: quaternion.multiply([1, 0, 0, 0], [1, 0]), "Expected q of shape"),
     (lambda: quaternion.conjugate([1]), "Expected quaternion of shape"),
     (lambda: quaternion.continuous([1, 0, 0, 0]), "with time along axis 0"),
@@ -69,28 +67,7 @@ def test_a_length_off_by_rounding_is_normalised() -> None:
     assert quaternion.UNIT_TOLERANCE == 1e-3
 
 
-def test_missing_stays_missing() -> None:
-    q = random_quaternions(2)
-    q[1] = np.nan
-    R = quaternion.to_matrix(q)
-    for result in (R, quaternion.from_matrix(R), quaternion.slerp(q, q[:1], 0.5), euler.to_rpy(R, "zyx")):
-        assert np.isfinite(result[0]).all()
-        assert np.isnan(result[1]).all()
-
-
 LOCKED = {"zyx": (-np.pi / 2, np.pi / 2), "xyz": (-np.pi / 2, np.pi / 2), "zyz": (0.0, np.pi)}
-
-
-@pytest.mark.parametrize(("convention", "expected"), [
-    ("zyx", (0.983347443256, 0.143572175027, 0.106020511062, 0.034270798550)),
-    ("xyz", (0.981856172866, 0.064071347706, 0.091157549343, 0.153439302024)),
-    ("zyz", (0.975170327202, 0.009966711079, 0.099334665398, 0.197676811654)),
-])  # fmt: skip
-def test_reference_quaternions(convention, expected: tuple[float, ...]) -> None:
-    """(0.1, 0.2, 0.3) in the conventions of ABB, Nikon and zyz."""
-    np.testing.assert_allclose(
-        quaternion.from_matrix(euler.from_rpy((0.1, 0.2, 0.3), convention)), expected, rtol=0, atol=1e-12
-    )
 
 
 def test_conventions_as_products() -> None:

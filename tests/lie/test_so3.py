@@ -88,6 +88,8 @@ def test_project_is_the_nearest_rotation() -> None:
     np.testing.assert_allclose(distance, np.linalg.norm(projected - M, axis=(1, 2)), rtol=1e-14)
     nearby = projected @ so3.exp(1e-3 * rng.standard_normal((20, 50, 3)))
     assert (np.linalg.norm(nearby - M, axis=(-1, -2)) > distance).all()
+    symmetric = np.swapaxes(projected, 1, 2) @ M
+    np.testing.assert_allclose(symmetric, np.swapaxes(symmetric, 1, 2), rtol=0, atol=3e-15)
 
 
 def test_project_of_a_reflection_and_of_nothing() -> None:
@@ -152,9 +154,7 @@ def test_mean_of_a_symmetric_pair(method) -> None:
 
 
 @pytest.mark.parametrize(("call", "sentence"), [
-    (lambda: so3.exp([1, 2]), r"Expected w of shape \(\.\.\., 3\), got \(2,\)\."),
     (lambda: so3.hat(1.0), r"Expected w of shape \(\.\.\., 3\), got \(\)\."),
-    (lambda: so3.exp("turn"), r"Expected w to be an array of real numbers, got str"),
     (lambda: so3.hat(["turn"]), r"Expected w to be an array of real numbers, got list"),
     (lambda: so3.hat([1j, 0, 0]), r"Expected w to be an array of real numbers, got list"),
     (lambda: so3.interpolate(np.eye(3), 2 * np.eye(3), 0.5), "Expected R_b to be a rotation"),
@@ -168,11 +168,6 @@ def test_mean_of_a_symmetric_pair(method) -> None:
      r"leading axes that broadcast, got R_a of shape \(3, 3\), R_b of .*, axis of shape \(5, 3\)\."),
     (lambda: so3.project(np.diag([np.inf, 1, 1])), "one nearest rotation, got one with an infinite entry"),
     (lambda: so3.to_axis_angle(np.zeros((3, 3))), "Expected R to be a rotation"),
-    (lambda: so3.log(np.eye(4)), r"Expected R of shape \(\.\.\., 3, 3\), got \(4, 4\)\."),
-    (lambda: so3.log(2 * np.eye(3)), r"Expected R to be a rotation within 1e-06, got max\|R\^T R - I\| = 3\."),
-    (lambda: so3.log([np.eye(3), -np.eye(3)]), r"Expected R\[1\] to be a rotation.*determinant = -1\..*Project"),
-    (lambda: so3.angle(np.eye(3), np.zeros((3, 3))), "Expected R_b to be a rotation"),
-    (lambda: so3.log(np.diag([np.inf, 1, 1])), r"Expected R to be a rotation.*max\|R\| = inf"),
     (lambda: so3.project(np.eye(2)), "Expected M of shape"),
 ])  # fmt: skip
 def test_bad_input_is_a_sentence(call, sentence: str) -> None:

@@ -14,15 +14,7 @@ from armlab import models, robots
 from armlab.errors import ConfigError, FrameError, ModelMismatchError, RobotError, ShapeError, UnknownName
 from armlab.models import Accelerometer, ForceSensor, HandEye, LaserSensor, Payload, velocity_covariance
 from armlab.models.files import kind_of, register
-from armlab.models.friction import (
-    Friction,
-    FrictionBound,
-    FrictionMap,
-    RadialBasis,
-    RippleLines,
-    WarmUp,
-    speed_basis,
-)
+from armlab.models.friction import Friction, FrictionBound, FrictionMap, RadialBasis, RippleLines, WarmUp, speed_basis
 from armlab.models.kinematic_correction import KinematicCorrection
 from armlab.models.torque import SPEED_EDGES, CoupledMotors, MomentumNoise, Quality, Training
 

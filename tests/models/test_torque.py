@@ -98,16 +98,14 @@ def test_joints_without_torque_do_not_make_the_gains_of_the_others_surer(model) 
 # Friction, torque ripple, warm-up, coupled motors and noise models.
 
 
-def friction(**change: object) -> Friction:
-    fields = {
-        "viscous": [2.0], "coulomb_pos": [3.0], "coulomb_neg": [4.0], "offset": [0.5], "stribeck": [1.0],
-        "stribeck_speed": [0.05], "delta": [1e-3], "resolution": [0.0],
-    }  # fmt: skip
-    return Friction(**{**fields, **change})  # type: ignore[arg-type]
+FRICTION = Friction(
+    viscous=[2.0], coulomb_pos=[3.0], coulomb_neg=[4.0], offset=[0.5], stribeck=[1.0], stribeck_speed=[0.05],
+    delta=[1e-3], resolution=[0.0],
+)  # fmt: skip
 
 
 def test_friction_torque_is_the_formula() -> None:
-    f = friction()
+    f = FRICTION
     assert f.torque([1.0], [1.0])[0] == pytest.approx(2 + 3 + 0.5 + np.exp(-400))
     assert f.torque([-1.0], [-1.0])[0] == pytest.approx(-2 - 4 + 0.5 - np.exp(-400))
     assert f.torque([0.0], [0.5])[0] == pytest.approx(1.5 + 0.5 + 0.5)
@@ -115,11 +113,11 @@ def test_friction_torque_is_the_formula() -> None:
 
 
 def test_the_bound_near_rest_is_static_friction_and_fades_with_speed() -> None:
-    bound = FrictionBound.of(friction(), floor=np.array([0.1]))
+    bound = FrictionBound.of(FRICTION, floor=np.array([0.1]))
     assert bound.torque_at([0.0])[0] == pytest.approx(4.5 + 0.1)
     assert bound.torque_at([[0.02], [-0.02]])[:, 0] == pytest.approx(4.5 * np.exp(-1) + 0.1)
     assert bound.torque_at([1.0])[0] == pytest.approx(0.1)
-    assert FrictionBound.of(friction()).floor[0] == 0.0
+    assert FrictionBound.of(FRICTION).floor[0] == 0.0
 
 
 # Friction over position and speed.
@@ -148,33 +146,17 @@ def test_outside_is_told() -> None:
 # Torque ripple over position and speed.
 
 
-def lines(**change: object) -> RippleLines:
-    """Two joints, the second with two lines of one direction."""
-    speeds, widths = speed_basis(-1.0, 1.0)
-    fields = {
-        "joint": [1, 1], "cycles": [100.0, 200.0], "speeds": np.stack([speeds, speeds]),
-        "widths": np.stack([widths, widths]), "coefficients": np.ones((2, 1, 8, 2)),
-    }  # fmt: skip
-    return RippleLines(**{**fields, **change})  # type: ignore[arg-type]
+SPEEDS, WIDTHS = (np.stack([part, part]) for part in speed_basis(-1.0, 1.0))
+LINES = RippleLines([1, 1], [100.0, 200.0], SPEEDS, WIDTHS, np.ones((2, 1, 8, 2)))  # of the second joint of two
 
 
 def test_equal_amplitudes_are_a_plain_line() -> None:
     q, qd = np.random.default_rng(0).uniform(-2, 2, (2, 50, 2))
-    torque = lines().torque(q, qd, np.sign(qd))
+    torque = LINES.torque(q, qd, np.sign(qd))
     expected = sum(np.cos(c * q[:, 1]) + np.sin(c * q[:, 1]) for c in (100.0, 200.0))
     np.testing.assert_allclose(torque[:, 1], expected, rtol=0, atol=1e-12)
     assert not torque[:, 0].any()
-    assert lines().n == 2
-
-
-def test_each_direction_may_have_its_own_amplitude() -> None:
-    speeds, widths = speed_basis(0.0, 1.0)
-    both = np.zeros((1, 2, 8, 2))
-    both[0, 0, :, 0], both[0, 1, :, 1] = 2.0, 3.0
-    part = RippleLines([0], [50.0], speeds[None], widths[None], both)
-    q = np.linspace(0, 1, 30)[:, None]
-    np.testing.assert_allclose(part.torque(q, 0 * q + 0.3, 0 * q + 1), 2 * np.cos(50 * q), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(part.torque(q, 0 * q - 0.3, 0 * q - 1), 3 * np.sin(50 * q), rtol=0, atol=1e-12)
+    assert LINES.n == 2
 
 
 # Warm-up.

@@ -88,50 +88,8 @@ def test_no_number_of_the_library_has_changed() -> None:
     assert {name: robots.load(name).hash[:16] for name in robots.names()} == HASHES
 
 
-REACH = {"irb120": 0.58, "irb1200": 0.90, "irb1200_7_70": 0.70, "irb7600": 2.55, "irb7600_150_350": 3.50}
-
-
-@pytest.mark.parametrize("name", REACH)
-def test_reach_is_that_of_the_type_name(name: str) -> None:
-    """ABB names an arm after the largest distance of its wrist from axis 1."""
-    robot = robots.load(name)
-    q = np.zeros((200, 200, 6))
-    q[..., 1], q[..., 2] = np.meshgrid(*np.linspace(robot.q_min[1:3], robot.q_max[1:3], 200).T, indexing="ij")
-    wrist = kinematics.link_transforms(robot, q)[..., 4, :3, 3]
-    assert np.hypot(wrist[..., 0], wrist[..., 1]).max() == pytest.approx(REACH[name], abs=0.005)
-
-
 def inside(robot: Robot, count: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (count, robot.n))
-
-
-def test_franka_in_the_convention_of_its_vendor() -> None:
-    """The modified table of the interface documentation, flange in the last row."""
-    alpha, a = np.array([0, -1, 1, 1, -1, 1, 1]) * np.pi / 2, [0, 0, 0, 0.0825, -0.0825, 0, 0.088]
-    vendor = robots.from_dh("vendor", alpha, a, [0.333, 0, 0.316, 0, 0.384, 0, 0.107], modified=True)
-    for name in ("panda", "fr3"):
-        q = inside(robots.load(name), 100)
-        np.testing.assert_allclose(
-            kinematics.forward(robots.load(name), q), kinematics.forward(vendor, q), rtol=0, atol=1e-14
-        )
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_the_two_yumis(side: str) -> None:
-    """Same angles, same posture: flanges turned by half a turn about their own axis, centimetres apart."""
-    ancestor, urdf_set = robots.load(f"yumi_{side}"), robots.load(f"yumi_{side}_urdf")
-    for field in ("q_min", "q_max", "qd_max", "q_home", "coupling"):
-        np.testing.assert_array_equal(getattr(ancestor, field), getattr(urdf_set, field))
-    assert (ancestor.abb_axes, ancestor.joint_names) == (urdf_set.abb_axes, urdf_set.joint_names)
-
-    q = np.concatenate([np.zeros((1, 7)), inside(ancestor, 2000)])
-    T_a, T_b = kinematics.forward(ancestor, q), kinematics.forward(urdf_set, q)
-    apart = np.linalg.norm(T_a[:, :3, 3] - T_b[:, :3, 3], axis=1)
-    assert apart[0] == pytest.approx(0.0113, abs=1e-4)
-    assert 0.004 < apart.min() < apart.max() < 0.0235
-    half_turn = np.diag([-1.0, -1.0, 1.0])
-    turned = so3.angle(T_a[:, :3, :3], T_b[:, :3, :3] @ half_turn)
-    np.testing.assert_allclose(np.rad2deg(turned), {"left": 0.163, "right": 0.067}[side], rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["fr3", "iiwa14", "panda", "ur5e"])

@@ -14,7 +14,7 @@ import pytest
 
 from armlab import kinematics, robots
 from armlab.errors import ArmlabError, RobotError, ShapeError, UnknownName
-from armlab.lie import euler, se3
+from armlab.lie import se3
 from armlab.robots import Mesh, Robot, inertia
 from armlab.robots.build import GRAVITY, RAMP_TIME
 from armlab.robots.robot import POSE_TOLERANCE, arm_length, bends
@@ -25,15 +25,6 @@ FILE = "package://maker/link_1.stl"
 @pytest.fixture(scope="module")
 def yumi() -> Robot:
     return robots.load("yumi_left")
-
-
-def forward(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """The law of the class, typed in."""
-    T = robot.frames[0]
-    for position, slides, frame in zip(q, robot.prismatic, robot.frames[1:]):
-        Z = se3.from_rp(np.eye(3), [0, 0, position]) if slides else se3.from_rp(euler.rot_z(position))
-        T = T @ Z @ frame
-    return T
 
 
 def test_frozen_and_read_only(yumi: Robot) -> None:
@@ -230,21 +221,6 @@ def random_screws(rng: np.random.Generator, n: int) -> np.ndarray:
     return np.where(slides, np.hstack([axis, 0 * axis]), np.hstack([np.cross(rng.standard_normal((n, 3)), axis), axis]))
 
 
-def test_from_poe_is_the_product_of_exponentials() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(100):
-        n = int(rng.integers(2, 10))
-        screws, T_home, q = random_screws(rng, n), se3.exp(rng.standard_normal(6)), rng.uniform(-2, 2, n)
-        robot = robots.from_poe("random", screws, T_home)
-        T = np.eye(4)
-        for xi, position in zip(screws, q):
-            T = T @ se3.exp(xi * position)
-        np.testing.assert_allclose(kinematics.forward(robot, q), T @ T_home, atol=1e-12, rtol=0)
-        np.testing.assert_allclose(robot.screws, screws, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(robot.T_home, T_home, rtol=0, atol=1e-13)
-        np.testing.assert_array_equal(robot.prismatic, ~screws[:, 3:].any(axis=1))
-
-
 def test_the_ancestors_test_robot() -> None:
     """Robotlib.jl's runtests.jl: axes z y y x y x. It takes v = -p × w, so its axes go through the points -p."""
     axes = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0]], dtype=float)
@@ -312,18 +288,10 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
         r"Expected alpha in the DH table of 'r' as one column \(n,\), got shape \(2, 2\)\.",
     ),
     "columns of two lengths": (lambda: robots.from_dh("r", 0, [1, 2], [1, 2, 3]), RobotError, "of one length"),
-    "NaN in a table": (
-        lambda: robots.from_dh("r", [0.0, np.nan], 1.0, 0.0), RobotError,
-        r"Expected finite alpha in the DH table of 'r', got nan at joint 2\.",
-    ),
     "screws of five": (lambda: robots.from_poe("r", np.ones((2, 5)), ONE), RobotError, r"screws of shape \(n, 6\)"),
     "NaN in a screw": (lambda: robots.from_poe("r", np.full((1, 6), np.nan), ONE), RobotError, "for joint 1"),
     "a home that is none": (lambda: robots.from_poe("r", TURN, 2 * ONE), RobotError, "Expected T_home of robot 'r'"),
     "poses missing": (lambda: robots.from_local_poe("r", ONE[None], TURN), RobotError, r"\(n\+1, 4, 4\)"),
-    "limits reversed": (
-        lambda: two(q_min=[-1, 1], q_max=[1, -1]), RobotError,
-        r"Expected q_min below q_max at joint 2 \(joint_2\) of robot 'r', got q_min 1, q_max -1\.",
-    ),
     "no limits": (lambda: two(q_min=None), RobotError, "Expected q_min of robot 'r' to be real numbers, got None"),
     "no source": (lambda: two(source=None), RobotError, "Expected text in source of robot 'r', got None"),
     "nine inertial numbers": (lambda: two(inertias=np.zeros((2, 9))), RobotError, r"shape \(2, 10\), got \(2, 9\)"),
@@ -377,25 +345,18 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
         ("scale", "one", "Expected scale of mesh .* to be real numbers, got \'one\'"),
     )},
     **{words: (lambda wrong=wrong: two(**(LIMITS | wrong)), RobotError, words) for wrong, words in (
-        ({"q_home": [0, 3]}, r"inside the limits at joint 2 \(joint_2\) of robot 'r', got q_home 3, q_min -1"),
         ({"q_home": [np.inf, 0], "q_max": [np.inf, 1]}, "Expected a finite home position at joint 1"),
-        ({"qd_max": [0, 1]}, "Expected a positive speed limit at joint 1"),
         ({"qdd_max": [1, -1]}, "Expected a positive acceleration limit at joint 2"),
-        ({"tau_max": [1, 0]}, r"Expected a positive torque limit at joint 2 \(joint_2\) of robot 'r', got tau_max 0"),
         ({"inertias": [BODY, np.full(10, np.nan)]}, "Expected numbers in inertias of robot 'r', got NaN at index"),
         ({"inertias": [BODY, [np.inf] * 10]}, "Expected the inertia of a body for link 2 of robot 'r', got .* not"),
-        ({"inertias": [BODY, -BODY]}, "Expected the inertia of a body for link 2 of robot 'r', got a mass of -1 kg"),
         ({"inertias": [[0, 1] + [0] * 8, BODY]}, "body for link 1 of robot 'r', got moments without a mass"),
         ({"inertias": [BODY, inertia.from_body(1.0, [0, 0, 0], np.diag([-1e-3, 1, 1]))]}, r"moments \[-0.001"),
         ({"meshes": [["link.stl"], [], []]}, "Expected a robots.Mesh in meshes of robot 'r', got 'link.stl'"),
         ({"meshes": [[MESH], []]}, "Expected meshes in robot 'r' of the mount and 2 links, got 2 tuples"),
         ({"gravity": [0, 0, np.inf]}, "Expected a finite gravity"),
         ({"gravity": [0, 0, np.nan]}, r"Expected numbers in gravity of robot 'r', got NaN at index \(2,\)\."),
-        ({"coupling": np.ones((2, 2))}, "Expected a coupling of robot 'r' that can be inverted"),
         ({"joint_names": ["a"]}, r"Expected 2 different joint_names of robot 'r', got \['a'\]\."),
-        ({"joint_names": ["a", "a"]}, "Expected 2 different joint_names"),
         ({"abb_axes": [1, 3]}, r"Expected abb_axes of robot 'r' to hold 1 to 2 once each, got \[1, 3\]\."),
-        ({"abb_axes": [1, 1]}, "Expected 2 different abb_axes"),
         ({"side": "up"}, 'to be "left", "right" or "", got \'up\'.'),
         ({"qd_max": [1.0, 2.0, 3.0]}, r"qd_max of robot 'r' \(2 joints\) to have shape \(2,\), got \(3,\)"),
         ({"q_home": [0.5, np.nan]}, r"Expected numbers in q_home of robot 'r', got NaN at joint 2 \(joint_2\)\."),

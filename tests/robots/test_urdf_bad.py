@@ -213,24 +213,7 @@ def survives(text: str | bytes) -> None:
     assert sentence.endswith((".", "?"))
 
 
-DATA = ARM.encode()
 NUMBERS = [match.span() for match in re.finditer(r'(?<=[ "])-?[\d.]+(?=[ "])', ARM)]
-
-
-@settings(max_examples=100)
-@given(st.integers(0, len(DATA)), st.integers(0, len(DATA)), st.binary(max_size=8))
-def test_fuzz_cuts(i: int, j: int, junk: bytes) -> None:
-    i, j = sorted((i, j))
-    survives(DATA[:i] + junk + DATA[j:])
-
-
-@settings(max_examples=100)
-@given(st.lists(st.tuples(st.integers(0, len(DATA) - 1), st.integers(0, 255)), min_size=1, max_size=4))
-def test_fuzz_bytes(changes: list[tuple[int, int]]) -> None:
-    data = bytearray(DATA)
-    for at, byte in changes:
-        data[at] = byte
-    survives(bytes(data))
 
 
 number_like = st.floats().map(repr) | st.integers().map(str) | st.text("0123456789.e+-_naif ", max_size=12)
@@ -243,16 +226,6 @@ def test_fuzz_numbers(changes: list[tuple[tuple[int, int], str]]) -> None:
     for (begin, end), word in sorted(dict(changes).items(), reverse=True):
         text = text[:begin] + word + text[end:]
     survives(text)
-
-
-LINES = ARM.splitlines(keepends=True)
-
-
-@settings(max_examples=100)
-@given(st.lists(st.integers(0, len(LINES) - 1), max_size=2 * len(LINES)))
-def test_fuzz_lines(order: list[int]) -> None:
-    """Lines lost, doubled and in another order, inside the outermost element."""
-    survives("".join(["<robot name='a'>\n", *(LINES[i] for i in order if 2 <= i < len(LINES) - 1), "</robot>"]))
 
 
 def test_a_directory_is_no_urdf(tmp_path: Path) -> None:
