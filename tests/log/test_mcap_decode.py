@@ -22,12 +22,11 @@ from armlab.log.mcap.decode import (
     Values,
     assembled,
     decode,
-    decode_chunks,
+    decode_chunk,
     message_counts,
     messages,
     of_length,
     read_blocks,
-    split,
     variant_of,
 )
 from armlab.log.mcap.records import contents, unpacked
@@ -186,12 +185,11 @@ def test_a_channel_whose_columns_would_be_holes_is_left_out_alone() -> None:
 
 def test_an_index_that_cannot_be_true_takes_no_room_and_is_not_believed(numbered) -> None:
     view, found = numbered.written([numbered.message(row, [float(row)] * (1 + row % 3)) for row in range(30)])
-    first, other = ((chunk, unpacked(view, chunk)) for chunk in found.chunks[:2])
-    start, stop = first[0].indexes[1]
-    whole = decode_chunks(view, [first, other], numbered.readers(), True)
+    chunk, data = found.chunks[0], unpacked(view, found.chunks[0])
+    start, stop = chunk.indexes[1]
+    whole = decode_chunk(view, chunk, data, numbered.readers(), True)
     for wrong in ((start + 8, stop + 8), (7, 7 + stop - start)):
-        moved = (replace(first[0], indexes={1: wrong}), first[1])
-        parts = decode_chunks(view, [moved, other], numbered.readers(), True)
+        parts = decode_chunk(view, replace(chunk, indexes={1: wrong}), data, numbered.readers(), True)
         assert np.array_equal(parts[1].sequence, whole[1].sequence)
     view, found = numbered.written([numbered.message(row, [1.0]) for row in range(100)])
     chunks = list(found.chunks)
@@ -237,7 +235,7 @@ def test_messages_that_do_not_fit_are_left_out_alone(made: list[tuple[int, int, 
     assert read.rows.tolist() == whole
     assert read.bad == len(made) - len(whole)
     assert ("do not fit" in read.reason) == bool(read.bad)
-    fields = split(assembled(len(whole), read.pieces))
+    fields = assembled(len(whole), read.pieces)
     assert fields.get("a", np.zeros((0, 1))).ravel().tolist() == whole
     if "x" in fields:
         assert [row[~np.isnan(row)].tolist() for row in fields["x"]] == [[float(k)] * made[k][1] for k in whole]
@@ -259,7 +257,7 @@ def test_as_many_columns_as_messages_are_read_or_refused_at_once() -> None:
     ]
     with pytest.raises(LogError, match="got 20000 rows with 20000 numbers, up to 1 in x0: 20000 name"):
         assembled(20_000, pieces)
-    values = split(assembled(2000, pieces[:2000]))
+    values = assembled(2000, pieces[:2000])
     assert len(values) == 2000
     assert np.isfinite(values["x7"][:, 0]).nonzero()[0].tolist() == [7]
 
@@ -269,4 +267,4 @@ def test_counts_with_holes_in_one_piece_stay_missing_where_another_piece_has_non
     path = "clamped"
     whole, holed = np.array([[1], [2]], dtype=np.uint8), np.array([[np.nan], [4.0]])
     pieces = [(np.array([0, 1]), {((path, 1),): whole}), (np.array([2, 3]), {((path, 1),): holed})]
-    np.testing.assert_array_equal(split(assembled(4, pieces))[path][:, 0], [1.0, 2.0, np.nan, 4.0])
+    np.testing.assert_array_equal(assembled(4, pieces)[path][:, 0], [1.0, 2.0, np.nan, 4.0])

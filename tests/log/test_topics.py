@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from armlab import log, robots
 from armlab.errors import LogError, UnknownName
 from armlab.log.column import Column
-from armlab.log.mcap.decode import MessageReader, assembled, read_blocks, split
+from armlab.log.mcap.decode import MessageReader, assembled, read_blocks
 from armlab.log.topics.messages import TopicMessages
 from armlab.log.topics.reader import WRENCH, Choice, is_foreign, read_topics, table_of_streams
 from armlab.log.topics.streams import JOINTS, Stream, TopicFields, columns_of_fields, streams_of
@@ -309,7 +309,7 @@ uint8[] picture
 def fields(ros: Any, topic: TopicFields, *raws: bytes) -> dict[str, np.ndarray]:
     reader = MessageReader(topic.type, topic.types, None, topic.named)
     blocks = ((np.array([row]), np.frombuffer(raw, np.uint8)[None]) for row, raw in enumerate(raws))
-    return split(assembled(len(raws), read_blocks(len(raws), blocks, reader).pieces))
+    return assembled(len(raws), read_blocks(len(raws), blocks, reader).pieces)
 
 
 def test_a_state_of_one_message(ros: Any) -> None:
