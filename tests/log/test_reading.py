@@ -28,31 +28,16 @@ def test_every_column_comes_back_bit_for_bit(recording: Callable[..., Path], row
     count = 300  # more than a chunk
     table = read(recording(count))
     samples = [rows(i) for i in range(count)]
-    expected = {
-        name: np.array([getattr(state, name) for state, _, _ in samples])
-        for name in ("q", "qd", "tau", "seq", "missed", "q_planned", "wrench_raw", "motors", "mci", "rapid")
-    }
-    expected |= {"q_ref": np.array([c.q for _, c, _ in samples]), "qd_ref": np.array([c.qd for _, c, _ in samples])}
-    for name in ("fext", "mode", "wrench_hat", "wrench_hat_cov"):
-        expected[name] = np.array([command.record[name] for _, command, _ in samples])
-    for name in (
-        "q_sent",
-        "qd_sent",
-        "clamped",
-        "seq_sent",
-        "send_ns",
-        "receive_ns",
-        "step_ns",
-        "wake_ns",
-        "late",
-        "drops",
-    ):
-        expected[name] = np.array([getattr(tick, name) for _, _, tick in samples])
-    expected |= {
-        name: np.array([getattr(s, name) for s, _, _ in samples]) for name in ("dt", "utilization", "converged")
-    }
-    for name, array in expected.items():
-        assert np.array_equal(table[name], array), name
+    states, commands, ticks = zip(*samples, strict=True)
+    of_state = ["q", "qd", "tau", "seq", "missed", "q_planned", "wrench_raw", "motors", "mci", "rapid", "dt"]
+    of_state += ["utilization", "converged"]
+    of_tick = ["q_sent", "qd_sent", "clamped", "seq_sent", "send_ns", "receive_ns", "step_ns", "wake_ns", "late"]
+    expected = {name: [getattr(state, name) for state in states] for name in of_state}
+    expected |= {name: [getattr(tick, name) for tick in ticks] for name in [*of_tick, "drops"]}
+    expected |= {f"{name}_ref": [getattr(command, name) for command in commands] for name in ("q", "qd")}
+    expected |= {name: [command.record[name] for command in commands] for name in commands[0].record}
+    for name, values in expected.items():
+        assert np.array_equal(table[name], values), name
     poses = np.array([state.T_frame_tool for state, _, _ in samples])
     assert table["T_frame_tool"] == pytest.approx(poses, abs=1e-14)
     assert table.clock == "robot"
