@@ -343,23 +343,6 @@ def test_other_files_are_refused_with_line_and_column(tmp_path: Path, read, text
         read(tmp_path / "missing.txt")
 
 
-@pytest.mark.parametrize(("read", "text"), [(read_cloud, CLOUD), (read_plane, PLANE)])
-def test_cut_at_every_byte_or_with_wrong_ones(tmp_path: Path, read, text: str) -> None:
-    rng = np.random.default_rng(0)
-    spoilt = []
-    for _ in range(50):
-        data = bytearray(text.encode())
-        data[rng.integers(0, len(data))] = rng.integers(0, 256)
-        spoilt.append(bytes(data))
-    path = tmp_path / "spoilt.txt"
-    for data in [text.encode()[:n] for n in range(0, len(text), 3)] + spoilt:
-        path.write_bytes(data)
-        try:
-            read(path)
-        except LogError as error:
-            assert str(error).endswith(".")  # noqa: PT017
-
-
 def pose_file(tmp_path: Path, M: np.ndarray, **more: np.ndarray) -> Path:
     path = tmp_path / "pose.mat"
     savemat(path, {"T_a_b": M, **more})

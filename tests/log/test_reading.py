@@ -78,22 +78,6 @@ def test_absent_data_have_no_column(tmp_path: Path, robot: Robot) -> None:
     assert np.allclose(table.t, np.arange(30) * 0.004)
 
 
-def test_values_given_in_some_rows_only_are_nan_in_the_others(tmp_path: Path, robot: Robot, rows: Callable) -> None:
-    with Recorder(tmp_path / "some.mcap", robot) as recorder:
-        for i in range(50):
-            state, command, tick = rows(i)
-            command = Command(record={"wrench_hat": command.record["wrench_hat"]}) if i % 5 == 0 else None
-            tau = np.full(7, np.nan) if i < 10 else state.tau
-            recorder.row(State(state.t, state.dt, state.q, state.qd, tau, robot_ns=state.robot_ns), command, tick)
-    table = read(recorder.path)
-    given = np.arange(50) % 5 == 0
-    assert np.all(np.isnan(table["wrench_hat"][~given]))
-    assert np.array_equal(table["wrench_hat"][10], rows(10)[1].record["wrench_hat"])
-    assert np.all(np.isnan(table["wrench_hat"]).any(axis=1) == ~given)
-    assert table.missing()["tau"] == (10, tuple(range(10)))
-    assert "wrench_hat_cov" not in table
-
-
 def test_some_columns_or_one_robot_only(
     recording: Callable[..., Path], tmp_path: Path, robot: Robot, rows: Callable
 ) -> None:

@@ -26,7 +26,7 @@ from armlab.log.recording import file as recording_file
 from armlab.log.recording.file import MAX_CHUNK_ROWS, PersistentFile, RecordingFile, recording_path
 from armlab.log.recording.recorder import QUEUE_ROWS
 from armlab.log.recording.rows import RowLayout
-from armlab.robots import Robot, from_toml
+from armlab.robots import Robot
 from armlab.state import Command
 
 
@@ -383,22 +383,6 @@ def test_waiting_instead_of_dropping(
     assert disk().gate.is_set()
     assert recorder.dropped == 0
     assert len(read(recorder.path, raw=True)) == count
-
-
-def test_everything_but_rows_is_on_the_disk_after_construction(tmp_path: Path, robot: Robot) -> None:
-    file = RecordingFile(tmp_path / "run.mcap", robot, RowLayout(robot), {"a.toml": b"a"}, "mine")
-    held = inspect(file.path)
-    assert held.metadata["armlab"]["note"] == "mine"
-    assert held.attachments["a.toml"] == b"a"
-    assert from_toml(held.attachments["robot.toml"].decode(), "it").hash == robot.hash
-    assert not held.events
-    assert len(held.topics) == 18
-    file.event("first", 5)
-    file.finish({})
-    assert [(event.stamp_ns, event.text) for event in inspect(file.path).events] == [
-        (5, "recording yumi_right"),
-        (5, "first"),
-    ]
 
 
 def test_each_row_is_there_at_once_and_no_chunk_is_longer_than_a_second(
