@@ -96,20 +96,18 @@ def test_whole_numbers_beyond_every_float_are_infinite(tmp_path: Path) -> None:
 
 
 def test_files_that_are_no_text(tmp_path: Path) -> None:
+    path, packed = tmp_path / "log.csv", gzip.compress(ROWS.encode())
     with pytest.raises(LogError, match="No such file"):
-        read_csv(tmp_path / "none.csv")
-    path = tmp_path / "log.csv"
-    path.write_bytes(b"PAR1\0\0\0\0")
-    with pytest.raises(LogError, match="got a file of format Parquet"):
         read_csv(path)
-    packed = gzip.compress(ROWS.encode())
-    for damaged in (packed[:-12], packed[:10] + b"\0\0\0\0\0" + packed[15:]):
-        path.write_bytes(damaged)
-        with pytest.raises(LogError, match="delimited text in UTF-8"):
+    for data, words in (
+        (b"PAR1\0\0\0\0", "got a file of format Parquet"),
+        (packed[:-12], "delimited text in UTF-8"),
+        (packed[:10] + b"\0\0\0\0\0" + packed[15:], "delimited text in UTF-8"),
+        (b"t,\xff\n0,1\n", "delimited text in UTF-8"),
+    ):
+        path.write_bytes(data)
+        with pytest.raises(LogError, match=words):
             read_csv(path)
-    path.write_bytes(b"t,\xff\n0,1\n")
-    with pytest.raises(LogError, match="delimited text in UTF-8"):
-        read_csv(path)
     with pytest.raises(LogError, match="one character as separator"):
         read_csv(path, separator="tab")
 

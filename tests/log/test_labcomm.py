@@ -137,12 +137,13 @@ def test_bad_streams_name_the_byte(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=words) as told:
         read(path)
     assert "\n" not in str(told.value)
-    path.write_bytes(stream("2014v1", []))
-    with pytest.raises(LogError, match="got definitions at most"):
-        read(path)
-    path.write_bytes(b"\x01\x02other bytes\0")
-    with pytest.raises(LogError, match="got a file of format"):
-        read_labcomm(path)
+    for data, words in (
+        (stream("2014v1", []), "got definitions at most"),
+        (b"\x01\x02other bytes\0", "a file of format"),
+    ):
+        path.write_bytes(data)
+        with pytest.raises(LogError, match=words):
+            read_labcomm(path)
     with pytest.raises(LogError, match="No such file"):
         read_labcomm(tmp_path / "none")
 
@@ -176,12 +177,10 @@ def test_a_sample_that_is_declared_with_two_types(tmp_path: Path) -> None:
 
 def test_one_long_value_does_not_ask_for_memory_in_all_rows(tmp_path: Path) -> None:
     path = tmp_path / "run.labcomm"
-    path.write_bytes(stream("2014", [("force", [0.5] * (200_000 if k == 7 else 1)) for k in range(2000)]))
-    with pytest.raises(LogError, match=r"run\.labcomm.*Expected values that are alike, got 2000 rows with"):
-        read_labcomm(path, rate=1.0)
-    path.write_bytes(stream("2014", [("word", "x" * (500_000 if k == 7 else 1)) for k in range(2000)]))
-    with pytest.raises(LogError, match=r"run\.labcomm.*Expected values that are alike, got 2000 rows with"):
-        read_labcomm(path, rate=1.0)
+    for name, one, most in (("force", [0.5], 200_000), ("word", "x", 500_000)):
+        path.write_bytes(stream("2014", [(name, one * (most if k == 7 else 1)) for k in range(2000)]))
+        with pytest.raises(LogError, match=r"run\.labcomm.*Expected values that are alike, got 2000 rows with"):
+            read_labcomm(path, rate=1.0)
 
 
 def test_rows_are_those_of_the_sample_that_paces(tmp_path: Path) -> None:
