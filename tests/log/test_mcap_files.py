@@ -43,10 +43,6 @@ def test_damage_of_the_summary_or_of_the_header(recording: Callable[..., Path]) 
         found = contents(memoryview(data))
         assert found.indexed == is_believed
         assert (found.channels, len(found.chunks)) == (good.channels, len(good.chunks))
-    with pytest.raises(LogError, match="Expected an MCAP file"):
-        contents(memoryview(b"not MCAP"))
-    with pytest.raises(LogError, match="Expected the header"):
-        contents(memoryview(MAGIC + bytes([5]) + (0).to_bytes(8, "little")))
     data = bytearray(whole)
     data[good.chunks[0].data[0] + 30] ^= 1
     assert records_at(memoryview(data), contents(memoryview(data)), good.chunks[0]) is None

@@ -184,19 +184,6 @@ def test_every_error_of_reading_names_the_file(tmp_path: Path) -> None:
         raise LogError("Expected no end in a.mcap.")
 
 
-def test_an_unfinished_file_is_read_with_one_warning(recording: Callable[..., Path], tmp_path: Path) -> None:
-    whole = recording(600)
-    data = whole.read_bytes()
-    torn = tmp_path / "torn.mcap"
-    torn.write_bytes(data[: len(data) // 2])
-    with pytest.warns(UserWarning, match="torn.mcap was not finished: recovered 250 rows.*armlab log recover") as told:
-        table = read(torn)
-    assert len(told) == 1
-    assert np.array_equal(table["q"], read(whole)["q"][:250])
-    assert "bytes torn" in table.notes[0]
-    assert torn.read_bytes() == data[: len(data) // 2]
-
-
 def test_a_damaged_chunk_costs_its_rows_only(recording: Callable[..., Path], tmp_path: Path) -> None:
     whole = recording(600)
     data = bytearray(whole.read_bytes())
