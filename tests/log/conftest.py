@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import io
-import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 
 import armlab
 from armlab import robots
 from armlab.errors import LogError
 from armlab.log import Column, Recorder, Tick
-from armlab.log.mcap.decode import MessageReader
-from armlab.log.mcap.records import Contents, contents
 from armlab.robots import Robot
 from armlab.state import Command, State
-from armlab.wire.cdr import definitions
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 4_032_000
@@ -179,41 +173,3 @@ class Ros:
 @pytest.fixture(scope="session")
 def ros() -> Ros:
     return Ros()
-
-
-TYPE, TEXT = "t/msg/T", "int32 a\nfloat32 b\nfloat64[] x"
-
-
-class Numbered:
-    """MCAP files whose messages are a number, its half and some more, of sizes and byte orders that are chosen."""
-
-    @staticmethod
-    def message(a: int, x: list[float], order: str = "<") -> bytes:
-        """Return one message."""
-        raw = bytes([0, order == "<", 0, 0]) + struct.pack(f"{order}ifI", a, a / 2, len(x))
-        return raw + b"\0" * (-(len(raw) - 4) % 8) + struct.pack(f"{order}{len(x)}d", *x)
-
-    @staticmethod
-    def written(messages: list[bytes]) -> tuple[memoryview, Contents]:
-        """Write messages on channel 1 in chunks of a few; channel 2 has none."""
-        out = io.BytesIO()
-        writer = Writer(out, chunk_size=500)
-        writer.start()
-        schema = writer.register_schema(TYPE, "ros2msg", TEXT.encode())
-        for topic in ("/states", "/none"):
-            writer.register_channel(topic, "cdr", schema)
-        for row, raw in enumerate(messages):
-            writer.add_message(1, row, raw, row, row)
-        writer.finish()
-        view = memoryview(out.getvalue())
-        return view, contents(view)
-
-    @staticmethod
-    def readers() -> dict[int, MessageReader]:
-        """Return readers of all numbers."""
-        return {number: MessageReader(TYPE, definitions(TYPE, TEXT), None) for number in (1, 2)}
-
-
-@pytest.fixture
-def numbered() -> type[Numbered]:
-    return Numbered

@@ -21,10 +21,8 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 from ruamel.yaml import YAML
 
-from armlab import log, robots
+from armlab import robots
 from armlab.errors import LogError, RobotError
-from armlab.log.mcap.records import contents
-from armlab.log.recording.columns import clock_channel, kept_clock, sources_of
 from armlab.log.recording.metadata import (
     SECRET,
     Event,
@@ -39,7 +37,6 @@ from armlab.log.recording.metadata import (
     revision,
 )
 from armlab.log.recording.recorder import Recorder
-from armlab.log.recording.ros_messages import T0_KEY
 from armlab.robots import Robot, from_toml, load, to_toml
 
 MARKER = "q7Zw"
@@ -299,15 +296,3 @@ def test_settings_of_parameters(tmp_path: Path) -> None:
         writer.add_message(channel, 5, b"\0\0\0\0" + struct.pack(">q", 5) + b"".join(texts), 5, 5)
         writer.finish()
     assert inspect(other).parameters == (Setting(5, 5, "a", 7, "b"),)
-
-
-def test_the_clock_that_is_written_beside_t(recording: Callable[..., Path], tmp_path: Path) -> None:
-    table = log.read(recording(30)).shifted(5.0)
-    path = log.write(table, tmp_path / "shifted.mcap", robots.load("yumi_right"))
-    found = contents(memoryview(path.read_bytes()))
-    sources = sources_of(found, clock_channel(found, path, None))
-    assert kept_clock(found, sources, 0, "") == (table.t0_ns, "robot")
-    assert kept_clock(found, {}, 3, "file") == (3, "file")
-    found.channels[sources["t"].channel].metadata[T0_KEY] = "today"
-    with pytest.raises(LogError, match="got 'today'"):
-        kept_clock(found, sources, 0, "")

@@ -22,27 +22,15 @@ from armlab.errors import ConfigError, LogError, ShapeError, UnknownName
 from armlab.lie import quaternion
 from armlab.log import Column, Log, Recorder, inspect, read, recover
 from armlab.log.mcap.records import contents
-from armlab.log.recording import file as recording_file
 from armlab.log.recording.file import MAX_CHUNK_ROWS, PersistentFile, RecordingFile, recording_path
 from armlab.log.recording.recorder import QUEUE_ROWS
 from armlab.log.recording.rows import RowLayout
-from armlab.robots import Robot, from_toml
+from armlab.robots import Robot
 from armlab.state import Command
 
 
 def event_texts(path: Path) -> list[str]:
     return [event.text for event in inspect(path).events]
-
-
-def test_an_existing_file_is_never_overwritten(tmp_path: Path, robot: Robot, rows: Callable) -> None:
-    paths = []
-    for count in (1, 2, 3):
-        with Recorder(tmp_path / "logs" / "run.mcap", robot) as recorder:
-            for i in range(count):
-                recorder.row(*rows(i))
-        paths.append(recorder.path)
-    assert [path.name for path in paths] == ["run.mcap", "run-2.mcap", "run-3.mcap"]
-    assert [len(read(path)) for path in paths] == [1, 2, 3]
 
 
 def test_what_cannot_be_recorded_is_refused_at_once(tmp_path: Path, robot: Robot) -> None:
@@ -133,28 +121,11 @@ def test_a_finished_file_is_read_by_rosbags_and_by_mcap(recording: Callable[...,
         )
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        assert summary.statistics.channel_message_counts[2] == 40
         assert reader.get_header().profile == "ros2"
         assert {attachment.name for attachment in reader.iter_attachments()} == {"robot.toml", "summary.json"}
         decoded = list(reader.iter_decoded_messages())
     assert len(decoded) == sum(topic.messages for topic in inspect(path).topics)
     assert [message.tick for _, channel, _, message in decoded if channel.topic.endswith("/tick")] == list(range(40))
-
-
-def test_names_of_joints_in_messages_do_not_change_the_table(
-    recording: Callable[..., Path], robot: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Recordings from before have the names of the description in their messages."""
-    now = read(recording(3))
-    with monkeypatch.context() as before:
-        before.setattr(Robot, "ros_joint_names", property(lambda robot: robot.joint_names))
-        then = read(recording(3, "before.mcap"))
-    assert now.columns == then.columns
-    assert now.columns["q"].labels == robot.joint_names
-    assert now.sha256 == then.sha256
 
 
 def test_closing_twice_and_rows_after_closing(tmp_path: Path, robot: Robot, rows: Callable) -> None:
@@ -215,101 +186,6 @@ def test_ctrl_c_leaves_a_complete_file_also_when_nobody_closes_the_recorder(tmp_
 
 
 PATIENCE = 20.0  # s: only a test that fails waits so long
-
-
-class Stalled:
-    """A file whose disk stands still until it is released; `fails` makes it full in the next write, by half."""
-
-    def __init__(self, file) -> None:
-        self.file, self.gate, self.fails = file, threading.Event(), False
-        self.gate.set()
-        self.reached = threading.Event()
-
-    def write(self, data) -> int:
-        if not self.gate.is_set():
-            self.reached.set()
-        self.gate.wait(PATIENCE)
-        if self.fails:
-            self.file.write(data[: len(data) // 2])
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return self.file.write(data)
-
-    def __getattr__(self, name: str):
-        return getattr(self.file, name)
-
-
-@pytest.fixture
-def disk(monkeypatch: pytest.MonkeyPatch) -> Callable[[], Stalled]:
-    made: list[Stalled] = []
-    real = recording_file.open_new
-
-    def opened(path: Path):
-        file, path = real(path)
-        made.append(Stalled(file))
-        return made[-1], path
-
-    monkeypatch.setattr(recording_file, "open_new", opened)
-    return lambda: made[-1]
-
-
-def test_a_stalled_disk_drops_rows_counts_them_exactly_and_keeps_the_rest(
-    tmp_path: Path, robot: Robot, rows: Callable, disk: Callable[[], Stalled]
-) -> None:
-    sample = [rows(i) for i in range(50)]
-    recorder = Recorder(tmp_path / "run.mcap", robot)
-    stalled = disk()
-    stalled.gate.clear()
-
-    def put(i: int) -> bool:
-        state, command, tick = sample[i % 50]
-        return recorder.row(state, command, tick._replace(number=i))
-
-    i = 0
-    while not stalled.reached.is_set():  # until the writer hangs in the disk
-        assert put(i)
-        i += 1
-        stalled.reached.wait(0.002)
-    accepted = [put(i) for i in range(i, i + QUEUE_ROWS + 300)]
-    dropped = accepted.count(False)
-    assert dropped > 0
-    assert accepted.index(False) == len(accepted) - dropped
-    assert recorder.dropped == dropped
-    stalled.gate.set()
-    last = i + len(accepted)
-    while not put(last):  # the first row that finds room ends the hole
-        dropped += 1
-        last += 1
-    recorder.close()
-    table = read(recorder.path, raw=True)
-    first = i + accepted.index(False)
-    assert recorder.dropped == dropped
-    assert np.array_equal(table["tick"], [*range(first), last])
-    assert inspect(recorder.path).summary["holes"] == [[first, last - 1, dropped]]
-    told = [event.text for event in inspect(recorder.path).events]
-    assert any(f"{dropped} rows were dropped, ticks {first} to {last - 1}" in text for text in told)
-    assert len(table) == recorder.rows
-    assert table.notes[0] == f"{dropped} rows were dropped while recording: ticks {first} to {last - 1}"
-
-
-def test_a_full_disk_stops_the_recorder_not_the_loop(
-    tmp_path: Path, robot: Robot, rows: Callable, disk: Callable[[], Stalled]
-) -> None:
-    recorder = Recorder(tmp_path / "run.mcap", robot)
-    for i in range(recording_file.MAX_CHUNK_ROWS):
-        assert recorder.row(*rows(i))
-    disk().fails = True
-    i = recording_file.MAX_CHUNK_ROWS
-    while recorder.failed is None:
-        recorder.row(*rows(i % 300))
-        i += 1
-    assert not recorder.row(*rows(0))
-    assert "No space left on device" in recorder.failed
-    assert recorder.failed.endswith(".")
-    recorder.close()
-    assert recorder.rows + recorder.dropped == i + 1
-    assert inspect(recorder.path).torn == 0  # of the write that failed half-way nothing is left
-    with pytest.warns(UserWarning, match="not finished"):
-        assert len(read(recorder.path, raw=True)) == recorder.rows
 
 
 def test_a_disk_that_is_slow_to_sync_holds_up_no_row(
@@ -387,35 +263,20 @@ def test_a_sync_that_fails_stops_the_recorder(
 
 
 def test_waiting_instead_of_dropping(
-    tmp_path: Path, robot: Robot, rows: Callable, disk: Callable[[], Stalled], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A link in lockstep keeps no real time: nothing may be lost."""
     sample, count = rows(0), 2 * QUEUE_ROWS + 1  # the thread that hangs in the disk has taken a full queue at most
     with Recorder(tmp_path / "run.mcap", robot, wait=True) as recorder:
-        disk().gate.clear()
-        waited = SimpleNamespace(monotonic=time.monotonic, sleep=lambda _: disk().gate.set())
+        moves, write = threading.Event(), recorder._file.write
+        monkeypatch.setattr(recorder._file, "write", lambda *rows: moves.wait(PATIENCE) and write(*rows))
+        waited = SimpleNamespace(monotonic=time.monotonic, sleep=lambda _: moves.set())
         monkeypatch.setattr("armlab.log.recording.recorder.time", waited)  # the disk comes back once row() waits
         for i in range(count):
             assert recorder.row(sample[0], None, sample[2]._replace(number=i))
-    assert disk().gate.is_set()
+    assert moves.is_set()
     assert recorder.dropped == 0
     assert len(read(recorder.path, raw=True)) == count
-
-
-def test_everything_but_rows_is_on_the_disk_after_construction(tmp_path: Path, robot: Robot) -> None:
-    file = RecordingFile(tmp_path / "run.mcap", robot, RowLayout(robot), {"a.toml": b"a"}, "mine")
-    held = inspect(file.path)
-    assert held.metadata["armlab"]["note"] == "mine"
-    assert held.attachments["a.toml"] == b"a"
-    assert from_toml(held.attachments["robot.toml"].decode(), "it").hash == robot.hash
-    assert not held.events
-    assert len(held.topics) == 18
-    file.event("first", 5)
-    file.finish({})
-    assert [(event.stamp_ns, event.text) for event in inspect(file.path).events] == [
-        (5, "recording yumi_right"),
-        (5, "first"),
-    ]
 
 
 def test_each_row_is_there_at_once_and_no_chunk_is_longer_than_a_second(

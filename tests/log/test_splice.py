@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import resource
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from rosbags.highlevel import AnyReader
 from armlab import log, robots
 from armlab.errors import ConfigError, LogError, UnknownName
 from armlab.log import Column, Recorder, cut, inspect, merge, read
-from armlab.log.recording.splice import Source, attachments, metadata, opened_source, summary
 from armlab.robots import Robot
 
 ROWS = 300
@@ -55,20 +53,6 @@ def test_the_rows_are_those_of_between_to_the_last_bit(
     assert (part.t0_ns, part.clock, part.source[1:]) == (table.t0_ns, table.clock, table.source)
     assert part.t[0] == table.t[0] >= start
     assert part["fext"].shape == (len(table), 6)
-
-
-def test_columns_whose_names_differ_only_in_signs_are_not_mixed_up(
-    tmp_path: Path, rows: Callable, robot: Robot
-) -> None:
-    columns = {name: Column((6,), unit="N") for name in ("a.b", "a_b")}
-    with Recorder(tmp_path / "run.mcap", robot, extra=columns) as recorder:
-        for i in range(100):
-            state, command, tick = rows(i)
-            record = {"a.b": np.full(6, i), "a_b": np.full(6, -i)}
-            recorder.row(state, replace(command, record=record), tick)
-    part = read(cut(recorder.path, tmp_path / "part.mcap", 0.1, 0.3))
-    assert part.sha256 == read(recorder.path).between(0.1, 0.3).sha256
-    assert np.array_equal(part["a.b"], -part["a_b"])
 
 
 def test_a_cut_is_a_whole_recording_with_all_that_belongs_to_it(record: Callable[..., Path], tmp_path: Path) -> None:
@@ -233,15 +217,8 @@ def test_rows_out_of_order_stay_reachable(tmp_path: Path, robot: Robot, rows: Ca
     assert len(read(tmp_path / "part.mcap", raw=True)) == len(part) + 2
 
 
-@pytest.fixture
-def small_disk() -> Iterator[Callable[[int], None]]:
-    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, limit[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, limit)
-
-
 def test_a_full_disk_and_ctrl_c_leave_nothing_behind(
-    record: Callable[..., Path], tmp_path: Path, small_disk: Callable[[int], None]
+    record: Callable[..., Path], tmp_path: Path, full_disk: Callable
 ) -> None:
     path, to = record("run.mcap"), tmp_path / "to.mcap"
     to.write_bytes(b"mine")
@@ -251,8 +228,7 @@ def test_a_full_disk_and_ctrl_c_leave_nothing_behind(
 
     with pytest.raises(KeyboardInterrupt):
         cut(path, to, 0.1, progress=interrupt)
-    small_disk(50_000)
-    with pytest.raises(LogError, match=rf"Expected to write {to}, got: File too large\."):
+    with full_disk(), pytest.raises(LogError, match=rf"Expected to write {to}, got: File too large\."):
         cut(path, to, 0.1)
     assert to.read_bytes() == b"mine"
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["run.mcap", "to.mcap"]
@@ -272,18 +248,6 @@ def holed(tmp_path: Path, rows: Callable) -> Callable[..., Path]:
     return recorded
 
 
-def test_holes_of_the_recorder_are_told_where_they_are(holed: Callable[..., Path]) -> None:
-    path = holed("run.mcap", (20, 21, 40))
-    assert inspect(path).summary["holes"] == [[20, 21, 2], [40, 40, 1]]
-    with opened_source(path) as source:
-        assert isinstance(source, Source)
-        assert (summary([source], "all")["rows"], summary([source], "all")["dropped"]) == (57, 3)
-        source.arms[0].cut(source.arms[0].rows.t[10], source.arms[0].rows.t[30])
-        told = summary([source], "between")
-    assert (told["rows"], told["dropped"], told["holes"]) == (20, 2, [[20, 21, 2, 20, "yumi_right"]])
-    assert told["source"][-1] == "between"
-
-
 def test_holes_stay_with_the_recording_and_the_arm_that_have_them(holed: Callable[..., Path], tmp_path: Path) -> None:
     """In one file of two recordings, or of two arms, a tick does not say whose it is: all begin with 0."""
     both = merge([holed("a.mcap", ()), holed("b.mcap", (20, 21), first=60)], tmp_path / "both.mcap")
@@ -297,13 +261,3 @@ def test_holes_stay_with_the_recording_and_the_arm_that_have_them(holed: Callabl
     for path in (arms, cut(arms, tmp_path / "again.mcap")):
         assert "2 rows were dropped while recording: ticks 20 to 21" in read(path, robot="yumi_left").notes
         assert "1 rows were dropped while recording: ticks 40 to 40" in read(path, robot="yumi_right").notes
-
-
-def test_what_several_have_under_one_name_gets_a_number(recording: Callable[..., Path]) -> None:
-    first = recording(5, "a.mcap", attachments={"m.toml": b"1", "n": b"3"})
-    second = recording(5, "b.mcap", attachments={"m.toml": b"2", "n": b"3"}, note="other")
-    with opened_source(first) as a, opened_source(second) as b:
-        named = {name: data for _, name, _, data in attachments([a, b, a])}
-        assert {"m.toml": b"1", "m-2.toml": b"2", "n": b"3"}.items() <= named.items()
-        assert [name for name, _ in metadata([a, b, a])] == ["armlab", "armlab-2"]
-        assert a.start_ns == b.start_ns < a.end_ns

@@ -15,7 +15,7 @@ from armlab import glossary
 from armlab.errors import LogError, ShapeError, UnknownName
 from armlab.lie import quaternion, se3, so3
 from armlab.log import Column, Table, concat
-from armlab.log.column import alias, refuse_ragged, resolved, stored
+from armlab.log.column import alias, refuse_ragged
 from armlab.log.table import QD_SOURCES, TAU_SOURCES, component_names, missing_rows, statistics
 
 
@@ -73,6 +73,9 @@ def test_values_are_read_only_and_independent_of_the_callers_array() -> None:
         ({"mine": np.zeros(3)}, {"mine": Column(unit="1", kind="odd")}, "kind of column"),
         ({"mine": np.zeros((3, 2))}, {"mine": Column(unit="1", labels=("a",))}, "Expected 2 labels"),
         ({"seq": [0.0, 0.5, 1.0]}, {}, "whole numbers"),
+        ({"seq": [0.0, 2.0**70, 1.0]}, {}, "whole numbers"),
+        ({"late": [0, 1, 2]}, {}, "whole numbers"),
+        ({"dt": 1.0}, {}, "one value per row"),
         ({"q": [["a"], ["b"], ["c"]]}, {}, "Expected numbers"),
         ({}, {"q": Column()}, "that have values"),
         ({"t": [0.0, 1.0, 2.0]}, {"t": Column(unit="s")}, "columns besides t, the clock"),
@@ -163,13 +166,10 @@ def test_states_carry_the_columns_and_nothing_else() -> None:
     table = example().with_column("session", np.repeat([1, 2], 25)).without("tau")
     states = list(table.states())
     assert len(states) == 50
-    assert np.array_equal(states[3].q, table["q"][3])
-    assert states[3].t == table.t[3]
-    assert states[3].dt == table.dt[3]
-    assert states[3].seq == 103
-    assert np.all(np.isnan(states[3].tau))
-    assert states[3].tau_source == "none"
-    assert np.all(np.isnan(states[3].wrench))
+    state = states[3]
+    assert np.array_equal(state.q, table["q"][3])
+    assert (state.t, state.dt, state.seq, state.tau_source) == (table.t[3], table.dt[3], 103, "none")
+    assert np.isnan([*state.tau, *state.wrench]).all()
     assert np.array_equal(states[20].q_start, table["q"][0])
     assert np.array_equal(states[30].q_start, table["q"][25])
     with pytest.raises(UnknownName, match="'q'"):
@@ -234,31 +234,30 @@ def test_pickle_and_extreme_sizes() -> None:
     assert list(empty.states()) == []
 
 
-def test_stored_values_have_the_type_of_their_kind() -> None:
-    for name, values, dtype in (
-        ("q", [[1, 2]], "<f8"),
+@pytest.mark.parametrize(
+    ("name", "values", "dtype"),
+    [
+        ("q", [[1, 2], [3, 4]], "<f8"),
         ("seq", [1.0, 2.0], "<i8"),
         ("late", [0, 1], "|b1"),
         ("dt", np.ones(2, dtype=np.float32), "<f8"),
         ("dt", np.ones(2, dtype=">f8"), "<f8"),
-    ):
-        array, column, note = stored(name, values, None)
-        assert array.dtype.str == dtype
-        assert not array.flags.writeable
-        assert column.shape == array.shape[1:]
-        assert note == ""
-    array, column, note = stored("late", [0.0, np.nan], None)
-    assert (column.kind, np.isnan(array[1])) == ("real", True)
-    assert note == "late: flag with missing values, kept as real"
-    assert Table([0.0, 1.0], {"late": [0.0, np.nan]}).notes == (note,)
-    column = resolved(Column(shape=(), unit="m"), "x")  # the phase of a primitive in the glossary, here a coordinate
+        ("late", [0.0, np.nan], "<f8"),
+    ],
+)
+def test_stored_values_have_the_type_of_their_kind(name: str, values: list, dtype: str) -> None:
+    table = Table([0.0, 1.0], {name: values})
+    assert table[name].dtype.str == dtype
+    if dtype == "<f8" and name == "late":
+        assert table.columns[name].kind == "real"
+        assert table.notes == ("late: flag with missing values, kept as real",)
+
+
+def test_a_name_that_is_no_column_of_the_glossary_takes_the_unit_that_is_given() -> None:
+    column = Table([0.0], {"x": [1.0]}, {"x": Column(unit="m")}).columns["x"]
     assert (column.unit, column.kind) == ("m", "real")
-    assert glossary.lookup("x").unit == "1"
+    assert glossary.lookup("x").unit == "1"  # the phase of a primitive
     assert "x" not in glossary.columns()
-    assert glossary.columns()["q"] is glossary.lookup("q")
-    for name, values in (("seq", [2.0**70]), ("late", [2]), ("dt", 1.0)):
-        with pytest.raises(ShapeError):
-            stored(name, values, None)
 
 
 @pytest.mark.parametrize(("rows", "held", "told"), [(2**21, 0, ""), (2**22, 2**20, ""), (2**22, 2**20 - 1, "alike")])
@@ -281,15 +280,11 @@ def test_states_have_words_of_codes_times_of_sessions_and_defaults_for_what_is_m
 
 
 def test_statistics_leave_out_what_is_missing() -> None:
-    array = np.array([[1.0, np.nan], [3.0, np.nan], [np.nan, np.nan]])
-    found = statistics(array)
-    assert found["min"][0] == 1.0
-    assert found["max"][0] == 3.0
-    assert found["mean"][0] == 2.0
-    assert found["sigma"][0] == 1.0
+    found = statistics(np.array([[1.0, np.nan], [3.0, np.nan], [np.nan, np.nan]]))
+    wanted = {"min": 1.0, "max": 3.0, "mean": 2.0, "sigma": 1.0}
+    for key, value in wanted.items():
+        np.testing.assert_array_equal(found[key], [value, np.nan])
     assert found["missing"].tolist() == [1.0, 3.0]
-    for key in ("min", "max", "mean", "sigma"):
-        assert np.isnan(found[key][1])
     words = statistics(np.array(["a", ""]))
     assert words["missing"].tolist() == [1.0]
     assert np.isnan(words["min"]).all()

@@ -74,28 +74,20 @@ def test_files_of_foxglove(tmp_path: Path) -> None:
 
 
 def test_idl_and_types_that_nobody_defines(ros: Any, tmp_path: Path) -> None:
-    idl = """\
-module lab_msgs { module msg {
-  struct Gauge { double value; sequence<double> parts; };
-}; };
-"""
+    idl = b"module lab_msgs { module msg { struct Gauge { double value; sequence<double> parts; }; }; };"
     path = tmp_path / "run.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start("ros2")
-        good = writer.register_channel(
-            "/gauge", "cdr", writer.register_schema("lab_msgs/msg/Gauge", "ros2idl", idl.encode())
-        )
-        bad = writer.register_channel(
-            "/bad", "cdr", writer.register_schema("lab_msgs/msg/X", "ros2msg", b"float64 [[[")
-        )
+        for name, kind, text in (("Gauge", "ros2idl", idl), ("X", "ros2msg", b"float64 [[[")):
+            writer.register_channel("/" + name, "cdr", writer.register_schema(f"lab_msgs/msg/{name}", kind, text))
         for i in range(3):
-            writer.add_message(good, i, b"\0\1\0\0" + np.array([1.5, i]).tobytes()[:8] + b"\0\0\0\0", i, i)
-            writer.add_message(bad, i, b"\0\1\0\0", i, i)
+            writer.add_message(1, i, b"\0\1\0\0" + np.array([1.5]).tobytes() + b"\0\0\0\0", i, i)
+            writer.add_message(2, i, b"\0\1\0\0", i, i)
         writer.finish()
     table = log.read(path)
-    assert table["gauge"].tolist() == [1.5, 1.5, 1.5]
-    assert "left out: /bad (Expected a ros2msg definition of lab_msgs/msg/X" in table.notes[0]
+    assert table["Gauge"].tolist() == [1.5, 1.5, 1.5]
+    assert "left out: /X (Expected a ros2msg definition of lab_msgs/msg/X" in table.notes[0]
 
 
 def test_parts_of_a_topic_that_are_holes_together_are_left_out_alone() -> None:

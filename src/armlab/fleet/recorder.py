@@ -408,30 +408,17 @@ class RowColumns:
         for name, slot in layout.slots.items():
             if name == SELDOM[0]:
                 break  # from here on a row may end
-            if name == "stamp_ns":
-                self._add(_WALL)
-                continue
             field = schema.fields.get(f"{robot}.{name}")
-            self._add(slot.nothing if field is None else _place(field, slot))
+            if name == "stamp_ns":
+                self._places.append(_WALL)
+            else:
+                self._places.append(slot.nothing if field is None else _place(field, slot))
 
     def packed(self, data: bytes) -> bytes:
         """Return the recording's row for a row of the bridge; raise LinkError for another schema."""
         if len(data) != self._size or data[:4] != MAGIC or data[8:16] != self._id:
             raise LinkError(f"Expected a row of {self._size} bytes and schema {self._id.hex()}, got {len(data)} bytes.")
         return b"".join([place if isinstance(place, bytes) else data[place] for place in self._places])
-
-    def _add(self, place: slice | bytes) -> None:
-        """Add a piece; what follows the last one in the row is one piece with it."""
-        last = self._places[-1] if self._places else b""
-        if isinstance(place, bytes) and isinstance(last, bytes) and self._places:
-            self._places[-1] = last + place
-        elif isinstance(place, slice) and isinstance(last, slice) and last.step is place.step is None:
-            if last.stop == place.start:
-                self._places[-1] = slice(last.start, place.stop)
-            else:
-                self._places.append(place)
-        else:
-            self._places.append(place)
 
 
 def stamp_of(packed: bytes) -> int:

@@ -1,19 +1,8 @@
 """Logs of ABB controllers: test signals in text files (`read_abb`), and motor signals of orca or ExtCtrl (`from_orca`).
 
-`read_abb` takes a small TOML file with the meaning of each column:
-
-    time = "time"
-    time_unit = "ms"
-    arm = "yumi_left"
-
-    [columns]
-    "pos 1" = { signal = 4000, axis = 1 }
-    "trq 1" = { signal = 4002, axis = 1 }
-
-The numbers are those of RAPID's ``TestSignDefine channel, signal, unit, axis, time``. Position 4000, speed 4001, torque
-4002 and external torque 4003 are of the arm's side of an axis (ABB's manual, as quoted in ros-industrial/abb_libegm,
-issue 86). Public loggers also use 201 to 212 for a force sensor, which no manual describes: like any other signal they
-keep their number.
+The numbers of `read_abb` are those of RAPID's ``TestSignDefine channel, signal, unit, axis, time``. Position 4000,
+speed 4001, torque 4002 and external torque 4003 are of the arm's side of an axis (ABB's manual, as quoted in
+ros-industrial/abb_libegm, issue 86); other signals keep their number. docs/how_to/exchange_logs.md shows a map.
 
 Logs of orca and ExtCtrl have one column per motor signal, ``irb2ext.robot[0].joint[2].posRawAbs``: motor angles in
 ABB's order of axes. `read_csv` reads them as lc2csv writes them, `read_labcomm` the stream itself; old names with ``_``

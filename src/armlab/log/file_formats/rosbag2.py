@@ -22,7 +22,7 @@ from armlab.lie import quaternion, se3
 from armlab.log.column import Column
 from armlab.log.file_formats.description import Description, Progress, distinct, of_json
 from armlab.log.file_formats.opening import undamaged
-from armlab.log.mcap.decode import MessageReader, assembled, read_blocks, split
+from armlab.log.mcap.decode import MessageReader, assembled, read_blocks
 from armlab.log.recording.ros_messages import POSE_FIELDS, WRENCH_FIELDS, blank, definition, store, topic_name
 from armlab.log.table import Table
 from armlab.wire import cdr
@@ -108,7 +108,7 @@ def columns_of(topic: BagTopic, columns: Mapping[str, Column], raws: Sequence[by
         read = read_blocks(len(raws), [(np.arange(len(raws)), block)], reader)
         if read.bad:
             raise LogError(f"Expected whole messages on {topic.name}, got {read.bad} damaged ones: {read.reason}")
-        fields = split(assembled(len(raws), read.pieces))
+        fields = assembled(len(raws), read.pieces)
     return {name: _decoded(topic, paths, fields, len(raws), columns[name]) for name, paths in topic.fields.items()}
 
 

@@ -8,7 +8,6 @@ equal length (`decode_messages`).
 
 from __future__ import annotations
 
-import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -190,43 +189,34 @@ def joined(pieces: Iterable[Piece]) -> list[Piece]:
     ]
 
 
-def assembled(count: int, pieces: Sequence[Piece]) -> Values:
-    """Put the numbers of several layouts into their rows; NaN where a layout has none."""
-    places = [_place(rows) for rows, _ in pieces]
-    if len(pieces) == 1 and isinstance(places[0], slice):
-        return pieces[0][1]
+def assembled(count: int, pieces: Sequence[Piece]) -> dict[str, np.ndarray]:
+    """Put the numbers of several layouts into their rows, by dotted name; NaN where a layout has none."""
+    if len(pieces) == 1 and np.array_equal(pieces[0][0], np.arange(count)):
+        return _split(pieces[0][1])
     if all(found.keys() == pieces[0][1].keys() for _, found in pieces):
-        return {
-            run: _filled(count, places, [found[run] for _, found in pieces]) for run in (pieces[0][1] if pieces else ())
-        }
-    parts: dict[str, tuple[list[np.ndarray | slice], list[np.ndarray]]] = {}
-    for place, (_, found) in zip(places, pieces, strict=True):
-        for path, array in split(found).items():
-            there, arrays = parts.setdefault(path, ([], []))
-            there.append(place)
-            arrays.append(array)
-    widths = {path: max(array.shape[1] for array in arrays) for path, (_, arrays) in parts.items()}
-    refuse_ragged(count, widths, sum(array.size for _, arrays in parts.values() for array in arrays))
-    return {((path, widths[path]),): _filled(count, *one) for path, one in parts.items()}
+        runs = pieces[0][1] if pieces else ()
+        return _split({run: _filled(count, [(rows, found[run]) for rows, found in pieces]) for run in runs})
+    parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    for rows, found in pieces:
+        for path, array in _split(found).items():
+            parts.setdefault(path, []).append((rows, array))
+    widths = {path: max(array.shape[1] for _, array in held) for path, held in parts.items()}
+    refuse_ragged(count, widths, sum(array.size for held in parts.values() for _, array in held))
+    return {path: _filled(count, held) for path, held in parts.items()}
 
 
-def _place(rows: np.ndarray) -> np.ndarray | slice:
-    """Return rows as a slice where they follow each other, which is faster."""
-    return slice(int(rows[0]), int(rows[0]) + len(rows)) if len(rows) and (np.diff(rows) == 1).all() else rows
-
-
-def _filled(count: int, places: Sequence[np.ndarray | slice], arrays: Sequence[np.ndarray]) -> np.ndarray:
+def _filled(count: int, parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Return arrays (k, width) in their rows of one (count, largest width), NaN elsewhere."""
-    width = max(array.shape[1] for array in arrays)
-    whole = sum(map(len, arrays)) == count and all(array.shape[1] == width for array in arrays)
-    kind = np.result_type(*{array.dtype for array in arrays})  # counts with holes are real numbers already
+    width = max(array.shape[1] for _, array in parts)
+    whole = sum(len(rows) for rows, _ in parts) == count and all(array.shape[1] == width for _, array in parts)
+    kind = np.result_type(*{array.dtype for _, array in parts})  # counts with holes are real numbers already
     target = np.empty((count, width), kind) if whole else np.full((count, width), np.nan)
-    for place, array in zip(places, arrays, strict=True):
-        target[place, : array.shape[1]] = array
+    for rows, array in parts:
+        target[rows, : array.shape[1]] = array
     return target
 
 
-def split(values: Values) -> dict[str, np.ndarray]:
+def _split(values: Values) -> dict[str, np.ndarray]:
     """Return the numbers of each path from runs."""
     fields = {}
     for run, array in values.items():
@@ -240,7 +230,6 @@ def split(values: Values) -> dict[str, np.ndarray]:
 _PREFIX = np.dtype(
     [("kind", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
 )
-_NO_OFFSETS = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(slots=True)
@@ -257,27 +246,19 @@ class Part:
     reason: str = ""
 
 
-def decode_chunks(
-    view: memoryview, chunks: Sequence[tuple[Chunk, bytes]], readers: Mapping[int, MessageReader], indexed: bool
+def decode_chunk(
+    view: memoryview, chunk: Chunk, data: bytes, readers: Mapping[int, MessageReader], indexed: bool
 ) -> dict[int, Part]:
-    """Return the messages in several chunks as if they were one; without whole indexes, the records are walked."""
-    raw = np.frombuffer(b"".join(data for _, data in chunks), dtype=np.uint8)
-    begin = np.cumsum([0, *(len(data) for _, data in chunks)])
+    """Return the messages in the records of a chunk; without whole indexes, the records are walked."""
+    raw = np.frombuffer(data, dtype=np.uint8)
     offsets = {}
     for number in readers if indexed else ():
-        offsets[number] = np.concatenate([_indexed(view, one, number) + at for at, (one, _) in zip(begin, chunks)])
+        start, stop = chunk.indexes.get(number, (0, 0))
+        offsets[number] = np.frombuffer(view[start:stop], dtype="<i8")[1::2]
         indexed = indexed and _are_messages(raw, offsets[number], number)
     if not indexed:
-        offsets = walked(raw.data, readers)
+        offsets = walked(data, readers)
     return {number: decode_messages(raw, offsets[number], reader) for number, reader in readers.items()}
-
-
-def _indexed(view: memoryview, chunk: Chunk, number: int) -> np.ndarray:
-    """Return where the messages of a channel begin in a chunk, from its index."""
-    start, stop = chunk.indexes.get(number, (0, 0))
-    if not start:
-        return _NO_OFFSETS
-    return np.frombuffer(view[start:stop], dtype="<i8")[1::2]
 
 
 def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
@@ -292,7 +273,7 @@ def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
     return bool((fits & (prefix["kind"] == MESSAGE) & (prefix["channel"] == number)).all())
 
 
-def walked(data: bytes | memoryview, numbers: Collection[int]) -> dict[int, np.ndarray]:
+def walked(data: bytes, numbers: Collection[int]) -> dict[int, np.ndarray]:
     """Return where the messages of some channels begin by walking the records."""
     found: dict[int, list[int]] = {number: [] for number in numbers}
     for kind, start, stop in records(memoryview(data), 0, len(data)):
@@ -304,22 +285,15 @@ def walked(data: bytes | memoryview, numbers: Collection[int]) -> dict[int, np.n
 
 
 def _items(raw: np.ndarray, offsets: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Return the items (k,) of a type that begin at the offsets, wherever they are: a view where evenly spaced."""
-    steps = np.diff(offsets)
-    if len(steps) and (steps == steps[0]).all():
-        return np.ndarray((len(offsets),), dtype=dtype, buffer=raw, offset=int(offsets[0]), strides=(int(steps[0]),))
+    """Return the items (k,) of a type that begin at the offsets, wherever they are."""
     places = max(len(raw) - dtype.itemsize + 1, 0)
     return np.ndarray((places,), dtype=dtype, buffer=raw, strides=(1,))[offsets]
 
 
 def _blocks(raw: np.ndarray, offsets: np.ndarray, length: int) -> np.ndarray:
     """Return the bytes (k, length) that begin at the offsets."""
-    if not length:
-        return np.zeros((len(offsets), 0), dtype=np.uint8)
-    found = _items(raw, offsets, np.dtype((np.void, length)))
-    if found.base is None:
-        return found.view(np.uint8).reshape(len(offsets), length)
-    return np.ndarray((len(offsets), length), np.uint8, raw, int(offsets[0]), (found.strides[0], 1))
+    found = _items(raw, offsets, np.dtype((np.void, length))) if length else np.zeros(len(offsets), np.uint8)
+    return found.view(np.uint8).reshape(len(offsets), -1)[:, :length]
 
 
 def decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: MessageReader) -> Part:
@@ -439,7 +413,7 @@ def _first_messages(view: memoryview, chunks: Sequence[Chunk], channels: Collect
     return found
 
 
-_BATCH = 2_000_000  # bytes of records read at once: amortises calls, stays in the cache of a core
+_BATCH = 8  # chunks that a thread reads in one call
 
 
 @dataclass(slots=True)
@@ -476,7 +450,8 @@ def decode_by(
     reading = _Reading(view, chunks, readers, found.indexed, Room(view, chunks, readers))
     parts: dict[int, list[range | Part]] = {number: [] for number in readers}
     damage: list[str] = []
-    batches, done, total = list(_batches(chunks)), 0, sum(chunk.size for chunk in chunks)
+    batches = [range(first, min(first + _BATCH, len(chunks))) for first in range(0, len(chunks), _BATCH)]
+    done, total = 0, sum(chunk.size for chunk in chunks)
     with ThreadPoolExecutor(2) as pool:  # decompression, checksums and copies release the interpreter lock
         for batch, (decoded, lost) in zip(batches, pool.map(reading.batch, batches), strict=True):
             damage += lost
@@ -486,8 +461,9 @@ def decode_by(
             if progress:
                 progress(done, total, "bytes")
     if found.loose:
-        for number, part in _decode_loose(view, found.loose, readers).items():
-            parts[number].append(part)
+        data = records_at(view, found, None) or b""
+        for number, offsets in walked(data, readers).items():
+            parts[number].append(decode_messages(np.frombuffer(data, dtype=np.uint8), offsets, readers[number]))
     whole: dict[int, Decoded] = {}
     for number, of_channel in parts.items():
         whole[number], bad, reason = _decoded(reading.room, number, of_channel)
@@ -521,16 +497,6 @@ def message_counts(view: memoryview, found: Contents) -> Counter[int]:
     return counts
 
 
-def _batches(chunks: Sequence[Chunk]) -> Iterator[range]:
-    """Yield the places of chunks that are read at once."""
-    first, size = 0, 0
-    for place, chunk in enumerate(chunks):
-        size += chunk.size
-        if size > _BATCH or place == len(chunks) - 1:
-            yield range(first, place + 1)
-            first, size = place + 1, 0
-
-
 @dataclass(frozen=True, slots=True)
 class _Reading:
     """The chunks of a file and the room that their messages are copied into."""
@@ -544,7 +510,6 @@ class _Reading:
     def batch(self, places: range) -> tuple[dict[int, list[range | Part]], list[str]]:
         """Read some chunks; return rows of the room and other messages by channel, and the damaged chunks."""
         found: dict[int, list[range | Part]] = {number: [] for number in self.readers}
-        others: dict[int, list[tuple[Chunk, bytes]]] = {}
         damage = []
         for place in places:
             chunk = self.chunks[place]
@@ -554,33 +519,11 @@ class _Reading:
                 damage.append(f"chunk at byte {chunk.start} skipped: {error}")
                 continue
             copied = self.room.copy(place, data)
-            for number in self.readers:
-                if number in copied and number not in others:
-                    found[number].append(copied[number])
-                else:
-                    others.setdefault(number, []).append((chunk, data))
-        for count in sorted({len(chunks) for chunks in others.values()}):  # equally many begin at the same chunk
-            readers = {number: self.readers[number] for number, chunks in others.items() if len(chunks) == count}
-            parts = decode_chunks(self.view, others[next(iter(readers))], readers, self.indexed)
-            for number, part in parts.items():
+            others = {number: reader for number, reader in self.readers.items() if number not in copied}
+            parts = decode_chunk(self.view, chunk, data, others, self.indexed) if others else {}
+            for number, part in (*copied.items(), *parts.items()):
                 found[number].append(part)
         return found, damage
-
-
-def _decode_loose(
-    view: memoryview, places: Sequence[tuple[int, int]], readers: Mapping[int, MessageReader]
-) -> dict[int, Part]:
-    """Decode the messages of a file without chunks."""
-    raw = np.frombuffer(view, dtype=np.uint8)
-    offsets: dict[int, list[int]] = {}
-    for start, stop in places:
-        if stop - start >= 22:
-            offsets.setdefault(struct.unpack_from("<H", view, start)[0], []).append(start - 9)
-    return {
-        number: decode_messages(raw, np.array(offsets[number], dtype=np.int64), reader)
-        for number, reader in readers.items()
-        if number in offsets
-    }
 
 
 def _decoded(room: Room, number: int, found: Sequence[range | Part]) -> tuple[Decoded, int, str]:
@@ -602,7 +545,7 @@ def _decoded(room: Room, number: int, found: Sequence[range | Part]) -> tuple[De
     firsts = [end - len(part.sequence) for end, part in zip(ends, parts, strict=True)]
     pieces = [(rows + at, values) for at, part in zip(firsts, parts, strict=True) for rows, values in part.pieces]
     try:
-        fields = split(assembled(ends[-1], pieces))
+        fields = assembled(ends[-1], pieces)
     except LogError as error:
         return nothing, bad + ends[-1], str(error)
     sequence = np.concatenate([part.sequence for part in parts]) if len(parts) > 1 else parts[0].sequence

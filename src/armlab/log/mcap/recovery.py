@@ -37,28 +37,14 @@ def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
 
 def _rename(part: Path, target: Path) -> None:
     """Give the finished copy its name, unless something has got it in the meantime."""
-    try:
-        os.link(part, target)  # never over a file, as a rename would
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without hard links
-        target.open("xb").close()
-        part.replace(target)
+    target.open("xb").close()  # never over a file, as a rename would
+    part.replace(target)
 
 
-class Registry:
-    """Schemas and channels of a new file: a schema that comes again is not written again."""
-
-    def __init__(self, writer: McapWriter) -> None:
-        self._writer = writer
-        self._schemas: dict[tuple[str, str, str], int] = {}
-
-    def channel(self, channel: Channel) -> int:
-        """Write a channel and return its number in the new file."""
-        key = (channel.type, channel.schema_encoding, channel.schema)
-        if key not in self._schemas:
-            self._schemas[key] = self._writer.schema(key[0], key[1], key[2].encode(errors="surrogateescape"))
-        return self._writer.channel(channel.topic, channel.encoding, self._schemas[key], channel.metadata)
+def copied_channel(writer: McapWriter, channel: Channel) -> int:
+    """Write a channel of another file and return its number in the new one."""
+    schema = writer.schema(channel.type, channel.schema_encoding, channel.schema.encode(errors="surrogateescape"))
+    return writer.channel(channel.topic, channel.encoding, schema, channel.metadata)
 
 
 _EVENTS = "rcl_interfaces/msg/Log"  # on the real clock also where the rows are not, as in lockstep
@@ -117,8 +103,7 @@ def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress 
     for attached in found.attachments:
         data = bytes(view[slice(*attached.data)])
         writer.attach(attached.log_ns, attached.name, attached.media_type, data)
-    registry = Registry(writer)
-    numbers = {number: registry.channel(channel) for number, channel in found.channels.items()}
+    numbers = {number: copied_channel(writer, channel) for number, channel in found.channels.items()}
     count = lost = 0
     times: list[int] = []
     for piece in pieces(found):

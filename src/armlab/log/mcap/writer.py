@@ -103,7 +103,7 @@ class McapWriter:
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._block = zstandard.COMPRESSOBJ_FLUSH_BLOCK
         self._chunk: _OpenChunk | None = None
-        self._schemas: list[bytes] = []
+        self._schemas: dict[tuple[str, str, bytes], tuple[int, bytes]] = {}  # number and record
         self._channels: list[bytes] = []
         self._counts: dict[int, int] = {}
         self._times: tuple[int, int] | None = None  # first and last of all chunks
@@ -138,13 +138,15 @@ class McapWriter:
         self._put(record)
 
     def schema(self, name: str, encoding: str, text: bytes) -> int:
-        """Write a schema and return its number."""
-        self.close_chunk()
-        number = len(self._schemas) + 1
-        body = [struct.pack("<H", number), _text(name), _text(encoding), struct.pack("<I", len(text)), text]
-        self._schemas.append(_record(kinds.SCHEMA, *body))
-        self._put(self._schemas[-1])
-        return number
+        """Write a schema, unless it was before, and return its number."""
+        key = name, encoding, text
+        if key not in self._schemas:
+            self.close_chunk()
+            number = len(self._schemas) + 1
+            body = [struct.pack("<H", number), _text(name), _text(encoding), struct.pack("<I", len(text)), text]
+            self._schemas[key] = number, _record(kinds.SCHEMA, *body)
+            self._put(self._schemas[key][1])
+        return self._schemas[key][0]
 
     def channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
         """Write a channel and return its number."""
@@ -210,7 +212,8 @@ class McapWriter:
         """Write the chunk in progress, the summary and the footer."""
         self.close_chunk()
         self._put(_record(kinds.DATA_END, struct.pack("<I", 0)))
-        before = [*self._schemas, *self._channels, self._statistics()]
+        schemas = [record for _, record in self._schemas.values()]
+        before = [*schemas, *self._channels, self._statistics()]
         footer = struct.pack("<BQQQ", kinds.FOOTER, 20, self._at, 0)
         crc = 0
         for part in chain(before, self._index.taken(), self._attachments, self._metadata, [footer]):

@@ -145,15 +145,11 @@ class RecordingFile:
 
     def _register(self, robot: Robot) -> list[ros.Plan]:
         """Register all schemas and channels; return how the messages of rows are written."""
-        schemas: dict[str, int] = {}
 
         def channel(name: str, message_type: str, metadata: dict[str, str]) -> int:
-            if message_type not in schemas:
-                schemas[message_type] = self._writer.schema(
-                    message_type, "ros2msg", ros.definition(message_type).encode()
-                )
+            schema = self._writer.schema(message_type, "ros2msg", ros.definition(message_type).encode())
             topic = f"/{ros.topic_name(robot.name)}/{name}"
-            return self._writer.channel(topic, "cdr", schemas[message_type], metadata)
+            return self._writer.channel(topic, "cdr", schema, metadata)
 
         self._events = channel("events", _EVENT_TYPE, {})
         slots, plans = self._layout.slots, []

@@ -49,7 +49,7 @@ class Log:
     def __init__(self, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
         self._robot = robot
         self._layout = RowLayout(robot, {**(extra or {}), "t": Column()})
-        self._rows: deque[bytes] = deque(maxlen=self._capacity())  # bytes: nothing for the garbage collector to scan
+        self._rows: deque[bytes] = deque()  # bytes: nothing for the garbage collector to scan
         self._start_ns = time.time_ns() - time.monotonic_ns()
         self._pushed = 0
 
@@ -114,9 +114,6 @@ class Log:
             raise
         return file.path
 
-    def _capacity(self) -> int | None:
-        return None
-
 
 class Tail(Log):
     """The last seconds of a log: a ring of fixed size.
@@ -130,14 +127,12 @@ class Tail(Log):
     def __init__(self, seconds: float, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
         self.seconds = positive(seconds, "length of a Tail [s]", "A minute is 60.")
         super().__init__(robot, extra)
+        self._rows = deque(maxlen=int(min(self.seconds * _TAIL_RATE, _TAIL_ROWS)) + 1)
 
     def table(self) -> Table:
         """Return the rows of the last `seconds`."""
         table = super().table()
         return table.between(table.t[-1] - self.seconds, np.inf) if len(table) else table
-
-    def _capacity(self) -> int | None:
-        return int(min(self.seconds * _TAIL_RATE, _TAIL_ROWS)) + 1
 
 
 class Syncing:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from armlab.log.file_formats.description import distinct
 from armlab.log.recording.rows import SELDOM, RowLayout, Slot
 from armlab.wire import cdr
 
@@ -98,19 +99,8 @@ def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
     found += [
         _sensor(name) if name.endswith(_RAW) and layout.slots[name].size == 6 else column_topic(name) for name in own
     ]
-    return _distinct(found)
-
-
-def _distinct(found: Sequence[Topic]) -> list[Topic]:
-    """Number topics that would have one name, as of columns "a.b" and "a_b": other programs take them for one."""
-    named: dict[str, Topic] = {}
-    for topic in found:
-        name, number = topic.name, 1
-        while name in named:
-            number += 1
-            name = f"{topic.name}_{number}"
-        named[name] = replace(topic, name=name)
-    return list(named.values())
+    names = distinct({place: topic.name for place, topic in enumerate(found)})  # of columns "a.b" and "a_b"
+    return [replace(topic, name=names[place]) for place, topic in enumerate(found)]
 
 
 def _sensor(name: str) -> Topic:

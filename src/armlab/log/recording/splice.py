@@ -19,7 +19,7 @@ from armlab.log.column import Column, resolved
 from armlab.log.file_formats.description import Progress
 from armlab.log.file_formats.opening import check_readable, file_hash, naming, opened, undamaged
 from armlab.log.mcap.records import DAMAGE, Channel, Contents, contents, messages_in, pieces, records_at
-from armlab.log.mcap.recovery import Registry, new_file
+from armlab.log.mcap.recovery import copied_channel, new_file
 from armlab.log.mcap.writer import McapWriter
 from armlab.log.recording.columns import Rows, clock_channel, clocks, earlier, rows_of, summary_of
 from armlab.log.recording.file import recording_path
@@ -410,13 +410,13 @@ def _write(to: Path, sources: list[Source], operation: str, progress: Progress |
 
 def _register(writer: McapWriter, sources: list[Source]) -> None:
     """Write the channels of all sources, one per topic, and those of the column t."""
-    registry, known = Registry(writer), {}
+    known = {}
     for source in sources:
         for number, channel in source.found.channels.items():
             if any(number == arm.seconds for arm in source.arms):
                 continue
             if channel.topic not in known:
-                known[channel.topic] = (channel, registry.channel(channel), source.path)
+                known[channel.topic] = (channel, copied_channel(writer, channel), source.path)
             first, source.numbers[number], where = known[channel.topic]
             if first != channel:
                 raise LogError(
@@ -426,7 +426,7 @@ def _register(writer: McapWriter, sources: list[Source]) -> None:
         for arm in source.arms:
             channel = seconds_channel(arm.prefix, clock_metadata(arm.t0_ns, arm.rows.clock))
             if channel.topic not in known:
-                known[channel.topic] = (channel, registry.channel(channel), source.path)
+                known[channel.topic] = (channel, copied_channel(writer, channel), source.path)
             arm.seconds_number = known[channel.topic][1]
 
 

@@ -321,7 +321,7 @@ def _decoded(
     read = decode.read_blocks(len(whole), blocks, reader)
     rows = np.array(kept, dtype=np.int64)[read.rows]
     try:
-        fields = decode.split(decode.assembled(len(rows), read.pieces))
+        fields = decode.assembled(len(rows), read.pieces)
     except LogError as error:
         rows, fields, reason = rows[:0], {}, str(error)
     return decode.Decoded(rows.astype(np.uint32), stamps[rows], fields), len(raws) - len(rows), reason or read.reason
@@ -344,5 +344,5 @@ def _joined(parts: Sequence[decode.Decoded]) -> decode.Decoded:
     return decode.Decoded(
         np.concatenate([part.sequence for part in parts]),
         np.concatenate([part.log_ns for part in parts]),
-        decode.split(decode.assembled(ends[-1], pieces)),
+        decode.assembled(ends[-1], pieces),
     )
