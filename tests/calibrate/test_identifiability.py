@@ -271,9 +271,9 @@ def unweighted(run: KinematicRun) -> robots.Robot:
     arm = Arm.of(run.robot, run.q, (), np.zeros((*run.q.shape, 0)), "local_poe")
     state = arm.first()
     for _ in range(10):
-        motion = arm.move(state)
-        J = arm.jacobian(state, motion.P, np.zeros((len(run.q), 3)))
-        r = se3.log(run.pose @ se3.inv(motion.T))
+        P = arm.move(state)
+        J = arm.jacobian(state, P, np.zeros((len(run.q), 3)))
+        r = se3.log(run.pose @ se3.inv(P[:, -1]))
         state = arm.plus(state, np.linalg.lstsq(J.reshape(-1, arm.size), r.ravel(), rcond=1e-9)[0])
     return arm.corrected(state.frames)
 

@@ -138,7 +138,7 @@ def _measured(
     """Return the relative measurement and a first T_basea_baseb."""
     if (pose is None) == (position is None) and not (closed and position is None):
         raise ConfigError("Expected either pose or position of b's tool in a's, got both or none. Give one of them.")
-    T_a, T_b = a.move(a.first()).T, b.move(b.first()).T
+    T_a, T_b = (arm.move(arm.first())[:, -1] for arm in (a, b))
     if closed:
         if position is not None:
             raise ConfigError("Expected no position for a closed chain, got one. Give the pose (4, 4), or nothing.")
@@ -257,11 +257,11 @@ class DualProblem:
         return [chosen(one, self.active) for one in [*self.measurements(state), *self.priors(state)]]
 
     def relative(self, state: DualState) -> np.ndarray:
-        return se3.inv(self.arm_a.move(state.a).T) @ state.T @ self.arm_b.move(state.b).T
+        return se3.inv(self.arm_a.move(state.a)[:, -1]) @ state.T @ self.arm_b.move(state.b)[:, -1]
 
     def measurements(self, state: DualState, local: bool = False) -> list[Measurement]:
-        Pa = self.arm_a.move(state.a).P
-        W = state.T @ self.arm_b.move(state.b).P
+        Pa = self.arm_a.move(state.a)
+        W = state.T @ self.arm_b.move(state.b)
         point = W[:, -1, :3, 3]
         base = twist_jacobian(np.broadcast_to(state.T, (len(W), 1, 4, 4)), point)[:, :, 0]
         J = [-self.arm_a.jacobian(state.a, Pa, point), self.arm_b.jacobian(state.b, W, point), base]
@@ -347,7 +347,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         problem = self.problem
         places = [kind.values[kind.visible.reshape(len(kind.values), -1)[:, 0]] for kind in problem.kinds]
         if problem.closed:
-            places[0] = problem.arm_a.move(problem.arm_a.first()).T
+            places[0] = problem.arm_a.move(problem.arm_a.first())[:, -1]
         return [spread_of(seen[:, 0] if seen.shape[1:] == (1, 3) else seen[:, :3, 3]) for seen in places]
 
     def doubts(self, state: DualState) -> list[str]:

@@ -41,12 +41,8 @@ class _LineSearch:
     y: np.ndarray
     rate: float
 
-    @property
-    def speed(self) -> np.ndarray:
-        return np.abs(self.qd)
-
-    def slow(self, c: float) -> np.ndarray:
-        return slow_enough(self.qd, self.rate, np.array(c))
+    def slow(self, c: np.ndarray | float) -> np.ndarray:
+        return slow_enough(self.qd, self.rate, np.asarray(c))
 
 
 def ripple_lines(
@@ -134,7 +130,7 @@ def _periodogram(search: _LineSearch, grid: np.ndarray) -> np.ndarray:
     for a in range(0, len(grid), step):
         part = grid[a : a + step]
         angle = np.outer(part, search.q)
-        slow = part[:, None] * search.speed < 2 * np.pi * SLOW_SHARE * search.rate
+        slow = search.slow(part[:, None])
         C, S = np.cos(angle) * slow, np.sin(angle) * slow
         cc, cs, ss = np.sum(C * C, 1), np.sum(C * S, 1), np.sum(S * S, 1)
         cy, sy = C @ search.y, S @ search.y
@@ -210,17 +206,17 @@ def _waves(q: np.ndarray, amplitudes: np.ndarray, cycles: np.ndarray) -> tuple[n
     return columns, slopes
 
 
-def select_lines(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
+def select_lines(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray) -> np.ndarray:
     """Return which groups of columns (G,) stay: chosen by the group lasso, and worth 2 % of the held-out error each."""
     scale = mad(y) or 1.0
     kept = select_groups(A / np.sqrt(np.mean(A**2)), y / scale, size, block)
     while kept.any():
-        with_all = held_out_error(A[:, np.repeat(kept, size)], y, block, ridge)
+        with_all = held_out_error(A[:, np.repeat(kept, size)], y, block)
         worth = np.full(len(kept), np.inf)
         for g in np.flatnonzero(kept):
             without = kept.copy()
             without[g] = False
-            error = held_out_error(A[:, np.repeat(without, size)], y, block, ridge)
+            error = held_out_error(A[:, np.repeat(without, size)], y, block)
             worth[g] = 1.0 - with_all / error if error > 0 else 0.0
         weakest = int(np.argmin(worth))
         if worth[weakest] > GAIN:
