@@ -11,17 +11,6 @@ from armlab._numbers import make_read_only, numbers, still
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.tsqr import Factors, triangle
 
-# What the data can tell: rank, condition and the weakest directions in words.
-#
-# The test is on the column-scaled, whitened design matrix A (each column divided by its norm): its singular values are
-# free of units, and its condition number c says how many digits of the answer the noise of the data can eat. They are
-# those of the triangle R of ``A = Q R``; the normal matrix, which squares c, is never formed.
-#
-# Where the unknowns have a natural limit (0.2 rad, 50 mm, 30 % of a mass) the question is another one: does the
-# standard deviation along some direction exceed it? `check_spread` scales the columns by the limits, so that a singular
-# value below 1 says yes; a rank test alone fails as soon as the data are noisy.
-
-
 MAX_CONDITION = 1e4  # beyond it a direction is called not excited
 WARN_CONDITION = 300.0
 NULL = 1e-9  # relative singular value below which a direction is not weak but unseen
@@ -188,7 +177,8 @@ def check_spread(
 ) -> Excitation:
     """Judge whether data determine every direction better than a limit.
 
-    The standard deviation along the direction v (in units of the limits) is ``1 / |J diag(limits) v|``.
+    The standard deviation along the direction v (in units of the limits) is ``1 / |J diag(limits) v|``: a rank test
+    alone fails as soon as the data are noisy.
 
     `J`: (m, p) whitened Jacobian of the data without priors, or its triangle. `limits`: (p,) standard deviation of each
     parameter that is the most accepted. `describe`: puts a direction (p,) of the parameters into words: one standard
@@ -243,12 +233,6 @@ def _in_words(vector: np.ndarray, names: Sequence[str]) -> str:
     return " and ".join(str(names[int(i)]) for i in kept)
 
 
-# The problem and its solution.
-
-
-# Bounds on the parameters of a least-squares problem that is already solved without them.
-
-
 BLOCK_ROUNDS = 10  # rounds without fewer faults after which one fault at a time is mended
 
 
@@ -263,14 +247,6 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
     lower < upper. Returns: (p,) solution within the bounds; exactly at those that hold. After Portugal, Judice and
     Vicente (1994), A comparison of block pivoting and interior-point algorithms.
     """
-    x, cov, lower, upper = (
-        numbers(one, "solution, covariance and bounds", ShapeError) for one in (x, cov, lower, upper)
-    )
-    p = x.size
-    if not x.shape == lower.shape == upper.shape == (p,) or cov.shape != (p, p):
-        raise ShapeError(
-            f"Expected x and its bounds (p,) and cov (p, p), got {x.shape}, {lower.shape}, {upper.shape}, {cov.shape}."
-        )
     if np.all((x >= lower) & (x <= upper)):
         return x
     sd = np.sqrt(np.diag(cov))

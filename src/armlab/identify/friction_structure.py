@@ -238,12 +238,7 @@ def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @one_thread()
 def choose(choice: StructureChoice) -> FrictionStructure:
-    """Choose the structure of one joint's friction by cross-validation over the folds of the data.
-
-    Presliding distance or v_t, the speed of Stribeck's term, and which terms there are come from a grid; of all that
-    come within 1 % of the smallest squared error the one with the fewest terms wins, with presliding before tanh. Its
-    numbers are then refined.
-    """
+    """Choose one joint's structure by cross-validation: the simplest of a grid within 1 % of the best, then refined."""
     search, motion = _StructureSearch(choice), choice.motion
     trials = [(delta, 0.0) for delta in DELTAS] + [(DELTAS[3], smooth) for smooth in SMOOTH_SPEEDS]
     scores = []

@@ -8,7 +8,8 @@ has tables that are made to be read by people; other values are written by `arml
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -129,16 +130,22 @@ def read_value(raw: Mapping[str, Any], path: Path) -> Any:
             f"Expected a file of format {FORMAT} and a kind of {sorted({*_CLASSES, 'torque_model'})} at {path}, got "
             f"{kind!r} in format {version}. Import {package} that made it, or make it again."
         )
-    try:
+    with _readable(f"the fields of a {kind} at {path}", "Make the file again."):
         value = decode({"kind": kind, "fields": raw["value"]})
         _check_units(meta.get("units", {}), _units(value))
         _check_texts(value, path)
         return value
+
+
+@contextmanager
+def _readable(wanted: str, advice: str) -> Iterator[None]:
+    """Refuse what a file holds in a sentence, whatever its numbers and texts make of it."""
+    try:
+        yield
     except ConfigError:
         raise
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        what = str(error).rstrip(".")
-        raise ConfigError(f"Expected the fields of a {kind} at {path}, got: {what}. Make the file again.") from None
+    except (msgspec.ValidationError, UnknownName, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"Expected {wanted}, got: {str(error).rstrip('.')}. {advice}") from None
 
 
 def encode(item: Any) -> Any:
@@ -295,13 +302,8 @@ def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
             f"Expected kind, format and sign {(KIND, TORQUE_FORMAT, SIGN)} in {path}, got {found}. "
             "Identify again with this version of armlab."
         )
-    try:
+    with _readable(f"a complete model file at {path}", "Identify again."):
         return _model(msgspec.convert(raw, _ModelFile), path)
-    except ConfigError:
-        raise
-    except (msgspec.ValidationError, UnknownName, KeyError, TypeError, ValueError) as error:
-        what = str(error).rstrip(".")
-        raise ConfigError(f"Expected a complete model file at {path}, got: {what}. Identify again.") from None
 
 
 def _model(file: Any, path: Path) -> TorqueModel:
@@ -385,13 +387,8 @@ def load(path: str | Path, kind: str | None = None) -> Any:
 def load_statistics(path: str | Path) -> dict[str, Any]:
     """Read the table [fit] of a model file; empty where the value was saved without its fit."""
     fit = _tables(Path(path)).get("fit", {})
-    try:
+    with _readable(f"the tables of a fit in [fit] at {path}", "Make the file again."):
         return {name: decode(part) for name, part in fit.items()}
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        what = str(error).rstrip(".")
-        raise ConfigError(
-            f"Expected the tables of a fit in [fit] at {path}, got: {what}. Make the file again."
-        ) from None
 
 
 def _tables(path: Path) -> dict[str, Any]:

@@ -284,34 +284,6 @@ class DualProblem:
             if self.prior is not None and arm.n > 1:
                 yield link_prior(arm, one, self.prior, self.size, at)
 
-    def never_seen(self) -> list[UnobservableDirection]:
-        """Return how b's tool is turned."""
-        at = self.arm_a.size + 6 * self.arm_b.n + 3
-        turns = np.zeros((self.size, 3))
-        turns[at : at + 3] = np.eye(3)
-        return [
-            UnobservableDirection(f"orientation of the tool of arm b about {'xyz'[k]}", turns[:, [k]]) for k in range(3)
-        ]
-
-    def may_be_missing(self, state: DualState) -> list[UnobservableDirection]:
-        """Return joints at rest, what both tools have in common, and the scale."""
-        a, size = self.arm_a.size, self.size
-        found = joints_at_rest(self.arm_a, state.a.frames, 0, size, " of arm a")
-        found += joints_at_rest(self.arm_b, state.b.frames, a, size, " of arm b")
-        Z = self.relative(state)[0]
-        end_a, end_b = 6 * self.arm_a.n, a + 6 * self.arm_b.n
-        scale = np.zeros((size, 1))
-        scale[:a, 0] = arm_scale(self.arm_a, state.a.frames)
-        scale[a:-6, 0] = arm_scale(self.arm_b, state.b.frames)
-        scale[-6:-3, 0] = state.T[:3, :3].T @ state.T[:3, 3]
-        scale[end_b : end_b + 3, 0] -= Z[:3, :3].T @ Z[:3, 3]
-        if self.closed:
-            tools = np.zeros((size, 6))
-            tools[end_a : end_a + 6], tools[end_b : end_b + 6] = np.eye(6), se3.adjoint_inv(Z)
-            advice = "Measure the pose of one tool."
-            found.append(UnobservableDirection("common change of both tools", tools, advice))
-        return [*found, UnobservableDirection("overall scale", scale, "Measure one length that is known.")]
-
 
 def _relative(kind: Kind, T: np.ndarray, J: np.ndarray) -> Measurement:
     rows = np.flatnonzero(kind.visible.reshape(len(T), -1)[:, 0])
@@ -329,10 +301,34 @@ class DualArmEstimation(KinematicEstimation[DualState]):
     problem: DualProblem
 
     def nature(self, state: DualState) -> list[UnobservableDirection]:
-        return self.problem.never_seen()
+        """Return how b's tool is turned."""
+        problem = self.problem
+        at = problem.arm_a.size + 6 * problem.arm_b.n + 3
+        turns = np.zeros((problem.size, 3))
+        turns[at : at + 3] = np.eye(3)
+        return [
+            UnobservableDirection(f"orientation of the tool of arm b about {'xyz'[k]}", turns[:, [k]]) for k in range(3)
+        ]
 
     def candidates(self, state: DualState) -> list[UnobservableDirection]:
-        return self.problem.may_be_missing(state)
+        """Return joints at rest, what both tools have in common, and the scale."""
+        arm_a, arm_b = self.problem.arm_a, self.problem.arm_b
+        a, size = arm_a.size, self.problem.size
+        found = joints_at_rest(arm_a, state.a.frames, 0, size, " of arm a")
+        found += joints_at_rest(arm_b, state.b.frames, a, size, " of arm b")
+        Z = self.problem.relative(state)[0]
+        end_a, end_b = 6 * arm_a.n, a + 6 * arm_b.n
+        scale = np.zeros((size, 1))
+        scale[:a, 0] = arm_scale(arm_a, state.a.frames)
+        scale[a:-6, 0] = arm_scale(arm_b, state.b.frames)
+        scale[-6:-3, 0] = state.T[:3, :3].T @ state.T[:3, 3]
+        scale[end_b : end_b + 3, 0] -= Z[:3, :3].T @ Z[:3, 3]
+        if self.problem.closed:
+            tools = np.zeros((size, 6))
+            tools[end_a : end_a + 6], tools[end_b : end_b + 6] = np.eye(6), se3.adjoint_inv(Z)
+            advice = "Measure the pose of one tool."
+            found.append(UnobservableDirection("common change of both tools", tools, advice))
+        return [*found, UnobservableDirection("overall scale", scale, "Measure one length that is known.")]
 
     def fit(self, found: NonlinearSolution[DualState]) -> Fit[DualArmCorrection]:
         problem, state = self.problem, found.value

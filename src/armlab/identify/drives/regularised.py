@@ -12,8 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from armlab._numbers import numbers
-from armlab.errors import NotConverged, ShapeError
+from armlab.errors import NotConverged
 from armlab.estimation.robust import shrinkage
 
 # Ridge regression on coloured residuals: coefficients, a covariance that takes no model of the noise, held-out errors.
@@ -188,9 +187,6 @@ def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray) ->
 
     The penalty is the largest of 20 whose held-out error is within one standard deviation of the least.
     """
-    A, y, block = (numbers(one, "columns, values and blocks", ShapeError) for one in (A, y, block))
-    if A.ndim != 2 or not y.shape == block.shape == A.shape[:1]:
-        raise ShapeError(f"Expected columns (N, p), values and blocks (N,), got {A.shape}, {y.shape}, {block.shape}.")
     fold = block % FOLDS
     parts = [LassoSums.of(A[fold == k], y[fold == k]) for k in range(FOLDS)]
     whole = LassoSums.of(A, y)

@@ -1,13 +1,8 @@
 """Search and fit of torque ripple lines on the residuals of one joint (models.friction.RippleLines has the law).
 
-1. Least-squares periodogram over position: for each c the share of the residual that cos(c q) and sin(c q) explain. A
-   peak counts when noise with the local median would give one like it anywhere with p < 1e-3; the strongest is taken,
-   refined and removed, and the search goes on.
-2. Group lasso over the lines found, all amplitudes of a line in one group.
-3. A line stays when without it the error on held-out blocks grows by more than 2 %.
-
-A line passes with the frequency c |qd| / (2 pi): only samples below a quarter of the sampling rate are used, and a line
-that loses more than half of the samples is refused; a warning names the lines that cannot be searched for that reason.
+Peaks of a least-squares periodogram over position, a group lasso over the lines found, and of these the lines
+without which the error on held-out blocks grows by more than 2 %. A line passes with the frequency c |qd| / (2 pi):
+only samples below a quarter of the sampling rate are used. Theory: docs/theory/friction.md.
 """
 
 from __future__ import annotations
@@ -163,9 +158,6 @@ def ripple_regressor(
 
 def ripple_amplitudes(qd: np.ndarray, z: np.ndarray, speeds: np.ndarray, widths: np.ndarray) -> np.ndarray:
     """Return the weights (N, 2 S) of both directions and of the Gaussians in speed."""
-    qd, z = numbers(qd, "velocities [rad/s]", ShapeError), numbers(z, "presliding states", ShapeError)
-    if qd.ndim != 1 or qd.shape != z.shape:
-        raise ShapeError(f"Expected velocities and presliding states (N,), got shapes {qd.shape} and {z.shape}.")
     along = basis_weights(np.abs(qd), speeds, widths)
     sides = np.stack([0.5 * (1 + z), 0.5 * (1 - z)], axis=1)
     return (sides[:, :, None] * along[:, None, :]).reshape(len(along), -1)
