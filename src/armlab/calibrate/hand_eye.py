@@ -106,7 +106,7 @@ def fit_hand_eye(
     require_samples(equation.N, 3, "poses")
     _require_excitation(equation, _rotation_noise(equation, robust), setup)
     found, residuals = _solve(equation, robust)
-    _require_agreement(equation, residuals, ~found.outliers, HandEye(setup, *found.value.poses()))
+    require_match(equation, residuals, ~found.outliers, HandEye(setup, *found.value.poses()))
     if equation.noise is None:
         _require_excitation(equation, float(np.hypot(found.sigma[1], rotation_sd(equation.noise_A))), setup)
     return _result(equation, found, residuals, setup, widths, notes)
@@ -205,10 +205,6 @@ class HandEyeEquation:
         return len(self.tA)
 
     @cached_property
-    def _sample(self) -> np.ndarray:
-        return np.arange(self.N)
-
-    @cached_property
     def mean(self) -> np.ndarray:
         """Mean of R_A (3, 3): no rotation, and the shorter the more they turn."""
         return self.RA.sum(axis=0) / self.N
@@ -245,14 +241,12 @@ class HandEyeEquation:
         w = so3.log(back @ self.RB)
         bent = so3.left_jacobian_inv(w)
         r, J = np.concatenate([self.tB - t, w], axis=1), np.zeros((self.N, 6, 12))
-        J[:, :3, :3], J[:, :3, 6:9] = -C, pair.RY.T
-        J[:, 0, 10], J[:, 1, 11], J[:, 2, 9] = t[:, 2], t[:, 0], t[:, 1]  # -hat(t)
-        J[:, 0, 11], J[:, 1, 9], J[:, 2, 10] = -t[:, 1], -t[:, 2], -t[:, 0]
+        J[:, :3, :3], J[:, :3, 6:9], J[:, :3, 9:] = -C, pair.RY.T, -so3.hat(t)
         J[:, 3:, 3:6], J[:, 3:, 9:] = -bent, bent @ back
         of_A = self._noise_of_A(pair, C)
         if self.noise is None:
-            return [Measurement(r, J, None, COMPONENTS, self._sample, added=of_A)]
-        return [Measurement(r, J, self.noise if of_A is None else full(self.noise) + of_A, COMPONENTS, self._sample)]
+            return [Measurement(r, J, None, COMPONENTS, added=of_A)]
+        return [Measurement(r, J, self.noise if of_A is None else full(self.noise) + of_A, COMPONENTS)]
 
     def _noise_of_A(self, pair: Pair, C: np.ndarray) -> np.ndarray | None:
         """Return G S_A G^T (N, 6, 6), G = [[-R_Y^T, C hat(t_X)], [0, -R_X^T]]: t_X couples both; C = R_Y^T R_A."""
@@ -274,7 +268,7 @@ def _solve(equation: HandEyeEquation, robust: bool) -> tuple[NonlinearSolution[P
         found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust)
     except NotConverged as error:
         everything = np.ones(equation.N, dtype=bool)
-        _require_agreement(equation, equation.evaluate(error.best)[0].r, everything, error.best)
+        require_match(equation, equation.evaluate(error.best)[0].r, everything, error.best)
         raise
     if found.outliers.any():
         return found, equation.evaluate(found.value)[0].r
@@ -296,12 +290,6 @@ def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
     return float(np.sqrt(max(1.0 - np.linalg.svd(equation.product(), compute_uv=False)[0], 0.0)))
 
 
-def _require_agreement(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
-    """Refuse records that do not belong together, residuals r (N, 6), by the likeliest cause."""
-    require_order(equation, r, kept)
-    require_match(equation, r, kept, best)
-
-
 def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) -> None:
     """Refuse two records of poses that fit much better when orientations are read in another way."""
     now = _sizes(r[kept])
@@ -320,7 +308,8 @@ def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) ->
 
 
 def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
-    """Refuse records that do not belong together, with what would make them fit where that can be said."""
+    """Refuse records that do not belong together, residuals r (N, 6), with what would make them fit if known."""
+    require_order(equation, r, kept)
     turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
     squares, count = (r[kept] ** 2).sum(axis=0), np.count_nonzero(kept)
     position, rotation = np.sqrt(squares.reshape(2, 3).sum(axis=1) / count)
@@ -382,9 +371,7 @@ class PoseUnknowns:
         blocks = step.reshape(-1, 3)
         sizes = [hypot(*block) for block in (blocks / self.widths.reshape(-1, 3)).tolist()]
         largest = max(sizes)
-        first = next(
-            i for i, size in enumerate(sizes) if size > 0.5 * largest
-        )  # of poses that move together, the first
+        first = next(i for i, size in enumerate(sizes) if size > 0.5 * largest)  # of poses that move together
         part = self.parts[first]
         text = f"{part.what} {'about' if part.rotation else 'along'} {axis_text(blocks[first], part.axes)}"
         others = {p.what.split()[-1] for p, size in zip(self.parts, sizes) if size > SHARED * largest}

@@ -56,8 +56,6 @@ def orientations(value: ArrayLike, name: str) -> tuple[np.ndarray, str]:
 
 def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
     """Return R (N, 3, 3) projected where it is slightly off, and a note of that."""
-    if are_rotations(R):
-        return R, ""
     finite(R, name)
     off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).reshape(len(R), 9).max(axis=1, initial=0.0)
     wrong = off > NO_ROTATION
@@ -77,14 +75,6 @@ def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
         R[near] = so3.project(R[near])[0]
         note = f"{np.count_nonzero(near)} rotations of {name} were projected, off by up to {off.max():.2g}"
     return R, note
-
-
-def are_rotations(R: np.ndarray) -> bool:
-    """Tell whether R = Exp(Log(R)), which only rotations do: the cheapest proof, whatever else is to be said."""
-    try:
-        return bool(np.abs(so3.exp(so3.log(R)) - R).max(initial=0.0) < 0.1 * ROUNDING)
-    except ShapeError:
-        return False
 
 
 def gravity_of(gravity: Any) -> np.ndarray:

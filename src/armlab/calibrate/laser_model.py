@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import permutations, product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,11 +85,6 @@ class Scans:
     @property
     def N(self) -> int:
         return len(self.tA)
-
-    @cached_property
-    def linear(self) -> dict[float, Any]:
-        """What was found of each plate alone, see `linear_rotations`: asked for units and for starts."""
-        return {}
 
     @cached_property
     def P(self) -> int:
@@ -196,7 +191,7 @@ def _sorted(scans: Scans, rotations: list[np.ndarray], ratio: float) -> list[Sce
     return [scenes[i] for i in np.argsort(costs, kind="stable")]
 
 
-def linear_rotations(scans: Scans, ratio: float) -> tuple[tuple[list[np.ndarray], float], ...]:
+def linear_rotations(scans: Scans, ratio: float) -> list[tuple[list[np.ndarray], float]]:
     """Return rotations from the scans of each plate alone, and the unit of length of the scans over that of the poses.
 
     The unit is 1 where the scans do not determine it: it counts only if the products are products.
@@ -204,10 +199,7 @@ def linear_rotations(scans: Scans, ratio: float) -> tuple[tuple[list[np.ndarray]
     p_x n.R_i r1 + p_y n.R_i r2 + n.R_i t + n.t_i - d = 0 and l_x n.R_i r1 + l_y n.R_i r2 = 0 are linear in
     [n (x) r1, n (x) r2, n (x) t, n, d], up to scale.
     """
-    known = scans.linear
-    if ratio not in known:
-        known[ratio] = tuple(_linear(scans, j, ratio) for j in range(scans.P))
-    return known[ratio]
+    return [_linear(scans, j, ratio) for j in range(scans.P)]
 
 
 def _linear(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarray], float]:
@@ -219,8 +211,7 @@ def _linear(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarray], float
     t = scans.tA[mine] - middle
     A = np.hstack([p[:, :1] * R, p[:, 1:] * R, R, t, -np.ones((len(R), 1))])
     B = np.hstack([line[:, :1] * R, line[:, 1:] * R, np.zeros((len(R), 13))]) * ratio
-    rows = np.vstack([A, B])
-    z = np.linalg.svd(rows)[2][-1]
+    z = np.linalg.svd(np.linalg.qr(np.vstack([A, B]), mode="r"))[2][-1]
     pairs = np.hstack([z[:9].reshape(3, 3), z[9:18].reshape(3, 3)])
     _, s, V = np.linalg.svd(pairs)
     found = []

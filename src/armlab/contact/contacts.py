@@ -1,6 +1,6 @@
 """Contacts in an estimated log: where they are, when, and how large; comparison with a measured wrench.
 
-Where is the contact? Hypotheses about it, weighed by how well each explains the torques without more than it needs.
+Hypotheses about where a contact is:
 
     none     no contact
     point    a force at a known point of the tool: 3 unknowns
@@ -8,13 +8,8 @@ Where is the contact? Hypotheses about it, weighed by how well each explains the
     wrench   force and moment at the tool: 6
     link k   a force somewhere on link k: torques of the joints beyond are silent
 
-Each says how the torque error is distributed before anything is measured; its score over a window is the log evidence
-
-    sum log N(tau_e; 0, J_h^T C_h J_h + C_tau),
-
-summed over as many samples as are independent of each other. A hypothesis with more unknowns spreads its bets: of two
-that fit, the simpler one wins. Equal odds before give the posterior; a decision needs a log Bayes factor above 3 (odds
-of 20 to 1) over the second best, else it is "undecided".
+The score of each over a window is the log evidence ``sum log N(tau_e; 0, J_h^T C_h J_h + C_tau)`` over as many samples
+as are independent of each other. Theory: docs/theory/contact_force.md.
 """
 
 from __future__ import annotations
@@ -270,9 +265,6 @@ def _decided(
     return Hypotheses(t, names, evidence, posterior, decision, possible & contact, place, samples)
 
 
-# Intervals of contact, and the comparison of estimated with measured wrenches.
-
-
 CHI2_95 = 7.81  # 95 % of a chi-squared variable with three degrees of freedom
 SHORTEST = 0.2  # s; shorter excursions are what 5 % of the samples do without contact
 HOLE = 0.1  # s; shorter returns do not end a contact
@@ -339,9 +331,6 @@ def _contact(table: Table, start: float, end: float) -> Contact:
     x, y, z = np.nanmean(table["wrench_hat"][rows, :3], axis=0)
     sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"][rows])[:, :3])
     return Contact(float(start), float(end), (float(x), float(y), float(z)), float(2 * np.nanmean(sigma, axis=0).max()))
-
-
-# An estimated wrench against the true one, or that of a force sensor.
 
 
 SOURCES = {"wrench_true": "the true wrench", "wrench": "the force sensor"}

@@ -3,9 +3,8 @@
 Static methods take ``tau_e = model - measured = J^T F + error``, low-passed at the model's cut-off, and its covariance
 C_tau(qd) over velocity.
 
-"map"       most probable F for F ~ N(0, C_F): ``S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e``. It needs no
-            inverse of either covariance and works at singular poses, where the prior remains. The prior shrinks: the
-            bias is ``(I - K J^T) F``.
+"map"       most probable F for F ~ N(0, C_F): ``S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e``. It works at
+            singular poses, where the prior remains. The prior shrinks: the bias is ``(I - K J^T) F``.
 "bounded"   near rest friction is bounded instead of random: the least ``sum max(|tau_e - J^T F| - D, 0)^2 / s^2 + F^T
             C_F^-1 F`` by semismooth Newton (after Linderoth, Stolt, Robertsson and Johansson, IROS 2013). No contact
             unless proven; no drift at rest. Joints inside their bound tell nothing.
@@ -15,9 +14,6 @@ C_tau(qd) over velocity.
 "ls"        weighted least squares without a prior. To compare; near singular poses its forces are huge.
 "lund"      ``(J C_tau J^T + C_F^-1)^-1 J C_tau tau_e`` as TFRT-7651, eq. (2), prints it. To compare: with a covariance
             in place of a weight the noisiest joint speaks loudest. Our sign; the report's F_ext is -F.
-
-For ``x = K tau_e`` with any gain the covariance is ``(I - K J^T) C_F (I - K J^T)^T + K C_tau K^T``,
-and by any method what unknown gains of the torques do, ``var(g) F F^T``; the observability is that before it.
 
 Momentum methods need no acceleration: ``p = M qd``, ``dp/dt = u + J^T F``, ``u = tau + C^T qd - G - friction``.
 
@@ -47,9 +43,6 @@ from armlab.models.torque import FORCE_RATES, PRIOR
 from armlab.robots import Robot
 from armlab.robots.robot import arm_length
 from armlab.state import State
-
-# `Wrench`: an estimated contact wrench with its covariance and what could be seen at all.
-
 
 INVALID = 1
 """The sample was not finite; the estimate is NaN."""
@@ -131,9 +124,6 @@ class Wrench:
             return np.full(k, np.nan), np.full((k, k), np.nan)
         shares, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
         return shares, vectors
-
-
-# Places of contact on the tool: three finite numbers in metres, no further off than the arm is long.
 
 
 def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:

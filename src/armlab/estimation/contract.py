@@ -22,9 +22,6 @@ from armlab._numbers import flag, number
 from armlab.errors import ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation.fit import Fit
 
-# The properties of the contract that need many runs: consistent, honest, efficient, robust.
-
-
 Verdict = tuple[bool | None, str]
 
 NORMAL_95 = 1.959963984540054
@@ -81,10 +78,8 @@ def error_of(trial: ContractTrial, fit: Fit[Any], truth: Any) -> tuple[np.ndarra
     return np.atleast_1d(np.asarray(e, dtype=float)), np.asarray(C, dtype=float)
 
 
-def run(trial: ContractTrial, case: Experiment) -> FitRun:
-    fit = trial.fit(**case.data)
-    e, C = error_of(trial, fit, case.truth)
-    return FitRun(e, C, fit.rank, case.bound)
+def _run(trial: ContractTrial, case: Experiment, fit: Fit[Any]) -> FitRun:
+    return FitRun(*error_of(trial, fit, case.truth), fit.rank, case.bound)
 
 
 def _runs(trial: ContractTrial, times: int) -> list[FitRun]:
@@ -92,7 +87,8 @@ def _runs(trial: ContractTrial, times: int) -> list[FitRun]:
     key = f"runs {times}"
     if key not in trial.done:
         seeds = range(trial.seed, trial.seed + trial.runs)
-        trial.done[key] = [run(trial, trial.experiment(seed, times * trial.n)) for seed in seeds]
+        cases = (trial.experiment(seed, times * trial.n) for seed in seeds)
+        trial.done[key] = [_run(trial, case, trial.fit(**case.data)) for case in cases]
     return trial.done[key]
 
 
@@ -182,8 +178,7 @@ def robust(trial: ContractTrial) -> Verdict:
         case = trial.experiment(seed, trial.n)
         data, bad = trial.spoil(dict(case.data), np.random.default_rng([seed, 1]))
         fit = trial.fit(**data)
-        e, C = error_of(trial, fit, case.truth)
-        spoilt.append(FitRun(e, C, fit.rank, case.bound))
+        spoilt.append(_run(trial, case, fit))
         if bad is not None:
             flags = fit.outliers if fit.outliers.size else np.zeros(len(bad), dtype=bool)
             missed += int(np.sum(bad & ~flags))
@@ -198,9 +193,6 @@ def robust(trial: ContractTrial) -> Verdict:
     found = missed == 0 and false <= trial.limits.false * good
     text += f"; {missed} outliers missed, {100 * false / good:.2f} % of the good flagged"
     return bool(ratio <= limit and found), text
-
-
-# The properties of the contract that are laws: order, gauge, refusals, files, words, clean hands.
 
 
 SAME = 1e-9  # deviations of the estimate, or relative

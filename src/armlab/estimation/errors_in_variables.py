@@ -2,10 +2,9 @@
 
     (A - E_A) x = y - e_y,    the rows of [E_A e_y] independent of each other with covariance C_i
 
-Least squares takes A for exact and is biased towards zero by its errors. With z = [a y] a row, w = [x; -1] and
-``s_i = w^T C_i w`` the most likely x minimises ``sum_i (z_i . w)^2 / s_i``; the row is corrected by
-``C_i w (z_i . w) / s_i``, and the covariance of x is ``(sum_i a_i a_i^T / s_i)^-1`` of the corrected rows. With one
-covariance ``sigma^2 I`` for all of them that is a singular value problem; exact columns are eliminated first.
+With z = [a y] a row, w = [x; -1] and ``s_i = w^T C_i w`` the most likely x minimises ``sum_i (z_i . w)^2 / s_i``; the
+row is corrected by ``C_i w (z_i . w) / s_i``, and the covariance of x is ``(sum_i a_i a_i^T / s_i)^-1`` of the
+corrected rows. With one covariance ``sigma^2 I`` that is a singular value problem; exact columns are eliminated first.
 """
 
 from __future__ import annotations

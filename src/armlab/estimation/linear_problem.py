@@ -11,17 +11,6 @@ from armlab._numbers import make_read_only, numbers, still
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.tsqr import Factors, triangle
 
-# What the data can tell: rank, condition and the weakest directions in words.
-#
-# The test is on the column-scaled, whitened design matrix A (each column divided by its norm): its singular values are
-# free of units, and its condition number c says how many digits of the answer the noise of the data can eat. They are
-# those of the triangle R of ``A = Q R``; the normal matrix, which squares c, is never formed.
-#
-# Where the unknowns have a natural limit (0.2 rad, 50 mm, 30 % of a mass) the question is another one: does the
-# standard deviation along some direction exceed it? `check_spread` scales the columns by the limits, so that a singular
-# value below 1 says yes; a rank test alone fails as soon as the data are noisy.
-
-
 MAX_CONDITION = 1e4  # beyond it a direction is called not excited
 WARN_CONDITION = 300.0
 NULL = 1e-9  # relative singular value below which a direction is not weak but unseen
@@ -184,19 +173,16 @@ def check_spread(
     units: Sequence[str],
     limits: np.ndarray,
     what: str,
-    gauge: np.ndarray | None = None,
     describe: Describe | None = None,
-    hold: bool = False,
 ) -> Excitation:
     """Judge whether data determine every direction better than a limit.
 
-    The standard deviation along the direction v (in units of the limits) is ``1 / |J diag(limits) v|``.
+    The standard deviation along the direction v (in units of the limits) is ``1 / |J diag(limits) v|``: a rank test
+    alone fails as soon as the data are noisy.
 
     `J`: (m, p) whitened Jacobian of the data without priors, or its triangle. `limits`: (p,) standard deviation of each
-    parameter that is the most accepted. `gauge`: (p, g) directions, in units of the limits, that no data of this kind
-    tell; they are not judged. `describe`: puts a direction (p,) of the parameters into words: one standard deviation
-    long, or as long as the limits where nothing is seen. The names of the largest components otherwise. `hold`: list
-    what exceeds its limit in `held`, because a prior holds it, and do not refuse it.
+    parameter that is the most accepted. `describe`: puts a direction (p,) of the parameters into words: one standard
+    deviation long, or as long as the limits where nothing is seen. The names of the largest components otherwise.
     """
     p, J, limits = len(names), numbers(J, "a Jacobian", ShapeError), numbers(limits, "limits", ShapeError)
     if J.ndim != 2 or J.shape[1] != p or limits.shape != (p,) or not np.all(limits > 0) or not np.isfinite(J).all():
@@ -205,14 +191,9 @@ def check_spread(
             " Give one name, unit and limit per parameter."
         )
     scaled = (triangle(J) if len(J) > p else J) * limits
-    fixed, rest = np.zeros((p, 0)), None
-    if gauge is not None:
-        fixed = np.linalg.qr(gauge)[0]
-        rest = np.linalg.svd(np.eye(p) - fixed @ fixed.T)[0][:, : p - fixed.shape[1]]
-    _, found, rows = np.linalg.svd(scaled if rest is None else scaled @ rest, full_matrices=True)
-    singular = np.zeros(p - fixed.shape[1])
+    _, found, rows = np.linalg.svd(scaled, full_matrices=True)
+    singular, vectors = np.zeros(p), rows.T
     singular[: len(found)] = found
-    vectors = rows.T if rest is None else rest @ rows.T
     unseen = singular <= NULL * singular.max(initial=0.0)
     spread = np.divide(1.0, singular, out=np.full_like(singular, np.inf), where=~unseen)
 
@@ -223,21 +204,17 @@ def check_spread(
         k = int(np.argmax(np.abs(vectors[:, i])))
         return _in_words(vectors[:, i], names) + ("" if unseen[i] else f" ({abs(reach[k]):.2g} {units[k]})")
 
-    missing = np.flatnonzero(unseen)
-    null = np.hstack([fixed, vectors[:, missing]])
-    null_names = [f"gauge: {_in_words(v, names)}" for v in fixed.T] + [words(int(i)) for i in missing]
-    weak = [words(int(i)) for i in np.flatnonzero(spread > 1.0)[::-1]]
-    if weak and not hold:
+    weak = np.flatnonzero(spread > 1.0)[::-1]
+    if len(weak):
+        directions = [words(int(i)) for i in weak]
         raise NotExcited(
             f"Expected data that determine every direction of the {what}, got {len(weak)} whose standard deviation "
-            f"exceeds its limit: {'; '.join(weak)}. Measure at poses that differ more along these directions.",
-            weak,
-            ["unseen" if not np.isfinite(s) else f"{s:.2g} times the limit" for s in spread[spread > 1.0][::-1]],
+            f"exceeds its limit: {'; '.join(directions)}. Measure at poses that differ more along these directions.",
+            directions,
+            ["unseen" if not np.isfinite(s) else f"{s:.2g} times the limit" for s in spread[weak]],
         )
-    rank = int(np.count_nonzero(~unseen))
-    weakest = words(len(singular) - 1) if len(singular) else "none"
-    known = (1.0 / limits, vectors, tuple(weak), null, tuple(null_names), spread)
-    return Excitation(rank, p - fixed.shape[1], singular, weakest, *known)
+    empty = np.zeros((p, 0))
+    return Excitation(p, p, singular, words(p - 1), 1.0 / limits, vectors, null_space=empty, spread=spread)
 
 
 def _check_prior(prior: Prior, size: int) -> None:
@@ -256,12 +233,6 @@ def _in_words(vector: np.ndarray, names: Sequence[str]) -> str:
     return " and ".join(str(names[int(i)]) for i in kept)
 
 
-# The problem and its solution.
-
-
-# Bounds on the parameters of a least-squares problem that is already solved without them.
-
-
 BLOCK_ROUNDS = 10  # rounds without fewer faults after which one fault at a time is mended
 
 
@@ -276,14 +247,6 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
     lower < upper. Returns: (p,) solution within the bounds; exactly at those that hold. After Portugal, Judice and
     Vicente (1994), A comparison of block pivoting and interior-point algorithms.
     """
-    x, cov, lower, upper = (
-        numbers(one, "solution, covariance and bounds", ShapeError) for one in (x, cov, lower, upper)
-    )
-    p = x.size
-    if not x.shape == lower.shape == upper.shape == (p,) or cov.shape != (p, p):
-        raise ShapeError(
-            f"Expected x and its bounds (p,) and cov (p, p), got {x.shape}, {lower.shape}, {upper.shape}, {cov.shape}."
-        )
     if np.all((x >= lower) & (x <= upper)):
         return x
     sd = np.sqrt(np.diag(cov))

@@ -22,8 +22,6 @@ from armlab._numbers import make_read_only
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation.tsqr import triangle
 
-# Residuals of a nonlinear fit and their whitening: metres and radians are never mixed unweighted.
-
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
@@ -132,8 +130,7 @@ class Whitened:
         return self._rows(lambda one: one.r.ravel())
 
     def _rows(self, of: Callable[[Measurement], np.ndarray]) -> np.ndarray:
-        found = [of(one) for one in self.measurements]
-        whole = found[0] if len(found) == 1 else np.concatenate(found)
+        whole = np.concatenate([of(one) for one in self.measurements])
         return whole if self.kept is None else whole[self.kept]
 
     def squares(self, count: int) -> np.ndarray:
@@ -149,8 +146,6 @@ class Whitened:
         if np.all(weight == 1.0):
             return self
         root = np.sqrt(np.append(weight, 1.0))[self.sample]
-        if np.all(weight > 0):
-            return replace(self, r=self.r * root, J=self.J * root[:, None])
         kept = root > 0
         root = root[kept]
         return Whitened(self.r[kept] * root, self.J[kept] * root[:, None], self.measurements, kept)
@@ -162,8 +157,6 @@ def whiten(measurements: Sequence[Measurement], roots: Sequence[np.ndarray]) -> 
     for one, root in zip(measurements, roots):
         r.append(one.whitened(root).ravel())
         J.append((one.J * root[:, None] if root.ndim == 1 else root @ one.J).reshape(r[-1].size, -1))
-    if len(r) == 1:
-        return Whitened(r[0], J[0], tuple(measurements))
     return Whitened(np.concatenate(r), np.concatenate(J), tuple(measurements))
 
 
@@ -182,13 +175,6 @@ def median_norm(dimension: int) -> float:
     from scipy.special import gammaincinv
 
     return float(np.sqrt(2.0 * gammaincinv(0.5 * dimension, 0.5)))
-
-
-# Descent on a manifold: Gauss-Newton that damps itself when the cost does not fall.
-#
-# Minimise ``1/2 sum_i r_i^T S_i^-1 r_i`` over a value that lives anywhere: a pose, a set of planes, link frames. The
-# caller gives residuals with their Jacobian and a retraction, ``value [+] x``; nothing else is asked of the value.
-# Steps come from the triangle R of the whitened Jacobian and its singular values, never from the normal matrix.
 
 
 Value = TypeVar("Value")
@@ -544,9 +530,7 @@ def _is_mixed(found: Descent[Any]) -> bool:
 def _mixed_sigma(found: Descent[Any], sigma: dict[str, float]) -> np.ndarray:
     """Return the next deviation (classes,) where another part of the noise, S_i - diag(sigma^2), is known.
 
-        sigma_c^2 <- sigma_c^2 sum_c (S^-1 r)^2 / (sum_c diag(S^-1) - |S^-1 J basis|^2)
-
-    It is the law of whole classes where no other part is there; r of the last minimum, sums over the rows of class c.
+    ``sigma_c^2 <- sigma_c^2 sum_c (S^-1 r)^2 / (sum_c diag(S^-1) - |S^-1 J basis|^2)``, sums over the rows of class c.
     """
     rows, start = found.rows, 0
     kept = slice(None) if rows.kept is None else rows.kept

@@ -28,20 +28,6 @@ from armlab.estimation.linear_problem import (
 )
 from armlab.estimation.tsqr import Rows, factorise
 
-# Block bootstrap and block cross-validation, with block lengths from the autocorrelation of the residual.
-#
-# A block keeps its sums in coordinates in which the whole problem is orthonormal,
-#
-#     G_b = U_b^T U_b,   m_b = U_b^T r_b,   U_b = A_b T,   r_b = y_b - A_b x,   sum_b G_b = 1
-#
-# with T from the triangle R of the whole: their condition number is near 1, and nothing is lost by squaring it.
-# Residuals of robots are coloured, so the formal covariance is far too small; drawing whole stretches of time again
-# keeps their correlation. Two hundred draws cost two hundred solves of size p.
-
-
-# Autocorrelation time of a record and its effective sample size.
-
-
 SHORTEST = 0.5  # s
 MEMORIES = 4.0
 
@@ -88,6 +74,8 @@ AT_ONCE = 64  # draws whose normal matrices are held in memory
 @dataclass(frozen=True, eq=False)
 class BlockSums:
     """Sums of the rows of every block of time, in the coordinates z of ``x = solution.x + solution.basis @ z``.
+
+    In these coordinates the whole problem is orthonormal: nothing is lost by squaring the condition number.
 
     Attributes
     ----------
@@ -259,9 +247,6 @@ def shrinkage(scores: np.ndarray) -> float:
 
     `scores`: (B, p) gradients of B independent stretches, in coordinates in which the formal covariance is 1.
     """
-    scores = numbers(scores, "gradients of blocks", ShapeError)
-    if scores.ndim != 2:
-        raise ShapeError(f"Expected gradients of blocks (B, p), got shape {scores.shape}.")
     S, count = scores.T @ scores, len(scores)
     away = S - np.trace(S) / len(S) * np.eye(len(S))
     spread = float(np.sum(away * away))
@@ -319,9 +304,6 @@ def block_cv(sums: BlockSums, folds: int = 7, mode: str = "contiguous") -> Cross
     return CrossValidation(fold, solutions, np.stack(rms))
 
 
-# Losses that outliers do not move.
-
-
 HUBER = 1.345
 HUBER_ROUNDS, HUBER_STEP = 30, 1e-8  # step in deviations of the estimate
 NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
@@ -332,7 +314,7 @@ CUT = 3.0  # robust deviations of log RMS beyond which a block is left out
 
 def mad(x: np.ndarray) -> float:
     """Return the standard deviation of zero-mean Gaussian x as its outliers do not spoil it: median |x| / 0.6745."""
-    return float(np.median(np.abs(numbers(x, "numbers", ShapeError))) / NORMAL_MAD)
+    return float(np.median(np.abs(x)) / NORMAL_MAD)
 
 
 def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:
@@ -404,14 +386,7 @@ def _finish(
 
 
 def least_trimmed_squares(start: LinearSolution, seed: int = 0) -> LinearSolution:
-    """Fit to the blocks of time that agree: least trimmed squares over blocks, then one reweighted step.
-
-    Random small sets of blocks are fitted; each fit is improved by steps that keep the 75 % of the blocks with the
-    smallest mean square, which can only lower their sum. Of the best one, the blocks whose log RMS lies within three
-    robust deviations of the median are kept for the final weighted fit.
-
-    After Rousseeuw (1984), Least median of squares regression; Rousseeuw and van Driessen (2006), FAST-LTS.
-    """
+    """Fit to the blocks of time that agree (FAST-LTS, Rousseeuw and van Driessen 2006), then one reweighted step."""
     kept = start.kept
     for _ in range(2):  # the second time with weights of the classes that the outliers did not make
         current = start if kept.all() else solve(start.problem, start.factors, kept=kept)
@@ -472,9 +447,6 @@ def _mean_square(sums: BlockSums, z: np.ndarray) -> np.ndarray:
     power = sums.power - 2.0 * sums.moment @ z + (sums.gram @ z) @ z
     level = np.full(len(power), np.inf)
     return np.divide(np.maximum(power, 0.0), sums.rows, out=level, where=sums.rows > 0)
-
-
-# Linear least squares for any number of rows: one verb, four methods.
 
 
 METHODS = ("ols", "wls", "irls", "lts")

@@ -1,12 +1,7 @@
 """Triangular factors of a linear problem, made row by row: memory O(p^2) per block of time, whatever the length.
 
-For the rows ``[A y]`` of one class of measurement in one block of time only the triangle R of ``[A y] = Q R`` is kept:
-
-    R <- qr([R; A_new y_new])
-
-by Householder reflections (LAPACK tpqrt), so that the condition number is never squared. All that least squares can
-ask follows from R: ``||A x - y|| = ||R [x; -1]||`` for every x. A row of joint i has only the shared columns and its
-own: `Rows.columns` says which, and the others are never stored or multiplied.
+Of the rows ``[A y]`` of one class of measurement in one block of time only the triangle R of ``[A y] = Q R`` is kept,
+from which ``||A x - y|| = ||R [x; -1]||`` follows for every x. Theory: docs/theory/estimation.md.
 """
 
 from __future__ import annotations
@@ -193,10 +188,7 @@ def _check(piece: Rows, size: int, known: dict[int, np.ndarray]) -> None:
         )
 
 
-# Fits run on one thread of BLAS: the same bits on every machine, and no waiting.
-#
-# The matrices are tall and thin. Several threads spend their time on waiting for each other, all the more on a machine
-# that does other work: a fit took five times the processor time, and summed in another order.
+# Fits run on one thread of BLAS: the same bits on every machine. On tall, thin matrices threads wait for each other.
 
 
 _lock = Lock()

@@ -1,11 +1,7 @@
 """Fits of features to points: checked points and noise, outliers by minimal sets, the sign of a normal, the result.
 
-Each minimal set of points makes a feature; its scale is the h-th smallest distance of all points from it,
-``h = (N + size + 1) / 2``, so that nearly half of the points may be anywhere (Rousseeuw 1984, least median of squares).
-The h points nearest to the feature of smallest scale are refitted; flags then follow the refit.
-
-Squared distances from minimal sets are computed for many sets at once; sets that make no feature, as three points in a
-line, give NaN or infinity.
+Of minimal sets the feature with the least median of squares wins (Rousseeuw 1984), its half of the points is refitted,
+and flags follow the refit. Sets that make no feature, as three points in a line, give NaN or infinite distances.
 """
 
 from __future__ import annotations

@@ -19,6 +19,8 @@ from armlab.lie import so3
 
 __all__ = ["Circle", "Line", "Plane", "Sphere"]
 
+TILTS, CENTRE = ("tilt about axis 1", "tilt about axis 2"), ("centre x", "centre y", "centre z")
+
 
 @dataclass(frozen=True, eq=False)
 class Plane:
@@ -39,7 +41,7 @@ class Plane:
     axes: np.ndarray
     cov: np.ndarray | None = field(default=None, repr=False)
 
-    names: ClassVar[tuple[str, ...]] = ("tilt about axis 1", "tilt about axis 2", "offset at the centroid")
+    names: ClassVar[tuple[str, ...]] = (*TILTS, "offset at the centroid")
     units: ClassVar[tuple[str, ...]] = ("rad", "rad", "m")
 
     def __post_init__(self) -> None:
@@ -108,12 +110,7 @@ class Line:
     axes: np.ndarray
     cov: np.ndarray | None = field(default=None, repr=False)
 
-    names: ClassVar[tuple[str, ...]] = (
-        "tilt about axis 1",
-        "tilt about axis 2",
-        "offset along axis 1",
-        "offset along axis 2",
-    )
+    names: ClassVar[tuple[str, ...]] = (*TILTS, "offset along axis 1", "offset along axis 2")
     units: ClassVar[tuple[str, ...]] = ("rad", "rad", "m", "m")
 
     def __post_init__(self) -> None:
@@ -184,14 +181,7 @@ class Circle:
     axes: np.ndarray
     cov: np.ndarray | None = field(default=None, repr=False)
 
-    names: ClassVar[tuple[str, ...]] = (
-        "centre x",
-        "centre y",
-        "centre z",
-        "tilt about axis 1",
-        "tilt about axis 2",
-        "radius",
-    )
+    names: ClassVar[tuple[str, ...]] = (*CENTRE, *TILTS, "radius")
     units: ClassVar[tuple[str, ...]] = ("m", "m", "m", "rad", "rad", "m")
 
     def __post_init__(self) -> None:
@@ -228,7 +218,7 @@ class Sphere:
     radius: float
     cov: np.ndarray | None = field(default=None, repr=False)
 
-    names: ClassVar[tuple[str, ...]] = ("centre x", "centre y", "centre z", "radius")
+    names: ClassVar[tuple[str, ...]] = (*CENTRE, "radius")
     units: ClassVar[tuple[str, ...]] = ("m", "m", "m", "m")
 
     def __post_init__(self) -> None:

@@ -7,12 +7,10 @@ direction k of N points and sigma the noise of a coordinate,
     plane: tilt about axis 1  sigma^2 / lambda_2,  about axis 2  sigma^2 / lambda_1,  offset at centroid  sigma^2 / N
     line:  tilt about each axis  sigma^2 / lambda_1,  offset of the centroid along each axis  sigma^2 / N
 
-and no two of them are correlated. A direction whose spread is no larger than the noise is refused.
-
-Noise that differs between directions or points: with e the distances of a point from the feature, D their directions
-(k, 3) and C the covariance of the point, the cost is the sum of ``e^T S^-1 e``, ``S = D C D^T``. S depends on the
-feature; the gradient of the cost is nevertheless that of plain residuals when the lever of a tilt is taken at the most
-likely place ``p - C D^T S^-1 e``, not at p.
+and no two of them are correlated. A direction whose spread is no larger than the noise is refused. Where noise differs
+between directions or points, with e the distances of a point, D their directions (k, 3) and C its covariance, the cost
+is the sum of ``e^T S^-1 e``, ``S = D C D^T``. Its gradient is that of plain residuals when the lever of a tilt is taken
+at the most likely place ``p - C D^T S^-1 e``, not at p.
 """
 
 from __future__ import annotations

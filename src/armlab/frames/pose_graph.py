@@ -1,25 +1,14 @@
 """Pose graph: named frames joined by measured poses, the error of every loop, and the most likely set of poses.
 
-A graph belongs to its user: there is no global one.
-
-Loops: with T the product around a loop and E one of its poses, an error [v; w] of E (v along the axes of its first
-frame, w along those of its second) turns and shifts the closure by ``Ad(S^-1) [R_E^T v; w]``, S the product behind E.
-The sum of the covariances that this gives is that of the closure error [p; Log R]; ``chi2 = e^T C^-1 e`` has six
-degrees of freedom.
-
-Most likely poses: with X_a the pose of frame a in the first frame, the pose E_k measured between a and b has the
-residuals
-
-    r_t = p_E - R_a^T (p_b - p_a)          along the axes of a
-    r_R = Log(R_b^T R_a R_E)               along the axes of b
-
-minimised together, whitened by the covariance of E_k, by Gauss-Newton over the poses.
+An error [v; w] of a pose E in a loop turns and shifts its closure by ``Ad(S^-1) [R_E^T v; w]``, S the product behind E.
+The pose E measured between frames a and b has the residuals ``p_E - R_a^T (p_b - p_a)`` along the axes of a and
+``Log(R_b^T R_a R_E)`` along those of b. Theory: docs/theory/frames.md.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -100,19 +89,23 @@ class Graph:
                 raise FrameError(
                     f"Expected the name of a known frame, got {name!r}. Known: {', '.join(self.names) or 'none'}."
                 )
-        T = np.eye(4)
         if not via:
-            return self._along(T, path(self._edges, a, b), a, b)
-        stops = (a, *via, b)
-        for here, there in pairwise(stops):
+            steps = path(self._edges, a, b)
+            if steps is None:
+                raise FrameError(
+                    f"Expected poses that join {a!r} and {b!r}, got none on any way. Add the missing pose."
+                )
+            return composed(self._edges, steps)
+        ways: Steps = []
+        for here, there in pairwise((a, *via, b)):
             direct = [edge for edge in self._edges if {edge.a, edge.b} == {here, there}]
             if not direct:
                 raise FrameError(
                     f"Expected a pose between {here!r} and {there!r}, got none. Joined to {here!r}: "
                     f"{', '.join(self._neighbours(here))}."
                 )
-            T = self._along(T, [(self._edges.index(direct[0]), 1 if direct[0].a == here else -1)], here, there)
-        return T
+            ways.append((self._edges.index(direct[0]), 1 if direct[0].a == here else -1))
+        return composed(self._edges, ways)
 
     def check(self) -> LoopCheck:
         """Return every independent loop with its closure error and, where covariances are known, its chance."""
@@ -135,13 +128,6 @@ class Graph:
         NotConverged : the iteration did not.
         """
         return solve_poses(self._edges, self.names, robust)
-
-    def _along(self, T: np.ndarray, steps: Iterable[tuple[int, int]] | None, a: str, b: str) -> np.ndarray:
-        if steps is None:
-            raise FrameError(f"Expected poses that join {a!r} and {b!r}, got none on any way. Add the missing pose.")
-        for k, sign in steps:
-            T = T @ (self._edges[k].T if sign > 0 else se3.inv(self._edges[k].T))
-        return T
 
     def _neighbours(self, name: str) -> list[str]:
         return sorted({edge.b if edge.a == name else edge.a for edge in self._edges if name in (edge.a, edge.b)})
@@ -275,6 +261,14 @@ def path(edges: Sequence[Edge], a: str, b: str) -> Steps | None:
     return steps[::-1]
 
 
+def composed(edges: Sequence[Edge], steps: Steps) -> np.ndarray:
+    """Return the pose (4, 4) along a way."""
+    T = np.eye(4)
+    for k, sign in steps:
+        T = T @ (edges[k].T if sign > 0 else se3.inv(edges[k].T))
+    return T
+
+
 def _closure(edges: Sequence[Edge], steps: Steps) -> Loop:
     from scipy.special import chdtrc
 
@@ -371,10 +365,7 @@ def _start(edges: Sequence[Edge], names: Sequence[str]) -> np.ndarray:
         steps = path(edges, names[0], name)
         if steps is None:
             raise FrameError(f"Expected poses that join {names[0]!r} and {name!r}, got none. Add the missing pose.")
-        T = np.eye(4)
-        for i, sign in steps:
-            T = T @ (edges[i].T if sign > 0 else se3.inv(edges[i].T))
-        start[k] = se3.project(T)[0]
+        start[k] = se3.project(composed(edges, steps))[0]
     return start
 
 

@@ -1,16 +1,11 @@
 """Links that are real bodies: the nearest to an identified model whose masses are positive everywhere.
 
-Identification finds the base parameters, combinations of masses; the link parameters behind them are any that give
-these, and noise can move even the combinations to where no body is. A link is a body exactly when its pseudo-inertia
-
-    P = [[Sigma, m c], [m c^T, m]],   Sigma = tr(I) / 2 1 - I
-
-is positive definite (Wensing, Kim and Slotine 2018). With Lambda the information of the fit on its base parameters,
+A link is a body exactly when its pseudo-inertia P is positive definite (Wensing, Kim and Slotine 2018). With Lambda the
+information of the fit on its base parameters,
 
     minimise  (B pi - base)^T Lambda (B pi - base) + strength d(P, P_0)   over P_i >= 1e-6, rotor >= 0
 
-which grows the squared residual by exactly the first term, friction held. The pull d to a prior chooses among what the
-log cannot tell: log-det divergence, ``tr(P_0^-1 P) - log det(P_0^-1 P) - 4``, or squared distance over ``|P_0|^2``.
+which grows the squared residual by exactly the first term, friction held. Theory: docs/theory/identification.md.
 """
 
 from __future__ import annotations

@@ -17,15 +17,8 @@ Five stages, in this order:
    filter; to them the torque covariance over velocity is fitted and its scale calibrated to 95.4 % inside 2 sigma
    (`identify.validation`).
 
-`fit_gravity` fits gravity, friction and offsets alone, from slow motion:
-
-    tau_i = Y_i(q) gravity parameters + F_f,i(qd_i, s_i) + ripple_i(q_i) + e_i
-
-Such a log does not identify inertia. Masses and first moments that gravity shows (14 combinations of a YuMi arm) need
-no more than that, and contact forces at low speed need no more than these.
-
-`identify.many` runs the same stages over any number of logs: stages 1 to 4 on the first logs fix what is not linear
-(torque outliers, gains, structure of friction); what remains are sums of rows, which every log may add to.
+`fit_gravity` fits gravity, friction and offsets alone, from slow motion; `identify.many` runs the same stages over any
+number of logs.
 """
 
 from __future__ import annotations
@@ -239,8 +232,7 @@ class FitProblem:
     """A regression whose nonlinear parameters are fixed, and the sums of its blocks.
 
     `gain_cov`: (J, J) of the gains. `block`: (N,) number of the block of each sample, `length` of them in an
-    independent segment. `theta`: (p,) parameters without
-    slopes at which the slopes were taken.
+    independent segment. `theta`: (p,) parameters without slopes at which the slopes were taken.
     """
 
     design: Design
@@ -281,11 +273,7 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
 def _solved(
     design: Design, theta: np.ndarray, settings: FitSettings, block: np.ndarray, length: int
 ) -> tuple[Design, BlockSums]:
-    """Return the design with its slopes and the sums of its blocks (B,).
-
-    A number of the friction structure that only a few reversals identify keeps its value: a bootstrap cannot give its
-    deviation.
-    """
+    """Return the design with its slopes and the sums of its blocks; numbers that few reversals identify stay."""
     sloped = linearised(design, theta, settings.method)
     sums = BlockSums.of(settings.solve(sloped, block[design.rows]))
     spread = sums.spread(length)[sloped.layout.slopes] >= FEWEST
@@ -298,10 +286,7 @@ def _solved(
 
 
 def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray, int]:
-    """Return the block number (N,) of each sample, and how many blocks make an independent segment.
-
-    Segments are longer than the autocorrelation of the residual; method "lts" has several blocks in a segment.
-    """
+    """Return the block number (N,) of each sample, and how many blocks make a segment; with "lts" they are several."""
     data = design.data
     step = float(np.median(np.diff(data.t[design.rows])))
     seconds = min(block_seconds(design.residuals(theta), step), data.seconds / 20.0)

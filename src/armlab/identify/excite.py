@@ -10,6 +10,7 @@ drive are left out; those that are slow too seldom, or turn round too seldom for
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -23,9 +24,6 @@ from armlab.log import Table
 from armlab.models.friction import FRICTION_TERMS
 from armlab.robots import Robot
 from armlab.state import Command, State
-
-# Joint motion that can be sampled, joined, saved as a table and run on a robot.
-
 
 LONGEST_STEP = 0.006  # s that a controller's clock moves at once: 1.5 periods, what the bridge lets a reference move
 REST = 1e-3  # rad/s or m/s at an end of a saved motion
@@ -126,9 +124,9 @@ class Trajectory:
         return step
 
 
-def quintic_step(x: float) -> tuple[float, float, float]:
+def quintic_step(x: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the smooth step ``x^3 (10 - 15 x + 6 x^2)`` of x in [0, 1] and its two derivatives."""
-    x = min(max(x, 0.0), 1.0)
+    x = np.clip(x, 0.0, 1.0)
     return x**3 * (10 - 15 * x + 6 * x * x), 30 * x * x * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
 
 
@@ -159,8 +157,7 @@ def sequence(parts: Sequence[Trajectory], walk: float = 2.0) -> Trajectory:
         if local <= parts[k].seconds or k == len(parts) - 1:
             return parts[k].sample(np.array(local))
         here, there = parts[k].sample(np.array(parts[k].seconds))[0], parts[k + 1].q_first
-        x = (local - parts[k].seconds) / walk
-        s, ds, dds = quintic_step(x)
+        s, ds, dds = quintic_step((local - parts[k].seconds) / walk)
         return here + s * (there - here), ds / walk * (there - here), dds / walk**2 * (there - here)
 
     def sample(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -393,12 +390,8 @@ def _window(t: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray, np.n
     """Return the quintic window that is 0 at both ends and 1 between the ramps, with two derivatives."""
     ramp = min(RAMP, seconds / 2)
     rising = t < seconds / 2
-    x = np.clip(np.where(rising, t, seconds - t) / ramp, 0.0, 1.0)
-    sign = np.where(rising, 1.0, -1.0)
-    w = x**3 * (10 - 15 * x + 6 * x * x)
-    wd = 30 * x * x * (1 - x) ** 2 / ramp * sign
-    wdd = 60 * x * (1 - x) * (1 - 2 * x) / ramp**2
-    return w, wd, wdd
+    w, wd, wdd = quintic_step(np.where(rising, t, seconds - t) / ramp)
+    return w, np.where(rising, 1.0, -1.0) * wd / ramp, wdd / ramp**2
 
 
 def _information(robot: Robot, base: BaseParameters, trajectory: Trajectory, f0: float, weights: np.ndarray) -> float:
@@ -443,12 +436,6 @@ def _deviation(robot: Robot, sigma: np.ndarray) -> np.ndarray:
             f"Expected sigma of shape ({robot.n},) above 0 N m, got {values.tolist()}. Give one per joint."
         )
     return values
-
-
-# Friction run: one joint at constant speeds, both ways, with holds between them and the middle speed again at the end.
-#
-# At constant speed torque is gravity plus friction, and a slow joint passes every tooth of its gear: the curve of
-# friction over speed, torque ripple and, from the repetition, warm-up are read from such a log.
 
 
 SPEEDS = 10
@@ -505,12 +492,12 @@ def friction_run(robot: Robot, joint: int | str, at: np.ndarray | None = None) -
         k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(q0) - 1)
         T = times[k + 1] - times[k]
         x = (t - times[k]) / T
-        q, qd, qdd = (np.zeros((*t.shape, robot.n)) for _ in range(3))
+        q, qd, qdd = (start + np.zeros((*t.shape, robot.n)) for start in (pose, 0.0, 0.0))
         change = v1[k] - v0[k]
-        q += pose
         q[..., i] = middle + q0[k] + T * (v0[k] * x + change * x**4 * (2.5 - 3 * x + x * x))
-        qd[..., i] = v0[k] + change * x**3 * (10 - 15 * x + 6 * x * x)
-        qdd[..., i] = change / T * 30 * x * x * (1 - x) ** 2
+        s, ds, _ = quintic_step(x)
+        qd[..., i] = v0[k] + change * s
+        qdd[..., i] = change / T * ds
         return q, qd, qdd
 
     return Trajectory(float(times[-1]), sample)
@@ -577,8 +564,7 @@ def _phases(speeds: list[float], stroke: float, acceleration: float) -> tuple[np
 
 RATE = 250.0  # Hz, of the log that will be
 THINNED = 50.0  # Hz, at which the regressor is evaluated
-GROUPS = (("first moments", "kg m"), ("inertias", "kg m^2"), ("viscous", "N m s/rad"), ("Coulomb", "N m"))
-GROUPS = (*GROUPS, ("offset", "N m"))
+GROUPS = {"first moments": "kg m", "inertias": "kg m^2", "viscous": "N m s/rad", "Coulomb": "N m", "offset": "N m"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -608,15 +594,13 @@ class PredictedUncertainty:
     def rows(self) -> list[tuple[str, ...]]:
         """Return per group: parameters, median and largest expected deviation, the worst by name; the head first."""
         rows = [("group", "unit", "parameters", "median sd", "largest sd", "of")]
-        for group, unit in GROUPS:
+        for group, unit in GROUPS.items():
             places = [i for i, name in enumerate(self.groups) if name == group]
             if not places:
                 continue
             worst = max(places, key=lambda i: self.sd[i])
-            median = float(np.median(self.sd[places]))
-            rows.append(
-                (group, unit, str(len(places)), f"{median:.2g}", f"{self.sd[worst]:.2g}", _leader(self.names[worst]))
-            )
+            median, leader = np.median(self.sd[places]), re.split(r" [+-] ", self.names[worst])[0]
+            rows.append((group, unit, str(len(places)), f"{median:.2g}", f"{self.sd[worst]:.2g}", leader))
         return rows
 
 
@@ -682,8 +666,3 @@ def _group(name: str, unit: str) -> str:
     if name.startswith(("viscous", "offset")):
         return name.split()[0]
     return "first moments" if unit == "kg m" else "inertias"
-
-
-def _leader(name: str) -> str:
-    """Return the leading symbol of a combination."""
-    return name.split(" + ")[0].split(" - ")[0]

@@ -8,7 +8,7 @@ is reported as two Coulomb torques, one for each direction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from itertools import pairwise
@@ -24,17 +24,6 @@ from armlab.models.friction import FRICTION_TERMS
 FIXED = ("viscous", "offset", "ripple cos", "ripple sin")
 SIGNED = ("coulomb+", "coulomb-", "root")  # columns of the sign alone
 SHAPED = (*SIGNED, "stribeck")
-
-
-@dataclass(frozen=True, eq=False)
-class Bell:
-    """The factor exp(-(qd / v_s)^2) of velocities (N, J) and v_s (J,), made of the rows that are asked for."""
-
-    qd: np.ndarray
-    speed: np.ndarray
-
-    def __getitem__(self, rows: slice) -> np.ndarray:
-        return np.exp(-((self.qd[rows] / self.speed) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,15 +55,16 @@ class FrictionColumns:
             z[:, i] = np.tanh(self.qd[:, i] / smooth[i])
         return z
 
-    def columns(self, s: np.ndarray, bells: Sequence[Bell | np.ndarray], signs: bool = True) -> np.ndarray:
-        """Return the columns (M, J, 3 + S) of a sign s (N, J): SIGNED, if wanted, then Stribeck of each of S bells."""
-        made_of = [FRICTION_TERMS[name].column for name in SIGNED] if signs else []
+    def columns(self, s: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+        """Return the columns (M, J, 3 + S) of a sign s (N, J): SIGNED, then Stribeck of each of S speeds (S, J)."""
+        made_of = [FRICTION_TERMS[name].column for name in SIGNED]
 
         def made(a: int, b: int) -> np.ndarray:
             own = [column(self.qd[a:b], s[a:b]) for column in made_of if column]
-            return np.concatenate([*own, *(s[a:b] * bell[a:b] for bell in bells)], axis=1)
+            bells = (np.exp(-((self.qd[a:b] / speed) ** 2)) for speed in speeds)
+            return np.concatenate([*own, *(s[a:b] * bell for bell in bells)], axis=1)
 
-        J, count = self.q.shape[1], len(made_of) + len(bells)
+        J, count = self.q.shape[1], len(made_of) + len(speeds)
         return np.moveaxis(self.decimation.run(made, J * count).reshape(-1, count, J), 1, 2)
 
 
@@ -248,25 +238,18 @@ def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @one_thread()
 def choose(choice: StructureChoice) -> FrictionStructure:
-    """Choose the structure of one joint's friction by cross-validation over the folds of the data.
-
-    Presliding distance or v_t, the speed of Stribeck's term, and which terms there are come from a grid; of all that
-    come within 1 % of the smallest squared error the one with the fewest terms wins, with presliding before tanh. Its
-    numbers are then refined.
-    """
+    """Choose one joint's structure by cross-validation: the simplest of a grid within 1 % of the best, then refined."""
     search, motion = _StructureSearch(choice), choice.motion
     trials = [(delta, 0.0) for delta in DELTAS] + [(DELTAS[3], smooth) for smooth in SMOOTH_SPEEDS]
-    bells = [Bell(motion.qd, np.array([speed]))[:] for speed in STRIBECK_SPEEDS]
     scores = []
     for delta, smooth in trials:
         s = motion.sign(np.array([delta]), np.array([smooth]))
-        scores.append(search.scores(motion.columns(s, bells), STRIBECK_SPEEDS, slice(None)))
+        scores.append(search.scores(motion.columns(s, STRIBECK_SPEEDS[:, None]), STRIBECK_SPEEDS, slice(None)))
     t, k, terms = _pick(np.array(scores))  # (trial, speed, terms)
     delta, smooth = trials[t]
     structure = FrictionStructure(np.array([delta]), np.array([smooth]), STRIBECK_SPEEDS[[k]], TERMS[[terms]])
     structure = _refine(search, structure, scores[t][k, terms])
-    columns = motion.columns(motion.sign(structure.delta, structure.smooth), [Bell(motion.qd, structure.speed)])
-    errors = search.scores(columns, structure.speed, slice(None))[0]
+    errors = search.scores(_columns(motion, structure), structure.speed, slice(None))[0]
     simplest = int(np.argmax(errors <= (1.0 + GAIN) * errors.min()))
     # on the grid a term may stand in for a width between two points
     structure = replace(structure, terms=TERMS[[simplest]])
@@ -297,19 +280,15 @@ def _refine(search: _StructureSearch, structure: FrictionStructure, best: float)
     """Try factors on distance or speed of the sign and on Stribeck's speed; keep what lowers the held-out error."""
     motion, kind = search.motion, int(np.flatnonzero((structure.terms == TERMS).all(axis=1))[0])
     ways = ((1.0, 0.0), (0.0, 1.0)) if structure.terms[0, 1] else ((1.0, 0.0),)
-    s = motion.sign(structure.delta, structure.smooth)
-    columns = motion.columns(s, [Bell(motion.qd, structure.speed)])
     for step in (sign * np.log(factor) for factor in REFINEMENTS for sign in (1.0, -1.0)):
         for way in ways:
             trial = structure.moved(step * np.array([way]))
-            bells = [Bell(motion.qd, trial.speed)]
-            if way[0]:
-                z = motion.sign(trial.delta, trial.smooth)
-                tried = motion.columns(z, bells)
-            else:  # the columns of the sign stay
-                bell = motion.columns(s, bells, signs=False)
-                z, tried = s, np.concatenate([columns[:, :, : len(SIGNED)], bell], axis=2)
-            score = float(search.scores(tried, trial.speed, slice(kind, kind + 1))[0, 0])
+            score = float(search.scores(_columns(motion, trial), trial.speed, slice(kind, kind + 1))[0, 0])
             if score < best:
-                best, structure, s, columns = score, trial, z, tried
+                best, structure = score, trial
     return structure
+
+
+def _columns(motion: FrictionColumns, structure: FrictionStructure) -> np.ndarray:
+    """Return the columns (M, J, 4) of a structure of these joints."""
+    return motion.columns(motion.sign(structure.delta, structure.smooth), structure.speed[None])

@@ -1,14 +1,11 @@
 """One model from any number of logs: a draft from the first minutes, sums of each log, and the fit to their sum.
 
-1. `fit_draft` fits the first few minutes as `fit_dynamics` does: that fixes what is not linear, which spikes of torque
-   are replaced, the gains, the structure of friction, and at which residual Huber's loss begins.
-2. `log_sums` reduces one log to triangular factors of its rows, weighted by their residuals to the draft, with the
-   slopes of the structure of friction among its columns. It needs nothing of the other logs, so that sums can be made
-   anywhere, in any order, and kept: ten logs more cost ten logs.
+1. `fit_draft` fits the first few minutes as `fit_dynamics` does: that fixes what is not linear.
+2. `log_sums` reduces one log to triangular factors of its rows, weighted by their residuals to the draft. It needs
+   nothing of the other logs, so that sums can be made anywhere, in any order, and kept.
 3. `fit_sums` solves for the sum of all, in the order of the logs: the same bits whoever made the sums.
 
-One step of reweighting from a robust draft is as good as many when the draft's own error is small beside the noise of a
-row (Bickel 1975, One-step Huber estimates in the linear model); one Gauss-Newton step of the shape likewise.
+One step of reweighting from a robust draft is as good as many (Bickel 1975, One-step Huber estimates).
 """
 
 from __future__ import annotations

@@ -2,17 +2,9 @@
 
     tau - tau_model = (1 + g_i) Y_i(q, qd, qdd) pi + e_i,      g_i ~ N(0, 5 %)
 
-Y are the columns of the last link, moved to the flange; pi is mass, first moment and, in mode "dynamic", inertia. In
-mode "static" the load counts as a point for its inertia. What joint i calls one newton metre may be a little more or
-less, g_i: without it the mass would seem to be known far better than it is.
-
-1. Residual of the model and regressor pass the same zero-phase filter. With a log of the same motion without the load
-   its residual is subtracted, and with it all that the model has wrong and both logs share.
-2. Huber's least squares for pi alone gives the weights of rows and joints.
-3. Gauss-Newton for pi and the gains together, each joint counting its independent samples only. Then both once more:
-   weights that know nothing of the gains take them for outliers.
-4. The covariance: scatter of whole blocks of time, what the gains may be, what the model may have wrong in its masses
-   and its friction.
+Y are the columns of the last link, moved to the flange; pi is mass, first moment and, in mode "dynamic", inertia.
+Huber's least squares for pi alone gives the weights of rows and joints, Gauss-Newton then pi and the gains g_i;
+both run twice, as weights that know nothing of the gains take them for outliers. Theory: docs/theory/payload.md.
 """
 
 from __future__ import annotations
@@ -37,8 +29,6 @@ from armlab.models import Payload, TorqueModel
 from armlab.models.friction import FRICTION_TERMS, Friction
 from armlab.robots import Robot, inertia
 
-# What is uncertain in an identified model, and what fits that rely on the model make of it.
-#
 # Where the residual ``y = tau - tau_model`` is fitted by ``y = A x + e``, an error d of the model's parameters adds
 # ``-C d`` to e, with C = d tau_model / d parameters. All rows share one d: no number of rows averages it out.
 
@@ -155,9 +145,6 @@ def _rigid(
         Y = Y @ base.lift[: 10 * n] + qdd[part][:, :, None] * base.lift[10 * n :]
         total += A[a : a + CHUNK].transpose(1, 2, 0) @ Y[:, joints].transpose(1, 0, 2)
     return total
-
-
-# What a load adds to the torques of a log, as a linear regression: filtered, decimated, and less a log without it.
 
 
 EVERY = 4  # rows apart that are kept; the filter's corner is at a tenth of the rate

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from armlab._numbers import members
 from armlab.errors import NotExcited, RobotError, ShapeError, UnknownName
@@ -19,9 +18,6 @@ from armlab.log.units_check import check_position, check_torque, check_velocity
 from armlab.models import TorqueModel
 from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline
-
-# What the sampling of a log is fast enough for: friction as a whole, and a line of torque ripple.
-
 
 MIN_RATE = 40.0  # Hz: four samples in a period of the 10 Hz that models and estimators keep
 SLOW_SHARE = 0.25  # of the sampling rate: a faster ripple line folds back
@@ -150,10 +146,10 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
     return _checked(_tables(table), robot, used, used)
 
 
-def prepare_share(table: Table, robot: Robot, joints: Sequence[int] | None = None) -> Record:
+def prepare_share(table: Table, robot: Robot) -> Record:
     """Check and cut one log of many as `prepare` does; joints may rest in it, since others may move them."""
-    used = np.bincount(measured_joints(robot, joints), minlength=robot.n) > 0
-    return _checked(_tables(table), robot, used, np.zeros(robot.n, dtype=bool))
+    every = np.ones(len(measured_joints(robot)), dtype=bool)
+    return _checked(_tables(table), robot, every, ~every)
 
 
 def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.ndarray) -> Record:
@@ -344,11 +340,8 @@ def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
     )
 
 
-# Single samples of torque that are far from their neighbours, found and replaced.
-#
-# A filter would spread a spike over its neighbours, where no loss function finds it again. The median of the neighbours
-# is a first guess, wrong by several deviations where friction turns round; once there is a model, its torque is taken
-# there, plus the median of what it leaves of the neighbours.
+# Single samples of torque that are far from their neighbours, found and replaced: a filter would spread them over the
+# neighbours, where no loss function finds them again.
 
 
 SPIKE, WINDOW = 6.0, 9  # robust deviations from the median of so many samples
@@ -384,31 +377,15 @@ def _modelled(model: TorqueModel, data: Record) -> np.ndarray:
     return np.concatenate(parts)
 
 
-# Zero-phase low-pass and decimation of a long record in one pass, block by block.
-#
-#     y_m = sum_j h_j x_{m every + j},   |j| <= L
-#
-# with h the impulse response of a Butterworth filter run forward and backward, cut where it has decayed. Torque and
-# every column of the regressor pass the same h, so linear relations survive it exactly. Only the rows that are kept are
-# computed, as products with a narrow matrix, and never more than a few thousand rows of the regressor exist at once.
+# Zero-phase low-pass and decimation of a long record: y_m = sum_j h_j x_{m every + j}, |j| <= L, with h the impulse
+# response of a Butterworth filter run forward and backward, cut where it has decayed. Torque and every column of the
+# regressor pass the same h, so linear relations survive it exactly. Only kept rows are computed, as products with a
+# narrow matrix, and only a few thousand rows of the regressor exist at once.
 
 
 DECAYED = 1e-6  # of the largest tap
-ROWS_AT_ONCE = 1024  # rows of the record: their regressor stays in the cache
-WIDE, NARROW = 64, 16  # columns: of fewer than the first more rows at once
+ROWS_AT_ONCE, WIDE = 1024, 64  # rows of the record: their regressor stays in the cache; of fewer columns more rows
 BAND_ROWS = 32  # kept rows of one product
-
-
-@dataclass(frozen=True)
-class Piece:
-    """Rows `start` to `stop` of a record give the kept rows `first` to `last`, continued by `before` and `after`."""
-
-    start: int
-    stop: int
-    before: int
-    after: int
-    first: int
-    last: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -434,42 +411,26 @@ class Decimation:
     def run(self, columns: Callable[[int, int], np.ndarray], width: int) -> np.ndarray:
         """Return the kept rows (M, width) of columns that are made on the fly."""
         out = np.empty((len(self.rows), width))
-        for piece in self.pieces(ROWS_AT_ONCE * max(1, WIDE // max(width, 1))):
-            self.decimate(piece, columns(piece.start, piece.stop), out[piece.first : piece.last])
-        return out
-
-    def pieces(self, rows: int = ROWS_AT_ONCE) -> Iterator[Piece]:
-        """Yield what rows of the record are needed for what kept rows, about so many rows of the record at once."""
-        reach, count = len(self.taps) // 2, max(BAND_ROWS, rows // self.every // BAND_ROWS * BAND_ROWS)
-        first = 0
+        rows = ROWS_AT_ONCE * max(1, WIDE // max(width, 1)) // self.every
+        reach, count, first = len(self.taps) // 2, max(BAND_ROWS, rows // BAND_ROWS * BAND_ROWS), 0
         for a, b in self.segments:
             kept = -(-(b - a) // self.every)
             for k in range(0, kept, count):
                 last = min(k + count, kept)
                 start, stop = a + self.every * k - reach, a + self.every * (last - 1) + reach + 1
-                inside = max(start, a), min(stop, b)
-                yield Piece(*inside, inside[0] - start, stop - inside[1], first + k, first + last)
+                x, missing = columns(max(start, a), min(stop, b)), (max(a - start, 0), max(stop - b, 0))
+                if any(missing):  # ends of a segment are continued by point reflection
+                    x = np.pad(x, (missing, (0, 0)), mode="reflect", reflect_type="odd")
+                self._filter(x, out[first + k : first + last])
             first += kept
+        return out
 
-    def decimate(self, piece: Piece, x: np.ndarray, out: np.ndarray) -> None:
-        """Write the kept rows of one piece; ends of a segment are continued by point reflection."""
-        if piece.before or piece.after:
-            x = _continued(x, piece.before, piece.after)
-        if len(self.taps) == 1:
-            out[:] = x[:: self.every]
-            return
-        T, kept, done = self._band, piece.last - piece.first, 0
-        if 0 < x.shape[1] <= NARROW and kept >= BAND_ROWS:
-            # Few columns: all bands side by side, in one product.
-            bands = kept // BAND_ROWS
-            windows = sliding_window_view(x, T.shape[1], axis=0)[:: self.every * BAND_ROWS][:bands]
-            product = T @ windows.transpose(2, 0, 1).reshape(T.shape[1], -1)
-            done = bands * BAND_ROWS
-            out[:done] = product.reshape(BAND_ROWS, bands, -1).transpose(1, 0, 2).reshape(done, -1)
-        for k in range(done, kept, BAND_ROWS):
-            m = min(BAND_ROWS, kept - k)
+    def _filter(self, x: np.ndarray, out: np.ndarray) -> None:
+        """Write the kept rows (k, w) of rows x of the record, which reach beyond them on both sides."""
+        for k in range(0, len(out), BAND_ROWS):
+            m = min(BAND_ROWS, len(out) - k)
             width = self.every * (m - 1) + len(self.taps)
-            np.matmul(T[:m, :width], x[self.every * k : self.every * k + width], out=out[k : k + m])
+            np.matmul(self._band[:m, :width], x[self.every * k : self.every * k + width], out=out[k : k + m])
 
     @cached_property
     def _band(self) -> np.ndarray:
@@ -478,17 +439,6 @@ class Decimation:
         for k in range(BAND_ROWS):
             T[k, self.every * k : self.every * k + len(self.taps)] = self.taps
         return T
-
-
-def _continued(x: np.ndarray, before: int, after: int) -> np.ndarray:
-    """Return x (N, C) with rows before and after it, reflected at its ends."""
-    if max(before, after) >= len(x):
-        return np.pad(x, ((before, after), (0, 0)), mode="reflect", reflect_type="odd")
-    out = np.empty((before + len(x) + after, x.shape[1]))  # ten times as fast, for the usual piece
-    out[before : before + len(x)] = x
-    np.subtract(2.0 * x[0], x[before:0:-1], out=out[:before])
-    np.subtract(2.0 * x[-1], x[-2 : -2 - after : -1], out=out[before + len(x) :])
-    return out
 
 
 def _taps(corner: float) -> np.ndarray:

@@ -31,7 +31,6 @@ from armlab.identify.friction_structure import (
     FOLDS,
     FRICTION,
     SHAPED,
-    Bell,
     Chooser,
     FrictionColumns,
     FrictionStructure,
@@ -45,17 +44,9 @@ from armlab.models.friction import FRICTION_TERMS, Friction, FrictionTerm, Rippl
 from armlab.models.torque import CoupledMotors
 from armlab.robots import Robot
 
-# Base parameters: the combinations of link parameters that motion can tell apart.
-#
-# The regressor of an arm, ``Y pi`` with 10 parameters per link and one rotor inertia per joint, has dependent columns.
-# A pivoted QR in a fixed physical order (Gautier 1991) keeps the first independent columns and expresses the others by
-# them:
-#
-#     Y pi = Y[:, kept] B pi + D pi,      B = [I, K] in the order of the columns
-#
-# so ``B pi`` are the base parameters, and ``lift @ base`` is the smallest pi with the same torque. D pi is the constant
-# torque of each joint that looks like the offset of its sensor: the weight of what a vertical slide carries, and
-# nothing for arms that turn.
+# Base parameters: the combinations of link parameters that motion can tell apart, ``Y pi = Y[:, kept] B pi + D pi``. D
+# pi is the constant torque of each joint that looks like the offset of its sensor: the weight of what a vertical slide
+# carries, and nothing for arms that turn. Theory: docs/theory/identification.md.
 
 
 LINK_SYMBOLS = ("m", "m c_x", "m c_y", "m c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
@@ -285,7 +276,7 @@ class RegressionColumns:
     def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
         """Return the columns (M, J, 3 + S) of a sign with delta, smooth (J,), then Stribeck of each speed (S, J)."""
         friction = self.friction
-        return friction.columns(friction.sign(delta, smooth), [Bell(friction.qd, speed) for speed in speeds])
+        return friction.columns(friction.sign(delta, smooth), speeds)
 
     def lines_are_seen(self) -> bool:
         """Tell whether ripple passes slowly enough for the sampling in most samples; warn where it does not."""
@@ -376,33 +367,26 @@ def _term(name: str) -> FrictionTerm:
     return FRICTION_TERMS.get(name, FRICTION_TERMS["offset"])
 
 
-# Rows of the regression for the solver, joint by joint and in pieces of bounded size.
-
-
 AT_ONCE = 8192  # rows handed to the solver
 
 
 @dataclass(frozen=True, eq=False)
 class DesignRows:
-    """Rows of J joints; reading it again makes them again.
+    """Rows of a design for the solver, joint by joint; reading it again makes them again.
 
-    `tau`: (M, J) torque. `rigid`, `local`: of each joint (M, w) and (M, k), its columns, in this order. `columns`: of
-    each joint (w + k,), the parameters that they belong to. `block`: (M,) number of the block of time of each row.
-    `trust`: (M, J) weights of the rows, None for 1.
+    `block`: (M,) number of the block of time of each row. `trust`: (M, J) weights of the rows, None for 1.
     """
 
-    tau: np.ndarray
-    rigid: Sequence[np.ndarray]
-    local: Sequence[np.ndarray]
-    columns: Sequence[np.ndarray]
+    design: Design
     block: np.ndarray
     trust: np.ndarray | None
 
     def __iter__(self) -> Iterator[Rows]:
-        for i, columns in enumerate(self.columns):
+        design = self.design
+        for i, columns in enumerate(design.layout.columns):
             for a in range(0, len(self.block), AT_ONCE):
                 part = slice(a, a + AT_ONCE)
-                A, y = np.hstack([self.rigid[i][part], self.local[i][part]]), self.tau[part, i]
+                A, y = np.hstack([design.rigid[i][part], design.local[i][part]]), design.tau[part, i]
                 if self.trust is not None:
                     A, y = A * self.trust[part, i, None], y * self.trust[part, i]
                 yield Rows(A, y, self.block[part], i, columns)
@@ -497,8 +481,7 @@ class Design(RegressionColumns):
     def with_structure(self, structure: FrictionStructure) -> Design:
         """Return it with the columns of another structure of friction."""
         shaped = self.shaped(structure.delta, structure.smooth, structure.speed[None])
-        made_of = (*FIXED[: self.fixed.shape[2]], *SHAPED)
-        at = [made_of.index(name) for name in COLUMNS[: self._width]]
+        at = [(*FIXED[: self.fixed.shape[2]], *SHAPED).index(name) for name in COLUMNS[: self._width]]
         local = []
         for i, joint in enumerate(self.joints):
             own = np.concatenate([self.fixed[:, i], shaped[:, i]], axis=1)[:, at]
@@ -554,11 +537,8 @@ class Design(RegressionColumns):
         return x, *(cov * np.outer(scale, scale) for cov in covs)
 
     def stream(self, block: np.ndarray, trust: np.ndarray | None = None) -> Iterable[Rows]:
-        """Return the rows of the problem with numbers of their blocks (M,) and weights (M, J), 1 when left out.
-
-        They are made again whenever they are read.
-        """
-        return DesignRows(self.tau, self.rigid, self.local, self.layout.columns, block, trust)
+        """Return the rows of the problem with numbers of their blocks (M,) and weights (M, J), 1 when left out."""
+        return DesignRows(self, block, trust)
 
     def model(self, theta: np.ndarray) -> np.ndarray:
         """Return the filtered torque (M, J) [N m] of parameters theta (p,)."""

@@ -20,16 +20,11 @@ from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.record import Record
 from armlab.identify.regression import Design
 
-# Least squares with one unknown gain per joint: ``y_i = (1 + g_i) A_i x + e_i``, ``g_i ~ N(0, s^2)``.
-#
-# The problem is kept as sums per joint and block of time. Newton's method without second derivatives (Gauss-Newton);
-# the gains, each in its own equation, are eliminated:
+# Least squares with one unknown gain per joint, ``y_i = (1 + g_i) A_i x + e_i``, ``g_i ~ N(0, s^2)``: Gauss-Newton on
+# sums per joint and block of time; the gains, each in its own equation, are eliminated:
 #
 #     (H - sum_i u_i u_i^T / d_i) dx = -(r - sum_i u_i e_i / d_i),   dg_i = -(e_i + u_i dx) / d_i
 #     H = sum k^2 G_i,   u_i = k G_i x,   d_i = x^T G_i x + 1 / s^2,   k = 1 + g_i
-#
-# The covariance of x is the scatter of the blocks' gradients (the bootstrap of whole blocks, of many draws) and what
-# the gains may be. Chance in the scatter of few blocks is shrunk away as in `estimation.block_bootstrap`.
 
 
 STEPS, SETTLED = 30, 1e-9
@@ -218,12 +213,8 @@ def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, se
     return np.sqrt(np.divide(limit, e, out=np.ones_like(e), where=e > limit))
 
 
-# Gains of the torques: what a joint calls one newton metre may be a few percent more or less.
-#
-# Base parameters are shared by all joints, so joints whose torque constants are off contradict each other, and the
-# misfit goes to wrong places. ``tau_i = g_i (A_i theta + e_i)`` with ``g_i ~ N(1, 0.05^2)`` is solved by Gauss-Newton
-# (`armlab.identify.solve`). What all gains have in common no log of the arm alone can tell: that is left to the prior,
-# and so it is for joints that move hardly any load of their own.
+# Gains of the torques: what a joint calls one newton metre may be a few percent more or less, ``g_i ~ N(1, 0.05^2)``.
+# What all gains have in common no log of the arm alone can tell: that is left to the prior.
 
 
 GAIN_SD = 0.05

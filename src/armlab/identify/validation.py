@@ -65,10 +65,8 @@ def assess(
 ) -> TorqueModel:
     """Return the model with its torque covariance and quality figures.
 
-    Both residuals of the quality, of the fit and held out, pass the estimator's causal filter and count each joint
-    while it moves: so they may be compared. The coverage is honest: covariance and scale are fitted to one half of the
-    stretches of time and judged on the other, both ways; the model gets those of all. Joints whose torque is not
-    measured have no figures, and a deviation so large that no estimator listens to them.
+    Covariance and scale are fitted to one half of the stretches of time and judged on the other, both ways; the model
+    gets those of all. Joints whose torque is not measured have no figures, and a deviation too large for estimators.
     """
     errors, moving = held_out(folds, data)
     if unseen is not None:
@@ -209,23 +207,17 @@ def rests(
     return float(np.mean(still)), longest
 
 
-# Torque covariance over velocity by maximum likelihood on free-motion residuals.
-#
-# Minimise ``sum log s^2 + e^2 / s^2`` over C0, Cinf and the decay rate, per joint, in their logarithms. Residuals must
-# have passed the same causal filter as the estimator will use. Covariances of the parameters count effective samples;
-# to the information of the ratio and the rate that of a uniform distribution over their bounds is added, so that what
-# the data do not tell is uncertain, not exact.
+# Torque covariance over velocity by maximum likelihood, per joint, on residuals that passed the estimator's filter. To
+# the information of the ratio and the rate that of a uniform distribution over their bounds is added, so that what the
+# data do not tell is uncertain, not exact.
 
 
 STARTS = (5.0, 30.0, 150.0)  # s/rad
 RATE_BOUNDS = (1.0, 500.0)
 MAX_LOG_RATIO = 15.0
 UNIFORM = 12.0  # information of a uniform distribution, times its width squared
-SLOWEST, FASTEST, FEWEST_BELOW = (
-    0.02,
-    0.6,
-    20,
-)  # quantiles of speed between which a threshold lies, and samples below it
+SLOWEST, FASTEST = 0.02, 0.6  # quantiles of speed between which a threshold lies
+FEWEST_BELOW = 20  # samples below it
 AROUND = 50  # samples on either side of the threshold that tell how densely speeds lie
 TINY = 1e-12
 
@@ -324,9 +316,8 @@ def _fit_step(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def _misplaced(ratio: float) -> float:
     """Return the variance of the number of samples on the wrong side of the threshold, for the ratio of variances.
 
-    With L1 and L2 the expected loss of likelihood by a sample on the wrong side, ``1 + 6.5 / (L1 L2)``: where the loss
-    is small the limit law of a change point (its variance is 26 where noise and drift are 1 and 1/2), and one sample
-    where it is large. Between ratios of 1.5 and 1000 the deviation of drawn samples is within 21 % of its root.
+    With L1 and L2 the expected loss of likelihood by a sample on the wrong side, ``1 + 6.5 / (L1 L2)``: the limit law
+    of a change point where the loss is small, one sample where it is large.
     """
     log = np.log(ratio)
     losses = 0.25 * (ratio - 1.0 - log) * (1.0 / ratio - 1.0 + log)
@@ -363,9 +354,6 @@ def _exponential(theta: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.n
     decay = np.exp(-rate * speed)
     variance = floor * (1.0 + (ratio - 1.0) * decay)
     return variance, np.stack([variance, floor * ratio * decay, -floor * (ratio - 1.0) * decay * rate * speed])
-
-
-# What the momentum estimators need to know of the residuals: memory, velocity noise, honest covariances.
 
 
 COVERAGE, SIGMAS = 0.954, 2.0
@@ -433,9 +421,6 @@ def _factor(ratios: list[np.ndarray]) -> float:
     """Return the factor on the covariance by which `COVERAGE` of the ratios are below SIGMAS^2; 1 without any."""
     known = np.concatenate([np.zeros(0), *(part.ravel() for part in ratios)])
     return float(np.clip(np.quantile(known, COVERAGE) / SIGMAS**2, *ALPHA2_BOUNDS)) if known.size else 1.0
-
-
-# The parameters of a torque model: value, deviation, unit, and the combination that each stands for.
 
 
 def parameter_rows(fit: Fit[TorqueModel]) -> list[tuple[str, str, str, str]]:

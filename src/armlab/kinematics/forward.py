@@ -7,8 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import numbers
-from armlab.errors import RobotError, ShapeError, UnknownName
+from armlab.errors import RobotError, UnknownName
 from armlab.kernels import Chain
 from armlab.robots import Robot
 
@@ -219,9 +218,6 @@ def frame_poses(chain: Chain, frames: np.ndarray, q: ArrayLike) -> np.ndarray:
 
 def twist_jacobian(P: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Return (..., 6, m, 6), how a point (..., 3) moves with body twists of the frames P (..., m, 4, 4) before it."""
-    P, point = numbers(P, "poses of frames", ShapeError), numbers(point, "a point [m]", ShapeError)
-    if P.ndim < 3 or P.shape[-2:] != (4, 4) or point.shape[-1:] != (3,):
-        raise ShapeError(f"Expected poses (..., m, 4, 4) and points (..., 3), got shapes {P.shape} and {point.shape}.")
     R = P[..., :3, :3].swapaxes(-2, -3)
     lever = point[..., None, :] - P[..., :3, 3]
     x, y, z = lever[..., 0, None], lever[..., 1, None], lever[..., 2, None]

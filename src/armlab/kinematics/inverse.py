@@ -103,7 +103,9 @@ def inverse(
     check_task(robot, task, objective)
     position_tolerance, rotation_tolerance = check_search(tol, maxiter, starts, damping)
     solver = robot.inverse_solver
-    if _checked(seed):
+    if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < 2**64:
+        raise ConfigError(f"Expected seed to be an integer from 0 to 2^64 - 1, got {seed!r}.")
+    if seed:
         from armlab.kernels import InverseSolver
 
         solver = InverseSolver(robot.chain, robot.q_min, robot.q_max, robot.q_home, int(seed))
@@ -115,12 +117,6 @@ def inverse(
     if strict and not np.all(result.success):
         raise NotConverged(result.report(), best=result)
     return result
-
-
-def _checked(seed: int) -> int:
-    if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < 2**64:
-        raise ConfigError(f"Expected seed to be an integer from 0 to 2^64 - 1, got {seed!r}.")
-    return int(seed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,8 @@ has tables that are made to be read by people; other values are written by `arml
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -129,16 +130,22 @@ def read_value(raw: Mapping[str, Any], path: Path) -> Any:
             f"Expected a file of format {FORMAT} and a kind of {sorted({*_CLASSES, 'torque_model'})} at {path}, got "
             f"{kind!r} in format {version}. Import {package} that made it, or make it again."
         )
-    try:
+    with _readable(f"the fields of a {kind} at {path}", "Make the file again."):
         value = decode({"kind": kind, "fields": raw["value"]})
         _check_units(meta.get("units", {}), _units(value))
         _check_texts(value, path)
         return value
+
+
+@contextmanager
+def _readable(wanted: str, advice: str) -> Iterator[None]:
+    """Refuse what a file holds in a sentence, whatever its numbers and texts make of it."""
+    try:
+        yield
     except ConfigError:
         raise
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        what = str(error).rstrip(".")
-        raise ConfigError(f"Expected the fields of a {kind} at {path}, got: {what}. Make the file again.") from None
+    except (msgspec.ValidationError, UnknownName, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"Expected {wanted}, got: {str(error).rstrip('.')}. {advice}") from None
 
 
 def encode(item: Any) -> Any:
@@ -207,118 +214,71 @@ UNITS = {
 }
 
 
-class _Strict(msgspec.Struct, forbid_unknown_fields=True):
-    """A table of the file: unknown keys are errors."""
+ROBOT = ("frames", "prismatic", "gravity")
+DYNAMICS = ("link_parameters", "rotor", "base_values", "gains", "gain_cov")  # arrays among them
+COVARIANCE = ("C0", "Cinf", "shape")
 
 
-class _Meta(_Strict):
-    kind: str
-    format: int
-    armlab: str
-    command: str
-    created: str
-    sources: list[str]
-    robot: str
-    robot_hash: str
-    sign: str
-    units: dict[str, str]
+def _strict(name: str, *optional: str, **types: Any) -> type[msgspec.Struct]:
+    """Return the type of a table of the file; unknown keys are errors."""
+    given = [(key, of) for key, of in types.items() if key not in optional]
+    return msgspec.defstruct(name, [*given, *((key, types[key], None) for key in optional)], forbid_unknown_fields=True)
 
 
-class _RobotPart(_Strict):
-    frames: list[list[list[float]]]
-    prismatic: list[bool]
-    gravity: list[float]
-
-
-class _Dynamics(_Strict):
-    link_parameters: list[list[float]]
-    rotor: list[float]
-    base_names: list[str]
-    base_values: list[float]
-    base_cov_lower: list[float]
-    gains: list[float]
-    gain_cov: list[list[float]]
-    quasi_static: bool = False
-
-
-class _Covariance(_Strict):
-    kind: str
-    C0: list[float]
-    Cinf: list[float]
-    shape: list[float]
-    alpha2: float
-    cutoff: float
-
-
-class _Validation(_Strict):
-    torque_sd: list[float]
-    rms: list[float]
-    rms_cv: list[float]
-    coverage: list[float]
-    seconds: float
-
-
-class _Ranges(_Strict):
-    q_min: list[float]
-    q_max: list[float]
-    qd_peak: list[float]
-    speed_share: list[list[float]]
-    rest_share: float
-    longest_rest: float
-
-
-class _ModelFile(_Strict):
-    meta: _Meta
-    robot: _RobotPart
-    dynamics: _Dynamics
-    friction: dict[str, dict[str, float]]
-    ripple: dict[str, dict[str, float]]
-    ctau: _Covariance
-    bound: dict[str, dict[str, float]]
-    limits: _Ranges
-    validation: _Validation
-    lines: dict[str, Any] | None = None
-    friction_map: dict[str, Any] | None = None
-    warm_up: dict[str, Any] | None = None
-    momentum: dict[str, Any] | None = None
-    coupled: dict[str, Any] | None = None
-    fit: dict[str, Any] | None = None
+_Row, _Rows, _ByJoint, _Part = list[float], list[list[float]], dict[str, dict[str, float]], dict[str, Any] | None
+_Meta = _strict(
+    "Meta", kind=str, format=int, armlab=str, command=str, created=str, sources=list[str], robot=str, robot_hash=str,
+    sign=str, units=dict[str, str],
+)  # fmt: skip
+_Dynamics = _strict(
+    "Dynamics", "quasi_static", link_parameters=_Rows, rotor=_Row, base_names=list[str], base_values=_Row,
+    base_cov_lower=_Row, gains=_Row, gain_cov=_Rows, quasi_static=bool | None,
+)  # fmt: skip
+_ModelFile = _strict(
+    "ModelFile", *PARTS, "fit", meta=_Meta,
+    robot=_strict("RobotPart", frames=list[_Rows], prismatic=list[bool], gravity=_Row), dynamics=_Dynamics,
+    friction=_ByJoint, ripple=_ByJoint, bound=_ByJoint,
+    ctau=_strict("Covariance", kind=str, alpha2=float, cutoff=float, **dict.fromkeys(COVARIANCE, _Row)),
+    limits=_strict(
+        "Ranges", q_min=_Row, q_max=_Row, qd_peak=_Row, speed_share=_Rows, rest_share=float, longest_rest=float
+    ),
+    validation=_strict("Validation", seconds=float, **dict.fromkeys(QUALITY, _Row)),
+    **dict.fromkeys((*PARTS, "fit"), _Part),
+)  # fmt: skip
 
 
 def torque_tables(model: TorqueModel) -> dict[str, Any]:
     """Return the tables of the file of a torque model."""
     lower = np.tril_indices(len(model.base_names))
-    c, q = model.covariance, model.quality
+    c, training, quality = model.covariance, model.training, model.quality
+    rest = {"rest_share": training.rest_share, "longest_rest": training.longest_rest}
     return {
         "meta": {**provenance(KIND, model), "format": TORQUE_FORMAT, "sign": SIGN, "units": UNITS},
-        "robot": {name: getattr(model, name).tolist() for name in ("frames", "prismatic", "gravity")},
+        "robot": _lists(model, ROBOT),
         "dynamics": {
-            "link_parameters": model.link_parameters.tolist(),
-            "rotor": model.rotor.tolist(),
+            **_lists(model, DYNAMICS[:2]),
             "quasi_static": model.quasi_static,
             "base_names": list(model.base_names),
-            "base_values": model.base_values.tolist(),
+            **_lists(model, DYNAMICS[2:3]),
             "base_cov_lower": model.base_cov[lower].tolist(),
-            "gains": model.gains.tolist(),
-            "gain_cov": model.gain_cov.tolist(),
+            **_lists(model, DYNAMICS[3:]),
         },
         "friction": _by_joint(model.friction, FRICTION),
         "ripple": _by_joint(model.ripple, RIPPLE),
-        "ctau": {
-            "kind": c.kind,
-            **{name: getattr(c, name).tolist() for name in ("C0", "Cinf", "shape")},
-            "alpha2": c.alpha2,
-            "cutoff": model.cutoff,
-        },
+        "ctau": {"kind": c.kind, **_lists(c, COVARIANCE), "alpha2": c.alpha2, "cutoff": model.cutoff},
         "bound": _by_joint(model.bound, BOUND),
-        "limits": {
-            **{name: getattr(model.training, name).tolist() for name in LIMITS},
-            "rest_share": model.training.rest_share,
-            "longest_rest": model.training.longest_rest,
-        },
-        "validation": {**{name: getattr(q, name).tolist() for name in QUALITY}, "seconds": q.seconds},
+        "limits": {**_lists(training, LIMITS), **rest},
+        "validation": {**_lists(quality, QUALITY), "seconds": quality.seconds},
         **{name: encode(part) for name in PARTS if (part := getattr(model, name)) is not None},
     }
+
+
+def _lists(part: object, names: tuple[str, ...]) -> dict[str, Any]:
+    return {name: getattr(part, name).tolist() for name in names}
+
+
+def _arrays(table: object, names: tuple[str, ...]) -> dict[str, Any]:
+    return {name: np.array(getattr(table, name)) for name in names}
 
 
 def _by_joint(part: Friction | FrictionBound | Ripple, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
@@ -342,49 +302,32 @@ def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
             f"Expected kind, format and sign {(KIND, TORQUE_FORMAT, SIGN)} in {path}, got {found}. "
             "Identify again with this version of armlab."
         )
-    try:
+    with _readable(f"a complete model file at {path}", "Identify again."):
         return _model(msgspec.convert(raw, _ModelFile), path)
-    except ConfigError:
-        raise
-    except (msgspec.ValidationError, UnknownName, KeyError, TypeError, ValueError) as error:
-        what = str(error).rstrip(".")
-        raise ConfigError(f"Expected a complete model file at {path}, got: {what}. Identify again.") from None
 
 
-def _model(file: _ModelFile, path: Path) -> TorqueModel:
-    d = file.dynamics
+def _model(file: Any, path: Path) -> TorqueModel:
+    d, c, limits = file.dynamics, file.ctau, file.limits
     p = len(d.base_names)
     if len(d.base_values) != p or len(d.base_cov_lower) != p * (p + 1) // 2:
         raise ConfigError(f"Expected {p} base values with covariance in {path}, got other lengths. Identify again.")
     cov = np.zeros((p, p))
     cov[np.tril_indices(p)] = d.base_cov_lower
-    cov = cov + np.tril(cov, -1).T
-    c, validation = file.ctau, file.validation
     return TorqueModel(
         robot_name=file.meta.robot,
         robot_hash=file.meta.robot_hash,
-        frames=np.array(file.robot.frames),
-        prismatic=np.array(file.robot.prismatic),
-        gravity=np.array(file.robot.gravity),
-        link_parameters=np.array(d.link_parameters),
-        rotor=np.array(d.rotor),
-        quasi_static=d.quasi_static,
+        **_arrays(file.robot, ROBOT),
+        **_arrays(d, DYNAMICS),
+        quasi_static=bool(d.quasi_static),
         friction=Friction(**_joined(file.friction, FRICTION, path)),
         ripple=Ripple(**_joined(file.ripple, RIPPLE, path)),
-        covariance=VelocityCovariance(c.kind, np.array(c.C0), np.array(c.Cinf), np.array(c.shape), c.alpha2),
+        covariance=VelocityCovariance(c.kind, **_arrays(c, COVARIANCE), alpha2=c.alpha2),
         bound=FrictionBound(**_joined(file.bound, BOUND, path)),
         cutoff=c.cutoff,
         base_names=tuple(d.base_names),
-        base_values=np.array(d.base_values),
-        base_cov=cov,
-        gains=np.array(d.gains),
-        gain_cov=np.array(d.gain_cov),
-        quality=Quality(**{name: np.array(getattr(validation, name)) for name in QUALITY}, seconds=validation.seconds),
-        training=Training(
-            **{name: np.array(getattr(file.limits, name)) for name in LIMITS},
-            rest_share=file.limits.rest_share,
-            longest_rest=file.limits.longest_rest,
-        ),
+        base_cov=cov + np.tril(cov, -1).T,
+        quality=Quality(**_arrays(file.validation, QUALITY), seconds=file.validation.seconds),
+        training=Training(**_arrays(limits, LIMITS), rest_share=limits.rest_share, longest_rest=limits.longest_rest),
         sources=tuple(file.meta.sources),
         **{name: decode(part) for name in PARTS if (part := getattr(file, name)) is not None},
     )
@@ -444,13 +387,8 @@ def load(path: str | Path, kind: str | None = None) -> Any:
 def load_statistics(path: str | Path) -> dict[str, Any]:
     """Read the table [fit] of a model file; empty where the value was saved without its fit."""
     fit = _tables(Path(path)).get("fit", {})
-    try:
+    with _readable(f"the tables of a fit in [fit] at {path}", "Make the file again."):
         return {name: decode(part) for name, part in fit.items()}
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        what = str(error).rstrip(".")
-        raise ConfigError(
-            f"Expected the tables of a fit in [fit] at {path}, got: {what}. Make the file again."
-        ) from None
 
 
 def _tables(path: Path) -> dict[str, Any]:

@@ -77,6 +77,11 @@ def freeze_arrays(instance: object, what: str, shapes: dict[str, tuple[int, ...]
         object.__setattr__(instance, name, values)
 
 
+def rows_of(part: Friction | Ripple | WarmUp) -> np.ndarray:
+    """Return the fields in their order, one row each, as `kernels.Drive` takes them."""
+    return np.stack([getattr(part, entry.name) for entry in fields(part)])
+
+
 def _zeros() -> np.ndarray:
     """Stand for zeros of all joints."""
     return np.zeros(0)
@@ -154,8 +159,7 @@ class Friction:
 
     @property
     def rows(self) -> np.ndarray:
-        """Fields in their order, one row each, as `kernels.Drive` takes them."""
-        return np.stack([getattr(self, entry.name) for entry in fields(self)])
+        return rows_of(self)
 
     def torque(self, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the friction torque (..., n) [N m] at velocity `qd` (..., n) and presliding state `z` (..., n)."""
@@ -234,20 +238,14 @@ class Ripple:
 
     @property
     def rows(self) -> np.ndarray:
-        """Fields in their order, one row each, as `kernels.Drive` takes them."""
-        return np.stack([getattr(self, entry.name) for entry in fields(self)])
+        return rows_of(self)
 
 
-# Friction over position and speed by normalised radial basis functions, one set for each direction.
-#
-# After Bagge Carlson, Robertsson and Johansson, "Modeling and identification of position and temperature dependent
-# friction phenomena without temperature sensing", IROS 2015::
+# Friction over position and speed by normalised radial basis functions, one set for each direction::
 #
 #     F = (1 + s)/2 phi(q, |qd|)^T k_pos + (1 - s)/2 phi(q, |qd|)^T k_neg
-#     phi_ab = exp(-((q - p_a) / w_a)^2 - ((|qd| - v_b) / u_b)^2), divided by their sum over a and b
 #
-# s is the sign that friction goes by: the presliding state, which blends both sides at rest. Outside its hull phi keeps
-# the value of the nearest edge.
+# s is the presliding state. Outside its hull phi keeps the value of the nearest edge. Theory: docs/theory/friction.md.
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,9 +262,8 @@ class RadialBasis:
     speed_widths: np.ndarray
 
     def __post_init__(self) -> None:
-        for name in ("positions", "position_widths", "speeds", "speed_widths"):
-            values = still(getattr(self, name), f"{name} of radial bases")
-            object.__setattr__(self, name, values)
+        for entry in fields(self):
+            object.__setattr__(self, entry.name, still(getattr(self, entry.name), f"{entry.name} of radial bases"))
         p, v = self.positions, self.speeds
         alike = p.shape == self.position_widths.shape and v.shape == self.speed_widths.shape
         if p.ndim != 2 or v.ndim != 2 or len(p) != len(v) or not alike:
@@ -338,11 +335,7 @@ class FrictionMap:
 #     tau_i = sum_c psi(qd)^T (a_c cos(c q) + b_c sin(c q))
 #
 # c counts cycles per revolution, equal to rad/rad; psi are normalised Gaussians in speed. With two directions each line
-# has amplitudes of its own for positive and negative motion, so that amplitude and phase may jump at reversal::
-#
-#     psi = [(1 + s)/2 psi(|qd|), (1 - s)/2 psi(|qd|)],   s: the sign that friction goes by, the presliding state
-#
-# It is evaluated from q itself: no filter delays it.
+# has amplitudes of its own for positive and negative motion.
 
 
 SPEEDS = 8
@@ -457,8 +450,7 @@ class WarmUp:
             raise ShapeError("Expected time >= 0, power > 0 and start >= 0 of the warm-up, got others.")
 
     def kernel_rows(self) -> np.ndarray:
-        """Fields in their order, one row each, as `kernels.Drive` takes them."""
-        return np.stack([getattr(self, entry.name) for entry in fields(self)])
+        return rows_of(self)
 
     def thermal_state(self, power: np.ndarray, dt: np.ndarray) -> np.ndarray:
         """Return the thermal state (N, n) before each row, for friction power (N, n) [W] held over steps dt (N,) [s].

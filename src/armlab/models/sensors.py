@@ -40,10 +40,6 @@ class ForceSensor:
     ------
     ShapeError : a shape, a rotation, a mass or a sign that cannot be. `centre` and the moments of `bias` may be NaN
         where only forces were calibrated; the moments of a contact then are NaN.
-
-    References
-    ----------
-    The model of `calibrate.fit_force_sensor`.
     """
 
     R_tool_sensor: np.ndarray
@@ -161,10 +157,6 @@ class Accelerometer:
     Raises
     ------
     ShapeError : a shape, a rotation or a scale that cannot be.
-
-    References
-    ----------
-    The model of `calibrate.fit_accelerometer`.
     """
 
     R_tool_sensor: np.ndarray
@@ -222,10 +214,6 @@ class LaserSensor:
     Raises
     ------
     ShapeError : a pose, a normal or a number of planes that cannot be.
-
-    References
-    ----------
-    The model of `calibrate.fit_laser_plane`.
     """
 
     T_tool_sensor: np.ndarray

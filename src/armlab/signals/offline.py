@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from armlab._numbers import number, numbers
@@ -38,7 +36,7 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
     ShapeError : when the record is too short for the filter, is not finite, or the cut-off is outside (0, rate / 2).
     ConfigError : an order that is not a whole number of at least 1.
     """
-    from scipy.signal import sosfiltfilt
+    from scipy.signal import butter, sosfiltfilt
 
     x = _record(x)
     cutoff, rate = number(cutoff, "the cut-off [Hz]"), number(rate, "the rate [Hz]")
@@ -46,7 +44,7 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
         raise ShapeError(f"Expected a cut-off between 0 and {rate / 2:g} Hz (half the rate), got {cutoff:g} Hz.")
     if not 1 <= number(order, "the order", ConfigError) < np.inf or order % 1:
         raise ConfigError(f"Expected a whole order of at least 1, got {order:g}. 4 is usual.")
-    sections = _sections(int(order), cutoff / (rate / 2)).copy()
+    sections = np.asarray(butter(int(order), cutoff / (rate / 2), output="sos"))
     needed = 6 * sections.shape[0] + 4
     if len(x) < needed:
         raise ShapeError(f"Expected at least {needed} samples along axis 0, got shape {x.shape}. Record for longer.")
@@ -206,14 +204,6 @@ def _window(bandwidth: float) -> int:
 def _reflected(x: np.ndarray, pad: int) -> np.ndarray:
     """Continue (N, ...) by its point reflection at both ends."""
     return np.concatenate([2 * x[:1] - x[pad:0:-1], x, 2 * x[-1:] - x[-2 : -pad - 2 : -1]])
-
-
-@lru_cache(maxsize=64)
-def _sections(order: int, corner: float) -> np.ndarray:
-    """Return the second-order sections of a Butterworth filter; `corner` is relative to half the rate."""
-    from scipy.signal import butter
-
-    return np.asarray(butter(order, corner, output="sos"))
 
 
 def _record(x: np.ndarray) -> np.ndarray:

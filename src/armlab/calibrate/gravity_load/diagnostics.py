@@ -136,9 +136,6 @@ def require_motion(equation: WeightEquation) -> float:
 def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.ndarray, moved: float) -> None:
     """Refuse readings that do not follow gravity though it moves well."""
     count = np.count_nonzero(kept)
-    whole = equation.pull is not None and not equation.torque and count == equation.N
-    if whole and equation.turn.power < UNEXPLAINED * equation.turn.signal:
-        return
     power = float(equation.weights[kept] @ np.einsum("ij,ij->i", r[kept, :3], r[kept, :3]))
     if moved < RICH or 2 * count < 3 or (equation.noise is not None and power < 3 * count * ROUGH**2):
         return

@@ -112,11 +112,6 @@ class WeightEquation:
         noise = self.noise[kept] if self.noise is not None and self.noise.ndim == 3 else self.noise
         return replace(self, RA=self.RA[kept], y=self.y[kept], noise=noise)
 
-    @property
-    def even(self) -> bool:
-        """True where all samples have the same noise."""
-        return self.noise is None or self.noise.ndim < 3
-
     @cached_property
     def weights(self) -> np.ndarray:
         """1 over the mean variance (N,) of the force of each sample; 1 where noise is not given."""
@@ -124,14 +119,6 @@ class WeightEquation:
             return np.ones(self.N)
         variances = self.noise if self.noise.ndim == 1 else np.diagonal(self.noise, axis1=-2, axis2=-1)
         return np.broadcast_to(1.0 / np.mean(variances[..., :3], axis=-1), (self.N,))
-
-    @property
-    def variance(self) -> float:
-        """Mean variance of a force where noise is given and the same for all samples; 1 where it is not given."""
-        if self.noise is None:
-            return 1.0
-        a, b, c = (self.noise if self.noise.ndim == 1 else self.noise.diagonal())[:3].tolist()
-        return (a + b + c) / 3.0
 
     @cached_property
     def turn(self) -> Turn:
@@ -159,8 +146,6 @@ class WeightEquation:
         """Return values (N, ...) minus their weighted mean when there is a bias that takes it."""
         if not self.bias:
             return values
-        if self.even:
-            return values - values.sum(axis=0) / self.N
         return values - np.tensordot(self.weights / self.weights.sum(), values, axes=1)
 
     def _unknown_gravity(self) -> tuple[np.ndarray, np.ndarray]:
@@ -191,7 +176,7 @@ class Turn(NamedTuple):
     m: float  # mass
     other_m: float  # that of the best of the other hand
     power: float  # squares that are left
-    signal: float  # those that were there. Both times the variance where noise is even
+    signal: float  # those that were there; both over the variance where noise is given
     moved: list[float]  # by which share of itself gravity moves over the tool, along three axes, ascending
     difference: float  # Delta, chi^2 of the best of the other hand minus that of the best rotation
 
@@ -205,8 +190,7 @@ class Turn(NamedTuple):
     @classmethod
     def of(cls, equation: WeightEquation, kept: np.ndarray | None = None) -> Turn:
         """Solve for the samples (N,) that are kept; all when None."""
-        w = np.ones(equation.N) if equation.even else equation.weights
-        w = (w if kept is None else w * kept)[:, None]
+        w = (equation.weights if kept is None else equation.weights * kept)[:, None]
         pull = np.zeros(3) if equation.pull is None else equation.pull
         h, f = pull @ equation.RA, equation.y[:, :3]
         weights = float(w.sum())
@@ -214,19 +198,18 @@ class Turn(NamedTuple):
         h, f = h - h_mean, f - f_mean
         H, S = (w * h).T @ h, (w * h).T @ f
         R, sigma = so3.nearest(S)
-        size, s1, s2, s3 = float(np.trace(H)), *sigma.tolist()
+        size, s1, s2, s3 = max(float(np.trace(H)), np.finfo(float).tiny), *sigma.tolist()
         along, other = s1 + s2 + s3, s1 + s2 - s3
         m, other_m = (along / size, other / size) if equation.mass is None else (equation.mass, equation.mass)
         residuals = f - m * (h @ R)
         power, signal = (float(np.vdot(w * rows, rows)) for rows in (residuals, f))
         other_power = max(signal - 2.0 * other_m * other + other_m**2 * size, 0.0)
         moved = np.sqrt(np.maximum(np.linalg.eigvalsh(H / (weights * (pull @ pull))), 0.0)).tolist()
+        scale = 1.0
         if equation.noise is None:
             N = equation.N if kept is None else int(np.count_nonzero(kept))
             floor = max(FLOOR**2 * signal / N, np.finfo(float).tiny)  # of exact readings; of none
             scale = max(min(power, other_power) / max(3 * N - 7, 1), floor)
-        else:
-            scale = equation.variance if equation.even else 1.0
         return cls(R, H, S, m, other_m, power, signal, moved, (other_power - power) / scale)
 
 

@@ -138,7 +138,7 @@ def _measured(
     """Return the relative measurement and a first T_basea_baseb."""
     if (pose is None) == (position is None) and not (closed and position is None):
         raise ConfigError("Expected either pose or position of b's tool in a's, got both or none. Give one of them.")
-    T_a, T_b = a.move(a.first()).T, b.move(b.first()).T
+    T_a, T_b = (arm.move(arm.first())[:, -1] for arm in (a, b))
     if closed:
         if position is not None:
             raise ConfigError("Expected no position for a closed chain, got one. Give the pose (4, 4), or nothing.")
@@ -257,11 +257,11 @@ class DualProblem:
         return [chosen(one, self.active) for one in [*self.measurements(state), *self.priors(state)]]
 
     def relative(self, state: DualState) -> np.ndarray:
-        return se3.inv(self.arm_a.move(state.a).T) @ state.T @ self.arm_b.move(state.b).T
+        return se3.inv(self.arm_a.move(state.a)[:, -1]) @ state.T @ self.arm_b.move(state.b)[:, -1]
 
     def measurements(self, state: DualState, local: bool = False) -> list[Measurement]:
-        Pa = self.arm_a.move(state.a).P
-        W = state.T @ self.arm_b.move(state.b).P
+        Pa = self.arm_a.move(state.a)
+        W = state.T @ self.arm_b.move(state.b)
         point = W[:, -1, :3, 3]
         base = twist_jacobian(np.broadcast_to(state.T, (len(W), 1, 4, 4)), point)[:, :, 0]
         J = [-self.arm_a.jacobian(state.a, Pa, point), self.arm_b.jacobian(state.b, W, point), base]
@@ -284,34 +284,6 @@ class DualProblem:
             if self.prior is not None and arm.n > 1:
                 yield link_prior(arm, one, self.prior, self.size, at)
 
-    def never_seen(self) -> list[UnobservableDirection]:
-        """Return how b's tool is turned."""
-        at = self.arm_a.size + 6 * self.arm_b.n + 3
-        turns = np.zeros((self.size, 3))
-        turns[at : at + 3] = np.eye(3)
-        return [
-            UnobservableDirection(f"orientation of the tool of arm b about {'xyz'[k]}", turns[:, [k]]) for k in range(3)
-        ]
-
-    def may_be_missing(self, state: DualState) -> list[UnobservableDirection]:
-        """Return joints at rest, what both tools have in common, and the scale."""
-        a, size = self.arm_a.size, self.size
-        found = joints_at_rest(self.arm_a, state.a.frames, 0, size, " of arm a")
-        found += joints_at_rest(self.arm_b, state.b.frames, a, size, " of arm b")
-        Z = self.relative(state)[0]
-        end_a, end_b = 6 * self.arm_a.n, a + 6 * self.arm_b.n
-        scale = np.zeros((size, 1))
-        scale[:a, 0] = arm_scale(self.arm_a, state.a.frames)
-        scale[a:-6, 0] = arm_scale(self.arm_b, state.b.frames)
-        scale[-6:-3, 0] = state.T[:3, :3].T @ state.T[:3, 3]
-        scale[end_b : end_b + 3, 0] -= Z[:3, :3].T @ Z[:3, 3]
-        if self.closed:
-            tools = np.zeros((size, 6))
-            tools[end_a : end_a + 6], tools[end_b : end_b + 6] = np.eye(6), se3.adjoint_inv(Z)
-            advice = "Measure the pose of one tool."
-            found.append(UnobservableDirection("common change of both tools", tools, advice))
-        return [*found, UnobservableDirection("overall scale", scale, "Measure one length that is known.")]
-
 
 def _relative(kind: Kind, T: np.ndarray, J: np.ndarray) -> Measurement:
     rows = np.flatnonzero(kind.visible.reshape(len(T), -1)[:, 0])
@@ -329,10 +301,34 @@ class DualArmEstimation(KinematicEstimation[DualState]):
     problem: DualProblem
 
     def nature(self, state: DualState) -> list[UnobservableDirection]:
-        return self.problem.never_seen()
+        """Return how b's tool is turned."""
+        problem = self.problem
+        at = problem.arm_a.size + 6 * problem.arm_b.n + 3
+        turns = np.zeros((problem.size, 3))
+        turns[at : at + 3] = np.eye(3)
+        return [
+            UnobservableDirection(f"orientation of the tool of arm b about {'xyz'[k]}", turns[:, [k]]) for k in range(3)
+        ]
 
     def candidates(self, state: DualState) -> list[UnobservableDirection]:
-        return self.problem.may_be_missing(state)
+        """Return joints at rest, what both tools have in common, and the scale."""
+        arm_a, arm_b = self.problem.arm_a, self.problem.arm_b
+        a, size = arm_a.size, self.problem.size
+        found = joints_at_rest(arm_a, state.a.frames, 0, size, " of arm a")
+        found += joints_at_rest(arm_b, state.b.frames, a, size, " of arm b")
+        Z = self.problem.relative(state)[0]
+        end_a, end_b = 6 * arm_a.n, a + 6 * arm_b.n
+        scale = np.zeros((size, 1))
+        scale[:a, 0] = arm_scale(arm_a, state.a.frames)
+        scale[a:-6, 0] = arm_scale(arm_b, state.b.frames)
+        scale[-6:-3, 0] = state.T[:3, :3].T @ state.T[:3, 3]
+        scale[end_b : end_b + 3, 0] -= Z[:3, :3].T @ Z[:3, 3]
+        if self.problem.closed:
+            tools = np.zeros((size, 6))
+            tools[end_a : end_a + 6], tools[end_b : end_b + 6] = np.eye(6), se3.adjoint_inv(Z)
+            advice = "Measure the pose of one tool."
+            found.append(UnobservableDirection("common change of both tools", tools, advice))
+        return [*found, UnobservableDirection("overall scale", scale, "Measure one length that is known.")]
 
     def fit(self, found: NonlinearSolution[DualState]) -> Fit[DualArmCorrection]:
         problem, state = self.problem, found.value
@@ -347,7 +343,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         problem = self.problem
         places = [kind.values[kind.visible.reshape(len(kind.values), -1)[:, 0]] for kind in problem.kinds]
         if problem.closed:
-            places[0] = problem.arm_a.move(problem.arm_a.first()).T
+            places[0] = problem.arm_a.move(problem.arm_a.first())[:, -1]
         return [spread_of(seen[:, 0] if seen.shape[1:] == (1, 3) else seen[:, :3, 3]) for seen in places]
 
     def doubts(self, state: DualState) -> list[str]:

@@ -56,7 +56,7 @@ class IdentifiabilityTest:
         A = np.asarray(np.linalg.qr(J, mode="r")) * self.limits if len(J) > J.shape[1] else J * self.limits
         fixed, names = _independent(self.gauge / self.limits[:, None]), [f"gauge: {name}" for name in self.gauge_names]
         largest = float(np.linalg.norm(A))
-        for candidate in self.nature if self._may_be_dark(A, fixed, largest) else ():
+        for candidate in self.nature:
             for v in (candidate.directions / self.limits[:, None]).T:
                 v = v - fixed @ (fixed.T @ v)
                 length = np.linalg.norm(v)
@@ -81,15 +81,6 @@ class IdentifiabilityTest:
             vectors=vectors, held=tuple(weak.words), null_space=np.column_stack([fixed, missing.vectors]),
             null_names=(*names, *(f"missing: {name}" for name in missing.each)), spread=spread,
         )  # fmt: skip
-
-    def _may_be_dark(self, A: np.ndarray, fixed: np.ndarray, largest: float) -> bool:
-        """Tell whether any direction of `nature` is unseen: all at once, as few ever are."""
-        if not self.nature:
-            return False
-        V = np.concatenate([candidate.directions for candidate in self.nature], axis=1) / self.limits[:, None]
-        V = V - fixed @ (fixed.T @ V)
-        lengths, seen = np.linalg.norm(V, axis=0), np.linalg.norm(A @ V, axis=0)
-        return bool(np.any((lengths > SEEN) & (seen <= SEEN * largest * lengths)))
 
     def words(self, v: np.ndarray, spread: float) -> str:
         """Name a direction by its largest components, with their deviation."""

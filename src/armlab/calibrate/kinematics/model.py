@@ -23,7 +23,6 @@ from armlab.robots import Robot
 
 GAUGE = {False: (2, 5), True: (0, 1, 2, 5)}  # components of [v; w] that commute with Rz, with Tz
 SMALLEST_ROUNDS, SMALLEST_STEP = 20, 1e-12
-SAME = 1e-2  # m and rad: after a step as short the gauge has hardly turned
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 HARMONIC_PRIOR = np.radians(0.1)  # without it amplitudes run to degrees against the geometry
 
@@ -34,16 +33,6 @@ class ArmState(NamedTuple):
     frames: np.ndarray
     amplitudes: np.ndarray
     coefficients: np.ndarray
-
-
-class Motion(NamedTuple):
-    """Where frames and tool are at every sample: P (N, n+1, 4, 4), the last of which is the tool."""
-
-    P: np.ndarray
-
-    @property
-    def T(self) -> np.ndarray:
-        return self.P[:, -1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,13 +109,14 @@ class Arm:
         terms = x[self.size - self.terms.shape[2] : self.size]
         return ArmState(moved, state.amplitudes + waves, state.coefficients + terms)
 
-    def move(self, state: ArmState) -> Motion:
+    def move(self, state: ArmState) -> np.ndarray:
+        """Return where the frames are at every sample (N, n+1, 4, 4), the last of which is the tool."""
         q = self.q
         if self.orders:
             q = q + np.sum(self.waves * state.amplitudes, axis=2)
         if self.terms.shape[2]:
             q = q + self.terms @ state.coefficients
-        return Motion(frame_poses(Chain(state.frames, self.robot.prismatic), state.frames, q))
+        return frame_poses(Chain(state.frames, self.robot.prismatic), state.frames, q)
 
     def jacobian(self, state: ArmState, P: np.ndarray, point: np.ndarray, local: bool = False) -> np.ndarray:
         """Return (N, 6, d), how a point (N, 3) fixed to the tool moves in axes of P; `local`: by steps of frames."""
@@ -171,17 +161,12 @@ class Arm:
         """
         frames, whole = np.array(frames), np.eye(4)
         rows, columns, _ = self.moving
-        length, W = np.inf, np.zeros((0, 0))
         for _ in range(SMALLEST_ROUNDS):
-            base_steps, tool_steps = (
-                np.zeros((6 * len(frames), base.shape[1])),
-                np.zeros((6 * len(frames), tool.shape[1])),
-            )
+            base_steps, tool_steps = (np.zeros((6 * len(frames), one.shape[1])) for one in (base, tool))
             base_steps[:6], tool_steps[-6:] = se3.adjoint_inv(frames[0]) @ base, tool
             G = np.hstack([self.gauge(frames)[0][: len(base_steps)], base_steps, tool_steps])
-            if length > SAME:  # nearer, the same W W^T = (G^T G)^+ serves
-                _, s, V = np.linalg.svd(G, full_matrices=False)
-                W = V[s > 1e-9 * s[0]].T / s[s > 1e-9 * s[0]]
+            _, s, V = np.linalg.svd(G, full_matrices=False)
+            W = V[s > 1e-9 * s[0]].T / s[s > 1e-9 * s[0]]  # W W^T = (G^T G)^+
             step = -W @ (W.T @ (G.T @ self.corrections(frames).ravel()))
             twists, turned = np.zeros((self.n, 6)), len(rows) + base.shape[1]
             twists[rows, columns] = step[: len(rows)]
@@ -190,8 +175,7 @@ class Arm:
             move = se3.exp(base @ step[len(rows) : turned])
             frames[0], whole = move @ frames[0], move @ whole
             frames[-1] = frames[-1] @ se3.exp(tool @ step[turned:])
-            length = np.abs(step).max()
-            if length < SMALLEST_STEP:
+            if np.abs(step).max() < SMALLEST_STEP:
                 break
         return frames, whole
 
@@ -329,12 +313,16 @@ class KinematicProblem:
 
     def measurements(self, state: State, local: bool = False) -> list[Measurement]:
         """Return residuals of the data with their derivatives by all components; `local`: by steps of the frames."""
-        motion = self.arm.move(state.arm)
-        J = self.arm.jacobian(state.arm, motion.P, motion.T[:, :3, 3], local)
+        P = self.arm.move(state.arm)
+        J = self.arm.jacobian(state.arm, P, P[:, -1, :3, 3], local)
         found: list[Measurement] = []
         for kind in self.kinds:
-            make = {"pose": self._pose, "position": self._position, "distance": self._distance}.get(kind.name)
-            found += [self._pair(kind, state, motion, J)] if make is None else make(kind, state, motion, J, local)
+            if kind.name == "pose":
+                found.append(self._pose(kind, P[:, -1], J))
+            elif kind.name == "position":
+                found += self._position(kind, state, P, J, local)
+            else:
+                found.append(self._length(kind, state, P[:, -1, :3, 3], J[:, :3]))
         return found
 
     def priors(self, state: State, local: bool = False) -> Iterator[Measurement]:
@@ -345,47 +333,43 @@ class KinematicProblem:
         if self.prior is not None and arm.n > 1:
             yield link_prior(arm, state.arm, self.prior, d, local=local)
 
-    def _pose(self, kind: Kind, state: State, motion: Motion, J: np.ndarray, local: bool) -> list[Measurement]:
-        rows, T, measured = np.flatnonzero(kind.visible), motion.T, kind.values
-        if len(rows) < len(T):
-            T, measured, J = T[rows], measured[rows], J[rows]
-        r, J = pose_residual(T, measured, J)
-        if len(kind.kept) < 6:
-            r, J = r[:, kind.kept], J[:, kind.kept]
-        return [Measurement(r, self._wide(J), kind.noise(rows), kind.classes, rows)]
+    def _pose(self, kind: Kind, T: np.ndarray, J: np.ndarray) -> Measurement:
+        rows = np.flatnonzero(kind.visible)
+        r, J = pose_residual(T[rows], kind.values[rows], J[rows])
+        return Measurement(r[:, kind.kept], self._wide(J[:, kind.kept]), kind.noise(rows), kind.classes, rows)
 
-    def _position(self, kind: Kind, state: State, motion: Motion, J: np.ndarray, local: bool) -> list[Measurement]:
-        found = []
+    def _position(self, kind: Kind, state: State, P: np.ndarray, J: np.ndarray, local: bool) -> list[Measurement]:
+        found, T = [], P[:, -1]
         for k in range(kind.values.shape[1]):
-            rows, T = np.flatnonzero(kind.visible[:, k]), motion.T
+            rows = np.flatnonzero(kind.visible[:, k])
             if not self.points:
                 r, wide = kind.values[rows, 0] - T[rows, :3, 3], self._wide(-J[rows, :3])
             else:
                 point = T[:, :3, 3] + T[:, :3, :3] @ state.points[k]
                 r = (kind.values[:, k] - point)[rows]
-                wide = self._wide(-self.arm.jacobian(state.arm, motion.P, point, local)[rows, :3])
+                wide = self._wide(-self.arm.jacobian(state.arm, P, point, local)[rows, :3])
                 a = self.arm.size + 3 * k
                 wide[:, :, a : a + 3] = -T[rows, :3, :3]
             found.append(Measurement(r[:, kind.kept], wide[:, kind.kept], kind.noise(rows), kind.classes, rows))
         return found
 
-    def _distance(self, kind: Kind, state: State, motion: Motion, J: np.ndarray, local: bool) -> list[Measurement]:
-        rows = np.flatnonzero(kind.visible)
-        away = motion.T[rows, :3, 3] - state.anchor
-        length, along = _lengths(away)
-        wide = self._wide(-state.length[1] * (along[:, None] @ J[rows, :3]))
-        b = self.arm.size + 3 * self.points
-        wide[:, 0, b : b + 3] = state.length[1] * along
-        r = _instrument(wide, kind.values[rows], length, state.length)
-        return [Measurement(r, wide, kind.noise(rows), kind.classes, rows)]
-
-    def _pair(self, kind: Kind, state: State, motion: Motion, J: np.ndarray) -> Measurement:
-        rows = np.flatnonzero(kind.visible)
-        i, j = (np.zeros((2, 0), dtype=int) if kind.pairs is None else kind.pairs)[:, rows]
-        length, along = _lengths(motion.T[i, :3, 3] - motion.T[j, :3, 3])
-        wide = self._wide(-state.length[1] * (along[:, None] @ (J[i, :3] - J[j, :3])))
-        r = _instrument(wide, kind.values[rows], length, state.length)
-        return Measurement(r, wide, kind.noise(rows), kind.classes, rows + self.first_pair)
+    def _length(self, kind: Kind, state: State, p: np.ndarray, J: np.ndarray) -> Measurement:
+        """Return distances of tool points p (N, 3) from the anchor or, of pairs, from each other."""
+        rows, (offset, scale) = np.flatnonzero(kind.visible), state.length
+        if kind.pairs is None:
+            sample, away, moved = rows, p[rows] - state.anchor, J[rows]
+        else:
+            i, j = kind.pairs[:, rows]
+            sample, away, moved = rows + self.first_pair, p[i] - p[j], J[i] - J[j]
+        length = np.linalg.norm(away, axis=1)
+        along = away / np.where(length > 0, length, 1.0)[:, None]
+        wide = self._wide(-scale * (along[:, None] @ moved))
+        if kind.pairs is None:
+            b = self.arm.size + 3 * self.points
+            wide[:, 0, b : b + 3] = scale * along
+        wide[:, 0, -2], wide[:, 0, -1] = -1.0, -length
+        r = (kind.values[rows] - scale * length - offset)[:, None]
+        return Measurement(r, wide, kind.noise(rows), kind.classes, sample)
 
     @property
     def first_pair(self) -> int:
@@ -438,14 +422,3 @@ def _mixture(row: np.ndarray, names: Sequence[str]) -> str:
 
 def chosen(one: Measurement, active: np.ndarray) -> Measurement:
     return Measurement(one.r, one.J[:, :, active], one.cov, one.classes, one.sample, one.prior)
-
-
-def _lengths(away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    length = np.linalg.norm(away, axis=1)
-    return length, away / np.where(length > 0, length, 1.0)[:, None]
-
-
-def _instrument(wide: np.ndarray, measured: np.ndarray, length: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Write the derivatives by offset and scale into the last two columns; return the residuals (N, 1)."""
-    wide[:, 0, -2], wide[:, 0, -1] = -1.0, -length
-    return (measured - known[1] * length - known[0])[:, None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -37,7 +37,7 @@ Value = TypeVar("Value")
 def start_arm(arm: Arm, kinds: tuple[Kind, ...]) -> tuple[Arm, np.ndarray]:
     """Return the arm at its start and tool points (K, 3), where several are unknown."""
     by_name = {kind.name: kind for kind in kinds}
-    T = arm.move(arm.first()).T
+    T = arm.move(arm.first())[:, -1]
     points = np.zeros((0, 3))
     if "pose" in by_name and by_name["pose"].kept.max() >= 3:
         return _from_poses(arm, T, by_name["pose"]), _points(arm, T, by_name.get("position"))
@@ -171,37 +171,11 @@ def _misfit(T: np.ndarray, kind: Kind, k: int, point: np.ndarray) -> float:
     return float(np.mean(np.sum(away**2, axis=1))) if len(rows) else 0.0
 
 
-class Residuals(Protocol[S]):
-    """Residuals of kinematic measurements at a state, with named unknowns; see `KinematicProblem`."""
-
-    @property
-    def kinds(self) -> tuple[Kind, ...]: ...
-    @property
-    def active(self) -> np.ndarray: ...
-    @property
-    def names(self) -> tuple[str, ...]: ...
-    @property
-    def units(self) -> tuple[str, ...]: ...
-    @property
-    def waves(self) -> int: ...
-    @property
-    def n(self) -> int: ...
-    @property
-    def rows(self) -> int: ...
-    def values(self, state: S) -> np.ndarray: ...
-    def sizes(self, length: float, angle: float) -> np.ndarray: ...
-    def gauge(self, state: S, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]: ...
-    def evaluate(self, state: S) -> list[Measurement]: ...
-    def retract(self, state: S, y: np.ndarray) -> S: ...
-    def measurements(self, state: S, local: bool = False) -> list[Measurement]: ...
-    def priors(self, state: S, local: bool = False) -> Iterator[Measurement]: ...
-
-
 @dataclass(frozen=True, eq=False)
 class KinematicEstimation(ABC, Generic[S]):
     """One estimation problem: descent, identifiability and covariance."""
 
-    problem: Residuals[S]  # residuals
+    problem: Any  # `KinematicProblem` or `DualProblem`: residuals with named unknowns
     used: np.ndarray  # (d,) unknowns there are, gauge included
     limits: tuple[float, float]  # (metres, radians) that are accepted
     hold: bool  # go on where they are exceeded

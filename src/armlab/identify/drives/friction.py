@@ -1,12 +1,8 @@
 """Parts of the drives beyond the friction of `fit_dynamics`, fitted to its residuals and kept where they win.
 
-1. Warm-up, when one log lasts 20 minutes or more (`fit_warm_up`).
-2. Torque ripple: lines found by a periodogram over position, chosen by a group lasso, with amplitudes over speed for
-   each direction; a line stays when it removes 2 % of the error on held-out blocks.
-   What is slower over position than the centres of (3) resolve is left to them.
-3. Friction over position and speed, by radial basis functions pulled towards nothing; it stays by the same rule.
-
-Each is joint by joint, on the unfiltered residual that the ones before leave.
+Warm-up, when one log lasts 20 minutes or more; torque ripple; friction over position and speed. Each is joint by joint,
+on the unfiltered residual that the ones before leave. Ripple slower over position than the centres resolve is left to
+them. Theory: docs/theory/friction.md.
 """
 
 from __future__ import annotations
@@ -38,13 +34,6 @@ from armlab.identify.validation import FIFTHS, assess_again, fold_of
 from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.models.friction import FrictionMap, RadialBasis, RippleLines, speed_basis
-
-# Centres and regressor of friction over position and speed: the ancestor's `getcenters` and `frictionRBFN`, corrected.
-#
-# Against Robotlib.jl: widths belong to a joint; centres have speeds above 0 and stand for both directions; at rest the
-# presliding state blends both; the functions sum to 1 everywhere, without a constant in the denominator, and beyond the
-# centres the nearest edge counts, see `RadialBasis.outside`.
-
 
 SLOWEST = 0.02  # of the peak speed: slower samples do not place centres
 
@@ -267,11 +256,8 @@ def _ripple(
 ) -> tuple[_DrivePart, tuple[np.ndarray, np.ndarray]] | None:
     """Return the lines of one joint that stay with their coefficients, and the Gaussians in speed of these.
 
-    They are fitted to the rows on which all of them are slow, and so far the Gaussians reach: beyond, the amplitude is
-    that at the end. Gaussians up to the peak speed would have coefficients that no row holds, of many times the ripple.
-
-    They are found and chosen in `clean`, which friction over position has left: what it puts into some blocks and not
-    into others would hide lines from the choice by held-out blocks.
+    They are found and chosen in `clean`, which friction over position has left, and fitted to the rows on which all of
+    them are slow; so far the Gaussians reach.
     """
     cycles = ripple_lines(rows.q, rows.qd, clean, rows.rate, ends[1], max(ends[0], 1.0))
     if not len(cycles):

@@ -12,8 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from armlab._numbers import numbers
-from armlab.errors import NotConverged, ShapeError
+from armlab.errors import NotConverged
 from armlab.estimation.robust import shrinkage
 
 # Ridge regression on coloured residuals: coefficients, a covariance that takes no model of the noise, held-out errors.
@@ -24,6 +23,7 @@ from armlab.estimation.robust import shrinkage
 
 
 RIDGE = 1e-6  # relative
+FOLDS = 5
 MOST_STRETCHES = 200  # for a covariance
 FULL = 1e-6  # least share of a direction that other stretches tell
 
@@ -87,10 +87,10 @@ def scattered(H: np.ndarray, moments: np.ndarray) -> np.ndarray:
     return half @ half.T
 
 
-def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE, folds: int = 5) -> float:
+def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE) -> float:
     """Return the mean square of y - A x on blocks that x was not fitted to."""
-    total, fold = 0.0, np.asarray(block) % folds
-    for k in range(folds):
+    total, fold = 0.0, np.asarray(block) % FOLDS
+    for k in range(FOLDS):
         out = fold == k
         x = ridge_solution(A[~out], y[~out], ridge)[0]
         total += float(np.sum((y[out] - A[out] @ x) ** 2))
@@ -182,22 +182,19 @@ def _gap(sums: LassoSums, size: int, threshold: float, x: np.ndarray) -> tuple[f
     return objective, (objective - dual) / max(objective, 1e-300)
 
 
-def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, folds: int = 5) -> np.ndarray:
+def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray) -> np.ndarray:
     """Return which groups (G,) a group lasso keeps.
 
     The penalty is the largest of 20 whose held-out error is within one standard deviation of the least.
     """
-    A, y, block = (numbers(one, "columns, values and blocks", ShapeError) for one in (A, y, block))
-    if A.ndim != 2 or not y.shape == block.shape == A.shape[:1]:
-        raise ShapeError(f"Expected columns (N, p), values and blocks (N,), got {A.shape}, {y.shape}, {block.shape}.")
-    fold = block % folds
-    parts = [LassoSums.of(A[fold == k], y[fold == k]) for k in range(folds)]
+    fold = block % FOLDS
+    parts = [LassoSums.of(A[fold == k], y[fold == k]) for k in range(FOLDS)]
     whole = LassoSums.of(A, y)
     largest = float(_norms(whole.moment, size).max()) / np.sqrt(size)
     if largest <= 0:
         return np.zeros(A.shape[1] // size, dtype=bool)
     penalties = largest * np.geomspace(1.0, SHORTEST, PATH)
-    errors = np.empty((folds, PATH))
+    errors = np.empty((FOLDS, PATH))
     for k, part in enumerate(parts):
         rest, x, count = whole.minus(part), np.zeros(A.shape[1]), np.count_nonzero(fold == k)
         for j, penalty in enumerate(penalties):

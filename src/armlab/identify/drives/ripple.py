@@ -1,13 +1,8 @@
 """Search and fit of torque ripple lines on the residuals of one joint (models.friction.RippleLines has the law).
 
-1. Least-squares periodogram over position: for each c the share of the residual that cos(c q) and sin(c q) explain. A
-   peak counts when noise with the local median would give one like it anywhere with p < 1e-3; the strongest is taken,
-   refined and removed, and the search goes on.
-2. Group lasso over the lines found, all amplitudes of a line in one group.
-3. A line stays when without it the error on held-out blocks grows by more than 2 %.
-
-A line passes with the frequency c |qd| / (2 pi): only samples below a quarter of the sampling rate are used, and a line
-that loses more than half of the samples is refused; a warning names the lines that cannot be searched for that reason.
+Peaks of a least-squares periodogram over position, a group lasso over the lines found, and of these the lines
+without which the error on held-out blocks grows by more than 2 %. A line passes with the frequency c |qd| / (2 pi):
+only samples below a quarter of the sampling rate are used. Theory: docs/theory/friction.md.
 """
 
 from __future__ import annotations
@@ -41,12 +36,8 @@ class _LineSearch:
     y: np.ndarray
     rate: float
 
-    @property
-    def speed(self) -> np.ndarray:
-        return np.abs(self.qd)
-
-    def slow(self, c: float) -> np.ndarray:
-        return slow_enough(self.qd, self.rate, np.array(c))
+    def slow(self, c: np.ndarray | float) -> np.ndarray:
+        return slow_enough(self.qd, self.rate, np.asarray(c))
 
 
 def ripple_lines(
@@ -134,7 +125,7 @@ def _periodogram(search: _LineSearch, grid: np.ndarray) -> np.ndarray:
     for a in range(0, len(grid), step):
         part = grid[a : a + step]
         angle = np.outer(part, search.q)
-        slow = part[:, None] * search.speed < 2 * np.pi * SLOW_SHARE * search.rate
+        slow = search.slow(part[:, None])
         C, S = np.cos(angle) * slow, np.sin(angle) * slow
         cc, cs, ss = np.sum(C * C, 1), np.sum(C * S, 1), np.sum(S * S, 1)
         cy, sy = C @ search.y, S @ search.y
@@ -167,9 +158,6 @@ def ripple_regressor(
 
 def ripple_amplitudes(qd: np.ndarray, z: np.ndarray, speeds: np.ndarray, widths: np.ndarray) -> np.ndarray:
     """Return the weights (N, 2 S) of both directions and of the Gaussians in speed."""
-    qd, z = numbers(qd, "velocities [rad/s]", ShapeError), numbers(z, "presliding states", ShapeError)
-    if qd.ndim != 1 or qd.shape != z.shape:
-        raise ShapeError(f"Expected velocities and presliding states (N,), got shapes {qd.shape} and {z.shape}.")
     along = basis_weights(np.abs(qd), speeds, widths)
     sides = np.stack([0.5 * (1 + z), 0.5 * (1 - z)], axis=1)
     return (sides[:, :, None] * along[:, None, :]).reshape(len(along), -1)
@@ -210,17 +198,17 @@ def _waves(q: np.ndarray, amplitudes: np.ndarray, cycles: np.ndarray) -> tuple[n
     return columns, slopes
 
 
-def select_lines(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
+def select_lines(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray) -> np.ndarray:
     """Return which groups of columns (G,) stay: chosen by the group lasso, and worth 2 % of the held-out error each."""
     scale = mad(y) or 1.0
     kept = select_groups(A / np.sqrt(np.mean(A**2)), y / scale, size, block)
     while kept.any():
-        with_all = held_out_error(A[:, np.repeat(kept, size)], y, block, ridge)
+        with_all = held_out_error(A[:, np.repeat(kept, size)], y, block)
         worth = np.full(len(kept), np.inf)
         for g in np.flatnonzero(kept):
             without = kept.copy()
             without[g] = False
-            error = held_out_error(A[:, np.repeat(without, size)], y, block, ridge)
+            error = held_out_error(A[:, np.repeat(without, size)], y, block)
             worth[g] = 1.0 - with_all / error if error > 0 else 0.0
         weakest = int(np.argmin(worth))
         if worth[weakest] > GAIN:

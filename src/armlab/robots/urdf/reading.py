@@ -68,10 +68,6 @@ def parse(text: str | bytes, file: str = "the URDF text") -> Tree:
     """
     if not isinstance(text, str | bytes):
         raise RobotError(f"Expected the text of a URDF, got {text!r}. Of a file: urdf.read.")
-    return read_tree(text, file)
-
-
-def read_tree(text: str | bytes, file: str) -> Tree:
     robot = parse_xml(text, file)
     if robot.tag != "robot":
         raise robot.error("<robot> as the outermost element of a URDF", f"<{robot.tag}>")
@@ -174,14 +170,11 @@ def _rotation(origin: Element) -> np.ndarray:
 
 def _limits(element: Element, kind: JointKind) -> tuple[float, float, float, float]:
     """Return q_min, q_max, qd_max, tau_max; missing positions are 0, a speed or effort of 0 stands for none."""
-    infinite = math.inf
-    limit = element.one("limit")
-    if limit is None:
-        limit = Element("limit", {}, element.file, element.line)
+    limit = element.one("limit") or Element("limit", {}, element.file, element.line)
     lower, upper = limit.limit("lower", 0.0), limit.limit("upper", 0.0)
     if kind not in ("revolute", "prismatic"):
-        lower, upper = -infinite, infinite
-    return lower, upper, limit.limit("velocity", 0.0) or infinite, limit.limit("effort", 0.0) or infinite
+        lower, upper = -math.inf, math.inf
+    return lower, upper, limit.limit("velocity", 0.0) or math.inf, limit.limit("effort", 0.0) or math.inf
 
 
 @dataclass(slots=True)
