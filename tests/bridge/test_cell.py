@@ -133,6 +133,7 @@ def test_ros_2_in_a_domain() -> None:
         parse_cell(f"{text}domain = 233")
 
 
+@pytest.mark.slow
 def test_a_second_bridge_refuses_at_once(cell_text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It says which port and who has it, and no robot has been connected by then."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))

@@ -205,6 +205,7 @@ def test_ctrl_c_stops_the_arm_first_and_completes_the_log(play: Any, tmp_path: P
     np.testing.assert_array_equal(table["qd_sent"][-1], 0.0)
 
 
+@pytest.mark.slow
 def test_the_simulated_robot_in_lockstep_is_repeatable_and_on_one_clock(robot: Robot, tmp_path: Path) -> None:
     """Also what was said before the first packet: the wall clock is years away from the simulated one."""
     runs, seen = [], list[Any]()

@@ -164,6 +164,7 @@ def samples(**values: np.ndarray) -> Samples:
     return Samples(Path("some.mat"), values, "some.mat sha256 0")
 
 
+@pytest.mark.slow
 def test_several_files_are_fitted_together_and_named(tmp_path: Path, command) -> None:
     seen = sim.cell(5).hand_eye(N=40)
     parts = [(slice(0, 25), "one.mat"), (slice(25, 40), "two.mat")]

@@ -27,6 +27,7 @@ def columns(path) -> dict[str, np.ndarray]:
     return dict(zip(head, np.array(rows, dtype=float).T, strict=True))
 
 
+@pytest.mark.slow
 def test_the_motion_is_written_and_what_it_tells_is_printed(tmp_path, command) -> None:
     path, figure = tmp_path / "motion.csv", tmp_path / "motion.png"
     words = ["excite", "yumi_left", "-o", str(path), "--seconds", "10", "--seed", "3", "--figure", str(figure)]

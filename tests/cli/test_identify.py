@@ -33,6 +33,7 @@ def reading(monkeypatch, logs: dict[str, Table]) -> None:
     monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: logs[path.name])
 
 
+@pytest.mark.slow
 def test_it_prints_a_verdict_and_leaves_model_page_and_figure(reading, fitted, monkeypatch, tmp_path, command) -> None:
     """Everything that the command can leave, in one run; the fit itself is that of the other tests."""
 

@@ -204,6 +204,7 @@ def names_in(bag: Path) -> set[tuple[str, ...]]:
     return {tuple(message.name) for message in messages}
 
 
+@pytest.mark.slow
 def test_a_bag_has_the_joint_names_of_the_robot(path: Path, tmp_path: Path, command) -> None:
     """Those of the URDF, of a recording and where it is named; else the labels of the columns."""
     csv, bag = tmp_path / "run.csv", tmp_path / "run.rosbag2"

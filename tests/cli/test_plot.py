@@ -26,6 +26,13 @@ from armlab.plots.arm import stick
 OF_ANOTHER_COMMAND = {"pose_dmp", "periodic_dmp", "promp"}  # `dmp` draws every kind of primitive
 
 
+@pytest.fixture(autouse=True)
+def _closed() -> Iterator[None]:
+    """Close what was drawn: a process may hold twenty figures."""
+    yield
+    plt.close("all")
+
+
 def test_every_figure_has_its_command(command) -> None:
     commands = {name for name in plot if not name.startswith("-")}
     assert commands == set(plots.__all__) - OF_ANOTHER_COMMAND
@@ -45,7 +52,6 @@ def test_the_file_stands_beside_its_source_and_the_ending_gives_the_format(
     assert [one.name for one in tmp_path.iterdir()] == [path]
     with pytest.raises(ConfigError, match="--force"):
         file.path(source, "a")
-    plt.close("all")
 
 
 def test_part_of_a_log(tmp_path: Path) -> None:
@@ -108,12 +114,11 @@ def run(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
+def drawn(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """What would have been written, by the name of the file."""
     found: dict[str, Any] = {}
     monkeypatch.setattr("armlab.cli.plot.options.save_figure", lambda figure, path: found.update({path.name: figure}))
-    yield found
-    plt.close("all")
+    return found
 
 
 def lines(ax: plt.Axes) -> np.ndarray:
@@ -172,6 +177,7 @@ def files(fitted: Fit[TorqueModel], excited: Table, tmp_path_factory: pytest.Tem
     return str(fitted.save(folder / "model.toml")), str(log.write(excited.between(0.0, 8.0), folder / "run.csv"))
 
 
+@pytest.mark.slow
 def test_a_model_and_a_log(files: tuple[str, str], drawn: dict[str, Any], fitted: Fit[TorqueModel]) -> None:
     model, run = files
     for name in ("torque_fit", "residual_speed", "autocorrelation", "hypotheses", "friction"):
@@ -282,7 +288,6 @@ def test_phase_plane_and_names(tmp_path: Path, command) -> None:
         ("two_dof", pose, taught): "primitive of joints",
     }.items():
         assert sentence in command(["plot", *words], 2).err
-    plt.close("all")
 
 
 def test_a_run_that_waited_is_drawn(tmp_path: Path, drawn: dict[str, Any], command) -> None:

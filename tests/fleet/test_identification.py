@@ -50,6 +50,7 @@ def bits(found: fleet.Identified) -> list[bytes]:
     return [np.ascontiguousarray(x).tobytes() for x in (fit.parameters, fit.cov, fit.residuals, fit.sigma)]
 
 
+@pytest.mark.slow
 def test_the_same_bits_in_processes_of_which_one_is_killed(folder: Path, short_arm, plain: fleet.Identified) -> None:
     assert len(plain.used) == 6
     killed: list[int] = []
@@ -111,6 +112,7 @@ def test_logs_that_cannot_be_used_are_named_with_their_sentence(
         assert f"{name} skipped: {reason}" in sources
 
 
+@pytest.mark.slow
 def test_a_file_that_ends_its_reader_is_skipped_by_name_also_among_the_first(
     folder: Path, short_arm, tmp_path: Path, plain: fleet.Identified, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,6 +149,7 @@ def test_all_skipped_is_an_error_with_a_reason(short_arm) -> None:
         fleet.identify([table for table, _ in spoilt(short_arm).values()], short_arm.robot)
 
 
+@pytest.mark.slow
 def test_joints_may_move_in_a_log_each(short_arm) -> None:
     """No log alone tells anything of the joint that rests. With four workers, the draft of the first two does not tell
     enough, while the others are known by then: the bits are those of one process."""
@@ -189,6 +192,7 @@ def test_errors_shrink_with_more_logs_and_the_covariance_holds(short_arm) -> Non
     assert 0.6 < np.mean(nees) < 1.5
 
 
+@pytest.mark.slow
 def test_a_second_run_makes_no_sums_and_damaged_ones_are_made_anew(
     folder: Path, short_arm, tmp_path: Path, plain: fleet.Identified, sums: Path, made: list[int]
 ) -> None:
@@ -245,6 +249,7 @@ def test_another_version_of_the_code_or_another_robot_makes_all_sums_anew(
     assert identification.SumCache(tmp_path, patterns[0]).path(first) in paths
 
 
+@pytest.mark.slow
 def test_two_that_keep_the_sums_of_equal_files_at_once(
     folder: Path, short_arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

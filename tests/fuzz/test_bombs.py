@@ -116,6 +116,7 @@ def parquet_of_zeros(path: Path) -> None:
     parquet.write_table(pa.table(dict.fromkeys([f"x{i}" for i in range(8)], zeros)), path, compression="zstd")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak of memory from /proc")
 def test_bombs_are_refused_soon(tmp_path: Path) -> None:
     bombs: list[tuple[Callable[[Path], None], str, str]] = [

@@ -90,6 +90,7 @@ def test_noise_weighs_the_joints() -> None:
         design_excitation(robot, sigma=np.zeros(6))
 
 
+@pytest.mark.slow
 def test_a_search_makes_the_motion_tell_more() -> None:
     """D-optimal: the median of the expected deviations falls by a tenth in 100 rounds, inside all limits."""
     robot = robots.load("yumi_left")

@@ -1,4 +1,4 @@
-"""Contact wrench sample by sample, with accelerations against an oracle, by the momentum against laws."""
+"""Contact wrench sample by sample, with accelerations and by the momentum: against their oracles, and laws."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from armlab import kernels
+from armlab import kernels, robots
 from armlab.errors import ShapeError
-from armlab.kernels import momentum_step
+from armlab.kernels import momentum_step, solve_wrench
 from armlab.log import Table
+from armlab.models.torque import FORCE_RATES, PRIOR
 
 from .. import oracles
 from ..oracles.wrench import METHODS
@@ -22,20 +23,24 @@ from ..oracles.wrench import METHODS
 NAMES = ("F", "P", "observability", "error", "variance", "flags", "active", "interval")
 
 
+def both(model: SimpleNamespace, kind: str, extra: tuple[object, ...], own: tuple[object, ...]) -> tuple[Any, Any]:
+    """The same estimator compiled and as its oracle, with every kind of covariance."""
+    c, made = model.covariance, []
+    for module in (kernels, oracles):
+        chain = module.Chain(model.frames, model.prismatic)
+        drive = module.Drive(model.friction.rows, model.ripple.rows, *extra)
+        covariance = np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3])
+        rigid = chain, model.gravity, model.link_parameters, model.rotor, drive
+        made.append(getattr(module, kind)(*rigid, np.linspace(0.95, 1.05, 7), 0.03**2, covariance, *own))
+    return made[0], made[1]
+
+
 def twins(
     model: SimpleNamespace, method: int = 0, point: np.ndarray | None = None, extra: tuple[object, ...] = ()
 ) -> tuple[Any, Any]:
-    """The same estimator compiled and as its oracle, with every kind of covariance."""
-    c, bound = model.covariance, np.stack([model.bound.torque, model.bound.speed, model.bound.floor])
-    covariance = np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3])
-    made = []
-    for module in (kernels, oracles):
-        drive = module.Drive(model.friction.rows, model.ripple.rows, *extra)
-        rigid = module.Chain(model.frames, model.prismatic), model.gravity, model.link_parameters, model.rotor, drive
-        gains = np.linspace(0.95, 1.05, 7), 0.03**2
-        own = bound, np.array([400.0, 400, 400, 4, 4, 4]), 10.0, method, point
-        made.append(module.WrenchEstimator(*rigid, *gains, covariance, *own))
-    return made[0], made[1]
+    bound = np.stack([model.bound.torque, model.bound.speed, model.bound.floor])
+    own = bound, np.array([400.0, 400, 400, 4, 4, 4]), 10.0, method, point
+    return both(model, "WrenchEstimator", extra, own)
 
 
 # Torque error and its variance to 1e-12 of their scale; what passes a solution of equations to 1e-11, without a prior
@@ -83,10 +88,53 @@ def test_estimators_agree_on_every_part_of_the_drives(model: SimpleNamespace, ex
     np.testing.assert_allclose(a[4], b[4], rtol=1e-11)
 
 
-@pytest.mark.parametrize("way", sorted(ACCURACY))
+ARGUMENTS = ("F", "P", "observability", "error", "variance", "flags", "active")
+POINT = np.array([0.02, -0.01, 0.1])
+WAYS = {"observer": (False, False), "kf": (True, False), "kf with bias": (True, True)}
+
+
+def momentum_twins(model: SimpleNamespace, way: str, point: np.ndarray | None = None) -> tuple[Any, Any]:
+    """The same of the momentum, with warm-up."""
+    rate, prior = np.square(FORCE_RATES["normal"]), np.square(PRIOR)
+    warm_up = np.tile([[0.2], [-0.3], [60.0], [1.0], [0.1]], 7)
+    memory, qd_noise, leak = np.linspace(0.02, 0.05, 7), np.linspace(1e-3, 2e-3, 7), np.linspace(0, 0.5, 6)
+    own = prior, memory, qd_noise, rate, leak, 30.0, *WAYS[way], point
+    return both(model, "MomentumEstimator", (None, None, warm_up), own)
+
+
+@pytest.mark.parametrize("point", [None, POINT], ids=["wrench", "point"])
+@pytest.mark.parametrize("way", sorted(WAYS))
+def test_momentum_estimators_agree(model: SimpleNamespace, excited: Table, way: str, point: np.ndarray | None) -> None:
+    """In motion, at rest, over a lost sample, over a gap, over samples that are broken, and after a tare."""
+    log = excited.between(0.0, 0.24)
+    q, qd, tau, dt = (np.array(a) for a in (log["q"], log["qd"], log["tau"], log.dt))
+    dt[12], dt[20] = 0.008, 0.5
+    tau[18, 2], tau[27, 1] = np.nan, 1e200
+    q[33:], qd[33:], dt[33:] = q[33], 0.0, 0.016
+    compiled, plain = momentum_twins(model, way, point)
+    for part in (slice(0, 56), slice(56, 60)):
+        outputs = (
+            compiled.run(q[part], qd[part], tau[part], dt[part]),
+            plain.run(q[part], qd[part], tau[part], dt[part]),
+        )
+        for name, a, b in zip(ARGUMENTS, *outputs):
+            if name in ("flags", "active"):
+                assert np.array_equal(a, b), name
+                continue
+            accuracy = 1e-12 if name == "variance" else 1e-10
+            np.testing.assert_allclose(a, b, rtol=0.0, atol=accuracy * np.nanmax(np.abs(b)), err_msg=name)
+        assert outputs[0][7] is outputs[1][7] is None
+        if part.start == 0:
+            assert np.isnan(outputs[0][0][[18, 27]]).all()
+            assert np.isfinite(outputs[0][0][[17, 19, 28]]).all()
+            assert compiled.tare() is plain.tare() is (way == "kf with bias")
+    assert np.all((outputs[0][5] & 32 > 0) == (way == "kf with bias"))
+
+
+@pytest.mark.parametrize("way", [*sorted(ACCURACY), *sorted(WAYS)])
 def test_step_returns_what_run_stacks_and_reset_forgets(model: SimpleNamespace, excited: Table, way: str) -> None:
     log = excited.between(0.0, 0.1)
-    estimator = twins(model, METHODS.index(way))[0]
+    estimator = momentum_twins(model, way)[0] if way in WAYS else twins(model, METHODS.index(way))[0]
     stacked = estimator.run(log["q"], log["qd"], log["tau"], log.dt)
     estimator.reset()
     for k in range(len(log)):
@@ -140,6 +188,21 @@ def test_wrong_parameters_are_refused(model: SimpleNamespace, kind: str) -> None
         one.run(np.zeros((5, 7)), np.zeros((5, 7)), np.zeros((4, 7)), np.zeros(5))
 
 
+@pytest.mark.parametrize(("n", "m"), [(1, 1), (2, 6), (6, 6), (7, 6), (7, 13), (9, 15)])
+def test_steps_agree(n: int, m: int) -> None:
+    rng = np.random.default_rng(n + 100 * m)
+    x, root = rng.standard_normal(n + m), rng.standard_normal((n + m, n + m))
+    P, G = root @ root.T, rng.standard_normal((n, m))
+    for _ in range(30):
+        u, y, spread = *rng.standard_normal((2, n)), rng.standard_normal((n, n))
+        a = np.where(rng.random(m) < 0.3, 0.0, rng.uniform(0, 30, m))
+        arguments = (x, P, G, u, y, 1e-3 * spread @ spread.T, 0.004, rng.uniform(0.1, 1, n), rng.uniform(0.1, 1, m), a)
+        ours, wanted = kernels.momentum_step(*arguments), oracles.momentum_step(*arguments)
+        for a_, b in zip(ours, wanted):
+            np.testing.assert_allclose(a_, b, rtol=0, atol=1e-12 * np.abs(b).max())
+        x, P = wanted
+
+
 H = 0.004
 
 
@@ -169,8 +232,92 @@ def test_a_step_without_information_is_van_loans(seed: int, leak: float, mixed: 
     new_x, new_P = momentum_step(x, P, G, u, moved[:n], np.eye(n) * 1e15, H, Qp, q, a)
     np.testing.assert_allclose(new_x, moved, rtol=0, atol=1e-12 * np.abs(moved).max())
     np.testing.assert_allclose(new_P, Phi @ P @ Phi.T + Q, rtol=0, atol=1e-12 * np.abs(new_P).max())
-    quiet = momentum_step(x, 0 * P, G, u, moved[:n], np.eye(n) * 1e15, H, Qp, q, a)[1]
+    quiet = oracles.momentum_step(x, 0 * P, G, u, moved[:n], np.eye(n) * 1e15, H, Qp, q, a)[1]
     np.testing.assert_allclose(quiet, Q, rtol=1e-9, atol=1e-18)
+
+
+@pytest.mark.parametrize("intensity", [2.0, 20.0, 200.0])
+def test_held_torques_give_weighted_least_squares(intensity: float) -> None:
+    """No leak, a constant torque error, velocity known: the steady wrench is prior-free least squares, weights 1/Qp.
+
+    The velocity is known exactly, R = 0: with R = 1e-12 (N m s)^2 the wrench is off by 1e-6.
+    """
+    robot = robots.load("yumi_left")
+    rng = np.random.default_rng(1)
+    J = robot.chain.jacobian(robot.q_home)
+    tau_e, Qp = rng.standard_normal(7), rng.uniform(0.5, 2, 7) * 1e-3
+    x, P = np.zeros(13), np.diag(np.r_[np.zeros(7), [400.0] * 3, [4.0] * 3])
+    p = np.zeros(7)
+    for _ in range(1500):  # the slowest mode, of the smallest intensity, keeps 0.980 per step
+        p = p + H * tau_e
+        x, P = momentum_step(
+            x, P, J.T, np.zeros(7), p, np.zeros((7, 7)), H, Qp, intensity**2 * np.array([1, 1, 1, 0.01, 0.01, 0.01]),
+            np.zeros(6),
+        )  # fmt: skip
+    weighted = J / Qp
+    expected = np.linalg.solve(weighted @ J.T, weighted @ tau_e)
+    np.testing.assert_allclose(x[7:], expected, rtol=1e-8)
+
+
+def test_a_wrench_held_over_one_step_is_the_static_estimate() -> None:
+    """Momentum known, R -> 0, a fresh wrench N(0, C_F) acting during the step: MAP with C_tau = Qp / h, to 1e-9."""
+    robot, rng = robots.load("yumi_left"), np.random.default_rng(4)
+    prior, scale = np.r_[[400.0] * 3, [4.0] * 3], np.r_[[20.0] * 3, [2.0] * 3]
+    for q in rng.uniform(robot.q_min, robot.q_max, (20, 7)):
+        J, Qp = robot.chain.jacobian(q), rng.uniform(0.5, 2, 7) * 1e-3
+        u, tau_e = rng.standard_normal((2, 7))
+        p = H * (u + tau_e)
+        x, P = momentum_step(
+            np.zeros(13), np.diag(np.r_[np.zeros(7), np.ones(6)]), J.T * scale, u, p, np.zeros((7, 7)), H, Qp,
+            np.zeros(6), np.zeros(6),
+        )  # fmt: skip
+        F, cov, *_ = solve_wrench(J, tau_e, Qp / H, np.zeros(7), prior, 0)
+        np.testing.assert_allclose(scale * x[7:], F, rtol=0, atol=1e-9 * np.abs(F).max())
+        np.testing.assert_allclose(np.outer(scale, scale) * P[7:, 7:], cov, rtol=0, atol=1e-9 * cov.max())
+
+
+def test_external_torques_in_place_of_the_wrench_make_the_observer() -> None:
+    """With G = 1 and the gain of the steady state, ``z <- z + k ((p - p_before) - h (u + z))``, to 1e-9."""
+    rng = np.random.default_rng(5)
+    n, R = 3, np.zeros((3, 3))
+    arguments = np.eye(n), H, np.full(n, 1e-2), np.full(n, 20.0), np.zeros(n)
+    x, P = np.zeros(2 * n), np.eye(2 * n)
+
+    def step(x: np.ndarray, P: np.ndarray, u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        G, h, Qp, q, a = arguments
+        return momentum_step(x, P, G, u, y, R, h, Qp, q, a)
+
+    for _ in range(2000):
+        x, P = step(x, P, np.zeros(n), np.zeros(n))
+    gain = step(np.zeros(2 * n), P, np.zeros(n), np.ones(n))[0][n:]
+    p, r = np.zeros(n), np.zeros(n)
+    x = np.zeros(2 * n)
+    for _ in range(200):
+        u, y = rng.standard_normal((2, n))
+        x, P = step(x, P, u, y)
+        r, p = r + gain * ((y - p) - H * (u + r)), y
+        np.testing.assert_allclose(x[n:], r, rtol=0, atol=1e-9 * np.abs(r).max())
+
+
+def test_its_covariance_is_that_of_its_errors() -> None:
+    """NEES of a wrench that walks at random, torque and velocity noise being what the filter is told: 0.95 to 1.05."""
+    robot = robots.load("yumi_left")
+    rng = np.random.default_rng(2)
+    J = robot.chain.jacobian(robot.q_home)
+    Qp, R, q = np.full(7, 4e-3), 1e-6 * np.eye(7), np.r_[np.full(3, 25.0), np.full(3, 0.25)]
+    Phi, Q = van_loan(J.T, Qp, q, np.zeros(6), H)
+    root, start = np.linalg.cholesky(Q + 1e-18 * np.eye(13)), np.r_[np.full(7, 1e-6), [400.0] * 3, [4.0] * 3]
+    nees = []
+    for _ in range(300):
+        x, P, true = np.zeros(13), np.diag(start), np.sqrt(start) * rng.standard_normal(13)
+        for k in range(1, 121):
+            true = Phi @ true + root @ rng.standard_normal(13)
+            y = true[:7] + 1e-3 * rng.standard_normal(7)
+            x, P = momentum_step(x, P, J.T, np.zeros(7), y, R, H, Qp, q, np.zeros(6))
+            if k % 60 == 0:
+                error = x[7:] - true[7:]
+                nees.append(error @ np.linalg.solve(P[7:, 7:], error) / 6)
+    assert abs(np.mean(nees) - 1) < (0.05)
 
 
 def test_the_covariance_stays_symmetric_and_positive() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import ShapeError, UnknownName
-from armlab.lie import se3, so3
+from armlab.lie import euler, se3, so3
 
 
 def random_twists(count: int, seed: int = 0) -> np.ndarray:
@@ -30,11 +30,39 @@ def test_hat_and_vee() -> None:
     np.testing.assert_array_equal(se3.vee(se3.hat(batch)), batch)
 
 
+def test_adjoint_by_hand() -> None:
+    """A frame 1 m along x, turned a quarter about z: a turn about its z axis moves the origin of a along -y."""
+    T_a_b = se3.from_rp(euler.rot_z(np.pi / 2), [1.0, 0.0, 0.0])
+    twist_a = se3.adjoint(T_a_b) @ [0, 0, 0, 0, 0, 1.0]
+    np.testing.assert_allclose(twist_a, [0, -1, 0, 0, 0, 1], rtol=0, atol=1e-16)
+    np.testing.assert_allclose(se3.adjoint_inv(T_a_b) @ twist_a, [0, 0, 0, 0, 0, 1], rtol=0, atol=1e-16)
+
+
+def test_transform_wrench_by_hand() -> None:
+    """2 N along b's x axis, which is a's y axis, at 1 m along a's x axis: 2 N m about a's z axis."""
+    T_a_b = se3.from_rp(euler.rot_z(np.pi / 2), [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(
+        se3.transform_wrench(T_a_b, [2.0, 0, 0, 0, 0, 0]), [0, 2, 0, 0, 0, 2], rtol=0, atol=1e-15
+    )
+    np.testing.assert_allclose(
+        se3.transform_wrench(T_a_b, [0, 0, 0, 3.0, 0, 0]), [0, 0, 0, 0, 3, 0], rtol=0, atol=1e-15
+    )
+    assert se3.transform_wrench(T_a_b, np.zeros((5, 6))).shape == (5, 6)
+
+
 @pytest.mark.parametrize("path", ["linear", "screw"])
-def test_interpolate_ends_exactly(path) -> None:
+def test_interpolate_ends_exactly_and_halves(path) -> None:
     T_a, T_b = se3.exp(random_twists(300)), se3.exp(random_twists(300, seed=1))
     np.testing.assert_array_equal(se3.interpolate(T_a, T_b, 0.0, path), T_a)
     np.testing.assert_array_equal(se3.interpolate(T_a, T_b, 1.0, path), T_b)
+    middle = se3.interpolate(T_a, T_b, 0.5, path)
+    R_a, R_b = T_a[:, :3, :3], T_b[:, :3, :3]
+    np.testing.assert_allclose(so3.angle(R_a, middle[:, :3, :3]), so3.angle(R_a, R_b) / 2, rtol=0, atol=2e-15)
+    if path == "linear":
+        np.testing.assert_allclose(middle[:, :3, 3], (T_a + T_b)[:, :3, 3] / 2, rtol=0, atol=1e-15)
+    else:
+        half = se3.log(se3.inv(T_a) @ middle)
+        np.testing.assert_allclose(2 * half, se3.log(se3.inv(T_a) @ T_b), rtol=0, atol=1e-13)
     assert se3.interpolate(T_a[0], T_b[0], np.linspace(0, 1, 7), path).shape == (7, 4, 4)
 
 

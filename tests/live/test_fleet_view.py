@@ -131,6 +131,7 @@ def test_a_viewer_that_was_not_run_takes_no_robot_for_silent(fleet: Fleet, monke
     bridge.close()
 
 
+@pytest.mark.slow
 def test_each_robot_stands_at_its_place_in_the_pose_of_its_rows(server: Any, fleet: Fleet, page: Any) -> None:
     """Who looks is put before them all when one comes."""
     rows = fleet.rows()

@@ -60,6 +60,7 @@ def test_it_finds_the_bridge_again_that_started_again(bridge: Any, following: An
     assert running.robots == {"yumi_right": RIGHT}
 
 
+@pytest.mark.slow
 def test_a_bridge_over_zenoh_is_waited_for_followed_and_found_again(
     fleet: Fleet, following: Any, hear_until: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

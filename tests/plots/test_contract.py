@@ -92,6 +92,7 @@ def panels_of(drawn: Any) -> list[Axes]:
     return [ax for ax in axes if ax.get_label() != "<colorbar>"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_figure_is_new_or_in_the_axes_of_the_caller(
     name: str, drawing: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

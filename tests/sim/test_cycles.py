@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab import robots
-from armlab.sim.arm.arm import SimulatedArm
+from armlab import bridge, robots
+from armlab.bridge.control.arm import QueueTrimming
+from armlab.bridge.control.limits import Limits
+from armlab.bridge.control.realtime import Waiting
+from armlab.bridge.net.sockets import Arrival, Port
+from armlab.errors import LinkError
+from armlab.sim.arm.arm import LaggingArm, SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.channel import Faults, UdpClient
 from armlab.sim.controller.controller import SimulatedController
 from armlab.sim.controller.cycles import Timing, run
 from armlab.sim.controller.settings import ControllerSettings, FaultRates
-from armlab.wire.egm import EgmCodec, Reference
+from armlab.state import Command, State
+from armlab.wire.egm import EgmCodec, Packet, Reference
 from armlab.wire.egm.robot_side import RobotSideCodec
 
 RIGHT, LEFT = robots.load("yumi_right"), robots.load("yumi_left")
@@ -189,6 +197,7 @@ def test_a_listener_hears_a_stream_in_lockstep_at_the_pace_of_the_robot(make_pee
     assert client.controller.statistics.counts["replies"] == len(slow.packets) == 50
 
 
+@pytest.mark.slow
 def test_what_the_machine_skips_is_told_from_what_the_simulator_skips(make_peer: MakePeer, clock: Clock) -> None:
     """A process that waits, as for a processor that others have, is not one that computes too long."""
     counts = []
@@ -232,3 +241,139 @@ def test_lockstep_waits_for_no_packet_that_faults_hold_back(make_peer: MakePeer,
         assert run([client], Timing(lockstep=True, seconds=0.35, patience=60.0)) == "the time is up"
         assert time.monotonic() - begin < 50.0
         assert client.controller.statistics.counts["replies"] > 35
+
+
+ROBOT = RIGHT
+MIDDLE = (ROBOT.q_min + ROBOT.q_max) / 2
+PERIOD = 0.012096  # SampleRate 12: three times as fast to test as 4
+SECONDS = {0.01: 60.0, 0.1: 30.0, 0.5: 20.0}  # by the share of datagrams; the last three are clean
+FAULTS: dict[str, Any] = {
+    "loss": lambda p: FaultRates(loss=p),
+    "burst": lambda p: FaultRates(loss=p, burst=10),
+    "duplicate": lambda p: FaultRates(duplicate=p),
+    "reorder": lambda p: FaultRates(reorder=p),
+    "corrupt": lambda p: FaultRates(corrupt=p),
+    "delay": lambda p: FaultRates(delay=(p * PERIOD, 0.5 * PERIOD)),
+    "pause": lambda p: FaultRates(pause=(5.0, 60.0 * p)),
+}
+
+
+class Wire:
+    """The way between bridge and controller, with faults in both directions."""
+
+    def __init__(self, outgoing: FaultRates, incoming: FaultRates) -> None:
+        codec = RobotSideCodec(ROBOT, extension=True)
+        self.controller = SimulatedController(
+            LaggingArm(ROBOT, PERIOD, MIDDLE), codec, ControllerSettings(period=PERIOD)
+        )
+        self._out, self._in = Faults(outgoing, [7, 1], PERIOD), Faults(incoming, [7, 2], PERIOD)
+        self._packets, self._replies = deque[bytes](), list[tuple[int, bytes]]()
+        self._eyes, self.depth = EgmCodec(ROBOT, extension=True), -1
+
+    def receive(self) -> Arrival | None:
+        if not self._packets:
+            return None
+        data = self._packets.popleft()
+        packet = self._eyes.decode(data)
+        self.depth = packet.queue_depth if isinstance(packet, Packet) else self.depth
+        return Arrival(data, ("127.0.0.1", 1), time.monotonic_ns())
+
+    def send(self, data: bytes) -> bool:
+        self._replies.append((0, data))
+        return True
+
+    def next(self) -> tuple[int, Arrival] | None:
+        """Run cycles until a packet comes through."""
+        controller = self.controller
+        for _ in range(10_000):
+            arrival = self.receive()
+            if arrival is not None:
+                return 0, arrival
+            for _, data in self._in.through(self._replies, controller.uptime):
+                controller.accept(data)
+            self._replies.clear()
+            packet = controller.packet()
+            sent = self._out.through([(controller.cycle, packet)] if packet else [], controller.uptime)
+            self._packets.extend(data for _, data in sent)
+            controller.advance()
+        return None
+
+
+def sway(state: State) -> Command:
+    """Velocities, so that time that was lost is no jump; far from the limits, because the last speed goes on."""
+    goal = MIDDLE + 0.2 * np.sin(2.0 * state.t) ** 2
+    return Command(qd=0.4 * np.sin(4.0 * state.t) + 0.5 * (goal - state.q))
+
+
+@pytest.fixture
+def play(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Give a function that runs bridge and controller against each other."""
+
+    leaves_out = QueueTrimming.leaves_out
+
+    def run(
+        outgoing: FaultRates, incoming: FaultRates, seconds: float, limits: Limits | None = None
+    ) -> tuple[Any, SimulatedController]:
+        wire = Wire(outgoing, incoming)
+        monkeypatch.setattr(Waiting, "next", lambda waiting, seconds: wire.next())
+        monkeypatch.setattr(Port, "receive", lambda port: wire.receive())
+        monkeypatch.setattr(Port, "send", lambda port, data, to: wire.send(data))
+
+        # a bridge in lockstep never leaves out a reply, because a robot would wait for it; this one does not wait
+        def with_wire(trimming: QueueTrimming, depth: int, period: float) -> bool:
+            return leaves_out(trimming, wire.depth, period)
+
+        monkeypatch.setattr(QueueTrimming, "leaves_out", with_wire)
+        with bridge.connect("egm://127.0.0.1:0", ROBOT, extension=True, clock="robot") as link:
+            return link.run(sway, seconds=seconds, wait="block", limits=limits), wire.controller
+
+    return run
+
+
+def check(found: Any, controller: SimulatedController) -> None:
+    table, counted = found.table, found.statistics
+    assert found.reason == "the time is up"
+    assert not controller.dead
+    assert counted["replies"] + counted["overtaken"] <= counted["packets"] == len(table), "every packet has its row"
+    q, sent = table["q"], table["q_sent"][np.isfinite(table["q_sent"]).all(axis=1)]
+    assert ((q > ROBOT.q_min) & (q < ROBOT.q_max)).all()
+    assert np.abs(np.diff(sent, axis=0)).max() <= ROBOT.qd_max.max() * 1.5 * PERIOD
+    assert np.ptp(sent, axis=0).min() > 0.1, "it moved"
+
+
+@pytest.mark.parametrize(
+    ("fault", "way"),
+    [
+        *((fault, "out") for fault in ("loss", "reorder", "delay")),
+        *((fault, "in") for fault in ("burst", "duplicate", "corrupt", "pause")),
+    ],
+)
+def test_a_reference_is_one_cycle_old_again_after_faults(play: Any, fault: str, way: str) -> None:
+    """Overtaken packets get no reply; for what faults of the replies leave in the queue, replies are left out."""
+    rates = replace(FAULTS[fault](0.5), until=0.8, pause=(0.2, 0.5) if fault == "pause" else (0.0, 0.0))
+    found, controller = play(*((rates, FaultRates()) if way == "out" else (FaultRates(), rates)), 3.0)
+    assert found.reason == "the time is up"
+    assert controller.statistics.last_age == 1
+    assert len(controller.inbox) <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", FAULTS)
+def test_every_fault_for_a_minute(play: Any, fault: str) -> None:
+    """1, 10 and 50 % of the datagrams in both directions, the more of them the shorter.
+
+    When half of all replies is lost ten at a time, the arm goes on with its last speed for up to a second: the
+    following error that is allowed says so.
+    """
+    for share, of_share in SECONDS.items():
+        seconds = 60.0 if fault == "pause" else of_share
+        limits = Limits.of(ROBOT, following_error=0.5) if (fault, share) == ("burst", 0.5) else None
+        rates = replace(FAULTS[fault](share), until=seconds - 3.0)
+        check(*play(rates, rates, seconds, limits))
+
+
+def test_an_arm_that_goes_on_while_replies_are_lost_is_stopped(play: Any) -> None:
+    """What the bridge sees is an arm far from its reference, whether or not the network is why."""
+    faults = FAULTS["burst"](0.5)
+    with pytest.raises(LinkError, match="a following error"):
+        play(faults, faults, 60.0)

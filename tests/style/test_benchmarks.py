@@ -101,6 +101,7 @@ def test_report_tells_bars_and_noise(harness: dict[str, ModuleType]) -> None:
     assert "shared" not in quiet
 
 
+@pytest.mark.slow
 def test_environment_follows_what_is_installed(harness: dict[str, ModuleType]) -> None:
     environment = harness["environment"]
     assert environment.fingerprint() == environment.fingerprint()
@@ -205,6 +206,7 @@ def test_baseline_tells_what_only_one_run_has(harness: dict[str, ModuleType], ba
     assert baseline.render(baseline.compare("Fast.", [part], whole=True)) == []
 
 
+@pytest.mark.slow
 def test_picture_has_a_row_per_table(harness: dict[str, ModuleType], tmp_path: Path) -> None:
     picture, path = harness["picture"], tmp_path / "report.png"
     sections = [section(harness, 1.0, 4.0)]

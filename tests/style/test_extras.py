@@ -10,6 +10,8 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "armlab"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -110,6 +112,7 @@ def test_extras_are_those_that_are_used_and_the_tests_have_them_all() -> None:
     assert set(OPTIONAL) <= modules(PROJECT["optional-dependencies"]["dev"])
 
 
+@pytest.mark.slow
 def test_every_package_is_imported_without_any_extra() -> None:
     packages = [".".join(path.parent.relative_to(ROOT / "src").parts) for path in SOURCE.rglob("__init__.py")]
     assert len(packages) > 20

@@ -159,6 +159,7 @@ class Friction:
 
     @property
     def rows(self) -> np.ndarray:
+        """Fields in their order, one row each, as `kernels.Drive` takes them."""
         return rows_of(self)
 
     def torque(self, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -238,6 +239,7 @@ class Ripple:
 
     @property
     def rows(self) -> np.ndarray:
+        """Fields in their order, one row each, as `kernels.Drive` takes them."""
         return rows_of(self)
 
 

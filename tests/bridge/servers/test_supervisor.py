@@ -176,6 +176,7 @@ with Servers(Hub([robots.load("ur5e")], ["local"]), {{"local": command}}) as ser
 MESSAGES = 2000  # among which there is a row
 
 
+@pytest.mark.slow
 def test_rows_of_a_link_are_offered_and_a_stop_holds_it(
     robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -212,6 +213,7 @@ def test_rows_of_a_link_are_offered_and_a_stop_holds_it(
     assert cells() == []
 
 
+@pytest.mark.slow
 def test_who_only_listens_offers_what_it_hears(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Again in the next run of the same link; the name is taken, and a link opened for nothing leaves its port free."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))

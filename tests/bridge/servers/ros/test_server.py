@@ -22,7 +22,7 @@ VELOCITY, POSITION = (f"/yumi_left/joint_group_{kind}_controller/commands" for k
 SET = "/yumi_left/set_parameter"
 
 
-@pytest.fixture(params=["ros2", "rmw_zenoh"])
+@pytest.fixture(params=["ros2", pytest.param("rmw_zenoh", marks=pytest.mark.slow)])
 def start(request: pytest.FixtureRequest) -> Iterator[Callable[..., Any]]:
     """Return what starts a server with a node."""
     made: list[Any] = []

@@ -283,6 +283,7 @@ def test_what_is_missing_is_told_in_one_sentence(tmp_path: Path) -> None:
     exchange.close()
 
 
+@pytest.mark.slow
 def test_no_master_or_another_address_is_told_in_one_sentence() -> None:
     if subprocess.run([PYTHON, "-c", "import rospy"], capture_output=True, check=False).returncode:
         pytest.skip(f"rospy is not installed for {PYTHON} (Debian: python3-rospy)")

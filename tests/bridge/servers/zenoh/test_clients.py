@@ -170,6 +170,7 @@ def test_a_time_beyond_all_clocks_is_dropped(robot: Robot) -> None:
         assert getattr(codec.decode(bytes(data)), "reason", None) == wanted
 
 
+@pytest.mark.slow
 def test_a_viewer_elsewhere(start: Start, robot: Robot) -> None:
     one = start()
     with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1", patience=1.0) as feed:
@@ -249,6 +250,7 @@ def test_texts_that_are_none_are_dropped_and_told(start: Start, robot: Robot) ->
         until(lambda: told("Hello."))
 
 
+@pytest.mark.slow
 def test_a_bridge_that_comes_again_is_told_from_one_that_restarted(start: Start, robot: Robot) -> None:
     """Both while the way to it is cut; another run may have other rows."""
     one = start()
@@ -320,6 +322,7 @@ def test_rows_that_did_not_come_or_were_not_read_in_time_are_counted(
     assert feed.lost == ticks[-1] - ticks[0] + 1 - len(ticks) > 3
 
 
+@pytest.mark.slow
 def test_nothing_to_view(start: Start, robot: Robot) -> None:
     port = start().options["port"]
     with pytest.raises(LinkError, match="Expected a robot in the lab 'lab2'"):

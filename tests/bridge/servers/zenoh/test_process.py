@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
 
 from armlab import robots
 from armlab.bridge.servers.row import RowSchema, read_row
@@ -93,6 +94,7 @@ NO_COMMANDS = [
 ]
 
 
+@pytest.mark.slow
 def test_what_is_no_command_gets_a_sentence(start: Start, session: Open, robot: Robot) -> None:
     one = start()
     mine = session(one.options["port"])

@@ -121,6 +121,7 @@ def test_commands_do_not_come_by_a_router_that_listens_at_every_address() -> Non
         open_near("0.0.0.0", port)
 
 
+@pytest.mark.slow
 def test_a_server_with_a_router_elsewhere_is_found_at_its_own_port() -> None:
     far, own = free_port(), free_port()
     open_session("router", [f"127.0.0.1:{far}"])
@@ -226,6 +227,7 @@ def test_urls(tmp_path: Path) -> None:
         LabAddress.read(f"zenoh://host?secret={tmp_path}/none")
 
 
+@pytest.mark.slow
 def test_nobody_there() -> None:
     with pytest.raises(LinkError, match="See whether it runs"):
         LabAddress("127.0.0.1", free_port()).open(0.3)
@@ -239,6 +241,7 @@ def test_nobody_there() -> None:
         place.ask(asker, key("lab2", "arm", "schema"), 0.1)
 
 
+@pytest.mark.slow
 def test_a_port_that_something_else_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("armlab.bridge.servers.zenoh.session._FOUND", 0.1)
     monkeypatch.setattr("armlab.bridge.servers.zenoh.session._TRIES", 1)
