@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.kinematics import forward, forward_jacobian, jacobian, parameter_jacobian
+from armlab.kinematics import forward, forward_jacobian, jacobian, link_transforms, parameter_jacobian
 from armlab.lie import se3, so3
+
+
+def test_link_transforms_lead_to_the_tool() -> None:
+    robot, q = robots.load("yumi_right"), np.arange(1, 8) / 10
+    T_base_link = link_transforms(robot, q)
+    assert T_base_link.shape == (7, 4, 4)
+    np.testing.assert_allclose(T_base_link[-1] @ robot.frames[-1], forward(robot, q), rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("frame", ["base", "tool"])

@@ -452,6 +452,7 @@ class WarmUp:
             raise ShapeError("Expected time >= 0, power > 0 and start >= 0 of the warm-up, got others.")
 
     def kernel_rows(self) -> np.ndarray:
+        """Return the arrays as `kernels.Drive` takes them."""
         return rows_of(self)
 
     def thermal_state(self, power: np.ndarray, dt: np.ndarray) -> np.ndarray:
