@@ -241,6 +241,7 @@ def test_the_table() -> None:
         assert word in text
 
 
+@pytest.mark.slow
 def test_plain_lines(running: Hub, command) -> None:
     """Without a terminal: a line per arm and second, and the events."""
     running.event("Something happened.")

@@ -100,6 +100,7 @@ def test_a_saved_motion_beyond_the_limits_is_refused_before_the_robot_moves(tmp_
     assert not list(tmp_path.glob("*.mcap"))
 
 
+@pytest.mark.slow
 def test_a_run_that_was_refused_is_not_to_be_identified(tmp_path, monkeypatch, command) -> None:
     monkeypatch.chdir(tmp_path)
     robot = robots.load("yumi_left")

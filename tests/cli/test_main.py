@@ -95,6 +95,7 @@ def completed(script: Path, *words: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash on this computer")
 def test_bash_completes_verbs_subcommands_options_and_values(command, tmp_path: Path) -> None:
     script = tmp_path / "armlab"

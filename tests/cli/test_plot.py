@@ -236,6 +236,7 @@ def test_a_calibration_without_its_residuals(drawn: dict[str, Any], tmp_path: Pa
     assert "condition" in told.get_title(loc="left")
 
 
+@pytest.mark.slow
 def test_wrong_files_get_a_sentence(files: tuple[str, str], drawn: dict[str, Any], tmp_path: Path, command) -> None:
     model, run = files
     for words, (code, sentence) in {

@@ -74,6 +74,7 @@ def test_a_log_of_the_same_name_is_kept_and_the_new_name_is_told(
     assert (seen["log"]["q"].shape[1], seen["robot"].name, seen["run"].reason) == (7, "yumi_left", "the time is up")
 
 
+@pytest.mark.slow
 def test_a_log_that_is_not_whole_is_a_failure(folder: Path, command, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -85,6 +86,7 @@ def test_a_log_that_is_not_whole_is_a_failure(folder: Path, command, monkeypatch
     assert "warning: The recording stopped" in said.err
 
 
+@pytest.mark.slow
 def test_both_arms_without_a_file_hold(folder: Path, command) -> None:
     words = ["--link", "sim://yumi_left+yumi_right?lockstep=true", "--no-log", "--seconds", "0.2"]
     assert command(["run", "yumi_left+yumi_right", *words]).out.count("Ended: the time is up.") == 2

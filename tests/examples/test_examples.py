@@ -31,7 +31,7 @@ LONG = (
     *("26_hold_and_recover.py", "27_both_arms_wait.py", "31_turned_goal.py", "32_wiping.py"),
 )
 SLOW = {
-    *LONG, "02_move_a_simulated_arm.py", "10_draw_an_arm.py", "14_sine.py", "17_impedance.py",
+    *LONG, "02_move_a_simulated_arm.py", "05_look_at_a_log.py", "10_draw_an_arm.py", "14_sine.py", "17_impedance.py",
     "18_sensor_in_the_loop.py", "19_teleoperation.py", "22_calibrate_force_sensor.py", "23_calibrate_kinematics.py",
     "24_calibrate_laser.py", "25_profiles.py", "28_two_link.py", "35_many_logs.py",
 }  # fmt: skip

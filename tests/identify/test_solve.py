@@ -122,6 +122,7 @@ def test_where_the_log_tells_nothing_gains_stay(misread) -> None:
         assert np.all(np.isfinite(x))
 
 
+@pytest.mark.slow
 def test_a_fit_of_misread_torque_reads_the_same_torque(truth, short_arm) -> None:
     """The short arm with gains of 1.05 and 0.97: in the model, in its covariance, in its report."""
     gains, log = np.array([1.05, 0.97]), short_arm.log(1, 1500)

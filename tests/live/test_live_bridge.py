@@ -132,6 +132,7 @@ def test_the_force_comes_from_who_knows_most(bridge: Any, following: Any, hear_u
     assert force.origin == "estimate of the controller"
 
 
+@pytest.mark.slow
 def test_a_model_estimates_where_nobody_else_does(
     bridge: Any, following: Any, hear_until: Any, model: TorqueModel, excited: Table
 ) -> None:

@@ -46,6 +46,7 @@ def test_spikes_of_bands_stay_and_spans_of_one_sample_are_seen(spans) -> None:
     assert ax.collections[-1].get_linewidth()[0] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "rows"), [("shoulder_pan_joint_{}", 3), ("{}" + 300 * "x", 7)])
 def test_a_legend_is_as_wide_as_the_figure_at_most(name: str, rows: int) -> None:
     with panels(1, 1, width=6.4) as (figure, axes):

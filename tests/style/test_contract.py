@@ -38,7 +38,8 @@ def judged(source: str) -> set[str]:
 @cache
 def covered(package: str) -> set[str]:
     """Return the names that the tests of a package hold to the contract."""
-    return set().union(*(judged(path.read_text(encoding="utf-8")) for path in (TESTS / package).glob("test_*.py")))
+    sources = (path.read_text(encoding="utf-8") for path in (TESTS / package).glob("test_*.py"))
+    return set().union(*(judged(source) for source in sources if "check_estimator" in source))
 
 
 def words(node: ast.AST) -> Iterator[str]:

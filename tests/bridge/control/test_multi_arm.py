@@ -85,6 +85,7 @@ def sway(now: State) -> Command:
     return Command(now.q_start + 0.05 * np.sin(3.0 * now.t))
 
 
+@pytest.mark.slow
 def test_two_simulated_arms(tmp_path: Path) -> None:
     """Each packet is answered in its own tick, and each arm follows its part; a file each, and feeds."""
 
