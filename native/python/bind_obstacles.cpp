@@ -82,8 +82,7 @@ nb::object add(Obstacles &self, nb::handle y_, nb::handle yd_, nb::handle g_, nb
 }  // namespace armlab::python
 
 void armlab::python::bind_obstacles(nb::module_ &m) {
-  nb::class_<Obstacles>(
-      m, "Obstacles", "What a motion goes around; see docs/theory/obstacles.md.")
+  nb::class_<Obstacles>(m, "Obstacles", "What a motion goes around; see docs/theory/obstacles.md.")
       .def("__init__", &construct, arg("arm"), array("links"), array("bodies"), arg("clearance"),
           arg("reach"), arg("by_potential") = false)
       .def("place", &put, array("capsules"), "Obstacles (K, 10) from now on.")
