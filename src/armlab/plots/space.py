@@ -30,7 +30,6 @@ AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)
 _SOLID, _ARROW, _WORD = 5, 6, 7  # order of drawing; lines have 2
 _EDGE = "#B0B0B0"  # as the grid of three dimensions
 _FLATTEST = 0.3  # smallest side of the box over its largest: a planar robot still has a box
-_FILLED = 0.84  # of the axes on paper that the box fills
 _HALF_SIDE = 0.0925  # of the axes on paper, in the units of matplotlib
 _LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # distances of the names of axes in a cube; matplotlib's own
 _ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # parts of the sides in them, as `PROJECTION` sees them
@@ -63,8 +62,8 @@ def extent(ax: Axes3D) -> np.ndarray:
     return np.stack([*ax.xy_dataLim.get_points().T, ax.zz_dataLim.get_points()[:, 0]], axis=-1)
 
 
-def equal_scale(ax: Axes3D, ticks: int = 7) -> None:
-    """Give the three axes one scale and room for everything drawn so far."""
+def equal_scale(ax: Axes3D, part: float = 0.84, ticks: int = 7) -> None:
+    """Give the three axes one scale and room for all that is drawn; the box fills `part` of the axes on paper."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
@@ -83,7 +82,7 @@ def equal_scale(ax: Axes3D, ticks: int = 7) -> None:
     ax.set_box_aspect(tuple(span))
     corners = middle + span / 2 * np.array(list(product((-1, 1), repeat=3)))
     x, y, _ = proj_transform(corners[:, 0], corners[:, 1], corners[:, 2], ax.get_proj())
-    ax.set_box_aspect(tuple(span), zoom=_FILLED * _HALF_SIDE / np.abs([x, y]).max())
+    ax.set_box_aspect(tuple(span), zoom=part * _HALF_SIDE / np.abs([x, y]).max())
 
 
 def frame(
