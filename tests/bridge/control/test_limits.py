@@ -21,6 +21,7 @@ from armlab.errors import ConfigError
 from armlab.robots import Robot, from_links
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec
+from armlab.wire.egm.axes import Linkage
 from tests.oracles import limit_reference
 
 from ..conftest import Packets
@@ -323,3 +324,24 @@ def test_full_speed_into_each_limit_stops_before_it(name: str) -> None:
     if axes(robot.q_home) is robot.q_home:  # joints of a coupled robot hinder one another
         assert (sent.max(axis=0) > limits.q_max - 0.01).all()
         assert (sent.min(axis=0) < limits.q_min + 0.01).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lagging", [True, False])
+def test_an_irb_2400_follows(lagging: bool) -> None:
+    """Joints 2 and 3 against each other, so that axis 3 stands still, in lockstep with the simulated controller."""
+
+    def controller(state: State) -> Command:
+        sway = 0.2 * (1.0 - np.cos(2.0 * state.t))
+        return Command(state.q_start + sway * np.array([0, 1, -1, 0, 0, 0]))
+
+    with bridge.connect(f"sim://irb2400?lockstep=true&lagging={str(lagging).lower()}", LINKED) as link:
+        run = link.run(controller, seconds=3.0)
+    table = run.table
+    linkage = Linkage.of(LINKED)
+    assert linkage is not None
+    moved = table["q"] - table["q"][0]
+    assert moved[:, 1].max() == pytest.approx(0.4, abs=0.02)
+    np.testing.assert_allclose(moved[:, 1] + moved[:, 2], 0.0, atol=1e-6 if lagging else 5e-3)
+    assert not np.nan_to_num(table["clamped"][50:700]).any()
+    np.testing.assert_allclose(table["q_planned"][-1], table["q_sent"][-1], atol=0.02)

@@ -390,3 +390,20 @@ def test_parameters() -> None:
     gain, force = json.loads(parameter_message(parameters))["parameters"]
     assert (gain["value"], gain["default"], gain["who"], gain["sequence"], gain["maximum"]) == (3.0, 2.0, "a", 1, None)
     assert (force["value"], force["who"]) == ([1.0, 2.0], "")
+
+
+def test_null_is_not_a_number(cell: Cell) -> None:
+    cell.say("labcomm", "command", arm="yumi_left", q=[None, *HOME[1:]])
+    assert cell.exchange.arbiter(cell.state()) is None
+    assert "finite numbers in q" in cell.texts("labcomm", "answer")[0]
+
+
+def test_refused_settings(cell: Cell) -> None:
+    cell.exchange.begin(lambda text, *_: cell.told.append(text))
+    cell.exchange.arbiter.stop("x")  # nobody holds, so labcomm has the rights of a commander
+    for _ in range(5):
+        cell.say("labcomm", "set", values={"gain": -1.0})
+    cell.row()
+    assert cell.params.gain == 2.0
+    assert sum("was refused" in text for text in cell.told) == 5
+    assert len(cell.texts("labcomm", "answer")) == 5

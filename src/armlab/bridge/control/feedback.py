@@ -62,7 +62,7 @@ class FeedbackCheck:
         elif before is not None:
             excess = np.abs(axes - before) - (_STEP + _FASTER * robot.qd_max * self._since)
             i = int(excess.argmax())
-            if excess[i] > 0.0:
+            if not excess[i] <= 0.0:
                 problem = (
                     f"Expected the feedback of {joint_name(robot, i)} to move no faster than the arm can, but it went "
                     f"from {before[i]:.4f} to {axes[i]:.4f} in {1e3 * self._since:.1f} ms. "

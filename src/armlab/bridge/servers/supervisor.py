@@ -10,8 +10,10 @@ import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from types import TracebackType
 from typing import Any
 
+from armlab._descriptors import Descriptor
 from armlab.bridge.arbiter import Arbiter
 from armlab.bridge.control.loop import Controller
 from armlab.bridge.servers.hub import OPERATOR, Hub
@@ -19,6 +21,8 @@ from armlab.bridge.servers.local import socket_path
 from armlab.errors import LinkError
 from armlab.robots import Robot
 from armlab.state import State
+
+__all__ = ["Offering", "PLACE", "RESTARTS", "Servers", "WELL", "server_command", "stoppable"]
 
 PLACE = "{fd}"
 """Word of a command that stands for the number of the socket to the loop."""
@@ -36,6 +40,7 @@ _PATIENCE = 3.0  # s to end by itself before it is killed
 
 
 def server_command(name: str, options: Mapping[str, Any]) -> list[str]:
+    """Return the command that starts a server of armlab."""
     return [sys.executable, "-m", "armlab.bridge.servers.serve", name, PLACE, json.dumps(dict(options))]
 
 
@@ -45,6 +50,7 @@ class _Child:
     def __init__(self, name: str, command: Sequence[str]) -> None:
         self.name, self.command = name, list(command)
         self.process: subprocess.Popen[bytes] | None = None
+        self.errors = Descriptor(-1)  # of the pipe from its standard error
         self.ends = 0
         self.due: float | None = 0.0
         self.has_listened = False
@@ -54,17 +60,11 @@ class _Child:
 
     def read(self) -> None:
         """Keep the end of what it writes to standard error."""
-        if self.process is not None and self.process.stderr is not None:
-            with contextlib.suppress(BlockingIOError):
-                while part := os.read(self.process.stderr.fileno(), 4096):
-                    self.said = (self.said + part)[-_QUOTED:]
-
-    def forget(self) -> None:
-        """Let go of a process that has ended."""
-        self.read()
-        if self.process is not None and self.process.stderr is not None:
-            self.process.stderr.close()
-        self.process = None
+        if not self.errors.is_open:
+            return
+        with contextlib.suppress(BlockingIOError):
+            while part := os.read(self.errors.number, 4096):
+                self.said = (self.said + part)[-_QUOTED:]
 
     @property
     def words(self) -> str:
@@ -92,17 +92,20 @@ class Servers:
         self._thread.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
     def close(self) -> None:
+        """End all processes."""
         self._over.set()
         self._thread.join()
         self._exchange.close()
         for child in self._children:
             if child.process is not None:
-                self._end(child.process)
-            child.forget()
+                self._end(child, child.process)
+            child.errors.close()
 
     def ready(self, patience: float = 30.0) -> list[str]:
         """Wait until every server listens, and return who listens where."""
@@ -118,6 +121,7 @@ class Servers:
         return [where for outlet in self._exchange.outlets.values() for where in outlet.where or ()]
 
     def processes(self) -> dict[str, int]:
+        """Return the process id of each server that runs."""
         running = [child for child in self._children if child.process is not None and child.process.poll() is None]
         return {child.name: child.process.pid for child in running if child.process is not None}
 
@@ -140,9 +144,8 @@ class Servers:
             child.read()
             if child.since is None and self._exchange.outlets[child.name].where is not None:
                 child.since = time.monotonic()
-            if (status := child.process.poll()) is not None:
-                child.forget()
-                self._plan(child, f"ended with status {status}")
+            if child.process.poll() is not None:
+                self._ended(child, child.process)
         if child.process is None and child.due is not None and time.monotonic() >= child.due:
             self._start(child)
 
@@ -150,8 +153,8 @@ class Servers:
         """End a server that cannot be watched; it starts again as one that ended by itself."""
         if child.process is not None:
             child.process.kill()
-            child.process.wait()
-            child.forget()
+            child.process.communicate()
+            child.process = None
         child.said = f"{type(error).__name__}: {error}".encode()
         self._plan(child, "could not be watched")
 
@@ -159,22 +162,31 @@ class Servers:
         child.said = b""
         theirs = self._exchange.open(child.name)
         command = [word.replace(PLACE, str(theirs.fileno())) for word in child.command]
+        child.errors.close()
+        number, errors = os.pipe()
+        child.errors = Descriptor(number)
+        os.set_blocking(number, False)
         try:
             child.process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
+                stderr=errors,
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,  # Ctrl-C reaches the bridge alone, which brings the arm to rest first
             )
-            if child.process.stderr is not None:
-                os.set_blocking(child.process.stderr.fileno(), False)
         except OSError as error:
             child.said = str(error).encode()
             self._plan(child, "could not be started")
         finally:
+            os.close(errors)
             theirs.close()
+
+    def _ended(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
+        child.read()
+        child.errors.close()
+        child.process = None
+        self._plan(child, f"ended with status {process.returncode}")
 
     def _plan(self, child: _Child, what: str) -> None:
         """Say when a server that is gone starts again: never, if it has not listened before.
@@ -200,13 +212,15 @@ class Servers:
         child.ends += 1
         self._exchange.tell(f"The server {child.name} {what}. {then} It said: {child.words}", warn=True)
 
-    def _end(self, process: subprocess.Popen[bytes]) -> None:
+    def _end(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
         """Let a process end, now that its socket is closed."""
         try:
             process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+        child.read()
+        child.errors.close()
 
 
 class Offering:

@@ -37,8 +37,13 @@ def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
 
 def _rename(part: Path, target: Path) -> None:
     """Give the finished copy its name, unless something has got it in the meantime."""
-    target.open("xb").close()  # never over a file, as a rename would
-    part.replace(target)
+    try:
+        os.link(part, target)  # never over a file, as a rename would
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        target.open("xb").close()
+        part.replace(target)
 
 
 def copied_channel(writer: McapWriter, channel: Channel) -> int:
