@@ -138,17 +138,20 @@ MOST_BLOCKS = 1000.0  # of them: a triangle is kept for each
 ROBUST = ("irls", "lts")
 
 
-def alternate(design: Design, method: str, seed: int = 0, chooser: Chooser = choose_here) -> tuple[Design, np.ndarray]:
+def alternate(
+    design: Design, method: str, seed: int = 0, chooser: Chooser = choose_here, use: np.ndarray | None = None
+) -> tuple[Design, np.ndarray]:
     """Alternate between the linear parameters and the structure of friction until the structure stays; return both.
 
-    Directions that the log does not tell are no fault here: the last fit judges.
+    Directions that the log does not tell are no fault here: the last fit judges. `use`: (M,) kept rows to fit to.
     """
-    trust = np.ones_like(design.tau)
+    used = np.ones((len(design.rows), 1)) if use is None else use[:, None].astype(float)
+    trust = np.ones_like(design.tau) * used
     block = design.data.blocks(short_blocks(design.data))[design.rows]
     theta = solved(design, trust, method).x
     for _ in range(ROUNDS):
         if method in ROBUST:
-            trust = _trust(design, theta, block, method, seed)
+            trust = _trust(design, theta, block, method, seed) * used
         shaped = design.choose_structure(theta, trust, chooser)
         settled = shaped.structure.same(design.structure)
         design, theta = shaped, solved(shaped, trust, method).x
