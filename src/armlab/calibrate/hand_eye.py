@@ -190,7 +190,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HandEyeEquation:
-    """Pairs of poses."""
+    """The hand-eye equation A_i X = Y B_i for pairs of poses; AX = XB is its form for relative poses."""
 
     RA: np.ndarray  # RA, tA: (N, 3, 3) and (N, 3) of A
     tA: np.ndarray

@@ -64,7 +64,7 @@ FRICTION_TERMS = {
         FrictionTerm("stribeck-speed", ("stribeck_speed",), "{length}/s"),
     )
 }
-"""Every term of friction once: names, units, regressors and bounds elsewhere derive from this table."""
+"""Every term of friction: names, units, regressors and bounds. The law itself is in `native/math/contact/drive.h`."""
 
 
 def freeze_arrays(instance: object, what: str, shapes: dict[str, tuple[int, ...]]) -> None:

@@ -42,6 +42,7 @@ class LoopEnd:
         self.parameters: dict[str, dict[str, Any]] = {}
         self.about: dict[str, Any] = {}
         self.lost = 0
+        self._buffer = memoryview(bytearray(_LARGEST))  # not a new one for each row: the system would map it each time
         said: set[str] = set()
         while not {"about", "parameters"} <= said:
             messages = self.receive(None)
@@ -70,13 +71,14 @@ class LoopEnd:
         found: list[bytes | dict[str, Any]] = []
         while len(found) < _AT_ONCE:
             try:
-                data = self._feed.recv(_LARGEST, socket.MSG_DONTWAIT)
+                size = self._feed.recv_into(self._buffer, 0, socket.MSG_DONTWAIT)
             except BlockingIOError:
                 break
             except OSError:
-                data = b""
-            if not data:
+                size = 0
+            if not size:
                 return found or None
+            data = self._buffer[:size].tobytes()
             if data.startswith(MAGIC):
                 found.append(data)
                 break

@@ -274,8 +274,8 @@ def write_mat(table: Table, file: BinaryIO, progress: Progress) -> None:
     if changed:
         variables["names"] = changed
     variables["armlab"] = Description.of(table).json()
-    savemat(file, variables, long_field_names=True, oned_as="column")
-    progress(len(table), len(table), "rows")
+    whole = sum(array.nbytes for array in (table.t, *table.values.values()))
+    savemat(_Told(file, whole, progress), variables, long_field_names=True, oned_as="column")
 
 
 def read_mat_table(path: Path, *, raw: bool = False) -> Table:
@@ -305,3 +305,19 @@ def _cells(values: np.ndarray) -> np.ndarray:
     cells = np.empty(values.shape if values.ndim > 1 else (len(values), 1), dtype=object)
     cells[...] = values.astype(object).reshape(cells.shape)
     return cells
+
+
+class _Told:
+    """A file that reports each percent of the bytes that go into it."""
+
+    def __init__(self, file: BinaryIO, whole: int, progress: Progress) -> None:
+        self._file, self._whole, self._progress = file, whole, progress
+        self._done = self._told = 0
+        self.tell, self.seek = file.tell, file.seek
+
+    def write(self, data: bytes) -> int:
+        self._done += memoryview(data).nbytes
+        if 100 * (self._done - self._told) >= self._whole:
+            self._told = min(self._done, self._whole)
+            self._progress(self._told, self._whole, "bytes")
+        return self._file.write(data)

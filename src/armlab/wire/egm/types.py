@@ -54,7 +54,7 @@ class RobotAxes(Protocol):
 
 
 class Packet(NamedTuple):
-    """One decoded EgmRobot.
+    """One decoded EgmRobot, filled by position in `native/wire/egm.cpp`.
 
     Attributes
     ----------
