@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from typing import get_args
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -13,8 +14,10 @@ from armlab import identify, models
 from armlab.cli import main
 from armlab.cli.estimate import ContactPrior
 from armlab.cli.estimate.report import axes, columns, contact_rows, judge, limits, places, rows
+from armlab.cli.support.options import ForceMethod
 from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, Estimator, contacts, hypotheses
 from armlab.contact.contacts import Contact
+from armlab.contact.estimator import METHODS
 from armlab.log import Table
 from armlab.log.reading import read
 from armlab.models import TorqueModel
@@ -83,6 +86,10 @@ def test_rows_without_torque_are_counted_and_none_at_all_is_an_error(pushed: str
     ):
         monkeypatch.setattr("armlab.log.reading.read", lambda path, broken=broken, **_: broken)
         assert sentence in command(words, code).err
+
+
+def test_the_command_knows_every_method() -> None:
+    assert {*get_args(ForceMethod)} == {*METHODS}
 
 
 @pytest.mark.parametrize("method", ["interval", "kf", "ls"])

@@ -14,7 +14,7 @@ from cyclopts import App, Parameter
 
 import armlab
 from armlab.cli import FAILED, SKIPPED
-from armlab.cli.support.options import Json, Seconds, require_seconds
+from armlab.cli.support.options import ForceMethod, Json, Seconds, require_seconds
 from armlab.cli.support.output import aligned, check_output, note, print_json, progress, result
 from armlab.cli.support.results import parameters
 from armlab.errors import ArmlabError, ConfigError
@@ -235,7 +235,7 @@ def estimate(
     *logs: Path,
     model: Path,
     output: Annotated[Path, Parameter(alias="-o")],
-    method: Literal["map", "bounded", "interval", "observer", "kf", "clip", "ls", "lund"] = "map",
+    method: ForceMethod = "map",
     csv: bool = False,
     job: Job = Job(),
 ) -> int:

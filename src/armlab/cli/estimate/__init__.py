@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 import armlab
-from armlab.cli.support.options import as_given
+from armlab.cli.support.options import ForceMethod, as_given
 from armlab.cli.support.output import aligned, note, print_json, progress, result
 from armlab.cli.support.results import PLAIN, Results
 from armlab.errors import LogError
@@ -52,7 +52,7 @@ def estimate(
     log: Path,
     *,
     model: Path,
-    method: Literal["map", "bounded", "interval", "observer", "kf", "clip", "ls", "lund"] = "map",
+    method: ForceMethod = "map",
     force_rate: Literal["smooth", "normal", "fast"] | None = None,
     bias: bool = False,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,

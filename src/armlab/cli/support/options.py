@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 from urllib.parse import quote
 
 from cyclopts import Parameter
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 Json = Annotated[bool, Parameter(help="Print JSON for scripts.")]
 Force = Annotated[bool, Parameter(help="Replace existing files.")]
 Seconds = Annotated[float | None, Parameter(help="Time after which to end [s].")]
+# contact.Method, which takes too long to import for a help text
+ForceMethod = Literal["map", "bounded", "interval", "observer", "kf", "clip", "ls", "lund"]
 Cell = Annotated[str, Parameter(help="Name of the cell; needed when several run.")]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from armlab.log.file_formats.description import distinct
-from armlab.log.recording.rows import SELDOM, RowLayout, Slot
+from armlab.log.recording.rows import CODES, COUNTS, FLAGS, REALS, SELDOM, RowLayout, Slot
 from armlab.wire import cdr
 
 CLOCK_KEY = "armlab.clock"  # channel metadata: the messages of this channel are the rows of the table
@@ -20,17 +20,12 @@ CLOCK_KEY = "armlab.clock"  # channel metadata: the messages of this channel are
 CLOCK_NAME_KEY, T0_KEY = "armlab.clock_name", "armlab.t0_ns"
 COLUMN_KEY = "column."  # channel metadata "column.<name>": JSON, how to rebuild the column <name>
 
-_TICK_NUMBERS = (
-    "tick", "seq", "seq_sent", "session", "missed", "drops", "robot_ns", "receive_ns", "send_ns",
-    "step_ns", "wake_ns", "motors", "mci", "rapid", "qd_source", "tau_source",
-)  # fmt: skip
-_TICK_REALS = ("session_t", "dt", "utilization")
-_TICK_FLAGS = ("converged", "late")
+_TICK_NUMBERS = (*(name for name in COUNTS if name != "stamp_ns"), *CODES)  # messages are stamped in their header
 _OWN_TYPES = {
     "armlab_msgs/msg/Tick": "std_msgs/Header header\n"
     + "".join(f"int64 {name}\n" for name in _TICK_NUMBERS)
-    + "".join(f"float64 {name}\n" for name in _TICK_REALS)
-    + "".join(f"uint8 {name}\n" for name in _TICK_FLAGS)
+    + "".join(f"float64 {name}\n" for name in REALS)
+    + "".join(f"uint8 {name}\n" for name in FLAGS)
     + "uint8[] clamped",
     "armlab_msgs/msg/Column": "std_msgs/Header header\nfloat64[] values",
     "armlab_msgs/msg/Parameter": (
@@ -82,7 +77,7 @@ def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
         "joint_states_ref": ("q_ref", "qd_ref", "tau_ref"),
         "joint_states_sent": ("q_sent", "qd_sent", "tau_sent"),
     }
-    scalars = (*_TICK_NUMBERS, *_TICK_REALS, *_TICK_FLAGS, "clamped")
+    scalars = (*_TICK_NUMBERS, *REALS, *FLAGS, "clamped")
     found = [
         Topic("tick", "armlab_msgs/msg/Tick", {n: (n,) for n in scalars}, optional=frozenset(["clamped"]), clock=True)
     ]

@@ -26,7 +26,7 @@ COUNTS = {
     "receive_ns": "tick.receive_ns", "send_ns": "tick.send_ns", "step_ns": "tick.step_ns", "wake_ns": "tick.wake_ns",
     "motors": "state.motors", "mci": "state.mci", "rapid": "state.rapid",
 }  # fmt: skip
-_CODES = {"qd_source": QD_SOURCES, "tau_source": TAU_SOURCES}
+CODES = {"qd_source": QD_SOURCES, "tau_source": TAU_SOURCES}
 REALS = {"session_t": "state.t", "dt": "state.dt", "utilization": "state.utilization"}
 FLAGS = {"converged": "state.converged", "late": "tick.late"}
 JOINTS = {
@@ -150,7 +150,7 @@ class RowLayout:
             column = Column(unit="ns", kind="count") if name == "stamp_ns" else Column()
             missing = {"stamp_ns": None, "robot_ns": NO_CLOCK, "receive_ns": NO_CLOCK}.get(name, NO_COUNT)
             self._add(name, source, "count", column, missing)
-        for name, words in _CODES.items():
+        for name, words in CODES.items():
             codes = {word: code for code, word in enumerate(words)}
             self._add(name, f"state.{name}", "code", Column(), NO_COUNT, codes)
         for name, source in REALS.items():
