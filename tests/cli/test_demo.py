@@ -59,9 +59,9 @@ def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, command, capsys)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 7))
+@pytest.mark.parametrize("seed", range(1, 4))
 def test_other_seeds_meet_the_bars(tmp_path, seed: int) -> None:
-    """With seed 0 above: seven seeds, both arms, over EGM in lockstep, causal, at 248 Hz."""
+    """With seed 0 above: four seeds, both arms, over EGM in lockstep, causal, at 248 Hz."""
     outcome = rehearse("yumi_left" if seed % 2 else "yumi_right", seed, tmp_path / "demo", fast=True)
     verdict = judge(outcome["estimate"], outcome["plan"])
     assert verdict.passed, verdict.missed
