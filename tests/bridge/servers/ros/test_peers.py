@@ -221,7 +221,7 @@ def test_a_reader_that_stops_and_one_that_dies_disturb_nobody(node: list[str], s
     delays = [int(words[2]) - int(words[1]) for words in lines["J"]]
     assert max(delays) < 1_000_000_000, "no message waited for a reader that does not read"
     stream.check(late["J"], "J", is_whole=False)
-    assert max(np.diff([int(words[1]) for words in late["J"]])) > 2_000_000_000, "it did stop"
+    assert max(np.diff([int(words[1]) for words in late["J"]])) > 1_500_000_000, "it did stop"
 
 
 def test_a_node_moves_the_simulated_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
