@@ -185,6 +185,26 @@ def test_contacts_are_found_merged_and_short_ones_left_out() -> None:
     assert found.band == pytest.approx(2.0)
 
 
+def test_short_presses_and_weak_ones_are_found_where_they_begin() -> None:
+    rng, press = np.random.default_rng(1), np.zeros(5000)
+    press[1000:1020] = 9.0  # 80 ms
+    press[3000:3250] = 3.5  # 1 s, hardly beyond the 95 % of a row
+    found = contacts(estimate(press + lfilter([0.4], [1.0, -0.917], rng.standard_normal(5000))))
+    assert [one.start for one in found] == pytest.approx([4.0, 12.0], abs=0.1)
+    assert [one.end for one in found] == pytest.approx([4.08, 13.0], abs=0.1)
+
+
+@pytest.mark.parametrize("memory", [0.004, 0.05, 0.1])
+def test_less_than_one_false_alarm_in_ten_minutes(memory: float) -> None:
+    """An hour of errors with a standard deviation of 1 that forget in `memory`."""
+    keep = np.exp(-2.0 * 0.004 / memory)
+    white = np.random.default_rng(7).standard_normal((900_000, 3))
+    force = lfilter([np.sqrt(1.0 - keep * keep)], [1.0, -keep], white, axis=0)
+    cov = np.broadcast_to(np.eye(6), (len(force), 6, 6))
+    wrench = np.concatenate([force, np.zeros_like(force)], axis=1)
+    assert len(contacts(Table(np.arange(len(force)) * 0.004, {"wrench_hat": wrench, "wrench_hat_cov": cov}))) <= 6
+
+
 def test_nothing_touches() -> None:
     assert contacts(estimate(np.zeros(500))) == []
     assert contacts(estimate(np.full(500, np.nan))) == []

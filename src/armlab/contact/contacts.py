@@ -266,7 +266,9 @@ def _decided(
 
 
 CHI2_95 = 7.81  # 95 % of a chi-squared variable with three degrees of freedom
-SHORTEST = 0.2  # s; shorter excursions are what 5 % of the samples do without contact
+FALSE_ALARMS = 600.0  # s of free motion to one false alarm, were the errors normal and the rows independent
+INDEPENDENT = 0.1  # s; further apart the errors of a force are independent
+SHORTEST = 0.05  # s; friction that errs at a reversal is gone before
 HOLE = 0.1  # s; shorter returns do not end a contact
 
 
@@ -293,10 +295,11 @@ class Contact:
 
 
 def contacts(table: Table) -> list[Contact]:
-    """Return the intervals of at least 0.2 s in which ``f^T Sigma^-1 f > 7.81``, in most of their rows.
+    """Return the intervals that free motion would show less than once in ten minutes.
 
-    Without contact 5 % of the rows are beyond that, and a filter that is slow lines them up: so one that is not beyond
-    it most of the time is none.
+    Of an interval with ``d = f^T Sigma^-1 f`` beyond 7.81, its 95 % quantile without contact, the sum of d over the
+    samples that are independent is compared with the chi-squared distribution; one that is never beyond it for 0.05 s
+    on end is none.
 
     Parameters
     ----------
@@ -306,24 +309,28 @@ def contacts(table: Table) -> list[Contact]:
     ------
     ShapeError : something else than a table. UnknownName : it was not estimated.
     """
+    from scipy.special import chdtrc
+
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)
-    force, cov = table["wrench_hat"][:, :3], table["wrench_hat_cov"][:, :3, :3]
+    force, cov, t = table["wrench_hat"][:, :3], table["wrench_hat_cov"][:, :3, :3], table.t
     known = np.isfinite(force).all(axis=1)
     distance = np.zeros(len(table))
     distance[known] = np.einsum("ki,ki->k", force[known], np.linalg.solve(cov[known], force[known][..., None])[..., 0])
-    touched = distance > CHI2_95
-    edges = np.flatnonzero(np.diff(touched.astype(int), prepend=0, append=0))
-    spans = [(float(table.t[a]), float(table.t[b - 1])) for a, b in edges.reshape(-1, 2)]
-    merged: list[tuple[float, float]] = []
-    for start, end in spans:
-        if merged and start - merged[-1][1] < HOLE:
-            merged[-1] = (merged[-1][0], end)
-        else:
-            merged.append((start, end))
-    long = [(start, end) for start, end in merged if end - start >= SHORTEST]
-    mostly = [np.mean(touched[(table.t >= start) & (table.t <= end)]) > 0.5 for start, end in long]
-    return [_contact(table, start, end) for (start, end), counts in zip(long, mostly) if counts]
+    edges = np.flatnonzero(np.diff((distance > CHI2_95).astype(int), prepend=0, append=0)).reshape(-1, 2)
+    if not len(edges):
+        return []
+    starts, ends = t[edges[:, 0]], t[edges[:, 1] - 1]
+    begins = np.flatnonzero(np.append(True, starts[1:] - ends[:-1] >= HOLE))
+    longest = np.maximum.reduceat(ends - starts, begins)
+    step = float(np.median(np.diff(t))) if len(t) > 1 else SHORTEST
+    found = []
+    for a, b, long in zip(edges[begins, 0], edges[np.append(begins[1:], len(edges)) - 1, 1], longest):
+        samples = max(1.0, (t[b - 1] - t[a]) / INDEPENDENT)
+        chance = chdtrc(3.0 * samples, samples * np.mean(distance[a:b]))
+        if long >= SHORTEST and chance < step / FALSE_ALARMS:
+            found.append(_contact(table, float(t[a]), float(t[b - 1])))
+    return found
 
 
 def _contact(table: Table, start: float, end: float) -> Contact:

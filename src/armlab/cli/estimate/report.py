@@ -122,7 +122,7 @@ def judge(
             f"{largest.end:.2f} s with {size:.2f} N, 2 sigma {largest.band:.2f} N."
         )
     else:
-        found.good.append("No contact: the force band never excludes zero for 0.2 s.")
+        found.good.append("No contact: the force is never further from zero than free motion would show.")
     for part in (_seen, _whole, _flags):
         part(found, table)
     _reach(found, table, model, prior)
@@ -228,7 +228,7 @@ def page(
         words += " Limits: the middle ones of all rows, and the share of rows in which they leave out zero."
     page.section("Per axis", words)
     page.table(rows(table))
-    page.section("Contacts", "" if contacts else "None: the force band never excludes zero for 0.2 s.")
+    page.section("Contacts", "" if contacts else "None: the force is never further from zero than free motion would show.")
     if contacts:
         page.table(contact_rows(table, contacts, believed))
     page.figures([(title, title, caption, draw) for title, caption, draw in _drawings(table, believed)], tell)
