@@ -43,7 +43,7 @@ def logs(truth, excited, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 def test_the_robot_is_the_one_of_the_recordings_and_skipped_logs_are_named(logs: Path, truth, command) -> None:
     model = logs.parent / "model.toml"
     words = ["fleet", "identify", str(logs), "-o", str(model)]
-    said = json.loads(command([*words, "--json"], cli.SKIPPED).out)
+    said = json.loads(command([*words, "--json"], cli.DOUBTFUL).out)
     assert said["used"] == [str(logs / "one.mcap")]
     assert list(said["skipped"]) == [str(logs / "bad.mcap")]
     assert len(said["parameters"]) > 20
@@ -67,17 +67,17 @@ def test_bad_input(logs: Path, tmp_path: Path, command) -> None:
 def test_estimates_and_exports_of_many_logs(logs: Path, model, tmp_path: Path, command) -> None:
     models.save(model, tmp_path / "model.toml")
     words = ["fleet", "estimate", str(logs), "--model", str(tmp_path / "model.toml"), "-o", str(tmp_path / "new")]
-    said = command(words, cli.SKIPPED)
+    said = command(words, cli.DOUBTFUL)
     assert "2-sigma [N]" in said.out
     assert f"skipped {logs / 'bad.mcap'}" in said.err
     assert (tmp_path / "new/one_estimate.mcap").is_file()
     assert "--force" in command(words, cli.WRONG_USE).err
-    told = json.loads(command([*words, "--force", "--csv", "--json"], cli.SKIPPED).out)["logs"][str(logs / "one.mcap")]
+    told = json.loads(command([*words, "--force", "--csv", "--json"], cli.DOUBTFUL).out)["logs"][str(logs / "one.mcap")]
     assert told["contacts"] == 0
     assert told["peak"] is None  # there was no contact
 
     words = ["fleet", "export", str(logs), "--format", "csv", "-o", str(tmp_path / "text"), "--json"]
-    (path,) = json.loads(command(words, cli.SKIPPED).out)["files"].values()
+    (path,) = json.loads(command(words, cli.DOUBTFUL).out)["files"].values()
     assert log.read(path).sha256 == log.read(logs / "one.mcap").sha256
 
 
@@ -92,7 +92,7 @@ def test_a_damaged_log_among_a_thousand_is_named(short_arm, tmp_path: Path, caps
     whole = (logs / "log000.parquet").read_bytes()
     (logs / "log500_damaged.parquet").write_bytes(whole[: len(whole) // 2])
     words = ["fleet", "identify", str(logs), "-o", str(tmp_path / "model.toml"), "--robot", str(robot), "--no-cache"]
-    assert cli.main([*words, "--workers", "2"]) == cli.SKIPPED == 3
+    assert cli.main([*words, "--workers", "2"]) == cli.DOUBTFUL == 3
     said = capsys.readouterr()
     assert "999 logs used, 1 skipped" in said.out
     assert f"skipped {logs / 'log500_damaged.parquet'}: " in said.out

@@ -12,7 +12,7 @@ import pytest
 
 from armlab import identify, models
 from armlab import identify as identification
-from armlab.cli import main
+from armlab.cli import DOUBTFUL, main
 from armlab.cli.identify.report import ModelTrial, judge, numbers, try_out
 from armlab.cli.support.html_report import HtmlReport
 from armlab.estimation import Fit
@@ -232,8 +232,13 @@ def test_json_and_mode(words: list[str], command) -> None:
     assert found["parameters"][0]["sd"] < 0.01
 
 
-def test_without_a_load_none_is_to_be_added(words: list[str], command) -> None:
-    said = command([*words[:2], "empty.mcap", *words[3:]]).out
+def test_without_a_load_none_is_to_be_added_and_none_is_saved_unless_asked_for(words, tmp_path, command) -> None:
+    load = tmp_path / "load.toml"
+    words = [*words[:2], "empty.mcap", *words[3:], "-o", load]
+    assert f"not saved, for the result is not good: {load}" in command(words, DOUBTFUL).err
+    assert not load.exists()
+    said = command([*words, "--force"]).out
+    assert load.exists()
     assert "cannot be told from no load" in said
     assert "as it is" in said
     assert "added_to" not in said

@@ -2,7 +2,7 @@
 
 Commands are named by import string, so that ``armlab --help`` loads none of them.
 Results go to standard output, messages to standard error. Exit codes: 0 done, 1 failed, 2 wrong use,
-3 done but some inputs were skipped, 130 interrupted.
+3 done but doubtful: a result that is not good, inputs that were skipped, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-FAILED, WRONG_USE, SKIPPED, INTERRUPTED = 1, 2, 3, 130
+FAILED, WRONG_USE, DOUBTFUL, INTERRUPTED = 1, 2, 3, 130
 
 _COMMANDS = {
     "demo": ("demo:demo", "Simulated YuMi, from excitation to the estimated force of a hand. No robot needed."),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import armlab
-from armlab.cli import FAILED, SKIPPED
+from armlab.cli import DOUBTFUL, FAILED
 from armlab.cli.support.options import Json, known_ports, ports_in
 from armlab.cli.support.output import note, print_json, result
 from armlab.errors import ConfigError
@@ -51,7 +51,7 @@ def doctor(*robot: str, port: str | None = None, seconds: float = 5.0, json: Jso
     else:
         result("\n".join(_lines(findings)))
     verdicts = {finding.verdict for finding in findings}
-    return FAILED if "failure" in verdicts else SKIPPED if "warning" in verdicts else 0
+    return FAILED if "failure" in verdicts else DOUBTFUL if "warning" in verdicts else 0
 
 
 def disk(folder: Path) -> Finding:

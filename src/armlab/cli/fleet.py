@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 import armlab
-from armlab.cli import FAILED, SKIPPED
+from armlab.cli import DOUBTFUL, FAILED
 from armlab.cli.support.options import ForceMethod, Json, Seconds, require_seconds
 from armlab.cli.support.output import aligned, check_output, note, print_json, progress, result
 from armlab.cli.support.results import parameters
@@ -227,7 +227,7 @@ def identify(
         result(found.report())
     found.fit.save(output)
     note(f"model: {output}")
-    return SKIPPED if found.skipped else 0
+    return DOUBTFUL if found.skipped else 0
 
 
 @fleet.command(help_epilogue="Example: armlab fleet estimate logs/ --model model.toml -o estimates/ --workers 4")
@@ -270,7 +270,7 @@ def estimate(
         result(aligned([head, *rows], right=range(1, len(head))))
         _skipped(done.skipped)
     note(f"estimates: {output}")
-    return SKIPPED if done.skipped else 0
+    return DOUBTFUL if done.skipped else 0
 
 
 @fleet.command(help_epilogue="Example: armlab fleet export logs/ --format csv -o text/ --workers 4")
@@ -301,7 +301,7 @@ def export(
         result("\n".join(map(str, done.results.values())))
         _skipped(done.skipped)
     note(f"{len(done.results)} files in {output}")
-    return SKIPPED if done.skipped else 0
+    return DOUBTFUL if done.skipped else 0
 
 
 def _skipped(reasons: Mapping[str, str]) -> None:

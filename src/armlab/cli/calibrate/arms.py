@@ -9,13 +9,15 @@ from cyclopts import Parameter
 
 import armlab
 from armlab.cli.calibrate.samples import NOTHING, Deviations, SampleFile, Wanted, measured_rows, run_fit
-from armlab.cli.support.output import check_output, note
+from armlab.cli.support.output import check_output
 from armlab.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from armlab.cli.calibrate.samples import Samples
+    from armlab.estimation import Fit
+    from armlab.models import DualArmCorrection
     from armlab.robots import Robot
 
 
@@ -80,11 +82,11 @@ def kinematics(
         more |= {"robust": robust, "harmonics": tuple(harmonics or ()), "visible": visible}
         sizes = _noises(noise, list(told))
         known: Any = sizes if len(told) > 1 else next(iter(sizes.values()), None)
-        found = armlab.calibrate.fit_kinematics(arm, q, noise=known, **told, **more)
-        _save([found.value.robot], files)
-        return found
+        return armlab.calibrate.fit_kinematics(arm, q, noise=known, **told, **more)
 
-    return run_fit("kinematics", samples, parts, fit, wanted)
+    return run_fit(
+        "kinematics", samples, parts, fit, wanted, corrected=lambda found: dict(zip(files, [found.value.robot]))
+    )
 
 
 def dual_arm(
@@ -127,11 +129,12 @@ def dual_arm(
         more: dict[str, Any] = {"noise": sizes.get("pose", sizes.get("position")), "closed": closed}
         more |= {"noise_absolute": sizes.get("absolute_a"), "weak": weak, "robust": robust}
         more["visible"] = visible.get("pose", visible.get("position"))
-        found = armlab.calibrate.fit_dual_arm(*arms, q_a, q_b, harmonics=tuple(harmonics or ()), **told, **more)
-        _save([found.value.arm_a.robot, found.value.arm_b.robot], corrected or ())
-        return found
+        return armlab.calibrate.fit_dual_arm(*arms, q_a, q_b, harmonics=tuple(harmonics or ()), **told, **more)
 
-    return run_fit("dual arm", samples, parts, fit, wanted)
+    def arms_of(found: Fit[DualArmCorrection]) -> dict[Path, Robot]:
+        return dict(zip(corrected or (), (found.value.arm_a.robot, found.value.arm_b.robot)))
+
+    return run_fit("dual arm", samples, parts, fit, wanted, corrected=arms_of)
 
 
 def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
@@ -205,9 +208,3 @@ def _noises(values: list[float] | None, names: list[str]) -> dict[str, Any]:
 def _check_robots(files: tuple[Path, ...], wanted: Wanted) -> None:
     for path in files:
         check_output(path, wanted.force, (".toml",))
-
-
-def _save(arms: list[Robot], files: tuple[Path, ...]) -> None:
-    for arm, path in zip(arms, files, strict=False):
-        armlab.robots.save(arm, path)
-        note(f"robot: {path}")

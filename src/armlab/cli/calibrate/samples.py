@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from armlab.estimation import Fit
+    from armlab.robots import Robot
 
 SampleFile = Annotated[Path, Parameter(help="CSV, MAT or MCAP; several are joined.")]
 Deviations = Annotated[list[float] | None, Parameter(consume_multiple=True)]
@@ -219,10 +221,12 @@ def run_fit(
     fit: Callable[..., Any],
     wanted: Wanted,
     sources: Sequence[str] = (),
+    corrected: Callable[[Any], Mapping[Path, Robot]] = lambda fit: {},
 ) -> int:
     """Read files of samples, fit all of them together, write what is wanted, and return the exit code.
 
-    `parts` takes arrays of equal length out of one file; `fit` takes these arrays, joined over the files.
+    `parts` takes arrays of equal length out of one file; `fit` takes these arrays, joined over the files. `corrected`
+    names the files of arms that come out of a fit.
     """
     import numpy as np
 
@@ -234,15 +238,15 @@ def run_fit(
     twice = next((one.path for i, one in enumerate(read) if hashes[i] in hashes[:i]), None)
     if twice is not None:
         raise ConfigError(f"Expected different files, got {twice} again. Samples count once: leave it out.")
-    found = [parts(one) for one in read]
-    for part in zip(*found, strict=True):
+    arrays = [parts(one) for one in read]
+    for part in zip(*arrays, strict=True):
         widths = {array.shape[1:] for array in part}
         if len(widths) > 1:
             shapes = ", ".join(f"{array.shape} in {one.path.name}" for one, array in zip(read, part, strict=True))
             raise LogError(f"Expected files that measured the same, got arrays of {shapes}. Calibrate them one by one.")
-    joined = [np.concatenate(part) for part in zip(*found, strict=True)]
-    wanted.save(job, fit(*joined), (*(one.source for one in read), *sources))
-    return 0
+    joined = [np.concatenate(part) for part in zip(*arrays, strict=True)]
+    found = fit(*joined)
+    return wanted.save(job, found, (*(one.source for one in read), *sources), corrected(found))
 
 
 def measured_rows(
@@ -349,13 +353,18 @@ class Wanted(Results):
         Path | None, Parameter(alias="-o", help="Save the result with its covariance, ends in .toml.")
     ] = None
 
-    def save(self, job: str, fit: Fit[Any], sources: tuple[str, ...]) -> None:
-        """Print the fit and write the files that are wanted."""
+    def save(self, job: str, fit: Fit[Any], sources: tuple[str, ...], arms: Mapping[Path, Robot]) -> int:
+        """Print the fit, write the files that are wanted, corrected arms among them, and return the exit code."""
         verdict = judge(fit)
         self.say({**numbers(fit), "sources": list(sources)}, fit.report(), verdict)
+        saves: dict[Path, Callable[[Path], object]] = {
+            path: partial(armlab.robots.save, arm) for path, arm in arms.items()
+        }
         if self.output is not None:
-            note(f"calibration: {fit.save(self.output, sources)}")
+            saves[self.output] = partial(fit.save, sources=sources)
+        code = self.keep(verdict, saves)
         self.write(lambda plots: plots.calibration(fit), lambda _: _page(job, fit, verdict, sources))
+        return code
 
 
 NOTHING = Wanted()

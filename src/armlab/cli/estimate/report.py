@@ -228,7 +228,9 @@ def page(
         words += " Limits: the middle ones of all rows, and the share of rows in which they leave out zero."
     page.section("Per axis", words)
     page.table(rows(table))
-    page.section("Contacts", "" if contacts else "None: the force is never further from zero than free motion would show.")
+    page.section(
+        "Contacts", "" if contacts else "None: the force is never further from zero than free motion would show."
+    )
     if contacts:
         page.table(contact_rows(table, contacts, believed))
     page.figures([(title, title, caption, draw) for title, caption, draw in _drawings(table, believed)], tell)

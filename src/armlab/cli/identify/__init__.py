@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 import armlab
-from armlab.cli.support.output import note, progress
+from armlab.cli.support.output import progress
 from armlab.cli.support.results import PLAIN, Results
 from armlab.errors import ConfigError
 
@@ -28,8 +28,8 @@ def identify(
 ) -> int:
     """Identify gravity, inertia and friction from logs; save the model.
 
-    Prints a table per joint and a verdict: what is good, what is not, what to log next. Writes nothing, and ends with
-    status 1, when the logs do not determine the model.
+    Prints a table per joint and a verdict: what is good, what is not, what to log next. A model that is not good
+    is saved with --force only, else the command ends with status 3; logs that do not determine it end it with status 1.
 
     Parameters:
         robot: Name in the library, or a robot file.
@@ -67,12 +67,11 @@ def identify(
     trial = report_of.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)
     verdict = report_of.judge(fit, arm, tables, trial)
     wanted.say({"model": str(output), **report_of.numbers(fit, trial)}, fit.report(), verdict)
-    fit.save(output)
-    note(f"model: {output}")
+    code = wanted.keep(verdict, {output: fit.save})
     seconds, kind = fit.value.quality.seconds, ", gravity and friction only" if gravity_only else ""
     about = f"From {', '.join(path.name for path in logs)}, {seconds:.0f} s of motion, method {method}{kind}."
     wanted.write(
         lambda plots: plots.torque_fit(fit, trial.log),
         lambda tell: report_of.page(fit, verdict, trial, tables[0], about, tell),
     )
-    return 0
+    return code

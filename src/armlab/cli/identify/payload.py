@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import armlab
 from armlab.cli.support.html_report import HtmlReport, Verdict
-from armlab.cli.support.output import note, progress
+from armlab.cli.support.output import progress
 from armlab.cli.support.results import PLAIN, Results, parameters
 
 if TYPE_CHECKING:
@@ -65,14 +65,13 @@ def payload(
     verdict = _judge(fit, known, table, arm)
     load = {"mass": fit.value.mass, "centre": fit.value.centre, "pi": fit.value.pi}
     wanted.say({**load, "parameters": parameters(fit), "samples": fit.n}, fit.report(), verdict)
-    if output is not None:
-        note(f"load: {fit.save(output)}")
+    code = wanted.keep(verdict, {} if output is None else {output: fit.save})
     about = f"{log.name} of {arm.name}, model {model.name}, mode {mode}."
     wanted.write(
         lambda plots: plots.torque_fit(fit.value.added_to(known), table),
         lambda _: _page(fit, known, table, verdict, about),
     )
-    return 0
+    return code
 
 
 def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> Verdict:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cyclopts import Parameter
 
 import armlab
+from armlab.cli import DOUBTFUL
 from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ class Results:
             network.
         figure: Also draw the result into this PNG, SVG or PDF.
         json: Print JSON for scripts.
-        force: Replace existing files.
+        force: Replace existing files, and save a result that is not good.
     """
 
     report: Path | None = None
@@ -49,6 +50,17 @@ class Results:
             print_json({**numbers, "verdict": vars(verdict)})
         else:
             result(f"{text}\n\n{verdict.text()}")
+
+    def keep(self, verdict: Verdict, saves: Mapping[Path, Callable[[Path], object]]) -> int:
+        """Save a result that is good, or any with --force, to files; return the exit code of the command."""
+        if saves and verdict.bad and not self.force:
+            names = ", ".join(map(str, saves))
+            note(f"not saved, for the result is not good: {names}. Mend what it names, or add --force to save it.")
+            return DOUBTFUL
+        for path, save in saves.items():
+            save(path)
+            note(f"saved: {path}")
+        return 0
 
     def write(self, draw: Callable[[Any], Any], page: Callable[[Tell], HtmlReport]) -> None:
         """Write figure and page where they are wanted; `draw` gets the module `armlab.plots`."""
