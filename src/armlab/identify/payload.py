@@ -147,6 +147,7 @@ def _rigid(
     return total
 
 
+EXPLAINED, CHANGED = 0.5, 3.0  # share of the torque; times the held-out residual of the arm alone
 EVERY = 4  # rows apart that are kept; the filter's corner is at a tenth of the rate
 APART = 0.02  # rad or m, RMS; records further apart are not of one motion
 
@@ -328,6 +329,8 @@ def fit_payload(
         rest_names = [robot.joint_names[i] for i in range(robot.n) if i not in record.joints]
         notes.append(f"left out, at rest: {', '.join(rest_names)}")
     notes += _unknown(record.error, isinstance(model, Fit))
+    residuals = record.y - (1.0 + gains) * (record.A @ pi)
+    notes += _explained(record, residuals, robot)
     return Fit(
         value=value,
         names=LINK_SYMBOLS[:p],
@@ -335,7 +338,7 @@ def fit_payload(
         parameters=theta,
         cov=cov,
         sigma=found.sigma,
-        residuals=record.y - (1.0 + gains) * (record.A @ pi),
+        residuals=residuals,
         n=len(record.y),
         excitation=found.excitation,
         summary=lambda fit: "\n".join([_table(fit), *notes, f"{fit.n} samples", fit.excitation.text()]),
@@ -415,6 +418,22 @@ def _unknown(error: ModelError, fitted: bool) -> list[str]:
         notes.append("what is uncertain in the model's friction is not in: give the fit of the model, not its value")
     elif error.base is not None and error.left_out:
         notes.append(f"not in the deviations: what is uncertain in {', '.join(error.left_out)}")
+    return notes
+
+
+def _explained(record: LoadRecord, residuals: np.ndarray, robot: Robot) -> list[str]:
+    """Return what share of the torque that the arm's model leaves the load explains; a doubt where it is small."""
+    power = np.mean(record.y**2, axis=0)
+    share = 1.0 - np.mean(residuals**2) / np.mean(power)
+    said = f"the load explains {100 * share:.0f} % of what the model of the arm leaves"
+    notes = [f"{said}, {np.sqrt(np.mean(power)):.3g} N m RMS"]
+    more = np.sqrt(power) / record.error.model.quality.rms_cv[record.joints]
+    worst = int(np.argmax(np.nan_to_num(more)))
+    if share < EXPLAINED and more[worst] > CHANGED:
+        notes.append(
+            f"{robot.joint_names[record.joints[worst]]} leaves {more[worst]:.1f} times what it left without a load, "
+            f"and the load explains {100 * share:.0f} % of all: is it at the flange, and is no contact in the log?"
+        )
     return notes
 
 
