@@ -11,8 +11,8 @@ then an update with the measured momentum y = p + v, v ~ N(0, R), in Joseph's fo
 
 Contact wrench by the generalised momentum.
 
-With p = M qd and beta = C^T qd the arm obeys ``dp/dt = u + J^T F``, ``u = tau / gains + beta - G - F_f``: no
-acceleration is needed (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018). u is the mean of its values
+With p = M qd and beta = C^T qd the arm obeys ``dp/dt = u + J^T F``, ``u = x + beta - G``, x of ``x + load s |x| = tau /
+gains - F_f``: no acceleration is needed; so what the rotor takes counts as load (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018). u is the mean of its values
 at the ends of a step (at the first, its end: at the beginning nothing is known of friction). A step longer than
 GAP_STEPS first steps is a gap: nothing is known of u and of the way in it, so momentum and friction begin anew after
 it. What unknown gains add to the covariance is as in `estimator.py`.
@@ -37,7 +37,7 @@ from typing import Any
 import numpy as np
 
 from .chain import Chain
-from .drive import Drive, DriveState, drive_torque, heat, move, restart, start
+from .drive import Drive, DriveState, drive_torque, heat, load_of, move, restart, start
 from .estimator import (
     GAP_STEPS,
     LARGEST,
@@ -97,6 +97,12 @@ def momentum_step(
     A[:, :n] -= K
     P = A @ P @ A.T + K @ R @ K.T
     return x + K @ (y - x[:n]), 0.5 * (P + P.T)
+
+
+def _memory(largest: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Return the correlation time (n,) by which noise of a variance leaves the wrench its doubt."""
+    follows = speed * LONGEST > largest
+    return np.where(follows, largest / np.where(follows, speed, 1.0), LONGEST)
 
 
 CREEP = 1e-3  # 1/s, of its variance, by which friction wanders at rest
@@ -173,19 +179,21 @@ class MomentumEstimator(Stepwise):
             p = p + self._rotor * qd
             state, dy = move(self._drive, q, before)
             gravity = self._chain.rnea(q, 0 * q, 0 * q, self._gravity, self._links)
-            u = tau / self._gains + beta - gravity - drive_torque(self._drive, q, qd, state)
+            load = load_of(self._drive, tau / self._gains - drive_torque(self._drive, q, qd, state), qd, state)
+            u = load + beta - gravity
         if not (np.all(np.abs(u) < LARGEST) and np.all(np.abs(p) < LARGEST)):
             return self._invalid()
         moved = np.abs(dy) / self._drive.friction[6]
+        rest = self._static + self._drive.friction[10] * np.abs(load)
         known = u if apart or self._fresh else 0.5 * (u + self._known)
         middle = q if apart else 0.5 * (q + self._q)
         change, self._p = p - self._p, p
         self._state, self._q, self._known = heat(self._drive, qd, dt, state), q.copy(), u
         self._unsure = np.ones(n) if apart else (self._unsure + rise) * np.exp(-2.0 * moved)
         if self._filters:
-            found = self._filter(first, apart, q, qd, middle, known, dt, moved, rise)
+            found = self._filter(first, apart, q, qd, middle, known, dt, moved, rise, rest)
         else:
-            found = self._observe(apart, q, qd, change / dt - known, dt)
+            found = self._observe(apart, q, qd, change / dt - known, dt, rest)
         self._nominal, self._started = dt if first else self._nominal, True
         self._fresh = apart
         self._since_tare = np.full(n, np.inf) if apart else self._since_tare + moved
@@ -220,7 +228,7 @@ class MomentumEstimator(Stepwise):
         return F, P, observability, error, variance, flags, np.ones(self._chain.n, dtype=bool), None
 
     def _observe(
-        self, apart: bool, q: np.ndarray, qd: np.ndarray, raw: np.ndarray, dt: float
+        self, apart: bool, q: np.ndarray, qd: np.ndarray, raw: np.ndarray, dt: float, rest: np.ndarray
     ) -> tuple[np.ndarray, ...]:
         share = -np.expm1(-self._gain * dt)
         if apart:
@@ -229,31 +237,33 @@ class MomentumEstimator(Stepwise):
             self._r = self._r + share * (raw - self._r)
             self._low = self._low + share * (self._unsure - self._low)
             self._seen = self._seen + share * (1.0 - self._seen)
-        variance = speed_variance(self._covariance, qd) + self._static**2 * self._low
+        doubt = (self._covariance[4] * self._r) ** 2
+        variance = speed_variance(self._covariance, qd) + doubt + rest**2 * self._low
         A = contact_map(self._chain, q, self._point).T @ self._chain.jacobian(q) * self._seen
         x, P, *_ = solve_wrench(A, self._r, variance, 0 * variance, self._prior[: self._k], 0)
         return x, P, self._r, variance
 
     def _filter(
         self, first: bool, apart: bool, q: np.ndarray, qd: np.ndarray, middle: np.ndarray, known: np.ndarray, dt: float,
-        moved: np.ndarray, rise: np.ndarray,
+        moved: np.ndarray, rise: np.ndarray, rest: np.ndarray,
     ) -> tuple[np.ndarray, ...]:  # fmt: skip
         n, k, scale = self._chain.n, self._k, np.sqrt(self._prior[: self._k])
         M = self._chain.mass_matrix(q, self._links) + np.diag(self._rotor)
         R = (M * self._qd_noise**2) @ M.T
-        variance, friction = speed_variance(self._covariance, qd), self._static**2
+        variance, friction = speed_variance(self._covariance, qd), rest**2
         Qp = 2.0 * variance * self._memory
         G = (contact_map(self._chain, middle, self._point).T @ self._chain.jacobian(middle)).T * scale
         rate, leak = self._rate[:k] / self._prior[:k], self._leak[:k]
+        speed = G**2 @ rate  # of the torque that the wrench's walk makes
+        doubt = np.zeros(n) if first else (self._covariance[4] * (G @ self._x[n : n + k])) ** 2
+        Qp, variance = Qp + doubt * _memory(doubt, speed), variance + doubt
         if self._biased:
             G = np.hstack([G, -np.eye(n)])
             leak = np.concatenate([leak, moved / dt])
             rate = np.concatenate([rate, friction * (rise / dt + CREEP)])
         else:
-            speed = G**2 @ rate  # of the torque that the wrench's walk makes
-            follows = speed * LONGEST > friction
-            memory = np.where(follows, friction / np.where(follows, speed, 1.0), LONGEST)
-            Qp, variance = Qp + friction * self._unsure * memory, variance + friction * self._unsure
+            Qp = Qp + friction * self._unsure * _memory(friction, speed)
+            variance = variance + friction * self._unsure
         if first:
             self._x, self._P = np.zeros(n + k), np.diag(np.concatenate([np.zeros(n), np.ones(k)]))
         if apart:
