@@ -432,7 +432,9 @@ def _free_solution(
 ) -> np.ndarray:
     """Return the solution without bounds; the prior alone determines the held directions."""
     if prior is None or excitation.rank == excitation.expected:
-        return np.linalg.lstsq(R / excitation.scale, y, rcond=None)[0] / excitation.scale
+        told = excitation.singular_values > np.finfo(float).eps * len(R) * excitation.singular_values[0]
+        basis = basis[:, told[: basis.shape[1]]]
+        return basis @ ((R @ basis).T @ y)
     held = excitation.vectors[:, excitation.rank :]
     known = held @ (held.T @ (excitation.scale * prior.values)) / excitation.scale
     return known + basis @ ((R @ basis).T @ y)

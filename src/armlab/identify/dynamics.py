@@ -261,7 +261,7 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     if outliers.any():
         model = model_of(design, theta, np.zeros((len(theta), len(theta))))
         design = design.with_torque(without_outliers(record, outliers, model))
-        design, theta = alternate(design, method, settings.seed, chooser=settings.chooser)
+        design, theta = alternate(design, method, settings.seed, chooser=settings.chooser, again=True)
     design, theta, gain_cov = calibrated(design, method, known)
 
     settings.tell(3, 5, "covariance from blocks")

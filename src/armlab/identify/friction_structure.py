@@ -72,6 +72,7 @@ DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad
 SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s
 STRIBECK_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # rad/s
 REFINEMENTS = (1.5, 1.25, 1.12, 1.06, 1.03, 1.015)  # factors tried both ways after the grid
+FEWER = REFINEMENTS[::2]  # once the terms are chosen: Gauss-Newton steps follow
 FOLDS = 4
 GAIN = 0.01  # of the squared held-out error: a term that wins less is left out
 DEFAULT_SPEED = 2  # of STRIBECK_SPEEDS, for joints without that term
@@ -107,6 +108,9 @@ class FrictionStructure:
         """Return the structures of some joints as one, in their order."""
         listed = list(parts)
         return cls(*(np.concatenate([getattr(part, field.name) for part in listed]) for field in fields(cls)))
+
+    def of(self, i: int) -> FrictionStructure:
+        return FrictionStructure(*(getattr(self, field.name)[i : i + 1] for field in fields(self)))
 
     @property
     def numbers(self) -> np.ndarray:
@@ -159,7 +163,7 @@ class StructureChoice:
 
     `fixed`: (M, 2 or more) columns independent of the structure: viscous, offset and others. `target`: (M,) torque that
     friction has to explain. `fold`: (M,) number of the fold of each row, 0 to FOLDS - 1. `trust`: (M,) weights of the
-    rows, 0 to leave one out.
+    rows, 0 to leave one out. `start`: the structure to begin with, in place of the grid.
     """
 
     motion: FrictionColumns
@@ -167,6 +171,7 @@ class StructureChoice:
     target: np.ndarray
     fold: np.ndarray
     trust: np.ndarray
+    start: FrictionStructure | None = None
 
 
 class _StructureSearch:
@@ -238,8 +243,19 @@ def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @one_thread()
 def choose(choice: StructureChoice) -> FrictionStructure:
-    """Choose one joint's structure by cross-validation: the simplest of a grid within 1 % of the best, then refined."""
+    """Choose one joint's structure by cross-validation: the simplest within 1 % of the best, its numbers refined."""
     search, motion = _StructureSearch(choice), choice.motion
+    structure = _of_grid(search) if choice.start is None else choice.start
+    errors = search.scores(_columns(motion, structure), structure.speed, slice(None))[0]
+    simplest = int(np.argmax(errors <= (1.0 + GAIN) * errors.min()))
+    # on the grid a term may stand in for a width between two points
+    structure = replace(structure, terms=TERMS[[simplest]])
+    return _refine(search, structure, errors[simplest], FEWER)
+
+
+def _of_grid(search: _StructureSearch) -> FrictionStructure:
+    """Return the structure of the best point of the grid, refined."""
+    motion = search.motion
     trials = [(delta, 0.0) for delta in DELTAS] + [(DELTAS[3], smooth) for smooth in SMOOTH_SPEEDS]
     scores = []
     for delta, smooth in trials:
@@ -248,12 +264,7 @@ def choose(choice: StructureChoice) -> FrictionStructure:
     t, k, terms = _pick(np.array(scores))  # (trial, speed, terms)
     delta, smooth = trials[t]
     structure = FrictionStructure(np.array([delta]), np.array([smooth]), STRIBECK_SPEEDS[[k]], TERMS[[terms]])
-    structure = _refine(search, structure, scores[t][k, terms])
-    errors = search.scores(_columns(motion, structure), structure.speed, slice(None))[0]
-    simplest = int(np.argmax(errors <= (1.0 + GAIN) * errors.min()))
-    # on the grid a term may stand in for a width between two points
-    structure = replace(structure, terms=TERMS[[simplest]])
-    return _refine(search, structure, errors[simplest])
+    return _refine(search, structure, scores[t][k, terms], REFINEMENTS)
 
 
 Chooser = Callable[[Iterable[StructureChoice]], Iterable[FrictionStructure]]
@@ -276,11 +287,13 @@ def _pick(scores: np.ndarray) -> tuple[int, int, int]:
     return next(choice for score, choice in choices if score <= limit)
 
 
-def _refine(search: _StructureSearch, structure: FrictionStructure, best: float) -> FrictionStructure:
+def _refine(
+    search: _StructureSearch, structure: FrictionStructure, best: float, factors: tuple[float, ...]
+) -> FrictionStructure:
     """Try factors on distance or speed of the sign and on Stribeck's speed; keep what lowers the held-out error."""
     motion, kind = search.motion, int(np.flatnonzero((structure.terms == TERMS).all(axis=1))[0])
     ways = ((1.0, 0.0), (0.0, 1.0)) if structure.terms[0, 1] else ((1.0, 0.0),)
-    for step in (sign * np.log(factor) for factor in REFINEMENTS for sign in (1.0, -1.0)):
+    for step in (sign * np.log(factor) for factor in factors for sign in (1.0, -1.0)):
         for way in ways:
             trial = structure.moved(step * np.array([way]))
             score = float(search.scores(_columns(motion, trial), trial.speed, slice(kind, kind + 1))[0, 0])

@@ -582,12 +582,16 @@ class Design(RegressionColumns):
         return len(COLUMNS if self.geared else FRICTION)
 
     def choose_structure(
-        self, theta: np.ndarray, trust: np.ndarray | None = None, chooser: Chooser = choose_here
+        self,
+        theta: np.ndarray,
+        trust: np.ndarray | None = None,
+        chooser: Chooser = choose_here,
+        again: bool = False,
     ) -> Design:
         """Choose the structure of friction of each joint on held-out blocks of half a second.
 
         Of the parameters theta (p,) the base parameters are held. `trust`: (M, J) weights of the rows; 0 leaves one
-        out.
+        out. `again`: begin with the structure that is there, which was chosen before.
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
@@ -601,6 +605,7 @@ class Design(RegressionColumns):
             free[:, : coupled.shape[1]] = coupled
             target = self.tau[:, i] - A @ theta[c[: A.shape[1]]]
             fixed = np.concatenate([self.fixed[:, i], free], axis=1)
-            return StructureChoice(motion.of(i), fixed, target, fold, weights[:, i])
+            start = self.structure.of(i) if again else None
+            return StructureChoice(motion.of(i), fixed, target, fold, weights[:, i], start)
 
         return self.with_structure(FrictionStructure.joined(chooser(map(choice, range(len(self.joints))))))

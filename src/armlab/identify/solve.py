@@ -139,11 +139,17 @@ ROBUST = ("irls", "lts")
 
 
 def alternate(
-    design: Design, method: str, seed: int = 0, chooser: Chooser = choose_here, use: np.ndarray | None = None
+    design: Design,
+    method: str,
+    seed: int = 0,
+    chooser: Chooser = choose_here,
+    use: np.ndarray | None = None,
+    again: bool = False,
 ) -> tuple[Design, np.ndarray]:
     """Alternate between the linear parameters and the structure of friction until the structure stays; return both.
 
     Directions that the log does not tell are no fault here: the last fit judges. `use`: (M,) kept rows to fit to.
+    `again`: the structure was chosen before.
     """
     used = np.ones((len(design.rows), 1)) if use is None else use[:, None].astype(float)
     trust = np.ones_like(design.tau) * used
@@ -152,7 +158,8 @@ def alternate(
     for _ in range(ROUNDS):
         if method in ROBUST:
             trust = _trust(design, theta, block, method, seed) * used
-        shaped = design.choose_structure(theta, trust, chooser)
+        shaped = design.choose_structure(theta, trust, chooser, again)
+        again = True
         settled = shaped.structure.same(design.structure)
         design, theta = shaped, solved(shaped, trust, method).x
         if settled:

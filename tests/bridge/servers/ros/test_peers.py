@@ -159,7 +159,7 @@ class Stream:
             numbers = np.array(words[4 : 11 if kind == "J" else 10], dtype=float)
             np.testing.assert_allclose(numbers, self.sent[stamp][kind], rtol=0, atol=1e-12)
         if is_whole:
-            counted = [stamp for stamp in self.sent if stamps[0] + SETTLED <= stamp <= stamps[-1]]
+            counted = [stamp for stamp in [*self.sent] if stamps[0] + SETTLED <= stamp <= stamps[-1]]
             assert len(counted) > 400
             assert len(set(counted) & set(stamps)) >= 0.999 * len(counted)
 
