@@ -495,4 +495,5 @@ def _sign(model: TorqueModel, i: int | np.intp) -> str:
     f = model.friction
     words = f"tanh {f.smooth_speed[i]:.2g}" if f.smooth_speed[i] > 0 else f"presliding {f.delta[i]:.1e}"
     words += f", stribeck {f.stribeck_speed[i]:.2g}" if f.stribeck[i] else ""
+    words += f", load {100 * f.load[i]:.1f} %" if f.load[i] else ""
     return words + (", root" if f.root[i] else "")
