@@ -12,22 +12,24 @@ then an update with the measured momentum y = p + v, v ~ N(0, R), in Joseph's fo
 Contact wrench by the generalised momentum.
 
 With p = M qd and beta = C^T qd the arm obeys ``dp/dt = u + J^T F``, ``u = x + beta - G``, x of ``x + load s |x| = tau /
-gains - F_f``: no acceleration is needed; so what the rotor takes counts as load (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018). u is the mean of its values
-at the ends of a step (at the first, its end: at the beginning nothing is known of friction). A step longer than
-GAP_STEPS first steps is a gap: nothing is known of u and of the way in it, so momentum and friction begin anew after
+gains - F_f``: no acceleration is needed (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018), so what the
+rotor takes counts as load. u is the mean of its values at the ends of a step (at the first, its end: at the beginning
+nothing is known of friction). A step longer than GAP_STEPS first steps is a gap: nothing is known of u and of the way in it, so momentum and friction begin anew after
 it. What unknown gains add to the covariance is as in `estimator.py`.
 
 Observer: ``r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r)`` is J^T F through a low-pass, stable for any step;
-then the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + static^2 p_filtered). Of a wrench
+then the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + (doubt r)^2 + static^2 p_filtered). Of a wrench
 that was there at the start it has seen the share ``1 - e^(-K t)``, so r is that share of J^T F.
 
 Kalman filter: state [p; z; b], z the wrench in units of its prior, a random walk with leak; measured is p = M qd with
 the noise of the velocity, R = M diag(qd_noise^2) M^T; J is taken in the middle of the step. The torque error has the
-intensity ``Qp = 2 s^2(qd) memory``. Friction that is unknown after a rest has the variance c p, with c = static^2 and
-p as in `estimator.py`. It stays and must not be averaged away: as noise of intensity ``c p c / (J^T rate J)_ii`` it
-leaves the wrench the doubt c. When biased it is a state b instead, which enters with -1: its variance rises at rest
-as p does, up to c, and displacement makes it forget as it makes the presliding state forget, ``db = -b |dq| /
-delta``; at rest it stays, but for a CREEP.
+variance v = s^2 + (doubt J^T z)^2 + static^2 p: what velocity leaves, forgotten within `memory`; what gains and load
+friction leave open of the wrench's own torque; and friction that is unknown after a rest, static and p as in
+`estimator.py`. The last two stay and must not be averaged away: noise of intensity ``v^2 / (J^T rate J)_ii`` leaves the
+wrench the doubt v. That is its intensity, or ``2 s^2 memory + (v - s^2) LONGEST`` where this is less. When biased,
+friction is a state b instead, which enters with -1: its variance rises at rest as p does, up to static^2, and
+displacement makes it forget as it makes the presliding state forget, ``db = -b |dq| / delta``; at rest it stays, but
+for a CREEP.
 """
 
 from __future__ import annotations
@@ -97,12 +99,6 @@ def momentum_step(
     A[:, :n] -= K
     P = A @ P @ A.T + K @ R @ K.T
     return x + K @ (y - x[:n]), 0.5 * (P + P.T)
-
-
-def _memory(largest: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Return the correlation time (n,) by which noise of a variance leaves the wrench its doubt."""
-    follows = speed * LONGEST > largest
-    return np.where(follows, largest / np.where(follows, speed, 1.0), LONGEST)
 
 
 CREEP = 1e-3  # 1/s, of its variance, by which friction wanders at rest
@@ -251,19 +247,18 @@ class MomentumEstimator(Stepwise):
         M = self._chain.mass_matrix(q, self._links) + np.diag(self._rotor)
         R = (M * self._qd_noise**2) @ M.T
         variance, friction = speed_variance(self._covariance, qd), rest**2
-        Qp = 2.0 * variance * self._memory
+        strength = 2.0 * variance * self._memory
         G = (contact_map(self._chain, middle, self._point).T @ self._chain.jacobian(middle)).T * scale
         rate, leak = self._rate[:k] / self._prior[:k], self._leak[:k]
         speed = G**2 @ rate  # of the torque that the wrench's walk makes
         doubt = np.zeros(n) if first else (self._covariance[4] * (G @ self._x[n : n + k])) ** 2
-        Qp, variance = Qp + doubt * _memory(doubt, speed), variance + doubt
+        lasting = doubt if self._biased else doubt + friction * self._unsure
+        strength, variance = strength + lasting * LONGEST, variance + lasting
+        Qp = np.where(speed > 0, np.minimum(strength * speed, variance**2) / np.where(speed > 0, speed, 1.0), strength)
         if self._biased:
             G = np.hstack([G, -np.eye(n)])
             leak = np.concatenate([leak, moved / dt])
             rate = np.concatenate([rate, friction * (rise / dt + CREEP)])
-        else:
-            Qp = Qp + friction * self._unsure * _memory(friction, speed)
-            variance = variance + friction * self._unsure
         if first:
             self._x, self._P = np.zeros(n + k), np.diag(np.concatenate([np.zeros(n), np.ones(k)]))
         if apart:

@@ -140,21 +140,20 @@ void MomentumEstimator::hidden(const Sample &s, const double *A, double dt, Wren
       speed += G_[m * i + j] * G_[m * i + j] * q_[j];
       if (!first_) torque += G_[m * i + j] * x_[n + j];
     }
-    Qp_[i] = 2.0 * e.variance[i] * p_.memory[i];
-    // An error that stays must not be averaged away: as noise it is so strong that the wrench keeps
-    // its doubt.
-    const auto stays = [&](double largest, double share) {
-      Qp_[i] += largest * share * (speed * longest > largest ? largest / speed : longest);
-      e.variance[i] += largest * share;
-    };
-    stays(p_.covariance[i].of_contact(torque), 1.0);
+    double lasting = p_.covariance[i].of_contact(torque);
     if (p_.biased) {  // forgotten with displacement, as the presliding state is
       G_[m * i + k + i] = -1.0;
       a_[k + i] = s.moved[i] / dt;
       q_[k + i] = friction * (s.rise[i] / dt + creep);
     } else {
-      stays(friction, s.joints[i].drive.unsure);
+      lasting += friction * s.joints[i].drive.unsure;
     }
+    // An error that stays must not be averaged away: as noise it is so strong that the wrench keeps
+    // its doubt, and no stronger.
+    const double strength = 2.0 * e.variance[i] * p_.memory[i] + lasting * longest;
+    e.variance[i] += lasting;
+    Qp_[i] = std::min(strength * speed, e.variance[i] * e.variance[i]) / speed;
+    if (!(speed > 0.0)) Qp_[i] = strength;
   }
 }
 

@@ -127,8 +127,8 @@ class MomentumNoise:
 
     `memory`: (n,) correlation time of the torque error [s]; its intensity is ``2 s^2 memory``. `qd_noise`: (n,)
     deviation of the measured velocity [rad/s]. `alpha2_observer`, `alpha2_kf`: factors on the torque covariance, set so
-    that 2-sigma coverage on held-out data is 95.4 %: of the residual of the observer, and of the wrench of the Kalman
-    filter in free motion.
+    that 2-sigma coverage on held-out data is 95.4 %: of the residual of the observer, and of the Kalman filter's
+    wrench where a known one is added to the torques; of the filter at least 1.
     """
 
     memory: np.ndarray
