@@ -1,5 +1,7 @@
 // Python class Drive and functions basis_weights, model_torque and presliding: arguments are
 // checked here, the mathematics is in drive.h.
+#include <cstring>
+
 #include "array/arrays.h"
 #include "math/contact/drive.h"
 #include "math/arm/rigid_body.h"
@@ -80,18 +82,19 @@ void construct(Drive *self, nb::handle friction_, nb::handle ripple_, nb::handle
     nb::handle map, nb::handle warm_up_) {
   const Input friction(friction_, "friction"), ripple(ripple_, "ripple");
   if (friction.ndim() != 2 || friction.shape()[1] < 1 || friction.shape()[1] > max_joints)
-    raise_shape_error("Expected friction of shape (10, n) with n from 1 to " +
-                      std::to_string(max_joints) + " joints, got " + friction.shape_text() + ".");
+    raise_shape_error("Expected friction of shape (" + std::to_string(friction_rows) +
+                      ", n) with n from 1 to " + std::to_string(max_joints) + " joints, got " +
+                      friction.shape_text() + ".");
   const int n = static_cast<int>(friction.shape()[1]);
-  friction.require_exactly({10, n});
+  friction.require_exactly({friction_rows, n});
   ripple.require_exactly({3, n});
   Drive drive;
   drive.n = n;
   const double *f = friction.data(), *r = ripple.data();
   for (int i = 0; i < n; ++i) {
-    const auto row = [&](int k) { return f[k * n + i]; };
-    drive.friction[i] = {
-        row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7), row(8), row(9)};
+    double rows[friction_rows];
+    for (int k = 0; k < friction_rows; ++k) rows[k] = f[k * n + i];
+    std::memcpy(&drive.friction[i], rows, sizeof rows);
     drive.ripple[i] = {r[i], r[n + i], r[2 * n + i]};
   }
   if (!lines.is_none()) drive.lines = read_lines(lines, n);
@@ -136,10 +139,10 @@ nb::object torque(const Drive &self, nb::handle q_, nb::handle qd_, nb::handle z
   return tau.array();
 }
 
-// Adds the torque of the drives along a record to tau (N, n); without dt (N) they do not warm up.
-// Rows of which something is not finite become NaN and leave the states alone.
-void add_drive_torque(const Drive &drive, npy_intp N, const double *q, const double *qd,
-    const double *qdd, const double *dt, double *tau) {
+// Adds the torque of the drives along a record to tau (N, n), that of the links; without dt (N)
+// they do not warm up. Rows of which something is not finite become NaN and leave the states alone.
+void add_drive_torque(const Drive &drive, npy_intp N, const double *rotor, const double *q,
+    const double *qd, const double *qdd, const double *dt, double *tau) {
   const int n = drive.n;
   std::array<DriveState, max_joints> states;
   bool first = true;
@@ -151,7 +154,10 @@ void add_drive_torque(const Drive &drive, npy_intp N, const double *q, const dou
     for (int i = 0; i < n; ++i) {
       if (first) states[i] = drive.start(i, q[i]);
       drive.move(i, q[i], states[i]);
-      tau[i] += drive.torque(i, q[i], qd[i], states[i], 1.0);
+      const double load = tau[i];
+      tau[i] += rotor[i] * qdd[i];
+      tau[i] += drive.torque(i, q[i], qd[i], states[i], 1.0) +
+                drive.of_load(i, load, qd[i], states[i]);
       if (dt) drive.heat(i, qd[i], dt[k], states[i]);
     }
     first = false;
@@ -174,17 +180,15 @@ nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle link
   if (!dt_.is_none()) dt = copied(Input(dt_, "dt", {N}));
   const Output tau(out, "out", {n}, {&q, &qd, &qdd});
   tau.require_apart_from({&gravity, &links, &rotor});
-  const double *inertia = rotor.data();
   compute<3, 1>(q, {q.samples(), qd.samples(), qdd.samples()}, {tau.samples()},
       [&](const auto &in, const auto &to) {
         rnea(chain, in[0], in[1], in[2], gravity.data(), links.data(), to[0]);
-        for (int i = 0; i < n; ++i) to[0][i] = to[0][i] + inertia[i] * in[2][i];
       });
   {
     // not at `return`, which counts one more reference to the array
     nb::gil_scoped_release released;
-    add_drive_torque(drive, N, q.data(), qd.data(), qdd.data(), dt_.is_none() ? nullptr : dt.data(),
-        tau.samples().data);
+    add_drive_torque(drive, N, rotor.data(), q.data(), qd.data(), qdd.data(),
+        dt_.is_none() ? nullptr : dt.data(), tau.samples().data);
   }
   return tau.array();
 }

@@ -13,7 +13,8 @@ WrenchMethod method_of(int number) {
   return static_cast<WrenchMethod>(number);
 }
 
-// gains (n). covariance (4, n): rows C0, Cinf, shape, kind. point: (3) in tool axes, or None.
+// gains (n). covariance (5, n): rows C0, Cinf, shape, kind, doubt. point: (3) in tool axes, or
+// None.
 template <class Parameters>
 Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, nb::handle rotor_,
     const Drive &drive, nb::handle gains_, double gain_variance, nb::handle covariance_,
@@ -24,12 +25,12 @@ Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, 
   if (drive.n != n)
     raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " +
                       std::to_string(drive.n) + ".");
-  const Input gains(gains_, "gains", {n}), covariance(covariance_, "covariance", {4, n}),
+  const Input gains(gains_, "gains", {n}), covariance(covariance_, "covariance", {5, n}),
       prior(prior_, "prior", {6});
   require_positive("gains", gains.data(), n);
   require_not_negative("gain_variance", &gain_variance, 1);
   require_positive("covariance", covariance.data(), 2 * n);
-  require_not_negative("covariance shape and kind", covariance.data() + 2 * n, 2 * n);
+  require_not_negative("covariance shape, kind and doubt", covariance.data() + 2 * n, 3 * n);
   require_positive("prior", prior.data(), 6);
   Parameters p(chain);
   std::copy_n(gravity.data(), 3, p.gravity.begin());
@@ -40,7 +41,8 @@ Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, 
   std::copy_n(gains.data(), n, p.gains.begin());
   p.gain_variance = gain_variance;
   const double *c = covariance.data();
-  for (int i = 0; i < n; ++i) p.covariance[i] = {c[i], c[n + i], c[2 * n + i], c[3 * n + i]};
+  for (int i = 0; i < n; ++i)
+    p.covariance[i] = {c[i], c[n + i], c[2 * n + i], c[3 * n + i], c[4 * n + i]};
   p.at_point = !point_.is_none();
   if (p.at_point) {
     const Input point(point_, "point", {3});

@@ -13,6 +13,7 @@ import pytest
 from armlab import identify
 from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Estimator, Wrench
 from armlab.errors import ConcurrentUse, NotExcited
+from armlab.kernels import presliding
 from armlab.lie import se3
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
@@ -489,3 +490,40 @@ def test_a_contact_at_a_known_point_has_the_moment_of_its_force(truth, model, ex
         np.testing.assert_allclose(known.wrench[3:], np.cross(r, known.wrench[:3]), atol=1e-12)
     assert known.at_point
     assert np.all(known.sigma[:3] < free.sigma[:3])
+
+
+@pytest.mark.parametrize("way", ["map", "observer"])
+def test_friction_of_the_load_takes_nothing_from_a_contact(perfect, way: str) -> None:
+    """Gears lose a share of what they pass on, the contact's torque included: the torque of the contact stays exact."""
+    model = replace(perfect, rotor=np.zeros(7))  # what a rotor takes counts as load to the momentum
+    share, force = np.linspace(0.02, 0.2, 7), np.array([20.0, -15.0, 30.0, 0.0, 0.0, 0.0])
+    t = np.arange(0.0, 2.0, 0.004)
+    q, qd, _ = identify.dither(np.linspace(0.2, -0.4, 7), 2.0).sample(t)
+    qdd = np.diff(qd, axis=0, prepend=qd[:1]) / 0.004
+    pushed = np.einsum("kij,i->kj", model.chain.jacobian(q), force)
+    load = model.chain.rnea(q, qd, qdd, model.gravity, model.link_parameters) - pushed
+    tau = model.torque(q, qd, qdd) - pushed
+    rubbing = share * np.abs(load) * presliding(q, model.friction.delta, model.friction.resolution)
+    rubs = replace(model, friction=replace(model.friction, load=share))
+
+    def contact_torque(known: TorqueModel, tau: np.ndarray) -> np.ndarray:
+        kernel = (known.estimator_kernel if way == "map" else known.momentum_kernel)
+        own = {} if way == "map" else {"rate": np.ones(6), "filters": False}
+        return kernel(np.square(PRIOR), **own).run(q, qd, tau, np.full(len(t), 0.004))[3]
+
+    plain = contact_torque(model, tau)
+    np.testing.assert_allclose(contact_torque(rubs, tau + rubbing), plain, rtol=0, atol=1e-9)
+    assert np.abs(contact_torque(model, tau + rubbing) - plain).max() > 0.5
+
+
+@pytest.mark.parametrize("way", ["map", "bounded", "observer", "kf"])
+def test_doubt_grows_with_the_torque_of_a_contact(perfect, truth, log, way: str) -> None:
+    """What gains have in common is a share of the wrench; their differences, and load friction, are of each joint."""
+    alike, apart = np.full((7, 7), 0.1**2), 0.1**2 * np.eye(7)
+    np.testing.assert_allclose(replace(perfect, gain_cov=alike).contact_doubt, 0.0, atol=1e-9)
+    np.testing.assert_allclose(replace(perfect, gain_cov=apart).contact_doubt, 0.1 * np.sqrt(6 / 7))
+    model = replace(perfect, load_sd=np.linspace(0.05, 0.2, 7))
+    sure, unsure = (Estimator(one, truth.robot, **WAYS[way]).run(log) for one in (perfect, model))
+    more = np.einsum("kii->ki", unsure["wrench_hat_cov"] - sure["wrench_hat_cov"])[20:]
+    assert np.all(more >= -1e-9)
+    assert more[:, :3].max() > 0.5**2

@@ -264,12 +264,17 @@ def record() -> tuple[np.ndarray, np.ndarray]:
     return (0.05 * np.sin(wave)).sum(axis=1)[:, None], (0.05 * 2 * np.pi * f * np.cos(wave)).sum(axis=1)[:, None]
 
 
+def load(q: np.ndarray) -> np.ndarray:
+    """Torque that goes to the links: as of a weight, between 10 and 90 N m."""
+    return 50.0 + 40.0 * np.sin(2.0 * q + np.linspace(0.0, 40.0, len(q))[:, None])
+
+
 def chosen(torque, noise: float = 0.02, trust: np.ndarray | float = 1.0) -> FrictionStructure:
     """Of all rows of a record without a filter, in folds of half a second."""
     q, qd = record()
     rows = np.arange(len(q))
     y = torque(q, qd) + noise * np.random.default_rng(1).standard_normal(q.shape)
-    motion = FrictionColumns(Decimation(((0, len(q)),), 1, np.ones(1), rows), q, qd, np.zeros(1))
+    motion = FrictionColumns(Decimation(((0, len(q)),), 1, np.ones(1), rows), q, qd, np.zeros(1), load(q))
     fixed = np.column_stack([qd, np.ones_like(qd)])
     return choose(StructureChoice(motion, fixed, y[:, 0], rows // 50 % FOLDS, trust * np.ones(len(q))))
 
@@ -291,7 +296,12 @@ def test_a_smooth_sign_with_root_and_asymmetry_is_found() -> None:
 
     found = chosen(torque)
     assert found.smooth[0] == pytest.approx(v, rel=0.15)
-    np.testing.assert_array_equal(found.terms[0], [True, False, True])
+    np.testing.assert_array_equal(found.terms[0], [True, False, True, False])
+
+
+def test_friction_that_grows_with_the_load_is_found() -> None:
+    found = chosen(lambda q, qd: np.sign(qd) * (1.0 + 0.02 * load(q)))
+    np.testing.assert_array_equal(found.terms[0], [False, False, False, True])
 
 
 def test_stribeck_is_found_with_its_speed() -> None:

@@ -16,7 +16,7 @@ from .. import oracles
 def rows(n: int = 3) -> tuple[np.ndarray, np.ndarray]:
     """Friction and ripple with every term in use."""
     rng = np.random.default_rng(1)
-    friction = rng.uniform(0.1, 2.0, (10, n))
+    friction = np.vstack([rng.uniform(0.1, 2.0, (10, n)), np.linspace(0.3, 0.0, n)])
     friction[6], friction[7] = np.geomspace(1e-4, 1e-2, n), 1e-5
     friction[9] = np.where(np.arange(n) % 2, 0.05, 0.0)
     return friction, rng.uniform(0.1, 2.0, (3, n))

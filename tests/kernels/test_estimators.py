@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -28,8 +29,9 @@ def both(model: SimpleNamespace, kind: str, extra: tuple[object, ...], own: tupl
     c, made = model.covariance, []
     for module in (kernels, oracles):
         chain = module.Chain(model.frames, model.prismatic)
-        drive = module.Drive(model.friction.rows, model.ripple.rows, *extra)
-        covariance = np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3])
+        friction = replace(model.friction, load=np.linspace(0.0, 0.1, 7))
+        drive = module.Drive(friction.rows, model.ripple.rows, *extra)
+        covariance = np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3, np.linspace(0.2, 0.0, 7)])
         rigid = chain, model.gravity, model.link_parameters, model.rotor, drive
         made.append(getattr(module, kind)(*rigid, np.linspace(0.95, 1.05, 7), 0.03**2, covariance, *own))
     return made[0], made[1]
@@ -148,9 +150,9 @@ def test_step_returns_what_run_stacks_and_reset_forgets(model: SimpleNamespace, 
 
 def known(n: int = 7) -> dict[str, Any]:
     """What every estimator is given, of the right shapes."""
-    drive = kernels.Drive(np.ones((10, n)), np.ones((3, n)))
+    drive = kernels.Drive(np.full((11, n), 0.5), np.ones((3, n)))
     rigid = {"gravity": np.zeros(3), "links": np.zeros((7, 10)), "rotor": np.ones(7), "drive": drive}
-    return rigid | {"gains": np.ones(7), "gain_variance": 1.0, "covariance": np.ones((4, 7))}
+    return rigid | {"gains": np.ones(7), "gain_variance": 1.0, "covariance": np.ones((5, 7))}
 
 
 OWN: dict[str, tuple[type, dict[str, Any], dict[str, Any]]] = {

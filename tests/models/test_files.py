@@ -113,7 +113,7 @@ def test_sources_that_no_file_could_name_are_refused(sources: str, said: str, tm
     ("old", "new", "error", "sentence"),
     [
         ('sign = "environment_on_robot"', 'sign = "robot_on_environment"', ModelMismatchError, "kind, format and sign"),
-        ("format = 5", "format = 9", ModelMismatchError, "kind, format and sign"),
+        ("format = 6", "format = 9", ModelMismatchError, "kind, format and sign"),
         ("rotor = [", "motor = [", ConfigError, "motor|rotor"),
         ("[meta]", "[meta", ConfigError, "TOML model file"),
         ("alpha2 = ", 'alpha2 = "x"\nbeta = ', ConfigError, "alpha2|beta"),

@@ -76,7 +76,7 @@ def test_an_interval_holds_for_all_that_the_gains_may_be(model, point: list[floa
     log = pushed(known, yumi).between(0.0, 0.1)
     sure, wide = (
         contact.Estimator(one, yumi, "interval", point=point).run(log)["wrench_interval"]
-        for one in (known, replace(known, gain_cov=0.03**2 * np.eye(7)))
+        for one in (known, replace(known, gain_cov=np.full((7, 7), 0.03**2)))
     )
     forces = 3 if point else 6
     box = 10.0 * np.array([20.0, 20, 20, 2, 2, 2])[:forces, None]
@@ -88,8 +88,8 @@ def test_an_interval_holds_for_all_that_the_gains_may_be(model, point: list[floa
 
 def test_joints_without_torque_do_not_make_the_gains_of_the_others_surer(model) -> None:
     measured = np.array([1, 1, 1, 1, 0, 0, 0])
-    some = replace(model, gains=np.ones(7), gain_cov=np.diag(0.03**2 * measured))
-    every = replace(some, gain_cov=0.03**2 * np.eye(7))
+    some = replace(model, gains=np.ones(7), gain_cov=0.03**2 * np.outer(measured, measured))
+    every = replace(some, gain_cov=np.full((7, 7), 0.03**2))
     log = pushed(every, robots.load("yumi_left")).between(0.0, 0.4)
     one, two = (contact.Estimator(m, robots.load("yumi_left")).run(log)["wrench_hat_cov"] for m in (some, every))
     np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-12)

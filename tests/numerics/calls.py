@@ -30,7 +30,7 @@ def of_filter(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[
         case "SignalOperator":
             return module.SignalOperator(words[1], *given["constants"].tolist()).run(given["x"])
         case "Drive":
-            return module.Drive(*values[:2]).torque(*values[2:])
+            return module.Drive(_and_zeros(values[0]), values[1]).torque(*values[2:])
         case "basis" | "rollout":
             primitive = primitive_of(module, words[1], fixed)
             if words[0] == "basis":
@@ -127,14 +127,19 @@ def driven(module: Any, fixed: dict[str, np.ndarray]) -> Any:
     lines = tuple(fixed[f"line_{part}"] for part in ("joints", "cycles", "speeds", "widths", "coefficients"))
     parts = ("positions", "position_widths", "speeds", "speed_widths", "coefficients")
     over = tuple(fixed[f"map_{part}"] for part in parts)
-    return module.Drive(fixed["friction"], fixed["ripple"], lines, over, fixed["warm_up"])
+    return module.Drive(_and_zeros(fixed["friction"]), fixed["ripple"], lines, over, fixed["warm_up"])
+
+
+def _and_zeros(rows: np.ndarray) -> np.ndarray:
+    """Return rows (k, n) of a table and one more, of what no table has: friction of the load, doubt of a contact."""
+    return np.vstack([rows, np.zeros(rows.shape[1])])
 
 
 def known_of_arm(module: Any, fixed: dict[str, np.ndarray]) -> tuple[Any, ...]:
     """Return what every estimator is given first."""
     chain = module.Chain(fixed["frames"], fixed["prismatic"])
     drive = driven(module, fixed)
-    gains = (fixed["gains"], float(fixed["gain_variance"]), fixed["covariance"])
+    gains = (fixed["gains"], float(fixed["gain_variance"]), _and_zeros(fixed["covariance"]))
     return chain, fixed["gravity"], fixed["links"], fixed["rotor"], drive, *gains
 
 

@@ -5,7 +5,10 @@ With s = z, or s = tanh(qd / smooth_speed) where smooth_speed > 0, joint by join
     coulomb = (coulomb_pos max(s, 0) + coulomb_neg min(s, 0)) (1 + of_coulomb x)
     dry = coulomb + stribeck s exp(-(qd / stribeck_speed)^2) + root s sqrt(|qd|)
     rubbing = viscous (1 + of_viscous x) qd + dry_share dry
-    tau = rubbing + offset + cosine cos(cycles q) + sine sin(cycles q) + dry_share map(q, qd, s) + lines(q, qd, s)
+    tau = load dry_share s |x| + rubbing + offset + cosine cos(cycles q) + sine sin(cycles q) + dry_share map(q, qd, s) + lines(q, qd, s)
+
+x is the torque that goes to the links, in a forward model known; an estimator has y = x + load dry_share s |x|, what
+is left of the motor's torque without the rest, so that ``x = y / (1 + load dry_share s sign(y))``.
 
 dry_share is 1, less for an estimator that takes dry friction near rest as bounded instead of known. Warmth x goes by
 its own heat: ``dx/dt = (|rubbing qd| / reference - x) / time``, exact for constant power in a step.
@@ -103,6 +106,16 @@ def drive_torque(drive: Drive, q: np.ndarray, qd: np.ndarray, state: DriveState,
     return tau if drive.lines is None else tau + _rippled(drive.lines, q, qd, s)
 
 
+def load_friction(drive: Drive, x: np.ndarray, qd: np.ndarray, state: DriveState) -> np.ndarray:
+    """Return the friction (..., n) that comes with a load x."""
+    return drive.friction[10] * _sign(drive, qd, state) * np.abs(x)
+
+
+def load_of(drive: Drive, y: np.ndarray, qd: np.ndarray, state: DriveState, dry_share: Any = 1.0) -> np.ndarray:
+    """Return the load x (..., n) of a torque y with its friction."""
+    return y / (1.0 + drive.friction[10] * dry_share * _sign(drive, qd, state) * np.sign(y))
+
+
 def _sign(drive: Drive, qd: np.ndarray, state: DriveState) -> np.ndarray:
     smooth = drive.friction[9]
     return np.where(smooth > 0, np.tanh(qd / np.where(smooth > 0, smooth, 1.0)), state.z)
@@ -110,7 +123,7 @@ def _sign(drive: Drive, qd: np.ndarray, state: DriveState) -> np.ndarray:
 
 def _rubbing(drive: Drive, qd: np.ndarray, s: np.ndarray, warmth: np.ndarray, dry_share: Any) -> np.ndarray:
     """Return what turns into heat."""
-    viscous, positive, negative, _, stribeck, speed, _, _, root, _ = drive.friction
+    viscous, positive, negative, _, stribeck, speed, _, _, root, *_ = drive.friction
     of_coulomb, of_viscous = drive.warm_up[:2]
     dry = (positive * np.maximum(s, 0) + negative * np.minimum(s, 0)) * (1.0 + of_coulomb * warmth)
     dry = dry + stribeck * s * np.exp(-((qd / speed) ** 2)) + root * s * np.sqrt(np.abs(qd))
@@ -158,7 +171,7 @@ def model_torque(
     qdd: np.ndarray,
     dt: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return ``rnea + rotor qdd + drives`` (N, n) along a record, with z from 0 at the first row.
+    """Return ``x + rotor qdd + drives + load s |x|``, x = rnea, (N, n) along a record, with z from 0 at the first row.
 
     A row with a number that is not finite gives NaN and leaves the state of the drives alone.
     """
@@ -168,11 +181,13 @@ def model_torque(
     if dt is not None:
         dt = np.asarray(dt, dtype=float)
         good &= np.isfinite(dt)
-    tau[good] = chain.rnea(q[good], qd[good], qdd[good], gravity, links) + rotor * qdd[good]
+    load = np.full(q.shape, np.nan)
+    load[good] = chain.rnea(q[good], qd[good], qdd[good], gravity, links)
+    tau[good] = load[good] + rotor * qdd[good]
     state = None
     for k in np.flatnonzero(good):
         state, _ = move(drive, q[k], start(drive, q[k]) if state is None else state)
-        tau[k] += drive_torque(drive, q[k], qd[k], state)
+        tau[k] += drive_torque(drive, q[k], qd[k], state) + load_friction(drive, load[k], qd[k], state)
         if dt is not None:
             state = heat(drive, qd[k], dt[k], state)
     return tau

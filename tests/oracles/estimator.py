@@ -5,15 +5,18 @@ One step, with ``tau_e = model - measured = J^T F + error``:
 1. y follows q with a play of +-resolution; z slides by dy. Its variance p relaxes towards 1, the largest that a
    variable in [-1, 1] can have, with the time constant REST_TIME, since what friction does during a long rest is not
    known; then displacement wipes it out: ``p <- p exp(-2 |dy| / delta)``.
-2. qdd = (qd_k - qd_{k-1}) / dt; tau_e = rnea + rotor qdd + friction(qd, z) + ripple(q) - tau / gains.
+2. qdd = (qd_k - qd_{k-1}) / dt; tau_e = rnea - x, with x of ``x + load s |x| = tau / gains - rotor qdd - friction(qd,
+   z) - ripple(q)`` (`drive.load_of`).
 3. tau_e passes a second-order Butterworth low-pass (state-variable form, exact for a varying dt up to frequency
    warping).
-4. C_tau = diag(s^2(qd) + static^2 p_filtered), with p low-passed like tau_e so that it stays as long as its error does.
+4. C_tau = diag(s^2(qd) + (doubt tau_e)^2 + static^2 p_filtered), static the friction at rest with load |x|, p low-passed
+   like tau_e so that it stays as long as its error does. doubt: what gain and load friction leave open of the torque of
+   a contact; that of the arm itself has its errors in s already.
 5. The wrench from tau_e and C_tau, by one of the methods of `wrench.py`.
 
 Methods with a bound (bounded, clip, interval) treat friction near rest as bounded instead of random. With the slowness
 w = exp(-(qd / speed)^2), the Coulomb and Stribeck terms of the model count by 1 - w, the bound is ``torque max(w, p) +
-floor`` with max(w, p) low-passed, and C_tau = diag(Cinf).
+floor`` with max(w, p) low-passed and torque grown by load |x|, and C_tau = diag(Cinf + (doubt tau_e)^2).
 
 A step longer than GAP_STEPS first steps is a gap: nothing is known of what friction did in it, so all but the warmth
 begins anew, as at the first sample; the low-pass once more at the next, which has an acceleration. Without one, methods
@@ -32,7 +35,7 @@ from typing import Any
 import numpy as np
 
 from .chain import Chain
-from .drive import Drive, drive_torque, heat, move, restart, start
+from .drive import Drive, drive_torque, heat, load_of, move, restart, start
 from .wrench import METHODS, solve_wrench, wrench_interval
 
 REST_TIME = 0.5  # s
@@ -45,8 +48,8 @@ INVALID, WEAK, STUCK, INFEASIBLE, SINGULAR, TARED = 1, 2, 4, 8, 16, 32  # bits o
 
 
 def speed_variance(covariance: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """Return s^2 (n,) at velocities (n,) for covariance (4, n), rows C0, Cinf, shape, kind."""
-    at_rest, at_speed, shape, kind = covariance
+    """Return s^2 (n,) at velocities (n,) for covariance (5, n), rows C0, Cinf, shape, kind, doubt."""
+    at_rest, at_speed, shape, kind, _ = covariance
     speed = np.abs(qd)
     weight = np.where(kind == 0, np.exp(-shape * speed), np.where(kind == 1, speed < shape, 0.0))
     return (at_rest - at_speed) * weight + at_speed
@@ -139,12 +142,14 @@ class WrenchEstimator(Stepwise):
             before, last, p = restart(q, self._state), qd, np.full(n, UNKNOWN)
         with np.errstate(over="ignore", invalid="ignore"):
             qdd = (qd - last) / dt
-            rigid = self._chain.rnea(q, qd, qdd, self._gravity, self._links) + self._rotor * qdd
+            rigid = self._chain.rnea(q, qd, qdd, self._gravity, self._links)
             state, dy = move(self._drive, q, before)
             p = p + (UNKNOWN - p) * (1.0 - np.exp(-dt / REST_TIME))
             p = p * np.exp(-2.0 * np.abs(dy) / self._drive.friction[6])
             dry_share = 1.0 - self._slowness(qd) if self._band else 1.0  # near rest it is anything within the bound
-            raw = rigid + drive_torque(self._drive, q, qd, state, dry_share) - tau / self._gains
+            passing = tau / self._gains - self._rotor * qdd - drive_torque(self._drive, q, qd, state, dry_share)
+            load = load_of(self._drive, passing, qd, state, dry_share)
+            raw = rigid - load
         if not np.all(np.abs(raw) < LARGEST):
             return self._invalid()
         self._state, self._p = heat(self._drive, qd, dt, state), p
@@ -158,10 +163,12 @@ class WrenchEstimator(Stepwise):
         filtered = self._lowpass(np.concatenate([raw, unsure]), dt, begins)
         self._fresh = apart and not first
         torque, unsure = filtered[:n], np.clip(filtered[n:], 0.0, UNKNOWN)
+        doubt, more = (self._covariance[4] * torque) ** 2, self._drive.friction[10] * np.abs(load)
         if self._band:
-            bound = np.full(n, LARGEST) if apart else self._bound[0] * unsure + self._bound[2]
-            return self._solve(q, torque, self._covariance[1], bound)
-        return self._solve(q, torque, speed_variance(self._covariance, qd) + self._static**2 * unsure, np.zeros(n))
+            bound = np.full(n, LARGEST) if apart else (self._bound[0] + more) * unsure + self._bound[2]
+            return self._solve(q, torque, self._covariance[1] + doubt, bound)
+        variance = speed_variance(self._covariance, qd) + doubt + (self._static + more) ** 2 * unsure
+        return self._solve(q, torque, variance, np.zeros(n))
 
     def _lowpass(self, x: np.ndarray, dt: float, begins: np.ndarray) -> np.ndarray:
         self._low[0, begins], self._low[1, begins] = 0.0, x[begins]  # in steady state: no transient from what was

@@ -11,23 +11,25 @@ then an update with the measured momentum y = p + v, v ~ N(0, R), in Joseph's fo
 
 Contact wrench by the generalised momentum.
 
-With p = M qd and beta = C^T qd the arm obeys ``dp/dt = u + J^T F``, ``u = tau / gains + beta - G - F_f``: no
-acceleration is needed (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018). u is the mean of its values
-at the ends of a step (at the first, its end: at the beginning nothing is known of friction). A step longer than
-GAP_STEPS first steps is a gap: nothing is known of u and of the way in it, so momentum and friction begin anew after
+With p = M qd and beta = C^T qd the arm obeys ``dp/dt = u + J^T F``, ``u = x + beta - G``, x of ``x + load s |x| = tau /
+gains - F_f``: no acceleration is needed (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018), so what the
+rotor takes counts as load. u is the mean of its values at the ends of a step (at the first, its end: at the beginning
+nothing is known of friction). A step longer than GAP_STEPS first steps is a gap: nothing is known of u and of the way in it, so momentum and friction begin anew after
 it. What unknown gains add to the covariance is as in `estimator.py`.
 
 Observer: ``r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r)`` is J^T F through a low-pass, stable for any step;
-then the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + static^2 p_filtered). Of a wrench
+then the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + (doubt r)^2 + static^2 p_filtered). Of a wrench
 that was there at the start it has seen the share ``1 - e^(-K t)``, so r is that share of J^T F.
 
 Kalman filter: state [p; z; b], z the wrench in units of its prior, a random walk with leak; measured is p = M qd with
 the noise of the velocity, R = M diag(qd_noise^2) M^T; J is taken in the middle of the step. The torque error has the
-intensity ``Qp = 2 s^2(qd) memory``. Friction that is unknown after a rest has the variance c p, with c = static^2 and
-p as in `estimator.py`. It stays and must not be averaged away: as noise of intensity ``c p c / (J^T rate J)_ii`` it
-leaves the wrench the doubt c. When biased it is a state b instead, which enters with -1: its variance rises at rest
-as p does, up to c, and displacement makes it forget as it makes the presliding state forget, ``db = -b |dq| /
-delta``; at rest it stays, but for a CREEP.
+variance v = s^2 + (doubt J^T z)^2 + static^2 p: what velocity leaves, forgotten within `memory`; what gains and load
+friction leave open of the wrench's own torque; and friction that is unknown after a rest, static and p as in
+`estimator.py`. The last two stay and must not be averaged away: noise of intensity ``v^2 / (J^T rate J)_ii`` leaves the
+wrench the doubt v. That is its intensity, or ``2 s^2 memory + (v - s^2) LONGEST`` where this is less. When biased,
+friction is a state b instead, which enters with -1: its variance rises at rest as p does, up to static^2, and
+displacement makes it forget as it makes the presliding state forget, ``db = -b |dq| / delta``; at rest it stays, but
+for a CREEP.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ from typing import Any
 import numpy as np
 
 from .chain import Chain
-from .drive import Drive, DriveState, drive_torque, heat, move, restart, start
+from .drive import Drive, DriveState, drive_torque, heat, load_of, move, restart, start
 from .estimator import (
     GAP_STEPS,
     LARGEST,
@@ -173,19 +175,21 @@ class MomentumEstimator(Stepwise):
             p = p + self._rotor * qd
             state, dy = move(self._drive, q, before)
             gravity = self._chain.rnea(q, 0 * q, 0 * q, self._gravity, self._links)
-            u = tau / self._gains + beta - gravity - drive_torque(self._drive, q, qd, state)
+            load = load_of(self._drive, tau / self._gains - drive_torque(self._drive, q, qd, state), qd, state)
+            u = load + beta - gravity
         if not (np.all(np.abs(u) < LARGEST) and np.all(np.abs(p) < LARGEST)):
             return self._invalid()
         moved = np.abs(dy) / self._drive.friction[6]
+        rest = self._static + self._drive.friction[10] * np.abs(load)
         known = u if apart or self._fresh else 0.5 * (u + self._known)
         middle = q if apart else 0.5 * (q + self._q)
         change, self._p = p - self._p, p
         self._state, self._q, self._known = heat(self._drive, qd, dt, state), q.copy(), u
         self._unsure = np.ones(n) if apart else (self._unsure + rise) * np.exp(-2.0 * moved)
         if self._filters:
-            found = self._filter(first, apart, q, qd, middle, known, dt, moved, rise)
+            found = self._filter(first, apart, q, qd, middle, known, dt, moved, rise, rest)
         else:
-            found = self._observe(apart, q, qd, change / dt - known, dt)
+            found = self._observe(apart, q, qd, change / dt - known, dt, rest)
         self._nominal, self._started = dt if first else self._nominal, True
         self._fresh = apart
         self._since_tare = np.full(n, np.inf) if apart else self._since_tare + moved
@@ -220,7 +224,7 @@ class MomentumEstimator(Stepwise):
         return F, P, observability, error, variance, flags, np.ones(self._chain.n, dtype=bool), None
 
     def _observe(
-        self, apart: bool, q: np.ndarray, qd: np.ndarray, raw: np.ndarray, dt: float
+        self, apart: bool, q: np.ndarray, qd: np.ndarray, raw: np.ndarray, dt: float, rest: np.ndarray
     ) -> tuple[np.ndarray, ...]:
         share = -np.expm1(-self._gain * dt)
         if apart:
@@ -229,31 +233,32 @@ class MomentumEstimator(Stepwise):
             self._r = self._r + share * (raw - self._r)
             self._low = self._low + share * (self._unsure - self._low)
             self._seen = self._seen + share * (1.0 - self._seen)
-        variance = speed_variance(self._covariance, qd) + self._static**2 * self._low
+        doubt = (self._covariance[4] * self._r) ** 2
+        variance = speed_variance(self._covariance, qd) + doubt + rest**2 * self._low
         A = contact_map(self._chain, q, self._point).T @ self._chain.jacobian(q) * self._seen
         x, P, *_ = solve_wrench(A, self._r, variance, 0 * variance, self._prior[: self._k], 0)
         return x, P, self._r, variance
 
     def _filter(
         self, first: bool, apart: bool, q: np.ndarray, qd: np.ndarray, middle: np.ndarray, known: np.ndarray, dt: float,
-        moved: np.ndarray, rise: np.ndarray,
+        moved: np.ndarray, rise: np.ndarray, rest: np.ndarray,
     ) -> tuple[np.ndarray, ...]:  # fmt: skip
         n, k, scale = self._chain.n, self._k, np.sqrt(self._prior[: self._k])
         M = self._chain.mass_matrix(q, self._links) + np.diag(self._rotor)
         R = (M * self._qd_noise**2) @ M.T
-        variance, friction = speed_variance(self._covariance, qd), self._static**2
-        Qp = 2.0 * variance * self._memory
+        variance, friction = speed_variance(self._covariance, qd), rest**2
+        strength = 2.0 * variance * self._memory
         G = (contact_map(self._chain, middle, self._point).T @ self._chain.jacobian(middle)).T * scale
         rate, leak = self._rate[:k] / self._prior[:k], self._leak[:k]
+        speed = G**2 @ rate  # of the torque that the wrench's walk makes
+        doubt = np.zeros(n) if first else (self._covariance[4] * (G @ self._x[n : n + k])) ** 2
+        lasting = doubt if self._biased else doubt + friction * self._unsure
+        strength, variance = strength + lasting * LONGEST, variance + lasting
+        Qp = np.where(speed > 0, np.minimum(strength * speed, variance**2) / np.where(speed > 0, speed, 1.0), strength)
         if self._biased:
             G = np.hstack([G, -np.eye(n)])
             leak = np.concatenate([leak, moved / dt])
             rate = np.concatenate([rate, friction * (rise / dt + CREEP)])
-        else:
-            speed = G**2 @ rate  # of the torque that the wrench's walk makes
-            follows = speed * LONGEST > friction
-            memory = np.where(follows, friction / np.where(follows, speed, 1.0), LONGEST)
-            Qp, variance = Qp + friction * self._unsure * memory, variance + friction * self._unsure
         if first:
             self._x, self._P = np.zeros(n + k), np.diag(np.concatenate([np.zeros(n), np.ones(k)]))
         if apart:

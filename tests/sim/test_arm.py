@@ -309,9 +309,20 @@ def test_a_warm_drive_has_lost_its_share_of_viscous_friction() -> None:
 
 def test_load_presses_on_the_bearings() -> None:
     speed, smooth = np.full(7, 1.0), WORN_TRUTH.without("ripple")
-    loaded = WornFriction(smooth, Mismatch(load_friction=0.5), 0.01, -smooth.tau_max)
+    loaded = WornFriction(smooth, Mismatch(load_friction=0.06), 0.01, -smooth.tau_max)
     growth = slide_worn(loaded, speed) - slide_worn(JointFriction(smooth), speed)
-    np.testing.assert_allclose(growth, 0.5 * smooth.coulomb_pos, rtol=1e-3)
+    np.testing.assert_allclose(growth, loaded.of_load * smooth.tau_max, rtol=1e-3)
+    assert 0.0 < loaded.of_load.min() < loaded.of_load.max() < 0.06
+
+
+def test_offsets_swing() -> None:
+    speed, smooth = np.full(7, 1.0), WORN_TRUTH.without("ripple")
+    drifting = WornFriction(smooth, Mismatch(offset_drift=0.02), 0.5, np.zeros(7))
+    along = np.array([slide_worn(drifting, speed, 0.5, 1) for _ in range(400)])
+    away = (along - slide_worn(JointFriction(smooth), speed)) / smooth.tau_max
+    np.testing.assert_allclose(away[250:].mean(axis=0), 0.0, atol=0.006)
+    np.testing.assert_allclose(away[200:], away[:200], atol=1e-4)
+    assert 0.005 < np.abs(away).max() < 0.02 * np.sqrt(2.0)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -107,6 +107,7 @@ MOVED = {
     "warm_up": 0.4,
     "load_friction": 0.5,
     "ripple_jump": 1.0,
+    "offset_drift": 0.01,
 }
 REPORTED = {
     "elasticity": 1e-3,

@@ -11,8 +11,9 @@ namespace armlab {
 
 struct JointFriction {
   double viscous, coulomb_pos, coulomb_neg, offset, stribeck, stribeck_speed, delta, resolution,
-      root, smooth_speed;
+      root, smooth_speed, load;
 };
+constexpr int friction_rows = sizeof(JointFriction) / sizeof(double);
 struct JointRipple {
   double cycles, cosine, sine;
 };
@@ -108,6 +109,18 @@ class Drive {
     return tau;
   }
 
+  // Friction of joint i that grows with its load x, the torque that it passes to the links: load
+  // |x| s. Either x is known, or y = x + load |x| s is, what is left of the motor's torque.
+  double of_load(int i, double x, double qd, const DriveState &state) const {
+    const double load = friction[i].load;
+    return load == 0.0 ? 0.0 : load * sign(i, qd, state) * std::fabs(x);
+  }
+  double of_passing(int i, double y, double qd, const DriveState &state, double dry_share) const {
+    if (friction[i].load == 0.0) return 0.0;
+    const double c = dry_share * friction[i].load * sign(i, qd, state);
+    return c * std::fabs(y) / (1.0 + (y < 0.0 ? -c : c));
+  }
+
   // Heats joint i for a time dt by what it rubs.
   void heat(int i, double qd, double dt, DriveState &state) const {
     const JointWarmUp &w = warm_up[i];
@@ -117,10 +130,10 @@ class Drive {
     state.warmth = power + (state.warmth - power) * std::exp(-dt / w.time);
   }
 
-  // Largest friction at rest.
-  double at_rest(int i) const {
+  // Largest friction at rest under a load x.
+  double at_rest(int i, double x) const {
     return 0.5 * (friction[i].coulomb_pos + friction[i].coulomb_neg) +
-           std::max(friction[i].stribeck, 0.0);
+           std::max(friction[i].stribeck, 0.0) + friction[i].load * std::fabs(x);
   }
 
  private:

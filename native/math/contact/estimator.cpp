@@ -45,10 +45,7 @@ void WrenchEstimate::make_invalid(int n) {
   flags = 1;
 }
 
-WrenchEstimator::WrenchEstimator(const Parameters &parameters) : p_(parameters) {
-  for (int i = 0; i < n(); ++i) static_[i] = p_.drive.at_rest(i);
-  reset();
-}
+WrenchEstimator::WrenchEstimator(const Parameters &parameters) : p_(parameters) { reset(); }
 
 void WrenchEstimator::reset() {
   joints_.fill(Joint{JointDrive(), 0.0, {{0.0, 0.0}, {0.0, 0.0}}});
@@ -62,8 +59,8 @@ double WrenchEstimator::slowness(int i, double qd) const {
   return std::exp(-(ratio * ratio));
 }
 
-bool WrenchEstimator::advance(
-    const double *q, const double *qd, const double *tau, double dt, bool apart, double *raw) {
+bool WrenchEstimator::advance(const double *q, const double *qd, const double *tau, double dt,
+    bool apart, double *raw, double *load) {
   const int n = this->n();
   if (!finite(q, n) || !finite(qd, n) || !finite(tau, n) || !(dt > 0.0) || !std::isfinite(dt))
     return false;
@@ -85,8 +82,11 @@ bool WrenchEstimator::advance(
   for (int i = 0; i < n; ++i) {
     // near rest it is anything within the bound
     const double dry_share = has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;
-    raw[i] = rigid[i] + p_.rotor[i] * qdd[i] +
-             p_.drive.torque(i, q[i], qd[i], next[i].drive.state, dry_share) - tau[i] / p_.gains[i];
+    const DriveState &state = next[i].drive.state;
+    raw[i] = rigid[i] + p_.rotor[i] * qdd[i] + p_.drive.torque(i, q[i], qd[i], state, dry_share) -
+             tau[i] / p_.gains[i];
+    raw[i] += p_.drive.of_passing(i, rigid[i] - raw[i], qd[i], state, dry_share);
+    load[i] = rigid[i] - raw[i];
     if (!(std::fabs(raw[i]) < largest_torque)) return false;
     p_.drive.heat(i, qd[i], dt, next[i].drive.state);
   }
@@ -97,9 +97,9 @@ bool WrenchEstimator::advance(
 void WrenchEstimator::step(
     const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &e) {
   const int n = this->n();
-  double raw[max_joints];
+  double raw[max_joints], load[max_joints];
   const bool apart = first_ || dt > gap_steps * nominal_, band = has_band();
-  if (!advance(q, qd, tau, dt, apart, raw)) return e.make_invalid(n);
+  if (!advance(q, qd, tau, dt, apart, raw, load)) return e.make_invalid(n);
   const bool begins = apart || fresh_;  // in steady state, without a transient from what was
   if (first_) nominal_ = dt;
   fresh_ = apart && !first_;
@@ -124,11 +124,13 @@ void WrenchEstimator::step(
         std::min(std::max(apart ? unsure : lowpass(joint.low[1], unsure, g, a), 0.0), 1.0);
     if (band) {  // the bound holds what velocity does to the error near rest; without an
                  // acceleration nothing does
-      e.variance[i] = c.at_speed;
-      e.bound[i] = apart ? largest_torque : p_.bound[i].torque * filtered + p_.bound[i].floor;
+      const double rest = p_.bound[i].torque + p_.drive.friction[i].load * std::fabs(load[i]);
+      e.variance[i] = c.at_speed + c.of_contact(e.error[i]);
+      e.bound[i] = apart ? largest_torque : rest * filtered + p_.bound[i].floor;
       continue;
     }
-    e.variance[i] = c.at(qd[i]) + static_[i] * static_[i] * filtered;
+    const double rest = p_.drive.at_rest(i, load[i]);
+    e.variance[i] = c.at(qd[i]) + c.of_contact(e.error[i]) + rest * rest * filtered;
     e.bound[i] = 0.0;
   }
   solve(q, e);

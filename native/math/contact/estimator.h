@@ -59,6 +59,9 @@ constexpr double largest_torque = 1e100;  // N m; beyond it an error would never
 
 struct JointCovariance {
   double at_rest, at_speed, shape, kind;  // kind: 0 exponential, 1 step, 2 constant
+  double doubt;  // deviation of the torque that a contact makes, as a share of it
+
+  double of_contact(double torque) const { return doubt * torque * (doubt * torque); }
 
   double at(double qd) const {
     const double speed = std::fabs(qd);
@@ -145,17 +148,16 @@ class WrenchEstimator {
     double qd, low[2][2];  // low-pass states of torque error and of uncertainty (or of the bound)
   };
 
-  // Moves play, presliding state and velocity by one sample and gives the torque error; false, and
-  // nothing moved, when the sample or its torque error is not finite. Only the warmth is kept of
-  // what was when the sample is `apart`.
-  bool advance(
-      const double *q, const double *qd, const double *tau, double dt, bool apart, double *raw);
+  // Moves play, presliding state and velocity by one sample and gives the torque error and the
+  // load; false, and nothing moved, when the sample or its torque error is not finite. Only the
+  // warmth is kept of what was when the sample is `apart`.
+  bool advance(const double *q, const double *qd, const double *tau, double dt, bool apart,
+      double *raw, double *load);
   double slowness(int i, double qd) const;
   void solve(const double *q, WrenchEstimate &estimate) const;
   void intervals(const double *A, const Unknowns &unknowns, WrenchEstimate &estimate) const;
 
   Parameters p_;
-  std::array<double, max_joints> static_;
   std::array<Joint, max_joints> joints_;
   double nominal_;      // step of the first sample
   bool first_, fresh_;  // fresh: the last sample came after a gap, without an acceleration

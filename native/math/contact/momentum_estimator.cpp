@@ -13,7 +13,6 @@ constexpr double still = 1.0;  // presliding distances that a joint may move bef
 
 MomentumEstimator::MomentumEstimator(const Parameters &parameters) : p_(parameters) {
   const int n = this->n(), m = inputs(), N = n + m;
-  for (int i = 0; i < n; ++i) static_[i] = p_.drive.at_rest(i);
   x_.resize(N);
   P_.resize(N * N);
   work_.resize(4 * N * N);
@@ -55,8 +54,12 @@ bool MomentumEstimator::prepare(
       joint.since_tare = still + 1.0;
     }
     p[i] += p_.rotor[i] * qd[i];
-    const double u = tau[i] / p_.gains[i] + beta[i] - gravity[i] -
-                     p_.drive.torque(i, q[i], qd[i], joint.drive.state, 1.0);
+    double u = tau[i] / p_.gains[i] + beta[i] - gravity[i] -
+               p_.drive.torque(i, q[i], qd[i], joint.drive.state, 1.0);
+    s.load[i] = u - beta[i] + gravity[i];  // with what the rotor takes: its acceleration is unknown
+    const double rubs = p_.drive.of_passing(i, s.load[i], qd[i], joint.drive.state, 1.0);
+    u -= rubs;
+    s.load[i] -= rubs;
     if (!(std::fabs(u) < largest_torque) || !(std::fabs(p[i]) < largest_torque)) return false;
     s.known[i] = s.apart || fresh_ ? u : 0.5 * (u + joint.known);
     s.middle[i] = s.apart ? q[i] : 0.5 * (q[i] + joint.q);
@@ -108,7 +111,9 @@ void MomentumEstimator::observe(
       joint.unsure += share * (joint.drive.unsure - joint.unsure);
     }
     e.error[i] = joint.residual;
-    e.variance[i] = p_.covariance[i].at(qd[i]) + static_[i] * static_[i] * joint.unsure;
+    const double rest = p_.drive.at_rest(i, s.load[i]);
+    e.variance[i] = p_.covariance[i].at(qd[i]) + p_.covariance[i].of_contact(joint.residual) +
+                    rest * rest * joint.unsure;
     e.bound[i] = 0.0;
     for (int k = 0; k < unknowns.k; ++k) A[n * k + i] *= seen_;
   }
@@ -129,20 +134,26 @@ void MomentumEstimator::hidden(const Sample &s, const double *A, double dt, Wren
     a_[j] = p_.leak[j];
   }
   for (int i = 0; i < n; ++i) {
-    const double friction = static_[i] * static_[i];
-    Qp_[i] = 2.0 * e.variance[i] * p_.memory[i];
+    const double rest = p_.drive.at_rest(i, s.load[i]), friction = rest * rest;
+    double speed = 0.0, torque = 0.0;  // of the torque that the wrench's walk makes; of the wrench
+    for (int j = 0; j < k; ++j) {
+      speed += G_[m * i + j] * G_[m * i + j] * q_[j];
+      if (!first_) torque += G_[m * i + j] * x_[n + j];
+    }
+    double lasting = p_.covariance[i].of_contact(torque);
     if (p_.biased) {  // forgotten with displacement, as the presliding state is
       G_[m * i + k + i] = -1.0;
       a_[k + i] = s.moved[i] / dt;
       q_[k + i] = friction * (s.rise[i] / dt + creep);
-    } else {  // an error that stays must not be averaged away: as noise it is so strong that the
-              // wrench keeps its doubt
-      double speed = 0.0;  // of the torque that the wrench's walk makes
-      for (int j = 0; j < k; ++j) speed += G_[m * i + j] * G_[m * i + j] * q_[j];
-      const double memory = speed * longest > friction ? friction / speed : longest;
-      Qp_[i] += friction * s.joints[i].drive.unsure * memory;
-      e.variance[i] += friction * s.joints[i].drive.unsure;
+    } else {
+      lasting += friction * s.joints[i].drive.unsure;
     }
+    // An error that stays must not be averaged away: as noise it is so strong that the wrench keeps
+    // its doubt, and no stronger.
+    const double strength = 2.0 * e.variance[i] * p_.memory[i] + lasting * longest;
+    e.variance[i] += lasting;
+    Qp_[i] = std::min(strength * speed, e.variance[i] * e.variance[i]) / speed;
+    if (!(speed > 0.0)) Qp_[i] = strength;
   }
 }
 
@@ -155,7 +166,8 @@ void MomentumEstimator::restart(const Sample &s, double dt) {
     if (first_ || j >= k) {
       for (int l = 0; l < N; ++l) P_[N * row + l] = P_[N * l + row] = 0.0;
       x_[row] = 0.0;
-      P_[(N + 1) * row] = j < k ? 1.0 : static_[j - k] * static_[j - k];
+      const double rest = j < k ? 1.0 : p_.drive.at_rest(j - k, s.load[j - k]);
+      P_[(N + 1) * row] = rest * rest;
       continue;
     }
     const Leak leak = leak_integrals(a_[j], dt);

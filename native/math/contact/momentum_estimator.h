@@ -60,7 +60,7 @@ class MomentumEstimator {
   struct Sample {
     std::array<Joint, max_joints> joints;
     double known[max_joints], middle[max_joints];  // torque and position in the middle of the step
-    double change[max_joints];                     // of the momentum
+    double change[max_joints], load[max_joints];   // of the momentum; torque that goes to the links
     double moved[max_joints], rise[max_joints];    // displacement; variance of z that rest adds
     bool apart;  // from the last sample: nothing is known of the time between
   };
@@ -76,7 +76,6 @@ class MomentumEstimator {
   void report(const double *q, const Unknowns &middle, WrenchEstimate &e) const;
 
   Parameters p_;
-  std::array<double, max_joints> static_;
   std::array<Joint, max_joints> joints_;
   std::vector<double> x_, P_, work_;            // of the filter: [p; z; friction error]
   std::vector<double> M_, R_, G_, Qp_, q_, a_;  // of a step, kept so that none allocates

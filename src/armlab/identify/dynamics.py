@@ -47,6 +47,7 @@ from armlab.robots import Robot
 
 CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
 FEWEST = 8.0  # independent segments that identify a number of the friction structure
+NO_LOAD = 0.02  # deviation of the load friction of a joint whose log shows none
 UNKNOWN = 1e3  # deviation of a parameter that the prior does not contain
 BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # Hz; rad/s^2, m/s^2: a log for `fit_gravity` stays below it, in this share
 
@@ -91,8 +92,8 @@ def fit_dynamics(
     -------
     Fit of TorqueModel
         Parameters: the base parameters, then per joint viscous and Coulomb friction (one number, or one for each
-        direction), offset, and stribeck, root and two ripple amplitudes where the joint has them. Rotor inertia,
-        viscous and Coulomb friction are not negative.
+        direction), offset, and stribeck, root, load and two ripple amplitudes where the joint has them. Rotor inertia,
+        viscous, Coulomb and load friction are not negative.
 
     Raises
     ------
@@ -305,8 +306,9 @@ def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.nd
     links, rotor = base.links_and_rotors(theta[:p])
     friction, ripple = design.drives(theta)
     tiny = np.full(n, 1e-18)
-    gains, spread = np.ones(n), np.zeros((n, n))
+    gains, spread, load_sd = np.ones(n), np.zeros((n, n)), np.zeros(n)
     gains[design.joints] = design.gains
+    load_sd[design.joints] = np.nan_to_num(design.load_sd(cov), nan=NO_LOAD)
     if gain_cov is not None:
         spread[np.ix_(design.joints, design.joints)] = gain_cov
     return TorqueModel(
@@ -327,6 +329,7 @@ def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.nd
         base_cov=cov[:p, :p],
         gains=gains,
         gain_cov=spread,
+        load_sd=load_sd,
         quality=Quality(np.std(data.tau, axis=0), rms=unknown, rms_cv=unknown, coverage=unknown, seconds=data.seconds),
         training=training(data.t, data.q, data.qd, data.segments),
         sources=data.sources,

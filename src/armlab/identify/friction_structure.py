@@ -1,8 +1,9 @@
 """The structure of friction: what is not linear in it, and which terms each joint has, chosen on held-out blocks.
 
     F_f = viscous qd + coulomb s + offset [+ asymmetry |s|] [+ stribeck s exp(-(qd / v_s)^2)] [+ root s sqrt(|qd|)]
+          [+ load s |x|]
 
-s is the presliding state z of distance delta, or tanh(qd / v_t). Terms in brackets are there where they win; asymmetry
+s is the presliding state z of distance delta, or tanh(qd / v_t), and x the torque that the joint passes to the links. Terms in brackets are there where they win; asymmetry
 is reported as two Coulomb torques, one for each direction.
 """
 
@@ -11,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from armlab.models.friction import FRICTION_TERMS
 
 # Columns without structure; the last two where gears are known.
 FIXED = ("viscous", "offset", "ripple cos", "ripple sin")
-SIGNED = ("coulomb+", "coulomb-", "root")  # columns of the sign alone
+SIGNED = ("coulomb+", "coulomb-", "root", "load")  # columns of the sign, the load and no number
 SHAPED = (*SIGNED, "stribeck")
 
 
@@ -31,18 +32,19 @@ class FrictionColumns:
     """Makes the columns of friction of J joints from their motion.
 
     `decimation`: filter of the record, with the (M,) rows that are kept. `q`, `qd`: (N, J) positions and velocities.
-    `resolution`: (J,) half the smallest step of the encoder [rad].
+    `resolution`: (J,) half the smallest step of the encoder [rad]. `load`: (N, J) torque |x| that goes to the links.
     """
 
     decimation: Decimation
     q: np.ndarray
     qd: np.ndarray
     resolution: np.ndarray
+    load: np.ndarray
 
     def of(self, i: int) -> FrictionColumns:
         one = slice(i, i + 1)
         q, qd = np.ascontiguousarray(self.q[:, one]), np.ascontiguousarray(self.qd[:, one])
-        return FrictionColumns(self.decimation, q, qd, self.resolution[one])
+        return FrictionColumns(self.decimation, q, qd, self.resolution[one], self.load[:, one])
 
     def sign(self, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
         """Return s (N, J) along the record for `FrictionStructure`'s delta and smooth (J,)."""
@@ -56,11 +58,12 @@ class FrictionColumns:
         return z
 
     def columns(self, s: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the columns (M, J, 3 + S) of a sign s (N, J): SIGNED, then Stribeck of each of S speeds (S, J)."""
+        """Return the columns (M, J, 4 + S) of a sign s (N, J): SIGNED, then Stribeck of each of S speeds (S, J)."""
         made_of = [FRICTION_TERMS[name].column for name in SIGNED]
 
         def made(a: int, b: int) -> np.ndarray:
             own = [column(self.qd[a:b], s[a:b]) for column in made_of if column]
+            own[-1] = own[-1] * self.load[a:b]
             bells = (np.exp(-((self.qd[a:b] / speed) ** 2)) for speed in speeds)
             return np.concatenate([*own, *(s[a:b] * bell for bell in bells)], axis=1)
 
@@ -79,10 +82,10 @@ DEFAULT_SPEED = 2  # of STRIBECK_SPEEDS, for joints without that term
 IDENTIFIED = 1e-6  # smallest eigenvalue of each fold's scaled Gram matrix: no term rests on one event
 EXACT = 1e-12  # squared error, relative to the torque, that is rounding
 # All columns of a joint, in their order: terms of FRICTION_TERMS, then ripple where the gears are known.
-FRICTION = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root")
+FRICTION = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root", "load")
 COLUMNS = (*FRICTION, "ripple cos", "ripple sin")
-# Which of asymmetry, Stribeck and root a joint may have, fewest first.
-TERMS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1]], dtype=bool)
+# Which of asymmetry, Stribeck, root and load a joint may have, fewest first.
+TERMS = np.array(sorted(product([False, True], repeat=4), key=lambda terms: (sum(terms), [not x for x in terms])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +93,7 @@ class FrictionStructure:
     """Structure of the friction of all joints; vectors are (n,).
 
     `delta`: presliding distance [rad]. `smooth`: v_t [rad/s], 0 where the sign is the presliding state. `speed`: v_s of
-    Stribeck's term [rad/s]. `terms`: (n, 3) bool: asymmetry, Stribeck, root.
+    Stribeck's term [rad/s]. `terms`: (n, 4) bool: asymmetry, Stribeck, root, load.
     """
 
     delta: np.ndarray
@@ -100,8 +103,8 @@ class FrictionStructure:
 
     @classmethod
     def start(cls, n: int) -> FrictionStructure:
-        """Return presliding over 1e-3 rad with all terms but the root, for n joints."""
-        return cls(np.full(n, 1e-3), np.zeros(n), np.full(n, 0.1), np.tile([True, True, False], (n, 1)))
+        """Return presliding over 1e-3 rad with all terms but root and load, for n joints."""
+        return cls(np.full(n, 1e-3), np.zeros(n), np.full(n, 0.1), np.tile([True, True, False, False], (n, 1)))
 
     @classmethod
     def joined(cls, parts: Iterable[FrictionStructure]) -> FrictionStructure:
@@ -140,16 +143,16 @@ class FrictionStructure:
 
 
 def term_names(terms: np.ndarray, ripple: bool) -> tuple[str, ...]:
-    """Return the names of the columns that a joint with these terms (3,) has; `ripple` where the gears are known."""
-    asymmetric, stribeck, root = terms
-    present = {"coulomb-": asymmetric, "stribeck": stribeck, "root": root}
+    """Return the names of the columns that a joint with these terms (4,) has; `ripple` where the gears are known."""
+    asymmetric, stribeck, root, load = terms
+    present = {"coulomb-": asymmetric, "stribeck": stribeck, "root": root, "load": load}
     one = {} if asymmetric else {"coulomb+": "coulomb"}  # for both directions
     own = tuple(one.get(name, name) for name in FRICTION if present.get(name, True))
     return own + COLUMNS[len(FRICTION) :] if ripple else own
 
 
 def mixing(terms: np.ndarray, width: int) -> np.ndarray:
-    """Return the matrix (width, k) from all columns of a joint to those that it has with its terms (3,)."""
+    """Return the matrix (width, k) from all columns of a joint to those that it has with its terms (4,)."""
     fields = [{*FRICTION_TERMS[name].fields} for name in term_names(terms, ripple=False)]
     own = [[{*FRICTION_TERMS[column].fields} <= of for of in fields] for column in FRICTION]
     rest = width - len(FRICTION)
@@ -187,7 +190,7 @@ class _StructureSearch:
         self._target = choice.target[self._order] * self._trust[:, 0]
 
     def scores(self, columns: np.ndarray, speeds: np.ndarray, kinds: slice) -> np.ndarray:
-        """Return the held-out error (S, k), relative to the torque, of columns (M, 1, 3 + S) with bells of S speeds."""
+        """Return the held-out error (S, k), relative to the torque, of columns (M, 1, 4 + S) with bells of S speeds."""
         A = np.column_stack([columns[:, 0][self._order] * self._trust, self._fixed])
         folds = ((A[a:b], self._target[a:b]) for a, b in pairwise(self._edges))
         sums = [(rows.T @ rows, rows.T @ y, float(y @ y)) for rows, y in folds]
@@ -222,7 +225,7 @@ def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarra
 
 @cache
 def _mixings(width: int) -> np.ndarray:
-    """Return `mixing` of all TERMS (8, width, width): absent columns are zero and keep parameters of zero."""
+    """Return `mixing` of all TERMS (16, width, width): absent columns are zero and keep parameters of zero."""
     T = np.zeros((len(TERMS), width, width))
     for k, terms in enumerate(TERMS):
         mixed = mixing(terms, width)
@@ -303,5 +306,5 @@ def _refine(
 
 
 def _columns(motion: FrictionColumns, structure: FrictionStructure) -> np.ndarray:
-    """Return the columns (M, J, 4) of a structure of these joints."""
+    """Return the columns (M, J, 5) of a structure of these joints."""
     return motion.columns(motion.sign(structure.delta, structure.smooth), structure.speed[None])

@@ -1,7 +1,7 @@
 """The linear regression behind `fit_dynamics`: base parameters of the rigid body, and columns of each joint's own.
 
-Base-parameter columns are shared by all joints; each joint has its own: viscous, Coulomb, offset, Stribeck and root
-where they win (`armlab.identify.friction_structure`), and, where the gears are known, cosine and sine of the ripple
+Base-parameter columns are shared by all joints; each joint has its own: viscous, Coulomb, offset, Stribeck, root and
+load where they win (`armlab.identify.friction_structure`), and, where the gears are known, cosine and sine of the ripple
 line at twice the gear ratio (strain-wave gears press twice per input turn). A robot file that is silent about the
 gears has ratio 1: such a line would be a harmonic of gravity and is left out.
 
@@ -209,7 +209,8 @@ class RegressionColumns:
     """Makes the columns of J joints of a record.
 
     `decimation`: of its rows; (M,) are kept. `joints`: (J,) those whose torque counts. `motors`: (K, n)
-    angles theta = c q of motors that move several joints. `geared`: whether there are columns of ripple.
+    angles theta = c q of motors that move several joints. `geared`: whether there are columns of ripple. `load`: (N, J)
+    torque |x| that goes to the links, at full rate; zero until a solution gives one.
     """
 
     data: Record
@@ -218,6 +219,7 @@ class RegressionColumns:
     joints: np.ndarray
     motors: np.ndarray
     geared: bool
+    load: np.ndarray
 
     @property
     def cycles(self) -> np.ndarray:
@@ -227,7 +229,9 @@ class RegressionColumns:
     @property
     def friction(self) -> FrictionColumns:
         data, joints = self.data, self.joints
-        return FrictionColumns(self.decimation, data.q[:, joints], data.qd[:, joints], data.resolution[joints])
+        return FrictionColumns(
+            self.decimation, data.q[:, joints], data.qd[:, joints], data.resolution[joints], self.load
+        )
 
     def plain(self, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return what has neither friction structure nor base parameters, given the acceleration (N, n).
@@ -274,7 +278,7 @@ class RegressionColumns:
         return tuple(thin[:, edges[i] : edges[i + 1]] for i in range(len(self.joints)))
 
     def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the columns (M, J, 3 + S) of a sign with delta, smooth (J,), then Stribeck of each speed (S, J)."""
+        """Return the columns (M, J, 4 + S) of a sign with delta, smooth (J,), then Stribeck of each speed (S, J)."""
         friction = self.friction
         return friction.columns(friction.sign(delta, smooth), speeds)
 
@@ -443,7 +447,9 @@ class Design(RegressionColumns):
         ratios = np.linalg.inv(robot.coupling)
         turning = ratios / np.diag(ratios)[:, None]
         owners = np.flatnonzero(np.count_nonzero(turning, axis=1) > 1)
-        columns = RegressionColumns(data, Decimation.of(data, corner, step), robot, measured, turning[owners], False)
+        unloaded = np.zeros((len(data.t), len(measured)))
+        thin = Decimation.of(data, corner, step)
+        columns = RegressionColumns(data, thin, robot, measured, turning[owners], False, unloaded)
         if geared or (geared is None and not np.any(columns.cycles < MIN_CYCLES) and columns.lines_are_seen()):
             columns = replace(columns, geared=True)
         qdd = data.differentiate(data.qd)
@@ -562,7 +568,7 @@ class Design(RegressionColumns):
         return Friction(resolution=self.data.resolution, **fields), Ripple(cycles, *values[len(FRICTION) :])
 
     def _own(self, theta: np.ndarray) -> np.ndarray:
-        """Return the parameters of all COLUMNS of each joint (8, J); zero for those that it has not."""
+        """Return the parameters of all COLUMNS of each joint (9, J); zero for those that it has not."""
         values = np.zeros((len(COLUMNS), len(self.joints)))
         for i, (columns, A) in enumerate(zip(self.layout.columns, self.rigid)):
             T = mixing(self.structure.terms[i], self._width)
@@ -577,6 +583,12 @@ class Design(RegressionColumns):
         inertia, viscous, coulomb = theta[-3 * K :].reshape(K, 3).T
         return CoupledMotors(self.motors, inertia, viscous, coulomb, np.full(K, SMOOTH))
 
+    def load_sd(self, cov: np.ndarray) -> np.ndarray:
+        """Return the deviation (J,) of the load friction by the covariance (p, p), NaN where a joint has none."""
+        at = {name: k for k, name in enumerate(self.layout.names)}
+        known = [at.get(f"load {self.robot.joint_names[joint]}") for joint in self.joints]
+        return np.array([np.nan if k is None else np.sqrt(cov[k, k]) for k in known])
+
     @property
     def _width(self) -> int:
         return len(COLUMNS if self.geared else FRICTION)
@@ -590,13 +602,14 @@ class Design(RegressionColumns):
     ) -> Design:
         """Choose the structure of friction of each joint on held-out blocks of half a second.
 
-        Of the parameters theta (p,) the base parameters are held. `trust`: (M, J) weights of the rows; 0 leaves one
+        Of the parameters theta (p,) the base parameters are held, and give the load of the joints. `trust`: (M, J) weights of the rows; 0 leaves one
         out. `again`: begin with the structure that is there, which was chosen before.
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
         fold = used // max(1, round(BLOCK * self.data.rate / self.decimation.every)) % FOLDS
-        motion = self.friction
+        loaded = replace(self, load=self._load_of(theta))
+        motion = loaded.friction
 
         def choice(i: int) -> StructureChoice:
             A, L, c = self.rigid[i], self.local[i], self.layout.columns[i]
@@ -608,4 +621,12 @@ class Design(RegressionColumns):
             start = self.structure.of(i) if again else None
             return StructureChoice(motion.of(i), fixed, target, fold, weights[:, i], start)
 
-        return self.with_structure(FrictionStructure.joined(chooser(map(choice, range(len(self.joints))))))
+        return loaded.with_structure(FrictionStructure.joined(chooser(map(choice, range(len(self.joints))))))
+
+    def _load_of(self, theta: np.ndarray) -> np.ndarray:
+        """Return the torque |x| (N, J) that goes to the links, by the base parameters of theta (p,)."""
+        data, moves = self.data, 0.0 if self.base.quasi_static else 1.0
+        links, _ = self.base.links_and_rotors(theta[: len(self.base.names)])
+        qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
+        torque = self.robot.chain.rnea(data.q, moves * data.qd, moves * qdd, self.robot.gravity, links)
+        return np.abs(torque[:, self.joints])

@@ -223,11 +223,11 @@ def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, se
     return np.sqrt(np.divide(limit, e, out=np.ones_like(e), where=e > limit))
 
 
-# Gains of the torques: what a joint calls one newton metre may be a few percent more or less, ``g_i ~ N(1, 0.05^2)``.
+# Gains of the torques: what a joint calls one newton metre may be a few percent more or less, ``g_i ~ N(1, 0.1^2)``.
 # What all gains have in common no log of the arm alone can tell: that is left to the prior.
 
 
-GAIN_SD = 0.05
+GAIN_SD = 0.1
 GAIN_ROUNDS = 2  # weights of the joints follow their gains
 MAX_CONDITION = 1e4  # of a log that identifies the parameters
 

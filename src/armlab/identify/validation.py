@@ -359,6 +359,7 @@ def _exponential(theta: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.n
 COVERAGE, SIGMAS = 0.954, 2.0
 SEEN = 0.9  # observability of the axes whose coverage counts
 LEAD = 0.5  # s, in which an estimator forgets how it began
+WAVES = np.array([0.05, 0.07, 0.06, 0.08, 0.09, 0.1])  # Hz, of the known wrench
 ENOUGH, WINDOW = 50_000, 10.0  # rows for a factor, and s: of longer records every second window, or third, is run
 
 
@@ -377,7 +378,8 @@ def momentum_noise(
     memory = np.array([correlation_time(column, step) if len(column) > 1 else step for column in known])
     noise = MomentumNoise(memory, velocity_noise(data))
     some = data.blocks(WINDOW) % -(-len(data.t) // ENOUGH) == 0
-    held = [(replace(fold, covariance=model.covariance), rows & some) for fold, rows in folds]
+    sure = {"gain_cov": np.zeros((model.n, model.n)), "load_sd": np.zeros(model.n)}  # of a wrench that is known
+    held = [(replace(fold, covariance=model.covariance, **sure), rows & some) for fold, rows in folds]
     variance = model.covariance.variance(data.qd) / model.covariance.alpha2
     ratios = [
         (found[3] ** 2 / variance[rows])[np.isfinite(errors[rows] + found[3])]
@@ -388,10 +390,26 @@ def momentum_noise(
     measured = moving.any(axis=0)
     judged: np.ndarray = np.all(moving[:, measured], axis=1) if measured.any() else np.zeros(len(errors), dtype=bool)
     ratios = []
-    for found, rows in _runs(held, noise, data, filters=True):  # in free motion the wrench is the error
+    for found, rows in _runs(held, noise, data, filters=True):
         F, P, seen = (values[judged[rows]] for values in found[:3])
-        ratios.append((F**2 / np.einsum("kii->ki", P))[seen > SEEN])
-    return replace(noise, alpha2_kf=_factor(ratios))
+        error = F - known_wrench(data.t[rows][judged[rows]])
+        ratios.append((error**2 / np.einsum("kii->ki", P))[seen > SEEN])
+    return replace(noise, alpha2_kf=max(_factor(ratios), 1.0))  # what changes from log to log no part of one shows
+
+
+def known_wrench(t: np.ndarray) -> np.ndarray:
+    """Return the smooth wrench (N, 6) at times (N,) by which the Kalman filter is calibrated."""
+    return 0.5 * np.array(PRIOR) * np.sin(2.0 * np.pi * WAVES * t[:, None] + np.arange(6.0))
+
+
+def with_wrench(model: TorqueModel, data: Record, a: int, b: int) -> np.ndarray:
+    """Return the torque (b - a, n) of rows a to b of a record as if the known wrench had been there too."""
+    q, qd = data.q[a:b], data.qd[a:b]
+    qdd = np.gradient(qd, data.t[a:b], axis=0)
+    load = model.chain.rnea(q, qd, qdd, *model._weights)
+    pushed = np.einsum("kim,ki->km", model.chain.jacobian(q), known_wrench(data.t[a:b]))
+    rubs = model.friction.load * np.sign(qd) * (np.abs(load - pushed) - np.abs(load))
+    return data.tau[a:b] + model.gains * (rubs - pushed)
 
 
 def _runs(
@@ -402,7 +420,8 @@ def _runs(
     for model, rows in held:
         for one, a, b in begun(replace(model, momentum=noise), data, stretches(rows, data)):
             kernel = one.momentum_kernel(prior, rate, filters=filters)
-            found = kernel.run(data.q[a:b], data.qd[a:b], data.tau[a:b], data.dt[a:b])
+            tau = with_wrench(one, data, a, b) if filters else data.tau[a:b]
+            found = kernel.run(data.q[a:b], data.qd[a:b], tau, data.dt[a:b])
             yield tuple(values[rows[a:b]] for values in found[:5]), a + np.flatnonzero(rows[a:b])
 
 
@@ -495,4 +514,5 @@ def _sign(model: TorqueModel, i: int | np.intp) -> str:
     f = model.friction
     words = f"tanh {f.smooth_speed[i]:.2g}" if f.smooth_speed[i] > 0 else f"presliding {f.delta[i]:.1e}"
     words += f", stribeck {f.stribeck_speed[i]:.2g}" if f.stribeck[i] else ""
+    words += f", load {100 * f.load[i]:.1f} %" if f.load[i] else ""
     return words + (", root" if f.root[i] else "")

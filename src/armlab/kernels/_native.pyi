@@ -137,8 +137,8 @@ class Drive:
 
     Parameters
     ----------
-    friction : (10, n) rows viscous, coulomb_pos, coulomb_neg, offset, stribeck, stribeck_speed, delta, resolution,
-        root, smooth_speed.
+    friction : (11, n) rows viscous, coulomb_pos, coulomb_neg, offset, stribeck, stribeck_speed, delta, resolution,
+        root, smooth_speed, load.
     ripple : (3, n) rows cycles, cosine, sine.
     lines : joints (L,) in order, cycles (L,), speeds and widths (n, S), coefficients (L, 1 or 2 directions, S, 2); or
         None.
@@ -759,7 +759,8 @@ class WrenchEstimator:
     links : (n, 10) link parameters. rotor : (n,) rotor inertia.
     drive : friction and ripple of as many joints.
     gains : (n,) torque as it is read over true torque. gain_variance : of what they have in common.
-    covariance : (4, n) rows C0, Cinf, shape, kind (0 exp, 1 step, 2 const); C0 and Cinf already scaled.
+    covariance : (5, n) rows C0, Cinf, shape, kind (0 exp, 1 step, 2 const), doubt of a contact's torque as a share;
+        C0 and Cinf already scaled.
     bound : (3, n) rows torque, speed, floor of the bound on low-speed friction.
     prior : (6,) prior variances of the wrench.
     cutoff : corner of the low-pass [Hz].

@@ -190,7 +190,7 @@ def decode(item: Any) -> Any:
 
 
 KIND = "torque_model"
-TORQUE_FORMAT = 5
+TORQUE_FORMAT = 6
 FRICTION = tuple(entry.name for entry in fields(Friction))
 RIPPLE = tuple(entry.name for entry in fields(Ripple))
 BOUND = tuple(entry.name for entry in fields(FrictionBound))
@@ -215,7 +215,7 @@ UNITS = {
 
 
 ROBOT = ("frames", "prismatic", "gravity")
-DYNAMICS = ("link_parameters", "rotor", "base_values", "gains", "gain_cov")  # arrays among them
+DYNAMICS = ("link_parameters", "rotor", "base_values", "gains", "gain_cov", "load_sd")  # arrays among them
 COVARIANCE = ("C0", "Cinf", "shape")
 
 
@@ -232,7 +232,8 @@ _Meta = _strict(
 )  # fmt: skip
 _Dynamics = _strict(
     "Dynamics", "quasi_static", link_parameters=_Rows, rotor=_Row, base_names=list[str], base_values=_Row,
-    base_cov_lower=_Row, gains=_Row, gain_cov=_Rows, quasi_static=bool | None,
+    base_cov_lower=_Row, gains=_Row, gain_cov=_Rows, load_sd=_Row,
+    quasi_static=bool | None,
 )  # fmt: skip
 _ModelFile = _strict(
     "ModelFile", *PARTS, "fit", meta=_Meta,

@@ -5,7 +5,8 @@ Friction of joint i (specification of the torque model, per joint)::
     F_f = viscous qd + coulomb_pos max(s, 0) + coulomb_neg min(s, 0) + offset
           + stribeck s exp(-(qd / stribeck_speed)^2) + root s sqrt(|qd|)
 
-with s the presliding state z, or s = tanh(qd / smooth_speed) where smooth_speed > 0.
+with s the presliding state z, or s = tanh(qd / smooth_speed) where smooth_speed > 0. With the load x, the torque that
+the joint passes to the links (rigid body less J^T F), comes friction ``load |x| s`` of the gears.
 
 The presliding state z in [-1, 1] is driven by measured displacement dq (Dahl 1968), exact for constant direction in a
 step::
@@ -59,6 +60,7 @@ FRICTION_TERMS = {
         FrictionTerm("offset", ("offset",), "{force}", lambda qd, s: np.ones_like(s)),
         FrictionTerm("stribeck", ("stribeck",), "{force}", lambda qd, s: s),  # times exp(-(qd / stribeck-speed)^2)
         FrictionTerm("root", ("root",), "{force} sqrt(s/{length})", lambda qd, s: s * np.sqrt(np.abs(qd))),
+        FrictionTerm("load", ("load",), "1", lambda qd, s: s, 0.0),  # times the load |x|
         FrictionTerm("delta", ("delta",), "{length}"),
         FrictionTerm("tanh-speed", ("smooth_speed",), "{length}/s"),
         FrictionTerm("stribeck-speed", ("stribeck_speed",), "{length}/s"),
@@ -129,6 +131,8 @@ class Friction:
         Torque proportional to the square root of speed. Default: 0.
     smooth_speed : array, shape (n,), rad/s
         v_t of tanh(qd / v_t), which replaces the presliding state where it is above 0. Default: 0.
+    load : array, shape (n,)
+        Friction as a share of the torque that the joint passes to the links, at least 0 and below 1. Default: 0.
     """
 
     viscous: np.ndarray
@@ -141,6 +145,7 @@ class Friction:
     resolution: np.ndarray
     root: np.ndarray = field(default_factory=_zeros)
     smooth_speed: np.ndarray = field(default_factory=_zeros)
+    load: np.ndarray = field(default_factory=_zeros)
 
     def __post_init__(self) -> None:
         _freeze(self)
@@ -148,6 +153,8 @@ class Friction:
             raise ShapeError("Expected stribeck_speed > 0 and delta > 0, got a value that is not. Make it positive.")
         if np.any(self.smooth_speed < 0) or np.any(self.resolution < 0):
             raise ShapeError("Expected smooth_speed >= 0 and resolution >= 0, got a negative value. Make it positive.")
+        if np.any(self.load < 0) or np.any(self.load >= 1):
+            raise ShapeError(f"Expected load friction from 0 to below 1, got {self.load.tolist()}. Give it as a share.")
 
     @classmethod
     def none(cls, n: int) -> Friction:
@@ -163,7 +170,7 @@ class Friction:
         return rows_of(self)
 
     def torque(self, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the friction torque (..., n) [N m] at velocity `qd` (..., n) and presliding state `z` (..., n)."""
+        """Return the friction torque (..., n) [N m] without load at velocity `qd` and presliding state `z` (..., n)."""
         qd = np.asarray(qd, dtype=float)
         return Drive(self.rows, Ripple.none(len(self.delta)).rows).torque(np.zeros(qd.shape), qd, z)
 

@@ -1,6 +1,8 @@
 """The torque model of one robot: rigid body, friction, ripple, and how uncertain it is.
 
-    tau / gains = Y(q, qd, qdd) pi + rotor qdd + F_f(qd, z) + ripple(q) - J^T F + e,   e ~ N(0, C_tau(qd))
+    tau / gains = x + rotor qdd + F_f(qd, z) + load s |x| + ripple(q) + e,   x = Y(q, qd, qdd) pi - J^T F
+
+with e of covariance ``C_tau = diag(s^2(qd) + doubt^2 (J^T F)^2)``,
 
 with the torque tau that each joint reads; all else is in true newton metres. F is the wrench by the environment on the
 robot, in base axes, at the tool point.
@@ -125,8 +127,8 @@ class MomentumNoise:
 
     `memory`: (n,) correlation time of the torque error [s]; its intensity is ``2 s^2 memory``. `qd_noise`: (n,)
     deviation of the measured velocity [rad/s]. `alpha2_observer`, `alpha2_kf`: factors on the torque covariance, set so
-    that 2-sigma coverage on held-out data is 95.4 %: of the residual of the observer, and of the wrench of the Kalman
-    filter in free motion.
+    that 2-sigma coverage on held-out data is 95.4 %: of the residual of the observer, and of the Kalman filter's
+    wrench where a known one is added to the torques; of the filter at least 1.
     """
 
     memory: np.ndarray
@@ -367,6 +369,7 @@ class TorqueModel:
     quasi_static: bool = False
     gains: np.ndarray = field(default_factory=lambda: np.ones(0))
     gain_cov: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    load_sd: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         n, p = len(self.rotor), len(self.base_names)
@@ -374,9 +377,12 @@ class TorqueModel:
             object.__setattr__(self, "gains", np.ones(n))
         if not np.size(self.gain_cov):
             object.__setattr__(self, "gain_cov", np.zeros((n, n)))
+        if not np.size(self.load_sd):
+            object.__setattr__(self, "load_sd", np.zeros(n))
         shapes = {
             "frames": (n + 1, 4, 4), "prismatic": (n,), "gravity": (3,), "link_parameters": (n, 10), "rotor": (n,),
             "base_values": (p,), "base_cov": (p, p), "gains": (n,), "gain_cov": (n, n),
+            "load_sd": (n,),
         }  # fmt: skip
         for name, shape in shapes.items():
             values = np.array(getattr(self, name), dtype=bool if name == "prismatic" else float)
@@ -550,18 +556,26 @@ class TorqueModel:
 
     @property
     def _gain_variance(self) -> float:
-        """Of the common share by which the gains may be off, and every force with them.
+        """Of the common share by which the gains may be off, and every force with them: the variance of their mean.
 
-        The mean of their variances stands for it: less where they are independent, more for the one known worst. The
-        torque of a joint without one is not measured, or its gain is known.
+        The torque of a joint without a variance is not measured, or its gain is known.
         """
-        variances = np.diag(self.gain_cov)
-        return float(np.sum(variances) / max(np.count_nonzero(variances), 1))
+        return float(np.sum(self.gain_cov) / max(np.count_nonzero(np.diag(self.gain_cov)), 1) ** 2)
+
+    @property
+    def contact_doubt(self) -> np.ndarray:
+        """Deviation (n,) of the torque of a contact as a share of it: gains without their mean, and load friction.
+
+        The arm's own torque has both in its residuals already.
+        """
+        uncertain = (np.diag(self.gain_cov) > 0).astype(float)
+        apart = np.diag(uncertain) - np.outer(uncertain, uncertain) / max(uncertain.sum(), 1.0)
+        return np.sqrt(np.einsum("ij,jk,ik->i", apart, self.gain_cov, apart) + self.load_sd**2)
 
     def _covariance_rows(self, alpha2: float) -> np.ndarray:
         c = self.covariance
         kind = float(KINDS.index(c.kind))
-        return np.stack([alpha2 * c.C0, alpha2 * c.Cinf, c.shape, np.full(self.n, kind)])
+        return np.stack([alpha2 * c.C0, alpha2 * c.Cinf, c.shape, np.full(self.n, kind), self.contact_doubt])
 
 
 # A load at the flange: its mass, its centre, its inertia, and what it adds to a torque model.

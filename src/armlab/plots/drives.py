@@ -86,7 +86,7 @@ def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.nda
     """Return the variance (N,) of the friction curve of joint i from the covariance of its parameters."""
     friction = fit.value.friction
     s = _sign(fit.value, np.repeat(qd[:, None], fit.value.n, axis=1))[:, i]
-    slopes = {name: term.column(qd, s) for name, term in FRICTION_TERMS.items() if term.column}
+    slopes = {name: term.column(qd, s) for name, term in FRICTION_TERMS.items() if term.column and name != "load"}
     slopes["stribeck"] = slopes["stribeck"] * np.exp(-((qd / friction.stribeck_speed[i]) ** 2))
     own = own_parameters(fit)[i]
     found = [(own[kind], slope) for kind, slope in slopes.items() if kind in own]

@@ -117,6 +117,8 @@ def _kept(model: TorqueModel) -> list[str]:
 
 
 def _judge_honesty(found: Verdict, model: TorqueModel, trial: ModelTrial) -> None:
+    from armlab.identify.validation import ALPHA2_BOUNDS
+
     coverage, alpha = model.quality.coverage, float(np.sqrt(model.covariance.alpha2))
     honest = ~((coverage < HONEST[0]) | (coverage > HONEST[1]))
     where = "test log" if trial.unseen else "log"
@@ -135,6 +137,9 @@ def _judge_honesty(found: Verdict, model: TorqueModel, trial: ModelTrial) -> Non
         worst = float(np.sqrt(max(model.momentum.alpha2_observer, model.momentum.alpha2_kf)))
         if worst > STRETCHED:
             found.bad.append(f"The momentum methods' covariance had to be stretched {worst:.1f} times to be true.")
+        ends = {model.momentum.alpha2_observer, model.momentum.alpha2_kf} & {*ALPHA2_BOUNDS}
+        if ends:
+            found.bad.append(f"A momentum method's covariance sits at the bound {max(ends):g} of its scale.")
     sentence = f"Without contact the {where} gives a force of {force} N RMS in x y z, where the truth is zero"
     inside = f"{100 * trial.coverage:.0f} % inside 2 sigma"
     (found.good if trial.coverage >= HONEST[0] else found.bad).append(f"{sentence}; {inside}.")
@@ -189,6 +194,8 @@ def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
         "coulomb_neg": friction.coulomb_neg,
         "offset": friction.offset,
         "stribeck": friction.stribeck,
+        "load": friction.load,
+        "contact_doubt": model.contact_doubt,
         "delta": friction.delta,
         "sigma_rest": np.sqrt(covariance.alpha2 * covariance.C0),
         "sigma_motion": np.sqrt(covariance.alpha2 * covariance.Cinf),
@@ -253,9 +260,10 @@ def _friction_rows(fit: Fit[TorqueModel], trial: ModelTrial) -> list[list[str]]:
         "coulomb_neg": ("coulomb-", "coulomb"),
         "offset": ("offset",),
         "stribeck": ("stribeck",),
+        "load": ("load",),
     }
     rows = [["joint", "viscous [N m s/rad]", "Coulomb + [N m]", "Coulomb - [N m]", "offset [N m]", "Stribeck [N m]"]]
-    rows[0] += ["ripple [N m]", "presliding [rad]"]
+    rows[0] += ["load", "ripple [N m]", "presliding [rad]"]
     for own, joint in zip(own_parameters(fit), numbers(fit, trial)["joints"], strict=True):
         row = [str(joint["joint"])]
         row += [f"{joint[name]:.3f}{_deviation(fit, own, kinds)}" for name, kinds in columns.items()]

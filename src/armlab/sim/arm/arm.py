@@ -171,10 +171,10 @@ class SimulatedArm:
         self._tool = data.site_xpos[0], data.site_xmat[0].reshape(3, 3)
         self._half = np.zeros(robot.n)  # velocity half a step ago
         self._qdd = np.zeros(robot.n)
-        self._dq, self._tau, self._tau_friction = np.zeros((3, robot.n))
+        self._dq, self._tau, self._tau_friction, self._load = np.zeros((4, robot.n))
         self._sensors = Sensors(truth, mismatch, period, seed)
-        worn = mismatch.warm_up or mismatch.load_friction or mismatch.ripple_jump
-        self.friction = WornFriction(truth, mismatch, self.step_time, self._tau) if worn else JointFriction(truth)
+        worn = mismatch.warm_up or mismatch.load_friction or mismatch.ripple_jump or mismatch.offset_drift
+        self.friction = WornFriction(truth, mismatch, self.step_time, self._load) if worn else JointFriction(truth)
         self.drive = JointDrives(self._inertia(robot.q_home), truth.tau_max, truth.feedforward, self.step_time)
         self.sample: TrueState
         self.place(robot.q_home if q is None else q)
@@ -254,6 +254,8 @@ class SimulatedArm:
             mj.mj_applyFT(model, data, wrench[:3], wrench[3:], self._tool[0], self.robot.n, self._applied)
         mj.mj_fwdAcceleration(model, data)
         self._qdd[:] = self._smooth
+        np.subtract(self._tau, self._tau_friction, out=self._load)
+        self._load -= self.truth.rotor * self._qdd
 
     def _move(self) -> None:
         """Carry velocity and position over one step."""

@@ -12,10 +12,11 @@ Friction (LuGre): between reversals the bristle force f relaxes over distance; f
 ``f' = s g + (f - s g) exp(-(c / delta) |dq| / g)`` with ``g = c (1 + (ratio - 1) exp(-(v / vs)^2))``, s the sign of v
 and c that of its direction. The torque against motion adds ``viscous v + offset + ripple sin(cycles q + phase)``.
 
-`WornFriction` also depends on temperature and load, each by a parameter of `Mismatch`::
+`WornFriction` also depends on temperature, load and time, each by a parameter of `Mismatch`::
 
     viscous  (1 - warm_up x),             dx/dt = (|F_f qd| / P - x) / 12 min,    P the power at a quarter of full speed
-    c        (1 + load_friction |tau| / tau_max)
+    c        + k |tau_link|,              tau_link = tau - F_f - rotor qdd, 0 <= k < load_friction of each joint
+    offset   + a sin(w t) + b cos(w t),   |a|, |b| < offset_drift tau_max, w = 2 pi / 100 s
     phase  + ripple_jump (1 - s) / 2,     s the bristle force over Coulomb friction: from 1 forward to -1 backward
 """
 
@@ -23,7 +24,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.mismatch import Mismatch, draw
 from armlab.sim.arm.truth import Truth
 
 POSITION_GAIN = 25.0  # 1/s
@@ -92,7 +93,7 @@ class JointFriction:
         self._speed_scale = 1.0 / truth.stribeck_speed
         self._mean = 0.5 * (truth.coulomb_pos + truth.coulomb_neg)
         self._skew = 0.5 * (truth.coulomb_pos - truth.coulomb_neg)
-        self._viscous, self._phase = truth.viscous, truth.ripple_phase
+        self._viscous, self._phase, self._offset = truth.viscous, truth.ripple_phase, truth.offset
 
     def reset(self) -> None:
         """Unload the bristles."""
@@ -110,31 +111,36 @@ class JointFriction:
         """Write the friction torque against motion [N m], ripple included, to `out` and return it."""
         truth = self._truth
         ripple = truth.ripple * np.sin(q * truth.ripple_cycles + self._phase)
-        out[:] = qd * self._viscous + self.bristle + truth.offset + ripple
+        out[:] = qd * self._viscous + self.bristle + self._offset + ripple
         return out
 
 
 WARM_TIME = 720.0  # s
+DRIFT = 2.0 * np.pi / 100.0  # rad/s, of the offsets
 WARM_SPEED = 0.25  # of the speed limit, at which friction heats the drive to a warmth of 1
 
 
 class WornFriction(JointFriction):
-    """Friction state of all joints, temperature included; `load` (n,), the drives' torque, is read at every step."""
+    """Friction state of all joints, temperature included; `load` (n,), what goes to the links, is read at every step."""
 
     def __init__(self, truth: Truth, mismatch: Mismatch, step: float, load: np.ndarray) -> None:
         super().__init__(truth)
         self._mismatch, self._step, self._load = mismatch, step, load
-        self._cold = self._mean.copy(), self._skew.copy()
+        self._cold = self._mean.copy()
         coulomb = np.where(self._mean > 0, self._mean, 1.0)
         speed = np.divide(coulomb, truth.viscous, out=np.full_like(coulomb, np.inf), where=truth.viscous > 0)
         self._full = coulomb
         self._power = WARM_SPEED * (1.0 + WARM_SPEED) * coulomb * speed
         self.warmth = np.zeros_like(coulomb)
+        self.of_load = np.abs(draw(mismatch, "load_friction", len(coulomb)))
+        self._swing, self._time = draw(mismatch, "offset_drift", 2, len(coulomb)) * truth.tau_max, 0.0
 
     def advance(self, dq: np.ndarray, qd: np.ndarray) -> None:
         """Move the bristles by `dq` [rad] at velocity `qd` [rad/s] and warm the drives."""
-        share = 1.0 + self._mismatch.load_friction * np.abs(self._load) / self._truth.tau_max
-        self._mean, self._skew = share * self._cold[0], share * self._cold[1]
+        self._mean = self._cold + self.of_load * np.abs(self._load)
+        self._time += self._step
+        angle = DRIFT * self._time
+        self._offset = self._truth.offset + np.sin(angle) * self._swing[0] + np.cos(angle) * self._swing[1]
         super().advance(dq, qd)
         heat = np.abs((self.bristle + self._viscous * qd) * qd) / self._power
         self.warmth += self._step / WARM_TIME * (heat - self.warmth)

@@ -5,7 +5,7 @@ turning one knob leaves the draws of the others as they are.
 
     built    base_turn, base_shift, link_length, joint_zero: frames of the arm that moves, not of its description
     bodies   mass, centre, payload; friction, saturation: its parameters
-    drives   warm_up, load_friction, ripple_jump: friction that depends on more than position and velocity
+    drives   warm_up, load_friction, ripple_jump, offset_drift: friction that depends on more than position and velocity
     seen     elasticity, torque_delay, torque_constant, gear_ratio, gear_sign, quantisation: what the sensors report
     logged   jitter, lost: what is recorded of it
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 PAYLOAD_AT = (0.0, 0.0, 0.06)  # m, centre of the unknown payload, tool axes
-SHARES = ("gear_ratio", "mass", "friction", "warm_up", "saturation", "lost", "torque_constant")
+SHARES = ("gear_ratio", "mass", "friction", "warm_up", "load_friction", "saturation", "lost", "torque_constant")
 COUNTS = ("gear_sign", "torque_delay", "seed")
 
 
@@ -59,7 +59,7 @@ class Mismatch:
     warm_up : float
         Share of the viscous friction that a warm drive has lost; 12 minutes time constant, cold at the start.
     load_friction : float
-        Relative growth of Coulomb friction at the torque limit; in proportion to the torque below.
+        Largest share of the torque that a joint passes to its link by which its Coulomb friction grows.
     ripple_jump : float
         Phase by which the torque ripple jumps when a joint reverses [rad].
     elasticity : float
@@ -78,6 +78,8 @@ class Mismatch:
         Largest error of a time stamp in a recording [s].
     lost : float
         Probability that a sample is missing in a recording.
+    offset_drift : float
+        Share of the torque limit by which each joint's constant torque swings, in 100 s.
     seed : int
         Of all draws.
 
@@ -106,6 +108,7 @@ class Mismatch:
     quantisation: float = 0.0
     jitter: float = 0.0
     lost: float = 0.0
+    offset_drift: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
