@@ -12,7 +12,8 @@ Five stages, in this order:
    held-out blocks, with the rigid part held (`identify.friction_structure`).
 4. Solution: all linear parameters by least squares, joints weighted by 1 / their residual deviation, within physical
    bounds (`identify.solve`). Their covariance comes from a block bootstrap: residuals are coloured, and the formal
-   covariance is far too small.
+   covariance is far too small. Drift of friction and the doubt between its structures are added
+   (`identify.uncertainty`).
 5. Validation: models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal
    filter; to them the torque covariance over velocity is fitted and its scale calibrated to 95.4 % inside 2 sigma
    (`identify.validation`).
@@ -30,7 +31,7 @@ import numpy as np
 
 from armlab._numbers import check_name
 from armlab.errors import ModelMismatchError, ShapeError
-from armlab.estimation import BlockSums, Fit, Prior, block_bootstrap, least_squares
+from armlab.estimation import BlockSums, Fit, Prior, least_squares
 from armlab.estimation.linear_problem import LinearSolution
 from armlab.estimation.robust import METHODS, block_seconds
 from armlab.estimation.tsqr import one_thread
@@ -38,6 +39,7 @@ from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.record import Record, check_blocks, measured_joints, prepare, torque_outliers, without_outliers
 from armlab.identify.regression import BaseParameters, Design, base_parameters
 from armlab.identify.solve import ROBUST, alternate, calibrated, gain_share, linearised, short_blocks
+from armlab.identify.uncertainty import covariance
 from armlab.identify.validation import FIFTHS, assess, report, training
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
@@ -179,7 +181,7 @@ def fit_model(
     check(record)
     problem = make_problem(record, robot, base, settings)
     design, sums, solution = problem.design, problem.sums, problem.sums.solution
-    cov = block_bootstrap(sums, seed=settings.seed, length=problem.length).cov
+    cov = covariance(design, solution, problem.length, settings.seed)
     settings.tell(4, 5, "held-out residuals")
     model = model_of(design, solution.x, cov, problem.gain_cov)
     folds = fold_models(model, design, sums, problem.block, problem.length)

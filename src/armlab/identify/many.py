@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import BlockSums, Fit, block_bootstrap
+from armlab.estimation import BlockSums, Fit
 from armlab.estimation.linear_problem import LinearProblem, LinearSolution, solve
 from armlab.estimation.robust import HUBER, NORMAL_MAD
 from armlab.estimation.tsqr import Factors, factorise, one_thread
@@ -26,6 +26,7 @@ from armlab.identify.friction_structure import Chooser, FrictionStructure, choos
 from armlab.identify.record import Record, prepare, prepare_share, torque_outliers, without_outliers
 from armlab.identify.regression import BaseParameters, Design, base_parameters
 from armlab.identify.solve import gain_share
+from armlab.identify.uncertainty import covariance
 from armlab.identify.validation import assess, training
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -156,7 +157,7 @@ def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first
     """Fit the model to the sum of all logs."""
     solution, block_sums = _solved(draft.design, sums)
     design = draft.design
-    cov = block_bootstrap(block_sums, seed=0).cov
+    cov = covariance(design, solution, 1)
     model = model_of(design, solution.x, cov, draft.gain_cov)
     block = _blocks_of_draft(design.data, pattern.blocks, sums, first)
     model = assess(model, fold_models(model, design, block_sums, block, 1), design.data, design.joints)

@@ -478,13 +478,17 @@ class Design(RegressionColumns):
         """Names, units, bounds and places of all parameters."""
         return ParameterLayout(self.robot, self.base, self.joints, self.motors, self.owners, tuple(self.terms))
 
-    def with_structure(self, structure: FrictionStructure) -> Design:
-        """Return it with the columns of another structure of friction."""
+    def own_columns(self, structure: FrictionStructure) -> Iterator[np.ndarray]:
+        """Yield of each joint all columns (M, W) of its own, whichever of them a structure of friction has."""
         shaped = self.shaped(structure.delta, structure.smooth, structure.speed[None])
         at = [(*FIXED[: self.fixed.shape[2]], *SHAPED).index(name) for name in COLUMNS[: self._width]]
+        for i in range(len(self.joints)):
+            yield np.concatenate([self.fixed[:, i], shaped[:, i]], axis=1)[:, at]
+
+    def with_structure(self, structure: FrictionStructure) -> Design:
+        """Return it with the columns of another structure of friction."""
         local = []
-        for i, joint in enumerate(self.joints):
-            own = np.concatenate([self.fixed[:, i], shaped[:, i]], axis=1)[:, at]
+        for i, (joint, own) in enumerate(zip(self.joints, self.own_columns(structure))):
             own = own @ mixing(structure.terms[i], self._width)
             moved = np.flatnonzero(self.motors[:, joint])
             theirs = (self.motors[m, joint] * self.coupled_motors[:, m] for m in moved)
