@@ -44,7 +44,7 @@ class Pattern:
 
     `free`: (J, 2) bool, numbers with a slope. `geared`: whether there are columns of ripple, also in logs that alone
     would have none, or some. `gains`: (J,) of the torques. `theta`, `x`: parameters of the draft without and with
-    slopes. `limit`: (J,) residual from which a row counts less [N m]. `rate`: of the draft [Hz].
+    slopes. `limit`: (J,) residual from which a row counts less [N m]. `rate`, `cutoff`: of the draft [Hz].
     """
 
     robot: Robot
@@ -57,6 +57,7 @@ class Pattern:
     x: np.ndarray
     limit: np.ndarray
     rate: float
+    cutoff: float
     model: TorqueModel
     blocks: int
 
@@ -65,7 +66,18 @@ class Pattern:
         """Hash of all that the sums of a log depend on besides the log."""
         parts = [np.asarray(getattr(self.structure, field.name)) for field in fields(self.structure)]
         peak = self.model.training.qd_peak
-        numbers = (self.free, self.geared, self.gains, self.theta, self.x, self.limit, self.rate, self.blocks, peak)
+        numbers = (
+            self.free,
+            self.geared,
+            self.gains,
+            self.theta,
+            self.x,
+            self.limit,
+            self.rate,
+            self.cutoff,
+            self.blocks,
+            peak,
+        )
         digest = hashlib.sha256(self.robot.hash.encode())
         for values in (*parts, *map(np.asarray, numbers)):
             digest.update(f"{values.dtype} {values.shape} {values.tolist()}".encode())
@@ -73,7 +85,8 @@ class Pattern:
 
     def design(self, data: Record) -> Design:
         """Return the regression problem of a record, with the draft's gains, structure and slopes."""
-        built = Design.build(data, self.robot, self.base, structure=self.structure, geared=self.geared)
+        kept = {"structure": self.structure, "geared": self.geared, "cutoff": self.cutoff}
+        built = Design.build(data, self.robot, self.base, **kept)
         return built.with_gains(self.gains).with_slopes(self.theta, self.free)
 
 
@@ -117,6 +130,7 @@ def fit_draft(
         x=solution.x,
         limit=HUBER / NORMAL_MAD * np.median(np.abs(design.residuals(solution.x)), axis=0),
         rate=design.data.rate,
+        cutoff=design.decimation.cutoff,
         model=model_of(design, solution.x, solution.cov),
         blocks=max(1, -(-FEWEST_BLOCKS // logs)),
     )
@@ -167,7 +181,8 @@ def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first
         quality=replace(model.quality, seconds=sum(one.seconds for one in sums)),
         sources=tuple(one.source for one in sums),
     )
-    return fit_of(model, design, solution, cov + gain_share(solution, draft.gain_cov), sum(one.n for one in sums))
+    cov, rows = cov + gain_share(solution, draft.gain_cov), sum(one.n for one in sums)
+    return fit_of(model, design, solution, cov, rows, f"{draft.band}, first logs")
 
 
 def same_rate(one: float, other: float) -> bool:

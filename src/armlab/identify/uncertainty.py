@@ -5,9 +5,10 @@ change slowly, and another log may win by other terms of friction; both are adde
 
 Drift. With the solution held, the first and the second half of the log have their own change of each joint's viscous
 and Coulomb friction and offset. The squared difference of the halves, less its sampling variance, is pooled over the
-joints, relative to the torque of their friction: one joint alone would be one degree of freedom. A linear drift of
-difference d between the halves lets the next log of this length differ by 2 d, a random walk by sqrt(2) d. Each of two
-logs has half of that variance: 2 d^2 or d^2.
+joints, relative to the torque of their friction: one joint alone would be one degree of freedom. A random walk lets
+the next log of this length differ by sqrt(2) times as much as the halves do; each of the two logs has half of that
+variance, the squared difference of its own halves. What a linear drift leaks into other parameters is added, and the
+bootstrap draws from torques without it: it would take drift for noise in every direction.
 
 Structures. Rival terms of friction are weighted by exp(-t^2 / 2), with t the excess of their held-out squared error
 over that of the best, in deviations of that excess from block to block. What each rival would move is one rank of the
@@ -26,7 +27,6 @@ from armlab.identify.friction_structure import FOLDS, IDENTIFIED, TERMS, mixing
 from armlab.identify.regression import BLOCK, Design
 
 DRIFTS = ("viscous", "coulomb", "offset")
-FACTOR = 1.25  # of the squared difference of the halves: between random walk and linear drift
 ROUNDS = 30  # of the pooled variance
 RIDGE = 1e-6  # of the power of a column, where a half of the log does not identify a drift
 
@@ -51,7 +51,7 @@ def _without_drift(design: Design, solution: LinearSolution, length: int) -> tup
     for R, columns, change, (_, _, moved, leaked) in zip(
         solution.factors.R, solution.factors.columns, likely, found, strict=True
     ):
-        share += (moved * (FACTOR * pooled)) @ moved.T + (leaked * (4.0 * pooled)) @ leaked.T
+        share += (moved * pooled) @ moved.T + (leaked * (4.0 * pooled)) @ leaked.T
         steady = R.copy()
         steady[:, :, -1] -= 2.0 * _time(len(R))[:, None] * (R[:, :, :-1] @ (moved[columns] @ change))
         factors.append(steady)
