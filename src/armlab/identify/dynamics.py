@@ -12,7 +12,8 @@ Five stages, in this order:
    held-out blocks, with the rigid part held (`identify.friction_structure`).
 4. Solution: all linear parameters by least squares, joints weighted by 1 / their residual deviation, within physical
    bounds (`identify.solve`). Their covariance comes from a block bootstrap: residuals are coloured, and the formal
-   covariance is far too small.
+   covariance is far too small. Drift of friction and the doubt between its structures are added
+   (`identify.uncertainty`).
 5. Validation: models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal
    filter; to them the torque covariance over velocity is fitted and its scale calibrated to 95.4 % inside 2 sigma
    (`identify.validation`).
@@ -28,16 +29,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armlab._numbers import check_name
+from armlab._numbers import check_name, positive
 from armlab.errors import ModelMismatchError, ShapeError
-from armlab.estimation import BlockSums, Fit, Prior, block_bootstrap, least_squares
+from armlab.estimation import BlockSums, Fit, Prior, least_squares
 from armlab.estimation.linear_problem import LinearSolution
 from armlab.estimation.robust import METHODS, block_seconds
 from armlab.estimation.tsqr import one_thread
 from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.record import Record, check_blocks, measured_joints, prepare, torque_outliers, without_outliers
 from armlab.identify.regression import BaseParameters, Design, base_parameters
-from armlab.identify.solve import ROBUST, alternate, calibrated, gain_share, linearised, short_blocks
+from armlab.identify.solve import ROBUST, alternate, best_cutoff, calibrated, gain_share, linearised, short_blocks
+from armlab.identify.uncertainty import covariance
 from armlab.identify.validation import FIFTHS, assess, report, training
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
@@ -64,6 +66,7 @@ def fit_dynamics(
     progress: Progress | None = None,
     prior: Fit[TorqueModel] | None = None,
     joints: Sequence[int] | None = None,
+    cutoff: float | None = None,
 ) -> Fit[TorqueModel]:
     """Identify the torque model of an arm from one or several logs of free motion.
 
@@ -87,6 +90,10 @@ def fit_dynamics(
     joints : sequence of int, optional
         Numbers, from 0, of the joints whose torque is measured; all joints may move. Default: all. Estimators ignore
         the other joints; momentum methods are unavailable for such a model.
+    cutoff : float, optional, Hz
+        Corner of the low-pass over torque and regressor. Default: chosen on held-out stretches of time among a tenth
+        of the sampling rate (25 Hz at most), 12 and 6 Hz; the report says why. The model's own filter has this corner
+        where it is below 10 Hz.
 
     Returns
     -------
@@ -112,7 +119,8 @@ def fit_dynamics(
     the block bootstrap.
     """
     measured = None if joints is None else tuple(measured_joints(robot, joints))
-    settings = FitSettings("torque model", method, seed, progress or (lambda done, total, what: None), prior, measured)
+    tell = progress or (lambda done, total, what: None)
+    settings = FitSettings("torque model", method, seed, tell, prior, measured, cutoff=cutoff)
     return fit_model(table, robot, base_parameters(robot, joints=measured), settings)
 
 
@@ -125,6 +133,7 @@ def fit_gravity(
     seed: int = 0,
     progress: Progress | None = None,
     prior: Fit[TorqueModel] | None = None,
+    cutoff: float | None = None,
 ) -> Fit[TorqueModel]:
     """Identify gravity, friction and offsets from one or several logs of slow free motion.
 
@@ -132,7 +141,7 @@ def fit_gravity(
     ----------
     table : logs with columns q, tau (N, n), and qd where it was measured, without contact.
     robot : the arm that was logged; its gravity counts.
-    method, seed, progress, prior : as in `fit_dynamics`.
+    method, seed, progress, prior, cutoff : as in `fit_dynamics`.
 
     Returns
     -------
@@ -147,7 +156,8 @@ def fit_gravity(
     ----------
     Bagge Carlson and Haage (2017), YuMi low-level motion guidance, TFRT-7651, section 4.
     """
-    settings = FitSettings("gravity model", method, seed, progress or (lambda done, total, what: None), prior)
+    tell = progress or (lambda done, total, what: None)
+    settings = FitSettings("gravity model", method, seed, tell, prior, cutoff=cutoff)
     return fit_model(
         table, robot, base_parameters(robot, quasi_static=True), settings, lambda data: _check_slow(data, robot)
     )
@@ -180,13 +190,13 @@ def fit_model(
     check(record)
     problem = make_problem(record, robot, base, settings)
     design, sums, solution = problem.design, problem.sums, problem.sums.solution
-    cov = block_bootstrap(sums, seed=settings.seed, length=problem.length).cov
+    cov = covariance(design, solution, problem.length, settings.seed)
     settings.tell(4, 5, "held-out residuals")
     model = model_of(design, solution.x, cov, problem.gain_cov)
     folds = fold_models(model, design, sums, problem.block, problem.length)
     model = assess(model, folds, design.data, design.joints)
     settings.tell(5, 5, "done")
-    return fit_of(model, design, solution, cov + gain_share(solution, problem.gain_cov), len(record.t))
+    return fit_of(model, design, solution, cov + gain_share(solution, problem.gain_cov), len(record.t), problem.band)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +204,7 @@ class FitSettings:
     """How to fit.
 
     `tell`: called with (done, total, what). `joints`: whose torque is measured; None for all. `chooser`: of the
-    structure of friction, see `Design.choose_structure`.
+    structure of friction, see `Design.choose_structure`. `cutoff`: corner of the regression [Hz]; None to choose it.
     """
 
     what: str
@@ -204,6 +214,19 @@ class FitSettings:
     prior: Fit[TorqueModel] | None = None
     joints: tuple[int, ...] | None = None
     chooser: Chooser = choose_here
+    cutoff: float | None = None
+
+    def corner(self, data: Record) -> float | None:
+        """Return the corner of the regression [Hz] where it is given; refuse one that the rate does not carry."""
+        if self.cutoff is None:
+            return None
+        corner, most = positive(self.cutoff, "a cut-off [Hz]"), data.rate / 4.0
+        if corner > most:
+            raise ShapeError(
+                f"Expected a cut-off of at most {most:.4g} Hz, a quarter of the sampling rate, got {corner:g} Hz. "
+                "Lower it, or leave it out for one chosen on held-out data."
+            )
+        return corner
 
     def check(self, robot: Robot) -> None:
         """Refuse another method, and a prior that is no fit or of another robot."""
@@ -233,7 +256,8 @@ class FitProblem:
     """A regression whose nonlinear parameters are fixed, and the sums of its blocks.
 
     `gain_cov`: (J, J) of the gains. `block`: (N,) number of the block of each sample, `length` of them in an
-    independent segment. `theta`: (p,) parameters without slopes at which the slopes were taken.
+    independent segment. `theta`: (p,) parameters without slopes at which the slopes were taken. `band`: why the
+    regression has its corner.
     """
 
     design: Design
@@ -242,6 +266,7 @@ class FitProblem:
     block: np.ndarray
     length: int
     theta: np.ndarray
+    band: str
 
 
 def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: FitSettings) -> FitProblem:
@@ -255,7 +280,13 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     first = replace(record, tau=without_outliers(record, outliers)) if outliers.any() else record
 
     settings.tell(1, 5, "building the regressor")
-    design = calibrated(Design.build(first, robot, base, joints=settings.joints), method, known)[0]
+    design = Design.build(first, robot, base, joints=settings.joints, cutoff=settings.corner(record))
+    band = "as given"
+    if settings.cutoff is None:
+        corner, band = best_cutoff(design, method)
+        if corner < design.decimation.cutoff:
+            design = Design.build(first, robot, base, joints=settings.joints, cutoff=corner, geared=design.geared)
+    design = calibrated(design, method, known)[0]
 
     settings.tell(2, 5, "choosing the structure of friction")
     design, theta = alternate(design, method, settings.seed, chooser=settings.chooser)
@@ -268,7 +299,7 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     settings.tell(3, 5, "covariance from blocks")
     block, length = _blocks(design, theta, method)
     design, sums = _solved(design, theta, settings, block, length)
-    return FitProblem(design, gain_cov, sums, block, length, theta)
+    return FitProblem(design, gain_cov, sums, block, length, theta, band)
 
 
 def _solved(
@@ -323,7 +354,7 @@ def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.nd
         ripple=ripple,
         covariance=velocity_covariance("const", tiny, tiny),
         bound=FrictionBound.of(friction),
-        cutoff=CUTOFF,
+        cutoff=min(CUTOFF, design.decimation.cutoff),
         base_names=base.names,
         base_values=theta[:p],
         base_cov=cov[:p, :p],
@@ -350,8 +381,11 @@ def fold_models(
     return folds
 
 
-def fit_of(model: TorqueModel, design: Design, solution: LinearSolution, cov: np.ndarray, n: int) -> Fit[TorqueModel]:
+def fit_of(
+    model: TorqueModel, design: Design, solution: LinearSolution, cov: np.ndarray, n: int, band: str
+) -> Fit[TorqueModel]:
     """Return the fit behind a model, its parameters in their units."""
+    band = f"regression below {design.decimation.cutoff:g} Hz ({band})"
     parameters, in_units, formal = design.in_units(solution.x, cov, solution.cov)
     return Fit(
         value=model,
@@ -364,5 +398,5 @@ def fit_of(model: TorqueModel, design: Design, solution: LinearSolution, cov: np
         residuals=design.residuals(solution.x),
         n=n,
         excitation=solution.excitation,
-        summary=lambda fit: report(fit, solution),
+        summary=lambda fit: f"{report(fit, solution)}\n{band}",
     )

@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import BlockSums, Fit, block_bootstrap
+from armlab.estimation import BlockSums, Fit
 from armlab.estimation.linear_problem import LinearProblem, LinearSolution, solve
 from armlab.estimation.robust import HUBER, NORMAL_MAD
 from armlab.estimation.tsqr import Factors, factorise, one_thread
@@ -26,6 +26,7 @@ from armlab.identify.friction_structure import Chooser, FrictionStructure, choos
 from armlab.identify.record import Record, prepare, prepare_share, torque_outliers, without_outliers
 from armlab.identify.regression import BaseParameters, Design, base_parameters
 from armlab.identify.solve import gain_share
+from armlab.identify.uncertainty import covariance
 from armlab.identify.validation import assess, training
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -43,7 +44,7 @@ class Pattern:
 
     `free`: (J, 2) bool, numbers with a slope. `geared`: whether there are columns of ripple, also in logs that alone
     would have none, or some. `gains`: (J,) of the torques. `theta`, `x`: parameters of the draft without and with
-    slopes. `limit`: (J,) residual from which a row counts less [N m]. `rate`: of the draft [Hz].
+    slopes. `limit`: (J,) residual from which a row counts less [N m]. `rate`, `cutoff`: of the draft [Hz].
     """
 
     robot: Robot
@@ -56,6 +57,7 @@ class Pattern:
     x: np.ndarray
     limit: np.ndarray
     rate: float
+    cutoff: float
     model: TorqueModel
     blocks: int
 
@@ -64,7 +66,18 @@ class Pattern:
         """Hash of all that the sums of a log depend on besides the log."""
         parts = [np.asarray(getattr(self.structure, field.name)) for field in fields(self.structure)]
         peak = self.model.training.qd_peak
-        numbers = (self.free, self.geared, self.gains, self.theta, self.x, self.limit, self.rate, self.blocks, peak)
+        numbers = (
+            self.free,
+            self.geared,
+            self.gains,
+            self.theta,
+            self.x,
+            self.limit,
+            self.rate,
+            self.cutoff,
+            self.blocks,
+            peak,
+        )
         digest = hashlib.sha256(self.robot.hash.encode())
         for values in (*parts, *map(np.asarray, numbers)):
             digest.update(f"{values.dtype} {values.shape} {values.tolist()}".encode())
@@ -72,7 +85,8 @@ class Pattern:
 
     def design(self, data: Record) -> Design:
         """Return the regression problem of a record, with the draft's gains, structure and slopes."""
-        built = Design.build(data, self.robot, self.base, structure=self.structure, geared=self.geared)
+        kept = {"structure": self.structure, "geared": self.geared, "cutoff": self.cutoff}
+        built = Design.build(data, self.robot, self.base, **kept)
         return built.with_gains(self.gains).with_slopes(self.theta, self.free)
 
 
@@ -116,6 +130,7 @@ def fit_draft(
         x=solution.x,
         limit=HUBER / NORMAL_MAD * np.median(np.abs(design.residuals(solution.x)), axis=0),
         rate=design.data.rate,
+        cutoff=design.decimation.cutoff,
         model=model_of(design, solution.x, solution.cov),
         blocks=max(1, -(-FEWEST_BLOCKS // logs)),
     )
@@ -156,7 +171,7 @@ def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first
     """Fit the model to the sum of all logs."""
     solution, block_sums = _solved(draft.design, sums)
     design = draft.design
-    cov = block_bootstrap(block_sums, seed=0).cov
+    cov = covariance(design, solution, 1)
     model = model_of(design, solution.x, cov, draft.gain_cov)
     block = _blocks_of_draft(design.data, pattern.blocks, sums, first)
     model = assess(model, fold_models(model, design, block_sums, block, 1), design.data, design.joints)
@@ -166,7 +181,8 @@ def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first
         quality=replace(model.quality, seconds=sum(one.seconds for one in sums)),
         sources=tuple(one.source for one in sums),
     )
-    return fit_of(model, design, solution, cov + gain_share(solution, draft.gain_cov), sum(one.n for one in sums))
+    cov, rows = cov + gain_share(solution, draft.gain_cov), sum(one.n for one in sums)
+    return fit_of(model, design, solution, cov, rows, f"{draft.band}, first logs")
 
 
 def same_rate(one: float, other: float) -> bool:

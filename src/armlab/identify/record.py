@@ -393,20 +393,21 @@ class Decimation:
     """A zero-phase filter that keeps every few rows of each segment.
 
     `segments`: (start, stop) of each piece of the record without a gap. `taps`: (2 L + 1,) impulse response h; one tap,
-    1, filters nothing. `rows`: (M,) rows that are kept.
+    1, filters nothing. `rows`: (M,) rows that are kept. `cutoff`: corner of the filter [Hz].
     """
 
     segments: tuple[tuple[int, int], ...]
     every: int
     taps: np.ndarray
     rows: np.ndarray
+    cutoff: float = np.inf
 
     @classmethod
     def of(cls, data: Record, cutoff: float, every: int) -> Decimation:
         """Return the filter for a record."""
         taps = np.ones(1) if np.isinf(cutoff) else _taps(cutoff / data.rate)
         rows = np.concatenate([np.arange(a, b, every) for a, b in data.segments])
-        return cls(data.segments, every, taps, rows)
+        return cls(data.segments, every, taps, rows, cutoff)
 
     def run(self, columns: Callable[[int, int], np.ndarray], width: int) -> np.ndarray:
         """Return the kept rows (M, width) of columns that are made on the fly."""

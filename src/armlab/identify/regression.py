@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import compress
+from itertools import compress, pairwise
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from armlab.identify.friction_structure import (
     mixing,
     term_names,
 )
-from armlab.identify.record import Decimation, Record, measured_joints, slow_enough
+from armlab.identify.record import ORDER, Decimation, Record, measured_joints, slow_enough
 from armlab.models.friction import FRICTION_TERMS, Friction, FrictionTerm, Ripple
 from armlab.models.torque import CoupledMotors
 from armlab.robots import Robot
@@ -397,6 +397,7 @@ class DesignRows:
 
 
 CUTOFF = 25.0  # Hz, the most; a tenth of the rate where that is less
+PAD = 20  # rows by which a segment is continued at its ends
 BLOCK = 0.5  # s, blocks that go to the folds in turn for the choice of the structure
 STEP = 0.01  # of the logarithm of a number of the shape, for its derivative
 LONGEST = 0.5  # step of such a logarithm
@@ -484,18 +485,38 @@ class Design(RegressionColumns):
         """Names, units, bounds and places of all parameters."""
         return ParameterLayout(self.robot, self.base, self.joints, self.motors, self.owners, tuple(self.terms))
 
-    def with_structure(self, structure: FrictionStructure) -> Design:
-        """Return it with the columns of another structure of friction."""
+    def own_columns(self, structure: FrictionStructure) -> Iterator[np.ndarray]:
+        """Yield of each joint all columns (M, W) of its own, whichever of them a structure of friction has."""
         shaped = self.shaped(structure.delta, structure.smooth, structure.speed[None])
         at = [(*FIXED[: self.fixed.shape[2]], *SHAPED).index(name) for name in COLUMNS[: self._width]]
+        for i in range(len(self.joints)):
+            yield np.concatenate([self.fixed[:, i], shaped[:, i]], axis=1)[:, at]
+
+    def with_structure(self, structure: FrictionStructure) -> Design:
+        """Return it with the columns of another structure of friction."""
         local = []
-        for i, joint in enumerate(self.joints):
-            own = np.concatenate([self.fixed[:, i], shaped[:, i]], axis=1)[:, at]
+        for i, (joint, own) in enumerate(zip(self.joints, self.own_columns(structure))):
             own = own @ mixing(structure.terms[i], self._width)
             moved = np.flatnonzero(self.motors[:, joint])
             theirs = (self.motors[m, joint] * self.coupled_motors[:, m] for m in moved)
             local.append(np.hstack([own, *theirs]) if len(moved) else own)
         return replace(self, structure=structure, free=np.zeros_like(self.free), local=tuple(local))
+
+    def smoothed(self, cutoff: float) -> Design:
+        """Return it with all columns low-passed once more, in the rows that are kept."""
+        from scipy.signal import butter, sosfiltfilt
+
+        sections = butter(ORDER, 2.0 * cutoff * self.decimation.every / self.data.rate, output="sos")
+        edges = np.searchsorted(self.rows, [a for a, _ in self.decimation.segments]).tolist()
+
+        def smooth(x: np.ndarray) -> np.ndarray:
+            parts = (x[a:b] for a, b in pairwise([*edges, len(x)]))
+            return np.concatenate(
+                [sosfiltfilt(sections, part, axis=0, padlen=min(PAD, len(part) - 1)) for part in parts]
+            )
+
+        own = (tuple(map(smooth, columns)) for columns in (self.rigid, self.local))
+        return replace(self, tau=smooth(self.tau), **dict(zip(("rigid", "local"), own)))
 
     def with_torque(self, tau: np.ndarray) -> Design:
         """Return it with another torque (N, n) that was read."""

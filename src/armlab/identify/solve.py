@@ -213,6 +213,41 @@ def solved(design: Design, trust: np.ndarray | None, method: str) -> LinearSolut
     return least_squares(rows, design.layout.names, method=plain, lower=design.layout.lower, max_condition=np.inf)
 
 
+BANDS = (12.0, 6.0)  # Hz, corners that are tried beside that of the design
+YARDSTICK = 10.0  # Hz, the band in which they are compared
+PARTS = 1.0  # s, stretches that are fitted and judged in turn
+NEARLY = 1.02  # times the least residual, up to which the highest corner wins
+
+
+def best_cutoff(design: Design, method: str) -> tuple[float, str]:
+    """Return the corner [Hz] of the regression, that of the design at most, and why.
+
+    Noise of the acceleration biases parameters and grows with the corner. Each corner is fitted to half the stretches
+    of time and judged on the others, all in one band; the highest corner within 2 % of the best wins.
+    """
+    highest = design.decimation.cutoff
+    corners = [highest, *(corner for corner in BANDS if corner < highest)]
+    if len(corners) == 1:
+        return highest, "a tenth of the sampling rate"
+    odd = design.data.blocks(PARTS)[design.rows] % 2 == 1
+    judged = design.smoothed(min(YARDSTICK, highest))
+    power = []
+    for corner in corners:
+        fitted = design.smoothed(corner) if corner < highest else design
+        found = (
+            np.sum(judged.residuals(solved(fitted, _mask(design, ~to), method).x)[to] ** 2, 0) for to in (odd, ~odd)
+        )
+        power.append(sum(found))
+    size = np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300)), axis=1))
+    best = int(np.argmax(size <= NEARLY * size.min()))
+    listed = ", ".join(f"{100 * (s / size[best] - 1):+.1f} % at {corner:g} Hz" for s, corner in zip(size, corners))
+    return corners[best], f"held-out residual below {min(YARDSTICK, highest):g} Hz: {listed}"
+
+
+def _mask(design: Design, used: np.ndarray) -> np.ndarray:
+    return np.ones_like(design.tau) * used[:, None]
+
+
 def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, seed: int) -> np.ndarray:
     """Return factors (M, J) of the rows that keep outliers from the choice of shape."""
     if method == "lts":

@@ -23,6 +23,7 @@ def identify(
     method: Literal["irls", "wls", "ols", "lts"] = "irls",
     gravity_only: bool = False,
     drives: bool = False,
+    cutoff: float | None = None,
     test: Path | None = None,
     wanted: Results = PLAIN,
 ) -> int:
@@ -43,6 +44,7 @@ def identify(
             of fast motion.
         drives: Also look for lines of torque ripple, friction over position and warm-up (logs from 20 minutes), joint
             by joint; what wins on held-out stretches of time is kept.
+        cutoff: Corner of the regression in Hz. Default: chosen on held-out stretches of time; the report says why.
         test: Another recording without contact: how good the model is where it was not fitted.
     """
     from armlab.cli.identify import report as report_of
@@ -60,7 +62,7 @@ def identify(
         check_once(zip(names, (one.sha256 for one in (*tables, unseen))))
     with progress("identify") as tell:
         fit_model = armlab.identify.fit_gravity if gravity_only else armlab.identify.fit_dynamics
-        fit = fit_model(tables, arm, method=method, progress=tell)
+        fit = fit_model(tables, arm, method=method, progress=tell, cutoff=cutoff)
         if drives:
             tell(4, 5, "ripple, friction over position, warm-up")
             fit = replace(fit, value=armlab.identify.fit_friction(tables, fit.value).value)
