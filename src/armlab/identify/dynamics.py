@@ -35,7 +35,16 @@ from armlab.estimation.linear_problem import LinearSolution
 from armlab.estimation.robust import METHODS, block_seconds
 from armlab.estimation.tsqr import one_thread
 from armlab.identify.friction_structure import Chooser, choose_here
-from armlab.identify.record import Record, check_blocks, measured_joints, prepare, torque_outliers, without_outliers
+from armlab.identify.plausibility import check_gains, check_torques
+from armlab.identify.record import (
+    Record,
+    check_blocks,
+    delay_text,
+    measured_joints,
+    prepare,
+    torque_outliers,
+    without_outliers,
+)
 from armlab.identify.regression import BaseParameters, Design, base_parameters
 from armlab.identify.solve import ROBUST, alternate, calibrated, gain_share, linearised, short_blocks
 from armlab.identify.validation import FIFTHS, assess, report, training
@@ -63,6 +72,7 @@ def fit_dynamics(
     progress: Progress | None = None,
     prior: Fit[TorqueModel] | None = None,
     joints: Sequence[int] | None = None,
+    force: bool = False,
 ) -> Fit[TorqueModel]:
     """Identify the torque model of an arm from one or several logs of free motion.
 
@@ -86,6 +96,8 @@ def fit_dynamics(
     joints : sequence of int, optional
         Numbers, from 0, of the joints whose torque is measured; all joints may move. Default: all. Estimators ignore
         the other joints; momentum methods are unavailable for such a model.
+    force : bool
+        Fit torques that are not plausible, and report the reasons as doubts. Default: refuse them.
 
     Returns
     -------
@@ -97,7 +109,8 @@ def fit_dynamics(
     Raises
     ------
     ShapeError
-        NaN rows, wrong joint count, velocity that is not the derivative of position.
+        NaN rows, wrong joint count, velocity that is not the derivative of position. Torques with a wrong sign, or more
+        than 3 times off what the masses of the robot file need or the other joints imply, by joint.
     NotExcited
         Joints or directions that the log does not determine, by name.
     UnknownName
@@ -112,6 +125,7 @@ def fit_dynamics(
     """
     measured = None if joints is None else tuple(measured_joints(robot, joints))
     settings = FitSettings("torque model", method, seed, progress or (lambda done, total, what: None), prior, measured)
+    settings = replace(settings, force=force)
     return fit_model(table, robot, base_parameters(robot, joints=measured), settings)
 
 
@@ -124,6 +138,7 @@ def fit_gravity(
     seed: int = 0,
     progress: Progress | None = None,
     prior: Fit[TorqueModel] | None = None,
+    force: bool = False,
 ) -> Fit[TorqueModel]:
     """Identify gravity, friction and offsets from one or several logs of slow free motion.
 
@@ -131,7 +146,7 @@ def fit_gravity(
     ----------
     table : logs with columns q, tau (N, n), and qd where it was measured, without contact.
     robot : the arm that was logged; its gravity counts.
-    method, seed, progress, prior : as in `fit_dynamics`.
+    method, seed, progress, prior, force : as in `fit_dynamics`.
 
     Returns
     -------
@@ -146,7 +161,8 @@ def fit_gravity(
     ----------
     Bagge Carlson and Haage (2017), YuMi low-level motion guidance, TFRT-7651, section 4.
     """
-    settings = FitSettings("gravity model", method, seed, progress or (lambda done, total, what: None), prior)
+    tell = progress or (lambda done, total, what: None)
+    settings = FitSettings("gravity model", method, seed, tell, prior, force=force)
     return fit_model(
         table, robot, base_parameters(robot, quasi_static=True), settings, lambda data: _check_slow(data, robot)
     )
@@ -185,7 +201,8 @@ def fit_model(
     folds = fold_models(model, design, sums, problem.block, problem.length)
     model = assess(model, folds, design.data, design.joints)
     settings.tell(5, 5, "done")
-    return fit_of(model, design, solution, cov + gain_share(solution, problem.gain_cov), len(record.t))
+    cov = cov + gain_share(solution, problem.gain_cov)
+    return fit_of(model, design, solution, cov, record.measured, problem.doubts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +210,7 @@ class FitSettings:
     """How to fit.
 
     `tell`: called with (done, total, what). `joints`: whose torque is measured; None for all. `chooser`: of the
-    structure of friction, see `Design.choose_structure`.
+    structure of friction, see `Design.choose_structure`. `force`: fit torques that are not plausible.
     """
 
     what: str
@@ -203,6 +220,7 @@ class FitSettings:
     prior: Fit[TorqueModel] | None = None
     joints: tuple[int, ...] | None = None
     chooser: Chooser = choose_here
+    force: bool = False
 
     def check(self, robot: Robot) -> None:
         """Refuse another method, and a prior that is no fit or of another robot."""
@@ -232,7 +250,8 @@ class FitProblem:
     """A regression whose nonlinear parameters are fixed, and the sums of its blocks.
 
     `gain_cov`: (J, J) of the gains. `block`: (N,) number of the block of each sample, `length` of them in an
-    independent segment. `theta`: (p,) parameters without slopes at which the slopes were taken.
+    independent segment. `theta`: (p,) parameters without slopes at which the slopes were taken. `doubts`: about the
+    torques, in words.
     """
 
     design: Design
@@ -241,6 +260,7 @@ class FitProblem:
     block: np.ndarray
     length: int
     theta: np.ndarray
+    doubts: tuple[str, ...]
 
 
 def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: FitSettings) -> FitProblem:
@@ -250,6 +270,8 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     """
     method, prior = settings.method, settings.prior
     known = None if prior is None else (prior.value.gains, prior.value.gain_cov)
+    used = np.isin(np.arange(len(robot.joint_names)), measured_joints(robot, settings.joints))
+    doubts = check_torques(record, robot, used, settings.force)
     outliers = torque_outliers(record) if method in ROBUST else np.zeros(record.tau.shape, dtype=bool)
     first = replace(record, tau=without_outliers(record, outliers)) if outliers.any() else record
 
@@ -263,11 +285,12 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
         design = design.with_torque(without_outliers(record, outliers, model))
         design, theta = alternate(design, method, settings.seed, chooser=settings.chooser)
     design, theta, gain_cov = calibrated(design, method, known)
+    doubts = doubts or check_gains(design, method, settings.force)
 
     settings.tell(3, 5, "covariance from blocks")
     block, length = _blocks(design, theta, method)
     design, sums = _solved(design, theta, settings, block, length)
-    return FitProblem(design, gain_cov, sums, block, length, theta)
+    return FitProblem(design, gain_cov, sums, block, length, theta, doubts)
 
 
 def _solved(
@@ -347,8 +370,17 @@ def fold_models(
     return folds
 
 
-def fit_of(model: TorqueModel, design: Design, solution: LinearSolution, cov: np.ndarray, n: int) -> Fit[TorqueModel]:
-    """Return the fit behind a model, its parameters in their units."""
+def fit_of(
+    model: TorqueModel,
+    design: Design,
+    solution: LinearSolution,
+    cov: np.ndarray,
+    n: int,
+    doubts: tuple[str, ...],
+) -> Fit[TorqueModel]:
+    """Return the fit behind a model, its parameters in their units, with what was repaired and what is doubted."""
+    late = tuple(delay_text(name, delay) for name, delay in design.data.delays.items())
+    notes = "\n".join(design.data.notes)
     parameters, in_units, formal = design.in_units(solution.x, cov, solution.cov)
     return Fit(
         value=model,
@@ -361,5 +393,6 @@ def fit_of(model: TorqueModel, design: Design, solution: LinearSolution, cov: np
         residuals=design.residuals(solution.x),
         n=n,
         excitation=solution.excitation,
-        summary=lambda fit: report(fit, solution),
+        summary=lambda fit: "\n".join([report(fit, solution), *filter(None, [notes]), *fit.doubts]),
+        doubts=(*doubts, *late),
     )

@@ -166,7 +166,8 @@ def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first
         quality=replace(model.quality, seconds=sum(one.seconds for one in sums)),
         sources=tuple(one.source for one in sums),
     )
-    return fit_of(model, design, solution, cov + gain_share(solution, draft.gain_cov), sum(one.n for one in sums))
+    cov = cov + gain_share(solution, draft.gain_cov)
+    return fit_of(model, design, solution, cov, sum(one.n for one in sums), draft.doubts)
 
 
 def same_rate(one: float, other: float) -> bool:

@@ -16,7 +16,7 @@ from armlab.estimation.robust import NORMAL_MAD
 from armlab.identify.clocks import BRIDGED, Clock, Delay, delay_of, earlier, shifts_of
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.log.units_check import check_position, check_torque, check_velocity
+from armlab.log.units_check import check_constant, check_position, check_torque, check_velocity
 from armlab.models import TorqueModel
 from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline
@@ -176,7 +176,11 @@ def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.nda
     prepared, slope = _velocity_on_time(prepared, moved & turned) if given else (prepared, prepared.qd)
     if given:
         check_velocity(slope, prepared.filter(prepared.qd, BAND), moved & turned, robot)
-    check_torque(prepared.q, prepared.tau, used & (moving | moved), robot)
+    torques = used & (moving | moved)
+    if robot.inertias is None:
+        check_torque(prepared.q, prepared.tau, torques, robot)
+    else:  # `identify.plausibility` compares with the masses
+        check_constant(prepared.tau, torques, robot)
     return torque_on_time(prepared, robot, used & moved & turned)
 
 
@@ -481,17 +485,23 @@ def _shifted(data: Record, name: str, late: Delay) -> tuple[Record, np.ndarray]:
     kept = np.concatenate([np.arange(a, b) for a, b in found])
     edges = np.cumsum([0, *(b - a for a, b in found)]).tolist()
     columns = {k: getattr(data, k)[kept] for k in ("t", "dt", "q", "qd", "tau")} | {name: column[kept]}
-    what = {"qd": "velocity", "tau": "torque"}[name]
-    said = f"{what} is {1e3 * late.seconds:.1f} +- {1e3 * late.sd:.1f} ms late against the positions: corrected here"
     shifted = replace(
         data,
         **columns,
         segments=tuple(pairwise(edges)),
         bridged=np.flatnonzero(np.isin(kept, data.bridged)),
         delays={**data.delays, name: late},
-        notes=(*data.notes, said),
     )
     return shifted, kept
+
+
+def delay_text(name: str, late: Delay) -> str:
+    """Return a corrected delay of the column qd or tau in words."""
+    what = {"qd": "velocity", "tau": "torque"}[name]
+    return (
+        f"{what} is {1e3 * late.seconds:.1f} +- {1e3 * late.sd:.1f} ms late against the positions: corrected in this "
+        "fit, not in estimators; correct it where the log is made"
+    )
 
 
 # Single samples of torque that are far from their neighbours, found and replaced: a filter would spread them over the

@@ -29,7 +29,7 @@ class Results:
             network.
         figure: Also draw the result into this PNG, SVG or PDF.
         json: Print JSON for scripts.
-        force: Replace existing files.
+        force: Replace existing files. With `identify`: also fit torques that are not plausible.
     """
 
     report: Path | None = None
