@@ -22,7 +22,7 @@ BRIDGED = 4  # lost rows between two that are interpolated; more of them end a s
 WINDOW = 50  # rows in which a late row is caught up with
 BLOCK = 2.0  # s, of the medians
 JITTER = 0.01  # of the period: less is rounding of the stamps
-EARLIEST, LATEST = -0.05, 0.3  # s, of the delays that are searched
+EARLIEST, LATEST = -0.06, 0.32  # s, of the delays that are searched
 STEP = 0.004  # s, between the shifts of the first search
 LEAST, SURE = 0.5, 3.0  # periods and deviations: a smaller delay stays as it is
 DOUBT = 1e-3  # s: friction lags in ways that no regression has
@@ -62,9 +62,9 @@ class Clock:
         return cls(clock if uneven else t, index, period, jitter, drift, uneven)
 
     @property
-    def pieces(self) -> np.ndarray:
-        """First row of each piece without a gap of more than `BRIDGED` rows, and the number of rows (k,)."""
-        return np.concatenate([[0], np.flatnonzero(np.diff(self.index) > BRIDGED + 1) + 1, [len(self.t)]])
+    def pieces(self) -> list[int]:
+        """First row of each piece without a gap of more than `BRIDGED` rows, and the number of rows."""
+        return _pieces(self.index)
 
     @property
     def lost(self) -> int:
@@ -72,7 +72,7 @@ class Clock:
         missing = np.diff(self.index) - 1
         return int(missing[missing <= BRIDGED].sum())
 
-    def bridged(self, columns: list[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, np.ndarray]:
+    def bridged(self, columns: list[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, list[int]]:
         """Return time, columns (N', n), which rows were measured (N',), and the edges of the pieces among them."""
         pieces = self.pieces
         if not self.lost:
@@ -80,7 +80,7 @@ class Clock:
         every = [np.arange(self.index[a], self.index[b - 1] + 1) for a, b in pairwise(pieces)]
         index = np.concatenate(every)
         wide = [np.stack([np.interp(index, self.index, x) for x in column.T], axis=1) for column in columns]
-        edges = np.cumsum([0, *map(len, every)])
+        edges = np.cumsum([0, *map(len, every)]).tolist()
         return np.interp(index, self.index, self.t), wide, np.isin(index, self.index), edges
 
     def text(self) -> str:
@@ -119,12 +119,15 @@ def _lost(t: np.ndarray, period: float) -> np.ndarray:
     return lost
 
 
+def _pieces(index: np.ndarray) -> list[int]:
+    return [0, *(np.flatnonzero(np.diff(index) > BRIDGED + 1) + 1).tolist(), len(index)]
+
+
 def _even(t: np.ndarray, index: np.ndarray, period: float) -> tuple[np.ndarray, float, float]:
     """Return the even clock (N,) of stamps t (N,), its period, and the drift of the stamps."""
-    edges = [0, *(np.flatnonzero(np.diff(index) > BRIDGED + 1) + 1), len(t)]
-    clock, drift, longest = np.empty(len(t)), 0.0, 0
-    for a, b in pairwise(edges):
-        blocks = np.array_split(np.arange(a, b), min(b - a, max(1, round((t[b - 1] - t[a]) / BLOCK))))
+    clock, drift, longest, found = np.empty(len(t)), 0.0, 0, period
+    for a, b in pairwise(_pieces(index)):
+        blocks = np.array_split(np.arange(a, b), min(b - a, max(1, round(float(t[b - 1] - t[a]) / BLOCK))))
         at = np.array([index[rows].mean() for rows in blocks])
         middle = np.array([np.median(t[rows] - period * (index[rows] - x)) for rows, x in zip(blocks, at)])
         slope = np.polyfit(at - at[0], middle - middle[0], 1)[0] if len(at) > 1 else period
@@ -168,6 +171,8 @@ def delay_of(y: np.ndarray, bases: list[np.ndarray], rows: np.ndarray, rate: flo
     (first, last), step = shifts_of(rate), max(1, round(STEP * rate))
     coarse = np.arange(first, last + 1, step)
     score = np.log(_shares(y, bases, rows, joints, coarse)).sum(axis=0)
+    if np.argmin(score) in (0, len(coarse) - 1):
+        return None
     best = int(coarse[np.argmin(score)])
     near = np.arange(max(first, best - 2 * step), min(last, best + 2 * step) + 1)
     shares, weights = _shares(y, bases, rows, joints, near), []

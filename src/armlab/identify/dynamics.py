@@ -42,12 +42,14 @@ from armlab.identify.record import (
     delay_text,
     measured_joints,
     prepare,
+    prepare_share,
+    resting,
     torque_outliers,
     without_outliers,
 )
 from armlab.identify.regression import BaseParameters, Design, base_parameters
 from armlab.identify.solve import ROBUST, alternate, calibrated, gain_share, linearised, short_blocks
-from armlab.identify.validation import FIFTHS, assess, report, training
+from armlab.identify.validation import FIFTHS, assess, places_of_joints, report, training
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.friction import FrictionBound
@@ -191,7 +193,7 @@ def fit_model(
     """Run the five stages for `fit_dynamics` and `fit_gravity`; `check` refuses records that do not suit the fit."""
     settings.check(robot)
     settings.tell(0, 5, "checking the log")
-    record = prepare(table, robot, settings.joints)
+    record, settings, rest = _moving(table, robot, settings)
     check(record)
     problem = make_problem(record, robot, base, settings)
     design, sums, solution = problem.design, problem.sums, problem.sums.solution
@@ -199,10 +201,58 @@ def fit_model(
     settings.tell(4, 5, "held-out residuals")
     model = model_of(design, solution.x, cov, problem.gain_cov)
     folds = fold_models(model, design, sums, problem.block, problem.length)
-    model = assess(model, folds, design.data, design.joints)
+    before = None if settings.prior is None else settings.prior.value
+    model = assess(model, folds, design.data, design.joints, before=before)
     settings.tell(5, 5, "done")
     cov = cov + gain_share(solution, problem.gain_cov)
-    return fit_of(model, design, solution, cov, record.measured, problem.doubts)
+    fit = fit_of(model, design, solution, cov, record.measured, problem.doubts)
+    return _with_resting(fit, settings.prior, rest) if settings.prior is not None and rest.any() else fit
+
+
+def _moving(
+    table: Table | Sequence[Table], robot: Robot, settings: FitSettings
+) -> tuple[Record, FitSettings, np.ndarray]:
+    """Return the record, settings for the joints that move in it, and which joints (n,) a prior holds at rest."""
+    none = np.zeros(len(robot.joint_names), dtype=bool)
+    if settings.prior is None:
+        return prepare(table, robot, settings.joints), settings, none
+    record = prepare_share(table, robot, settings.joints)
+    rest = resting(record.q, robot.prismatic)
+    rest &= np.isin(np.arange(len(rest)), measured_joints(robot, settings.joints))
+    if not rest.any():
+        return record, settings, none
+    moved = [i for i in measured_joints(robot, settings.joints) if not rest[i]]
+    if not moved:
+        return prepare(table, robot, settings.joints), settings, none  # which refuses
+    return record, replace(settings, joints=tuple(moved)), rest
+
+
+def _with_resting(fit: Fit[TorqueModel], prior: Fit[TorqueModel], rest: np.ndarray) -> Fit[TorqueModel]:
+    """Return the fit with the prior's parameters of joints (n,) that rested, and named."""
+    own, known, n = places_of_joints(fit), places_of_joints(prior), len(rest)
+    if len(known) != n or len(own) != n - np.count_nonzero(rest):
+        return fit
+    size, found = len(fit.names), iter(own)
+    order = np.concatenate([
+        np.arange(len(fit.value.base_names)),
+        *(size + known[i] if rest[i] else next(found) for i in range(n)),
+        np.arange(own[-1][-1] + 1, size),
+    ])  # fmt: skip
+    cov = np.zeros((size + len(prior.names),) * 2)
+    cov[:size, :size], cov[size:, size:] = fit.cov, prior.cov
+    formal = cov.copy()
+    formal[:size, :size] = fit.cov if fit.formal_cov is None else fit.formal_cov
+    names, units = (*fit.names, *prior.names), (*fit.units, *prior.units)
+    listed = ", ".join(str(i + 1) for i in np.flatnonzero(rest))
+    return replace(
+        fit,
+        names=tuple(names[k] for k in order),
+        units=tuple(units[k] for k in order),
+        parameters=np.concatenate([fit.parameters, prior.parameters])[order],
+        cov=cov[np.ix_(order, order)],
+        formal_cov=formal[np.ix_(order, order)],
+        notes=(*fit.notes, f"at rest, friction held by the prior: joint{'s' * int(rest.sum() > 1)} {listed}"),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -380,7 +430,6 @@ def fit_of(
 ) -> Fit[TorqueModel]:
     """Return the fit behind a model, its parameters in their units, with what was repaired and what is doubted."""
     late = tuple(delay_text(name, delay) for name, delay in design.data.delays.items())
-    notes = "\n".join(design.data.notes)
     parameters, in_units, formal = design.in_units(solution.x, cov, solution.cov)
     return Fit(
         value=model,
@@ -393,6 +442,7 @@ def fit_of(
         residuals=design.residuals(solution.x),
         n=n,
         excitation=solution.excitation,
-        summary=lambda fit: "\n".join([report(fit, solution), *filter(None, [notes]), *fit.doubts]),
+        summary=lambda fit: "\n".join([report(fit, solution), *fit.notes, *fit.doubts]),
+        notes=design.data.notes,
         doubts=(*doubts, *late),
     )

@@ -69,6 +69,7 @@ def loose_gains(design: Design, method: str) -> tuple[np.ndarray, np.ndarray]:
     found = np.full((2, len(design.robot.joint_names)), np.nan)
     if np.all(np.abs(design.gains - 1.0) < SUSPECT * GAIN_SD):
         return found[0], found[1]
+    cov = np.zeros((len(design.joints),) * 2)
     for _ in range(ROUNDS):
         solution = solved(design, None, method)
         read = as_read(solution, design.gains)
@@ -76,10 +77,10 @@ def loose_gains(design: Design, method: str) -> tuple[np.ndarray, np.ndarray]:
         x, g = problem.solve()
         if not np.all(np.isfinite(g)) or np.any(g <= -1.0):
             return found[0], found[1]
-        design = design.with_gains(1.0 + g)
-    apart = (np.eye(len(g)) - 1.0 / len(g)) / (1.0 + g)  # of the logarithms, without what all have in common
-    spread = apart @ problem.gain_covariance(x, g) @ apart.T
-    found[:, design.joints] = 1.0 + g, (1.0 + g) * np.sqrt(np.diag(spread))
+        design, cov = design.with_gains(1.0 + g), problem.gain_covariance(x, g)
+    gains = design.gains
+    apart = (np.eye(len(gains)) - 1.0 / len(gains)) / gains  # of the logarithms, without what all have in common
+    found[:, design.joints] = gains, gains * np.sqrt(np.diag(apart @ cov @ apart.T))
     return found[0], found[1]
 
 

@@ -158,20 +158,24 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
     return _checked(_tables(table), robot, used, used)
 
 
-def prepare_share(table: Table, robot: Robot) -> Record:
-    """Check and cut one log of many as `prepare` does; joints may rest in it, since others may move them."""
-    every = np.ones(len(measured_joints(robot)), dtype=bool)
-    return _checked(_tables(table), robot, every, ~every)
+def prepare_share(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] | None = None) -> Record:
+    """Check and cut logs as `prepare` does; joints may rest in them: others move them, or a prior knows them."""
+    used = np.bincount(measured_joints(robot, joints), minlength=len(robot.joint_names)) > 0
+    return _checked(_tables(table), robot, used, np.zeros_like(used))
+
+
+def resting(q: np.ndarray, prismatic: np.ndarray) -> np.ndarray:
+    """Return which joints (n,) move by less than 5 degrees, or 20 mm, in positions (N, n)."""
+    return np.ptp(q, axis=0) < np.where(prismatic, MIN_SLIDE, MIN_TURN)
 
 
 def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.ndarray) -> Record:
     """Return the record of logs whose joints `moving` (n,) must move, and `used` (n,) have a torque."""
     prepared = _joined(tables, robot)
     check_position(prepared.q, robot)
-    least = np.where(robot.prismatic, MIN_SLIDE, MIN_TURN)
-    moved = np.ptp(prepared.q, axis=0) >= least
+    moved = ~resting(prepared.q, robot.prismatic)
     _check_motion(prepared.q, robot, moving & ~moved)
-    turned = np.max([np.ptp(prepared.q[a:b], axis=0) for a, b in prepared.segments], axis=0) >= least  # inside a log
+    turned = ~np.all([resting(prepared.q[a:b], robot.prismatic) for a, b in prepared.segments], axis=0)  # inside a log
     given = all("qd" in one.values for one in tables)
     prepared, slope = _velocity_on_time(prepared, moved & turned) if given else (prepared, prepared.qd)
     if given:
@@ -281,15 +285,15 @@ def pieces(t: np.ndarray) -> list[tuple[int, int]]:
 
 def _pieces(t: np.ndarray) -> list[tuple[int, int]]:
     """Return (start, stop) of the stretches without a gap that have at least `MIN_SEGMENT` rows."""
-    return [(int(a), int(b)) for a, b in pairwise(_edges(t)) if b - a >= MIN_SEGMENT]
+    return [(a, b) for a, b in pairwise(_edges(t)) if b - a >= MIN_SEGMENT]
 
 
-def _edges(t: np.ndarray) -> np.ndarray:
+def _edges(t: np.ndarray) -> list[int]:
     """Return the first row of each piece without a gap, and the number of rows."""
-    return Clock.of(t).pieces if len(t) > 1 else np.array([0, len(t)])
+    return Clock.of(t).pieces if len(t) > 1 else [0, len(t)]
 
 
-def _in_pieces(edges: np.ndarray) -> ShapeError:
+def _in_pieces(edges: list[int]) -> ShapeError:
     """Return the refusal of a log whose pieces are all short."""
     return ShapeError(
         f"Expected pieces of at least {MIN_SEGMENT} samples without a gap of {BRIDGED + 1} rows, got "
@@ -321,7 +325,8 @@ def _segments(table: Table, robot: Robot) -> _Part:
                 f"Expected {name} of shape {wanted} for robot {robot.name!r}, got {values.shape}. "
                 "Name the robot that was logged."
             )
-    t, present = np.asarray(table.t, dtype=float), ~np.isnan(np.concatenate(columns, axis=1)).all(axis=1)
+    t = np.asarray(table.t, dtype=float)
+    present = np.any(~np.isnan(np.concatenate(columns, axis=1)), axis=1)
     for name, values in zip(names, columns):
         check_finite(name, np.where(present[:, None], values, 0.0))
     t, columns = t[present], [values[present] for values in columns]  # resampled logs have NaN in lost rows
@@ -335,7 +340,7 @@ def _segments(table: Table, robot: Robot) -> _Part:
     clock = Clock.of(t, *columns[:2]) if len(columns) == 3 else Clock.of(t)
     check_rate(clock.period)
     t, columns, measured, edges = clock.bridged(columns)
-    found = [(int(a), int(b)) for a, b in pairwise(edges) if np.count_nonzero(measured[a:b]) >= MIN_SEGMENT]
+    found = [(a, b) for a, b in pairwise(edges) if np.count_nonzero(measured[a:b]) >= MIN_SEGMENT]
     if not found:
         raise _in_pieces(edges)
     if "qd" not in known:
