@@ -143,7 +143,7 @@ def test_tiago_on_held_out_blocks(tiago, method: str) -> None:
     arm = [1, 2, 3, 4]
     data = prepare(tiago_protocol(table), robot, arm)
     test = np.arange(len(data.t[::5])) // 40 % 2 == 1
-    assert len(test) == 1134
+    assert len(test) == 1130  # five rows at the end have no velocity: it is 0.19 s late
     found = held_out(data, robot, test, 5, method, arm)
     print(f"TIAGo, {method}:", found.round(1))
     assert np.all(found <= [14, 18, 15.5, 12])

@@ -63,6 +63,10 @@ class Fit(Generic[Value]):
     formal_cov : ndarray, shape (d, d), optional
         Where `cov` is from a block bootstrap: the covariance for white residuals, far too small for coloured ones. None
         where `cov` is formal itself, and when the fit was read from a file.
+    notes : tuple of str
+        Lines of the report: what was repaired or held; empty when the fit was read from a file.
+    doubts : tuple of str
+        Sentences: what is not right with the data or the fit; empty when the fit was read from a file.
     """
 
     value: Value
@@ -78,6 +82,8 @@ class Fit(Generic[Value]):
     outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     classes: tuple[str, ...] = ()
     formal_cov: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         d = len(self.names)

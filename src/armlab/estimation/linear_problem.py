@@ -136,8 +136,8 @@ def check_excitation(
 
     `A`: (m, p) whitened design matrix, or its triangle R (p, p). `prior`: when given, directions that the data do not
     tell keep its values, and are listed in `held`; without one they are refused. `max_condition`: strongest over
-    weakest singular value of the column-scaled A that is accepted. Returns: Excitation with the singular values of the
-    column-scaled A.
+    weakest singular value of the column-scaled A that is accepted; infinite refuses nothing. Returns: Excitation with
+    the singular values of the column-scaled A.
     """
     A = numbers(A, "a design matrix", ShapeError)
     found = Excitation.of(A, names, max_condition)
@@ -147,6 +147,8 @@ def check_excitation(
         _check_prior(prior, len(names))
         known = (found.scale, found.vectors, directions)
         return Excitation(found.rank, found.expected, found.singular_values, found.weakest, *known)
+    if not np.isfinite(max_condition):
+        return found
     dead = [name for name, column in zip(names, A.T) if not column.any()]
     if dead:
         raise NotExcited(

@@ -36,11 +36,22 @@ from armlab.estimation.linear_problem import LinearSolution
 from armlab.estimation.robust import METHODS, block_seconds
 from armlab.estimation.tsqr import one_thread
 from armlab.identify.friction_structure import Chooser, choose_here
-from armlab.identify.record import Record, check_blocks, measured_joints, prepare, torque_outliers, without_outliers
+from armlab.identify.plausibility import check_gains, check_torques
+from armlab.identify.record import (
+    Record,
+    check_blocks,
+    delay_text,
+    measured_joints,
+    prepare,
+    prepare_share,
+    resting,
+    torque_outliers,
+    without_outliers,
+)
 from armlab.identify.regression import BaseParameters, Design, base_parameters
 from armlab.identify.solve import ROBUST, alternate, best_cutoff, calibrated, gain_share, linearised, short_blocks
 from armlab.identify.uncertainty import covariance
-from armlab.identify.validation import FIFTHS, assess, report, training
+from armlab.identify.validation import FIFTHS, assess, places_of_joints, report, training
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.friction import FrictionBound
@@ -67,6 +78,7 @@ def fit_dynamics(
     prior: Fit[TorqueModel] | None = None,
     joints: Sequence[int] | None = None,
     cutoff: float | None = None,
+    force: bool = False,
 ) -> Fit[TorqueModel]:
     """Identify the torque model of an arm from one or several logs of free motion.
 
@@ -94,6 +106,8 @@ def fit_dynamics(
         Corner of the low-pass over torque and regressor. Default: chosen on held-out stretches of time among a tenth
         of the sampling rate (25 Hz at most), 12 and 6 Hz; the report says why. The model's own filter has this corner
         where it is below 10 Hz.
+    force : bool
+        Fit torques that are not plausible, and report the reasons as doubts. Default: refuse them.
 
     Returns
     -------
@@ -105,7 +119,8 @@ def fit_dynamics(
     Raises
     ------
     ShapeError
-        NaN rows, wrong joint count, velocity that is not the derivative of position.
+        NaN rows, wrong joint count, velocity that is not the derivative of position. Torques with a wrong sign, or more
+        than 3 times off what the masses of the robot file need or the other joints imply, by joint.
     NotExcited
         Joints or directions that the log does not determine, by name.
     UnknownName
@@ -120,7 +135,7 @@ def fit_dynamics(
     """
     measured = None if joints is None else tuple(measured_joints(robot, joints))
     tell = progress or (lambda done, total, what: None)
-    settings = FitSettings("torque model", method, seed, tell, prior, measured, cutoff=cutoff)
+    settings = FitSettings("torque model", method, seed, tell, prior, measured, cutoff=cutoff, force=force)
     return fit_model(table, robot, base_parameters(robot, joints=measured), settings)
 
 
@@ -134,6 +149,7 @@ def fit_gravity(
     progress: Progress | None = None,
     prior: Fit[TorqueModel] | None = None,
     cutoff: float | None = None,
+    force: bool = False,
 ) -> Fit[TorqueModel]:
     """Identify gravity, friction and offsets from one or several logs of slow free motion.
 
@@ -141,7 +157,7 @@ def fit_gravity(
     ----------
     table : logs with columns q, tau (N, n), and qd where it was measured, without contact.
     robot : the arm that was logged; its gravity counts.
-    method, seed, progress, prior, cutoff : as in `fit_dynamics`.
+    method, seed, progress, prior, cutoff, force : as in `fit_dynamics`.
 
     Returns
     -------
@@ -157,7 +173,7 @@ def fit_gravity(
     Bagge Carlson and Haage (2017), YuMi low-level motion guidance, TFRT-7651, section 4.
     """
     tell = progress or (lambda done, total, what: None)
-    settings = FitSettings("gravity model", method, seed, tell, prior, cutoff=cutoff)
+    settings = FitSettings("gravity model", method, seed, tell, prior, cutoff=cutoff, force=force)
     return fit_model(
         table, robot, base_parameters(robot, quasi_static=True), settings, lambda data: _check_slow(data, robot)
     )
@@ -186,7 +202,7 @@ def fit_model(
     """Run the five stages for `fit_dynamics` and `fit_gravity`; `check` refuses records that do not suit the fit."""
     settings.check(robot)
     settings.tell(0, 5, "checking the log")
-    record = prepare(table, robot, settings.joints)
+    record, settings, rest = _moving(table, robot, settings)
     check(record)
     problem = make_problem(record, robot, base, settings)
     design, sums, solution = problem.design, problem.sums, problem.sums.solution
@@ -194,9 +210,58 @@ def fit_model(
     settings.tell(4, 5, "held-out residuals")
     model = model_of(design, solution.x, cov, problem.gain_cov)
     folds = fold_models(model, design, sums, problem.block, problem.length)
-    model = assess(model, folds, design.data, design.joints)
+    before = None if settings.prior is None else settings.prior.value
+    model = assess(model, folds, design.data, design.joints, before=before)
     settings.tell(5, 5, "done")
-    return fit_of(model, design, solution, cov + gain_share(solution, problem.gain_cov), len(record.t), problem.band)
+    cov = cov + gain_share(solution, problem.gain_cov)
+    fit = fit_of(model, design, solution, cov, record.measured, problem.band, problem.doubts)
+    return _with_resting(fit, settings.prior, rest) if settings.prior is not None and rest.any() else fit
+
+
+def _moving(
+    table: Table | Sequence[Table], robot: Robot, settings: FitSettings
+) -> tuple[Record, FitSettings, np.ndarray]:
+    """Return the record, settings for the joints that move in it, and which joints (n,) a prior holds at rest."""
+    none = np.zeros(len(robot.joint_names), dtype=bool)
+    if settings.prior is None:
+        return prepare(table, robot, settings.joints), settings, none
+    record = prepare_share(table, robot, settings.joints)
+    rest = resting(record.q, robot.prismatic)
+    rest &= np.isin(np.arange(len(rest)), measured_joints(robot, settings.joints))
+    if not rest.any():
+        return record, settings, none
+    moved = [i for i in measured_joints(robot, settings.joints) if not rest[i]]
+    if not moved:
+        return prepare(table, robot, settings.joints), settings, none  # which refuses
+    return record, replace(settings, joints=tuple(moved)), rest
+
+
+def _with_resting(fit: Fit[TorqueModel], prior: Fit[TorqueModel], rest: np.ndarray) -> Fit[TorqueModel]:
+    """Return the fit with the prior's parameters of joints (n,) that rested, and named."""
+    own, known, n = places_of_joints(fit), places_of_joints(prior), len(rest)
+    if len(known) != n or len(own) != n - np.count_nonzero(rest):
+        return fit
+    size, found = len(fit.names), iter(own)
+    order = np.concatenate([
+        np.arange(len(fit.value.base_names)),
+        *(size + known[i] if rest[i] else next(found) for i in range(n)),
+        np.arange(own[-1][-1] + 1, size),
+    ])  # fmt: skip
+    cov = np.zeros((size + len(prior.names),) * 2)
+    cov[:size, :size], cov[size:, size:] = fit.cov, prior.cov
+    formal = cov.copy()
+    formal[:size, :size] = fit.cov if fit.formal_cov is None else fit.formal_cov
+    names, units = (*fit.names, *prior.names), (*fit.units, *prior.units)
+    listed = ", ".join(str(i + 1) for i in np.flatnonzero(rest))
+    return replace(
+        fit,
+        names=tuple(names[k] for k in order),
+        units=tuple(units[k] for k in order),
+        parameters=np.concatenate([fit.parameters, prior.parameters])[order],
+        cov=cov[np.ix_(order, order)],
+        formal_cov=formal[np.ix_(order, order)],
+        notes=(*fit.notes, f"at rest, friction held by the prior: joint{'s' * int(rest.sum() > 1)} {listed}"),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +270,7 @@ class FitSettings:
 
     `tell`: called with (done, total, what). `joints`: whose torque is measured; None for all. `chooser`: of the
     structure of friction, see `Design.choose_structure`. `cutoff`: corner of the regression [Hz]; None to choose it.
+    `force`: fit torques that are not plausible.
     """
 
     what: str
@@ -215,6 +281,7 @@ class FitSettings:
     joints: tuple[int, ...] | None = None
     chooser: Chooser = choose_here
     cutoff: float | None = None
+    force: bool = False
 
     def corner(self, data: Record) -> float | None:
         """Return the corner of the regression [Hz] where it is given; refuse one that the rate does not carry."""
@@ -257,7 +324,7 @@ class FitProblem:
 
     `gain_cov`: (J, J) of the gains. `block`: (N,) number of the block of each sample, `length` of them in an
     independent segment. `theta`: (p,) parameters without slopes at which the slopes were taken. `band`: why the
-    regression has its corner.
+    regression has its corner. `doubts`: about the torques, in words.
     """
 
     design: Design
@@ -267,6 +334,7 @@ class FitProblem:
     length: int
     theta: np.ndarray
     band: str
+    doubts: tuple[str, ...]
 
 
 def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: FitSettings) -> FitProblem:
@@ -276,6 +344,8 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     """
     method, prior = settings.method, settings.prior
     known = None if prior is None else (prior.value.gains, prior.value.gain_cov)
+    used = np.isin(np.arange(len(robot.joint_names)), measured_joints(robot, settings.joints))
+    doubts = check_torques(record, robot, used, settings.force)
     outliers = torque_outliers(record) if method in ROBUST else np.zeros(record.tau.shape, dtype=bool)
     first = replace(record, tau=without_outliers(record, outliers)) if outliers.any() else record
 
@@ -295,11 +365,12 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
         design = design.with_torque(without_outliers(record, outliers, model))
         design, theta = alternate(design, method, settings.seed, chooser=settings.chooser, again=True)
     design, theta, gain_cov = calibrated(design, method, known)
+    doubts = doubts or check_gains(design, method, settings.force)
 
     settings.tell(3, 5, "covariance from blocks")
     block, length = _blocks(design, theta, method)
     design, sums = _solved(design, theta, settings, block, length)
-    return FitProblem(design, gain_cov, sums, block, length, theta, band)
+    return FitProblem(design, gain_cov, sums, block, length, theta, band, doubts)
 
 
 def _solved(
@@ -382,10 +453,17 @@ def fold_models(
 
 
 def fit_of(
-    model: TorqueModel, design: Design, solution: LinearSolution, cov: np.ndarray, n: int, band: str
+    model: TorqueModel,
+    design: Design,
+    solution: LinearSolution,
+    cov: np.ndarray,
+    n: int,
+    band: str,
+    doubts: tuple[str, ...],
 ) -> Fit[TorqueModel]:
-    """Return the fit behind a model, its parameters in their units."""
-    band = f"regression below {design.decimation.cutoff:g} Hz ({band})"
+    """Return the fit behind a model, its parameters in their units, with what was repaired and what is doubted."""
+    late = tuple(delay_text(name, delay) for name, delay in design.data.delays.items())
+    corner = f"regression below {design.decimation.cutoff:g} Hz ({band})"
     parameters, in_units, formal = design.in_units(solution.x, cov, solution.cov)
     return Fit(
         value=model,
@@ -398,5 +476,7 @@ def fit_of(
         residuals=design.residuals(solution.x),
         n=n,
         excitation=solution.excitation,
-        summary=lambda fit: f"{report(fit, solution)}\n{band}",
+        summary=lambda fit: "\n".join([report(fit, solution), *fit.notes, *fit.doubts]),
+        notes=(*design.data.notes, corner),
+        doubts=(*doubts, *late),
     )

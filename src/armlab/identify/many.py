@@ -182,7 +182,7 @@ def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first
         sources=tuple(one.source for one in sums),
     )
     cov, rows = cov + gain_share(solution, draft.gain_cov), sum(one.n for one in sums)
-    return fit_of(model, design, solution, cov, rows, f"{draft.band}, first logs")
+    return fit_of(model, design, solution, cov, rows, f"{draft.band}, first logs", draft.doubts)
 
 
 def same_rate(one: float, other: float) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -13,8 +13,10 @@ import numpy as np
 from armlab._numbers import members
 from armlab.errors import NotExcited, RobotError, ShapeError, UnknownName
 from armlab.estimation.robust import NORMAL_MAD
+from armlab.identify.clocks import BRIDGED, Clock, Delay, delay_of, earlier, shifts_of
+from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.log.units_check import check_position, check_torque, check_velocity
+from armlab.log.units_check import check_constant, check_position, check_torque, check_velocity
 from armlab.models import TorqueModel
 from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline
@@ -23,9 +25,9 @@ MIN_RATE = 40.0  # Hz: four samples in a period of the 10 Hz that models and est
 SLOW_SHARE = 0.25  # of the sampling rate: a faster ripple line folds back
 
 
-def check_rate(t: np.ndarray) -> None:
+def check_rate(period: float) -> None:
     """Refuse a log whose sampling is too slow for friction: below `MIN_RATE`."""
-    rate = 1.0 / float(np.median(np.diff(t)))
+    rate = 1.0 / period
     if rate < MIN_RATE * (1.0 - 1e-6):
         hint = " If t is in milliseconds, divide it by 1000." if rate < 10.0 else ""
         raise ShapeError(
@@ -53,7 +55,9 @@ class Record:
 
     `t`: (N,) time [s], increasing inside a segment. `q`, `qd`, `tau`: (N, n). `dt`: (N,) step to the previous sample
     [s]; the period at the start of a segment. `segments`: (start, stop) rows of each piece without a gap. `rate`: [Hz].
-    `resolution`: (n,) half the smallest step of the encoder [rad]. `sources`: name and SHA-256 of each log.
+    `resolution`: (n,) half the smallest step of the encoder [rad]. `sources`: name and SHA-256 of each log. `bridged`:
+    (B,) rows that were lost and are interpolated. `delays`: of torque and velocity where they were corrected. `notes`:
+    what was repaired, in words.
     """
 
     t: np.ndarray
@@ -65,6 +69,14 @@ class Record:
     rate: float
     resolution: np.ndarray
     sources: tuple[str, ...]
+    bridged: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    delays: dict[str, Delay] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def measured(self) -> int:
+        """Number of rows that were measured."""
+        return len(self.t) - len(self.bridged)
 
     @property
     def seconds(self) -> float:
@@ -146,34 +158,56 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
     return _checked(_tables(table), robot, used, used)
 
 
-def prepare_share(table: Table, robot: Robot) -> Record:
-    """Check and cut one log of many as `prepare` does; joints may rest in it, since others may move them."""
-    every = np.ones(len(measured_joints(robot)), dtype=bool)
-    return _checked(_tables(table), robot, every, ~every)
+def prepare_share(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] | None = None) -> Record:
+    """Check and cut logs as `prepare` does; joints may rest in them: others move them, or a prior knows them."""
+    used = np.bincount(measured_joints(robot, joints), minlength=len(robot.joint_names)) > 0
+    return _checked(_tables(table), robot, used, np.zeros_like(used))
+
+
+def resting(q: np.ndarray, prismatic: np.ndarray) -> np.ndarray:
+    """Return which joints (n,) move by less than 5 degrees, or 20 mm, in positions (N, n)."""
+    return np.ptp(q, axis=0) < np.where(prismatic, MIN_SLIDE, MIN_TURN)
 
 
 def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.ndarray) -> Record:
     """Return the record of logs whose joints `moving` (n,) must move, and `used` (n,) have a torque."""
+    prepared = _joined(tables, robot)
+    check_position(prepared.q, robot)
+    moved = ~resting(prepared.q, robot.prismatic)
+    _check_motion(prepared.q, robot, moving & ~moved)
+    turned = ~np.all([resting(prepared.q[a:b], robot.prismatic) for a, b in prepared.segments], axis=0)  # inside a log
+    given = all("qd" in one.values for one in tables)
+    prepared, slope = _velocity_on_time(prepared, moved & turned) if given else (prepared, prepared.qd)
+    if given:
+        check_velocity(slope, prepared.filter(prepared.qd, BAND), moved & turned, robot)
+    torques = used & (moving | moved)
+    if robot.inertias is None:
+        check_torque(prepared.q, prepared.tau, torques, robot)
+    else:  # `identify.plausibility` compares with the masses
+        check_constant(prepared.tau, torques, robot)
+    return torque_on_time(prepared, robot, used & moved & turned)
+
+
+def _joined(tables: list[Table], robot: Robot) -> Record:
+    """Return the segments of some logs as one record, each on the clock of its rows."""
     parts = [_segments(one, robot) for one in tables]
-    rate = _common_rate(tables)
-    t = np.concatenate([t[a:b] for t, _, segs in parts for a, b in segs])
-    columns = [np.concatenate([c[k][a:b] for _, c, segs in parts for a, b in segs]) for k in range(3)]
-    lengths = np.cumsum([0, *(b - a for _, _, segs in parts for a, b in segs)])
-    segments = tuple((int(a), int(b)) for a, b in pairwise(lengths))
+    rate = _common_rate([1.0 / part.clock.period for part in parts])
+    pieces = [(part, a, b) for part in parts for a, b in part.segments]
+    t, measured = (np.concatenate([getattr(part, name)[a:b] for part, a, b in pieces]) for name in ("t", "measured"))
+    q, qd, tau = (np.concatenate([part.columns[k][a:b] for part, a, b in pieces]) for k in range(3))
+    lengths = np.cumsum([0, *(b - a for _, a, b in pieces)])
     dt = np.diff(t, prepend=t[0])
     dt[lengths[:-1]] = 1.0 / rate
-    q, qd, tau = columns
-    sources = tuple(f"{one.source or 'table'} sha256:{one.sha256}" for one in tables)
-    prepared = Record(t, dt, q, qd, tau, segments, rate, _resolution(q), sources)
-    check_position(q, robot)
-    least = np.where(robot.prismatic, MIN_SLIDE, MIN_TURN)
-    moved = np.ptp(q, axis=0) >= least
-    _check_motion(q, robot, moving & ~moved)
-    slope = prepared.filter(prepared.differentiate(q), BAND)
-    turned = np.max([np.ptp(q[a:b], axis=0) for a, b in segments], axis=0) >= least  # not between two logs
-    check_velocity(slope, prepared.filter(qd, BAND), moved & turned, robot)
-    check_torque(q, tau, used & (moving | moved), robot)
-    return prepared
+    said = [(log_name(one, number), part.clock.text()) for number, (one, part) in enumerate(zip(tables, parts), 1)]
+    return Record(
+        t, dt, q, qd, tau,
+        segments=tuple((int(a), int(b)) for a, b in pairwise(lengths)),
+        rate=rate,
+        resolution=_resolution(q[measured]),
+        sources=tuple(f"{one.source or 'table'} sha256:{one.sha256}" for one in tables),
+        bridged=np.flatnonzero(~measured),
+        notes=tuple(f"{name}: {text}" for name, text in said if text),
+    )  # fmt: skip
 
 
 def _tables(table: Table | Sequence[Table]) -> list[Table]:
@@ -245,28 +279,42 @@ def pieces(t: np.ndarray) -> list[tuple[int, int]]:
     """Return (start, stop) of the stretches of a log without a gap that have at least 100 rows; refuse to find none."""
     found = _pieces(t)
     if not found:
-        cuts = _cuts(t)
-        longest = int(np.diff([0, *cuts, len(t)]).max())
-        raise ShapeError(
-            f"Expected pieces of at least {MIN_SEGMENT} samples without a gap, got {len(cuts)} gaps in {len(t)} rows, "
-            f"the longest piece with {longest} samples. Record again, or resample the log."
-        )
+        raise _in_pieces(_edges(t))
     return found
 
 
 def _pieces(t: np.ndarray) -> list[tuple[int, int]]:
     """Return (start, stop) of the stretches without a gap that have at least `MIN_SEGMENT` rows."""
-    return [(a, b) for a, b in pairwise([0, *_cuts(t), len(t)]) if b - a >= MIN_SEGMENT]
+    return [(a, b) for a, b in pairwise(_edges(t)) if b - a >= MIN_SEGMENT]
 
 
-def _cuts(t: np.ndarray) -> list[int]:
-    """Return the rows that come after a gap."""
-    step = np.diff(t)
-    return (np.flatnonzero(step > 1.5 * np.median(step)) + 1).tolist() if len(step) else []
+def _edges(t: np.ndarray) -> list[int]:
+    """Return the first row of each piece without a gap, and the number of rows."""
+    return Clock.of(t).pieces if len(t) > 1 else [0, len(t)]
 
 
-def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray], list[tuple[int, int]]]:
-    """Return time, [q, qd, tau] and the pieces of one log that have no gap."""
+def _in_pieces(edges: list[int]) -> ShapeError:
+    """Return the refusal of a log whose pieces are all short."""
+    return ShapeError(
+        f"Expected pieces of at least {MIN_SEGMENT} samples without a gap of {BRIDGED + 1} rows, got "
+        f"{len(edges) - 2} gaps in {edges[-1]} rows, the longest piece with {int(np.diff(edges).max())} samples. "
+        "Record again."
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One log: time (N,), [q, qd, tau], which rows were measured (N,), the pieces without a gap, and its clock."""
+
+    t: np.ndarray
+    columns: list[np.ndarray]
+    measured: np.ndarray
+    segments: list[tuple[int, int]]
+    clock: Clock
+
+
+def _segments(table: Table, robot: Robot) -> _Part:
+    """Return one log with its clock repaired, lost rows bridged, and cut at longer gaps."""
     known = table.values
     names = [name for name in ("q", "qd", "tau") if name != "qd" or "qd" in known]
     columns = [np.asarray(known[name] if name in known else table[name], dtype=float) for name in names]
@@ -277,8 +325,11 @@ def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray],
                 f"Expected {name} of shape {wanted} for robot {robot.name!r}, got {values.shape}. "
                 "Name the robot that was logged."
             )
-        check_finite(name, values)
     t = np.asarray(table.t, dtype=float)
+    present = np.any(~np.isnan(np.concatenate(columns, axis=1)), axis=1)
+    for name, values in zip(names, columns):
+        check_finite(name, np.where(present[:, None], values, 0.0))
+    t, columns = t[present], [values[present] for values in columns]  # resampled logs have NaN in lost rows
     if len(t) < MIN_SEGMENT or t[-1] - t[0] < MIN_SECONDS:
         length = t[-1] - t[0] if len(t) else 0.0
         raise NotExcited(
@@ -286,10 +337,15 @@ def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray],
             ["everything"],
             ["too short"],
         )
-    check_rate(t)
+    clock = Clock.of(t, *columns[:2]) if len(columns) == 3 else Clock.of(t)
+    check_rate(clock.period)
+    t, columns, measured, edges = clock.bridged(columns)
+    found = [(a, b) for a, b in pairwise(edges) if np.count_nonzero(measured[a:b]) >= MIN_SEGMENT]
+    if not found:
+        raise _in_pieces(edges)
     if "qd" not in known:
-        columns.insert(1, with_velocity(table)["qd"])
-    return t, columns, pieces(t)
+        columns.insert(1, with_velocity(Table(t, {"q": columns[0]}))["qd"])
+    return _Part(t, columns, measured, found, clock)
 
 
 def check_finite(
@@ -305,9 +361,8 @@ def check_finite(
         )
 
 
-def _common_rate(tables: list[Table]) -> float:
+def _common_rate(rates: list[float]) -> float:
     """Return the sampling rate [Hz] of all logs; one filter serves them all, so they must agree."""
-    rates = [1.0 / float(np.median(np.diff(one.t))) for one in tables]
     if max(rates) > 1.1 * min(rates):
         listed = ", ".join(f"{rate:.4g} Hz" for rate in rates)
         raise ShapeError(f"Expected logs of one sampling rate, got {listed}. Resample them to the slowest first.")
@@ -337,6 +392,120 @@ def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
         "gravity and friction look alike. Record a motion of all joints, as of identify.design_excitation.",
         names,
         spread,
+    )
+
+
+# A coarse regression of the torque of each joint by itself, on rigid body and friction of low-passed motion, a few rows
+# a second: it tells delays, signs and units before anything is fitted.
+
+
+SURVEY_BAND, SURVEY_RATE, SURVEY_ROWS = 8.0, 25.0, 2000  # Hz, rows a second, and rows at most
+DELTAS = (1e-4, 1e-3, 1e-2)  # rad, of presliding: friction lags by itself, and reverses with a peak
+BELLS = (0.03, 0.1)  # rad/s, of Stribeck's term on a presliding in between
+INDEPENDENT = 1e-7  # of the largest eigenvalue
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Rows (M,) of a record, low-passed q, qd, qdd (M, n) there, signs of friction (M, 5, n), torque (N, n)."""
+
+    rows: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    signs: np.ndarray
+    tau: np.ndarray
+    rigid: np.ndarray  # (M, n, 10 n)
+
+    @classmethod
+    def of(cls, data: Record, robot: Robot) -> Survey:
+        """Return the survey of a record."""
+        band = min(SURVEY_BAND, 0.1 * data.rate)
+        qd = data.filter(data.qd, band)
+        rows = survey_rows(data)
+        n = data.q.shape[1]
+        z = np.empty((len(data.t), len(DELTAS) + len(BELLS), n))
+        for k, delta in enumerate(DELTAS):
+            for a, b in data.segments:
+                z[a:b, k] = presliding(data.q[a:b], np.full(n, delta), data.resolution)
+        for k, speed in enumerate(BELLS, len(DELTAS)):
+            z[:, k] = z[:, len(DELTAS) // 2] * np.exp(-((data.qd / speed) ** 2))
+        q, slow, qdd, signs = data.q[rows], qd[rows], data.differentiate(qd)[rows], data.filter(z, band)[rows]
+        rigid = robot.chain.rigid_regressor(q, slow, qdd, robot.gravity)
+        return cls(rows, q, slow, qdd, signs, data.filter(data.tau, band), rigid)
+
+    def columns(self, i: int) -> np.ndarray:
+        """Return the columns (M, k) of rigid body, rotor and offset of joint i."""
+        return np.column_stack([self.rigid[:, i], self.qdd[:, i], np.ones(len(self.rows))])
+
+    def friction(self, i: int) -> np.ndarray:
+        """Return the columns (M, 6) of viscous and Coulomb friction of joint i."""
+        return np.column_stack([self.qd[:, i], self.signs[:, :, i]])
+
+
+def survey_rows(data: Record) -> np.ndarray:
+    """Return rows (M,) of a record from which every shift of a delay stays inside the segment."""
+    first, last = shifts_of(data.rate)
+    every = max(1, round(data.rate / SURVEY_RATE), len(data.t) // SURVEY_ROWS)
+    return np.concatenate([np.arange(a - first, b - last, every) for a, b in data.segments]).astype(int)
+
+
+def orthonormal(A: np.ndarray) -> np.ndarray:
+    """Return orthonormal columns (M, k) that span those of A, but directions hardly excited."""
+    A = A / np.maximum(np.sqrt(np.sum(A * A, axis=0)), 1e-12)
+    power, V = np.linalg.eigh(A.T @ A)
+    kept = power > INDEPENDENT * power[-1]
+    return A @ (V[:, kept] / np.sqrt(power[kept]))
+
+
+def _velocity_on_time(data: Record, moved: np.ndarray) -> tuple[Record, np.ndarray]:
+    """Return the record with qd as early as the slope of q, and that slope (N, n), low-passed."""
+    slope, speed, rows = data.filter(data.differentiate(data.q), BAND), data.filter(data.qd, BAND), survey_rows(data)
+    bases = [orthonormal(np.column_stack([column, np.ones(len(rows))])) for column in slope[rows].T]
+    late = delay_of(speed, bases, rows, data.rate, moved)
+    if late is None or not late.matters(1.0 / data.rate):
+        return data, slope
+    data, kept = _shifted(data, "qd", late)
+    return data, slope[kept]
+
+
+def torque_on_time(data: Record, robot: Robot, used: np.ndarray) -> Record:
+    """Return the record with tau as early as the motion that takes it, judged by the joints `used` (n,)."""
+    survey = Survey.of(data, robot)
+    bases = [
+        orthonormal(np.hstack([survey.columns(i), survey.friction(i)])) if used[i] else np.zeros((len(survey.rows), 0))
+        for i in range(len(used))
+    ]
+    late = delay_of(survey.tau, bases, survey.rows, data.rate, used)
+    return _shifted(data, "tau", late)[0] if late is not None and late.matters(1.0 / data.rate) else data
+
+
+def _shifted(data: Record, name: str, late: Delay) -> tuple[Record, np.ndarray]:
+    """Return the record with a column taken later by a delay, and the rows (N',) that have such a value."""
+    rows, column = late.seconds * data.rate, getattr(data, name).copy()
+    ahead, behind = max(0, int(np.ceil(-rows))), max(0, int(np.ceil(rows)))
+    for a, b in data.segments:
+        column[a:b] = earlier(column[a:b], rows)
+    found = [(a + ahead, b - behind) for a, b in data.segments if b - a - ahead - behind >= MIN_SEGMENT]
+    kept = np.concatenate([np.arange(a, b) for a, b in found])
+    edges = np.cumsum([0, *(b - a for a, b in found)]).tolist()
+    columns = {k: getattr(data, k)[kept] for k in ("t", "dt", "q", "qd", "tau")} | {name: column[kept]}
+    shifted = replace(
+        data,
+        **columns,
+        segments=tuple(pairwise(edges)),
+        bridged=np.flatnonzero(np.isin(kept, data.bridged)),
+        delays={**data.delays, name: late},
+    )
+    return shifted, kept
+
+
+def delay_text(name: str, late: Delay) -> str:
+    """Return a corrected delay of the column qd or tau in words."""
+    what = {"qd": "velocity", "tau": "torque"}[name]
+    return (
+        f"{what} is {1e3 * late.seconds:.1f} +- {1e3 * late.sd:.1f} ms late against the positions: corrected in this "
+        "fit, not in estimators; correct it where the log is made"
     )
 
 

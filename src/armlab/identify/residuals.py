@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from armlab.errors import ModelMismatchError
-from armlab.identify.record import Record, prepare
+from armlab.identify.record import Record, prepare, prepare_share, resting
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -35,13 +35,18 @@ def model_residuals(
     joints: Sequence[int] | None = None,
     robot: Robot | None = None,
 ) -> ModelResiduals:
-    """Return measured minus modelled torque of logs; the acceleration is low-passed at a tenth of the rate."""
+    """Return measured minus modelled torque of logs; the acceleration is low-passed at a tenth of the rate.
+
+    Joints may rest in them.
+    """
     if not isinstance(model, TorqueModel):
         raise ModelMismatchError.no_model(model)
     if robot is None:
         names = [f"joint {i + 1}" for i in range(model.n)]
         robot = from_links(model.robot_name, model.frames, model.prismatic, gravity=model.gravity, joint_names=names)
-    data = prepare(table, robot, joints)
+    data = prepare_share(table, robot, joints)
+    if resting(data.q, robot.prismatic).all():
+        data = prepare(table, robot, joints)  # which refuses
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     y = np.empty_like(data.q)
     for a, b in data.segments:

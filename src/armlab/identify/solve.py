@@ -283,13 +283,15 @@ def calibrated(
         solution = solved(design, None, method)
         if not solution.excitation.condition < MAX_CONDITION:
             return design, solution.x, cov
-        problem = GainProblem.of(_read(solution, design.gains), design.residuals(solution.x), design.gains - 1, GAIN_SD)
+        problem = GainProblem.of(
+            as_read(solution, design.gains), design.residuals(solution.x), design.gains - 1, GAIN_SD
+        )
         x, g = problem.solve()
         design, cov = design.with_gains(1.0 + g), problem.gain_covariance(x, g)
     return design, solved(design, None, method).x, cov
 
 
-def _read(solution: LinearSolution, gains: np.ndarray) -> LinearSolution:
+def as_read(solution: LinearSolution, gains: np.ndarray) -> LinearSolution:
     """Return the solution with the factors of the torque as it was read: both sides times the gains."""
     factors = replace(solution.factors, R=tuple(k * R for k, R in zip(gains, solution.factors.R)))
     return replace(solution, factors=factors, weights=solution.weights / gains)

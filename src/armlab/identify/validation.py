@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit
 from armlab.estimation.linear_problem import LinearSolution
 from armlab.estimation.robust import correlation_time, effective_samples
-from armlab.identify.record import Record, check_finite, torque_outliers, without_outliers
+from armlab.identify.record import Record, check_finite, resting, torque_outliers, without_outliers
 from armlab.identify.residuals import thermal_state_at
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.friction import FrictionBound
@@ -21,6 +23,7 @@ from armlab.models.torque import FORCE_RATES, PRIOR, SPEED_EDGES, MomentumNoise,
 FIFTHS, STRETCHES = 5, 20
 
 SETTLED = 0.01  # variance of the presliding state below which friction is known from motion
+NOTHING = 1e-18  # (N m)^2
 ALPHA2_BOUNDS = (0.25, 25.0)
 REST = 0.01  # of the peak speed; all joints below it are at rest
 HALF = 1.0  # s, stretches of the two halves on which the coverage is judged
@@ -36,10 +39,14 @@ def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple
     """
     residuals = np.full(data.q.shape, np.nan)
     moving = np.zeros(data.q.shape, dtype=bool)
-    for model, rows in folds:
-        torque, variance = _causal(model, data, rows)
+    nothing = np.full(data.q.shape[1], NOTHING)
+    for model, rows in folds:  # the variance shall be that of unknown friction alone
+        torque, variance = _causal(
+            replace(model, covariance=velocity_covariance("const", nothing, nothing)), data, rows
+        )
         residuals[rows] = torque[rows]
-        moving[rows] = variance[rows] <= SETTLED * model.friction.static**2
+        moving[rows] = variance[rows] - NOTHING <= SETTLED * model.friction.static**2
+    moving[data.bridged] = False
     return residuals, moving & np.isfinite(residuals)
 
 
@@ -62,11 +69,13 @@ def assess(
     data: Record,
     joints: np.ndarray | None = None,
     unseen: np.ndarray | None = None,
+    before: TorqueModel | None = None,
 ) -> TorqueModel:
     """Return the model with its torque covariance and quality figures.
 
     Covariance and scale are fitted to one half of the stretches of time and judged on the other, both ways; the model
     gets those of all. Joints whose torque is not measured have no figures, and a deviation too large for estimators.
+    With a model from `before`, joints that rest keep its figures.
     """
     errors, moving = held_out(folds, data)
     if unseen is not None:
@@ -74,6 +83,8 @@ def assess(
         power = np.sum(errors**2, axis=0, where=moving) / count
         errors = errors * np.sqrt(1.0 + unseen / np.maximum(power, 1e-300))
     measured = np.ones(model.n, dtype=bool) if joints is None else np.isin(np.arange(model.n), joints)
+    rest = resting(data.q, model.prismatic) & (before is not None)
+    measured &= ~rest
     moving &= measured
     odd = (data.blocks(HALF) % 2 == 1)[:, None]
     halves = moving & odd, moving & ~odd
@@ -92,9 +103,27 @@ def assess(
     )
     bound = _bound(model, covariance, errors, data.qd, moving)
     judged = replace(model, covariance=covariance, bound=bound, quality=quality)
+    if before is not None and rest.any():
+        return held_at_rest(judged, before, rest)
     if not measured.all():
         return judged  # the momentum of an arm takes all torques
     return replace(judged, momentum=momentum_noise(judged, folds, np.where(moving, errors, np.nan), data))
+
+
+def held_at_rest(model: TorqueModel, before: TorqueModel, rest: np.ndarray) -> TorqueModel:
+    """Return a model whose joints at rest (n,) have friction, ripple, figures and ranges of a model from before."""
+    scale = before.covariance.alpha2 / model.covariance.alpha2
+
+    def mixed(name: str, *but: str, scaled: float = 1.0) -> Any:
+        own, other = getattr(model, name), getattr(before, name)
+        arrays = {k: v for k, v in vars(own).items() if isinstance(v, np.ndarray) and k not in but}
+        wide = {k: rest.reshape(-1, *[1] * (v.ndim - 1)) for k, v in arrays.items()}
+        return replace(own, **{k: np.where(wide[k], scaled * getattr(other, k), v) for k, v in arrays.items()})
+
+    covariance = mixed("covariance", "shape", scaled=scale)
+    shape = np.where(rest, before.covariance.shape, model.covariance.shape)
+    own = {name: mixed(name) for name in ("friction", "ripple", "bound", "quality", "training")}
+    return replace(model, covariance=replace(covariance, shape=shape), momentum=before.momentum, **own)
 
 
 def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueModel], data: Record) -> TorqueModel:
@@ -113,7 +142,7 @@ def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueMode
     sources = (*before.sources, *(source for source in data.sources if source not in before.sources))
     pairs = [(one, fold == k) for k, one in enumerate(folds)]
     model = replace(model, quality=quality, sources=sources)
-    return assess(model, pairs, data, measured, lost if seen else None)
+    return assess(model, pairs, data, measured, lost if seen else None, before)
 
 
 def fold_of(data: Record) -> np.ndarray:
@@ -497,16 +526,17 @@ def _gains(model: TorqueModel, joints: np.ndarray) -> str:
     return ", ".join(f"{gain:.3f} +- {deviation:.3f}" for gain, deviation in zip(model.gains[joints], sd))
 
 
+def places_of_joints(fit: Fit[TorqueModel]) -> list[np.ndarray]:
+    """Return the places of each joint's own parameters, which begin with viscous; joints without torque have none."""
+    first, last = len(fit.value.base_names), len(fit.names)
+    own = [k for k in range(first, last) if " of motor " not in fit.names[k]]
+    begins = [k for k in own if fit.names[k].startswith("viscous ")]
+    return [np.arange(a, b) for a, b in pairwise([*begins, own[-1] + 1])] if begins else []
+
+
 def _deviations(fit: Fit[TorqueModel]) -> list[dict[str, float]]:
-    """Return the deviations of each joint's own parameters by their kind; those of a joint begin with viscous."""
-    joints: list[dict[str, float]] = []
-    first = len(fit.value.base_names)
-    for name, sd in zip(fit.names[first:], fit.sd[first:]):
-        kind = name.split()[0]
-        if kind == "viscous":
-            joints.append({})
-        joints[-1].setdefault(kind, float(sd))
-    return joints[: fit.value.n]
+    """Return the deviations of each joint's own parameters by their kind."""
+    return [{fit.names[k].split()[0]: float(fit.sd[k]) for k in places[::-1]} for places in places_of_joints(fit)]
 
 
 def _sign(model: TorqueModel, i: int | np.intp) -> str:

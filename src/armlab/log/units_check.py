@@ -31,7 +31,7 @@ def check_known(q: np.ndarray, tau: np.ndarray, robot: Robot) -> None:
     check_position(q, robot, FEW)
     moved = has_moved(q, robot)
     if moved.any() and not np.ptp(tau, axis=0).any():
-        _check_constant(tau, moved, robot)
+        check_constant(tau, moved, robot)
 
 
 def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
@@ -54,7 +54,7 @@ def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
 
 def _side(times: float, joint: int | np.intp, robot: Robot) -> str:
     """Say what a position so many times beyond its limit may be."""
-    gear, found = _gears(robot)[joint], []
+    gear, found = gears(robot)[joint], []
     unit = ("millimetres, divide by 1000", 1e3) if robot.prismatic[joint] else ("degrees", np.rad2deg(1.0))
     if times <= 1.05 * unit[1]:
         found.append(unit[0])
@@ -73,7 +73,7 @@ def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: 
     wrong = np.flatnonzero(moved & ((np.abs(gain - 1) > TOLERANCE) | (correlation < CORRELATION)))
     if not len(wrong):
         return
-    gear = _gears(robot)
+    gear = gears(robot)
     words = []
     for i in wrong:
         other = int(np.argmax(alike[i]))
@@ -113,12 +113,12 @@ def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot)
     With masses in the robot file, torque is compared with the weight of the links. Without, with the reach: half the
     range of torque over ``g reach^4`` is 1 to 60 kg/m^3 on arms from 0.5 to 300 kg of payload.
     """
-    _check_constant(tau, used, robot)
+    check_constant(tau, used, robot)
     sized = _against_links(q, tau, used, robot) if robot.inertias is not None else _against_reach(tau, used, robot)
     if sized is None:
         return
     joints, evidence = sized
-    gear = _gears(robot)
+    gear = gears(robot)
     listed = ", ".join(robot.joint_names[i] + (f" (gear ratio {gear[i]:g})" if gear[i] > 1 else "") for i in joints)
     advice = (
         "Bring it to the joints with robots.couplings.motor_torque_to_joint."
@@ -131,7 +131,8 @@ def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot)
     )
 
 
-def _check_constant(tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
+def check_constant(tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
+    """Refuse torques (N, n) of joints (n,) that hardly ever change."""
     share = np.array([np.unique(column, return_counts=True)[1].max() / len(column) for column in tau.T])
     flat = np.flatnonzero(used & (share > FLAT))
     if len(flat):
@@ -155,7 +156,7 @@ def _against_links(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robo
     if not lifts.any():
         return None
     scale = np.where(lifts, np.sum(gravity * varied, axis=0) / np.maximum(np.sum(gravity**2, axis=0), 1e-300), 1.0)
-    gear = np.where(_gears(robot) >= GEARED, _gears(robot), np.inf)
+    gear = np.where(gears(robot) >= GEARED, gears(robot), np.inf)
     least = 1.0 / np.minimum(HEAVY, np.sqrt(gear))
     small = lifts & (np.abs(scale) < least) & (varied.std(axis=0) < DYNAMIC * least * size)
     if np.count_nonzero(small) * 2 < np.count_nonzero(lifts):
@@ -179,6 +180,6 @@ def _against_reach(tau: np.ndarray, used: np.ndarray, robot: Robot) -> tuple[np.
     return np.flatnonzero(turning), f"at most {swing:.2g} N m on an arm of {reach:.2g} m reach"
 
 
-def _gears(robot: Robot) -> np.ndarray:
+def gears(robot: Robot) -> np.ndarray:
     """Return the size of each gear ratio (n,); 1 where the robot file is silent."""
     return np.abs(np.diag(np.linalg.inv(robot.coupling)))

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 import armlab
 from armlab.cli.support.output import progress
 from armlab.cli.support.results import PLAIN, Results
-from armlab.errors import ConfigError
+from armlab.errors import ConfigError, NotExcited, ShapeError
+
+if TYPE_CHECKING:
+    from armlab.estimation import Fit
+    from armlab.log import Table
+    from armlab.models import TorqueModel
 
 __all__ = []
 
@@ -43,7 +49,8 @@ def identify(
             that may not move fast: enough for contact forces in slow motion. Without: also inertia, which takes a log
             of fast motion.
         drives: Also look for lines of torque ripple, friction over position and warm-up (logs from 20 minutes), joint
-            by joint; what wins on held-out stretches of time is kept.
+            by joint; what wins on held-out stretches of time is kept. Where the logs do not determine them, the verdict
+            says so and the model has none.
         cutoff: Corner of the regression in Hz. Default: chosen on held-out stretches of time; the report says why.
         test: Another recording without contact: how good the model is where it was not fitted.
     """
@@ -62,10 +69,10 @@ def identify(
         check_once(zip(names, (one.sha256 for one in (*tables, unseen))))
     with progress("identify") as tell:
         fit_model = armlab.identify.fit_gravity if gravity_only else armlab.identify.fit_dynamics
-        fit = fit_model(tables, arm, method=method, progress=tell, cutoff=cutoff)
+        fit = fit_model(tables, arm, method=method, progress=tell, cutoff=cutoff, force=wanted.force)
         if drives:
             tell(4, 5, "ripple, friction over position, warm-up")
-            fit = replace(fit, value=armlab.identify.fit_friction(tables, fit.value).value)
+            fit = _with_drives(fit, tables)
     trial = report_of.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)
     verdict = report_of.judge(fit, arm, tables, trial)
     wanted.say({"model": str(output), **report_of.numbers(fit, trial)}, fit.report(), verdict)
@@ -77,3 +84,11 @@ def identify(
         lambda tell: report_of.page(fit, verdict, trial, tables[0], about, tell),
     )
     return code
+
+
+def _with_drives(fit: Fit[TorqueModel], tables: Sequence[Table]) -> Fit[TorqueModel]:
+    """Return the fit with parts of the drives that win; without them, and with the reason, where that is refused."""
+    try:
+        return replace(fit, value=armlab.identify.fit_friction(tables, fit.value).value)
+    except (NotExcited, ShapeError) as error:
+        return replace(fit, doubts=(*fit.doubts, f"Drives: {error}"))

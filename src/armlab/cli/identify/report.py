@@ -59,6 +59,7 @@ def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Mod
 def judge(fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table], trial: ModelTrial) -> Verdict:
     """Return what of the model can be relied on, what cannot, and what to log next."""
     found = Verdict()
+    found.bad += [sentence[0].upper() + sentence[1:] + "." * (sentence[-1] != ".") for sentence in fit.doubts]
     _judge_fit(found, fit, trial)
     _judge_honesty(found, fit.value, trial)
     _judge_motion(found, fit, robot, tables)

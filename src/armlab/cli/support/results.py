@@ -30,7 +30,8 @@ class Results:
             network.
         figure: Also draw the result into this PNG, SVG or PDF.
         json: Print JSON for scripts.
-        force: Replace existing files, and save a result that is not good.
+        force: Replace existing files, and save a result that is not good. With `identify`: also fit torques that are
+            not plausible.
     """
 
     report: Path | None = None

@@ -29,6 +29,7 @@ from armlab.identify.drives.ripple import (
     warn_of_fast_lines,
 )
 from armlab.identify.drives.warm_up import MIN_SECONDS, fit_warm_up
+from armlab.identify.record import resting
 from armlab.identify.residuals import ModelResiduals, model_residuals
 from armlab.identify.validation import FIFTHS, assess_again, fold_of
 from armlab.log import Table
@@ -173,7 +174,8 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
 
     Parameters
     ----------
-    table : one log or several of free motion with columns q, qd, tau (N, n); 20 minutes in one for warm-up.
+    table : one log or several of free motion with columns q, qd, tau (N, n); 20 minutes in one for warm-up. Joints that
+        rest, as in `friction_run`, keep what the model has.
     model : identified torque model of the arm that was logged.
 
     Returns
@@ -187,7 +189,7 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
     Raises
     ------
     ShapeError : NaN rows, wrong joint count, velocity that is not the derivative of position.
-    NotExcited : too short, joints at rest, or that hardly slide past their presliding.
+    NotExcited : too short, all joints at rest, or one that moves but hardly slides past its presliding.
 
     References
     ----------
@@ -199,14 +201,15 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
         model = fit_warm_up(table, model).value
         found = model_residuals(table, model)
     half = data.blocks(SHORTEST)
-    basis, fifth = rbf_centres(data.q, data.qd), fold_of(data)
-    peaks = np.abs(data.qd).max(axis=0)
+    rest, anywhere = resting(data.q, model.prismatic), np.linspace(-1.0, 1.0, len(data.t))[:, None]
+    basis = rbf_centres(np.where(rest, anywhere, data.q), np.where(rest, anywhere, data.qd))
+    fifth, peaks = fold_of(data), np.where(rest, 1.0, np.abs(data.qd).max(axis=0))
     spread = [speed_basis(0.0, float(peak), SPEEDS) for peak in peaks]
     lines: dict[int, _DrivePart] = {}
     maps: dict[int, _DrivePart] = {}
     every = max(1, len(data.t) // ROWS)
     highest = _highest(model, data.qd[::every], data.rate)
-    for i in range(model.n):
+    for i in np.flatnonzero(~rest).tolist():
         q, qd, s, y = (np.ascontiguousarray(x[::every, i]) for x in (data.q, data.qd, found.s, found.y))
         rows = _JointRows(q, qd, s, half[::every], fifth[::every], data.rate, every / data.rate)
         lowest = np.pi / float(basis.position_widths[i, 0])
@@ -226,7 +229,7 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
 
     def with_parts(pick: Callable[[_DrivePart], np.ndarray]) -> TorqueModel:
         of_lines = {i: (part.cycles, pick(part)) for i, part in lines.items()}
-        own_map = _map(basis, {i: pick(part) for i, part in maps.items()}) if maps else model.friction_map
+        own_map = _map(basis, {i: pick(part) for i, part in maps.items()}, model, rest) if maps else model.friction_map
         return replace(model, lines=_lines(of_lines, spread) if lines else model.lines, friction_map=own_map)
 
     extended = model
@@ -287,10 +290,18 @@ def _lines(
     )
 
 
-def _map(basis: RadialBasis, maps: dict[int, np.ndarray]) -> FrictionMap:
+def _map(basis: RadialBasis, maps: dict[int, np.ndarray], model: TorqueModel, rest: np.ndarray) -> FrictionMap:
+    """Return the map of some joints; those at rest (n,) keep that of the model."""
+    before = model.friction_map
+    kept = rest if before is not None and before.basis.size == basis.size else np.zeros_like(rest)
+    if before is not None and kept.any():
+        both = zip(vars(basis).items(), vars(before.basis).values())
+        basis = RadialBasis(**{name: np.where(kept[:, None], old, new) for (name, new), old in both})
     coefficients = np.zeros((basis.n, 2, basis.positions.shape[1], basis.speeds.shape[1]))
     for i, k in maps.items():
         coefficients[i] = k.reshape(coefficients[i].shape)
+    if before is not None:
+        coefficients[kept] = before.coefficients[kept]
     return FrictionMap(basis, coefficients)
 
 

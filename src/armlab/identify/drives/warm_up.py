@@ -18,6 +18,7 @@ from armlab.errors import NotExcited
 from armlab.estimation import Excitation, Fit
 from armlab.estimation.robust import block_seconds
 from armlab.identify.drives.regularised import scattered
+from armlab.identify.record import resting
 from armlab.identify.residuals import (
     BIN,
     ModelResiduals,
@@ -159,7 +160,7 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torqu
     fifth, kept = fold_of(data), dict[int, _Warm]()
     number = seconds(data.t)
     first = np.searchsorted(number, np.arange(int(number[-1]) + 1))
-    for i in range(model.n):
+    for i in np.flatnonzero(~resting(data.q, model.prismatic)).tolist():
         sums = _Seconds.of(found, model, i)
         every = np.ones(len(sums.rows))
         theta, left, reference = _joint(sums, every)
