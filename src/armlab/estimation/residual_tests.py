@@ -18,8 +18,9 @@ RARE = 4.7e-4  # the same of a chi^2
 ENOUGH = 8  # degrees of freedom and pairs of neighbours that a test needs
 OPEN = 1e-6  # a direction of which a half knows less than this share, or all but it, is not compared
 WHITE_SHARES = (0.0, 0.1, 0.3, 0.6)
-TIMES_PER_DECADE = 4
-SHORTER = 0.25  # prior of correlation times, tau^-1/4 per decade: chosen by the coverage of 30 to 300 samples
+SHORTEST, TIMES_PER_DECADE = 0.3, 4  # correlation times, in samples
+REACH = 3.0  # longest correlation time, in records
+SHORTER = 0.4  # prior tau^-0.4 of correlation times: with REACH chosen by the coverage of 30 to 300 samples
 LIKELY = 1e-3  # of the likelihood below which a model does not count
 MANY = 30.0  # degrees of freedom from which classes are counted as one
 POINTS, GOLDEN = 4096, 1.32471795724  # of a quasi-random sequence (Roberts)
@@ -239,8 +240,8 @@ class _Table:
 
     def information(self) -> np.ndarray:
         """Return the mean of U^T Omega U over the models of the noise, weighted by their restricted likelihood."""
-        N = len(self.rows)
-        times = np.geomspace(0.3, max(N, 2.0), 1 + int(TIMES_PER_DECADE * np.log10(max(N, 2.0) / 0.3)))
+        longest = REACH * len(self.rows)
+        times = np.geomspace(SHORTEST, longest, 1 + int(TIMES_PER_DECADE * np.log10(longest / SHORTEST)))
         tau, white = (a.ravel() for a in np.meshgrid(times, WHITE_SHARES))
         phi = np.exp(-1.0 / tau)
         score, power = self._likelihood(phi, white)
