@@ -203,7 +203,7 @@ class TestMissingData:
         """Poses of every third sample, positions of all, and one distance between two tool points."""
         third = np.arange(150) % 3 == 0
         p = case.pose[:, :3, 3]
-        noise = {"pose": NOISE, "position": 1e-4, "pair_distance": 1e-5}
+        noise = {"pose": NOISE, "position": 1e-4, "pair_distance": 1.5e-4}
         pairs = ([0, 5], [9, 70], [np.linalg.norm(p[0] - p[9]), np.linalg.norm(p[5] - p[70])])
         both = fit_kinematics(
             case.robot, case.q, pose=case.pose, position=p, pair_distance=pairs, visible={"pose": third}, noise=noise

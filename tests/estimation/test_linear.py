@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from armlab.errors import NotExcited
 from armlab.estimation import Prior, Rows, least_squares
 from armlab.estimation.linear_problem import ActiveBound, within_bounds
+from armlab.estimation.residual_tests import student_factor
 from armlab.estimation.robust import METHODS, least_trimmed_squares
 from armlab.estimation.tsqr import factorise, one_thread
 
@@ -31,7 +32,9 @@ def test_ols_is_that_of_lstsq(problems) -> None:
     np.testing.assert_allclose(found.x, np.linalg.lstsq(A.reshape(-1, 3), y.ravel(), rcond=None)[0], rtol=1e-12)
     residuals = y - A @ found.x
     assert found.scale == pytest.approx(np.sqrt(np.sum(residuals**2) / (residuals.size - 3)))
-    np.testing.assert_allclose(found.cov, found.scale**2 * np.linalg.inv(np.einsum("nki,nkj->ij", A, A)), rtol=1e-9)
+    unsure = student_factor(np.array([3.0]), np.array([residuals.size - 3.0]))
+    whole = unsure * found.scale**2 * np.linalg.inv(np.einsum("nki,nkj->ij", A, A))
+    np.testing.assert_allclose(found.cov, whole, rtol=1e-9)
     np.testing.assert_allclose(found.R @ found.basis @ (found.R @ found.basis).T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(least_squares(rows(A, A @ problems.theta), problems.names).x, problems.theta, rtol=1e-11)
     A[:, 1] = 0.0  # a class that is silent

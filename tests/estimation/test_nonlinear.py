@@ -9,6 +9,7 @@ from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Measurement, NonlinearProblem, nonlinear_least_squares, total_least_squares
 from armlab.estimation.errors_in_variables import TotalSolution
 from armlab.estimation.nonlinear import Descent, NonlinearSolution, descend
+from armlab.estimation.residual_tests import student_factor
 from armlab.lie import so3
 
 SIGMA = 0.01
@@ -54,7 +55,9 @@ def test_certified_values_of_nist(data, model, start, certified, sd, noise) -> N
     found = nonlinear_least_squares(curve(x, y, model), np.array(start, dtype=float))
     assert isinstance(found, NonlinearSolution)
     np.testing.assert_allclose(found.value, certified, rtol=1e-7)
-    np.testing.assert_allclose(np.sqrt(np.diag(found.cov)), sd, rtol=1e-5)
+    white = found.cov if found.formal_cov is None else found.formal_cov
+    unsure = student_factor(np.array([float(len(start))]), np.array([float(len(x) - len(start))]))
+    np.testing.assert_allclose(np.sqrt(np.diag(white) / unsure), sd, rtol=1e-5)
     assert found.sigma[0] == pytest.approx(noise, rel=1e-7)
     assert found.freedom == len(x) - len(start)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from armlab._numbers import numbers
 from armlab.errors import NotConverged, NotExcited, ShapeError
+from armlab.estimation.residual_tests import ResidualCheck
 from armlab.lie import quaternion
 
 Limits = TypeVar("Limits", tuple[float, float], tuple[float, float, float])
@@ -78,6 +79,12 @@ def largest_rotation(R: np.ndarray) -> float:
     """Return the largest angle between two of the rotations (N, 3, 3) [rad]; of many, of 2000 of them."""
     flat = R[:: 1 + len(R) // THINNED].reshape(-1, 9)
     return float(np.arccos(np.clip(0.5 * ((flat @ flat.T).min() - 1.0), -1.0, 1.0)))
+
+
+def doubts_of(check: ResidualCheck, remarks: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
+    """Return why a fit is not good, and the remarks that are no doubts: those are questions."""
+    asked = (line for line in remarks if line.endswith("?"))
+    return (*check.doubts, *asked), [line for line in remarks if line and not line.endswith("?")]
 
 
 def require_most(outliers: np.ndarray, what: str, best: Any) -> None:

@@ -30,6 +30,7 @@ from armlab.calibrate.diagnostics import (
     SUSPECT,
     UNSEEN,
     axis_text,
+    doubts_of,
     largest_rotation,
     limits_of,
     readings,
@@ -481,11 +482,11 @@ def _result(
     words = PoseUnknowns(Part.of(FRAMES[setup]), equation.spread, limits)
     excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
 
-    def summary(fit: Fit[HandEye]) -> str:
-        given, turns = equation.noise is not None, fit.sd.reshape(4, 3)[1::2]
-        return "\n".join([fit.table(), *notes, *remarks(equation.RA, equation.spread, given, found, turns)])
-
+    turns = np.sqrt(np.diag(found.cov)).reshape(4, 3)[1::2]
+    lines = remarks(equation.RA, equation.spread, equation.noise is not None, found, turns)
+    doubts, lines = doubts_of(found.check, [*notes, *lines])
     return Fit(
         HandEye(setup, *found.value.poses()), words.names, words.units, found.value.parameters(), found.cov,
-        found.sigma, residuals, equation.N, excitation, summary, found.outliers, CLASSES,
+        found.sigma, residuals, equation.N, excitation, lambda fit: "\n".join([fit.table(), *lines]), found.outliers,
+        CLASSES, found.formal_cov, doubts,
     )  # fmt: skip

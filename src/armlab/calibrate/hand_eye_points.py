@@ -25,6 +25,7 @@ from armlab.calibrate.diagnostics import (
     ROBOT,
     SPREAD_AND_ANGLE,
     SUSPECT,
+    doubts_of,
     limits_of,
     readings_of_robot,
     require_two_axes,
@@ -133,13 +134,12 @@ def fit_hand_eye_points(
     words = PoseUnknowns(parts, model.spread, limits_of(limits, SPREAD_AND_ANGLE, LIMITS))
     excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
 
-    def summary(fit: Fit[HandEye]) -> str:
-        turns = fit.sd[[unit == "rad" for unit in fit.units]]
-        return "\n".join([fit.table(), *notes, *remarks(model.RA, model.spread, noise is not None, found, turns)])
-
+    turns = np.sqrt(np.diag(found.cov))[[unit == "rad" for unit in words.units]]
+    lines = remarks(model.RA, model.spread, noise is not None, found, turns)
+    doubts, lines = doubts_of(found.check, [*notes, *lines])
     return Fit(
         value, words.names, words.units, found.value.parameters(), found.cov, found.sigma, residuals, len(seen),
-        excitation, summary, outliers, ("position [m]",),
+        excitation, lambda fit: "\n".join([fit.table(), *lines]), outliers, ("position [m]",), found.formal_cov, doubts,
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
-from armlab.calibrate.diagnostics import SPREAD_AND_ANGLE, limits_of
+from armlab.calibrate.diagnostics import SPREAD_AND_ANGLE, doubts_of, limits_of
 from armlab.calibrate.inputs import finite, poses, rows_text
 from armlab.calibrate.laser_model import (
     FAR_APART,
@@ -111,19 +111,18 @@ def fit_laser_plane(
     words = SceneUnknowns(data, scene, planes, limits_of(limits, SPREAD_AND_ANGLE, LIMITS))
     excitation = check_spread(found.rows.J, words.names, words.units, words.widths, "laser scanner", describe=words)
 
-    def summary(fit: Fit[LaserSensor]) -> str:
-        found_planes = (f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))
-        chi2 = "" if data.noise is None else f"residuals {times(found):.3g} times the noise"
-        wide = f"points spread over {words.spread:.3g} m: millimetres given as metres?" * (words.spread > FAR_APART)
-        return "\n".join(line for line in [fit.table(), note, *found_planes, chi2, wide] if line)
-
+    found_planes = (f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))
+    chi2 = "" if data.noise is None else f"residuals {times(found):.3g} times the noise"
+    wide = f"points spread over {words.spread:.3g} m: millimetres given as metres?" * (words.spread > FAR_APART)
+    doubts, lines = doubts_of(found.check, [note, *found_planes, chi2, wide])
     tilts = np.column_stack([np.zeros((len(planes), 2)), scene.d]).ravel()
     parameters = np.concatenate([scene.t, so3.log(scene.R), tilts])
     value = LaserSensor(se3.from_rp(scene.R, scene.t), scene.n, scene.d, planes)
     residuals = data.residuals(scene)
     return Fit(
-        value, words.names, words.units, parameters, found.cov, found.sigma, residuals, data.N, excitation, summary,
-        found.outliers, tuple(CLASSES[name] for name in found.classes),
+        value, words.names, words.units, parameters, found.cov, found.sigma, residuals, data.N, excitation,
+        lambda fit: "\n".join([fit.table(), *lines]), found.outliers, tuple(CLASSES[name] for name in found.classes),
+        found.formal_cov, doubts,
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from armlab.models.files import load_statistics
 Value = TypeVar("Value")
 
 READ_ONLY = ("parameters", "sigma", "residuals", "outliers", "formal_cov")
-SAVED = ("names", "units", "parameters", "cov", "classes", "sigma", "outliers", "n", "rank")
+SAVED = ("doubts", "names", "units", "parameters", "cov", "classes", "sigma", "outliers", "n", "rank")
 EXCITATION = ("expected", "singular_values", "weakest", "held", "null_names")
 
 
@@ -61,12 +61,13 @@ class Fit(Generic[Value]):
     classes : tuple of str
         Names of the classes of measurement with their units: "position [m]".
     formal_cov : ndarray, shape (d, d), optional
-        Where `cov` is from a block bootstrap: the covariance for white residuals, far too small for coloured ones. None
-        where `cov` is formal itself, and when the fit was read from a file.
+        Where `cov` accounts for residuals that are correlated in time: the covariance for white residuals, far too
+        small then. None where `cov` is formal itself, and when the fit was read from a file.
+    doubts : tuple of str
+        Why the fit is not good, one sentence each: failed tests of the residuals, suspicious units. Empty for a good
+        fit.
     notes : tuple of str
         Lines of the report: what was repaired or held; empty when the fit was read from a file.
-    doubts : tuple of str
-        Sentences: what is not right with the data or the fit; empty when the fit was read from a file.
     """
 
     value: Value
@@ -82,8 +83,8 @@ class Fit(Generic[Value]):
     outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     classes: tuple[str, ...] = ()
     formal_cov: np.ndarray | None = None
-    notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         d = len(self.names)
@@ -105,6 +106,7 @@ class Fit(Generic[Value]):
         object.__setattr__(self, "cov", cov)
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "units", tuple(self.units))
+        object.__setattr__(self, "doubts", tuple(self.doubts))
         for name in READ_ONLY:
             if getattr(self, name) is None:
                 continue
@@ -121,6 +123,11 @@ class Fit(Generic[Value]):
     def sd(self) -> np.ndarray:
         """Standard deviation of each parameter (d,)."""
         return np.sqrt(np.diag(self.cov))
+
+    @property
+    def good(self) -> bool:
+        """Whether the fit can be relied on; `doubts` says why not."""
+        return not self.doubts
 
     @property
     def rank(self) -> int:
@@ -141,7 +148,8 @@ class Fit(Generic[Value]):
         left_out = np.flatnonzero(self.outliers)
         if len(left_out):
             lines.append(f"{len(left_out)} outliers left out: {rows_text(left_out)}")
-        return "\n".join([*lines, f"{self.n} samples", self.excitation.text()])
+        excitation = self.excitation.text() if self.good else self.excitation.text().replace(" good:", " sufficient:")
+        return "\n".join([*lines, f"{self.n} samples", excitation, *(f"not good: {doubt}" for doubt in self.doubts)])
 
     def save(self, path: str | Path, sources: Sequence[str] = ()) -> Path:
         """Write value, covariance, noise and flags to a model file and return its path; see `armlab.models.save`.

@@ -9,6 +9,7 @@ import numpy as np
 
 from armlab._numbers import make_read_only, numbers, still
 from armlab.errors import NotExcited, ShapeError
+from armlab.estimation.residual_tests import student_factor
 from armlab.estimation.tsqr import Factors, triangle
 
 MAX_CONDITION = 1e4  # beyond it a direction is called not excited
@@ -196,7 +197,7 @@ def check_spread(
     _, found, rows = np.linalg.svd(scaled, full_matrices=True)
     singular, vectors = np.zeros(p), rows.T
     singular[: len(found)] = found
-    unseen = singular <= NULL * singular.max(initial=0.0)
+    unseen = singular <= NULL * np.abs(vectors.T) @ np.linalg.norm(scaled, axis=0)  # of the columns it combines
     spread = np.divide(1.0, singular, out=np.full_like(singular, np.inf), where=~unseen)
 
     def words(i: int) -> str:
@@ -415,7 +416,8 @@ def _solve_once(
         )
     loose = _free_solution(R, y, basis, excitation, problem.prior)
     least = np.linalg.norm(whole @ np.append(loose, -1.0))
-    cov = least**2 / free * basis @ basis.T + _held_covariance(excitation, problem.prior)
+    unsure = student_factor(np.array([float(excitation.rank)]), np.array([float(free)]))
+    cov = unsure * least**2 / free * basis @ basis.T + _held_covariance(excitation, problem.prior)
     x = within_bounds(loose, cov, problem.lower, problem.upper)
     at, sd = np.flatnonzero((x <= problem.lower) | (x >= problem.upper)), np.sqrt(np.diag(cov))
     active = tuple(ActiveBound(problem.names[i], float(x[i]), float(loose[i]), float(sd[i])) for i in at)

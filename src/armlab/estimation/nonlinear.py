@@ -20,6 +20,13 @@ import numpy as np
 
 from armlab._numbers import make_read_only
 from armlab.errors import NotConverged, NotExcited, ShapeError
+from armlab.estimation.residual_tests import (
+    ResidualCheck,
+    Series,
+    check_residuals,
+    correlated_information,
+    student_factor,
+)
 from armlab.estimation.tsqr import triangle
 
 
@@ -126,6 +133,21 @@ class Whitened:
         return self._rows(lambda one: np.tile([-1 if one.prior else number[n] for n in one.classes], len(one.r)))
 
     @cached_property
+    def channel(self) -> np.ndarray:
+        """Number (M,) of the series of each row: a component of a measurement, and which of several in its sample."""
+        found, first = [], 0
+        for one in self.measurements:
+            (m, k), rank = one.r.shape, np.zeros(len(one.r), dtype=int)
+            if m and np.any(np.diff(one.sample) <= 0):
+                order = np.argsort(one.sample, kind="stable")
+                starts = np.flatnonzero(np.diff(one.sample[order], prepend=-1))
+                rank[order] = np.arange(m) - np.repeat(starts, np.diff(np.append(starts, m)))
+            found.append((first + rank[:, None] * k + np.arange(k)).ravel())
+            first += k * (int(rank.max(initial=0)) + 1)
+        whole = np.concatenate(found)
+        return whole if self.kept is None else whole[self.kept]
+
+    @cached_property
     def raw(self) -> np.ndarray:
         return self._rows(lambda one: one.r.ravel())
 
@@ -185,6 +207,7 @@ ROUNDING = 1e-13  # relative change of the cost that is rounding
 IDLE, PATIENCE = 1e-3, 5  # steps so short that get no shorter, or lower nothing, are rounding too: exact data
 EXACT = 1e-3  # and all steps are where residuals are a share so small of their deviation
 MAX_DAMPING = 1e15
+ROUNDED = 1e-9  # RMS of residuals in SI below which nothing was measured: they have the patterns of rounding
 WELL = 1e7  # condition of a triangle below which its inverse serves
 NULL = 1e-9  # relative singular value of the scaled Jacobian below which data see nothing
 DAMPING = 1e-3  # first damping, relative to the largest singular value squared
@@ -226,6 +249,18 @@ class Descent(Generic[Value]):
     null: np.ndarray
     step: float
     history: tuple[float, ...]
+
+    @cached_property
+    def U(self) -> np.ndarray:
+        """Orthonormal columns (M, r): what the fit takes out of white residuals."""
+        return self.rows.J @ self.basis
+
+    @cached_property
+    def freedom(self) -> np.ndarray:
+        """Degrees of freedom (1 + classes,) that priors, then each class, have left."""
+        label, count = self.rows.label + 1, 1 + len(self.rows.names)
+        held = np.einsum("ij,ij->i", self.U, self.U)
+        return np.bincount(label, minlength=count) - np.bincount(label, held, count)
 
 
 def descend(
@@ -363,14 +398,18 @@ FLAG_ROUNDS = 3
 class NonlinearSolution(Generic[Value]):
     """A fitted value with its uncertainty.
 
-    `cov`: (d, d) covariance of a step away from it, zero along unidentified directions. `sigma`: their deviations,
-    degrees of freedom subtracted. `outliers`: (N,) samples that were left out. `squares`: (N,) whitened squared
-    residual of every sample. `null`: (d, m) orthonormal directions, in units of the scale, that neither data nor prior
-    tell. `history`: cost after each iteration of the last descent.
+    `cov`: (d, d) covariance of a step away from it, zero along unidentified directions, with Student's factor where
+    noise is estimated, and the correlation of residuals where `check` finds it; `formal_cov`: without the latter, None
+    where it is the same. `sigma`: deviation of the classes, degrees of freedom subtracted. `outliers`: (N,) samples
+    that were left out. `squares`: (N,) whitened squared residual of every sample. `null`: (d, m) orthonormal
+    directions, in units of the scale, that neither data nor prior tell. `history`: cost after each iteration of the
+    last descent.
     """
 
     value: Value
     cov: np.ndarray
+    formal_cov: np.ndarray | None
+    check: ResidualCheck
     classes: tuple[str, ...]
     sigma: np.ndarray
     outliers: np.ndarray
@@ -426,7 +465,7 @@ def nonlinear_least_squares(
             break
         weight = fresh
         found, sigma = _with_noise(problem, found.value, sigma, weight)
-    return _solution(problem, found, sigma, weight)
+    return _solution(problem, found, sigma, weight, robust)
 
 
 def _remembering(evaluate: Callable[[Value], Sequence[Measurement]]) -> Callable[[Value], Sequence[Measurement]]:
@@ -502,25 +541,40 @@ def _fits(problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float
 def _with_noise(
     problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float], weight: np.ndarray
 ) -> tuple[Descent[Value], dict[str, float]]:
-    """Alternate between the value and the noise of its classes."""
+    """Alternate between the value and the noise of its classes.
+
+    Where one class alone would be fitted exactly, its noise would vanish: then classes keep the ratio they start with.
+    """
     found = descend(problem, value, sigma, weight)
-    mixed = _is_mixed(found)
+    mixed, pooled, first = _is_mixed(found), False, sigma
     for _ in range((MIXED_ROUNDS if mixed else NOISE_ROUNDS) if sigma else 0):
         before = sigma
-        sizes = _mixed_sigma(found, sigma) if mixed else _class_sigma(found)
-        sigma = {name: max(sizes[found.rows.names.index(name)], problem.residue) for name in before}
+        if not mixed and not pooled and _starved(found, sigma):
+            pooled, sigma = True, first
+            found = descend(problem, value, sigma, weight)
+        if pooled:
+            times = np.sqrt(2.0 * found.history[-1] / max(len(found.rows.r) - found.basis.shape[1], 1))
+            sigma = {name: max(size * times, problem.residue) for name, size in sigma.items()}
+        else:
+            sizes = _mixed_sigma(found, sigma) if mixed else _class_sigma(found)
+            sigma = {name: max(sizes[found.rows.names.index(name)], problem.residue) for name in before}
         found = descend(problem, found.value, sigma, weight)
         if all(abs(sigma[name] - before[name]) <= SETTLED * before[name] for name in sigma):
             break
     return found, sigma
 
 
+def _starved(found: Descent[Any], sigma: dict[str, float]) -> bool:
+    """Return whether some of several classes of unknown noise has less than one degree of freedom left."""
+    if len(sigma) < 2:
+        return False
+    return bool(found.freedom[1:][[name in sigma for name in found.rows.names]].min() < 1.0)
+
+
 def _class_sigma(found: Descent[Any]) -> np.ndarray:
     """Return the deviation (classes,) of the residuals in SI, each class with the degrees of freedom it has left."""
-    rows, count = found.rows, 1 + len(found.rows.names)
-    label, seen = rows.label + 1, rows.J @ found.basis  # priors are class 0
-    left = np.bincount(label, minlength=count) - np.bincount(label, np.einsum("ij,ij->i", seen, seen), count)
-    return np.sqrt(np.bincount(label, rows.raw**2, count) / np.maximum(left, np.finfo(float).eps))[1:]
+    left = np.maximum(found.freedom, np.finfo(float).eps)
+    return np.sqrt(np.bincount(found.rows.label + 1, found.rows.raw**2, len(left)) / left)[1:]
 
 
 def _is_mixed(found: Descent[Any]) -> bool:
@@ -535,7 +589,7 @@ def _mixed_sigma(found: Descent[Any], sigma: dict[str, float]) -> np.ndarray:
     rows, start = found.rows, 0
     kept = slice(None) if rows.kept is None else rows.kept
     whole = np.zeros((sum(one.r.size for one in rows.measurements), 1 + found.basis.shape[1]))
-    whole[kept, 0], whole[kept, 1:] = rows.r, rows.J @ found.basis
+    whole[kept, 0], whole[kept, 1:] = rows.r, found.U
     there = np.zeros(len(whole), dtype=bool)
     there[kept] = True
     above, below = (dict.fromkeys(rows.names, 0.0) for _ in range(2))
@@ -557,7 +611,7 @@ def _mixed_sigma(found: Descent[Any], sigma: dict[str, float]) -> np.ndarray:
 
 
 def _solution(
-    problem: NonlinearProblem[Value], found: Descent[Value], sigma: dict[str, float], weight: np.ndarray
+    problem: NonlinearProblem[Value], found: Descent[Value], sigma: dict[str, float], weight: np.ndarray, robust: bool
 ) -> NonlinearSolution[Value]:
     rows, rank = found.rows, found.basis.shape[1]
     freedom = len(rows.r) - rank
@@ -568,10 +622,42 @@ def _solution(
             ["everything"],
             [f"{len(rows.r)} numbers"],
         )
+    by_rounds = _is_mixed(found) or _starved(found, sigma)
+    cov, formal, check = covariance_of(rows, found.basis, found.U, frozenset(sigma), robust)
     return NonlinearSolution(
-        value=found.value, cov=found.basis @ found.basis.T, classes=rows.names,
-        sigma=np.array([sigma.get(n, np.nan) for n in rows.names]) if _is_mixed(found) else _class_sigma(found),
+        value=found.value, cov=cov, formal_cov=formal, check=check, classes=rows.names,
+        sigma=np.array([sigma.get(n, np.nan) for n in rows.names]) if by_rounds else _class_sigma(found),
         outliers=weight == 0,
         squares=(rows if np.all(weight == 1.0) else _rows(problem, found.value, sigma)).squares(len(weight)), rows=rows,
         null=found.null, cost=found.history[-1], freedom=freedom, history=found.history,
     )  # fmt: skip
+
+
+def covariance_of(
+    rows: Whitened, basis: np.ndarray, U: np.ndarray, estimated: frozenset[str], robust: bool
+) -> tuple[np.ndarray, np.ndarray | None, ResidualCheck]:
+    """Return the covariance, that of white residuals where it is another one, and what the residuals say.
+
+    `basis`: (d, r) with U = J basis orthonormal. `estimated`: classes whose noise is estimated. `robust`: whether
+    outliers were looked for.
+    """
+    sizes = np.bincount(rows.label + 1, rows.raw**2) / np.maximum(np.bincount(rows.label + 1), 1)
+    r = np.where(sizes[rows.label + 1] > ROUNDED**2, rows.r, 0.0)
+    series = Series(r, U, rows.label, rows.channel, rows.sample, rows.names)
+    check = check_residuals(series, robust, given=not estimated)
+    count, held = len(series.classes), np.einsum("ij,ij->i", U, U)
+    d = np.bincount(series.label + 1, held, count + 1)[1:]
+    nu = np.bincount(series.label + 1, minlength=count + 1)[1:] - d
+    known = np.array([name not in estimated for name in series.classes])
+    if np.count_nonzero(~known) > 1 and nu[~known].min() < 1.0:  # these share one unknown factor
+        d, nu = np.append(d[known], d[~known].sum()), np.append(nu[known], nu[~known].sum())
+        known = np.append(known[known], False)
+    nu[known] = np.inf
+    formal = student_factor(d, nu) * basis @ basis.T
+    if not check.suspicious.any():
+        return formal, None, check
+    correlated = correlated_information(series, np.flatnonzero(check.suspicious))
+    cov = student_factor(d, nu) * basis @ correlated @ basis.T
+    sd, usual = np.sqrt(np.diag(cov)), np.sqrt(np.diag(formal))
+    growth = float(np.max(sd[usual > 0] / usual[usual > 0], initial=1.0))
+    return cov, formal, replace(check, growth=growth)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
-from armlab.calibrate.diagnostics import ANGLE_WEIGHT_LENGTH, limits_of, require_most
+from armlab.calibrate.diagnostics import ANGLE_WEIGHT_LENGTH, doubts_of, limits_of, require_most
 from armlab.calibrate.gravity_load.diagnostics import (
     MANY,
     STANDARD,
@@ -202,14 +202,13 @@ def fit_weight(
     words = LoadUnknowns(equation, load, limits, scale)
     excitation = check_spread(found.rows.J, words.names, words.units, words.widths, equation.what, describe=words)
 
-    def summary(fit: Fit[Value]) -> str:
-        squares = 2.0 * found.cost / found.freedom if equation.noise is not None and found.freedom else None
-        lines = [*notes, hand, *remarks(words, np.sqrt(np.diag(found.cov)), squares, moved)]
-        return "\n".join([fit.table(), *(line for line in lines if line)])
-
+    squares = 2.0 * found.cost / found.freedom if equation.noise is not None and found.freedom else None
+    lines = remarks(words, np.sqrt(np.diag(found.cov)), squares, moved)
+    doubts, lines = doubts_of(found.check, [*notes, hand, *lines])
     return Fit(
         value(load), words.names, words.units, words.parameters(), found.cov, found.sigma, residuals, equation.N,
-        excitation, summary, found.outliers, tuple(dict.fromkeys(equation.classes)),
+        excitation, lambda fit: "\n".join([fit.table(), *lines]), found.outliers,
+        tuple(dict.fromkeys(equation.classes)), found.formal_cov, doubts,
     )  # fmt: skip
 
 

@@ -92,13 +92,6 @@ class IdentifiabilityTest:
         return f"{text} ({self.names[i]} to {abs(v[i]) * spread * self.limits[i]:.2g} {self.units[i]})"
 
 
-def spread_covariance(vectors: np.ndarray, spread: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Return the covariance of what was seen, from orthonormal directions and deviations in units of the limits."""
-    seen = np.isfinite(spread)
-    reach = limits[:, None] * vectors[:, seen] * spread[seen]
-    return reach @ reach.T
-
-
 @dataclass(frozen=True, eq=False)
 class _Named:
     """Weak directions with their names: `words` once for each cause, `each` and `vectors` (d, w) for each direction."""

@@ -10,12 +10,14 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from armlab._numbers import numbers
-from armlab.calibrate.kinematics.identifiability import IdentifiabilityTest, UnobservableDirection, spread_covariance
+from armlab.calibrate.diagnostics import doubts_of
+from armlab.calibrate.kinematics.identifiability import IdentifiabilityTest, UnobservableDirection
 from armlab.calibrate.kinematics.measurements import Kind
 from armlab.calibrate.kinematics.model import Arm, ArmState
 from armlab.errors import ConfigError, NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit, Measurement, NonlinearProblem, nonlinear_least_squares
-from armlab.estimation.nonlinear import NonlinearSolution
+from armlab.estimation.nonlinear import NonlinearSolution, covariance_of, whiten
+from armlab.estimation.residual_tests import ResidualCheck
 from armlab.lie import se3, so3
 from armlab.models import KinematicCorrection
 
@@ -200,9 +202,8 @@ class KinematicEstimation(ABC, Generic[S]):
         try:
             found = nonlinear_least_squares(task, start, robust=robust, schedule=SCHEDULE)
         except NotConverged as error:
-            classes = [name for kind in problem.kinds for name in kind.classes]
-            self.judge(problem.measurements(start, local=True), start, dict.fromkeys(classes, UNIT))
             check_misfit(problem.measurements(error.best), self.spaces(), error.best)
+            self.judge(problem.measurements(start, local=True), start, self._instrument())
             raise
         self._check_majority(found)
         return found
@@ -247,12 +248,12 @@ class KinematicEstimation(ABC, Generic[S]):
     ) -> Fit[Value]:
         """Return the fit at a state that measures the same as the solution; `value` takes it and the covariance."""
         problem, used = self.problem, self.used
-        sigma, outside = dict(zip(found.classes, found.sigma.tolist())), np.flatnonzero(found.outliers)
+        outside = np.flatnonzero(found.outliers)
         data = problem.measurements(state, local=True)
         check_misfit(data, self.spaces(), found.value, outside)
-        excitation = self.judge(data, state, sigma, outside)
-        cov = self.covariance(data, state, sigma, outside, excitation)
-        lines = [*notes, *self.match(found), *self.doubts(state)]
+        excitation = self._judge_fit(data, state, found)
+        cov, formal, check = self.covariance(data, state, found, excitation)
+        doubts, lines = doubts_of(check, [*notes, *self.match(found), *self.doubts(state)])
         return Fit(
             value=value(state, cov),
             names=tuple(name for name, mine in zip(problem.names, used) if mine),
@@ -266,6 +267,8 @@ class KinematicEstimation(ABC, Generic[S]):
             summary=lambda fit: "\n".join([fit.table(), *lines]),
             outliers=found.outliers,
             classes=found.classes,
+            formal_cov=formal,
+            doubts=doubts,
         )
 
     @abstractmethod
@@ -293,24 +296,49 @@ class KinematicEstimation(ABC, Generic[S]):
         )  # fmt: skip
         return test.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
 
+    def _instrument(self) -> dict[str, float]:
+        """Return the noise of a usual instrument, by class."""
+        return dict.fromkeys([name for kind in self.problem.kinds for name in kind.classes], UNIT)
+
+    def _judge_fit(self, data: Sequence[Measurement], state: S, found: NonlinearSolution[S]) -> Excitation:
+        """Return the excitation at the solution; where residuals, not the motion, leave directions open, say so."""
+        sigma, outside = dict(zip(found.classes, found.sigma.tolist())), np.flatnonzero(found.outliers)
+        try:
+            return self.judge(data, state, sigma, outside)
+        except NotExcited:
+            if all(kind.cov is not None for kind in self.problem.kinds):
+                raise
+            self.judge(data, state, self._instrument(), outside)
+            sizes = ", ".join(f"{size:.3g} in {name}" for name, size in sigma.items())
+            raise NotConverged(
+                f"Expected an arm that fits the measurements, got residuals of {sizes} (RMS): an instrument of 1 mm "
+                "would determine every direction. Look for wrong samples with robust=True, and check the order of the "
+                "joints and whether samples and joint positions belong together.",
+                best=found.value,
+                reason="mismatch",
+            ) from None
+
     def covariance(
-        self,
-        data: Sequence[Measurement],
-        state: S,
-        sigma: dict[str, float],
-        outside: np.ndarray,
-        excitation: Excitation,
-    ) -> np.ndarray:
-        """Return the covariance (p, p) of what is used, zero along gauge and unidentifiable directions."""
-        priors, limits = list(self.problem.priors(state, local=True)), self.problem.sizes(*self.limits)[self.used]
-        if not priors:
-            return spread_covariance(excitation.vectors, excitation.spread, limits)
-        rows = np.concatenate(list(_whitened([*data, *priors], sigma, outside)))[:, self.used] * limits
-        G = self.problem.gauge(state, self.used)[0][self.used] / limits[:, None]
-        whole = np.eye(len(limits)) if not G.shape[1] else np.linalg.svd(G, full_matrices=True)[0][:, G.shape[1] :]
-        _, singular, V = np.linalg.svd(np.linalg.qr(rows @ whole, mode="r"))
-        seen = singular > 1e-9 * singular[0]
-        return spread_covariance(whole @ V[seen].T, 1.0 / singular[seen], limits)
+        self, data: Sequence[Measurement], state: S, found: NonlinearSolution[S], excitation: Excitation
+    ) -> tuple[np.ndarray, np.ndarray | None, ResidualCheck]:
+        """Return covariance (p, p) of what is used, zero along gauge and unidentifiable directions."""
+        limits = self.problem.sizes(*self.limits)[self.used]
+        priors = list(self.problem.priors(state, local=True))
+        sigma = {name: max(size, NO_NOISE) for name, size in zip(found.classes, found.sigma.tolist())}
+        every = [*data, *priors]
+        rows = whiten(every, [one.roots(sigma) for one in every]).times(1.0 - found.outliers)
+        J = rows.J[:, self.used]
+        if priors:
+            G = self.problem.gauge(state, self.used)[0][self.used] / limits[:, None]
+            whole = np.eye(len(limits)) if not G.shape[1] else np.linalg.svd(G, full_matrices=True)[0][:, G.shape[1] :]
+            _, singular, V = np.linalg.svd(np.linalg.qr(J * limits @ whole, mode="r"))
+            seen = singular > 1e-9 * singular[0]
+            basis = limits[:, None] * (whole @ V[seen].T) / singular[seen]
+        else:
+            seen = np.isfinite(excitation.spread)
+            basis = limits[:, None] * excitation.vectors[:, seen] * excitation.spread[seen]
+        unknown = frozenset(name for kind in self.problem.kinds if kind.cov is None for name in kind.classes)
+        return covariance_of(rows, basis, J @ basis, unknown, found.check.robust)
 
 
 def _cut_to(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> list[UnobservableDirection]:

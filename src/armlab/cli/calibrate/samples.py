@@ -400,8 +400,7 @@ def judge(fit: Fit[Any]) -> Verdict:
         found.ahead.append("Look for the cause in pairing, clocks and units before you use the result.")
     elif left:
         found.ahead.append(f"Look at the {left} samples that were left out.")
-    doubts = [line for line in fit.report().splitlines() if line.endswith("?")]
-    found.bad.extend(f"{line[:1].upper()}{line[1:]}" for line in doubts)
+    found.bad.extend(f"{line[:1].upper()}{line[1:]}" for line in fit.doubts)
     for name, sigma in zip(fit.classes, fit.sigma.ravel().tolist(), strict=False):
         if sigma > _ROUGH.get(f"[{name.rpartition('[')[2]}", np.inf):
             found.bad.append(f"Noise of {name} of {sigma:.2g} is no noise of a sensor: some samples are wrong, or all.")

@@ -1,0 +1,298 @@
+"""Tests of residuals in the order given, and the covariance that holds where they are correlated in time.
+
+White residuals have the covariance M = 1 - U U^T, U = J basis. Lag-1 products, runs of sign, halves and tails are held
+to what M lets them be, so that few samples and many parameters raise no alarm. Where neighbours are correlated, the
+noise of each class is AR(1) plus white noise, whose correlation time and share are averaged over their restricted
+likelihood (Harville 1977), and the covariance is that of least squares under this noise, basis U^T Omega U basis^T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+ALARM = 3.5  # standard deviations from which a test fails
+RARE = 4.7e-4  # the same of a chi^2
+ENOUGH = 8  # degrees of freedom and pairs of neighbours that a test needs
+OPEN = 1e-6  # a direction of which a half knows less than this share, or all but it, is not compared
+WHITE_SHARES = (0.0, 0.1, 0.3, 0.6)
+SHORTEST, TIMES_PER_DECADE = 0.3, 4  # correlation times, in samples
+REACH = 3.0  # longest correlation time, in records
+SHORTER = 0.4  # prior tau^-0.4 of correlation times: with REACH chosen by the coverage of 30 to 300 samples
+LIKELY = 1e-3  # of the likelihood below which a model does not count
+MANY = 30.0  # degrees of freedom from which classes are counted as one
+POINTS, GOLDEN = 4096, 1.32471795724  # of a quasi-random sequence (Roberts)
+AT_ONCE = 256  # samples whose filtered rows are held in memory
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualCheck:
+    """What the residuals of a fit say about its noise.
+
+    Attributes
+    ----------
+    classes : tuple of str
+        Noise classes, C of them.
+    lag1 : ndarray, shape (C,)
+        Correlation of neighbours in the order given, of which white noise would have 0.
+    lag1_z, runs_z, tails_z : ndarray, shape (C,)
+        Standard deviations by which lag-1 products, runs of equal sign and the fourth moment exceed white Gaussian
+        noise; 0 where there are too few samples.
+    halves, halves_p : float
+        NEES per parameter between the first and the second half, and how rarely white noise makes it as large.
+    size, size_p : float
+        RMS of the whitened residuals, 1 where noise is estimated, and how rarely noise as given makes it as large.
+    growth : float
+        Largest factor by which correlation makes standard deviations grow; 1 for white residuals.
+    robust : bool
+        Whether outliers were looked for.
+    """
+
+    classes: tuple[str, ...]
+    lag1: np.ndarray
+    lag1_z: np.ndarray
+    runs_z: np.ndarray
+    tails_z: np.ndarray
+    halves: float
+    halves_p: float
+    size: float = 1.0
+    size_p: float = 1.0
+    growth: float = 1.0
+    robust: bool = False
+
+    @property
+    def correlated(self) -> np.ndarray:
+        """Classes (C,) whose neighbours are alike."""
+        return (self.lag1_z > ALARM) | (self.runs_z > ALARM)
+
+    @property
+    def suspicious(self) -> np.ndarray:
+        """Classes (C,) that may be correlated: where the halves disagree, all with enough samples."""
+        return self.correlated | ((self.halves_p < RARE) & (self.lag1_z != 0.0))
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """One sentence per failed test."""
+        found = []
+        if self.correlated.any():
+            k = int(np.argmax(np.where(self.correlated, self.lag1, -1.0)))
+            found.append(
+                f"Residuals are correlated in time (lag 1: {self.lag1[k]:.2f} in class {self.classes[k]}): standard "
+                f"deviations are up to {self.growth:.2g} times those of independent samples. Look for drift, or for "
+                "errors that change slowly along the motion."
+            )
+        if self.halves_p < RARE:
+            found.append(
+                f"The first and the second half of the samples disagree (NEES per parameter {self.halves:.2g}, 1 "
+                "expected of independent samples). Something changed while they were taken."
+            )
+        if self.size_p < RARE:
+            found.append(f"Residuals are {self.size:.3g} times the noise that was given. Check it, and the samples.")
+        if self.tails_z.max(initial=0.0) > ALARM and not self.robust:
+            found.append("Residuals have heavy tails: some samples may be wrong. Try robust=True.")
+        return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Whitened residuals r (M,) and U (M, d) with their place: class, channel and sample (M,); class -1 of priors."""
+
+    r: np.ndarray
+    U: np.ndarray
+    label: np.ndarray
+    channel: np.ndarray
+    sample: np.ndarray
+    classes: tuple[str, ...]
+
+
+def check_residuals(series: Series, robust: bool, given: bool) -> ResidualCheck:
+    """Test residuals; `robust`: outliers were looked for, `given`: the deviations of all classes were given."""
+    from scipy.special import chdtrc
+
+    order = np.lexsort((series.sample, series.channel))
+    order = order[series.label[order] >= 0]
+    alike = series.channel[order[:-1]] == series.channel[order[1:]]
+    first, second = order[:-1][alike], order[1:][alike]
+    diagonal = np.maximum(1.0 - np.einsum("ij,ij->i", series.U, series.U), 0.0)
+    found = np.zeros((4, len(series.classes)))
+    for c in range(len(series.classes)):
+        mine, pairs = series.label == c, series.label[first] == c
+        found[:, c] = _neighbours(series, diagonal, mine, first[pairs], second[pairs])
+    square, free = float(series.r @ series.r), len(series.r) - series.U.shape[1]
+    size = (float(np.sqrt(square / free)), float(chdtrc(free, square))) if given and free > 0 else (1.0, 1.0)
+    return ResidualCheck(series.classes, *found, *_halves(series), *size, robust=robust)
+
+
+def _neighbours(
+    series: Series, diagonal: np.ndarray, mine: np.ndarray, i: np.ndarray, j: np.ndarray
+) -> tuple[float, float, float, float]:
+    """Return lag-1 correlation, and the z of lag-1 products, of runs and of the fourth moment of one class."""
+    r, U, free = series.r, series.U, float(diagonal[mine].sum())
+    power = float(r[mine] @ r[mine])
+    if free < ENOUGH or len(i) < ENOUGH or power <= 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    neighbours = np.zeros_like(U)
+    neighbours[i] += 0.5 * U[j]
+    neighbours[j] += 0.5 * U[i]
+    usual = -float(np.vdot(U[i], U[j]))
+    inner = U[mine].T @ neighbours[mine]
+    square = 0.5 * len(i) - 2.0 * float(np.vdot(neighbours, neighbours)) + float(np.vdot(inner, inner))
+    spread = np.sqrt(max(2.0 * (square - usual**2 / free) * free / (free + 2.0), np.finfo(float).tiny))
+    excess = float(r[i] @ r[j]) * free / power - usual
+    sd = np.sqrt(np.maximum(diagonal, OPEN))
+    chance = -np.einsum("ij,ij->i", U[i], U[j]) / (sd[i] * sd[j])
+    agree = np.sign(r[i] * r[j]) - 2.0 / np.pi * np.arcsin(np.clip(chance, -1.0, 1.0))
+    scaled = r[mine & (diagonal > OPEN)] / sd[mine & (diagonal > OPEN)]
+    return excess / len(i), excess / spread, float(agree.sum()) / np.sqrt(len(i)), _kurtosis_z(scaled)
+
+
+def _kurtosis_z(x: np.ndarray) -> float:
+    """Return by how many deviations the kurtosis of x exceeds that of a Gaussian (Anscombe and Glynn 1983)."""
+    n = float(len(x))
+    if n < 2 * ENOUGH:
+        return 0.0
+    mean = 3.0 * (n - 1.0) / (n + 1.0)
+    variance = 24.0 * n * (n - 2.0) * (n - 3.0) / ((n + 1.0) ** 2 * (n + 3.0) * (n + 5.0))
+    excess = (n * float(np.sum(x**4)) / float(np.sum(x**2)) ** 2 - mean) / np.sqrt(variance)
+    skew = 6.0 * (n * n - 5.0 * n + 2.0) / ((n + 7.0) * (n + 9.0))
+    skew *= np.sqrt(6.0 * (n + 3.0) * (n + 5.0) / (n * (n - 2.0) * (n - 3.0)))
+    A = 6.0 + 8.0 / skew * (2.0 / skew + np.sqrt(1.0 + 4.0 / skew**2))
+    ratio = (1.0 - 2.0 / A) / max(1.0 + excess * np.sqrt(2.0 / (A - 4.0)), np.finfo(float).tiny)
+    return float((1.0 - 2.0 / (9.0 * A) - np.cbrt(ratio)) / np.sqrt(2.0 / (9.0 * A)))
+
+
+def _halves(series: Series) -> tuple[float, float]:
+    """Return the NEES per parameter between fits to the first and to the second half, and its probability."""
+    from scipy.special import fdtrc
+
+    of_data = series.label >= 0
+    middle = np.median(series.sample[of_data])
+    U, r = series.U[of_data], series.r[of_data]
+    early = series.sample[of_data] < middle
+    share, V = np.linalg.eigh(U[early].T @ U[early])
+    seen = (share > OPEN) & (share < 1.0 - OPEN)
+    free = len(r) - U.shape[1] - int(seen.sum())
+    if not seen.any() or free < ENOUGH:
+        return 1.0, 1.0
+    along = V[:, seen].T @ (U[early].T @ r[early])
+    squares = float(np.sum(along**2 / (share[seen] * (1.0 - share[seen]))))
+    rest = max(float(r @ r) - squares, np.finfo(float).tiny)
+    F = squares / int(seen.sum()) / (rest / free)
+    return F, float(fdtrc(int(seen.sum()), free, F))
+
+
+def student_factor(d: np.ndarray, nu: np.ndarray) -> float:
+    """Return the factor on a covariance for which its 95 % region of chi^2 covers 95 %.
+
+    The squared error over the stated covariance is ``sum_c d_c F(d_c, nu_c)`` where class c has estimated its noise
+    with nu_c degrees of freedom, and says d_c of the d parameters; d F(d, nu) for one class.
+
+    `d`, `nu`: (C,), nu infinite where noise was given.
+    """
+    from scipy.special import chdtri, fdtri
+
+    total = float(d.sum())
+    unsure = np.isfinite(nu) & (d > OPEN)
+    if not unsure.any() or total < OPEN:
+        return 1.0
+    usual = float(chdtri(total, 0.05))
+    d, nu = d[d > OPEN], np.maximum(nu[d > OPEN], 0.5)
+    if len(d) == 1 or nu.min() > MANY:
+        share = d / total  # between the degrees of freedom with the right mean and those with the right variance
+        one = 1.0 / np.sqrt(float(np.sum(share / nu)) * float(np.sum(share**2 / nu)))
+        return total * float(fdtri(total, one, 0.95)) / usual
+    u = np.outer(np.arange(1, POINTS + 1), 1.0 / GOLDEN ** np.arange(1, len(d) + 1)) % 1.0
+    p = 1.0 / (1.0 + np.exp(-np.linspace(-12.0, 12.0, 97)))
+    parts = (size * fdtri(size, free, p) if np.isfinite(free) else chdtri(size, 1.0 - p) for size, free in zip(d, nu))
+    squares = sum(np.interp(one, p, part) for one, part in zip(u.T, parts))
+    return max(float(np.quantile(squares, 0.95)) / usual, 1.0)
+
+
+def correlated_information(series: Series, which: Sequence[int]) -> np.ndarray:
+    """Return ``U^T Omega U`` (d, d), which is 1 for white noise, with the noise of some classes correlated in time."""
+    total = series.U.T @ series.U
+    for c in which:
+        mine = series.label == c
+        table = _Table.of(series, mine)
+        total += table.information() - series.U[mine].T @ series.U[mine]
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Rows [U, r] (N, channels, d + 1) of one class over its samples, zero where `there` (N, channels) is False."""
+
+    rows: np.ndarray
+    there: np.ndarray
+    width: int
+
+    @classmethod
+    def of(cls, series: Series, mine: np.ndarray) -> _Table:
+        _, time = np.unique(series.sample[mine], return_inverse=True)
+        _, channel = np.unique(series.channel[mine], return_inverse=True)
+        shape = int(time.max()) + 1, int(channel.max()) + 1
+        rows, there = np.zeros((*shape, series.U.shape[1] + 1)), np.zeros(shape, dtype=bool)
+        rows[time, channel, :-1], rows[time, channel, -1] = series.U[mine], series.r[mine]
+        there[time, channel] = True
+        return cls(rows, there, series.U.shape[1])
+
+    def information(self) -> np.ndarray:
+        """Return the mean of U^T Omega U over the models of the noise, weighted by their restricted likelihood."""
+        longest = REACH * len(self.rows)
+        times = np.geomspace(SHORTEST, longest, 1 + int(TIMES_PER_DECADE * np.log10(longest / SHORTEST)))
+        tau, white = (a.ravel() for a in np.meshgrid(times, WHITE_SHARES))
+        phi = np.exp(-1.0 / tau)
+        score, power = self._likelihood(phi, white)
+        weight = np.exp(score - score.max()) / tau**SHORTER
+        kept = weight > LIKELY * weight.max()
+        weight = weight[kept] / weight[kept].sum()
+        found = self._summed(phi[kept], white[kept]) * power[kept, None, None]
+        return np.einsum("g,gij->ij", weight, found)
+
+    def _likelihood(self, phi: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the restricted log likelihood (G,) of each model, and the variance (G,) that goes with it."""
+        gram, logs = self._filtered(phi, white)
+        n, d = int(self.there.sum()), self.width
+        U = self.rows[..., :-1].reshape(-1, d)
+        _, s, V = np.linalg.svd(np.linalg.qr(U, mode="r"))
+        basis = V[: int(np.count_nonzero(s > OPEN * s[0]))].T
+        H = basis.T @ gram[:, :d, :d] @ basis
+        g = (gram[:, :d, d] @ basis)[:, :, None]
+        rest = gram[:, d, d] - np.einsum("gij,gij->g", g, np.linalg.solve(H, g))
+        free = n - basis.shape[1]
+        return -0.5 * (logs + np.linalg.slogdet(H)[1] + free * np.log(rest)), rest / free
+
+    def _filtered(self, phi: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the Gram matrices (G, d + 1, d + 1) of rows whitened by a Kalman filter, and log det Omega (G,)."""
+        G, (_, C, size) = len(phi), self.rows.shape
+        slow, decay = (1.0 - white)[:, None], phi[:, None]
+        gram, logs = np.zeros((G, size, size)), np.zeros(G)
+        state, variance = np.zeros((G, C, size)), np.tile(slow, (1, C))
+        for start in range(0, len(self.rows), AT_ONCE):
+            rows, there = self.rows[start : start + AT_ONCE], self.there[start : start + AT_ONCE]
+            whitened = np.empty((len(rows), G, C, size))
+            for k, (y, now) in enumerate(zip(rows, there)):
+                S = np.where(now, variance + white[:, None], 1.0)
+                new = np.where(now[:, None], y - state, 0.0)
+                whitened[k] = new / np.sqrt(S)[:, :, None]
+                logs += np.sum(np.log(S), axis=1)
+                gain = np.where(now, variance / S, 0.0)
+                state = decay[:, :, None] * (state + gain[:, :, None] * new)
+                variance = decay**2 * (1.0 - gain) * variance + (1.0 - decay**2) * slow
+            flat = whitened.transpose(1, 0, 2, 3).reshape(G, -1, size)
+            gram += flat.transpose(0, 2, 1) @ flat
+        return gram, logs
+
+    def _summed(self, phi: np.ndarray, white: np.ndarray) -> np.ndarray:
+        """Return U^T Omega U (G, d, d) of each model, of variance 1."""
+        d, U = self.width, self.rows[..., :-1]
+        C = U.shape[1]
+        decay, memory = phi[:, None, None], np.zeros((len(phi), C, d))
+        cross = np.zeros((len(phi), d, d))
+        for u in U:
+            cross += memory.transpose(0, 2, 1) @ u
+            memory = decay * (memory + u)
+        flat = U.reshape(-1, d)
+        return flat.T @ flat + (1.0 - white)[:, None, None] * (cross + cross.transpose(0, 2, 1))
