@@ -213,3 +213,20 @@ def test_wrong_labels_are_refused_with_the_cause(noise, robust) -> None:
     mixed = np.random.default_rng(0).permutation(data.plane)
     with pytest.raises(NotConverged, match=r"Check the labels of the plates"):
         fit_laser_plane(data.A, data.scans, mixed, noise=noise, robust=robust)
+
+
+@pytest.mark.parametrize("run", [17, 27])
+def test_a_third_of_wrong_scans_does_not_lead_the_scale(run) -> None:
+    """They were fitted, 9 mm off and "good", when their noise was unknown: all wrong in the same way."""
+    data = sensors.scanned([5, run], wrong=20)
+    fit = fit_laser_plane(**data.given, robust=True)
+    assert fit.outliers[:20].all()
+    assert np.all(np.abs(error(fit, (data.X, data.n, data.d))) < 4.0 * fit.sd)
+
+
+@pytest.mark.slow
+def test_wrong_scans_of_unknown_noise_over_many_runs() -> None:
+    for run in range(200):
+        data = sensors.scanned([6, run], wrong=18)
+        fit = fit_laser_plane(**data.given, robust=True)
+        assert np.all(np.abs(error(fit, (data.X, data.n, data.d))) < 4.0 * fit.sd), run

@@ -219,6 +219,8 @@ def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearS
             text = f"residuals {times(best):.3g} times the noise at best"
             text += f" and {int(best.outliers.sum())} of {scans.N} scans left out" if robust else ""
         raise misfit(scans, ratio, None if best is None else best.value, text)
+    if robust:
+        best = nonlinear_least_squares(scans.problem(), best.value.oriented(), robust=True, majority=True)
     _require_fit(scans, ratio, best)
     return _oriented(scans, best, robust)
 
@@ -325,7 +327,8 @@ def _doubted(scans: Scans, found: NonlinearSolution[Scene], size: float) -> Nonl
 def _oriented(scans: Scans, found: NonlinearSolution[Scene], robust: bool) -> NonlinearSolution[Scene]:
     if np.all(found.value.d >= 0):
         return found
-    return nonlinear_least_squares(scans.problem(), found.value.oriented(), robust=robust, schedule=SCHEDULE[-1:])
+    again = {"robust": robust, "schedule": SCHEDULE[-1:], "majority": robust and scans.noise is None}
+    return nonlinear_least_squares(scans.problem(), found.value.oriented(), **again)
 
 
 def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
