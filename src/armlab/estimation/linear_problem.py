@@ -20,6 +20,9 @@ NAMED = 0.3  # share of the largest component above which a component is named
 Describe = Callable[[np.ndarray], str]
 
 
+UNSEEN = 1e-3  # noise that a deviation of the prior makes, all rows together: below, the data say nothing of it
+
+
 @dataclass(frozen=True, eq=False)
 class Prior:
     """Independent prior knowledge of parameters.
@@ -141,11 +144,13 @@ def check_excitation(
     the singular values of the column-scaled A.
     """
     A = numbers(A, "a design matrix", ShapeError)
+    if prior is not None:
+        _check_prior(prior, len(names))
+        A = A * (np.linalg.norm(A, axis=0) * prior.sd > UNSEEN)
     found = Excitation.of(A, names, max_condition)
     weak = range(found.expected - 1, found.rank - 1, -1)  # the weakest first
     directions = tuple(_in_words(found.vectors[:, i], names) for i in weak)
     if prior is not None:
-        _check_prior(prior, len(names))
         known = (found.scale, found.vectors, directions)
         return Excitation(found.rank, found.expected, found.singular_values, found.weakest, *known)
     if not np.isfinite(max_condition):

@@ -20,6 +20,7 @@ from armlab.estimation.robust import effective_samples
 
 BRIDGED = 4  # lost rows between two that are interpolated; more of them end a segment
 WINDOW = 50  # rows in which a late row is caught up with
+CAUGHT_UP = 0.25  # periods: jitter of the earliest of so many rows
 BLOCK = 2.0  # s, of the medians
 JITTER = 0.01  # of the period: less is rounding of the stamps
 EARLIEST, LATEST = -0.06, 0.32  # s, of the delays that are searched
@@ -108,14 +109,18 @@ def _period(step: np.ndarray) -> float:
 
 
 def _lost(t: np.ndarray, period: float) -> np.ndarray:
-    """Return how many rows are missing before each row (N,): the earliest rows around a gap tell."""
+    """Return how many rows are missing before each row (N,): the earliest rows around a gap tell.
+
+    As many rows after it as before count jitter out; more of them tell a row that is late alone.
+    """
     N, last = len(t), 0
-    lead, lost = t - period * np.arange(N), np.zeros(N, dtype=int)
+    lead, lost = t / period - np.arange(N), np.zeros(N, dtype=int)
     for k in np.flatnonzero(np.diff(t) > 1.5 * period) + 1:
         n = min(WINDOW, k - last, N - k)
-        jump = (lead[k : k + n].min() - lead[k - n : k].min()) / period
-        if jump > 0.5:
-            lost[k], last = round(jump), k
+        before = lead[k - n : k].min()
+        near, ahead = lead[k : k + n].min() - before, lead[k : k + WINDOW].min() - before
+        if near > 0.5 and ahead > CAUGHT_UP:
+            lost[k], last = max(1, min(round(near), round(ahead + CAUGHT_UP))), k
     return lost
 
 
