@@ -507,7 +507,7 @@ def test_friction_of_the_load_takes_nothing_from_a_contact(perfect, way: str) ->
     rubs = replace(model, friction=replace(model.friction, load=share))
 
     def contact_torque(known: TorqueModel, tau: np.ndarray) -> np.ndarray:
-        kernel = (known.estimator_kernel if way == "map" else known.momentum_kernel)
+        kernel = known.estimator_kernel if way == "map" else known.momentum_kernel
         own = {} if way == "map" else {"rate": np.ones(6), "filters": False}
         return kernel(np.square(PRIOR), **own).run(q, qd, tau, np.full(len(t), 0.004))[3]
 

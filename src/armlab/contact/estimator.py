@@ -26,7 +26,7 @@ Momentum methods need no acceleration: ``p = M qd``, ``dp/dt = u + J^T F``, ``u 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from threading import get_ident
 from typing import Any, Literal, get_args
@@ -38,7 +38,8 @@ from armlab._numbers import numbers
 from armlab.errors import ConcurrentUse, ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
 from armlab.log.units_check import check_known
-from armlab.models import TorqueModel
+from armlab.models import TorqueModel, velocity_covariance
+from armlab.models.friction import FrictionBound
 from armlab.models.torque import FORCE_RATES, PRIOR
 from armlab.robots import Robot
 from armlab.robots.robot import arm_length
@@ -150,6 +151,7 @@ METHODS = get_args(Method)
 STATIC = METHODS[: METHODS.index("observer")]  # in the order of the kernel's `WrenchMethod`
 GAIN = 30.0  # 1/s, of the observer
 PARTS = 100  # of a log whose progress is reported
+TARE, MEMORY = 0.5, 0.1  # s: the shortest tare; errors further apart are independent
 
 
 class Estimator:
@@ -233,6 +235,10 @@ class Estimator:
         variances = deviations**2
         variances.flags.writeable = False
         self._robot, self._prior, self._at_point = robot, variances, point is not None
+        self._with = lambda model: Estimator(
+            model, robot, method, prior, point, force_rate=force_rate, leak=leak, gain=gain, bias=bias
+        )
+        self._model = model
         self._method, self._tare = method, None
         if method in STATIC:
             self._kernel = model.estimator_kernel(variances, STATIC.index(method), point)
@@ -319,7 +325,13 @@ class Estimator:
             )
         self._tared_at = self._t
 
-    def run(self, table: Table, *, progress: Callable[[int, int, str], None] | None = None) -> Table:
+    def run(
+        self,
+        table: Table,
+        *,
+        tare: float | slice | None = None,
+        progress: Callable[[int, int, str], None] | None = None,
+    ) -> Table:
         """Return the table with the estimate of every row.
 
         Columns: wrench_hat, wrench_hat_cov, observability, tau_error, tau_variance, wrench_flags, wrench_active, and
@@ -328,15 +340,21 @@ class Estimator:
         Parameters
         ----------
         table : log with columns q, qd, tau (N, n).
+        tare : seconds from the beginning, or rows, in which the arm rests without contact. What the torques show there
+            is friction, and their scatter their noise, until a joint leaves its place by more than its presliding
+            distance; these rows have the flag TARED.
         progress : called with (done, total, what), in rows.
 
         Raises
         ------
         ShapeError : when the joint count is not the model's, positions are in degrees or of the motors, or something
             else came than a table.
-        NotExcited : joints moved, and no torque ever changed: none was measured.
+        NotExcited : joints moved, and no torque ever changed: none was measured; the arm moves during the tare, or
+            rests for less than 0.5 s.
         ConcurrentUse : another thread is in `run`.
         """
+        if tare is not None:
+            return self._tared(table, tare, progress)
         if not isinstance(table, Table):
             raise ShapeError.no_table(table)
         q, qd, tau = (np.ascontiguousarray(table[name], dtype=float) for name in ("q", "qd", "tau"))
@@ -361,6 +379,19 @@ class Estimator:
             .with_column("wrench_active", active.astype(np.int64))
         )
         return table if interval is None else table.with_column("wrench_interval", interval)
+
+    def _tared(self, table: Table, tare: float | slice, tell: Callable[[int, int, str], None] | None) -> Table:
+        """Return the estimates of `run`, tared until a joint leaves its place."""
+        plain = self.run(table, progress=tell)
+        model, shift, rows = tared(self._model, self._robot, table, tare)
+        rested = self._with(model).run(table.with_column("tau", table["tau"] + shift), progress=tell)
+        first = np.arange(len(table)) < rows
+        rested = rested.with_column("wrench_flags", rested["wrench_flags"] | TARED)
+        for name in rested.names:
+            if name.startswith(("wrench_", "tau_", "observability")):
+                chosen = first.reshape(-1, *[1] * (rested[name].ndim - 1))
+                plain = plain.with_column(name, np.where(chosen, rested[name], plain[name]))
+        return plain
 
     def _run(
         self,
@@ -408,6 +439,35 @@ class Estimator:
                 "thread; where one thread hands it back to another, call reset() in between."
             )
         self._thread = get_ident()
+
+
+def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -> tuple[TorqueModel, np.ndarray, int]:
+    """Return a model for an arm that rests where it was tared, what to add to its torques (n,), and how many rows."""
+    span = tare if isinstance(tare, slice) else slice(int(np.searchsorted(table.t, table.t[0] + tare)))
+    error = Estimator(model, robot).run(table)["tau_error"][span]
+    t, q = table.t[span], table["q"][span]
+    error, steps = error[np.isfinite(error).all(axis=1)], np.ptp(q, axis=0) if len(q) else np.full(model.n, np.inf)
+    slack = np.maximum(model.friction.delta, 2.0 * model.friction.resolution)
+    if len(error) < 2 or t[-1] - t[0] < TARE or np.any(steps > slack):
+        seconds, moved = (t[-1] - t[0] if len(t) else 0.0), np.flatnonzero(steps > slack) + 1
+        raise NotExcited(
+            f"Expected an arm at rest for at least {TARE} s to tare, got {seconds:.2g} s"
+            + (f" in which joints {', '.join(map(str, moved))} move" if len(moved) else "")
+            + ". Name a stretch in which the arm rests without contact.",
+            ["friction at rest"],
+        )
+    samples = (t[-1] - t[0]) / MEMORY
+    spread = np.var(error, axis=0) * (1.0 + 1.0 / samples) * (samples - 1.0) / (samples - 3.0)  # as Student's t
+    away = np.any(np.abs(table["q"] - np.median(q, axis=0)) > slack, axis=1)
+    away[: span.stop] = False
+    rows = int(np.argmax(away)) if away.any() else len(table)
+    momentum = model.momentum and replace(model.momentum, alpha2_kf=1.0, alpha2_observer=1.0)
+    still = FrictionBound(np.zeros(model.n), model.bound.speed, 2.0 * np.sqrt(spread))
+    rested = replace(
+        model, covariance=velocity_covariance("const", spread, spread), bound=still, momentum=momentum,
+        load_sd=np.zeros(model.n),
+    )  # fmt: skip
+    return rested, model.gains * error.mean(axis=0), rows
 
 
 def _refuse_idle(method: str, options: dict[str, dict[str, object]]) -> None:

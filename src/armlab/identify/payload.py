@@ -330,7 +330,7 @@ def fit_payload(
         notes.append(f"left out, at rest: {', '.join(rest_names)}")
     notes += _unknown(record.error, isinstance(model, Fit))
     residuals = record.y - (1.0 + gains) * (record.A @ pi)
-    notes += _explained(record, residuals, robot)
+    share, doubts = _explained(record, residuals, robot)
     return Fit(
         value=value,
         names=LINK_SYMBOLS[:p],
@@ -341,7 +341,10 @@ def fit_payload(
         residuals=residuals,
         n=len(record.y),
         excitation=found.excitation,
-        summary=lambda fit: "\n".join([_table(fit), *notes, f"{fit.n} samples", fit.excitation.text()]),
+        summary=lambda fit: "\n".join(
+            [_table(fit), share, *notes, f"{fit.n} samples", fit.excitation.text(), *fit.doubts]
+        ),
+        doubts=doubts,
     )
 
 
@@ -421,20 +424,21 @@ def _unknown(error: ModelError, fitted: bool) -> list[str]:
     return notes
 
 
-def _explained(record: LoadRecord, residuals: np.ndarray, robot: Robot) -> list[str]:
+def _explained(record: LoadRecord, residuals: np.ndarray, robot: Robot) -> tuple[str, tuple[str, ...]]:
     """Return what share of the torque that the arm's model leaves the load explains; a doubt where it is small."""
     power = np.mean(record.y**2, axis=0)
     share = 1.0 - np.mean(residuals**2) / np.mean(power)
-    said = f"the load explains {100 * share:.0f} % of what the model of the arm leaves"
-    notes = [f"{said}, {np.sqrt(np.mean(power)):.3g} N m RMS"]
+    left = f"{np.sqrt(np.mean(power)):.3g} N m RMS"
+    said = f"the load explains {100 * share:.0f} % of what the model of the arm leaves, {left}"
     more = np.sqrt(power) / record.error.model.quality.rms_cv[record.joints]
     worst = int(np.argmax(np.nan_to_num(more)))
-    if share < EXPLAINED and more[worst] > CHANGED:
-        notes.append(
-            f"{robot.joint_names[record.joints[worst]]} leaves {more[worst]:.1f} times what it left without a load, "
-            f"and the load explains {100 * share:.0f} % of all: is it at the flange, and is no contact in the log?"
-        )
-    return notes
+    if share > EXPLAINED or more[worst] < CHANGED:
+        return said, ()
+    return said, (
+        f"{robot.joint_names[record.joints[worst]]} leaves {more[worst]:.1f} times what it left without a load, "
+        f"and the load explains {100 * share:.0f} % of all: it is not, or not only, at the flange, or a contact is in "
+        "the log",
+    )
 
 
 def _notes(

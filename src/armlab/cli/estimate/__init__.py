@@ -55,6 +55,7 @@ def estimate(
     method: ForceMethod = "map",
     force_rate: Literal["smooth", "normal", "fast"] | None = None,
     bias: bool = False,
+    tare: float | None = None,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     prior: ContactPrior = ContactPrior(),
     wanted: Results = PLAIN,
@@ -75,6 +76,7 @@ def estimate(
             clip: to compare.
         force_rate: Of the method kf: how fast the force may change.
         bias: Of the method kf: friction that is unknown after a rest is a state of its own.
+        tare: Seconds from the beginning in which the arm rests without contact: friction is known until it moves.
         output: Also write the estimate of every row, ends in .mcap or .csv.
         prior: Of the contact.
     """
@@ -89,7 +91,7 @@ def estimate(
         estimator = armlab.contact.Estimator(known, arm, method, prior.deviations, prior.point, **options)
     with progress("estimate") as tell:
         tell(0, 1, "reading the log")
-        table = estimator.run(read_log(log, arm), progress=tell)
+        table = estimator.run(read_log(log, arm), tare=tare, progress=tell)
         _check(table, log)
         found = armlab.contact.contacts(table)
         tell(0, 2, "where the contact may be")

@@ -102,7 +102,7 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
             f"{worst}: arm and load together leave {100 * left.max():.0f} % of the torque's deviation unexplained."
         )
         found.ahead.append("Check the log's torques, and that the model is of this arm with the tool that it has now.")
-    found.bad += [line for line in fit.report().splitlines() if line.endswith("?")]
+    found.bad += fit.doubts
     found.bad += armlab.identify.extrapolation(model, table).warnings
     found.ahead.append(
         "Use the model of the arm as it is; nothing is to be read from the centre."
