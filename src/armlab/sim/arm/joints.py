@@ -121,7 +121,7 @@ WARM_SPEED = 0.25  # of the speed limit, at which friction heats the drive to a 
 
 
 class WornFriction(JointFriction):
-    """Friction state of all joints, temperature included; `load` (n,), the torque to the links, is read at every step."""
+    """Friction state of all joints, temperature included; `load` (n,), torque to the links, is read at every step."""
 
     def __init__(self, truth: Truth, mismatch: Mismatch, step: float, load: np.ndarray) -> None:
         super().__init__(truth)
