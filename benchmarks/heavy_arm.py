@@ -20,7 +20,7 @@ import numpy as np
 
 from armlab import contact, identify, log, models, robots, sim
 from armlab.estimation import Fit
-from armlab.sim.arm.mismatch import torque_gain
+from armlab.sim.arm.mismatch import load_share, torque_gain
 from armlab.sim.arm.truth import cylinder
 
 __all__ = ["GAINS", "LOADS", "LOAD_FRICTION", "METHODS", "Logs", "judge", "record", "ur10e"]
@@ -54,7 +54,7 @@ class Logs:
 
 
 def ur10e() -> robots.Robot:
-    """Return the arm: the vendor's table of Denavit-Hartenberg parameters, gears unknown."""
+    """Return the arm: the vendor's table of Denavit-Hartenberg parameters; gears are not given."""
     return robots.from_dh(
         "ur10e",
         alpha=np.pi / 2 * np.array([1, 0, 0, 1, -1, 0]),
@@ -107,7 +107,8 @@ def record(seed: int) -> Logs:
     free = sim.record(arm, identify.design_excitation(robot, acceleration=4.0, seed=seed))
     test = identify.design_excitation(robot, f0=0.07, harmonics=6, speed=0.4, acceleration=4.0, seed=1000 + seed)
     loaded = {mass: sim.record(arm, test, lambda t, m=mass: carried(robot, test, m, t)) for mass in LOADS}
-    return Logs(robot, identify.fit_dynamics(free, robot), loaded, arm.friction.of_load, torque_gain(faults, robot.n))
+    n = robot.n
+    return Logs(robot, identify.fit_dynamics(free, robot), loaded, load_share(faults, n), torque_gain(faults, n))
 
 
 def carried(robot: robots.Robot, motion: identify.Trajectory, mass: float, t: np.ndarray) -> np.ndarray:
@@ -137,6 +138,12 @@ def without_load_friction(logs: Logs) -> models.TorqueModel:
     """Return the model without load friction."""
     model = logs.fit.value
     return replace(model, friction=replace(model.friction, load=np.zeros(model.n)))
+
+
+def without_doubt(logs: Logs) -> models.TorqueModel:
+    """Return the model as if gains and load friction were known exactly."""
+    model = logs.fit.value
+    return replace(model, gain_cov=0.0 * model.gain_cov, load_sd=np.zeros(model.n))
 
 
 def main() -> int:

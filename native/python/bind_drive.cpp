@@ -156,8 +156,8 @@ void add_drive_torque(const Drive &drive, npy_intp N, const double *rotor, const
       drive.move(i, q[i], states[i]);
       const double load = tau[i];
       tau[i] += rotor[i] * qdd[i];
-      tau[i] += drive.torque(i, q[i], qd[i], states[i], 1.0) +
-                drive.of_load(i, load, qd[i], states[i]);
+      tau[i] +=
+          drive.torque(i, q[i], qd[i], states[i], 1.0) + drive.of_load(i, load, qd[i], states[i]);
       if (dt) drive.heat(i, qd[i], dt[k], states[i]);
     }
     first = false;

@@ -24,6 +24,7 @@ def perfect(truth, model) -> TorqueModel:
         ripple=replace(model.ripple, cosine=np.zeros(7), sine=np.zeros(7)),
         gains=np.ones(7),
         gain_cov=np.zeros((7, 7)),
+        load_sd=np.zeros(7),
         covariance=velocity_covariance("const", sd**2, sd**2),
     )
 

@@ -520,7 +520,7 @@ def test_friction_of_the_load_takes_nothing_from_a_contact(perfect, way: str) ->
 def test_doubt_grows_with_the_torque_of_a_contact(perfect, truth, log, way: str) -> None:
     """What gains have in common is a share of the wrench; their differences, and load friction, are of each joint."""
     alike, apart = np.full((7, 7), 0.1**2), 0.1**2 * np.eye(7)
-    np.testing.assert_allclose(replace(perfect, gain_cov=alike).contact_doubt, 0.0, atol=1e-9)
+    np.testing.assert_allclose(replace(perfect, gain_cov=alike).contact_doubt ** 2, 0.0, atol=1e-15)
     np.testing.assert_allclose(replace(perfect, gain_cov=apart).contact_doubt, 0.1 * np.sqrt(6 / 7))
     model = replace(perfect, load_sd=np.linspace(0.05, 0.2, 7))
     sure, unsure = (Estimator(one, truth.robot, **WAYS[way]).run(log) for one in (perfect, model))

@@ -300,7 +300,7 @@ def test_a_smooth_sign_with_root_and_asymmetry_is_found() -> None:
 
 
 def test_friction_that_grows_with_the_load_is_found() -> None:
-    found = chosen(lambda q, qd: np.sign(qd) * (1.0 + 0.02 * load(q)))
+    found = chosen(lambda q, qd: presliding(q, DELTAS[[4]], np.zeros(1)) * (1.0 + 0.02 * load(q)))
     np.testing.assert_array_equal(found.terms[0], [False, False, False, True])
 
 

@@ -83,8 +83,8 @@ def test_joints_that_disagree_tell_their_gains(misread) -> None:
     assert error @ np.linalg.solve(cov, error) / 7 < 2.0
     apart = error[:4] - error[:4].mean()
     assert np.abs(apart).max() < 0.01 < np.abs(GAINS[:4] - GAINS[:4].mean()).max()
-    ones = np.ones(7)
-    assert 1 / np.sqrt(ones @ np.linalg.solve(cov, ones)) == pytest.approx(GAIN_SD / np.sqrt(7), rel=0.05)
+    common = design.gains  # in proportion: what no log tells
+    assert 1 / np.sqrt(common @ np.linalg.solve(cov, common)) == pytest.approx(GAIN_SD / np.sqrt(7), rel=0.05)
     np.testing.assert_allclose(design.tau, misread.tau / design.gains, rtol=1e-12)
 
 

@@ -42,7 +42,7 @@ FORCE = np.array([5.0, -3.0, 8.0])
 
 @pytest.fixture
 def calibrated(model: TorqueModel) -> TorqueModel:
-    return replace(model, gains=GAINS, gain_cov=0.03**2 * np.eye(7))
+    return replace(model, gains=GAINS, gain_cov=np.full((7, 7), 0.03**2))
 
 
 def pushed(model: TorqueModel, robot) -> Table:

@@ -5,7 +5,8 @@ With s = z, or s = tanh(qd / smooth_speed) where smooth_speed > 0, joint by join
     coulomb = (coulomb_pos max(s, 0) + coulomb_neg min(s, 0)) (1 + of_coulomb x)
     dry = coulomb + stribeck s exp(-(qd / stribeck_speed)^2) + root s sqrt(|qd|)
     rubbing = viscous (1 + of_viscous x) qd + dry_share dry
-    tau = load dry_share s |x| + rubbing + offset + cosine cos(cycles q) + sine sin(cycles q) + dry_share map(q, qd, s) + lines(q, qd, s)
+    tau = rubbing + offset + cosine cos(cycles q) + sine sin(cycles q) + dry_share map(q, qd, s) + lines(q, qd, s)
+          + load dry_share s |x|
 
 x is the torque that goes to the links, in a forward model known; an estimator has y = x + load dry_share s |x|, what
 is left of the motor's torque without the rest, so that ``x = y / (1 + load dry_share s sign(y))``.

@@ -9,9 +9,9 @@ One step, with ``tau_e = model - measured = J^T F + error``:
    z) - ripple(q)`` (`drive.load_of`).
 3. tau_e passes a second-order Butterworth low-pass (state-variable form, exact for a varying dt up to frequency
    warping).
-4. C_tau = diag(s^2(qd) + (doubt tau_e)^2 + static^2 p_filtered), static the friction at rest with load |x|, p low-passed
-   like tau_e so that it stays as long as its error does. doubt: what gain and load friction leave open of the torque of
-   a contact; that of the arm itself has its errors in s already.
+4. C_tau = diag(s^2(qd) + (doubt tau_e)^2 + static^2 p_filtered), static the friction at rest with load |x|, p
+   low-passed like tau_e so that it stays as long as its error does. doubt: what gain and load friction leave open of
+   the torque of a contact; that of the arm itself has its errors in s already.
 5. The wrench from tau_e and C_tau, by one of the methods of `wrench.py`.
 
 Methods with a bound (bounded, clip, interval) treat friction near rest as bounded instead of random. With the slowness

@@ -11,15 +11,16 @@ then an update with the measured momentum y = p + v, v ~ N(0, R), in Joseph's fo
 
 Contact wrench by the generalised momentum.
 
-With p = M qd and beta = C^T qd the arm obeys ``dp/dt = u + J^T F``, ``u = x + beta - G``, x of ``x + load s |x| = tau /
-gains - F_f``: no acceleration is needed (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018), so what the
-rotor takes counts as load. u is the mean of its values at the ends of a step (at the first, its end: at the beginning
-nothing is known of friction). A step longer than GAP_STEPS first steps is a gap: nothing is known of u and of the way in it, so momentum and friction begin anew after
-it. What unknown gains add to the covariance is as in `estimator.py`.
+With p = M qd and beta = C^T qd the arm obeys ``dp/dt = u + J^T F``, ``u = x + beta - G``, with x of ``x + load s |x| =
+tau / gains - F_f``: no acceleration is needed (De Luca and Mattone 2003; Wahrburg et al., IEEE T-ASE 15(2), 2018), so
+what the rotor takes counts as load. u is the mean of its values at the ends of a step (at the first, its end: at the
+beginning nothing is known of friction). A step longer than GAP_STEPS first steps is a gap: nothing is known of u and of
+the way in it, so momentum and friction begin anew after it. What unknown gains add to the covariance is as in
+`estimator.py`.
 
 Observer: ``r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r)`` is J^T F through a low-pass, stable for any step;
-then the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + (doubt r)^2 + static^2 p_filtered). Of a wrench
-that was there at the start it has seen the share ``1 - e^(-K t)``, so r is that share of J^T F.
+then the most probable wrench, as in `estimator.py`, with C_tau = diag(s^2(qd) + (doubt r)^2 + static^2 p_filtered). Of
+a wrench that was there at the start it has seen the share ``1 - e^(-K t)``, so r is that share of J^T F.
 
 Kalman filter: state [p; z; b], z the wrench in units of its prior, a random walk with leak; measured is p = M qd with
 the noise of the velocity, R = M diag(qd_noise^2) M^T; J is taken in the middle of the step. The torque error has the

@@ -17,7 +17,7 @@ from armlab.sim.arm.joints import (
     JointFriction,
     WornFriction,
 )
-from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.mismatch import Mismatch, load_share
 from armlab.sim.arm.truth import Truth, synthetic_truth
 
 T = 0.004032
@@ -309,10 +309,11 @@ def test_a_warm_drive_has_lost_its_share_of_viscous_friction() -> None:
 
 def test_load_presses_on_the_bearings() -> None:
     speed, smooth = np.full(7, 1.0), WORN_TRUTH.without("ripple")
-    loaded = WornFriction(smooth, Mismatch(load_friction=0.06), 0.01, -smooth.tau_max)
+    mismatch = Mismatch(load_friction=0.06)
+    loaded, share = WornFriction(smooth, mismatch, 0.01, -smooth.tau_max), load_share(mismatch, 7)
     growth = slide_worn(loaded, speed) - slide_worn(JointFriction(smooth), speed)
-    np.testing.assert_allclose(growth, loaded.of_load * smooth.tau_max, rtol=1e-3)
-    assert 0.0 < loaded.of_load.min() < loaded.of_load.max() < 0.06
+    np.testing.assert_allclose(growth, share * smooth.tau_max, rtol=1e-3)
+    assert 0.0 < share.min() < share.max() < 0.06
 
 
 def test_offsets_swing() -> None:

@@ -3,8 +3,8 @@
     F_f = viscous qd + coulomb s + offset [+ asymmetry |s|] [+ stribeck s exp(-(qd / v_s)^2)] [+ root s sqrt(|qd|)]
           [+ load s |x|]
 
-s is the presliding state z of distance delta, or tanh(qd / v_t), and x the torque that the joint passes to the links. Terms in brackets are there where they win; asymmetry
-is reported as two Coulomb torques, one for each direction.
+s is the presliding state z of distance delta, or tanh(qd / v_t), and x the torque that the joint passes to the links.
+Terms in brackets are there where they win; asymmetry is reported as two Coulomb torques, one for each direction.
 """
 
 from __future__ import annotations

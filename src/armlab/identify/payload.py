@@ -2,9 +2,10 @@
 
     tau - tau_model = (1 + g_i) Y_i(q, qd, qdd) pi + e_i,      g_i ~ N(0, 5 %)
 
-Y are the columns of the last link, moved to the flange; pi is mass, first moment and, in mode "dynamic", inertia.
-Huber's least squares for pi alone gives the weights of rows and joints, Gauss-Newton then pi and the gains g_i;
-both run twice, as weights that know nothing of the gains take them for outliers. Theory: docs/theory/payload.md.
+Y are the columns of the last link, moved to the flange, with the friction that comes with their torque; pi is mass,
+first moment and, in mode "dynamic", inertia. Huber's least squares for pi alone gives the weights of rows and joints,
+Gauss-Newton then pi and the gains g_i; both run twice, as weights that know nothing of the gains take them for
+outliers. Theory: docs/theory/payload.md.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from armlab.estimation.linear_problem import LinearSolution, check_spread
 from armlab.estimation.robust import block_seconds
 from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Record, check_blocks, check_once, log_name
 from armlab.identify.regression import LINK_SYMBOLS, BaseParameters, base_parameters
-from armlab.identify.residuals import model_residuals
+from armlab.identify.residuals import friction_signs, load_torque, model_residuals
 from armlab.identify.solve import GainProblem
 from armlab.kernels import presliding
 from armlab.log import Table
@@ -89,6 +90,9 @@ class ModelError:
             if term in RIPPLE:
                 yield names, RIPPLE[term](ripple.cycles * data.q)
                 continue
+            if term == "load":
+                yield names, friction_signs(self.model, data) * np.abs(load_torque(self.model, data))
+                continue
             known, ends = FRICTION_TERMS[term], []
             for sign in (1.0, -1.0):
                 fields = {name: getattr(friction, name) for name in known.fields}
@@ -112,7 +116,7 @@ def _apart(fit: Fit[TorqueModel]) -> np.ndarray:
         return fit.cov
     ones = np.ones(len(measured))
     common = 1.0 / (ones @ np.linalg.solve(gain_cov[np.ix_(measured, measured)], ones))
-    curved = [term.name for term in FRICTION_TERMS.values() if not term.column]
+    curved = [term.name for term in FRICTION_TERMS.values() if not term.column or term.name == "load"]
     scaled = np.array([0.0 if name.split()[0] in curved else x for name, x in zip(fit.names, fit.parameters)])
     return fit.cov - common * np.outer(scaled, scaled)
 
@@ -188,7 +192,8 @@ class LoadRecord:
         data, cutoff = found.data, found.data.rate / 10.0
         rows = np.concatenate([np.arange(a, b, EVERY) for a, b in data.segments])
         y, sources = data.filter(found.y[:, joints], cutoff), data.sources
-        columns = data.filter(_at_flange(data, robot)[:, joints], cutoff)
+        rubs = 1.0 + model.friction.load * found.s * np.sign(load_torque(model, data))
+        columns = data.filter((_at_flange(data, robot) * rubs[:, :, None])[:, joints], cutoff)
         if without is None:
             A = columns[rows]
             return cls(data, rows, joints, A, y[rows], error, error.against(A, data, rows, joints), sources)

@@ -1,9 +1,9 @@
 """The linear regression behind `fit_dynamics`: base parameters of the rigid body, and columns of each joint's own.
 
 Base-parameter columns are shared by all joints; each joint has its own: viscous, Coulomb, offset, Stribeck, root and
-load where they win (`armlab.identify.friction_structure`), and, where the gears are known, cosine and sine of the ripple
-line at twice the gear ratio (strain-wave gears press twice per input turn). A robot file that is silent about the
-gears has ratio 1: such a line would be a harmonic of gravity and is left out.
+load where they win (`armlab.identify.friction_structure`), and, where the gears are known, cosine and sine of the
+ripple line at twice the gear ratio (strain-wave gears press twice per input turn). A robot file that is silent about
+the gears has ratio 1: such a line would be a harmonic of gravity and is left out.
 
 A motor that moves several joints, as in wrists, brings three shared columns: its angle is ``theta = c q``, and its
 inertia, viscous and Coulomb friction act on all of them, ``tau = c^T f(theta)``.
@@ -623,8 +623,8 @@ class Design(RegressionColumns):
     ) -> Design:
         """Choose the structure of friction of each joint on held-out blocks of half a second.
 
-        Of the parameters theta (p,) the base parameters are held, and give the load of the joints. `trust`: (M, J) weights of the rows; 0 leaves one
-        out. `again`: begin with the structure that is there, which was chosen before.
+        Of the parameters theta (p,) the base parameters are held, and give the load of the joints. `trust`: (M, J)
+        weights of the rows; 0 leaves one out. `again`: begin with the structure that is there, which was chosen before.
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much

@@ -63,6 +63,12 @@ def friction_signs(model: TorqueModel, data: Record) -> np.ndarray:
     return np.where(smooth > 0, np.tanh(data.qd / np.where(smooth > 0, smooth, 1.0)), s)
 
 
+def load_torque(model: TorqueModel, data: Record) -> np.ndarray:
+    """Return the torque (N, n) that goes to the links along a record; the acceleration is low-passed as above."""
+    qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
+    return model.chain.rnea(data.q, data.qd, qdd, *model._weights)
+
+
 # How warm the drives of a model are along a record, second by second (models.friction.WarmUp has the law).
 #
 # The thermal state is taken as constant over a second, so that sums over seconds are all that is kept of a record.

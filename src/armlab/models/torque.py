@@ -570,7 +570,7 @@ class TorqueModel:
         """
         uncertain = (np.diag(self.gain_cov) > 0).astype(float)
         apart = np.diag(uncertain) - np.outer(uncertain, uncertain) / max(uncertain.sum(), 1.0)
-        return np.sqrt(np.einsum("ij,jk,ik->i", apart, self.gain_cov, apart) + self.load_sd**2)
+        return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", apart, self.gain_cov, apart), 0.0) + self.load_sd**2)
 
     def _covariance_rows(self, alpha2: float) -> np.ndarray:
         c = self.covariance

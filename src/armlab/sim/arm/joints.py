@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.sim.arm.mismatch import Mismatch, draw
+from armlab.sim.arm.mismatch import Mismatch, draw, load_share
 from armlab.sim.arm.truth import Truth
 
 POSITION_GAIN = 25.0  # 1/s
@@ -121,7 +121,7 @@ WARM_SPEED = 0.25  # of the speed limit, at which friction heats the drive to a 
 
 
 class WornFriction(JointFriction):
-    """Friction state of all joints, temperature included; `load` (n,), what goes to the links, is read at every step."""
+    """Friction state of all joints, temperature included; `load` (n,), torque to the links, is read at every step."""
 
     def __init__(self, truth: Truth, mismatch: Mismatch, step: float, load: np.ndarray) -> None:
         super().__init__(truth)
@@ -132,12 +132,12 @@ class WornFriction(JointFriction):
         self._full = coulomb
         self._power = WARM_SPEED * (1.0 + WARM_SPEED) * coulomb * speed
         self.warmth = np.zeros_like(coulomb)
-        self.of_load = np.abs(draw(mismatch, "load_friction", len(coulomb)))
+        self._of_load = load_share(mismatch, len(coulomb))
         self._swing, self._time = draw(mismatch, "offset_drift", 2, len(coulomb)) * truth.tau_max, 0.0
 
     def advance(self, dq: np.ndarray, qd: np.ndarray) -> None:
         """Move the bristles by `dq` [rad] at velocity `qd` [rad/s] and warm the drives."""
-        self._mean = self._cold + self.of_load * np.abs(self._load)
+        self._mean = self._cold + self._of_load * np.abs(self._load)
         self._time += self._step
         angle = DRIFT * self._time
         self._offset = self._truth.offset + np.sin(angle) * self._swing[0] + np.cos(angle) * self._swing[1]

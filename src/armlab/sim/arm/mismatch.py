@@ -182,6 +182,11 @@ def torque_gain(mismatch: Mismatch, n: int) -> np.ndarray:
     return (1.0 + draw(mismatch, "torque_constant", n)) / position_gain(mismatch, n)
 
 
+def load_share(mismatch: Mismatch, n: int) -> np.ndarray:
+    """Return the share (n,) of the torque that each joint passes to its link by which its Coulomb friction grows."""
+    return abs(draw(mismatch, "load_friction", n))
+
+
 def position_gain(mismatch: Mismatch, n: int) -> np.ndarray:
     """Return reported over true position (n,) of each joint: ratio and sign of the gears."""
     gain = 1.0 + draw(mismatch, "gear_ratio", n)
