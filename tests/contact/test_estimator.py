@@ -527,3 +527,28 @@ def test_doubt_grows_with_the_torque_of_a_contact(perfect, truth, log, way: str)
     more = np.einsum("kii->ki", unsure["wrench_hat_cov"] - sure["wrench_hat_cov"])[20:]
     assert np.all(more >= -1e-9)
     assert more[:, :3].max() > 0.5**2
+
+
+@pytest.mark.parametrize("method", ["map", "observer", "kf"])
+def test_of_an_arm_at_rest_a_tare_takes_friction_away_until_it_moves(truth, model, method: str) -> None:
+    rng, t = np.random.default_rng(2), np.arange(1500) * 0.004
+    q = np.tile(truth.robot.q_home, (len(t), 1))
+    q[1250:] += 0.05  # it leaves its place
+    force = np.where((t > 2.0) & (t < 4.0), 6.0, 0.0)[:, None] * np.eye(6)[2]
+    friction = 0.8 * model.friction.static * np.where(t < 5.0, 1.0, -1.0)[:, None]
+    tau = model.torque(q, np.zeros_like(q)) + friction - np.einsum("kij,ki->kj", truth.robot.chain.jacobian(q), force)
+    table = Table(t, {"q": q, "qd": np.zeros_like(q), "tau": tau + 0.01 * rng.standard_normal(q.shape)})
+    estimator = Estimator(model, truth.robot, method)
+    plain, tared = estimator.run(table), estimator.run(table, tare=1.0)
+    rest, away = t < 4.9, t >= 5.0
+    assert np.all(tared["wrench_flags"][rest] & TARED)
+    assert not np.any(tared["wrench_flags"][away] & TARED)
+    assert np.array_equal(tared["wrench_hat"][away], plain["wrench_hat"][away])
+    z, sigma = tared["wrench_hat"][:, 2], np.sqrt(tared["wrench_hat_cov"][:, 2, 2])
+    held = (t > 2.5) & (t < 3.9)
+    assert np.all(np.abs(z[held] - 6.0) < 2.0 * sigma[held])
+    assert sigma[held].mean() < 0.7 * np.sqrt(plain["wrench_hat_cov"][held, 2, 2]).mean()
+    with pytest.raises(NotExcited, match="at rest for at least 0.5 s"):
+        estimator.run(table, tare=0.1)
+    with pytest.raises(NotExcited, match="move"):
+        estimator.run(table, tare=slice(1000, 1400))

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from threading import get_ident
 from typing import Any, Literal, get_args
@@ -39,7 +40,7 @@ from armlab.errors import ConcurrentUse, ConfigError, ModelMismatchError, NotExc
 from armlab.log import Table
 from armlab.log.units_check import check_known
 from armlab.models import TorqueModel, velocity_covariance
-from armlab.models.friction import FrictionBound
+from armlab.models.friction import Friction, FrictionBound
 from armlab.models.torque import FORCE_RATES, PRIOR
 from armlab.robots import Robot
 from armlab.robots.robot import arm_length
@@ -152,6 +153,7 @@ STATIC = METHODS[: METHODS.index("observer")]  # in the order of the kernel's `W
 GAIN = 30.0  # 1/s, of the observer
 PARTS = 100  # of a log whose progress is reported
 TARE, MEMORY = 0.5, 0.1  # s: the shortest tare; errors further apart are independent
+STAYS = 0.5  # of the deviation at rest: friction that a tare does not take away (a Panda against a force sensor)
 
 
 class Estimator:
@@ -235,9 +237,8 @@ class Estimator:
         variances = deviations**2
         variances.flags.writeable = False
         self._robot, self._prior, self._at_point = robot, variances, point is not None
-        self._with = lambda model: Estimator(
-            model, robot, method, prior, point, force_rate=force_rate, leak=leak, gain=gain, bias=bias
-        )
+        options = {"force_rate": force_rate, "leak": leak, "gain": gain, "bias": bias}
+        self._with = partial(Estimator, robot=robot, method=method, prior=prior, point=point, **options)
         self._model = model
         self._method, self._tare = method, None
         if method in STATIC:
@@ -341,8 +342,8 @@ class Estimator:
         ----------
         table : log with columns q, qd, tau (N, n).
         tare : seconds from the beginning, or rows, in which the arm rests without contact. What the torques show there
-            is friction, and their scatter their noise, until a joint leaves its place by more than its presliding
-            distance; these rows have the flag TARED.
+            is friction until a joint leaves its place by more than its presliding distance, and their deviation half
+            of what it was; these rows have the flag TARED.
         progress : called with (done, total, what), in rows.
 
         Raises
@@ -444,7 +445,9 @@ class Estimator:
 def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -> tuple[TorqueModel, np.ndarray, int]:
     """Return a model for an arm that rests where it was tared, what to add to its torques (n,), and how many rows."""
     span = tare if isinstance(tare, slice) else slice(int(np.searchsorted(table.t, table.t[0] + tare)))
-    error = Estimator(model, robot).run(table)["tau_error"][span]
+    free = replace(Friction.none(model.n), delta=model.friction.delta, resolution=model.friction.resolution)
+    rested = replace(model, friction=free, friction_map=None, warm_up=None)  # it rests: all of it is one number
+    error = Estimator(rested, robot).run(table)["tau_error"][span]
     t, q = table.t[span], table["q"][span]
     error, steps = error[np.isfinite(error).all(axis=1)], np.ptp(q, axis=0) if len(q) else np.full(model.n, np.inf)
     slack = np.maximum(model.friction.delta, 2.0 * model.friction.resolution)
@@ -458,15 +461,14 @@ def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -
         )
     samples = (t[-1] - t[0]) / MEMORY
     spread = np.var(error, axis=0) * (1.0 + 1.0 / samples) * (samples - 1.0) / (samples - 3.0)  # as Student's t
+    spread = np.maximum(spread, STAYS**2 * model.covariance.variance(np.zeros(model.n)))
     away = np.any(np.abs(table["q"] - np.median(q, axis=0)) > slack, axis=1)
     away[: span.stop] = False
     rows = int(np.argmax(away)) if away.any() else len(table)
     momentum = model.momentum and replace(model.momentum, alpha2_kf=1.0, alpha2_observer=1.0)
     still = FrictionBound(np.zeros(model.n), model.bound.speed, 2.0 * np.sqrt(spread))
-    rested = replace(
-        model, covariance=velocity_covariance("const", spread, spread), bound=still, momentum=momentum,
-        load_sd=np.zeros(model.n),
-    )  # fmt: skip
+    covariance = velocity_covariance("const", spread, spread)
+    rested = replace(rested, covariance=covariance, bound=still, momentum=momentum)
     return rested, model.gains * error.mean(axis=0), rows
 
 
