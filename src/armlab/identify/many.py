@@ -73,7 +73,7 @@ class Pattern:
     def design(self, data: Record) -> Design:
         """Return the regression problem of a record, with the draft's gains, structure and slopes."""
         built = Design.build(data, self.robot, self.base, structure=self.structure, geared=self.geared)
-        return built.with_gains(self.gains).with_slopes(self.theta, self.free)
+        return built.with_load(self.theta).with_gains(self.gains).with_slopes(self.theta, self.free)
 
 
 @dataclass(frozen=True, eq=False)
