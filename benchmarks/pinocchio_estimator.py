@@ -33,7 +33,8 @@ class PinocchioEstimator:
         self._speed_scale, self._delta_scale = 1.0 / self._f.stribeck_speed, -1.0 / self._f.delta
         self._static2 = self._f.static**2
         self._at_speed, self._excess = self._c.alpha2 * self._c.Cinf, self._c.alpha2 * (self._c.C0 - self._c.Cinf)
-        self._true, self._unsure = 1.0 / model.gains, float(np.mean(np.diag(model.gain_cov)))
+        self._true, self._unsure = 1.0 / model.gains, model._gain_variance
+        self._doubt = model.contact_doubt
         self._prior, self._prior_column = prior, prior[:, None]
         self._prior_matrix = np.diag(prior)
         self.reset()
@@ -57,6 +58,7 @@ class PinocchioEstimator:
         low = self._lowpass(np.concatenate((rigid + self._drive(q, qd) - self._true * state.tau, self._p)), dt, first)
         error = low[:n]
         variance = self._variance(qd) + self._static2 * np.minimum(np.maximum(low[n:], 0.0), 1.0)
+        variance += np.square(self._doubt * error)
         J = pin.computeFrameJacobian(peer.model, peer.data, q, peer.tool, WORLD_AXES)
         return *self._posterior(J, error, variance), error, variance
 

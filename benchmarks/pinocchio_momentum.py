@@ -77,7 +77,7 @@ class PinocchioMomentum(PinocchioEstimator):
             self._residual = self._residual + share * ((p - self._momentum) / dt - known - self._residual)
             self._low_p = self._low_p + share * (self._p - self._low_p)
             self._seen += share * (1.0 - self._seen)
-        variance = self._variance(qd) + self._static2 * self._low_p
+        variance = self._variance(qd) + self._static2 * self._low_p + np.square(self._doubt * self._residual)
         J = pin.computeFrameJacobian(self._peer.model, self._peer.data, self._q, self._peer.tool, WORLD_AXES)
         return self._posterior(self._seen * J, self._residual, variance)[:2]
 
@@ -95,9 +95,13 @@ class PinocchioMomentum(PinocchioEstimator):
         J = pin.computeFrameJacobian(self._peer.model, self._peer.data, middle, self._peer.tool, WORLD_AXES)
         G = (J * self._scale[:, None]).T
         R = (M * self._qd_variance) @ M.T
-        unsure = self._static2 * self._p
-        memory = np.minimum(self._static2 / (G * G @ self._rate), LONGEST)
-        Qp = 2.0 * self._variance(qd) * self._memory + unsure * memory
+        stays = self._static2 * self._p
+        if not first:
+            stays += np.square(self._doubt * (G @ self._x[n:]))
+        variance = self._variance(qd)
+        Qp = np.minimum(
+            2.0 * variance * self._memory + stays * LONGEST, np.square(variance + stays) / (G * G @ self._rate)
+        )
         if first:
             self._x, self._P = np.concatenate((p, np.zeros(6))), np.zeros((n + 6, n + 6))
             self._P[:n, :n], self._P[n:, n:] = R, np.eye(6)

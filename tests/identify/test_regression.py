@@ -234,6 +234,24 @@ def test_joints_whose_torque_is_not_measured_are_left_out(truth, excited) -> Non
     assert not ripple.cosine[[0, 2, 5, 6]].any()
 
 
+def test_a_record_of_many_has_the_load_of_the_draft(truth, excited) -> None:
+    """Column and slopes of load friction need a load, which the structure of a draft alone does not give."""
+    robot, start = truth.robot, FrictionStructure.start(7)
+    structure = replace(start, terms=np.tile([True, True, False, True], (7, 1)))
+    data, base = prepare(excited.between(0.0, 6.0), robot), base_parameters(robot)
+    design = Design.build(data, robot, base, structure=structure)
+    rubs = np.zeros(len(design.layout.names))
+    rubs[[design.layout.names.index(f"load {name}") for name in robot.joint_names]] = 0.05
+    assert not design.model(rubs).any()
+    theta = rubs.copy()
+    theta[: len(base.names)] = base.B @ np.concatenate([truth.links.ravel(), truth.rotor])
+    rubbing = design.with_load(theta).model(rubs)
+    qdd = data.differentiate(data.qd)
+    load = robot.chain.rnea(data.q, data.qd, qdd, robot.gravity, truth.links)[design.rows]
+    fast = np.abs(data.qd[design.rows, :2]) > 0.3
+    np.testing.assert_allclose(np.abs(rubbing[:, :2][fast]), 0.05 * np.abs(load[:, :2][fast]), atol=0.3)
+
+
 def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:
     robot = short_arm.robot
     base = base_parameters(robot)

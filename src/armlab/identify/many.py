@@ -87,7 +87,7 @@ class Pattern:
         """Return the regression problem of a record, with the draft's gains, structure and slopes."""
         kept = {"structure": self.structure, "geared": self.geared, "cutoff": self.cutoff}
         built = Design.build(data, self.robot, self.base, **kept)
-        return built.with_gains(self.gains).with_slopes(self.theta, self.free)
+        return built.with_load(self.theta).with_gains(self.gains).with_slopes(self.theta, self.free)
 
 
 @dataclass(frozen=True, eq=False)

@@ -629,7 +629,7 @@ class Design(RegressionColumns):
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
         fold = used // max(1, round(BLOCK * self.data.rate / self.decimation.every)) % FOLDS
-        loaded = replace(self, load=self._load_of(theta))
+        loaded = self.with_load(theta)
         motion = loaded.friction
 
         def choice(i: int) -> StructureChoice:
@@ -644,10 +644,10 @@ class Design(RegressionColumns):
 
         return loaded.with_structure(FrictionStructure.joined(chooser(map(choice, range(len(self.joints))))))
 
-    def _load_of(self, theta: np.ndarray) -> np.ndarray:
-        """Return the torque |x| (N, J) that goes to the links, by the base parameters of theta (p,)."""
+    def with_load(self, theta: np.ndarray) -> Design:
+        """Return it with the load of the joints by the base parameters of theta (p,)."""
         data, moves = self.data, 0.0 if self.base.quasi_static else 1.0
         links, _ = self.base.links_and_rotors(theta[: len(self.base.names)])
         qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
         torque = self.robot.chain.rnea(data.q, moves * data.qd, moves * qdd, self.robot.gravity, links)
-        return np.abs(torque[:, self.joints])
+        return replace(self, load=np.abs(torque[:, self.joints])).with_structure(self.structure)

@@ -335,6 +335,7 @@ class TorqueModel:
     cutoff : corner [Hz] of the causal filter on the torque residual that `covariance` belongs to.
     base_names, base_values, base_cov : the identified base parameters with their covariance while the gains hold.
     gains : (n,) torque as it is read over true torque, 1 when left out; gain_cov : (n, n) of them, 0 when left out.
+    load_sd : (n,) deviation of the load friction, 0 when left out; `contact_doubt` has it and the gains'.
     quality : how well it fits. training : the ranges of the data behind it.
     sources : SHA-256 and name of each log.
     lines, friction_map, warm_up : parts of the drives that `identify.fit_friction` adds where they win, or None.
