@@ -489,7 +489,7 @@ def _flagged(
 
 
 def majority_step(rows: Whitened, count: int) -> np.ndarray:
-    """Return the step (d,) that most of the samples agree on, in the linear problem at a value that wrong ones may lead.
+    """Return the step (d,) that most samples agree on, in the linear problem at a value that wrong ones may lead.
 
     Least trimmed squares with an unknown scale per class: fits to few random samples, each improved on the samples
     nearest to it, and the best by the median residual of every class (Rousseeuw and van Driessen 2006).
