@@ -57,7 +57,7 @@ COARSE = 0.03  # of the spread: a larger residual is no noise of a sensor
 NOTHING, FITS_BETTER = 1e-4, 0.1  # mean square of a rotation [rad^2] that is no misfit; share that is left of one
 FAR = 30.0  # m: no arm measures over that, but one of 30 cm does in millimetres
 LATE, ENOUGH = 4.0, 12  # deviations from which an offset is one; samples that show one
-LEAST, LATEST = 0.01, 2.0  # samples: less is none, as of poses in no order; more is another pairing
+LEAST, LATEST = 0.01, 1.5  # samples: less is none, as of poses in no order; more is another pairing
 STENCIL = 5  # poses through which a motion is interpolated
 PROBE, TINY = 1e-5, 1e-12  # samples of a numerical derivative; m, rad that are rounding
 FIRST_ORDER = 0.05  # rad: beyond it a covariance is a first-order statement
@@ -330,7 +330,7 @@ def _offset(offset: Any) -> float:
     found = numbers(offset, "offset", ShapeError)
     if found.shape != () or not abs(found) <= LATEST:
         raise ShapeError(
-            f"Expected offset as one number of samples up to {LATEST:.0f}, got {offset!r}. Shift the records by whole "
+            f"Expected offset as one number of samples up to {LATEST}, got {offset!r}. Shift the records by whole "
             "samples first."
         )
     return float(found)
