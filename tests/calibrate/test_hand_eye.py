@@ -10,7 +10,7 @@ import pytest
 from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
 from armlab.calibrate.hand_eye import LIMITS, HandEyeEquation, Pair
 from armlab.calibrate.hand_eye_points import PointModel, Points, marked_start
-from armlab.errors import NotExcited, UnknownName
+from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3
 from armlab.sim.experiments import sensors
@@ -503,3 +503,53 @@ def test_unequal_noise_of_poses_counts_by_its_size() -> None:
             values.append(e @ np.linalg.solve(fit.cov, e) / 12)
     assert 0.85 < np.mean(told) < 1.15
     assert np.mean(equal) > 4.0 * np.mean(told)
+
+
+def lagging(seed: int, by: float, setup: str = "eye_to_hand", N: int = 100) -> tuple[Any, Any, Any, Any]:
+    """Return poses along a smooth motion, those of the marker seen `by` samples late, X and Y."""
+    rng = np.random.default_rng([31, seed])
+    size, phase = rng.standard_normal((3, 6)) * np.repeat([0.25, 0.5], 3), 2.0 * np.pi * rng.random((3, 6))
+
+    def motion(t: np.ndarray) -> np.ndarray:
+        x = sum(size[k] * np.sin(2.0 * np.pi * (k + 1) * t[:, None] + phase[k]) for k in range(3))
+        return se3.from_rp(so3.exp(x[:, 3:]), x[:, :3])
+
+    X, Y = se3.from_rp(so3.exp(rng.standard_normal((2, 3))), 0.2 * rng.standard_normal((2, 3)))
+    A, seen = motion(np.arange(N) / N), motion((np.arange(N) - by) / N)
+    B = se3.inv(Y) @ (seen if setup == "eye_to_hand" else se3.inv(seen)) @ X
+    return A, sensors.noisy(rng, B, CAMERA), X, Y
+
+
+@pytest.mark.parametrize("setup", ["eye_to_hand", "eye_in_hand"])
+@pytest.mark.parametrize("by", [0.4, -0.7])
+def test_a_late_camera_is_found_and_named(setup, by) -> None:
+    """It made 0.4 samples 3.6 mm, with 1.2 stated and "good"."""
+    A, B, X, Y = lagging(1, by, setup)
+    fit = fit_hand_eye(A, B, setup=setup)
+    assert fit.names[-1] == "time offset"
+    assert abs(fit.parameters[-1] - by) < 0.1
+    assert ("samples late" if by > 0 else "samples early") in fit.doubts[0]
+    assert np.linalg.norm(fit.value.X[:3, 3] - X[:3, 3]) < 1e-3
+    given = fit_hand_eye(A, B, setup=setup, offset=by)
+    assert given.good
+    assert len(given.names) == 12
+    e = error(given, (X, Y))
+    assert e @ np.linalg.solve(given.cov, e) / 12 < 3.0
+
+
+def test_a_camera_in_time_has_no_offset() -> None:
+    for seed in range(10):
+        A, B, _, _ = lagging(seed, 0.0)
+        assert len(fit_hand_eye(A, B).names) == 12
+        random = sensors.seen_poses(seed)
+        assert len(fit_hand_eye(random.A, random.B).names) == 12
+    with pytest.raises(ShapeError, match="offset"):
+        fit_hand_eye(A, B, offset=7.0)
+
+
+def test_exact_rotations_do_not_hide_the_positions() -> None:
+    """Rotations whose noise is 1e-17 made 0.5 mm of position an unseen direction, refused by the report."""
+    data = sensors.seen_poses(2, camera=(0.5e-3, 0.0))
+    fit = fit_hand_eye(data.A, data.B)
+    assert "noise of position" in fit.report()
+    assert np.linalg.norm(fit.value.X[:3, 3] - data.X[:3, 3]) < 1e-3

@@ -12,7 +12,7 @@ Theory: Shiu and Ahmad (1989); Park and Martin (1994); Dornaika and Horaud (1998
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import hypot
 from typing import Any, Literal, NamedTuple
@@ -20,6 +20,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import numbers
 from armlab.calibrate.diagnostics import (
     FITS,
     MARKER,
@@ -41,7 +42,7 @@ from armlab.calibrate.inputs import pose_noise, poses
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
 from armlab.estimation.linear_problem import check_spread
-from armlab.estimation.nonlinear import NonlinearSolution
+from armlab.estimation.nonlinear import NonlinearSolution, whiten
 from armlab.lie import so3
 from armlab.models import HandEye
 from armlab.models.sensors import FRAMES
@@ -55,6 +56,10 @@ APART = 0.5  # residual over spread beyond which two records do not belong toget
 COARSE = 0.03  # of the spread: a larger residual is no noise of a sensor
 NOTHING, FITS_BETTER = 1e-4, 0.1  # mean square of a rotation [rad^2] that is no misfit; share that is left of one
 FAR = 30.0  # m: no arm measures over that, but one of 30 cm does in millimetres
+LATE, ENOUGH = 4.0, 12  # deviations from which an offset is one; samples that show one
+LEAST, LATEST = 0.01, 1.5  # samples: less is none, as of poses in no order; more is another pairing
+STENCIL = 5  # poses through which a motion is interpolated
+PROBE, TINY = 1e-5, 1e-12  # samples of a numerical derivative; m, rad that are rounding
 FIRST_ORDER = 0.05  # rad: beyond it a covariance is a first-order statement
 
 
@@ -66,6 +71,7 @@ def fit_hand_eye(
     noise: ArrayLike | None = None,
     noise_robot: ArrayLike | None = None,
     robust: bool = False,
+    offset: float | None = None,
     limits: tuple[float, float] = LIMITS,
 ) -> Fit[HandEye]:
     """Find where camera and marker are from poses of the robot and of the marker seen at the same moments.
@@ -85,6 +91,9 @@ def fit_hand_eye(
     noise_robot : the same of T_base_tool, v in base axes, w in tool axes. It is never estimated: data cannot separate
         the two. Exact when left out or zero.
     robust : find wrong samples; `Fit.outliers` marks them, and they do not count.
+    offset : how late the camera is, in samples: it saw the pose of sample i - offset, samples in the order and at the
+        even pace of a motion. None: found where the motion shows it, and then the last parameter; it is one of the
+        `doubts` until you give it.
     limits : largest standard deviation accepted along any direction: share of the spread of the positions, and [rad].
 
     Returns
@@ -106,8 +115,13 @@ def fit_hand_eye(
     widths = limits_of(limits, SPREAD_AND_ANGLE, LIMITS)
     require_samples(equation.N, 3, "poses")
     _require_excitation(equation, _rotation_noise(equation, robust), setup)
+    if offset is not None:
+        equation = equation.late(_offset(offset))
     found, residuals = _solve(equation, robust)
-    require_match(equation, residuals, ~found.outliers, HandEye(setup, *found.value.poses()))
+    timed = _timed(equation, found, robust) if offset is None else None
+    if timed is not None:
+        found, residuals = timed, equation.late(timed.value.late).evaluate(timed.value.pair)[0].r
+    require_match(equation, residuals, ~found.outliers, HandEye(setup, *_pair(found).poses()))
     if equation.noise is None:
         _require_excitation(equation, float(np.hypot(found.sigma[1], rotation_sd(equation.noise_A))), setup)
     return _result(equation, found, residuals, setup, widths, notes)
@@ -189,6 +203,16 @@ class Pair(NamedTuple):
         return X, Y
 
 
+class TimedPair(NamedTuple):
+    """A pair and how late the camera is [samples]."""
+
+    pair: Pair
+    late: float
+
+    def plus(self, x: np.ndarray) -> TimedPair:
+        return TimedPair(self.pair.plus(x[:12]), self.late + float(x[12]))
+
+
 @dataclass(frozen=True, eq=False)
 class HandEyeEquation:
     """The hand-eye equation A_i X = Y B_i for pairs of poses; AX = XB is its form for relative poses."""
@@ -215,6 +239,32 @@ class HandEyeEquation:
         """Length by which positions are judged [m]: their RMS distance from their mean, of the record that has more."""
         both = (t - t.sum(axis=0) / self.N for t in (self.tA, self.tB))
         return max(float(np.sqrt(np.vdot(t, t) / self.N)) for t in both) or 1.0
+
+    @cached_property
+    def _near(self) -> tuple[np.ndarray, np.ndarray]:
+        """Places (N, 5) of the poses of A near each one, relative to it, and the steps (N, 5, 6) to them."""
+        here, width = np.arange(self.N), min(STENCIL, self.N)
+        near = np.clip(here - width // 2, 0, self.N - width)[:, None] + np.arange(width)
+        turn = so3.log(self.RA.transpose(0, 2, 1)[:, None] @ self.RA[near])
+        return near - here[:, None], np.concatenate([self.tA[near] - self.tA[:, None], turn], axis=2)
+
+    def late(self, samples: float) -> HandEyeEquation:
+        """Return the equation of the poses of A so many samples earlier, on the polynomial through those near each."""
+        places, steps = self._near
+        apart = places[:, :, None] - places[:, None, :] + np.eye(places.shape[1])
+        ahead = np.where(np.eye(places.shape[1]) > 0, 1.0, -samples - places[:, None, :])
+        x = np.einsum("nk,nki->ni", np.prod(ahead / apart, axis=2), steps)
+        return replace(self, RA=self.RA @ so3.exp(x[:, 3:]), tA=self.tA + x[:, :3])
+
+    def timed(self, value: TimedPair) -> list[Measurement]:
+        """Return the residuals, with their derivative by the offset in the last column."""
+        (one,), pair = self.late(value.late).evaluate(value.pair), value.pair
+        (R0, t0), (R1, t1) = ((e.RA, e.tA) for e in (self.late(value.late + h) for h in (-PROBE, PROBE)))
+        w = so3.log(R0.transpose(0, 2, 1) @ R1) / (2.0 * PROBE)
+        v = (self.late(value.late).RA @ np.cross(w, pair.tX)[:, :, None])[:, :, 0] + (t1 - t0) / (2.0 * PROBE)
+        turned = one.J[:, 3:, 3:6] @ (w @ pair.RX)[:, :, None]
+        column = np.concatenate([-(v @ pair.RY)[:, :, None], turned], axis=1)
+        return [replace(one, J=np.concatenate([one.J, column], axis=2))]
 
     def product(self) -> np.ndarray:
         """Return the mean K of R_A (x) R_B (9, 9): K vec(R_X) = vec(R_Y); its norm is 1 - sigma_R^2."""
@@ -274,6 +324,41 @@ def _solve(equation: HandEyeEquation, robust: bool) -> tuple[NonlinearSolution[P
     if found.outliers.any():
         return found, equation.evaluate(found.value)[0].r
     return found, found.rows.raw.reshape(-1, 6)
+
+
+def _offset(offset: Any) -> float:
+    found = numbers(offset, "offset", ShapeError)
+    if found.shape != () or not abs(found) <= LATEST:
+        raise ShapeError(
+            f"Expected offset as one number of samples up to {LATEST}, got {offset!r}. Shift the records by whole "
+            "samples first."
+        )
+    return float(found)
+
+
+def _pair(found: NonlinearSolution[Any]) -> Pair:
+    return found.value.pair if isinstance(found.value, TimedPair) else found.value
+
+
+def _timed(
+    equation: HandEyeEquation, found: NonlinearSolution[Pair], robust: bool
+) -> NonlinearSolution[TimedPair] | None:
+    """Return the fit with the time offset of the camera, None where data do not show one."""
+    if equation.N < ENOUGH:
+        return None
+    (one,) = equation.timed(TimedPair(found.value, 0.0))
+    roots = one.roots(dict(zip(found.classes, np.maximum(found.sigma, TINY).tolist())))
+    rows = whiten([one], [roots]).times(1.0 - found.outliers)
+    column = rows.J[:, 12] - rows.J[:, :12] @ np.linalg.lstsq(rows.J[:, :12], rows.J[:, 12], rcond=None)[0]
+    if abs(column @ rows.r) < LATE * float(np.linalg.norm(column)):
+        return None
+    problem = NonlinearProblem(equation.timed, TimedPair.plus, what=WHAT)
+    try:
+        timed = nonlinear_least_squares(problem, TimedPair(found.value, 0.0), robust=robust)
+    except (NotConverged, NotExcited):
+        return None
+    least = max(LEAST, LATE * float(np.sqrt(timed.cov[12, 12])))
+    return timed if least < abs(timed.value.late) < LATEST else None
 
 
 def _require_excitation(equation: HandEyeEquation, noise: float, setup: str) -> None:
@@ -475,18 +560,27 @@ def _sizes(r: np.ndarray) -> tuple[float, float]:
 
 
 def _result(
-    equation: HandEyeEquation, found: NonlinearSolution[Pair], residuals: np.ndarray, setup: str,
+    equation: HandEyeEquation, found: NonlinearSolution[Any], residuals: np.ndarray, setup: str,
     limits: tuple[float, float], notes: list[str],
 ) -> Fit[HandEye]:  # fmt: skip
     """Return the fit, refusing directions of the unknowns that are not identifiable within the limits."""
     words = PoseUnknowns(Part.of(FRAMES[setup]), equation.spread, limits)
-    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
-
-    turns = np.sqrt(np.diag(found.cov)).reshape(4, 3)[1::2]
+    J, pair, late = found.rows.J, _pair(found), []
+    names, units, parameters = words.names, words.units, pair.parameters()
+    if isinstance(found.value, TimedPair):
+        column, by, sd = J[:, 12], found.value.late, float(np.sqrt(found.cov[12, 12]))
+        J = J[:, :12] - np.outer(column, column @ J[:, :12]) / (column @ column)
+        names, units, parameters = (*names, "time offset"), (*units, "samples"), np.append(parameters, by)
+        late = [
+            f"The camera is {abs(by):.2f} +- {sd:.1g} samples {'late' if by > 0 else 'early'}, which is corrected. "
+            f"Synchronise the clocks, or give offset={by:.2f}."
+        ]
+    excitation = check_spread(J, words.names, words.units, words.widths, WHAT, describe=words)
+    turns = np.sqrt(np.diag(found.cov)[:12]).reshape(4, 3)[1::2]
     lines = remarks(equation.RA, equation.spread, equation.noise is not None, found, turns)
     doubts, lines = doubts_of(found.check, [*notes, *lines])
     return Fit(
-        HandEye(setup, *found.value.poses()), words.names, words.units, found.value.parameters(), found.cov,
+        HandEye(setup, *pair.poses()), names, units, parameters, found.cov,
         found.sigma, residuals, equation.N, excitation, lambda fit: "\n".join([fit.table(), *lines]), found.outliers,
-        CLASSES, found.formal_cov, doubts,
+        CLASSES, found.formal_cov, (*late, *doubts),
     )  # fmt: skip

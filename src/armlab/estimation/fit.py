@@ -139,9 +139,16 @@ class Fit(Generic[Value]):
         """Return the fit in words and tables."""
         return self.table() if self.summary is None else self.summary(self)
 
-    def table(self) -> str:
-        """Return one line per parameter with unit and deviation, then noise, outliers and excitation."""
-        columns = zip(self.names, self.parameters, self.sd, self.units)
+    def table(self, shown: np.ndarray | None = None) -> str:
+        """Return one line per parameter with unit and deviation, then noise, outliers, excitation and doubts.
+
+        Parameters
+        ----------
+        shown : ndarray of bool, shape (d,), optional
+            Parameters that get a line; default: all.
+        """
+        rows = zip(self.names, self.parameters, self.sd, self.units)
+        columns = [row for k, row in enumerate(rows) if shown is None or shown[k]]
         lines = [f"{name:32s} {value: .6g} +- {sd:.2g} {unit}" for name, value, sd, unit in columns]
         labels = self.classes or [f"class {i + 1}" for i in range(self.sigma.size)]
         lines += [f"noise of {label}: {sigma:.3g}" for label, sigma in zip(labels, self.sigma.ravel())]

@@ -27,6 +27,7 @@ from armlab.estimation.residual_tests import (
     correlated_information,
     student_factor,
 )
+from armlab.estimation.robust import majority_step
 from armlab.estimation.tsqr import triangle
 
 
@@ -393,7 +394,6 @@ MIXED_ROUNDS = 100  # it converges the slower, the larger the part that is known
 FLAGGED = 0.999  # quantile of chi^2 beyond which a sample is an outlier
 FLAG_ROUNDS = 3
 CLEARLY = 1.3  # times less noise that another answer must leave
-AGREEING, SUBSETS, BEST, IMPROVED = 0.6, 300, 5, 10  # share of samples that agree; fits to few samples, to most
 
 
 @dataclass(frozen=True, eq=False)
@@ -466,7 +466,8 @@ def nonlinear_least_squares(
     ends = [_flagged(problem, start, sigma, weight, robust)]
     if robust and sigma and majority:
         found, sigma, _ = ends[0]
-        start = problem.retract(found.value, majority_step(_rows(problem, found.value, sigma), count))
+        rows = _rows(problem, found.value, sigma)
+        start = problem.retract(found.value, majority_step(rows.J, rows.r, rows.sample, rows.label, count))
         sigma = _median_noise(_rows(problem, start, sigma), sigma, problem.residue)
         ends.append(_flagged(problem, start, sigma, _fits(problem, start, sigma, count), robust))
     sizes = [sum(np.log(size) for size in end[1].values()) for end in ends]
@@ -486,36 +487,6 @@ def _flagged(
         weight = fresh
         found, sigma = _with_noise(problem, found.value, sigma, weight)
     return found, sigma, weight
-
-
-def majority_step(rows: Whitened, count: int) -> np.ndarray:
-    """Return the step (d,) that most of the samples agree on, in the linear problem at a value that wrong ones may lead.
-
-    Least trimmed squares with an unknown scale per class: fits to few random samples, each improved on the samples
-    nearest to it, and the best by the median residual of every class (Rousseeuw and van Driessen 2006).
-    """
-    d, rng = rows.J.shape[1], np.random.default_rng(0)
-    most, numbers = int(np.ceil(AGREEING * count)), max(1, len(rows.r) // count)
-    few = min(most, -(-(d + 1) // numbers))
-
-    def refitted(kept: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the score of the fit to some samples, its step, the samples nearest to it, and scales (M,)."""
-        chosen = np.isin(rows.sample, kept)
-        J, r = rows.J[chosen] / scale[chosen, None], rows.r[chosen] / scale[chosen]
-        x = np.linalg.lstsq(J, -r, rcond=NULL)[0]
-        left = np.abs(rows.r + rows.J @ x)
-        sizes = np.array([max(np.median(left[rows.label == c]), 1e-300) for c in range(len(rows.names))])
-        away = np.bincount(rows.sample, (left / sizes[rows.label]) ** 2, minlength=count)
-        return float(np.sum(np.log(sizes))), x, np.argsort(away, kind="stable")[:most], sizes[rows.label]
-
-    found = []
-    for _ in range(SUBSETS):
-        one = refitted(rng.choice(count, few, replace=False), np.ones(len(rows.r)))
-        found.append(min((one, refitted(*one[2:])), key=lambda each: each[0]))
-    best = sorted(found, key=lambda each: each[0])[:BEST]
-    for _ in range(IMPROVED):
-        best = [min((one, refitted(*one[2:])), key=lambda each: each[0]) for one in best]
-    return min(best, key=lambda each: each[0])[1]
 
 
 def _remembering(evaluate: Callable[[Value], Sequence[Measurement]]) -> Callable[[Value], Sequence[Measurement]]:
@@ -706,7 +677,7 @@ def covariance_of(
     formal = student_factor(d, nu) * basis @ basis.T
     if not check.suspicious.any():
         return formal, None, check
-    correlated = correlated_information(series, np.flatnonzero(check.suspicious))
+    correlated = correlated_information(series, np.flatnonzero(check.suspicious).tolist())
     cov = student_factor(d, nu) * basis @ correlated @ basis.T
     sd, usual = np.sqrt(np.diag(cov)), np.sqrt(np.diag(formal))
     growth = float(np.max(sd[usual > 0] / usual[usual > 0], initial=1.0))

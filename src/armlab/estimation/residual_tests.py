@@ -122,7 +122,8 @@ def check_residuals(series: Series, robust: bool, given: bool) -> ResidualCheck:
         found[:, c] = _neighbours(series, diagonal, mine, first[pairs], second[pairs])
     square, free = float(series.r @ series.r), len(series.r) - series.U.shape[1]
     size = (float(np.sqrt(square / free)), float(chdtrc(free, square))) if given and free > 0 else (1.0, 1.0)
-    return ResidualCheck(series.classes, *found, *_halves(series), *size, robust=robust)
+    lag1, lag1_z, runs_z, tails_z = found
+    return ResidualCheck(series.classes, lag1, lag1_z, runs_z, tails_z, *_halves(series), *size, robust=robust)
 
 
 def _neighbours(

@@ -449,6 +449,45 @@ def _mean_square(sums: BlockSums, z: np.ndarray) -> np.ndarray:
     return np.divide(np.maximum(power, 0.0), sums.rows, out=level, where=sums.rows > 0)
 
 
+AGREEING, SUBSETS, IMPROVED_ONES, IMPROVED = (
+    0.6,
+    300,
+    5,
+    10,
+)  # share of samples that agree; fits to few samples, to most
+UNSEEN = 1e-9  # relative singular value
+
+
+def majority_step(J: np.ndarray, r: np.ndarray, sample: np.ndarray, label: np.ndarray, count: int) -> np.ndarray:
+    """Return the step (d,) that most samples agree on, in the linear problem at a value that wrong ones may lead.
+
+    Least trimmed squares with an unknown scale per class: fits to few random samples, each improved on the samples
+    nearest to it, and the best by the median residual of every class (Rousseeuw and van Driessen 2006). `J`, `r`: (M,)
+    whitened rows, with the sample, of `count`, and the class of each.
+    """
+    d, rng = J.shape[1], np.random.default_rng(0)
+    most, numbers = int(np.ceil(AGREEING * count)), max(1, len(r) // count)
+    few = min(most, -(-(d + 1) // numbers))
+
+    def refitted(kept: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        """Return the score of the fit to some samples, its step, the samples nearest to it, and scales (M,)."""
+        chosen = np.isin(sample, kept)
+        x = np.linalg.lstsq(J[chosen] / scale[chosen, None], -r[chosen] / scale[chosen], rcond=UNSEEN)[0]
+        left = np.abs(r + J @ x)
+        sizes = np.array([max(np.median(left[label == c]), 1e-300) for c in range(int(label.max()) + 1)])
+        away = np.bincount(sample, (left / sizes[label]) ** 2, minlength=count)
+        return float(np.sum(np.log(sizes))), x, np.argsort(away, kind="stable")[:most], sizes[label]
+
+    found = []
+    for _ in range(SUBSETS):
+        one = refitted(rng.choice(count, few, replace=False), np.ones(len(r)))
+        found.append(min((one, refitted(*one[2:])), key=lambda each: each[0]))
+    best = sorted(found, key=lambda each: each[0])[:IMPROVED_ONES]
+    for _ in range(IMPROVED):
+        best = [min((one, refitted(*one[2:])), key=lambda each: each[0]) for one in best]
+    return min(best, key=lambda each: each[0])[1]
+
+
 METHODS = ("ols", "wls", "irls", "lts")
 
 

@@ -120,8 +120,9 @@ def fit_dual_arm(
     problem = DualProblem(arms[0], arms[1], tuple(kinds), absolute_a is not None, closed, np.zeros(0, dtype=bool), held)
     used = np.concatenate([arms[0].existing, arms[1].existing, np.ones(6, dtype=bool)])
     problem = replace(problem, active=used if held is not None else _without_bases(problem))
-    estimation = DualArmEstimation(problem, used, length_angle(limits, "limits"), weak == "prior")
-    return estimation.fit(estimation.solve(DualState(arms[0].first(), arms[1].first(), T), robust))
+    start = DualState(arms[0].first(), arms[1].first(), T)
+    estimation = DualArmEstimation(problem, used, length_angle(limits, "limits"), weak == "prior", start)
+    return estimation.fit(estimation.solve(robust))
 
 
 def _without_bases(problem: DualProblem) -> np.ndarray:
@@ -299,6 +300,14 @@ class DualArmEstimation(KinematicEstimation[DualState]):
     """Estimation of two arms that measure each other."""
 
     problem: DualProblem
+
+    def rigid(self) -> np.ndarray:
+        mask, first = np.ones(self.problem.size, dtype=bool), 0
+        for arm in (self.problem.arm_a, self.problem.arm_b):
+            mask[first + 6 : first + 6 * arm.n] = False
+            mask[first + 6 * arm.n + 6 : first + arm.size] = False
+            first += arm.size
+        return mask
 
     def nature(self, state: DualState) -> list[UnobservableDirection]:
         """Return how b's tool is turned."""

@@ -123,8 +123,8 @@ def fit_kinematics(
     if reduced and not problem.points and not any(kind.name == "pose" for kind in problem.kinds):
         active[6 * arm.n + 3 : 6 * arm.n + 6] = False  # one point does not determine the rotation of the tool
     problem = KinematicProblem(arm, tuple(kinds), active, len(points), held)
-    estimation = ArmEstimation(problem, used, length_angle(limits, "limits"), weak == "prior")
-    solution = estimation.solve(start, robust)
+    estimation = ArmEstimation(problem, used, length_angle(limits, "limits"), weak == "prior", start)
+    solution = estimation.solve(robust)
     return estimation.fit(solution, isinstance(free, str) and free == "all", notes)
 
 
@@ -216,6 +216,12 @@ class ArmEstimation(KinematicEstimation[State]):
         if smallest:
             state = self._smallest(state)
         return self.result(found, state, self._value, notes)
+
+    def rigid(self) -> np.ndarray:
+        mask, arm = np.ones(self.problem.size, dtype=bool), self.problem.arm
+        mask[6 : 6 * arm.n] = False
+        mask[6 * arm.n + 6 : arm.size] = False
+        return mask
 
     def doubts(self, state: State) -> list[str]:
         return far_links(self.problem.arm, state.arm.frames)

@@ -26,6 +26,7 @@ UNIT = 1e-3  # 1 mm and 1 mrad: of equal steps the smallest is taken
 WEAK = ("refuse", "prior")
 MISFIT = 0.1  # of the size of what was measured, or of half a turn: these samples do not belong together
 NO_NOISE = 1e-12  # m or rad: records that repeat themselves have none
+GAUGE = 1e-6  # component of an unidentifiable direction from which it moves a parameter
 ROUNDING = 1e-9  # of the largest coordinate: what moves less does not move
 NOBODY = np.zeros(0, dtype=int)
 FAR = 0.1  # m or rad from the nominal robot: another measurement frame
@@ -181,6 +182,7 @@ class KinematicEstimation(ABC, Generic[S]):
     used: np.ndarray  # (d,) unknowns there are, gauge included
     limits: tuple[float, float]  # (metres, radians) that are accepted
     hold: bool  # go on where they are exceeded
+    start: Any  # state at which the descent begins
 
     @abstractmethod
     def nature(self, state: S) -> list[UnobservableDirection]:
@@ -194,9 +196,13 @@ class KinematicEstimation(ABC, Generic[S]):
     def spaces(self) -> list[float]:
         """Return the size [m] of the space in which each measurement was made."""
 
-    def solve(self, start: S, robust: bool) -> NonlinearSolution[S]:
+    @abstractmethod
+    def rigid(self) -> np.ndarray:
+        """Return the mask (d,) of unknowns that are no kinematics: bases, tools, points."""
+
+    def solve(self, robust: bool) -> NonlinearSolution[S]:
         """Descend; where that fails, name the unidentifiable direction if there is one."""
-        problem = self.problem
+        problem, start = self.problem, self.start
         self._check_count(start)
         task = NonlinearProblem(problem.evaluate, problem.retract, problem.sizes(UNIT, UNIT)[problem.active], "arm")
         try:
@@ -253,7 +259,10 @@ class KinematicEstimation(ABC, Generic[S]):
         check_misfit(data, self.spaces(), found.value, outside)
         excitation = self._judge_fit(data, state, found)
         cov, formal, check = self.covariance(data, state, found, excitation)
-        doubts, lines = doubts_of(check, [*notes, *self.match(found), *self.doubts(state)])
+        doubts, lines = doubts_of(
+            check, [*self._accuracy(data, state, found), *notes, *self.match(found), *self.doubts(state)]
+        )
+        shown = ~np.any(np.abs(excitation.null_space) > GAUGE, axis=1)
         return Fit(
             value=value(state, cov),
             names=tuple(name for name, mine in zip(problem.names, used) if mine),
@@ -264,7 +273,7 @@ class KinematicEstimation(ABC, Generic[S]):
             residuals=_table(data, problem.rows),
             n=problem.n,
             excitation=excitation,
-            summary=lambda fit: "\n".join([fit.table(), *lines]),
+            summary=lambda fit: "\n".join([*lines, fit.table(shown)]),
             outliers=found.outliers,
             classes=found.classes,
             formal_cov=formal,
@@ -295,6 +304,40 @@ class KinematicEstimation(ABC, Generic[S]):
             candidates=lambda: _cut_to(self.candidates(state), used), what="arm",
         )  # fmt: skip
         return test.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
+
+    def _accuracy(self, data: Sequence[Measurement], state: S, found: NonlinearSolution[S]) -> list[str]:
+        """Return RMS residuals before, after, and of samples left out, which do not depend on the gauge."""
+        kept = [_kept(one, np.flatnonzero(found.outliers)) for one in data]
+        sizes = [_sizes(data, [one.r for one in data], kept)]
+        sizes.append(_sizes(data, self._left_out(data, found), kept))
+        active = self.problem.active & self.rigid()
+        nominal = replace(self.problem, active=active)
+        task = NonlinearProblem(nominal.evaluate, nominal.retract, nominal.sizes(UNIT, UNIT)[active], "base and tool")
+        try:
+            value = nonlinear_least_squares(task, self.start).value
+            sizes.insert(0, _sizes(data, [one.r for one in self.problem.measurements(value)], kept))
+        except (NotConverged, NotExcited):
+            sizes.insert(0, dict.fromkeys(sizes[0], np.nan))
+        return [
+            f"{name}: {before:.3g} before (nominal links, base and tool fitted), {after:.3g} after, {out:.3g} held out "
+            "(each sample in turn)"
+            for name, before, after, out in ((name, *(one[name] for one in sizes)) for name in sizes[0])
+        ]
+
+    def _left_out(self, data: Sequence[Measurement], found: NonlinearSolution[S]) -> list[np.ndarray]:
+        """Return residuals of each measurement from the fit to the others, ``(1 - U U^T)^-1 r``, to first order."""
+        sigma = {name: max(size, NO_NOISE) for name, size in zip(found.classes, found.sigma.tolist())}
+        R = np.linalg.qr(found.rows.J, mode="r")
+        _, singular, V = np.linalg.svd(R)
+        basis = V[singular > ROUNDING * singular[0]].T / singular[singular > ROUNDING * singular[0]]
+        left = []
+        for one in data:
+            root = one.roots(sigma)
+            root = np.diag(root) if root.ndim == 1 else root
+            U = root @ one.J[:, :, self.problem.active] @ basis
+            rest = np.eye(one.r.shape[1]) * (1.0 + ROUNDING) - U @ U.transpose(0, 2, 1)
+            left.append(np.linalg.solve(root, np.linalg.solve(rest, (root @ one.r[:, :, None])))[:, :, 0])
+        return left
 
     def _instrument(self) -> dict[str, float]:
         """Return the noise of a usual instrument, by class."""
@@ -414,6 +457,18 @@ def length_angle(value: Any, what: str) -> tuple[float, float]:
         raise ConfigError(f"Expected {what} as one or two numbers above zero [m, rad], got {value!r}.")
     length, angle = np.broadcast_to(pair, (2,))
     return float(length), float(angle)
+
+
+def _sizes(data: Sequence[Measurement], r: Sequence[np.ndarray], kept: Sequence[np.ndarray]) -> dict[str, float]:
+    """Return the RMS length of each kind of residual, in mm or mrad."""
+    found = {}
+    for one, values, mine in zip(data, r, kept):
+        for unit, small in (("[m]", "mm"), ("[rad]", "mrad")):
+            part = [name for name in one.classes if name.endswith(unit)]
+            if part and mine.any():
+                off = values[mine][:, [name.endswith(unit) for name in one.classes]]
+                found[f"{part[0].replace(unit, small)} (RMS)"] = 1e3 * float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    return found
 
 
 def _table(data: Sequence[Measurement], rows: int) -> np.ndarray:
