@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from armlab import identify as identification
 from armlab.cli import DOUBTFUL, main
 from armlab.cli.identify.report import ModelTrial, judge, numbers, try_out
 from armlab.cli.support.html_report import HtmlReport
+from armlab.errors import NotExcited
 from armlab.estimation import Fit
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -37,8 +40,8 @@ def reading(monkeypatch, logs: dict[str, Table]) -> None:
 def test_it_prints_a_verdict_and_leaves_model_page_and_figure(reading, fitted, monkeypatch, tmp_path, command) -> None:
     """Everything that the command can leave, in one run; the fit itself is that of the other tests."""
 
-    def told(tables, robot, method, progress) -> Fit[TorqueModel]:
-        assert (len(tables), robot.name, method) == (1, "yumi_left", "irls")
+    def told(tables, robot, method, progress, force) -> Fit[TorqueModel]:
+        assert (len(tables), robot.name, method, force) == (1, "yumi_left", "irls", False)
         progress(0, 5, "checking the log")
         return fitted
 
@@ -90,6 +93,31 @@ def test_json_has_the_numbers_and_the_verdict(reading, fitted, monkeypatch, tmp_
     assert said["joints"][0]["share_test"] is None
     assert any("ripple of joint 2." in sentence for sentence in said["verdict"]["good"])
     assert said["condition"] > 1
+
+
+def test_drives_that_are_refused_leave_the_base_model_and_the_reason(reading, fitted, monkeypatch, tmp_path) -> None:
+    """With --force the fit takes torques that are not plausible, and what it doubts is said."""
+    asked: dict[str, object] = {}
+
+    def forced(*_, **options) -> Fit[TorqueModel]:
+        asked.update(options)
+        return replace(fitted, doubts=("joint 2 reads half of what these masses need",))
+
+    def refused(*_) -> None:
+        raise NotExcited("Expected every joint to slide, got less for joint 4.", ["joint 4"])
+
+    monkeypatch.setattr("armlab.identify.fit_dynamics", forced)
+    monkeypatch.setattr("armlab.identify.fit_friction", refused)
+    output = tmp_path / "model.toml"
+    output.write_text("")
+    said = io.StringIO()
+    with redirect_stdout(said):
+        assert main(["identify", "yumi_left", "run.mcap", "-o", str(output), "--drives", "--force", "--json"]) == 0
+    assert asked["force"] is True
+    bad = json.loads(said.getvalue())["verdict"]["bad"]
+    assert "Joint 2 reads half of what these masses need." in bad
+    assert "Drives: Expected every joint to slide, got less for joint 4." in bad
+    assert np.array_equal(models.load(output).base_values, fitted.value.base_values)
 
 
 def test_gravity_only_is_fitted_and_said(reading, fitted, logs, monkeypatch, tmp_path, command) -> None:

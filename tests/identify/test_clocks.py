@@ -9,7 +9,7 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.estimation import Fit
-from armlab.identify import fit_dynamics, fit_friction, prepare
+from armlab.identify import fit_dynamics, fit_friction, friction_run, prepare
 from armlab.identify.clocks import Clock
 from armlab.identify.plausibility import check_gains, check_torques
 from armlab.identify.record import prepare_share
@@ -157,6 +157,16 @@ def test_a_fit_says_how_late_its_torque_was(short_arm, short_fit) -> None:
     (said,) = fit.doubts
     assert said.startswith("torque is 30")
     assert said in fit.report()
+
+
+@pytest.mark.slow  # 15 s
+def test_a_friction_run_of_the_product_is_fitted(truth, model) -> None:
+    """One joint at ten speeds, the others at rest: its friction is judged anew, theirs stays."""
+    found = fit_friction(truth.log(friction_run(truth.robot, 0), seed=2), model)
+    assert 0.9 < found.value.quality.coverage[0] < 1.0
+    assert found.value.quality.rms_cv[0] < 0.1 * truth.friction.coulomb_pos[0]
+    np.testing.assert_array_equal(found.value.friction.coulomb_pos[1:], model.friction.coulomb_pos[1:])
+    np.testing.assert_array_equal(found.value.quality.rms_cv[1:], model.quality.rms_cv[1:])
 
 
 # Plausibility.

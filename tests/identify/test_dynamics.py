@@ -142,7 +142,7 @@ def test_held_out_rows_of_several_logs_are_held_out(short_arm, monkeypatch) -> N
     """Clocks that start again, the second log shorter: each row is held out once, by a model without its block."""
     seen = {}
 
-    def spy(model, folds, data, joints):
+    def spy(model, folds, data, joints, before):
         seen.update(folds=folds, data=data)
         return assess(model, folds, data)
 

@@ -25,6 +25,7 @@ from armlab.identify.validation import training
 from armlab.lie import euler, se3
 from armlab.log import Table
 from armlab.models import TorqueModel
+from armlab.models.torque import Quality
 from armlab.robots import Robot, couplings
 
 ROOT = Path(__file__).parents[2]
@@ -147,6 +148,28 @@ def test_tiago_on_held_out_blocks(tiago, method: str) -> None:
     found = held_out(data, robot, test, 5, method, arm)
     print(f"TIAGo, {method}:", found.round(1))
     assert np.all(found <= [14, 18, 15.5, 12])
+
+
+@pytest.mark.parametrize("log_name", ["ur3_id1.csv", "ur3_id2.csv"])
+def test_ur3_is_named_as_reversed(log_name: str) -> None:
+    """As published, its motor torques oppose the motion; negated, no sign is doubted."""
+    folder = DATA.parent / "force/ur3_free"
+    rows = np.loadtxt(folder / log_name, delimiter=",", skiprows=1)
+    table = Table(rows[:, 0], {"q": rows[:, 1:7], "qd": rows[:, 7:13], "tau": rows[:, 13:19]})
+    turns, lengths = [0.5 * np.pi, 0, 0, 0.5 * np.pi, -0.5 * np.pi, 0], [0, -0.24365, -0.21325, 0, 0, 0]
+    robot = robots.from_dh("ur3", turns, lengths, [0.1519, 0, 0, 0.11235, 0.08535, 0.0819])
+    with pytest.raises(ShapeError, match="joints 1, 2, 3, 4, 5, 6: sign reversed"):
+        fit_dynamics(table, robot)
+    fit = fit_dynamics(table.with_column("tau", -table["tau"]), robot)
+    quality = fit.value.quality
+    print(f"{log_name}:", share_of(quality), fit.notes, fit.doubts)
+    assert not any("sign" in said for said in fit.doubts)
+    assert np.all(share_of(quality)[:3] < 25)
+
+
+def share_of(quality: Quality) -> np.ndarray:
+    """Return the held-out residual in % of the torque's deviation."""
+    return (100.0 * quality.rms_cv / quality.torque_sd).round(1)
 
 
 def plain_regressor(robot: Robot, t: np.ndarray, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, list[str]]:

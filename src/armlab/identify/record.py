@@ -503,9 +503,10 @@ def _shifted(data: Record, name: str, late: Delay) -> tuple[Record, np.ndarray]:
 def delay_text(name: str, late: Delay) -> str:
     """Return a corrected delay of the column qd or tau in words."""
     what = {"qd": "velocity", "tau": "torque"}[name]
+    side = "late" if late.seconds > 0 else "early"
     return (
-        f"{what} is {1e3 * late.seconds:.1f} +- {1e3 * late.sd:.1f} ms late against the positions: corrected in this "
-        "fit, not in estimators; correct it where the log is made"
+        f"{what} is {1e3 * abs(late.seconds):.1f} +- {1e3 * late.sd:.1f} ms {side} against the positions: corrected in "
+        "this fit, not in estimators; correct it where the log is made"
     )
 
 
