@@ -216,7 +216,6 @@ def solved(design: Design, trust: np.ndarray | None, method: str) -> LinearSolut
 BANDS = (12.0, 6.0)  # Hz, corners that are tried beside that of the design
 YARDSTICK = 10.0  # Hz, the band in which they are compared
 PARTS = 1.0  # s, stretches that are fitted and judged in turn
-ENDS = 0.25  # s, left out at either end of a segment
 NEARLY = 1.02  # times the least residual, up to which the highest corner wins
 
 
@@ -230,7 +229,8 @@ def best_cutoff(design: Design, method: str) -> tuple[float, str]:
     corners = [highest, *(corner for corner in BANDS if corner < highest)]
     if len(corners) == 1:
         return highest, "a tenth of the sampling rate"
-    halves = _halves(design)
+    odd = design.data.blocks(PARTS)[design.rows] % 2
+    halves = [odd, 1 - odd]
     judged = design.smoothed(min(YARDSTICK, highest))
     power = []
     for corner in corners:
@@ -241,16 +241,6 @@ def best_cutoff(design: Design, method: str) -> tuple[float, str]:
     best = int(np.argmax(size <= NEARLY * size.min()))
     listed = ", ".join(f"{100 * (s / size[best] - 1):+.1f} % at {corner:g} Hz" for s, corner in zip(size, corners))
     return corners[best], f"held-out residual below {min(YARDSTICK, highest):g} Hz: {listed}"
-
-
-def _halves(design: Design) -> list[np.ndarray]:
-    """Return factors (M,) of the rows of even and of odd stretches; at the ends of a segment the filter has no past."""
-    data, rows = design.data, design.rows
-    inner = np.zeros(len(data.t))
-    for a, b in data.segments:
-        inner[a + int(ENDS * data.rate) : b - int(ENDS * data.rate)] = 1.0
-    odd = data.blocks(PARTS)[rows] % 2
-    return [inner[rows] * (odd == part) for part in (0, 1)]
 
 
 def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, seed: int) -> np.ndarray:
