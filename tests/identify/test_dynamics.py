@@ -20,6 +20,7 @@ from armlab.identify.many import fit_draft, log_sums
 from armlab.identify.record import prepare_share
 from armlab.identify.regression import Design
 from armlab.identify.validation import assess
+from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.robots import Robot
 
@@ -70,6 +71,57 @@ def test_the_covariance_holds_for_coloured_residuals_and_the_formal_one_does_not
     drawn, formal = np.mean(found, axis=0)
     assert 0.7 < drawn < 1.4
     assert formal > 3.0
+
+
+def test_drift_along_the_log_is_in_the_covariance_of_friction(short_arm, short_fit) -> None:
+    """Offsets that change by 20 % of Coulomb friction from half to half."""
+    log = short_arm.log(0, 3000)
+    drift = np.linspace(-1.0, 1.0, len(log))[:, None] * np.array([0.4, 0.2])
+    fit = fit_dynamics(log.with_column("tau", log["tau"] + drift), short_arm.robot)
+    p = len(fit.value.base_names)
+    for joint, change in zip(short_arm.robot.joint_names, (0.4, 0.2)):
+        k = fit.names.index(f"offset {joint}")
+        assert 0.5 * change < fit.sd[k] < 2.0 * change
+        assert fit.sd[k] > 1.5 * short_fit.sd[short_fit.names.index(f"offset {joint}")]
+    error = fit.parameters[:p] - short_arm.experiment()(0, 3000).truth
+    assert error @ np.linalg.solve(fit.cov[:p, :p], error) / p < 2.0
+
+
+@pytest.mark.slow  # 60 s beside other work
+@pytest.mark.filterwarnings("ignore:Expected torque ripple")
+@pytest.mark.parametrize("drift", [0.0, 1.0], ids=["steady", "warming and drift"])
+def test_halves_of_a_log_agree_within_their_covariances(truth, fitted, drift) -> None:
+    """NEES of the difference of halves of 30 s, over its dimension; before drift was counted it was 15 for friction.
+
+    Viscous friction falls by up to 15 % and Coulomb friction by 5 % along the log; offsets and both kinds of friction
+    also walk at random. Both halves have the same gains, which are no difference between them: here they are known.
+    """
+    model = fitted.value
+    known = replace(fitted, value=replace(model, gains=np.ones(7), gain_cov=np.zeros((7, 7))))
+    rigid, friction = [], []
+    for seed in range(4):
+        log = truth.log(identify.design_excitation(truth.robot, seconds=60, seed=1000 + seed), seed=seed)
+        log = log.with_column("tau", log["tau"] + drift * _drift(truth, log, seed))
+        one, other = (fit_dynamics(log.between(a, a + 29.99), truth.robot, prior=known) for a in (0.0, 30.0))
+        names = set(one.names) & set(other.names)
+        for found, kinds in ((rigid, model.base_names), (friction, ("viscous", "coulomb", "offset", "stribeck"))):
+            some = [name for name in one.names if name in names and name.startswith(tuple(kinds))]
+            i, j = ([fit.names.index(name) for name in some] for fit in (one, other))
+            e = one.parameters[i] - other.parameters[j]
+            found.append(e @ np.linalg.solve(one.cov[np.ix_(i, i)] + other.cov[np.ix_(j, j)], e) / len(e))
+    print(f"NEES/n, drift {drift}: rigid {np.mean(rigid):.2f}, friction {np.mean(friction):.2f}")
+    assert 0.6 < np.mean(rigid) < 1.4
+    assert 0.5 < np.mean(friction) < 1.4
+
+
+def _drift(truth, log: Table, seed: int) -> np.ndarray:
+    """Return torque (N, 7) of friction that warms up, and of offsets and friction that walk at random."""
+    rng, n, t, f = np.random.default_rng([seed, 77]), 7, log.t[:, None], truth.friction
+    warm = rng.uniform(0.5, 1.5, n) * (np.exp(-t / 60.0) - 1.0)
+    walks = np.cumsum(rng.standard_normal((3, len(log), n)), axis=1) * np.sqrt((log.t[1] - log.t[0]) / 30.0)
+    viscous, coulomb = 0.25 * warm + 0.05 * walks[0], 0.08 * warm + 0.03 * walks[1]
+    z = presliding(log["q"], f.delta, f.resolution)
+    return viscous * f.viscous * log["qd"] + f.coulomb_pos * (coulomb * z + 0.06 * walks[2])
 
 
 def test_the_numbers_of_the_shape_are_parameters_with_deviations(short_arm, short_fit) -> None:

@@ -287,7 +287,7 @@ class FitSettings:
         """Return the corner of the regression [Hz] where it is given; refuse one that the rate does not carry."""
         if self.cutoff is None:
             return None
-        corner, most = positive(self.cutoff, "a cut-off [Hz]"), data.rate / 4.0
+        corner, most = positive(self.cutoff, "cut-off [Hz]"), data.rate / 4.0
         if corner > most:
             raise ShapeError(
                 f"Expected a cut-off of at most {most:.4g} Hz, a quarter of the sampling rate, got {corner:g} Hz. "

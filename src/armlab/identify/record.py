@@ -553,6 +553,7 @@ def _modelled(model: TorqueModel, data: Record) -> np.ndarray:
 # narrow matrix, and only a few thousand rows of the regressor exist at once.
 
 
+ENDS = 2.0  # periods of the corner left out at either end: reflected there, noise of one row is a step
 DECAYED = 1e-6  # of the largest tap
 ROWS_AT_ONCE, WIDE = 1024, 64  # rows of the record: their regressor stays in the cache; of fewer columns more rows
 BAND_ROWS = 32  # kept rows of one product
@@ -576,7 +577,9 @@ class Decimation:
     def of(cls, data: Record, cutoff: float, every: int) -> Decimation:
         """Return the filter for a record."""
         taps = np.ones(1) if np.isinf(cutoff) else _taps(cutoff / data.rate)
-        rows = np.concatenate([np.arange(a, b, every) for a, b in data.segments])
+        shortest = min(b - a for a, b in data.segments)
+        left = min(int(ENDS * data.rate / cutoff), shortest // 4)
+        rows = np.concatenate([np.arange(a + left, b - left, every) for a, b in data.segments])
         return cls(data.segments, every, taps, rows, cutoff)
 
     def run(self, columns: Callable[[int, int], np.ndarray], width: int) -> np.ndarray:
@@ -585,10 +588,11 @@ class Decimation:
         rows = ROWS_AT_ONCE * max(1, WIDE // max(width, 1)) // self.every
         reach, count, first = len(self.taps) // 2, max(BAND_ROWS, rows // BAND_ROWS * BAND_ROWS), 0
         for a, b in self.segments:
-            kept = -(-(b - a) // self.every)
+            begin, end = np.searchsorted(self.rows, (a, b)).tolist()
+            kept = end - begin
             for k in range(0, kept, count):
                 last = min(k + count, kept)
-                start, stop = a + self.every * k - reach, a + self.every * (last - 1) + reach + 1
+                start, stop = int(self.rows[begin + k]) - reach, int(self.rows[begin + last - 1]) + reach + 1
                 x, missing = columns(max(start, a), min(stop, b)), (max(a - start, 0), max(stop - b, 0))
                 if any(missing):  # ends of a segment are continued by point reflection
                     x = np.pad(x, (missing, (0, 0)), mode="reflect", reflect_type="odd")

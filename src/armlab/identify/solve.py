@@ -229,23 +229,18 @@ def best_cutoff(design: Design, method: str) -> tuple[float, str]:
     corners = [highest, *(corner for corner in BANDS if corner < highest)]
     if len(corners) == 1:
         return highest, "a tenth of the sampling rate"
-    odd = design.data.blocks(PARTS)[design.rows] % 2 == 1
+    odd = design.data.blocks(PARTS)[design.rows] % 2
+    halves = [odd, 1 - odd]
     judged = design.smoothed(min(YARDSTICK, highest))
     power = []
     for corner in corners:
         fitted = design.smoothed(corner) if corner < highest else design
-        found = (
-            np.sum(judged.residuals(solved(fitted, _mask(design, ~to), method).x)[to] ** 2, 0) for to in (odd, ~odd)
-        )
-        power.append(sum(found))
+        found = [solved(fitted, np.ones_like(design.tau) * half[:, None], method).x for half in halves]
+        power.append(sum(half @ judged.residuals(theta) ** 2 for half, theta in zip(halves[::-1], found)))
     size = np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300)), axis=1))
     best = int(np.argmax(size <= NEARLY * size.min()))
     listed = ", ".join(f"{100 * (s / size[best] - 1):+.1f} % at {corner:g} Hz" for s, corner in zip(size, corners))
     return corners[best], f"held-out residual below {min(YARDSTICK, highest):g} Hz: {listed}"
-
-
-def _mask(design: Design, used: np.ndarray) -> np.ndarray:
-    return np.ones_like(design.tau) * used[:, None]
 
 
 def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, seed: int) -> np.ndarray:
