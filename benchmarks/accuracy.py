@@ -60,7 +60,9 @@ def main() -> int:
     page = "\n".join(text)
     print(page)
     if options.publish:
-        (Path(__file__).resolve().parents[1] / "docs" / "accuracy.md").write_text(page, encoding="utf-8")
+        path = Path(__file__).resolve().parents[1] / "docs" / "accuracy.md"
+        _, title, kept = path.read_text(encoding="utf-8").partition("\n## Parameters of the halves")
+        path.write_text(page + title + kept, encoding="utf-8")
     return 0
 
 

@@ -87,7 +87,7 @@ def test_drift_along_the_log_is_in_the_covariance_of_friction(short_arm, short_f
     assert error @ np.linalg.solve(fit.cov[:p, :p], error) / p < 2.0
 
 
-@pytest.mark.slow  # 60 s beside other work
+@pytest.mark.slow  # 3 min each beside other work
 @pytest.mark.filterwarnings("ignore:Expected torque ripple")
 @pytest.mark.parametrize("drift", [0.0, 1.0], ids=["steady", "warming and drift"])
 def test_halves_of_a_log_agree_within_their_covariances(truth, fitted, drift) -> None:
@@ -110,8 +110,8 @@ def test_halves_of_a_log_agree_within_their_covariances(truth, fitted, drift) ->
             e = one.parameters[i] - other.parameters[j]
             found.append(e @ np.linalg.solve(one.cov[np.ix_(i, i)] + other.cov[np.ix_(j, j)], e) / len(e))
     print(f"NEES/n, drift {drift}: rigid {np.mean(rigid):.2f}, friction {np.mean(friction):.2f}")
-    assert 0.6 < np.mean(rigid) < 1.4
-    assert 0.5 < np.mean(friction) < 1.4
+    assert (0.6 if drift else 0.7) < np.mean(rigid) < 1.4  # a walk looks like noise in part: 0.64, too careful
+    assert 0.7 < np.mean(friction) < 1.4
 
 
 def _drift(truth, log: Table, seed: int) -> np.ndarray:

@@ -128,7 +128,7 @@ MODELS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     (UnknownName, "method of identification", lambda s: identify.fit_dynamics(s.log, YUMI, method="median")),
     (ModelMismatchError, "earlier fit", lambda s: identify.fit_dynamics(s.log, YUMI, prior=s.model)),
     (ShapeError, "62.5 Hz, a quarter of the sampling rate", lambda s: identify.fit_dynamics(s.log, YUMI, cutoff=80.0)),
-    (ShapeError, "finite cut-off .Hz. above zero", lambda s: identify.fit_gravity(s.log, YUMI, cutoff=-1.0)),
+    (ShapeError, "finite cut-off .Hz. above zero", lambda s: identify.fit_dynamics(s.log, YUMI, cutoff=-1.0)),
     (NotExcited, "every joint to move", lambda s: identify.fit_gravity(POSE, YUMI)),
     (ShapeError, f"Expected slow motion.*{YUMI.joint_names[6]}", lambda s: identify.fit_gravity(s.log, YUMI)),
     (NotExcited, "5 s", lambda s: identify.fit_friction(s.log.between(0.0, 3.0), s.model)),

@@ -443,7 +443,9 @@ def _free_solution(
     if prior is None or excitation.rank == excitation.expected:
         told = excitation.singular_values > np.finfo(float).eps * len(R) * excitation.singular_values[0]
         basis = basis[:, told[: basis.shape[1]]]
-        return basis @ ((R @ basis).T @ y)
+        orthonormal = R @ basis
+        x = basis @ (orthonormal.T @ y)
+        return x + basis @ (orthonormal.T @ (y - R @ x))  # what R @ basis lacks in orthogonality
     held = excitation.vectors[:, excitation.rank :]
     known = held @ (held.T @ (excitation.scale * prior.values)) / excitation.scale
     return known + basis @ ((R @ basis).T @ y)

@@ -13,7 +13,7 @@ Five stages, in this order:
 4. Solution: all linear parameters by least squares, joints weighted by 1 / their residual deviation, within physical
    bounds (`identify.solve`). Their covariance comes from a block bootstrap: residuals are coloured, and the formal
    covariance is far too small. Drift of friction and the doubt between its structures are added
-   (`identify.uncertainty`).
+   (`identify.solve`).
 5. Validation: models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal
    filter; to them the torque covariance over velocity is fitted and its scale calibrated to 95.4 % inside 2 sigma
    (`identify.validation`).
@@ -49,8 +49,16 @@ from armlab.identify.record import (
     without_outliers,
 )
 from armlab.identify.regression import BaseParameters, Design, base_parameters
-from armlab.identify.solve import ROBUST, alternate, best_cutoff, calibrated, gain_share, linearised, short_blocks
-from armlab.identify.uncertainty import covariance
+from armlab.identify.solve import (
+    ROBUST,
+    alternate,
+    best_cutoff,
+    calibrated,
+    covariance,
+    gain_share,
+    linearised,
+    short_blocks,
+)
 from armlab.identify.validation import FIFTHS, assess, places_of_joints, report, training
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance

@@ -25,8 +25,7 @@ from armlab.identify.dynamics import FitProblem, FitSettings, Progress, fit_of, 
 from armlab.identify.friction_structure import Chooser, FrictionStructure, choose_here
 from armlab.identify.record import Record, prepare, prepare_share, torque_outliers, without_outliers
 from armlab.identify.regression import BaseParameters, Design, base_parameters
-from armlab.identify.solve import gain_share
-from armlab.identify.uncertainty import covariance
+from armlab.identify.solve import covariance, gain_share
 from armlab.identify.validation import assess, training
 from armlab.log import Table
 from armlab.models import TorqueModel

@@ -41,9 +41,13 @@ def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple
     moving = np.zeros(data.q.shape, dtype=bool)
     nothing = np.full(data.q.shape[1], NOTHING)
     for model, rows in folds:  # the variance shall be that of unknown friction alone
-        torque, variance = _causal(
-            replace(model, covariance=velocity_covariance("const", nothing, nothing)), data, rows
+        plain = replace(
+            model,
+            covariance=velocity_covariance("const", nothing, nothing),
+            gain_cov=np.zeros_like(model.gain_cov),
+            load_sd=np.zeros(model.n),
         )
+        torque, variance = _causal(plain, data, rows)
         residuals[rows] = torque[rows]
         moving[rows] = variance[rows] - NOTHING <= SETTLED * model.friction.static**2
     moving[data.bridged] = False
