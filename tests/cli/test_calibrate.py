@@ -175,7 +175,7 @@ def test_the_verdict_names_what_is_wrong(fit) -> None:
     assert judge(rough).bad == [
         "Noise of position [m] of 0.03 is no noise of a sensor: some samples are wrong, or all."
     ]
-    asked = replace(fit, summary=lambda fit: "positions spread over 465 m: millimetres given as metres?")
+    asked = replace(fit, doubts=("positions spread over 465 m: millimetres given as metres?",))
     assert judge(asked).bad == ["Positions spread over 465 m: millimetres given as metres?"]
 
 
