@@ -14,8 +14,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from armlab.errors import NotExcited
 from armlab.estimation import Prior, Rows, least_squares
-from armlab.estimation.linear_problem import ActiveBound, within_bounds
-from armlab.estimation.residual_tests import student_factor
+from armlab.estimation.linear_problem import ActiveBound, student_factor, within_bounds
 from armlab.estimation.robust import METHODS, least_trimmed_squares
 from armlab.estimation.tsqr import factorise, one_thread
 

@@ -8,8 +8,8 @@ import pytest
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Measurement, NonlinearProblem, nonlinear_least_squares, total_least_squares
 from armlab.estimation.errors_in_variables import TotalSolution
+from armlab.estimation.linear_problem import student_factor
 from armlab.estimation.nonlinear import Descent, NonlinearSolution, descend
-from armlab.estimation.residual_tests import student_factor
 from armlab.lie import so3
 
 SIGMA = 0.01

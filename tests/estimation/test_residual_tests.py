@@ -12,8 +12,8 @@ from scipy.stats import chi2
 
 from armlab.calibrate import fit_force_sensor, fit_hand_eye
 from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
+from armlab.estimation.linear_problem import student_factor
 from armlab.estimation.nonlinear import NonlinearSolution
-from armlab.estimation.residual_tests import student_factor
 from armlab.lie import se3, so3
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])

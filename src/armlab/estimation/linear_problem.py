@@ -9,7 +9,6 @@ import numpy as np
 
 from armlab._numbers import make_read_only, numbers, still
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation.residual_tests import student_factor
 from armlab.estimation.tsqr import Factors, triangle
 
 MAX_CONDITION = 1e4  # beyond it a direction is called not excited
@@ -376,6 +375,38 @@ class LinearSolution:
     def held_cov(self) -> np.ndarray:
         """Covariance (p, p) of the prior along the directions that it holds; zero without a prior."""
         return _held_covariance(self.excitation, self.problem.prior)
+
+
+MANY = 30.0  # degrees of freedom from which classes are counted as one
+POINTS, GOLDEN = 4096, 1.32471795724  # of a quasi-random sequence (Roberts)
+NOTHING = 1e-6  # parameters: a class that says less does not count
+
+
+def student_factor(d: np.ndarray, nu: np.ndarray) -> float:
+    """Return the factor on a covariance for which its 95 % region of chi^2 covers 95 %.
+
+    The squared error over the stated covariance is ``sum_c d_c F(d_c, nu_c)`` where class c has estimated its noise
+    with nu_c degrees of freedom, and says d_c of the d parameters; d F(d, nu) for one class.
+
+    `d`, `nu`: (C,), nu infinite where noise was given.
+    """
+    from scipy.special import chdtri, fdtri
+
+    total = float(d.sum())
+    unsure = np.isfinite(nu) & (d > NOTHING)
+    if not unsure.any() or total < NOTHING:
+        return 1.0
+    usual = float(chdtri(total, 0.05))
+    d, nu = d[d > NOTHING], np.maximum(nu[d > NOTHING], 0.5)
+    if len(d) == 1 or nu.min() > MANY:
+        share = d / total  # between the degrees of freedom with the right mean and those with the right variance
+        one = 1.0 / np.sqrt(float(np.sum(share / nu)) * float(np.sum(share**2 / nu)))
+        return total * float(fdtri(total, one, 0.95)) / usual
+    u = np.outer(np.arange(1, POINTS + 1), 1.0 / GOLDEN ** np.arange(1, len(d) + 1)) % 1.0
+    p = 1.0 / (1.0 + np.exp(-np.linspace(-12.0, 12.0, 97)))
+    parts = (size * fdtri(size, free, p) if np.isfinite(free) else chdtri(size, 1.0 - p) for size, free in zip(d, nu))
+    squares = sum(np.interp(one, p, part) for one, part in zip(u.T, parts))
+    return max(float(np.quantile(squares, 0.95)) / usual, 1.0)
 
 
 def solve(

@@ -20,12 +20,12 @@ import numpy as np
 
 from armlab._numbers import make_read_only
 from armlab.errors import NotConverged, NotExcited, ShapeError
+from armlab.estimation.linear_problem import student_factor
 from armlab.estimation.residual_tests import (
     ResidualCheck,
     Series,
     check_residuals,
     correlated_information,
-    student_factor,
 )
 from armlab.estimation.robust import majority_step
 from armlab.estimation.tsqr import triangle

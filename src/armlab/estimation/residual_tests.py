@@ -22,8 +22,6 @@ SHORTEST, TIMES_PER_DECADE = 0.3, 4  # correlation times, in samples
 REACH = 3.0  # longest correlation time, in records
 SHORTER = 0.4  # prior tau^-0.4 of correlation times: with REACH chosen by the coverage of 30 to 300 samples
 LIKELY = 1e-3  # of the likelihood below which a model does not count
-MANY = 30.0  # degrees of freedom from which classes are counted as one
-POINTS, GOLDEN = 4096, 1.32471795724  # of a quasi-random sequence (Roberts)
 AT_ONCE = 256  # samples whose filtered rows are held in memory
 
 
@@ -182,33 +180,6 @@ def _halves(series: Series) -> tuple[float, float]:
     rest = max(float(r @ r) - squares, np.finfo(float).tiny)
     F = squares / int(seen.sum()) / (rest / free)
     return F, float(fdtrc(int(seen.sum()), free, F))
-
-
-def student_factor(d: np.ndarray, nu: np.ndarray) -> float:
-    """Return the factor on a covariance for which its 95 % region of chi^2 covers 95 %.
-
-    The squared error over the stated covariance is ``sum_c d_c F(d_c, nu_c)`` where class c has estimated its noise
-    with nu_c degrees of freedom, and says d_c of the d parameters; d F(d, nu) for one class.
-
-    `d`, `nu`: (C,), nu infinite where noise was given.
-    """
-    from scipy.special import chdtri, fdtri
-
-    total = float(d.sum())
-    unsure = np.isfinite(nu) & (d > OPEN)
-    if not unsure.any() or total < OPEN:
-        return 1.0
-    usual = float(chdtri(total, 0.05))
-    d, nu = d[d > OPEN], np.maximum(nu[d > OPEN], 0.5)
-    if len(d) == 1 or nu.min() > MANY:
-        share = d / total  # between the degrees of freedom with the right mean and those with the right variance
-        one = 1.0 / np.sqrt(float(np.sum(share / nu)) * float(np.sum(share**2 / nu)))
-        return total * float(fdtri(total, one, 0.95)) / usual
-    u = np.outer(np.arange(1, POINTS + 1), 1.0 / GOLDEN ** np.arange(1, len(d) + 1)) % 1.0
-    p = 1.0 / (1.0 + np.exp(-np.linspace(-12.0, 12.0, 97)))
-    parts = (size * fdtri(size, free, p) if np.isfinite(free) else chdtri(size, 1.0 - p) for size, free in zip(d, nu))
-    squares = sum(np.interp(one, p, part) for one, part in zip(u.T, parts))
-    return max(float(np.quantile(squares, 0.95)) / usual, 1.0)
 
 
 def correlated_information(series: Series, which: Sequence[int]) -> np.ndarray:
