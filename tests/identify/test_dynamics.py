@@ -271,7 +271,7 @@ def test_joints_without_torque_are_left_out_of_the_model(truth, excited) -> None
 
 
 def test_gravity_of_other_poses_is_predicted(truth, gravity) -> None:
-    """As it is read, to 3.5 % of its deviation over random poses in the range of the log, 3 % were every gain known;
+    """As it is read, to 4 % of its deviation over random poses in the range of the log, 3 % were every gain known;
     offsets but for the asymmetry of friction."""
     model, robot = gravity.value, truth.robot
     rng = np.random.default_rng(0)
@@ -281,7 +281,7 @@ def test_gravity_of_other_poses_is_predicted(truth, gravity) -> None:
     found = model.gains * model.rigid_torque(q, still, still)
     heavy = np.std(expected, axis=0) > 0.1
     assert heavy.sum() >= 4
-    assert np.all((np.std(found - expected, axis=0) / np.std(expected, axis=0))[heavy] < 0.035)
+    assert np.all((np.std(found - expected, axis=0) / np.std(expected, axis=0))[heavy] < 0.04)
     offset = np.mean(found - expected, axis=0) + model.friction.offset - truth.friction.offset
     assert np.all(np.abs(offset) < 0.08 * truth.friction.coulomb_pos)
 
