@@ -40,7 +40,7 @@ def reading(monkeypatch, logs: dict[str, Table]) -> None:
 def test_it_prints_a_verdict_and_leaves_model_page_and_figure(reading, fitted, monkeypatch, tmp_path, command) -> None:
     """Everything that the command can leave, in one run; the fit itself is that of the other tests."""
 
-    def told(tables, robot, method, progress, force) -> Fit[TorqueModel]:
+    def told(tables, robot, method, progress, force, cutoff) -> Fit[TorqueModel]:
         assert (len(tables), robot.name, method, force) == (1, "yumi_left", "irls", False)
         progress(0, 5, "checking the log")
         return fitted

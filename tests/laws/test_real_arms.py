@@ -230,10 +230,8 @@ def test_tx40_wrist_is_in_the_model(tx40, tx40_model) -> None:
 def test_tx40_torque_of_the_motors_is_told(tx40) -> None:
     robot, table, currents = tx40
     motors = table.with_column("tau", currents)
-    with pytest.raises(ShapeError, match=r"joint_2 \(gear ratio 32\), joint_3 \(gear ratio 45\).*torque_to_joint"):
-        prepare(motors, robot)
-    with pytest.raises(ShapeError, match="Multiply it by the gear ratio"):
-        prepare(motors, replace(robot, coupling=np.eye(6)))
+    with pytest.raises(ShapeError, match="torque on the joint side in N m, got: joint 4: sign reversed"):
+        fit_dynamics(motors.between(0.1, 5.8), robot)
     angles = couplings.joint_to_motor(robot, table["q"] - TX40_ZERO)
     with pytest.raises(ShapeError, match=r"joint_1 \(67\.\d+, limit 3\.14: degrees or the motor's, gear ratio 32"):
         prepare(table.with_column("q", angles), robot)

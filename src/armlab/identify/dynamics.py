@@ -314,7 +314,12 @@ class FitSettings:
 
     def solve(self, design: Design, block: np.ndarray) -> LinearSolution:
         """Solve for the linear parameters; `block` (M,) is the block of time of each kept row."""
-        limits = {"lower": design.layout.lower, "prior": self._prior(design), "seed": self.seed}
+        limits = {
+            "lower": design.layout.lower,
+            "upper": design.layout.upper,
+            "prior": self._prior(design),
+            "seed": self.seed,
+        }
         return least_squares(design.stream(block), design.layout.heads, what=self.what, method=self.method, **limits)
 
     def _prior(self, design: Design) -> Prior | None:
@@ -452,7 +457,7 @@ def fold_models(
     model: TorqueModel, design: Design, sums: BlockSums, block: np.ndarray, length: int
 ) -> list[tuple[TorqueModel, np.ndarray]]:
     """Return, for each fifth of the stretches, the model fitted without them and a mask (N,) of their samples."""
-    folds = []
+    folds, block = [], np.minimum(block, len(sums.rows) - 1)  # no row is kept of the last where ends are left out
     for k in range(FIFTHS):
         kept = np.arange(len(sums.rows)) // length % FIFTHS != k
         theta = sums.solve(kept.astype(float))

@@ -199,7 +199,10 @@ def _solved(design: Design, sums: Sequence[LogSums]) -> tuple[LinearSolution, Bl
             ["covariance"],
             [f"{len(factors.rows)} stretches"],
         )
-    found = solve(LinearProblem.of(design.layout.heads, "torque model", lower=design.layout.lower), factors)
+    found = solve(
+        LinearProblem.of(design.layout.heads, "torque model", lower=design.layout.lower, upper=design.layout.upper),
+        factors,
+    )
     stretch = sum(one.weight for one in sums) / max(sum(one.inside for one in sums), 1)
     found = replace(found, stretch=stretch)
     return found, BlockSums.of(found)

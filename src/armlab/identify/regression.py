@@ -360,6 +360,13 @@ class ParameterLayout:
         return np.concatenate([self.base.lower, own, np.zeros(len(COUPLED) * len(self.motors))])
 
     @property
+    def upper(self) -> np.ndarray:
+        """Upper bounds of all parameters: that of the friction of the load, else inf."""
+        own = [_term(term).most for terms in self.terms for term in terms]
+        rest = np.full(len(COUPLED) * len(self.motors), np.inf)
+        return np.concatenate([np.full(len(self.base.names), np.inf), own, rest])
+
+    @property
     def slopes(self) -> np.ndarray:
         """Which parameters (p,) are steps of the logarithm of a number of the structure of friction."""
         own = [_term(term).column is None for terms in self.terms for term in terms]

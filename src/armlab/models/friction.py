@@ -35,7 +35,7 @@ class FrictionTerm(NamedTuple):
     """A parameter of the friction of one joint, as fits have it.
 
     `name`: in fits and reports. `fields`: of `Friction`. `unit`: with the {force} and {length} of the joint. `column`:
-    its regressor over velocity and sign; None where the torque is not linear in it. `least`: lower bound.
+    its regressor over velocity and sign; None where the torque is not linear in it. `least`, `most`: bounds.
     """
 
     name: str
@@ -43,6 +43,7 @@ class FrictionTerm(NamedTuple):
     unit: str
     column: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     least: float = -np.inf
+    most: float = np.inf
 
     def units(self, prismatic: bool) -> str:
         """Return the unit for a revolute or a prismatic joint."""
@@ -60,7 +61,7 @@ FRICTION_TERMS = {
         FrictionTerm("offset", ("offset",), "{force}", lambda qd, s: np.ones_like(s)),
         FrictionTerm("stribeck", ("stribeck",), "{force}", lambda qd, s: s),  # times exp(-(qd / stribeck-speed)^2)
         FrictionTerm("root", ("root",), "{force} sqrt(s/{length})", lambda qd, s: s * np.sqrt(np.abs(qd))),
-        FrictionTerm("load", ("load",), "1", lambda qd, s: s, 0.0),  # times the load |x|
+        FrictionTerm("load", ("load",), "1", lambda qd, s: s, 0.0, 0.5),  # times the load |x|
         FrictionTerm("delta", ("delta",), "{length}"),
         FrictionTerm("tanh-speed", ("smooth_speed",), "{length}/s"),
         FrictionTerm("stribeck-speed", ("stribeck_speed",), "{length}/s"),

@@ -103,7 +103,7 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
         )
         found.ahead.append("Check the log's torques, and that the model is of this arm with the tool that it has now.")
     found.bad += fit.doubts
-    found.bad += armlab.identify.extrapolation(model, table).warnings
+    found.ahead += armlab.identify.extrapolation(model, table).warnings
     found.ahead.append(
         "Use the model of the arm as it is; nothing is to be read from the centre."
         if mass < LEAST * sd
