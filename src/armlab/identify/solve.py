@@ -210,8 +210,8 @@ def solved(design: Design, trust: np.ndarray | None, method: str) -> LinearSolut
     """Solve for weighted rows; the smallest parameters where the log does not tell them."""
     rows = design.stream(np.zeros(len(design.rows), dtype=int), trust)
     plain = "ols" if method == "ols" else "wls"
-    limits = {"lower": design.layout.lower, "upper": design.layout.upper}
-    return least_squares(rows, design.layout.names, method=plain, max_condition=np.inf, **limits)
+    layout = design.layout
+    return least_squares(rows, layout.names, method=plain, lower=layout.lower, upper=layout.upper, max_condition=np.inf)
 
 
 BANDS = (12.0, 6.0)  # Hz, corners that are tried beside that of the design
