@@ -12,7 +12,7 @@ import pytest
 
 from armlab import identify
 from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Estimator, Wrench
-from armlab.errors import ConcurrentUse, NotExcited
+from armlab.errors import ConcurrentUse, NotExcited, ShapeError
 from armlab.kernels import presliding
 from armlab.lie import se3
 from armlab.log import Table
@@ -550,5 +550,10 @@ def test_of_an_arm_at_rest_a_tare_takes_friction_away_until_it_moves(truth, mode
     assert sigma[held].mean() < 0.7 * np.sqrt(plain["wrench_hat_cov"][held, 2, 2]).mean()
     with pytest.raises(NotExcited, match=r"at rest for at least 0\.5 s"):
         estimator.run(table, tare=0.1)
+    late = estimator.run(table, tare=slice(1300, 1500))
+    assert not np.any(late["wrench_flags"][t < 5.0] & TARED)
+    assert np.all(late["wrench_flags"][away] & TARED)
+    with pytest.raises(ShapeError, match="seconds of a tare"):
+        estimator.run(table, tare="one")  # type: ignore[arg-type]
     with pytest.raises(NotExcited, match="move"):
         estimator.run(table, tare=slice(1000, 1400))

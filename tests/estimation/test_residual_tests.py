@@ -92,8 +92,8 @@ def test_coverage_of_slow_noise(case, N) -> None:
 @pytest.mark.parametrize("N", [4, 5, 8])
 @pytest.mark.parametrize("case", [hand_eye, force])
 def test_coverage_of_few_samples(case, N) -> None:
-    """From 93 to 97 %, within two standard errors of 1500 runs."""
-    assert 0.917 <= covered(case, 1500, N, 0.0) <= 0.983
+    """From 93 to 97 %, at the lower end within two standard errors of 1500 runs."""
+    assert 0.919 <= covered(case, 1500, N, 0.0) <= 0.97
 
 
 def test_three_poses_cover_what_they_say() -> None:

@@ -35,7 +35,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import numbers
+from armlab._numbers import number, numbers
 from armlab.errors import ConcurrentUse, ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
 from armlab.log.units_check import check_known
@@ -153,7 +153,7 @@ STATIC = METHODS[: METHODS.index("observer")]  # in the order of the kernel's `W
 GAIN = 30.0  # 1/s, of the observer
 PARTS = 100  # of a log whose progress is reported
 TARE, MEMORY = 0.5, 0.1  # s: the shortest tare; errors further apart are independent
-STAYS = 0.5  # of the deviation at rest: friction that a tare does not take away (a Panda against a force sensor)
+STAYS = 0.5  # of the deviation at rest: with all of it, bands of a tared Panda were twice too wide
 
 
 class Estimator:
@@ -342,8 +342,8 @@ class Estimator:
         ----------
         table : log with columns q, qd, tau (N, n).
         tare : seconds from the beginning, or rows, in which the arm rests without contact. What the torques show there
-            is friction until a joint leaves its place by more than its presliding distance, and their deviation half
-            of what it was; these rows have the flag TARED.
+            is friction while no joint is away from its place by more than its presliding distance, and their deviation
+            half of what it was; these rows have the flag TARED.
         progress : called with (done, total, what), in rows.
 
         Raises
@@ -382,15 +382,16 @@ class Estimator:
         return table if interval is None else table.with_column("wrench_interval", interval)
 
     def _tared(self, table: Table, tare: float | slice, tell: Callable[[int, int, str], None] | None) -> Table:
-        """Return the estimates of `run`, tared until a joint leaves its place."""
+        """Return the estimates of `run`, tared while every joint is in its place."""
         plain = self.run(table, progress=tell)
         model, shift, rows = tared(self._model, self._robot, table, tare)
         rested = self._with(model).run(table.with_column("tau", table["tau"] + shift), progress=tell)
-        first = np.arange(len(table)) < rows
+        there = np.zeros(len(table), dtype=bool)
+        there[rows] = True
         rested = rested.with_column("wrench_flags", rested["wrench_flags"] | TARED)
         for name in rested.names:
             if name.startswith(("wrench_", "tau_", "observability")):
-                chosen = first.reshape(-1, *[1] * (rested[name].ndim - 1))
+                chosen = there.reshape(-1, *[1] * (rested[name].ndim - 1))
                 plain = plain.with_column(name, np.where(chosen, rested[name], plain[name]))
         return plain
 
@@ -442,9 +443,13 @@ class Estimator:
         self._thread = get_ident()
 
 
-def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -> tuple[TorqueModel, np.ndarray, int]:
-    """Return a model for an arm that rests where it was tared, what to add to its torques (n,), and how many rows."""
-    span = tare if isinstance(tare, slice) else slice(int(np.searchsorted(table.t, table.t[0] + tare)))
+def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -> tuple[TorqueModel, np.ndarray, slice]:
+    """Return a model for an arm that rests where it was tared, what to add to its torques (n,), and in which rows."""
+    if isinstance(tare, slice):
+        span = slice(*tare.indices(len(table))[:2])
+    else:
+        seconds = number(tare, "the seconds of a tare", ShapeError)
+        span = slice(0, int(np.searchsorted(table.t, table.t[0] + seconds)))
     free = replace(Friction.none(model.n), delta=model.friction.delta, resolution=model.friction.resolution)
     rested = replace(model, friction=free, friction_map=None, warm_up=None)  # it rests: all of it is one number
     error = Estimator(rested, robot).run(table)["tau_error"][span]
@@ -463,8 +468,9 @@ def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -
     spread = np.var(error, axis=0) * (1.0 + 1.0 / samples) * (samples - 1.0) / (samples - 3.0)  # as Student's t
     spread = np.maximum(spread, STAYS**2 * model.covariance.variance(np.zeros(model.n)))
     away = np.any(np.abs(table["q"] - np.median(q, axis=0)) > slack, axis=1)
-    away[: span.stop] = False
-    rows = int(np.argmax(away)) if away.any() else len(table)
+    before, after = np.flatnonzero(away[: span.start]), np.flatnonzero(away[span.stop :])
+    first = int(before[-1]) + 1 if len(before) else 0
+    rows = slice(first, span.stop + int(after[0]) if len(after) else len(table))
     momentum = model.momentum and replace(model.momentum, alpha2_kf=1.0, alpha2_observer=1.0)
     still = FrictionBound(np.zeros(model.n), model.bound.speed, 2.0 * np.sqrt(spread))
     covariance = velocity_covariance("const", spread, spread)
