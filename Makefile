@@ -2,6 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
+CORE := .venv/.armlab-core
 STAMP := .venv/.armlab-installed
 
 # Two tests at a time, as the smallest machine of today has two cores: one that waits for its robot costs the other
@@ -19,22 +20,38 @@ WAITING = $(filter $(patsubst %,tests/%/%,bridge examples faults interoperabilit
 # Of those that compute the longest come first: at the end both workers have something to do.
 LONGEST := tests/cli/test_demo.py tests/identify/test_dynamics.py tests/style/test_wheel.py
 
-.PHONY: help setup demo test slow waiting computing check docs bench atheris fuzz sanitize soak mutants house api wheel zig clean
+.PHONY: help setup demo test slow waiting computing check docs bench atheris fuzz sanitize soak mutants house api wheel wheels zig clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-9s %s\n", $$1, $$2}'
 
 NATIVE := $(wildcard $(addprefix native/,*/*.cpp */*.h */*/*.cpp */*/*.h))
-$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(NATIVE)
+NEEDED := pyproject.toml constraints.txt CMakeLists.txt $(NATIVE)
+
+# $(1): what of armlab. A line counts the compiled files meanwhile.
+define install
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	@echo "Installing armlab and what it needs into .venv (about two minutes the first time)."
+	@echo "Installing armlab$(1) into .venv: packages, then $(words $(filter %.cpp,$(NATIVE))) files to compile."
+	@begin=$$(date +%s); touch .venv/.begin; \
 	CMAKE_BUILD_PARALLEL_LEVEL=$$(getconf _NPROCESSORS_ONLN) PIP_CONSTRAINT=constraints.txt \
-	  $(PIP) install --quiet --editable ".[dev]"
-	@touch $@
+	  $(PIP) install --quiet --editable ".$(1)" & pip=$$!; trap 'kill $$pip' INT; \
+	while [ -t 1 ] && kill -0 $$pip 2>/dev/null; do \
+	  printf '\r%4d s, %3d files compiled ' $$(($$(date +%s) - begin)) \
+	    $$(find build -path '*_native*' -name '*.o' -newer .venv/.begin 2>/dev/null | wc -l); sleep 1; \
+	done; \
+	wait $$pip && echo "Installed in $$(($$(date +%s) - begin)) s."
+	@touch $(CORE) $@
+endef
+
+$(CORE): $(NEEDED)
+	$(call install)
+
+$(STAMP): $(NEEDED)
+	$(call install,[dev])
 
 setup: $(STAMP)  ## make .venv and install everything
 
-demo: $(STAMP)  ## simulated YuMi over EGM: excite, identify, estimate a hand's force
+demo: $(CORE)  ## simulated YuMi over EGM: excite, identify, estimate a hand's force
 	$(BIN)/armlab demo
 
 test: $(STAMP)  ## the default tests
@@ -110,17 +127,30 @@ api: $(STAMP)  ## list the public names anew, after a change that is meant
 	$(BIN)/python tests/style/test_public_api.py
 
 # Zig brings a C++ compiler that links against an old glibc, and a C++ library of its own: the wheel needs neither a
-# compiler nor a new Linux. It is for the version of Python in .venv.
+# compiler nor a new Linux. `wheel` is for the version of Python in .venv.
 WHEEL_OF ?= .
 WHEEL_TO ?= dist
 WHEEL_FLAGS ?= -O3 -DNDEBUG
-wheel: zig  ## a manylinux wheel in dist/, for machines without a compiler
-	rm -rf build/wheel && mkdir -p build/wheel
-	printf '#!/bin/sh\nexec "%s" -m ziglang c++ -target %s-linux-gnu.2.17 "$$@"\n' "$(CURDIR)/$(BIN)/python" "$$(uname -m)" > build/wheel/c++
-	chmod +x build/wheel/c++
-	CXX=$(CURDIR)/build/wheel/c++ CMAKE_BUILD_PARALLEL_LEVEL=$$(getconf _NPROCESSORS_ONLN) $(BIN)/python -m build --wheel --no-isolation \
-	  -C cmake.define.CMAKE_CXX_FLAGS_RELEASE="$(WHEEL_FLAGS)" -C build-dir=build/wheel/cmake --outdir build/wheel $(WHEEL_OF)
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m auditwheel repair --strip --wheel-dir $(WHEEL_TO) build/wheel/armlab-*.whl
+WHEEL_BUILD = rm -rf build/wheel/cmake build/wheel/*.whl && CXX=$(CURDIR)/build/wheel/c++ \
+  CMAKE_BUILD_PARALLEL_LEVEL=$$(getconf _NPROCESSORS_ONLN) PIP_CONSTRAINT=$(CURDIR)/constraints.txt
+WHEEL_OPTIONS = -C cmake.define.CMAKE_CXX_FLAGS_RELEASE="$(WHEEL_FLAGS)" -C build-dir=build/wheel/cmake $(WHEEL_OF)
+WHEEL_REPAIR = PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m auditwheel repair --strip --wheel-dir $(WHEEL_TO) build/wheel/armlab-*.whl
+wheel: build/wheel/c++  ## a manylinux wheel in dist/, for machines without a compiler
+	$(WHEEL_BUILD) $(BIN)/python -m build --wheel --no-isolation --outdir build/wheel $(WHEEL_OPTIONS)
+	$(WHEEL_REPAIR)
+
+PYTHONS ?= python3.11 python3.12 python3.13 python3.14
+wheels: build/wheel/c++  ## a wheel for each Python of PYTHONS that is installed; needs a network
+	@set -e; for python in $(PYTHONS); do \
+	  $$python -c "" 2>/dev/null || { echo "no wheel for $$python, which is not installed"; continue; }; \
+	  $(WHEEL_BUILD) $$python -m pip --disable-pip-version-check wheel --quiet --no-deps --wheel-dir build/wheel $(WHEEL_OPTIONS); \
+	  $(WHEEL_REPAIR); \
+	done
+
+build/wheel/c++: zig
+	mkdir -p build/wheel
+	printf '#!/bin/sh\nexec "%s" -m ziglang c++ -target %s-linux-gnu.2.17 "$$@"\n' "$(CURDIR)/$(BIN)/python" "$$(uname -m)" > $@
+	chmod +x $@
 
 zig: $(STAMP)
 	@$(BIN)/python -c "import ziglang, auditwheel" 2>/dev/null || \

@@ -79,8 +79,7 @@ def judge(said: dict[str, str], distribution: str, middleware: str) -> dict[str,
     missing = {name: f"no joint states: {said.get(name, '')[-200:]!r}" for name in q if len(q[name]) != 7}
     info, hz = said.get("info", ""), rate(said.get("hz", ""))
     wanted = ["Type: sensor_msgs/msg/JointState", "Publisher count: 1", "Reliability: RELIABLE", "Durability: VOLATILE"]
-    if middleware == "rmw_zenoh_cpp":  # over DDS the bridge tells neither its name nor hashes
-        wanted += ["Node name: armlab"] + ([HASH] if distribution != "humble" else [])
+    wanted += ["Node name: yumi_left"] + ([HASH] if distribution != "humble" else [])
     lacks = [words for words in wanted if words not in info]
 
     def turned(name: str, since: str) -> float:

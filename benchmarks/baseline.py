@@ -1,8 +1,8 @@
-"""The stored figures that a run is compared with: `baseline.json`, written by `--publish`.
+"""Stored figures for comparison with a run: `baseline.json`, written by `--publish`.
 
-Times of two machines are not compared: a ratio of armlab's time to that of a peer, measured in one run, nearly is the
-same on both, so ratios are. A benchmark without a peer is compared by its own figures: times on the same processor
-only, values of another unit, such as errors in N, on any.
+Times from two machines are not compared. Instead, ratios of armlab's time to that of a peer in the same run are
+compared, because they are nearly the same on both machines. A benchmark without a peer is compared by its own figures:
+times only on the same processor, values in other units (such as errors in N) on any processor.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from blocks import Figure
+from blocks import TIMES, Figure
 from report import Section
 
 PATH = Path(__file__).with_name("baseline.json")
-TIMES = ("µs", "ms", "s", "%")  # units of what the processor decides; a share is one of its time, or of its rows
+OF_THE_PROCESSOR = (*TIMES, "%")  # units; a share is one of its time, or of its rows
 LEAST = 1.1  # times: smaller changes are noise, whatever the quartiles say
 ONCE = 1.5  # the same of what was measured once, which has no quartiles
 
 
 class Change(NamedTuple):
-    """One figure beside the stored one: both values with their quartiles, and how many times larger it has become."""
+    """One figure and the stored figure: both values with quartiles, and their ratio."""
 
     table: str
     contender: str
@@ -33,19 +33,21 @@ class Change(NamedTuple):
 
     @property
     def times(self) -> float:
-        """Now over before: above 1 armlab has become slower, or its error larger."""
+        """New value divided by the old value; above 1, armlab has become slower or its error larger."""
         return self.now[0] / self.before[0]
 
     @property
     def is_clear(self) -> bool:
-        """Whether the ranges of quartiles lie apart and the change is more than noise."""
+        """Whether the quartile ranges are disjoint and the change exceeds the noise."""
         apart = self.now[1] > self.before[2] or self.now[2] < self.before[1]
         least = ONCE if any(one[1] == one[2] for one in (self.before, self.now)) else LEAST
         return apart and not 1 / least <= self.times <= least
 
 
 class Comparison(NamedTuple):
-    """A run beside the baseline: its machine line and date, what both have, and what only one has, by name."""
+    """Comparison of a run with the baseline: machine line, date, common figures, and names of figures in only one of
+    them.
+    """
 
     date: str
     machine: str
@@ -55,19 +57,19 @@ class Comparison(NamedTuple):
 
 
 def store(date: str, machine: str, sections: Sequence[Section]) -> None:
-    """Keep the figures of a whole run as the baseline."""
+    """Store the figures of a whole run as the baseline."""
     kept = {f"{table}: {name}": {kind: list(value)} for table, name, kind, value in _values(sections)}
     text = json.dumps({"date": date, "machine": machine, "figures": kept}, indent=1, ensure_ascii=False)
     PATH.write_text(text + "\n", encoding="utf-8")
 
 
 def compare(machine: str, sections: Sequence[Section], whole: bool) -> Comparison | None:
-    """Return a run beside the baseline, None when there is none.
+    """Return the comparison of a run with the baseline, or None if there is no baseline.
 
     Parameters
     ----------
     machine : the line of `machine.describe` that names the processor. whole : all benchmarks ran, so that a figure of
-        the baseline without its like is gone.
+        figures of the baseline without a counterpart are missing.
     """
     if not PATH.exists():
         return None
@@ -91,10 +93,10 @@ def render(comparison: Comparison | None) -> list[str]:
     lines = [
         "## Compared with the baseline",
         "",
-        f"Baseline: {comparison.date}, {comparison.machine} {len(changes)} figures are in both; {len(clear)} differ by "
-        f"more than a tenth with quartiles apart (by half, where it was measured once), "
-        f"{sum(one.times > 1 for one in clear)} of them for the worse. Ratios are compared, armlab's time over the "
-        "peer's, and values that are no times; times only on the same processor.",
+        f"Baseline: {comparison.date}, {comparison.machine} {len(changes)} common figures; {len(clear)} differ by "
+        f"more than a tenth with disjoint quartiles (by half if measured once), {sum(one.times > 1 for one in clear)} "
+        "of them for the worse. The comparison uses ratios (armlab's time / the peer's time) and values other than "
+        "times; times are compared only on the same processor.",
         "",
     ]
     if clear:
@@ -111,12 +113,12 @@ def render(comparison: Comparison | None) -> list[str]:
 
 
 def _values(sections: Sequence[Section]) -> Iterator[tuple[str, str, str, tuple[float, float, float]]]:
-    """Yield table, contender, kind and (median, quartiles) of what can be compared."""
+    """Yield the table, contender, kind and (median, quartiles) of comparable figures."""
     for section in sections:
         for table in section.tables:
             has_peer = any(figure.role == "peer" for figure in table.figures)
             for figure in table.figures:
-                value = _value(figure, has_peer, "time" if table.unit in TIMES else "value")
+                value = _value(figure, has_peer, "time" if table.unit in OF_THE_PROCESSOR else "value")
                 if value is not None and all(math.isfinite(one) and one > 0 for one in value[1]):
                     yield table.title, figure.name, *value
 

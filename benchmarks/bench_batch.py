@@ -1,4 +1,6 @@
-"""A million poses in one call, with and without Jacobians, into new and into used memory; what the machine allows."""
+"""A million poses in one call, with and without Jacobians, into new and reused memory, compared with the machine's
+limits.
+"""
 
 from __future__ import annotations
 
@@ -22,19 +24,19 @@ IN_CACHE = 500  # poses whose results, Jacobians too, stay in the second-level c
 REFERENCE_BLOCK = 1000  # where the reference kernel is fastest
 
 USED = """\
-Results go into memory in use. The bar counts the faster of two ways to write it in NumPy: quantities side by side in
-blocks that stay in cache, not the stacks of 4×4 matrices that one writes first.
+Results are written to reused memory. The target uses the faster of two NumPy implementations: a structure of arrays in
+blocks that fit into the cache, rather than the more obvious stacks of 4×4 matrices.
 """
 NEW = """\
-Results are new arrays. The system clears every page of them before it gives it away, which takes as long as to compute
-them, here and in NumPy; who needs so many poses again and again gives `out=`. The bar counts NumPy as one writes it.
+Results are new arrays. The operating system clears every new page, which takes as long as the computation, here and in
+NumPy. To compute this many poses repeatedly, pass `out=`. The target uses straightforward NumPy code.
 """
-WALL = "by the clock on the wall, and longer when others use the machine"
+WALL = "wall-clock time, longer if other processes use the machine"
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is computed of `q`, by each contender; `out` is memory in use for it."""
+    """Results computed from `q` by each contender; `out` is reused memory."""
 
     robot: Robot
     q: np.ndarray
@@ -101,7 +103,7 @@ def _poses_and_jacobians(robot: Robot, q: np.ndarray) -> Job:
 
 
 def _tables(job: Job, title: str, rounds: int) -> list[Table]:
-    """Return the table of results in memory in use, which the bar counts, and that of new results."""
+    """Return the table for results in reused memory, to which the target applies, and the table for new results."""
     text = f"{job.robot.name}, {job.robot.n} joints, one call; all agree to 1e-9. "
     return [
         table(title, text + _line(USED), "ms", _used(job), rounds),
@@ -136,18 +138,18 @@ def _new(job: Job) -> list[Contender]:
 
 
 def _few(job: Job, rounds: int) -> Table:
-    """Return the table of ten thousand poses, which a planner asks for at once."""
+    """Return the table for ten thousand poses, a typical batch for a planner."""
     new = once(partial(job.armlab, job.robot, job.q))
     contenders = [
-        Contender(f"armlab {job.call})", new, "armlab", bar=5e-3),
+        Contender(f"armlab {job.call})", new, "armlab"),
         Contender("NumPy, side by side", once(partial(job.fast, job.q))),
-        Contender("NumPy, stacked matrices", once(partial(job.plain, job.q))),
+        Contender("NumPy, stacked matrices", once(partial(job.plain, job.q)), bar=1 / 12, note="as one writes it"),
     ]
     return table("10,000 poses with Jacobians", f"{job.robot.name}, new arrays.", "ms", contenders, 4 * rounds)
 
 
 def _tenth(name: str, function: Callable[[np.ndarray], Any], q: np.ndarray, note: str = "") -> Contender:
-    """Return a contender that goes row by row or block by block: a tenth of the poses tells the time of all."""
+    """Return a contender that works by row or by block; its time is extrapolated from a tenth of the poses."""
     return Contender(name, once(partial(function, q[: len(q) // 10]), scale=10.0), note=f"{note}a tenth, times ten")
 
 
@@ -168,7 +170,7 @@ def _size(job: Job) -> str:
 
 
 def _compute(job: Job) -> list[Contender]:
-    """Return the limits of computing: the kernel without memory, and the arithmetic alone."""
+    """Return the limits of computation: the kernel without memory traffic, and the arithmetic alone."""
     calls = len(job.q) // IN_CACHE
     rows = list(job.q[: calls * IN_CACHE].reshape(calls, IN_CACHE, -1))
     out = tuple(array[:IN_CACHE] for array in job.out) if isinstance(job.out, tuple) else job.out[:IN_CACHE]
@@ -180,15 +182,15 @@ def _compute(job: Job) -> list[Contender]:
             "compute: the arithmetic alone",
             lambda: np.array([job.operations * len(job.q) * operation()]),
             "limit",
-            note=f"{job.operations} operations per pose at the rate of a product of matrices",
+            note=f"{job.operations} operations per pose at the rate of a matrix product",
         ),
     ]
 
 
 def _operations(n: int, with_jacobian: bool) -> int:
-    """Count additions and multiplications of one pose of an arm with right angles between its axes.
+    """Count the additions and multiplications for one pose of an arm with perpendicular axes.
 
-    Per joint: sine and cosine 37 (the angle, its reduction, two polynomials), turning two columns 18, two lengths 12;
-    the Jacobian takes a difference and a cross product, 12.
+    Per joint: 37 for sine and cosine (angle, reduction, two polynomials), 18 for rotating two columns, 12 for two
+    lengths, and 12 for the Jacobian (a difference and a cross product).
     """
     return n * (37 + 18 + 12 + (12 if with_jacobian else 0))

@@ -1,4 +1,4 @@
-"""The bridge of a cell: what its clients cost the loop, from the arrival of a packet to its reply."""
+"""Bridge of a cell: cost of its clients to the loop, measured from the arrival of a packet to its reply."""
 
 from __future__ import annotations
 
@@ -61,26 +61,27 @@ rows = 0
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure one run of a cell whose LabComm clients come and go in blocks, and the loop without servers."""
+    """Measure one run of a cell whose LabComm clients connect in blocks, and the loop without servers."""
     rounds = 8 if quick else 30
     busy, free = _bridge(rounds)
     alone = iter(np.array_split(_alone(3.0 if quick else 10.0), rounds))
     contenders = [
         Contender("ten idle clients and one that never reads", lambda: next(busy), "armlab"),
         Contender("no clients", lambda: next(free), bar=BAR, note="servers run"),
-        Contender("no servers", lambda: next(alone), note="the loop alone, in a run of its own"),
+        Contender("no servers", lambda: next(alone), note="the loop alone, in a separate run"),
     ]
     text = (
         f"Median time from the arrival of a packet to its reply, {ROBOT} simulated in real time at 250 Hz, by kernel "
-        f"stamps; the arm holds. In one run LabComm clients, on the ports of the arm and of the fused rows, come "
-        f"and go: blocks of {BLOCK:g} s with and without them alternate, and each is compared with the one beside it. "
-        "All but one client read what comes. Simulator, servers, clients and loop share the machine's cores."
+        "stamps; the arm holds. In one run, LabComm clients on the ports of the arm and of the fused rows connect and "
+        f"disconnect. Blocks of {BLOCK:g} s with and without clients alternate, and each is compared with its "
+        "neighbour. All but one client read every row. The simulator, servers, clients and loop share the machine's "
+        "cores."
     )
     return [table("Bridge: what clients cost the loop", text, "µs", contenders, rounds, warm=False)]
 
 
 def _bridge(rounds: int) -> tuple[Iterator[np.ndarray], Iterator[np.ndarray]]:
-    """Return the latencies of each block with clients and of each without, from one run."""
+    """Return the latencies of each block with clients and each block without clients from one run."""
     rng, began = np.random.default_rng(1), []
     order = [state for _ in range(rounds) for state in rng.permutation(["on", "off"])]
     with ExitStack() as opened:
@@ -123,6 +124,6 @@ def _alone(seconds: float) -> np.ndarray:
 
 
 def _latencies(run: bridge.Run) -> np.ndarray:
-    """Return seconds from arrival to reply, NaN where there was none."""
+    """Return the time [s] from arrival to reply; NaN without a reply."""
     seconds = 1e-9 * (run.table["send_ns"] - run.table["receive_ns"])
     return np.where(run.table["send_ns"] > 0, seconds, np.nan)

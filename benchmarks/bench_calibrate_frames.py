@@ -1,9 +1,10 @@
-"""Planes, lines, circles and spheres through points: error over the Cramér-Rao bound, honesty, time.
+"""Planes, lines, circles and spheres through points: error relative to the Cramér-Rao bound, calibration of the
+uncertainty, time.
 
-Case P1 of the specification: 20 points of a patch of 0.3 m by 0.2 m and of a rod of 0.3 m, turned and placed at
-random, with noise of 0.05 mm. Circles: two thirds of a turn of radius 0.2 m; spheres: half of one of 0.2 m. The bounds
-are those of the true points, so that each fit is held to what any unbiased fit could reach. Markers: four LEDs 0.1 m
-apart, 20 frames, a fifth of the points unseen, noise of 0.5 mm.
+Case P1 of the specification: 20 points on a patch of 0.3 m by 0.2 m or on a rod of 0.3 m, randomly oriented and placed,
+with 0.05 mm of noise. Circles: an arc of 240 degrees with radius 0.2 m. Spheres: a hemisphere with radius 0.2 m. The
+bounds are evaluated at the true points, so that each fit is compared with the best possible unbiased fit. Markers: four
+LEDs 0.1 m apart, 20 frames, a fifth of the points hidden, 0.5 mm of noise.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ LAWS = ("order-free", "gauge-free", "refuses", "saves", "explains", "clean")
 
 
 def run(quick: bool) -> list[Table]:
-    """Judge all four fits on many runs, then time them beside the decomposition alone."""
+    """Evaluate all four fits in many runs, then time them in comparison with the decomposition alone."""
     runs = 200 if quick else 1000
-    lines = [f"{runs} runs per seed, noise given; bar {BAR} on each part, NEES over its dimension 1."]
+    lines = [f"{runs} runs per seed, noise given; target {BAR} for each part, target 1 for NEES / dimension."]
     seeds, names = zip(*product(SEEDS, [*CASES, MARKERS]), strict=True)
     lines += on_all_cores(_line, seeds, names, repeat(runs))
     clouds = {name: [dict(_experiment(name, SEEDS[0], k, POINTS).data) for k in range(50)] for name in CASES}
@@ -55,7 +56,7 @@ def _line(seed: int, name: str, runs: int) -> str:
 
 
 def judged(name: str, seed: int, runs: int) -> Contract:
-    """Return the statistical half of the contract for one kind of feature."""
+    """Return the statistical part of the contract for one kind of feature."""
     fit, error, blocks = CASES[name]
     return check_estimator(
         fit,
@@ -65,12 +66,12 @@ def judged(name: str, seed: int, runs: int) -> Contract:
         error=error,
         blocks=blocks,
         spoil=_spoil,
-        skip=dict.fromkeys(LAWS, "a law, tested in tests/frames"),
+        skip=dict.fromkeys(LAWS, "an invariant, tested in tests/frames"),
     )
 
 
 def markers(seed: int, runs: int) -> str:
-    """Return errors of `marker_pose` over their bound, which is its covariance at the truth, and its NEES."""
+    """Return the errors of `marker_pose` relative to their bound (its covariance at the truth), and its NEES."""
     e2, bound, nees, exact = np.zeros(2), np.zeros(2), [], 0.0
     for run in range(runs):
         rng = np.random.default_rng([seed, run])
@@ -100,7 +101,7 @@ def markers(seed: int, runs: int) -> str:
 
 
 def _experiment(name: str, seed: int, run: int, n: int) -> Experiment:
-    """Return points of a feature, drawn as the specification says, with truth and bound."""
+    """Return points of a feature, drawn according to the specification, with truth and bound."""
     rng = np.random.default_rng([seed, run])
     q = rng.standard_normal(4)
     R, c = quaternion.to_matrix(q / np.linalg.norm(q)), rng.standard_normal(3)

@@ -1,4 +1,4 @@
-"""EGM: one cycle of the codec, and round trips of whole clients against the simulated controller."""
+"""EGM: one cycle of the codec, and round trips of complete clients with the simulated controller."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 ROBOT = "yumi_right"
 PACKETS = 500
-BAR = 12e-6  # seconds per cycle, seven axes, content of RobotWare 7
+BAR = 0.15  # of the peer's time
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure decode with encode, of `wire.egm.EgmCodec` and of ABBRobotEGM; then the clients, abb_robot_client too."""
+    """Measure decoding and encoding of `wire.egm.EgmCodec` and ABBRobotEGM, then the clients, including
+    abb_robot_client.
+    """
     robot = robots.load(ROBOT)
     standard, extended = _packets(robot, extension=False), _packets(robot, extension=True)
     plain, research = EgmCodec(robot), EgmCodec(robot, extension=True)
@@ -43,7 +45,7 @@ def run(quick: bool) -> list[Table]:
 
     reply = egm_pb2.EgmSensor.FromString(cycle(plain, standard[0]))
     contenders = [
-        Contender("armlab decode and encode", loop(lambda data: cycle(plain, data), standard), "armlab", BAR),
+        Contender("armlab decode and encode", loop(lambda data: cycle(plain, data), standard), "armlab"),
         Contender(
             "armlab, research extension both ways",
             loop(cycle_with_speed, extended),
@@ -51,15 +53,17 @@ def run(quick: bool) -> list[Table]:
             note=f"{len(extended[0])} bytes; with velocities and torques",
         ),
         Contender("armlab decode", loop(plain.decode, standard), "armlab"),
-        Contender("ABBRobotEGM decode and encode", loop(peer.cycle, standard), note="degrees and ABB's axis order"),
+        Contender("ABBRobotEGM decode and encode", loop(peer.cycle, standard), bar=BAR, note="in degrees, ABB's order"),
         Contender("ABBRobotEGM decode", loop(peer.decode, standard)),
-        Contender("protobuf alone", loop(protobuf_alone, standard), "limit", note="parse, and serialise a kept reply"),
+        Contender(
+            "protobuf alone", loop(protobuf_alone, standard), "limit", note="parse, and serialise a stored reply"
+        ),
     ]
     text = (
         f"A packet of {ROBOT} as RobotWare 7 sends it ({len(standard[0])} bytes) to SI values, and a joint reference "
-        f"back. Joints agree to {worst:.1g} rad. ABBRobotEGM without its socket calls. Not compared here: "
-        "abb_robot_client, which decodes only inside its socket calls and whose messages cannot be loaded beside "
-        "ABBRobotEGM's."
+        f"back. Joints agree to {worst:.1g} rad. ABBRobotEGM is measured without its socket calls. abb_robot_client "
+        "is not compared here, because it decodes only inside its socket calls and its messages cannot be loaded "
+        "together with those of ABBRobotEGM."
     )
     return [table("EGM codec, one cycle", text, "µs", contenders, 20 if quick else 100), *round_trips(quick)]
 
@@ -94,7 +98,7 @@ def _check(codec: EgmCodec, peer: _Peer, data: bytes) -> float:
 
 
 def _packets(robot: Robot, extension: bool) -> list[bytes]:
-    """Return packets with every field that RobotWare 7 fills, joints different in each."""
+    """Return packets with every field that RobotWare 7 fills and varying joints."""
     codec = RobotSideCodec(robot, "7", extension, force=True)
     rng = np.random.default_rng(5)
     rows = rng.uniform(robot.q_min, robot.q_max, (PACKETS, robot.n))

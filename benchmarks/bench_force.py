@@ -1,4 +1,4 @@
-"""How true the estimated force of a hand is; `accuracy.py` tells more of it, over more seeds."""
+"""Accuracy of the estimated contact force; `accuracy.py` covers more seeds."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ GAINS = {0.0: 1.0, 0.05: 1.5}  # unknown gain of each torque sensor, at most: ba
 
 
 def run(quick: bool) -> list[Table]:
-    """Identify and estimate with every method on logs of the simulated arm; no peer estimates from such logs."""
+    """Identify and estimate with every method on logs of the simulated arm; no peer supports such logs."""
     seeds = 1 if quick else 5
     text = (
-        f"{seeds} seeds of the protocol of *How true the forces are* on the simulated {ROBOT}: a model from 60 s of "
-        "motion, pushes of 5 N on another motion of 60 s; RMS of the error of the force while somebody pushes, of the "
-        "worst axis. A median is that of the seeds. The bars are the project's for `map`."
+        f"{seeds} seeds of the protocol of *Accuracy of the estimated force* on the simulated {ROBOT}: a model from "
+        "60 s of motion, and pushes of 5 N during another motion of 60 s. Values are the RMS force error of the worst "
+        "axis during pushes. Medians are over the seeds. The targets are those of the project for `map`."
     )
     tables = []
     for gains, bar in GAINS.items():
@@ -36,6 +36,6 @@ def run(quick: bool) -> list[Table]:
 
 
 def _rms(seed: int, gains: float) -> list[float]:
-    """Return the error of the worst axis by each method [N]."""
+    """Return the error of the worst axis for each method [N]."""
     logs = protocol.record(ROBOT, seed, gains)
     return [float(protocol.judge(logs, method).rms.max()) for method in METHODS]

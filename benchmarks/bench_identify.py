@@ -1,8 +1,9 @@
-"""Base parameters and friction of a 7-joint arm from a million samples, beside Pinocchio's regressor and FIGAROH.
+"""Base parameters and friction of a 7-joint arm from a million samples, compared with Pinocchio's regressor and
+FIGAROH.
 
-FIGAROH (1.0.2) makes its regressor with Pinocchio in a Python loop, finds base parameters by QR of the data, and
-solves ordinary least squares. It is not among the pinned peers, since it brings a viewer and an SDP modeller of its
-own; where it is installed it does the same job as armlab on the same samples, and where it is not the table says so.
+FIGAROH (1.0.2) builds its regressor with Pinocchio in a Python loop, finds the base parameters by a QR factorisation of
+the data, and solves ordinary least squares. It is not among the pinned peers, because it depends on a viewer and an SDP
+modeller. If it is installed, it does the same job as armlab on the same samples; otherwise the table says so.
 """
 
 from __future__ import annotations
@@ -15,20 +16,21 @@ from blocks import Contender, Table, agree, once, table
 from peers import Pinocchio
 
 from armlab import identify, robots
+from armlab.dynamics import BaseParameters, base_parameters
 from armlab.estimation import Rows, least_squares
 from armlab.identify.record import Record
-from armlab.identify.regression import BaseParameters, Design, base_parameters
+from armlab.identify.regression import Design
 from armlab.robots import Robot
 
 RATE = 250.0  # Hz
-BAR = 5.0  # s for a million samples: regressor, filter and weighted least squares
+BAR = 1.0  # of the regressor alone in a loop: regressor, filter and weighted least squares
 FEW = 20_000  # samples of the loop, scaled up
 SAME = 5_000  # samples of the job that FIGAROH does too; its regressor is dense
 BLOCK = 1000  # samples of armlab's regressor at once
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure the whole way from positions to parameters with covariance, in blocks."""
+    """Measure the complete identification, from positions to parameters with covariance, in blocks."""
     robot = robots.load("yumi_left")
     samples = 100_000 if quick else 1_000_000
     data, few = _record(robot, samples), _record(robot, FEW)
@@ -38,16 +40,16 @@ def run(quick: bool) -> list[Table]:
     worst = agree("regressor", ours, pin.computeJointTorqueRegressor(peer.model, peer.data, q, qd, qdd), 1e-9)
     scale = 1e6 / samples
     contenders = [
-        Contender("armlab: regressor, filter, WLS", once(lambda: _fit(data, robot, base), scale), "armlab", BAR),
-        Contender("Pinocchio regressor in a loop, stored", once(lambda: _loop(peer, few), 1e6 / FEW),
-                  note="the regressor alone, neither filter nor solution"),
+        Contender("armlab: regressor, filter, WLS", once(lambda: _fit(data, robot, base), scale), "armlab"),
+        Contender("Pinocchio regressor in a loop, stored", once(lambda: _loop(peer, few), 1e6 / FEW), bar=BAR,
+                  note="only the regressor, without filter or solution"),
     ]  # fmt: skip
     found = table("Identification", "", "s", contenders, 1 if quick else 3)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     text = (
-        f"1e6 samples of 7 joints at {RATE:g} Hz to {len(base.names)} base parameters and 5 or more of friction per "
-        f"joint. Regressors agree to {worst:.1g}. Peak memory of the process with {samples:.0e} samples: {peak:.2f} GB "
-        "(bar for 1e6: 2)."
+        f"1e6 samples of 7 joints at {RATE:g} Hz to {len(base.names)} base parameters and at least 5 friction "
+        f"parameters per joint. Regressors agree to {worst:.1g}. Peak memory of the process with {samples:.0e} "
+        f"samples: {peak:.2f} GB (target for 1e6: 2)."
     )
     return [
         Table(found.title, text, found.unit, found.figures, found.rounds),
@@ -56,19 +58,24 @@ def run(quick: bool) -> list[Table]:
 
 
 def _beside_figaroh(robot: Robot, rounds: int) -> Table:
-    """Return both ways from positions to base parameters, viscous and Coulomb friction, rotors and offsets by OLS."""
+    """Return both OLS identifications of base parameters, viscous and Coulomb friction, rotors and offsets from
+    positions.
+    """
     data, base = _record(robot, SAME), base_parameters(robot)
     qdd = data.differentiate(data.qd)
     contenders = [
         Contender("armlab: regressor, OLS", once(lambda: _plain(data, qdd, robot, base), 1e6 / SAME), "armlab")
     ]
-    text = f"Scaled up from {SAME} samples to 1e6. Viscous and Coulomb friction, rotor and offset of each joint."
+    text = (
+        f"Scaled up from {SAME} samples to 1e6. Parameters: viscous and Coulomb friction, rotor and offset of each "
+        "joint."
+    )
     try:
         from figaroh.tools.qrdecomposition import QRDecomposer
         from figaroh.tools.regressor import RegressorBuilder, RegressorConfig
     except ImportError as error:
         found = table("Identification beside FIGAROH", "", "s", contenders, rounds)
-        return Table(found.title, f"{text} FIGAROH left out: {error}.", found.unit, found.figures, found.rounds)
+        return Table(found.title, f"{text} FIGAROH omitted: {error}.", found.unit, found.figures, found.rounds)
     peer = Pinocchio(robot, np.ones((robot.n, 10)))
     config = RegressorConfig(has_friction=True, has_actuator_inertia=True, has_joint_offset=True)
     active = {"act_idxv": list(range(robot.n))}
@@ -84,12 +91,12 @@ def _beside_figaroh(robot: Robot, rounds: int) -> Table:
     worst = agree("fitted torque", ours, theirs(), 1e-6)
     contenders.append(Contender("FIGAROH: regressor, QR, OLS", once(theirs, 1e6 / SAME), bar=1.0))
     found = table("Identification beside FIGAROH", "", "s", contenders, rounds)
-    text += f" Torques of the two fits agree to {worst:.1g} N m. FIGAROH holds the dense regressor."
+    text += f" Torques of the two fits agree to {worst:.1g} N m. FIGAROH stores the dense regressor."
     return Table(found.title, text, found.unit, found.figures, found.rounds)
 
 
 def _plain(data: Record, qdd: np.ndarray, robot: Robot, base: BaseParameters) -> np.ndarray:
-    """Return the parameters of ordinary least squares without filter."""
+    """Return the ordinary least-squares parameters without a filter."""
     block = np.arange(len(data.t)) // BLOCK
     parts = [slice(a, a + BLOCK) for a in range(0, len(data.t), BLOCK)]
     made = ((_columns(data, qdd, robot, base, part), part) for part in parts)
@@ -109,7 +116,7 @@ def _columns(data: Record, qdd: np.ndarray, robot: Robot, base: BaseParameters, 
 
 
 def _record(robot: Robot, samples: int) -> Record:
-    """Return an excitation, repeated, with torques of noise: the cost does not depend on them."""
+    """Return a repeated excitation with noise as torques, which do not affect the cost."""
     t = np.arange(samples) / RATE
     motion = identify.design_excitation(robot, seconds=60, seed=0)
     q, qd, _ = motion.sample(t % 60.0)

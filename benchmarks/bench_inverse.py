@@ -1,4 +1,4 @@
-"""Inverse kinematics: random reachable poses without a start, and a path from the previous posture."""
+"""Inverse kinematics of random reachable poses without an initial guess, and along a path from the previous posture."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PART_OF_CLIK = 20  # the loop in Python solves every twentieth pose
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure `kinematics.inverse` beside robotics-toolbox's ik_LM and a loop in Python with Pinocchio."""
+    """Compare `kinematics.inverse` with robotics-toolbox's ik_LM and a Python loop with Pinocchio."""
     poses, rounds = (1000, 2) if quick else (10_000, 3)
     return [*(_random_poses(robots.load(name), poses, rounds) for name in ROBOTS), _path(rounds)]
 
@@ -45,18 +45,16 @@ def _random_poses(robot: Robot, count: int, rounds: int) -> Table:
         return loop(lambda goal: ours(goal).q, T)
 
     contenders = [
-        way("armlab inverse(robot, T), one by one", one_by_one, count, "armlab", bar=1e-3),
+        way("armlab inverse(robot, T), one by one", one_by_one, count, "armlab"),
         way("armlab inverse(robot, T), all at once", lambda: ours(T), count, "armlab"),
         way(
             "robotics-toolbox",
             lambda: loop(toolbox, T),
             count,
             bar=0.25,
-            note=f"compiled ik_LM (Chan), tol=5e-13 of the squared error, slimit={STARTS}, inside the limits",
+            note=f"compiled ik_LM (Chan), tol=5e-13 of the squared error, slimit={STARTS}, within the limits",
         ),
-        way(
-            "Pinocchio", lambda: loop(clik, some), len(some), bar=0.1, note=f"loop in Python, {len(some)} of the poses"
-        ),
+        way("Pinocchio", lambda: loop(clik, some), len(some), bar=0.1, note=f"Python loop, {len(some)} of the poses"),
     ]
     theirs = loop(toolbox, T)
     told = [
@@ -65,14 +63,15 @@ def _random_poses(robot: Robot, count: int, rounds: int) -> Table:
         f"Pinocchio {_success(robot, loop(clik, some), some, TOLERANCE)}",
     ]
     text = (
-        f"{robot.name}, {robot.n} joints, {count} poses of postures uniform inside the limits; no start is given, each "
-        f"takes up to {STARTS}. Solved to 1e-9 m and 1e-9 rad inside the limits: {'; '.join(told)}."
+        f"{robot.name}, {robot.n} joints, {count} poses from uniformly distributed postures within the limits. No "
+        f"initial guess is given; each solver may use up to {STARTS}. Solved to 1e-9 m and 1e-9 rad within the "
+        f"limits: {'; '.join(told)}."
     )
     return table(f"Inverse kinematics, {robot.name}", text, "µs", contenders, rounds, warm=False)  # they were just run
 
 
 def _success(robot: Robot, q: np.ndarray, T: np.ndarray, tolerance: float) -> str:
-    """Return the part that reaches its goal inside the limits, judged by forward kinematics."""
+    """Return the fraction that reaches its goal within the limits, checked by forward kinematics."""
     found = kinematics.forward(robot, q)
     position = np.linalg.norm(found[:, :3, 3] - T[:, :3, 3], axis=1)
     rotation = so3.angle(found[:, :3, :3], T[:, :3, :3])
@@ -82,7 +81,7 @@ def _success(robot: Robot, q: np.ndarray, T: np.ndarray, tolerance: float) -> st
 
 
 def _path(rounds: int) -> Table:
-    """A path of the YuMi's tool sampled every 4 ms, each pose from the posture of the one before."""
+    """Path of the YuMi's tool sampled every 4 ms, with each pose solved from the previous posture."""
     robot = robots.load("yumi_left")
     s = np.linspace(0.0, 2.0 * np.pi, 1000)[:, None]
     amplitude = np.array([0.4, 0.3, 0.4, 0.3, 0.5, 0.3, 0.6])
@@ -104,16 +103,16 @@ def _path(rounds: int) -> Table:
 
     ours = follow(lambda goal, q: kinematics.inverse(robot, goal, q).q)
     theirs = follow(toolbox)
-    path = partial(kinematics.inverse_path, robot, T, q_home)
+    path, peer = partial(kinematics.inverse_path, robot, T, q_home), "robotics-toolbox"
     contenders = [
-        Contender("armlab inverse_path(robot, T, q)", once(path, 1.0 / len(T)), "armlab", bar=20e-6),
-        Contender("armlab inverse(robot, T, q)", once(ours, 1.0 / len(T)), "armlab", bar=20e-6, note="pose by pose"),
-        Contender("robotics-toolbox", once(theirs, 1.0 / len(T)), note="compiled ik_LM (Chan), tol=5e-13, q0 the last"),
+        Contender("armlab inverse_path(robot, T, q)", once(path, 1.0 / len(T)), "armlab", 0.2, over=peer),
+        Contender("armlab inverse(robot, T, q)", once(ours, 1.0 / len(T)), "armlab", 0.75, "pose by pose", peer),
+        Contender(peer, once(theirs, 1.0 / len(T)), note="compiled ik_LM (Chan), tol=5e-13, q0 from the last pose"),
     ]
     jump = np.abs(np.diff(path().q, axis=0)).max()
     text = (
-        f"yumi_left, {len(T)} poses 4 ms apart, each from the posture of the one before. Solved to 1e-9 m and 1e-9 "
-        f"rad: armlab {_success(robot, path().q, T, TOLERANCE)}, no joint moving more than {jump:.2g} rad at a time; "
-        f"robotics-toolbox {_success(robot, theirs(), T, TOLERANCE)}."
+        f"yumi_left, {len(T)} poses 4 ms apart, each solved from the previous posture. Solved to 1e-9 m and 1e-9 "
+        f"rad: armlab {_success(robot, path().q, T, TOLERANCE)}, with no joint moving more than {jump:.2g} rad per "
+        f"step; robotics-toolbox {_success(robot, theirs(), T, TOLERANCE)}."
     )
     return table("Inverse kinematics along a path", text, "µs", contenders, 3 * rounds)

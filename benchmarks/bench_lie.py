@@ -1,4 +1,4 @@
-"""Rotations and poses: exponential, logarithm, quaternions, three angles; one at a time and a million in one call."""
+"""Rotations and poses: exponential, logarithm, quaternions and Euler angles, singly and a million per call."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SAME = 1e-6  # pytransform3d's logarithm of poses near a half turn is no better
 
 @dataclass(frozen=True)
 class Job:
-    """One function in the terms of everybody; what comes and goes is in armlab's order, [v; w] and wxyz."""
+    """One function as implemented by all contenders; inputs and outputs are in armlab's order, [v; w] and wxyz."""
 
     name: str
     argument: np.ndarray
@@ -34,7 +34,7 @@ class Job:
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure `lie` beside SciPy, pytransform3d, and Pinocchio where it has the function."""
+    """Compare `lie` with SciPy, pytransform3d and, where it has the function, Pinocchio."""
     jobs = _jobs(100_000 if quick else 1_000_000)
     rounds = (20, 3) if quick else (50, 3)
     return [_one(job, rounds[0]) for job in jobs] + [_many(job, rounds[1]) for job in jobs]
@@ -126,7 +126,7 @@ def _compact(axis_angle: np.ndarray) -> np.ndarray:
 def _one(job: Job, rounds: int) -> Table:
     items = [job.argument[k].copy() for k in range(SINGLE)]
     ways = [
-        ("SciPy", job.scipy, "Rotation or RigidTransform, of one"),
+        ("SciPy", job.scipy, "Rotation or RigidTransform of a single element"),
         ("pytransform3d", job.single, ""),
         *([("Pinocchio", job.pinocchio, "")] if job.pinocchio else []),
     ]
@@ -134,9 +134,9 @@ def _one(job: Job, rounds: int) -> Table:
     contenders = [
         Contender(f"armlab {job.name}", loop(job.ours, items), "armlab"),
         *(Contender(name, loop(way, items), note=note) for name, way, note in ways),
-        Contender("an empty 4×4 array from a Python function", loop(_empty, items), "limit"),
+        Contender("a Python function that returns an empty 4×4 array", loop(_empty, items), "limit"),
     ]
-    return table(f"One {job.name}", f"Checked as by default. All agree to {worst:.1g}.", "µs", contenders, rounds)
+    return table(f"One {job.name}", f"With the default checks. All agree to {worst:.1g}.", "µs", contenders, rounds)
 
 
 def _many(job: Job, rounds: int) -> Table:
@@ -149,9 +149,9 @@ def _many(job: Job, rounds: int) -> Table:
         Contender("armlab with out=", once(partial(job.ours, values, out)), "armlab"),
         Contender("SciPy", once(partial(job.scipy, values))),
         *([Contender("pytransform3d", once(partial(job.batch, values)), note="for batches")] if job.batch else []),
-        Contender("copying as many numbers", once(partial(np.copyto, out, np.ones_like(out))), "limit"),
+        Contender("copying the same amount of data", once(partial(np.copyto, out, np.ones_like(out))), "limit"),
     ]
-    text = f"{len(values):,} in one call, checked as by default. All agree to {worst:.1g}."
+    text = f"{len(values):,} in one call, with the default checks. All agree to {worst:.1g}."
     return table(f"{len(values):,} {job.name}", text, "ms", contenders, rounds)
 
 

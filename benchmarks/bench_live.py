@@ -1,4 +1,4 @@
-"""The view of a bridge that runs: what it costs, how far the picture is behind, and what the loop notices of it."""
+"""View of a running bridge: its cost, the delay of the picture, and its effect on the loop."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ from armlab.state import Command, State
 
 ROBOTS = ("yumi_left", "yumi_right")
 BROWSERS = (None, 0, 1, 4)  # None: no view either
-CPU = 0.12  # s of one core per second, with one browser
-BEHIND = 0.5  # s
+CPU, BEHIND = 2.0, 3.0  # of one browser: processor time and delay with four
 LONGEST = 120.0  # s of a run
 SETTLE = 3.0  # s after the browsers have come that do not count: the scene is sent once
 BROWSER = """
@@ -57,7 +56,7 @@ CELL = "\n".join(f'[[robots]]\nname = "{name}"\nlink = "sim://{name}"' for name 
 
 
 class Found(NamedTuple):
-    """One run: processor time of the view per second, how far each picture was behind [s], latencies, ticks missed."""
+    """One run: processor time of the view per second, delay of each picture [s], latencies, missed ticks."""
 
     cpu: float
     behind: np.ndarray
@@ -67,28 +66,29 @@ class Found(NamedTuple):
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure runs without a view, and with one that no browser, one and four look at."""
+    """Measure runs without a view, and with a view in zero, one and four browsers."""
     rounds, seconds = (1, 4.0) if quick else (2, 5.0)
     runs: dict[int | None, list[Found]] = {count: [] for count in BROWSERS}
     for _ in range(rounds):
         for count, found in runs.items():
             found.append(_run(count, seconds))
     text = (
-        "Two arms simulated in real time at 250 Hz; their controller sways both and gives a wrench with its "
-        "covariance. 30 pictures a second, ten of the curves. Browsers are programs that take and unpack all that a "
-        "browser is sent and draw nothing, so that the drawing does not take the cores of the loop. Simulator, loop, "
-        f"view and browsers share the machine. {seconds:g} s a run."
+        "Two arms simulated in real time at 250 Hz; their controller sways both and returns a wrench with its "
+        "covariance. There are 30 pictures and ten curve updates per second. The browsers are programs that receive "
+        "and unpack all data but draw nothing, so that drawing does not take cores from the loop. The simulator, "
+        f"loop, view and browsers share the machine. {seconds:g} s per run."
     )
 
     def contender(count: int | None, field: str, bar: float | None = None) -> Contender:
         values = iter([np.atleast_1d(getattr(one, field)) for one in runs[count]])
         missed, ticks = (sum(getattr(one, what) for one in runs[count]) for what in ("missed", "ticks"))
-        return Contender(_name(count), lambda: next(values), "armlab", bar, f"{missed} of {ticks} ticks missed")
+        note, over = f"{missed} of {ticks} ticks missed", "" if bar is None else _name(1)
+        return Contender(_name(count), lambda: next(values), "armlab", bar, note, over)
 
     shown = [count for count in BROWSERS if count is not None]
-    cpu = [contender(count, "cpu", CPU if count == 1 else None) for count in shown]
-    behind = [contender(count, "behind", BEHIND) for count in shown if count]
-    worst = "The worst picture of a run: from the packet of the robot to the browser."
+    cpu = [contender(count, "cpu", CPU if count == 4 else None) for count in shown]
+    behind = [contender(count, "behind", BEHIND if count == 4 else None) for count in shown if count]
+    worst = "Worst delay in a run, from the robot packet to the browser."
     loop = [contender(count, "latency") for count in BROWSERS]
     behind_title, loop_title = "Live view: how far the picture is behind", "Live view: from packet to reply of the loop"
     return [
@@ -152,7 +152,7 @@ def _run(count: int | None, seconds: float) -> Found:
 
 
 def _look(opened: ExitStack, count: int | None, seconds: float) -> dict[str, Any]:
-    """Start a view and browsers, and return what the view cost and what the browsers saw."""
+    """Start a view and browsers; return the cost of the view and the data received by the browsers."""
     if count is None:
         time.sleep(SETTLE + seconds)
         return {}
@@ -182,9 +182,9 @@ def _seconds(process: int) -> float:
 
 
 def _behind(seen: np.ndarray, rows: Any) -> np.ndarray:
-    """Return by how much each picture of the force at the tool came after the packet that it shows [s].
+    """Return the delay [s] of each picture of the force at the tool after the packet that it shows.
 
-    Measured positions have noise, so that each is found among the packets before.
+    Measured positions are noisy, so each one can be matched to an earlier packet.
     """
     came = 1e-9 * rows["receive_ns"]
     tool = forward(robots.load(ROBOTS[0]), np.ascontiguousarray(rows["q"]))[:, :3, 3]

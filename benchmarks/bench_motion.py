@@ -1,7 +1,8 @@
-"""Movement primitives beside movement_primitives: fit, rollout, one step, and a thousand runs at once.
+"""Movement primitives compared with movement_primitives: fit, rollout, one step, and a thousand runs at once.
 
-Seven coordinates, 1000 samples, 50 kernels, both through their public API. The peer has no batch: its runs are a loop,
-of which one is timed. Its derivatives and its phase are others, so that motions are held to the demonstration.
+Seven coordinates, 1000 samples and 50 kernels; both are called through their public API. The peer has no batch
+function, so its runs are a loop, one pass of which is timed. Its derivatives and phase differ, so the motions are
+compared with the demonstration.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def run(quick: bool) -> list[Table]:
     return [
         table(
             "Movement primitives: fit to accelerations",
-            f"{text} Covariance and excitation are made too.",
+            f"{text} Covariance and excitation are also computed.",
             "ms",
             [
                 Contender("armlab fit_dmp(method='acceleration')", _fit(t, y, method="acceleration"), "armlab"),
@@ -41,7 +42,7 @@ def run(quick: bool) -> list[Table]:
         ),
         table(
             "Movement primitives: fit to the trajectory",
-            f"{text} This peer fits accelerations only; mp_pytorch is in motion_batch.",
+            f"{text} This peer fits only accelerations; mp_pytorch is measured in motion_batch.",
             "ms",
             [
                 Contender("armlab fit_dmp", _fit(t, y), "armlab"),
@@ -94,7 +95,7 @@ def _steps(ours: Dmp, theirs: DMP, y: np.ndarray) -> list[Contender]:
         state[:] = theirs.step(*state)
 
     return [
-        Contender("armlab Stepper.step(dt)", loop(stepper.step, list(dt)), "armlab", 2e-6),
+        Contender("armlab Stepper.step(dt)", loop(stepper.step, list(dt)), "armlab"),
         Contender("movement_primitives step", loop(step, list(dt)), bar=1 / 12),
     ]
 
@@ -142,7 +143,7 @@ def _batches(ours: Dmp, theirs: DMP, t: np.ndarray) -> list[Contender]:
         Contender(
             "armlab rollout_batch(weights)",
             once(lambda: ours.rollout_batch(t, weights=weights)),
-            note="each with weights of its own",
+            note="each with its own weights",
         ),
         Contender("movement_primitives open_loop, 1000 of them", once(theirs.open_loop, scale=RUNS), bar=1 / 150),
     ]

@@ -1,7 +1,7 @@
-"""A thousand movement primitives at once, and a fit to the trajectory, beside mp_pytorch where that is installed.
+"""A thousand movement primitives at once, and a fit to the trajectory, compared with mp_pytorch if it is installed.
 
-Seven coordinates, 1000 samples, 50 kernels. The equation is the same, with the same kernels, weights, starts and goals,
-so that each is held to its exact solution. The peer gives positions and velocities, armlab accelerations as well.
+Seven coordinates, 1000 samples, 50 kernels. The equation, kernels, weights, starts and goals are the same, so both are
+compared with the exact solution. The peer returns positions and velocities; armlab also returns accelerations.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ RUNS, CHECKED = 1000, 5  # CHECKED of the runs are held to the exact solution
 FACTOR = 1 / 0.8**2  # of mp_pytorch: widths of armlab's rule
 SIZE = f"{JOINTS} coordinates x {N} samples, {KERNELS} kernels."
 KINDS = {"dmp": "DMP", "prodmp": "ProDMP"}
-ALONE = "alone: mp_pytorch is not installed here, see benchmarks/requirements_heavy.txt"
+ALONE = "without a peer: mp_pytorch is not installed, see benchmarks/requirements_heavy.txt"
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure `Dmp.rollout_batch` with weights of each run's own, and `fit_dmp`."""
+    """Measure `Dmp.rollout_batch` with separate weights per run, and `fit_dmp`."""
     t, y = demonstration()
     dmp = fit_dmp(t, y, convention="ijspeert").value
     peers = _Peers(dmp) if find_spec("mp_pytorch") else None
@@ -34,7 +34,7 @@ def run(quick: bool) -> list[Table]:
 
 
 def _batches(peers: _Peers | None, t: np.ndarray, dmp: Dmp, rounds: int) -> list[Table]:
-    """Return a table per peer: a ProDMP takes gigabytes, and armlab would wait for pages that it has just left."""
+    """Return one table per peer, because a ProDMP takes gigabytes and would slow down armlab's memory allocation."""
     weights = dmp.weights * (1.0 + 0.1 * np.random.default_rng(2).normal(size=(RUNS, KERNELS, JOINTS)))
     exact = np.stack([replace(dmp, weights=own).solve(t).y for own in weights[:CHECKED]], axis=1)
     error = rmse(dmp.rollout_batch(t, weights=weights).y[:, :CHECKED], exact)
@@ -47,7 +47,7 @@ def _batches(peers: _Peers | None, t: np.ndarray, dmp: Dmp, rounds: int) -> list
             contenders.append(Contender(f"mp_pytorch {name}", once(roll)))
         if not max(errors.values()) < 1e-2:
             raise Disagreement(f"Expected motions within 1e-2 of the exact solution, got {errors}.")
-        text = f"{RUNS} runs with weights of their own. {SIZE} RMSE from the exact solution: {_told(errors)}."
+        text = f"{RUNS} runs with separate weights. {SIZE} RMSE from the exact solution: {_told(errors)}."
         fewer = rounds if kind != "prodmp" else min(rounds, 5)
         tables.append(table(f"Movement primitives: many motions, {kind}", text, "ms", contenders, fewer))
     return tables
@@ -69,7 +69,7 @@ def _told(errors: dict[str, float]) -> str:
 
 
 class _Peers:
-    """DMP (Euler's method) and ProDMP (integrals of its kernels, made before) of mp_pytorch, one thread."""
+    """DMP (Euler's method) and ProDMP (precomputed integrals of its kernels) of mp_pytorch in one thread."""
 
     def __init__(self, dmp: Dmp) -> None:
         import torch
@@ -95,7 +95,7 @@ class _Peers:
     def rollouts(
         self, kind: str, t: np.ndarray, dmp: Dmp, weights: np.ndarray
     ) -> Iterator[tuple[str, Callable[[], Any]]]:
-        """Yield names and functions that give positions and velocities; one clock for all runs is its fastest way."""
+        """Yield names and functions that return positions and velocities; a common clock for all runs is fastest."""
         goals = np.broadcast_to(dmp.g, (RUNS, JOINTS))[:, :, None]
         wanted = np.concatenate([np.swapaxes(weights, 1, 2), goals], axis=2).reshape(RUNS, -1)
         starts = [np.zeros(RUNS), *(np.broadcast_to(part, (RUNS, JOINTS)) for part in (dmp.y0, dmp.v0))]
@@ -104,7 +104,7 @@ class _Peers:
             yield f"{KINDS[kind]}, {bits} bits", _rolling(self._mp(kind, dmp, f"float{bits}"), given)
 
     def fit(self, t: np.ndarray, y: np.ndarray) -> tuple[Callable[[], Any], np.ndarray]:
-        """Return what fits a ProDMP in double precision, and the motion of the one it finds."""
+        """Return the function that fits a ProDMP in double precision, and the motion of the fitted ProDMP."""
         times, shown = self._torch.tensor(t), self._torch.tensor(y)
         mp = self._make("prodmp", self._settings, JOINTS, tau=float(t[-1]), dtype=self._torch.float64)
         mp.learn_mp_params_from_trajs(times, shown)

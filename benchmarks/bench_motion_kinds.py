@@ -1,6 +1,7 @@
-"""Distributions, rhythms, obstacles and goals that move, beside movement_primitives where it has them.
+"""Distributions, rhythmic motions, obstacles and moving goals, compared with movement_primitives where it supports
+them.
 
-The peer's ProMP builds square matrices of all samples of all coordinates, so that demonstrations are short here.
+The peer's ProMP builds square matrices over all samples of all coordinates, so the demonstrations are short.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ def _distributions(rounds: int) -> list[Table]:
     if not max(errors) < 0.02:
         raise Disagreement(f"Expected means within 0.02 of the mean of the demonstrations, got {errors}.")
     text = f"{SHOWN} demonstrations of {JOINTS} coordinates x {SAMPLES} samples, {WEIGHTS} kernels."
-    accuracy = f"RMSE of the mean from the clean one: armlab {errors[0]:.1e}, movement_primitives {errors[1]:.1e}."
+    accuracy = (
+        f"RMSE of the mean relative to the clean mean: armlab {errors[0]:.1e}, movement_primitives {errors[1]:.1e}."
+    )
     point = clean[int(AT * SAMPLES)] + 0.01
     peer = "movement_primitives"
 
@@ -53,7 +56,12 @@ def _distributions(rounds: int) -> list[Table]:
         ),
     ]
     spreads = [
-        Contender("armlab ProMP.marginal", once(lambda: ours.marginal(t)), "armlab", note="and covariance of velocity"),
+        Contender(
+            "armlab ProMP.marginal",
+            once(lambda: ours.marginal(t)),
+            "armlab",
+            note="including the covariance of velocity",
+        ),
         Contender(f"{peer} mean_trajectory, var_trajectory", once(lambda: _spread(theirs, t)), bar=1 / 10),
     ]
     return [
@@ -82,8 +90,8 @@ def _rhythms(rounds: int) -> list[Table]:
     phase = 2 * np.pi * t[:, None] + np.arange(JOINTS)
     y = np.sin(phase) + 0.4 * np.sin(3 * phase + 0.5)
     ours = fit_periodic_dmp(t, y, period=1.0, n_basis=RHYTHM).value
-    text = f"{JOINTS} coordinates x {N} samples of {TURNS} periods, {RHYTHM} kernels. No peer has it. RMSE: "
-    text += f"{rmse(ours.rollout(t).y, y):.1e} of an amplitude of 1."
+    text = f"{JOINTS} coordinates x {N} samples of {TURNS} periods, {RHYTHM} kernels. No peer supports this. RMSE: "
+    text += f"{rmse(ours.rollout(t).y, y):.1e} for an amplitude of 1."
     fit = once(lambda: fit_periodic_dmp(t, y, period=1.0, n_basis=RHYTHM))
     rows = [
         Contender("armlab fit_periodic_dmp", fit, "armlab"),
@@ -107,8 +115,9 @@ def _obstacles(rounds: int) -> Table:
 
     nearest = [np.linalg.norm(path - BALL, axis=1).min() for path in (own(), peer())]
     text = (
-        f"Three coordinates x {N} samples, {KERNELS} kernels, one point beside the way. It passes at {nearest[0]:.3f} "
-        f"m (armlab, asked for {CLEARANCE} m) and {nearest[1]:.3f} m (movement_primitives, which takes none)."
+        f"Three coordinates x {N} samples, {KERNELS} kernels, one point next to the path. Closest distance: "
+        f"{nearest[0]:.3f} m (armlab, requested {CLEARANCE} m) and {nearest[1]:.3f} m (movement_primitives, which has "
+        "no clearance)."
     )
     rows = [
         Contender("armlab AvoidingDmp.rollout", once(own), "armlab"),
@@ -139,7 +148,7 @@ def _goals(rounds: int) -> Table:
         theirs.configure(goal_y=g)
         state[:] = theirs.step(*state)
 
-    text = f"{JOINTS} coordinates, {KERNELS} kernels: another goal, then a step."
+    text = f"{JOINTS} coordinates, {KERNELS} kernels; a goal change followed by a step."
     rows = [
         Contender("armlab Stepper.change_goal, step", loop(own, goals), "armlab"),
         Contender("movement_primitives configure, step", loop(peer, goals), note="its goal is not filtered"),

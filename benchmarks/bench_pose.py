@@ -1,4 +1,4 @@
-"""One pose, and one pose with its Jacobian: what a controller calls every cycle."""
+"""One pose, and one pose with its Jacobian, as called by a controller in every cycle."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CONFIGURATIONS = 2000
 
 
 def run(quick: bool) -> list[Table]:
-    """Measure `kinematics.forward` and `kinematics.forward_jacobian` beside Pinocchio and robotics-toolbox."""
+    """Compare `kinematics.forward` and `kinematics.forward_jacobian` with Pinocchio and robotics-toolbox."""
     robot = robots.load(ROBOT)
     rng = np.random.default_rng(1)
     configurations = list(rng.uniform(robot.q_min, robot.q_max, (CONFIGURATIONS, robot.n)))
@@ -41,7 +41,7 @@ def run(quick: bool) -> list[Table]:
     def way(name: str, function: Callable[[np.ndarray], Any], role: str = "peer", **told: Any) -> Contender:
         return Contender(name, loop(function, configurations), role, **told)
 
-    floor = way("an empty 4×4 array from a Python function", empty, "limit")
+    floor = way("a Python function that returns an empty 4×4 array", empty, "limit")
     poses = [
         way("armlab kinematics.forward(robot, q)", forward, "armlab"),
         way("armlab robot.chain.forward(q)", robot.chain.forward, "armlab"),
@@ -61,7 +61,7 @@ def run(quick: bool) -> list[Table]:
         way("robotics-toolbox", toolbox, bar=1 / 15, note="compiled ETS: eval and jacob0"),
         floor,
     ]
-    same = f"{ROBOT}, {robot.n} joints, configurations in turn. All agree to {worst:.1g}."
+    same = f"{ROBOT}, {robot.n} joints, varying configurations. All agree to {worst:.1g}."
     what = "The tool pose and the 6×n Jacobian in base axes at the tool point"
     rounds = 30 if quick else 200
     return [

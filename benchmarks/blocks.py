@@ -1,9 +1,9 @@
-"""Measuring contenders in alternating blocks of one run, and what is told of it: `Figure` and `Table`.
+"""Measurement of contenders in alternating blocks of one run, and its results `Figure` and `Table`.
 
-A shared machine is slow for seconds at a time. Therefore the contenders take turns in short blocks, in a new random
-order each round, and ratios are taken between blocks of one round. `loop` and `once` tell processor time of all
-threads, which leaves out waiting for a core; `each` tells what the clock on the wall does, as latencies need. The
-garbage collector runs as it does for a user.
+A shared machine can be slow for seconds at a time. The contenders therefore alternate in short blocks, in a new random
+order each round, and ratios are computed between blocks of the same round. `loop` and `once` measure the processor time
+of all threads, which excludes waiting for a core; `each` measures wall-clock time, as needed for latencies. The garbage
+collector runs as it would for a user.
 """
 
 from __future__ import annotations
@@ -15,19 +15,22 @@ from typing import Any, Literal
 
 import numpy as np
 
+TIMES = ("µs", "ms", "s")
 Block = Callable[[], np.ndarray]
-"""Runs one block; returns seconds per call, one value per sample taken."""
+"""Runs one block; returns seconds per call, with one value per sample."""
 
 
 @dataclass(frozen=True)
 class Contender:
-    """One way to do the job.
+    """One implementation of the job.
 
     Attributes
     ----------
-    name, note : as told in the report. block : measures once.
+    name, note : as shown in the report. block : measures once.
     role : "armlab", "peer" or "limit" (what the machine allows at all).
-    bar : for armlab, the most seconds allowed; for a peer, the largest ratio armlab / peer allowed.
+    bar : the largest ratio allowed: of a peer or limit, armlab's time over its own; of armlab, its time over that of
+        the contender `over`. Without `over`, of armlab: the largest value, where no processor decides it.
+    over : name of another contender of the same run.
     """
 
     name: str
@@ -35,11 +38,17 @@ class Contender:
     role: Literal["armlab", "peer", "limit"] = "peer"
     bar: float | None = None
     note: str = ""
+    over: str = ""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """What was measured of one contender: spread over the blocks [s], and ratio of armlab's time to its own."""
+    """Measurements of one contender: spread over the blocks [s], and ratio of armlab's time to its time.
+
+    Attributes
+    ----------
+    over, multiple : for armlab, the contender to which its target refers, and the measured ratio to it.
+    """
 
     name: str
     role: str
@@ -52,18 +61,20 @@ class Figure:
     ratio: float
     ratio_lower: float
     ratio_upper: float
+    over: str = ""
+    multiple: float = 1.0
 
     @property
     def is_met(self) -> bool | None:
-        """Whether the bar is met; None without a bar."""
+        """Whether the target is met; None without a target."""
         if self.bar is None:
             return None
-        return (self.median if self.role == "armlab" else self.ratio) <= self.bar
+        return (self.ratio if self.role != "armlab" else self.multiple if self.over else self.median) <= self.bar
 
 
 @dataclass(frozen=True)
 class Table:
-    """One table of the report; `scale` and `unit` tell times, e.g. 1e6 and "µs"."""
+    """Table of the report. Targets are ratios, because times depend on the machine."""
 
     title: str
     text: str
@@ -71,9 +82,15 @@ class Table:
     figures: tuple[Figure, ...]
     rounds: int
 
+    def __post_init__(self) -> None:
+        """Raise if a time is judged by itself."""
+        for one in self.figures if self.unit in TIMES else ():
+            if one.role == "armlab" and one.bar is not None and not one.over:
+                raise ValueError(f"Expected {one.name} to be judged by a ratio, got a bar in {self.unit}. Name `over`.")
+
 
 class Disagreement(Exception):
-    """Two contenders do not compute the same: their times cannot be compared."""
+    """Two contenders do not compute the same result, so their times cannot be compared."""
 
 
 def agree(what: str, got: Any, expected: Any, tolerance: float = 1e-9) -> float:
@@ -86,7 +103,7 @@ def agree(what: str, got: Any, expected: Any, tolerance: float = 1e-9) -> float:
 
 
 def loop(function: Callable[[Any], Any], items: Sequence[Any]) -> Block:
-    """Block of one call per item; one sample, the mean time of a call with the loop's own ~20 ns."""
+    """Block with one call per item; yields one sample, the mean time of a call including ~20 ns for the loop."""
 
     def block() -> np.ndarray:
         start = process_time()
@@ -98,7 +115,10 @@ def loop(function: Callable[[Any], Any], items: Sequence[Any]) -> Block:
 
 
 def once(function: Callable[[], Any], scale: float = 1.0, clock: Callable[[], float] = process_time) -> Block:
-    """Block of one call, its time by `clock` multiplied by `scale`. The result is freed after the clock stops."""
+    """Block with a single call; its time by `clock` is multiplied by `scale`.
+
+    The result is freed after the clock has stopped.
+    """
 
     def block() -> np.ndarray:
         start = clock()
@@ -113,7 +133,7 @@ def once(function: Callable[[], Any], scale: float = 1.0, clock: Callable[[], fl
 def each(
     function: Callable[[Any], Any], items: Sequence[Any], begin: Callable[[], Any] | None = None, period: float = 0.0
 ) -> Block:
-    """Block of one call per item, each with its own time (and the clock's ~50 ns).
+    """Block with one call per item; each call has its own time (including ~50 ns for the clock).
 
     Parameters
     ----------
@@ -138,7 +158,7 @@ def each(
 
 
 def alternate(contenders: Sequence[Contender], rounds: int, warm: bool = True) -> list[list[np.ndarray]]:
-    """Run every contender `rounds` times in turns; return samples by contender and round.
+    """Run every contender `rounds` times alternately; return samples by contender and round.
 
     Parameters
     ----------
@@ -159,20 +179,21 @@ def figures(
     samples: list[list[np.ndarray]],
     statistic: Callable[[np.ndarray], Any] = np.median,
 ) -> tuple[Figure, ...]:
-    """Reduce each block by `statistic`, then tell its spread over the rounds; the first contender is armlab's."""
+    """Reduce each block with `statistic`, then return its spread over the rounds; the first contender is armlab."""
     values = np.array([[statistic(block) for block in blocks] for blocks in samples])
     medians = np.median(values, axis=1)
-    told = []
+    named = {contender.name: median for contender, median in zip(contenders, medians, strict=True)}
+    found = []
     for contender, blocks, median in zip(contenders, values, medians, strict=True):
         lower, upper = np.percentile(blocks, (25, 75))
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio_lower, ratio_upper = np.percentile(values[0] / blocks, (25, 75))
             ratio = medians[0] / median
         spread = (median, blocks.min(), lower, upper, ratio, ratio_lower, ratio_upper)
-        told.append(
-            Figure(contender.name, contender.role, contender.note, contender.bar, *(float(value) for value in spread))
-        )
-    return tuple(told)
+        about = contender.name, contender.role, contender.note, contender.bar
+        multiple = float(median / named[contender.over]) if contender.over else 1.0
+        found.append(Figure(*about, *map(float, spread), over=contender.over, multiple=multiple))
+    return tuple(found)
 
 
 def table(title: str, text: str, unit: str, contenders: Sequence[Contender], rounds: int, warm: bool = True) -> Table:

@@ -1,4 +1,4 @@
-"""Demonstrations that the benchmarks of motions share."""
+"""Demonstrations shared by the motion benchmarks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ N, JOINTS, KERNELS = 1000, 7, 50
 
 
 def demonstration(seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (N,) of a second and positions (N, JOINTS), at rest at both ends."""
+    """Return times (N,) over one second and positions (N, JOINTS), at rest at both ends."""
     u = np.linspace(0.0, 1.0, N)
     rng = np.random.default_rng(seed)
     jerk = 10 * u**3 - 15 * u**4 + 6 * u**5

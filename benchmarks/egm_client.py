@@ -1,9 +1,9 @@
-"""One EGM client for `bench_egm`, in a process of its own: `python egm_client.py NAME PORT[,PORT] [MODEL]`.
+"""One EGM client for `bench_egm` in a separate process: `python egm_client.py NAME PORT[,PORT] [MODEL]`.
 
 NAME is "ahead" or "spin" for armlab's bridge with an empty controller, "both" for two arms in one loop, "estimator" for
-the contact-force estimator in the loop with the model file MODEL, or the name of a package from PyPI, which sends back
-what it received. All run with real-time priority where the system permits it, but for "spin", which never yields.
-Prints "ready" when it listens.
+the contact-force estimator in the loop with the model file MODEL, or the name of a PyPI package, which sends back the
+received joints. All except "spin", which never yields, run with real-time priority if the system permits it. The client
+prints "ready" when it is listening.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SILENCE = 5.0  # s
 
 
 def answer(package: str, port: int) -> None:
-    """Answer every packet with the joints it holds, until the robot is silent."""
+    """Answer every packet with its own joints until the robot is silent."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError:

@@ -1,9 +1,14 @@
-"""Round trips of EGM clients against `armlab sim`, all in one run: the bridge, and the clients on PyPI."""
+"""Round trips of EGM clients with `armlab sim` in one run: the bridge, abb_libegm, PyPI packages, and an echo.
+
+abb_libegm is included if the variable LIBEGM contains its source folder, and protoc, protobuf and Boost are installed.
+A C++ program that sends back one datagram shows the limit of the machine.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -17,13 +22,16 @@ from blocks import Contender, Table, alternate, figures
 from identified import model
 
 from armlab import models, robots
+from armlab.wire.egm import EgmCodec, Reference
 
 ROBOT, BOTH = "yumi_right", ("yumi_left", "yumi_right")
 PRIORITY = 50  # of the simulator, as the clients have
-CLIENT = Path(__file__).parent / "egm_client.py"
+CLIENT, PEER = (Path(__file__).parent / name for name in ("egm_client.py", "egm_peer.cpp"))
 PEERS = ("ABBRobotEGM", "abb_robot_client")
-BARS = {"ahead": 0.65, "spin": 0.35, "estimator": 1.0}  # of each peer's round trip, so of the faster one's
-TOLD = {
+LIBEGM, ECHO = "abb_libegm", "echo in C++"
+BARS = {"ahead": 0.65, "spin": 0.35, "estimator": 1.0}  # of each peer's round trip on PyPI
+OF_LIBEGM = {"ahead": 1.0, "spin": 0.8, "estimator": 1.2, "both": 1.3}
+REPORTED = {
     "ahead": "armlab bridge, empty controller",
     "spin": 'armlab bridge, empty controller, wait="spin"',
     "estimator": "armlab bridge with contact.Estimator in the loop",
@@ -31,59 +39,90 @@ TOLD = {
 
 
 def round_trips(quick: bool) -> list[Table]:
-    """Measure at 250 Hz in alternating blocks, two arms in one loop, and lateness at 1 kHz once."""
+    """Measure at 250 Hz in alternating blocks, then two arms in one loop, and lateness at 1 kHz once."""
     seconds, rounds = (3.0, 2) if quick else (3.0, 3)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "model.toml"
         robot = robots.load(ROBOT)
         models.save(model(robot, seconds=15), file)
-        clients = [*TOLD, *PEERS]
+        compiled = _compiled(Path(folder))
+        clients = [*REPORTED, *PEERS, *compiled]
 
         def block(client: str) -> Callable[[], np.ndarray]:
-            return lambda: np.array([1e-6 * run(client, file, seconds, 0.004)[0]["round_trip_us"]["p50"]])
+            program = compiled.get(client)
+            return lambda: np.array([1e-6 * run(client, file, seconds, 0.004, program)[0]["round_trip_us"]["p50"]])
 
         contenders = [Contender(client, block(client)) for client in clients]
         samples = alternate(contenders, rounds, warm=False)
-        both = _two_arms(file, seconds, rounds)
+        both = _two_arms(file, seconds, rounds, compiled)
         long = 5.0 if quick else 15.0
         late = {client: _late(run(client, file, long, 0.001)[0]) for client in ("ahead", "spin")}
     text = (
-        f"`armlab sim {ROBOT} --robotware 7 --extension` at 250 Hz and one client, each in a process and, where there "
-        f"are two, on a core of its own, both with real-time priority where permitted. From just before a packet is "
-        f"sent to the kernel's stamp of its reply: median of a block of {seconds:g} s, {rounds} blocks of each client "
-        f"in turns. At 1 kHz over {long:g} s replies later than a period: {late['ahead']:.2f} %, "
+        f"`armlab sim {ROBOT} --robotware 7 --extension` at 250 Hz and one client, each in its own process and (with "
+        f"two cores) on its own core, both with real-time priority if permitted. Times are from just before a packet "
+        f"is sent to the kernel's stamp of its reply: median of a block of {seconds:g} s, {rounds} alternating blocks "
+        f"per client. At 1 kHz over {long:g} s, replies later than a period: {late['ahead']:.2f} %, "
         f"with spin {late['spin']:.2f} %."
     )
-    return [*(_table(way, text, clients, contenders, samples, rounds) for way in TOLD), both]
+    return [*(_table(way, text, clients, contenders, samples, rounds) for way in REPORTED), both]
 
 
-def _two_arms(file: Path, seconds: float, rounds: int) -> Table:
-    """Return the round trips of both arms of a robot, which send at the same time, beside those of one alone."""
+def _compiled(folder: Path) -> dict[str, list[str]]:
+    """Build the C++ clients; return the commands without the port. Empty without a compiler."""
+    compiler, robot, found = shutil.which("c++"), robots.load(ROBOT), {}
+    if compiler is None:
+        return found
+    reply = EgmCodec(robot).encode(Reference(robot.q_home, None, None, 0, 0)).hex()
+    words = [compiler, "-O2", "-std=c++17", str(PEER)]
+    subprocess.run([*words, "-o", str(folder / "echo")], check=True)
+    found[ECHO] = [str(folder / "echo"), reply]
+    if "LIBEGM" in os.environ:
+        source = Path(os.environ["LIBEGM"])
+        proto = [str(path) for path in sorted((source / "proto").glob("*.proto"))]
+        subprocess.run(["protoc", f"-I{source / 'proto'}", f"--cpp_out={folder}", *proto], check=True)
+        sources = [*sorted((source / "src").glob("*.cpp")), *sorted(folder.glob("*.pb.cc"))]
+        include = [f"-I{source / 'include'}", f"-I{folder}", "-DLIBEGM"]
+        libraries = ["-lprotobuf", "-lboost_system", "-lboost_thread", "-pthread"]
+        subprocess.run([*words, *include, *map(str, sources), "-o", str(folder / "libegm"), *libraries], check=True)
+        found[LIBEGM] = [str(folder / "libegm"), ""]
+    return found
+
+
+def _two_arms(file: Path, seconds: float, rounds: int, compiled: dict[str, list[str]]) -> Table:
+    """Return the round trips of both arms of a robot, which send simultaneously, compared with those of one arm."""
 
     def block(client: str) -> Callable[[], np.ndarray]:
-        return lambda: np.array([1e-6 * one["round_trip_us"]["p50"] for one in run(client, file, seconds, 0.004)])
+        program = compiled.get(client)
+        return lambda: np.array(
+            [1e-6 * one["round_trip_us"]["p50"] for one in run(client, file, seconds, 0.004, program)]
+        )
 
     rounds = min(rounds, 2)
     contenders = [
         Contender("each of two arms in one loop", block("both"), "armlab"),
         Contender("one arm", block("ahead"), "limit"),
     ]
+    if LIBEGM in compiled:
+        contenders.append(Contender(f"{LIBEGM}, one arm", block(LIBEGM), bar=OF_LIBEGM["both"]))
     text = (
-        f"`armlab sim {' '.join(BOTH)}` and one bridge with an empty controller, which is called on the packets of the "
-        f"first arm. Both packets leave at the same time. Mean of the arms' medians over blocks of {seconds:g} s, "
-        f"{rounds} blocks each in turns."
+        f"`armlab sim {' '.join(BOTH)}` and one bridge with an empty controller, which is called for the packets of "
+        f"the first arm. Both packets are sent simultaneously. Mean of the arms' medians over blocks of {seconds:g} s, "
+        f"{rounds} alternating blocks each."
     )
     samples = alternate(contenders, rounds, warm=False)
     return Table("EGM round trip, two arms", text, "µs", figures(contenders, samples, np.mean), rounds)
 
 
-def run(client: str, file: Path, seconds: float, period: float) -> list[dict]:
-    """Return what the simulator counted of each arm with one client."""
+def run(client: str, file: Path, seconds: float, period: float, program: list[str] | None = None) -> list[dict]:
+    """Return the simulator's counts for each arm with one client; `program`: its command if it is compiled."""
     arms = BOTH if client == "both" else (ROBOT,)
     ports = [_free_port() for _ in arms]
     stats = file.parent / "stats.json"
     model_file = [str(file)] if client == "estimator" else []
-    command = [sys.executable, str(CLIENT), client, ",".join(map(str, ports)), *model_file]
+    at = ",".join(map(str, ports))
+    command = [sys.executable, str(CLIENT), client, at, *model_file]
+    if program is not None:
+        command = [program[0], at, *program[1:]]
     with _on_core(-1):
         started = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     with started as peer:
@@ -111,7 +150,7 @@ def _free_port() -> int:
 
 @contextmanager
 def _on_core(number: int, priority: int = 0) -> Iterator[None]:
-    """Start processes on one of the cores, where there are several, and with a priority, where that is permitted."""
+    """Start processes on one of the cores (if there are several) and with a priority (if permitted)."""
     cores, rest = sorted(os.sched_getaffinity(0)), (os.sched_getscheduler(0), os.sched_getparam(0))
     if len(cores) > 1:
         os.sched_setaffinity(0, {cores[number]})
@@ -126,15 +165,18 @@ def _on_core(number: int, priority: int = 0) -> Iterator[None]:
 
 
 def _late(counted: dict) -> float:
-    """Return the share of packets in percent that no reply answered within a period."""
+    """Return the percentage of packets without a reply within one period."""
     counts = counted["counts"]
     return 100.0 * counts.get("missed", 0) / max(counts["packets"], 1)
 
 
 def _table(way: str, text: str, clients: list[str], contenders: list[Contender], samples: list, rounds: int) -> Table:
-    """Return one way of running the bridge beside the peers."""
-    chosen = [way, *PEERS]
-    named = [Contender(TOLD[way], contenders[0].block, "armlab")]
-    named += [Contender(peer, contenders[0].block, "peer", BARS[way]) for peer in PEERS]
+    """Return the table for one mode of the bridge compared with the peers."""
+    chosen = [way, *PEERS, *(client for client in clients if client in (LIBEGM, ECHO))]
+    bars = {**dict.fromkeys(PEERS, BARS[way]), LIBEGM: OF_LIBEGM[way], ECHO: None}
+    named = [Contender(REPORTED[way], contenders[0].block, "armlab")]
+    named += [
+        Contender(peer, contenders[0].block, "limit" if peer == ECHO else "peer", bars[peer]) for peer in chosen[1:]
+    ]
     blocks = [samples[clients.index(client)] for client in chosen]
-    return Table(f"EGM round trip, {TOLD[way].removeprefix('armlab ')}", text, "µs", figures(named, blocks), rounds)
+    return Table(f"EGM round trip, {REPORTED[way].removeprefix('armlab ')}", text, "µs", figures(named, blocks), rounds)

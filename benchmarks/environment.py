@@ -1,4 +1,4 @@
-"""The environment of the benchmarks: armlab, installed as a user would, and its peers. Standard library only."""
+"""Benchmark environment: armlab (installed as by a user) and its peers. Standard library only."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SETTINGS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
 def fingerprint() -> str:
-    """Return a hash over everything that decides what is installed."""
+    """Return a hash of everything that determines the installation."""
     files = [REQUIREMENTS, NO_DEPS, CONSTRAINTS, ROOT / "pyproject.toml", ROOT / "CMakeLists.txt"]
     files += sorted(path for path in (ROOT / "native").rglob("*") if path.is_file())
     files += sorted(p for p in (ROOT / "src").rglob("*") if p.is_file() and p.suffix not in (".pyc", ".so"))
@@ -32,7 +32,7 @@ def fingerprint() -> str:
 
 
 def prepare() -> None:
-    """Make the environment, or bring it up to date when armlab or the list of peers has changed."""
+    """Create the environment, or update it if armlab or the list of peers has changed."""
     wanted = fingerprint()
     if STAMP.exists() and STAMP.read_text() == wanted:
         return
@@ -51,10 +51,10 @@ def prepare() -> None:
 
 
 def enter(script: str, arguments: list[str]) -> None:
-    """Replace this process by the same script in the environment."""
+    """Replace this process with the same script in the environment."""
     os.execve(PYTHON, [str(PYTHON), script, *arguments], {**os.environ, **SETTINGS})
 
 
 def is_inside() -> bool:
-    """Tell whether this process already runs there, with its settings."""
+    """Return whether this process already runs in the environment with its settings."""
     return Path(sys.prefix).resolve() == HOME and all(os.environ.get(k) == v for k, v in SETTINGS.items())

@@ -1,4 +1,4 @@
-"""Identify from the logs of a folder in a process of its own; tells times, memory and bytes as JSON.
+"""Identify from the logs in a folder in a separate process; prints times, memory and bytes as JSON.
 
 python benchmarks/fleet_identify.py FOLDER WORKERS
 """
@@ -28,7 +28,9 @@ ROBOT = "yumi_right"
 
 
 def main(folder: Path, count: int) -> dict[str, Any]:
-    """Return seconds of draft, map and solution, rows, memory [B] of this process and the largest worker, a digest."""
+    """Return the times of draft, map and solution [s], rows, memory [B] of this process and the largest worker, and a
+    digest.
+    """
     robot, logs = robots.load(ROBOT), sorted(folder.iterdir())
     marks: dict[int, float] = {}
 
@@ -51,7 +53,7 @@ def main(folder: Path, count: int) -> dict[str, Any]:
 
 
 def share(folder: Path) -> dict[str, float]:
-    """Return processor seconds to read one log and to make its sums, and bytes to the worker and back."""
+    """Return the processor time [s] to read one log and compute its sums, and the bytes to the worker and back."""
     robot, logs = robots.load(ROBOT), sorted(folder.iterdir())[:10]
     start = process_time()
     tables = [read_arm(log, robot) for log in logs]
@@ -64,7 +66,7 @@ def share(folder: Path) -> dict[str, float]:
 
 
 def _started(executor: Executor | None, count: int) -> None:
-    """Wait until all workers have started and loaded what they need."""
+    """Wait until all workers have started and loaded their modules."""
     if executor is not None:
         for held in [executor.submit(_loaded) for _ in range(4 * count)]:
             held.result()

@@ -1,10 +1,10 @@
-"""How true a contact force is: identify on one simulated log, estimate on another, compare with what was applied.
+"""Accuracy of contact forces: identify on one simulated log, estimate on another, and compare with the applied force.
 
 One seed of the protocol: 60 s of excitation (8 harmonics of 0.1 Hz, up to 60 % speed, 15 rad/s^2), a model from it;
 60 s of test motion (6 harmonics of 0.07 Hz, up to 40 % speed, another seed) with pushes of 5 N in random directions,
 1 s each with ramps of 0.1 s, one every 3 s; 500 g in +x and -z at the home posture while it sways by 2 degrees at
-0.5 Hz, and the same with the arm at rest. The estimator sees logs only. With `gains`, every torque sensor is wrong by
-an unknown factor in all logs.
+0.5 Hz, and the same with the arm at rest. The estimator receives only logs. With `gains`, every torque sensor is wrong
+by an unknown factor in all logs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ EDGE = 0.2  # s after the beginning of a ramp that "edges excluded" leaves out
 
 @dataclass(frozen=True, eq=False)
 class Logs:
-    """The logs of one seed, and the model of the first.
+    """Logs of one seed, and the model identified from the first.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Logs:
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """How far the estimate is from the truth; arrays are per axis x, y, z.
+    """Errors of the estimate relative to the truth; arrays are per axis x, y, z.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ def record(name: str, seed: int, gains: float = 0.0) -> Logs:
 
 
 def judge(logs: Logs, method: str) -> Score:
-    """Estimate all logs with one method and compare with what the operator did.
+    """Estimate all logs with one method, and compare with the operator.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def judge(logs: Logs, method: str) -> Score:
 
 
 def _pushes(seconds: float, rng: np.random.Generator) -> tuple[Wrench, np.ndarray]:
-    """Return pushes in random directions, and the beginnings of all ramps."""
+    """Return pushes in random directions, and the start times of all ramps."""
     starts = np.arange(1.5, seconds - 2.0, EVERY)
     directions = rng.standard_normal((len(starts), 3))
     force = PUSH * directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -158,13 +158,13 @@ def _over_time(times: np.ndarray, wrenches: np.ndarray) -> Wrench:
 
 
 def _errors(table: log.Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return error, sigma (N, 3) and where an axis is seen."""
+    """Return the error, sigma (N, 3) and the mask of observable axes."""
     sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"])[:, :3])
     return table["wrench_hat"][:, :3] - table["wrench_true"][:, :3], sigma, table["observability"][:, :3] >= SEEN
 
 
 def _near(t: np.ndarray, edges: np.ndarray, after: float) -> np.ndarray:
-    """Return which times lie within `after` seconds behind the beginning of a ramp (its length included)."""
+    """Return the mask of times within `after` seconds of the beginning of a ramp (including its length)."""
     lag = t[:, None] - edges
     return ((lag >= 0) & (lag < RAMP + after)).any(axis=1)
 
@@ -178,7 +178,7 @@ def _share(rows: np.ndarray) -> np.ndarray:
 
 
 def _rest_inside(table: log.Table) -> float:
-    """Return the share of rows at rest whose band holds the true force in all axes; the first second settles."""
+    """Return the share of rows at rest whose band contains the true force in all axes, excluding the first second."""
     table = table.between(1.0, table.t[-1])
     truth = table["wrench_true"][:, :3]
     if "wrench_interval" in table:

@@ -1,11 +1,11 @@
-"""Errors of hand-eye calibration over the Cramér-Rao bound, by Monte Carlo with known truth.
+"""Errors of hand-eye calibration relative to the Cramér-Rao bound, by Monte Carlo simulation with known truth.
 
 Experiments of `sim.cell`: H1 uniform rotations, H2 tilts of at most 30 degrees, H3 outliers
-in the first poses, H4 noise of the robot too, H5 three LEDs. Error ratios are RMS error over runs by the root mean
-square of the bound; NEES is e^T C^-1 e over its dimension with the covariance that the fit states.
+in the first poses, H4 additional robot noise, H5 three LEDs. Error ratios are the RMS error over runs divided by the
+RMS bound. NEES is e^T C^-1 e / dimension with the covariance stated by the fit.
 
     python benchmarks/hand_eye_bars.py 1000          seeds of the specification
-    python benchmarks/hand_eye_bars.py 1000 50000    others: that much is added
+    python benchmarks/hand_eye_bars.py 1000 50000 other seeds, offset by 50000
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def pose_error(T: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Bar:
-    """What one case gave.
+    """Result of one case.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Tally:
         self.missed = self.false = self.good = 0
 
     def add(self, fit: Any, e: np.ndarray, bound: np.ndarray, bad: np.ndarray) -> None:
-        """Take one run: error and bound of X and Y (12,), or of points and Y, and which samples (N,) are wrong."""
+        """Add one run: error and bound of X and Y (12,), or of points and Y, and the mask (N,) of wrong samples."""
         missing = np.full(6, np.nan) if len(e) != 12 else e[:6]
         self.e.append(np.concatenate([missing, e[-6:]]))
         self.variance.append(np.diag(bound)[-12:])
@@ -96,7 +96,7 @@ class Tally:
 
 
 def pose_case(name: str, seed: int, runs: int, given: bool = True, **how: Any) -> Bar:
-    """Return H1 to H4: noise given or estimated, robust where there are outliers."""
+    """Return H1 to H4: noise given or estimated, robust if there are outliers."""
     tally, bad, robot = Tally(name), how.get("bad", 0), how.get("robot")
     for run in range(runs):
         data, clean = poses(seed, run, **how)
@@ -130,7 +130,7 @@ def led_case(
     known: bool = True,
     robot: tuple[float, float] | None = None,
 ) -> Bar:
-    """Return H5: three LEDs, 100 samples; NaN for X where the marker is unknown."""
+    """Return H5: three LEDs, 100 samples; NaN for X if the marker is unknown."""
     tally = Tally(name)
     for run in range(runs):
         data = cell(seed).marker_points(run, sigma=sigma, missing=0.2 if missing else 0.0, robot=robot)
@@ -187,8 +187,8 @@ CASES: tuple[tuple[Callable[..., Bar], str, int, dict[str, Any]], ...] = (
 
 
 HEAD = (
-    "| case | bound [deg mm deg mm] | error over it: X rotation, position, Y rotation, position "
-    "| NEES/d | missed | false |"
+    "| case | bound [deg mm deg mm] | error / bound: X rotation, position, Y rotation, position | NEES/d | missed | "
+    "false |"
 )
 
 if __name__ == "__main__":

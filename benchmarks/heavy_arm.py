@@ -1,12 +1,12 @@
-"""How true a contact force is on a heavy arm whose faults no model knows: gears that rub with their load, wrong gains.
+"""Accuracy of contact forces on a heavy arm with unmodelled faults: load-dependent gear friction and wrong gains.
 
-One seed: an arm with the size and the masses of a UR10e at 125 Hz, currents times believed torque constants that are
-wrong by up to 15 % each, gears in which up to 6 % of the torque is lost, offsets that swing by 0.5 % of the torque
-limit, ripple at 200 lines per turn that no description names. A model is identified from 60 s without load; then the
-same arm carries 0, 1 and 3 kg through another motion. The truth is weight and inertia force of the load at the flange.
+One seed: an arm with the size and masses of a UR10e at 125 Hz. Torques are currents times assumed torque constants that
+are wrong by up to 15 % each. Up to 6 % of the torque is lost in the gears, offsets vary by 0.5 % of the torque limit,
+and undocumented ripple has 200 lines per revolution. A model is identified from 60 s without load. The same arm then
+carries 0, 1 and 3 kg through another motion. The truth is the weight and inertial force of the load at the flange.
 
 python benchmarks/heavy_arm.py                20 seeds, about a minute each
-python benchmarks/heavy_arm.py --seeds 3      a look
+python benchmarks/heavy_arm.py --seeds 3 a quick look
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ HOME = np.deg2rad([0.0, -90.0, 90.0, -90.0, -90.0, 0.0])
 
 @dataclass(frozen=True, eq=False)
 class Logs:
-    """The logs of one seed, and the model of the first.
+    """Logs of one seed, and the model identified from the first.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Logs:
 
 
 def ur10e() -> robots.Robot:
-    """Return the arm: the vendor's table of Denavit-Hartenberg parameters; gears are not given."""
+    """Return the arm from the vendor's table of Denavit-Hartenberg parameters, which does not include gears."""
     return robots.from_dh(
         "ur10e",
         alpha=np.pi / 2 * np.array([1, 0, 0, 1, -1, 0]),
@@ -112,7 +112,7 @@ def record(seed: int) -> Logs:
 
 
 def carried(robot: robots.Robot, motion: identify.Trajectory, mass: float, t: np.ndarray) -> np.ndarray:
-    """Return weight and inertia force (N, 6) at the flange of a point mass that follows a motion, at times (N,)."""
+    """Return the weight and inertial force (N, 6) at the flange of a moving point mass, at times (N,)."""
     step = 0.5 * PERIOD
     before, here, after = (robot.chain.forward(motion.sample(at)[0])[:, :3, 3] for at in (t - step, t, t + step))
     force = mass * (robot.gravity - (before - 2.0 * here + after) / step**2)
@@ -120,7 +120,7 @@ def carried(robot: robots.Robot, motion: identify.Trajectory, mass: float, t: np
 
 
 def judge(logs: Logs, method: str, mass: float, model: models.TorqueModel | None = None) -> tuple[np.ndarray, ...]:
-    """Return RMS error [N] and share inside 2 sigma, per axis, of one method.
+    """Return the RMS error [N] and the share within 2 sigma per axis for one method.
 
     Parameters
     ----------
@@ -141,14 +141,14 @@ def without_load_friction(logs: Logs) -> models.TorqueModel:
 
 
 def without_doubt(logs: Logs) -> models.TorqueModel:
-    """Return the model as if gains and load friction were known exactly."""
+    """Return the model with exactly known gains and load friction."""
     model = logs.fit.value
     return replace(model, gain_cov=0.0 * model.gain_cov, load_sd=np.zeros(model.n))
 
 
 def main() -> int:
-    """Run all seeds, print the table."""
-    parser = argparse.ArgumentParser(description="How true forces are on a heavy arm.")
+    """Run all seeds and print the table."""
+    parser = argparse.ArgumentParser(description="Accuracy of forces on a heavy arm.")
     parser.add_argument("--seeds", type=int, default=20)
     options = parser.parse_args()
     scores: dict[tuple[str, float], list[tuple[np.ndarray, ...]]] = {}
@@ -163,8 +163,8 @@ def main() -> int:
 
 
 def table(scores: dict[tuple[str, float], list[tuple[np.ndarray, ...]]]) -> list[str]:
-    """Return the lines: RMS of the worst axis, and shares inside 2 sigma of all axes, over the seeds."""
-    lines = ["| method | load [kg] | force RMS, worst axis [N] | inside 2 sigma [%] |", "|---|---|---|---|"]
+    """Return lines with the RMS error of the worst axis and the share of all axes within 2 sigma, over the seeds."""
+    lines = ["| method | load [kg] | force RMS, worst axis [N] | within 2 sigma [%] |", "|---|---|---|---|"]
     for (method, mass), found in scores.items():
         rms = [values.max() for values, _ in found]
         inside = [100.0 * share for _, share in found]

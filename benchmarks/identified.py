@@ -1,4 +1,4 @@
-"""A torque model identified from a made-up log, and a log to run it on: an arm with the synthetic truth of `sim`."""
+"""Torque model identified from a synthetic log, and a log to run it on, for an arm with known truth from `sim`."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def model(robot: Robot, seconds: float) -> TorqueModel:
 
 
 def with_masses(robot: Robot, links: np.ndarray) -> np.ndarray:
-    """Return (n, 10) parameters with the same torques as `links`, as near as they can be to real masses.
+    """Return (n, 10) parameters with the same torques as `links`, as close as possible to real masses.
 
-    The identified vector is the smallest one and has links without mass, which peers cannot take. What no motion shows
-    (the kernel of the regressor) is free: it is taken from the truth.
+    The identified vector has minimum norm and contains links without mass, which peers cannot handle. Directions that
+    no motion excites (the null space of the regressor) are free and are taken from the truth.
     """
     rng = np.random.default_rng(3)
     q, qd, qdd = rng.uniform(-2.0, 2.0, (3, 200, robot.n))

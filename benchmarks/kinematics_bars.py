@@ -1,12 +1,12 @@
-"""Errors of kinematic calibration over the Cramér-Rao bound, by Monte Carlo with known truth.
+"""Errors of kinematic calibration relative to the Cramér-Rao bound, by Monte Carlo simulation with known truth.
 
-Experiments of `sim.cell`: an IRB 2400 with every frame (or every number of its table) wrong. The error is that of
-validation poses that the fit has not seen, against the noise-free truth; its bound ``J_v (J^T S^-1 J)^+ J_v^T`` is
-taken at the truth. NEES: e^T C^-1 e over the rank, C the covariance that the fit states for some of these poses, with
-at least twice as many rows as the rank.
+Experiments of `sim.cell`: an IRB 2400 with errors in every frame (or in every number of its table). The error is
+evaluated at validation poses not used in the fit, relative to the noise-free truth. Its bound ``J_v (J^T S^-1 J)^+
+J_v^T`` is evaluated at the truth. NEES is e^T C^-1 e / rank, with C the covariance that the fit states for some of
+these poses (at least twice as many rows as the rank).
 
     python benchmarks/kinematics_bars.py 1000        seeds 2000, 2200, 2300, 2400
-    python benchmarks/kinematics_bars.py 1000 70     the same 70 further
+    python benchmarks/kinematics_bars.py 1000 70 the same, offset by 70
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SEEDS = {"K1": 2000, "K4": 2200, "K5": 2300, "K6": 2400}
 
 @dataclass(frozen=True, eq=False)
 class Bar:
-    """One case: bounds and ratios of its blocks, rank, NEES, outliers missed, share of the good that was flagged."""
+    """One case: bounds and ratios of its blocks, rank, NEES, missed outliers, share of good samples flagged."""
 
     name: str
     bound: tuple[str, ...]
@@ -54,7 +54,7 @@ class Bar:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One run: squared errors and variances by block, rank, NEES, flags, how many of the first samples were wrong."""
+    """One run: squared errors and variances by block, rank, NEES, flags, and the number of wrong first samples."""
 
     squares: np.ndarray
     bounds: np.ndarray
@@ -104,7 +104,7 @@ def _bar(name: str, samples: list[Sample], units: tuple[str, ...]) -> Bar:
 
 
 def truth_value(truth: Any) -> KinematicCorrection:
-    """Return the truth of an arm as a correction, whose Jacobians make the bound."""
+    """Return the truth of an arm as a correction, whose Jacobians give the bound."""
     orders = tuple(range(1, truth.amplitudes.shape[1] // 2 + 1))
     robot = from_local_poe("truth", truth.frames, truth.screws)
     cov = np.eye(6 * len(truth.frames) + truth.amplitudes.size)
@@ -153,7 +153,7 @@ def distance_sample(run: Any) -> Sample:
 
 
 def _distances(robot: Any, anchor: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how distances (N,) to a point depend on frames and point, and the distances."""
+    """Return the derivatives of distances (N,) to a point with respect to frames and point, and the distances."""
     away = forward(robot, q)[:, :3, 3] - anchor
     length = np.linalg.norm(away, axis=1)
     along = away / length[:, None]
@@ -162,7 +162,7 @@ def _distances(robot: Any, anchor: np.ndarray, q: np.ndarray) -> tuple[np.ndarra
 
 
 def dual_sample(run: Any, position: bool = False, bad: int = 0) -> Sample:
-    """Fit poses or positions of one arm's tool seen from the other's."""
+    """Fit poses or positions of one arm's tool relative to the other's."""
     data = (
         {"position": run.pose[:, :3, 3], "noise": run.noise[0]} if position else {"pose": run.pose, "noise": run.noise}
     )

@@ -1,7 +1,7 @@
-"""The statistical contract of `fit_kinematics` and `fit_dual_arm`: ten properties, each with what was measured.
+"""Statistical contract of `fit_kinematics` and `fit_dual_arm`: ten properties, each with its measured values.
 
 Errors are those of validation poses, with at least twice as many rows as the rank; their stated covariance is that of
-the fit, their bound that of the truth. From 1000 runs on the narrow limits hold.
+the fit, their bound that of the truth. From 1000 runs on, the narrow limits apply.
 
     python benchmarks/kinematics_contract.py 2000
 """
@@ -28,7 +28,7 @@ FEW = 20
 
 @dataclass(frozen=True)
 class Truth:
-    """Joint positions of validation poses (of both arms where there are two) and the true poses."""
+    """Joint positions of validation poses (of both arms if there are two) and the true poses."""
 
     q: tuple[np.ndarray, ...]
     T: np.ndarray
@@ -122,7 +122,7 @@ def _check(
 
 
 def _seen(fit: Callable[..., Any], run: Any, data: dict[str, Any], kind: str) -> np.ndarray:
-    """Return measurements with noise of an arm one joint of which stands still."""
+    """Return noisy measurements of an arm with one joint at rest."""
     T = run.relative(data["q_a"], data["q_b"]) if fit is fit_dual_arm else run.truth.forward(data["q"])
     rng = np.random.default_rng(0)
     turns = so3.exp(run.noise[1] * rng.standard_normal((len(T), 3)))
@@ -135,7 +135,7 @@ def _moved(seen: np.ndarray, kind: str) -> np.ndarray:
 
 
 def _turned(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the same with both nominal arms on another foot: what is measured does not change."""
+    """Return the same with both nominal arms on different bases, which does not change the measurements."""
     feet = [se3.project(FRAME @ data[name].T_base_mount)[0] for name in ("robot_a", "robot_b")]
     return {
         **data,

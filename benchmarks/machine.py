@@ -1,4 +1,4 @@
-"""What the figures were measured on, what the machine allows at most, and who else was using it."""
+"""Description of the machine, its limits, and the load from other processes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def describe(packages: Sequence[str] = ()) -> list[str]:
 
 
 def writer(size: int, fresh: bool) -> Callable[[], None]:
-    """Return a function that writes `size` bytes once as fast as the machine can.
+    """Return a function that writes `size` bytes once as fast as the machine allows.
 
     Parameters
     ----------
@@ -53,9 +53,9 @@ def writer(size: int, fresh: bool) -> Callable[[], None]:
 
 
 def arithmetic(n: int = 512) -> Callable[[], float]:
-    """Return a function that measures the seconds of one addition or multiplication of one core at its best.
+    """Return a function that measures the minimum time [s] of one addition or multiplication on one core.
 
-    A product of n × n matrices in cache: nothing that a program does with numbers is faster.
+    It uses a product of n × n matrices in cache, because no numeric operation of a program is faster.
     """
     a = np.ones((n, n))
     out = np.empty_like(a)
@@ -69,7 +69,7 @@ def arithmetic(n: int = 512) -> Callable[[], float]:
 
 
 def family(pid: int) -> Iterator[int]:
-    """Give a process and all that it and its children started."""
+    """Yield a process and all processes that it and its children started."""
     yield pid
     with contextlib.suppress(OSError):
         for task in Path(f"/proc/{pid}/task").iterdir():
@@ -78,7 +78,7 @@ def family(pid: int) -> Iterator[int]:
 
 
 class OtherLoad:
-    """Cores that other processes, and the hypervisor, took while the block ran: ``with OtherLoad() as load: ...``."""
+    """Cores used by other processes and the hypervisor while the block ran: ``with OtherLoad() as load: ...``."""
 
     def __enter__(self) -> OtherLoad:
         self._start = _clocks()
@@ -90,7 +90,7 @@ class OtherLoad:
 
 
 def _clocks() -> tuple[float, float, float]:
-    """Return seconds of work of all cores since boot, of this process and its children, and of the wall clock."""
+    """Return the busy time [s] of all cores since boot, of this process and its children, and the wall-clock time."""
     ticks = [int(word) for word in Path("/proc/stat").read_text().splitlines()[0].split()[1:9]]
     user, nice, system, _idle, _iowait, irq, softirq, steal = ticks
     own = os.times()

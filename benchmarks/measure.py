@@ -1,4 +1,4 @@
-"""One benchmark in a process of its own."""
+"""Run one benchmark in a separate process."""
 
 from __future__ import annotations
 
@@ -21,18 +21,20 @@ GRACE = 30.0  # s to end what it started
 
 
 class TooLong(BaseException):
-    """A try took too long. No `except Exception` of a benchmark, or of what it measures, holds it up."""
+    """An attempt took too long. It cannot be caught by an `except Exception` in a benchmark or in the measured code."""
 
 
 def measure(name: str, quick: bool) -> Section:
-    """Run the benchmark ``bench_NAME.py``, once more if it fails: what runs in real time may do so for a moment's load.
+    """Run the benchmark ``bench_NAME.py``, and repeat it once if it fails, because real-time measurements may fail due
+    to a momentary load.
 
-    A try that hangs fails after a quarter of an hour. Returns its tables, none with the reason if it fails twice.
+    An attempt that hangs fails after a quarter of an hour. Returns its tables, or no tables and the reason if it fails
+    twice.
     """
     start = perf_counter()
     section = _tried(name, quick)
     if section.failure:
-        print(f"{name} failed, {section.failure} Once more ...", file=sys.stderr, flush=True)
+        print(f"{name} failed, {section.failure} Repeating ...", file=sys.stderr, flush=True)
         section = replace(_tried(name, quick), earlier=section.failure)
     return replace(section, seconds=perf_counter() - start)
 
@@ -55,7 +57,7 @@ def _tried(name: str, quick: bool) -> Section:
 
 
 def _kill(pid: int | None) -> None:
-    """Kill a worker and all that it started."""
+    """Kill a worker and all processes that it started."""
     for one in list(family(pid)) if pid else []:
         with contextlib.suppress(ProcessLookupError):
             os.kill(one, signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""Joint states and wrenches by cyclonedds alone: `path_dds.py read DOMAIN COUNT` or `path_dds.py write DOMAIN`."""
+"""Joint states and wrenches with cyclonedds alone: `path_dds.py read DOMAIN COUNT` or `path_dds.py write DOMAIN`."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def write(domain: int) -> None:
-    """Send a new message of each each period."""
+    """Send a new message of each kind every period."""
     node = DomainParticipant(domain)
     joints = DataWriter(node, Topic(node, f"rt/{ROBOT}/joint_states", cyclone.JointState), RELIABLE)
     wrenches = DataWriter(node, Topic(node, f"rt/{ROBOT}/wrench", cyclone.WrenchStamped), RELIABLE)

@@ -1,10 +1,10 @@
-"""Both ends of a path, for the programs `path_*.py`: what a reader keeps, and the pace of a bare publisher.
+"""Both ends of a path for the programs `path_*.py`: storage of a reader, and pacing of a bare publisher.
 
-Only the standard library: the nodes of ROS 1 run under the system's Python. A reader takes a number of joint states and
-then prints a line for each message: "J" for joint states or "W" for wrenches, the stamp in the message, and when it was
-received [ns, wall clock]. With the number 0 it reads until it is ended, keeps nothing, and prints a line every
-second: when [ns], how many messages, and the median and the longest from stamp to receipt [ns]. A publisher says
-"ready" and, in the end, prints the stamps that it sent.
+It uses only the standard library, because ROS 1 nodes run under the system's Python. A reader receives a number of
+joint states and then prints a line for each message: "J" for joint states or "W" for wrenches, the stamp in the
+message, and the time of receipt [ns, wall clock]. With the number 0, it reads until it is ended, stores nothing, and
+prints a line every second: time [ns], number of messages, and the median and longest time from stamp to receipt [ns]. A
+publisher prints "ready" and, at the end, the stamps that it sent.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ SUMMED = 1_000_000_000  # ns of messages that a line tells of, when a reader rea
 
 
 class Lines:
-    """What a reader received; says "reading" on standard error at the first joint state.
+    """Messages received by a reader; prints "reading" to standard error at the first joint state.
 
-    A signal to end ends the reading, and what came is printed all the same.
+    A termination signal ends the reading; received messages are still printed.
     """
 
     def __init__(self, count):
@@ -35,7 +35,7 @@ class Lines:
         signal.signal(signal.SIGTERM, lambda *_: self.over.set())
 
     def add(self, kind, stamp_ns):
-        """Keep a message; call it first in a callback."""
+        """Store a message; called first in a callback."""
         came = time.time_ns()
         with self._lock:
             self._found.append((kind, stamp_ns, came))
@@ -49,7 +49,7 @@ class Lines:
                 self.over.set()
 
     def wait(self):
-        """Wait until enough has come, then print."""
+        """Wait until enough messages have arrived, then print them."""
         self.over.wait(PATIENCE if self._count else None)
         self.tell()
 
@@ -95,6 +95,6 @@ def tell(stamps):
 
 
 def numbers(stamp_ns):
-    """Return positions, velocities and efforts that change with time."""
+    """Return time-varying positions, velocities and efforts."""
     q = [1e-9 * (stamp_ns % 10**9) + 0.1 * k for k in range(JOINTS)]
     return q, [0.1 * value for value in q], q

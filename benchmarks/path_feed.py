@@ -26,7 +26,7 @@ def main() -> None:
 
 
 def _labcomm(port: int, lines: Lines) -> None:
-    """Take fused rows, whose stamps are whole microseconds."""
+    """Receive fused rows, whose stamps are whole microseconds."""
     with LabCommClient(port=port) as client:
         while not lines.over.is_set():
             for event in client.events(1.0):

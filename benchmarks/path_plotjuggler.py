@@ -1,6 +1,6 @@
 """Datagrams for PlotJuggler: `path_plotjuggler.py read PORT COUNT`, `path_plotjuggler.py write PORT`.
 
-The reader takes each datagram apart, as PlotJuggler does; the writer makes what the server sends, in plain Python.
+The reader parses each datagram, as PlotJuggler does; the writer creates the server's datagrams in plain Python.
 """
 
 from __future__ import annotations

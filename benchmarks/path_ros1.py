@@ -15,7 +15,7 @@ TOPICS = {"J": (f"/{ROBOT}/joint_states", JointState), "W": (f"/{ROBOT}/wrench",
 
 
 def read(count):
-    """Take what comes until it is enough."""
+    """Receive messages until there are enough."""
     lines = Lines(count)
 
     def take(message, kind):
@@ -28,7 +28,7 @@ def read(count):
 
 
 def write():
-    """Send a new message of each each period."""
+    """Send a new message of each kind every period."""
     joints, wrenches = (
         rospy.Publisher(topic, type_, queue_size=500, tcp_nodelay=True) for topic, type_ in TOPICS.values()
     )

@@ -1,6 +1,6 @@
-"""rosbridge by `websockets` alone: `path_rosbridge.py read PORT COUNT` or `path_rosbridge.py write PORT`.
+"""rosbridge with `websockets` alone: `path_rosbridge.py read PORT COUNT` or `path_rosbridge.py write PORT`.
 
-The writer sends joint states and wrenches to whoever connects, whatever it asks for.
+The writer sends joint states and wrenches to every client, regardless of its requests.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def stamp(message: Any) -> int:
 
 
 async def read(port: int, lines: Lines) -> None:
-    """Take what comes until it is enough."""
+    """Receive messages until there are enough."""
     async with connect(f"ws://127.0.0.1:{port}", compression=None) as socket:
         for topic, (_, type_) in TOPICS.items():
             await socket.send(json.dumps({"op": "subscribe", "topic": topic, "type": type_}))

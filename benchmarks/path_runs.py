@@ -1,4 +1,4 @@
-"""Programs at the ends of a path: `Reader`, `Writer`, the processor time of a process and of those it started."""
+"""Programs at the ends of a path: `Reader`, `Writer`, and the processor time of a process and its children."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NEAR = 1000  # ns: some stamps are microseconds, or seconds as float
 
 
 class Received(NamedTuple):
-    """What a reader got of what was sent: latencies [s], messages in order, and due."""
+    """Messages received by a reader: latencies [s], messages in order, and messages due."""
 
     latency: np.ndarray
     received: int
@@ -33,12 +33,12 @@ class Received(NamedTuple):
 
     @property
     def missing(self) -> float:
-        """Share that did not come, or not in order."""
+        """Share of messages that did not arrive or arrived out of order."""
         return 1.0 - self.received / self.due
 
 
 class Reader:
-    """A reading program; a context manager."""
+    """Reading program; a context manager."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
         self._out = tempfile.TemporaryFile()  # noqa: SIM115 - a pipe that is full would stop it
@@ -67,7 +67,7 @@ class Reader:
         return self.process.poll() is not None
 
     def received(self, sent: np.ndarray, kinds: str = "JW") -> Received:
-        """Return what it got of messages of these kinds with these stamps, once it has ended.
+        """Return the received messages of these kinds with these stamps once the reader has ended.
 
         All kinds count from `SETTLED` after the first joint state until shortly before the last.
         """
@@ -90,7 +90,7 @@ class Reader:
 
 
 class Writer:
-    """A bare publisher that is ready; a context manager."""
+    """Bare publisher that is ready; a context manager."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
         self._out = tempfile.TemporaryFile()  # noqa: SIM115 - as above
@@ -114,7 +114,7 @@ class Writer:
         self._out.close()
 
     def end(self) -> np.ndarray:
-        """Let it end, and return the stamps that it sent."""
+        """End the program, and return the stamps that it sent."""
         self.process.communicate(timeout=PATIENCE)
         self._out.seek(0)
         return np.array(self._out.read().split(), dtype=np.int64)
@@ -129,7 +129,7 @@ def _killed(process: subprocess.Popen[bytes]) -> None:
 
 
 def _wait_for(word: str, process: subprocess.Popen[bytes], command: Sequence[str]) -> None:
-    """Wait until a program says a word on standard error."""
+    """Wait until a program prints a word to standard error."""
     pipe, said, until = process.stderr, b"", time.monotonic() + PATIENCE
     while word.encode() not in said:
         part = b""
@@ -137,12 +137,12 @@ def _wait_for(word: str, process: subprocess.Popen[bytes], command: Sequence[str
             part = os.read(pipe.fileno(), 4096)
         if not part:
             words = " ".join(said.decode(errors="replace").split()[-40:])
-            raise ArmlabError(f"Expected {' '.join(command)[:200]} to say {word!r}, but it did not. It said: {words}")
+            raise ArmlabError(f"Expected {' '.join(command)[:200]} to print {word!r}, but it did not. It said: {words}")
         said += part
 
 
 def processor_time(process: int) -> float:
-    """Return processor time of a process and of those that it started [s]."""
+    """Return the processor time [s] of a process and its children."""
     total = 0.0
     for one in family(process):
         with contextlib.suppress(OSError):
@@ -152,7 +152,7 @@ def processor_time(process: int) -> float:
 
 
 def usage(process: int, reader: Reader, most: float) -> float:
-    """Return processor time per second of a process, from `SETTLED` after a reader's first message until it ends."""
+    """Return the processor time per second of a process from `SETTLED` after a reader's first message until it ends."""
     reader.begun()
     time.sleep(SETTLED)
     before, began = processor_time(process), time.monotonic()
@@ -160,5 +160,5 @@ def usage(process: int, reader: Reader, most: float) -> float:
     while not reader.wait(0.25) and passed < most:
         used, passed = processor_time(process) - before, time.monotonic() - began
     if not passed:
-        raise ArmlabError("Expected a reader to read for some time, but it ended at once.")
+        raise ArmlabError("Expected a reader to read for some time, but it ended immediately.")
     return used / passed

@@ -1,6 +1,6 @@
 """Zenoh alone: `path_zenoh.py read PORT COUNT KEYS` or `path_zenoh.py write PORT KEYS`; a key as in `Key`.
 
-The writer is a router and puts bytes that are ready but for their stamps; the reader is a peer, as a node would be.
+The writer is a router and sends prepared bytes, changing only their stamps; the reader is a peer, like a node.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ ORIGIN = struct.Struct("<qqB16s")
 
 
 class Key(NamedTuple):
-    """A key, "J" or "W", where the stamp is in the bytes, whether as in CDR (int32 s, uint32 ns) or int64 ns, and bytes
-    to send, hexadecimal. As JSON among the words of a command."""
+    """Key, "J" or "W", offset of the stamp in the bytes, its format (CDR with int32 s and uint32 ns, or int64 ns), and
+    the bytes to send in hexadecimal. Passed as JSON on the command line.
+    """
 
     name: str
     kind: str

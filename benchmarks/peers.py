@@ -1,4 +1,4 @@
-"""The same arm in the peers' own terms, each through its fastest public path."""
+"""The same arm in each peer's representation, called through its fastest public interface."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WORLD_AXES = pin.LOCAL_WORLD_ALIGNED
 
 
 class Pinocchio:
-    """A Pinocchio model whose joint frames are armlab's link frames.
+    """Pinocchio model whose joint frames are armlab's link frames.
 
     Parameters
     ----------
@@ -36,17 +36,17 @@ class Pinocchio:
         self.data = self.model.createData()
 
     def forward(self, q: np.ndarray) -> np.ndarray:
-        """Return T_base_tool; the fastest of four ways that were tried."""
+        """Return T_base_tool in the fastest of four tested ways."""
         pin.forwardKinematics(self.model, self.data, q)
         return pin.updateFramePlacement(self.model, self.data, self.tool).homogeneous
 
     def forward_jacobian(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return T_base_tool and J; computeFrameJacobian beats computeJointJacobians with getFrameJacobian."""
+        """Return T_base_tool and J; computeFrameJacobian is faster than computeJointJacobians with getFrameJacobian."""
         J = pin.computeFrameJacobian(self.model, self.data, q, self.tool, WORLD_AXES)
         return pin.updateFramePlacement(self.model, self.data, self.tool).homogeneous, J
 
     def forward_batch(self, q: np.ndarray) -> np.ndarray:
-        """Return (N, 4, 4) by a loop: there is no batch in Pinocchio's Python."""
+        """Return (N, 4, 4) by a loop, because Pinocchio's Python interface has no batch functions."""
         T = np.empty((len(q), 4, 4))
         for row, into in zip(q, T):
             into[...] = self.forward(row)
@@ -70,10 +70,10 @@ def elementary_transforms(robot: Robot) -> rtb.ETS:
 
 
 def closed_loop_inverse(robot: Robot, tolerance: float, starts: int) -> Callable[[np.ndarray], np.ndarray]:
-    """Return inverse kinematics as users of Pinocchio write it: a loop in Python about its Jacobian.
+    """Return inverse kinematics as Pinocchio users write it: a Python loop around its Jacobian.
 
-    As in Pinocchio's example, with the error as log6 of the pose between and its derivative Jlog6, but full Newton
-    steps with damping by the squared error, postures clipped to the limits, and a new random start after 30 steps.
+    It follows Pinocchio's example (log6 of the relative pose as the error, with its derivative Jlog6), but uses full
+    Newton steps damped by the squared error, postures clipped to the limits, and a new random start after 30 steps.
     """
     peer, rng = Pinocchio(robot), np.random.default_rng(0)
     model, data, tool = peer.model, peer.data, peer.tool
@@ -98,7 +98,7 @@ def closed_loop_inverse(robot: Robot, tolerance: float, starts: int) -> Callable
 
 
 class PlainNumpy:
-    """Kinematics as one writes it in NumPy: stacks of 4×4 matrices multiplied with ``@``, in blocks that stay in cache.
+    """Straightforward NumPy kinematics: stacks of 4×4 matrices multiplied with ``@`` in blocks that fit into the cache.
 
     For revolute joints.
     """
@@ -110,7 +110,7 @@ class PlainNumpy:
         self.frames = np.array(robot.frames)
 
     def forward(self, q: np.ndarray, T: np.ndarray | None = None) -> np.ndarray:
-        """Return (N, 4, 4), in `T` when that is given."""
+        """Return (N, 4, 4), written to `T` if given."""
         T = np.empty((len(q), 4, 4)) if T is None else T
         for rows in _blocks(len(q), self.BLOCK):
             T[rows] = self._links(q[rows])[-1] @ self.frames[-1]
@@ -119,7 +119,7 @@ class PlainNumpy:
     def forward_jacobian(
         self, q: np.ndarray, out: tuple[np.ndarray, np.ndarray] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return (N, 4, 4) and (N, 6, n), in `out` when that is given."""
+        """Return (N, 4, 4) and (N, 6, n), written to `out` if given."""
         T, J = out or (np.empty((len(q), 4, 4)), np.empty((len(q), 6, self.n)))
         for rows in _blocks(len(q), self.BLOCK):
             links = self._links(q[rows])
@@ -144,10 +144,10 @@ class PlainNumpy:
 
 
 class FastNumpy:
-    """Kinematics as fast as NumPy goes: quantities side by side, in blocks that stay in cache.
+    """Fastest NumPy kinematics: a structure of arrays in blocks that fit into the cache.
 
-    A block of B poses is an array (4, 3, B) of columns x, y, z, p. A joint turns x and y by vector arithmetic; a
-    constant pose is one product of matrices, (4, 4) by (4, 3 B). For revolute joints.
+    A block of B poses is an array (4, 3, B) of columns x, y, z, p. A joint rotates x and y by vector arithmetic; a
+    constant pose is one matrix product, (4, 4) by (4, 3 B). For revolute joints.
     """
 
     BLOCK = 6000  # the fastest of 500 to 16000 where it was tried
@@ -157,7 +157,7 @@ class FastNumpy:
         self.steps = [np.ascontiguousarray(frame.T) for frame in robot.frames]
 
     def forward(self, q: np.ndarray, T: np.ndarray | None = None) -> np.ndarray:
-        """Return (N, 4, 4), in `T` when that is given."""
+        """Return (N, 4, 4), written to `T` if given."""
         T = np.empty((len(q), 4, 4)) if T is None else T
         for rows in _blocks(len(q), self.BLOCK):
             _write(self._columns(q[rows], None), T[rows])
@@ -166,7 +166,7 @@ class FastNumpy:
     def forward_jacobian(
         self, q: np.ndarray, out: tuple[np.ndarray, np.ndarray] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return (N, 4, 4) and (N, 6, n), in `out` when that is given."""
+        """Return (N, 4, 4) and (N, 6, n), written to `out` if given."""
         T, J = out or (np.empty((len(q), 4, 4)), np.empty((len(q), 6, self.n)))
         for rows in _blocks(len(q), self.BLOCK):
             axes = np.empty((self.n, 2, 3, len(q[rows])))  # z and p of every link

@@ -1,4 +1,4 @@
-"""The report as one picture: armlab's time over that of each peer, and what was measured over its bar."""
+"""Picture of the report: armlab's time relative to each peer, and measurements relative to their targets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROW = 0.2  # inches
 
 
 class Dot(NamedTuple):
-    """A figure: its name, value with quartiles, and whether it is good."""
+    """Dot of one figure: its name, value with quartiles, and whether it meets its target."""
 
     name: str
     value: float
@@ -31,15 +31,15 @@ class Dot(NamedTuple):
 
 
 def draw(head: str, sections: Sequence[Section], path: Path) -> bool:
-    """Write the picture; tell whether there was something to draw.
+    """Write the picture; return whether there was anything to draw.
 
     Parameters
     ----------
     head : date, machine. sections : what was measured. path : PNG file.
     """
     panels = {
-        "armlab's time over the peer's, a dot each": _rows(sections, _over_peer),
-        "measured over the project's own bar": _rows(sections, _over_bar),
+        "armlab's time / the peer's time, one dot per contender": _rows(sections, _over_peer),
+        "measured, relative to the project's own target": _rows(sections, _over_bar),
     }
     panels = {title: rows for title, rows in panels.items() if rows}
     if not panels:
@@ -76,7 +76,7 @@ def _panel(axes: Axes, rows: Mapping[str, Sequence[Dot]], title: str) -> None:
 
 
 def _rows(sections: Sequence[Section], dot: Callable[[Figure], Dot | None]) -> dict[str, list[Dot]]:
-    """Return the dots of each table that has some; zero and infinity have no place on a scale of factors."""
+    """Return the dots of each table that has any; zero and infinity cannot be shown on a logarithmic scale."""
     rows: dict[str, list[Dot]] = {}
     for table in (table for section in sections for table in section.tables):
         dots = [one for figure in table.figures if (one := dot(figure)) and 0.0 < one.value < math.inf]
@@ -94,7 +94,8 @@ def _over_peer(one: Figure) -> Dot | None:
 def _over_bar(one: Figure) -> Dot | None:
     if not one.bar or one.role == "limit":  # of nothing that may be missing there is no multiple
         return None
-    values = (one.median, one.lower, one.upper)
+    scale = one.multiple / one.median if one.over else 1.0
+    values = (scale * one.median, scale * one.lower, scale * one.upper)
     if one.role == "peer":
         values = (one.ratio, one.ratio_lower, one.ratio_upper)
     return Dot(one.name, *(value / one.bar for value in values), bool(one.is_met))

@@ -1,4 +1,4 @@
-"""The estimator's step from Pinocchio's rnea and Jacobian, the rest in NumPy and LAPACK, written for speed."""
+"""The estimator's step built from Pinocchio's rnea and Jacobian, with the rest in fast NumPy and LAPACK code."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ class PinocchioEstimator:
         self._m, self._f, self._r, self._c = model, model.friction, model.ripple, model.covariance
         self._ripples = bool(np.any(self._r.cosine) or np.any(self._r.sine))
         self._rooted, smooth = bool(np.any(self._f.root)), self._f.smooth_speed
+        self._loaded = bool(np.any(self._f.load))
         self._smooth = 1.0 / np.where(smooth > 0, smooth, 1.0) if np.any(smooth > 0) else None
         self._speed_scale, self._delta_scale = 1.0 / self._f.stribeck_speed, -1.0 / self._f.delta
         self._static2 = self._f.static**2
@@ -54,18 +55,29 @@ class PinocchioEstimator:
         qdd = (qd - self._qd) / dt
         self._qd = qd
         peer = self._peer
-        rigid = pin.rnea(peer.model, peer.data, q, qd, qdd) + self._m.rotor * qdd
-        low = self._lowpass(np.concatenate((rigid + self._drive(q, qd) - self._true * state.tau, self._p)), dt, first)
+        load = self._load(self._true * state.tau - self._m.rotor * qdd, q, qd)
+        off = pin.rnea(peer.model, peer.data, q, qd, qdd) - load
+        low = self._lowpass(np.concatenate((off, self._p)), dt, first)
         error = low[:n]
         variance = self._variance(qd) + self._static2 * np.minimum(np.maximum(low[n:], 0.0), 1.0)
         variance += np.square(self._doubt * error)
         J = pin.computeFrameJacobian(peer.model, peer.data, q, peer.tool, WORLD_AXES)
         return *self._posterior(J, error, variance), error, variance
 
-    def _drive(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    def _load(self, tau: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        """Return the torque that goes to the links, of the motors' torque."""
         f, z = self._f, self._z
         if self._smooth is not None:
             z = np.where(f.smooth_speed > 0, np.tanh(qd * self._smooth), z)
+        y = tau - self._drive(z, q, qd)
+        if not self._loaded:
+            return y
+        load = y / (1.0 + f.load * z * np.sign(y))
+        self._static2 = np.square(f.static + f.load * np.abs(load))
+        return load
+
+    def _drive(self, z: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        f = self._f
         drive = f.viscous * qd + f.offset + np.where(z > 0, f.coulomb_pos, f.coulomb_neg) * z
         drive += f.stribeck * z * np.exp(-np.square(qd * self._speed_scale))
         if self._rooted:
@@ -112,5 +124,5 @@ class PinocchioEstimator:
         return F, self._of_gains(F, P), 1.0 - P.diagonal() / self._prior
 
     def _of_gains(self, F: np.ndarray, P: np.ndarray) -> np.ndarray:
-        """Return the covariance (6, 6) with what the gains of the torques leave in doubt."""
+        """Return the covariance (6, 6) including the uncertainty of the torque gains."""
         return P + np.outer(self._unsure * F, F)

@@ -1,4 +1,4 @@
-"""The momentum observer and Kalman filter from Pinocchio's crba, Coriolis matrix, gravity and Jacobian, in NumPy."""
+"""Momentum observer and Kalman filter in NumPy, built from Pinocchio's crba, Coriolis matrix, gravity and Jacobian."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class PinocchioMomentum(PinocchioEstimator):
         beta = pin.computeCoriolisMatrix(peer.model, peer.data, q, qd).T @ qd
         gravity = pin.computeGeneralizedGravity(peer.model, peer.data, q)
         M = pin.crba(peer.model, peer.data, q) + self._rotor
-        u, p = self._true * state.tau + beta - gravity - self._drive(q, qd), M @ qd
+        u, p = self._load(self._true * state.tau, q, qd) + beta - gravity, M @ qd
         known = u if self._count < 2 else 0.5 * (u + self._known)
         middle = q if first else 0.5 * (q + self._q)
         self._known, self._q, self._count = u, q, self._count + 1

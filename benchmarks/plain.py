@@ -1,4 +1,4 @@
-"""The kernels in plain NumPy, `tests/oracles`, as contenders."""
+"""Plain NumPy kernels (`tests/oracles`) as contenders."""
 
 import sys
 from pathlib import Path

@@ -1,6 +1,6 @@
 """One trial of `bench_recorder`: a process with two recorders is killed. `python recorder_kill.py FOLDER` records.
 
-The process counts the rows that were taken in a file that it has mapped, which outlives it.
+The process counts the accepted rows in a memory-mapped file, which outlives it.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ ATTACHED = b"the model of the arm"
 
 
 def killed(folder: Path, seed: int) -> list[int]:
-    """Return how many rows each recorder lost; raises when anything else was lost."""
+    """Return how many rows each recorder lost; raise if anything else was lost."""
     folder.mkdir()
     (folder / "count").write_bytes(bytes(COUNT.size * len(ARMS)))
     command = [sys.executable, __file__, str(folder)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
         if child.stdout is None or child.stdout.readline() != "recording\n":
-            raise RuntimeError("Expected the process to record, got its end.")
+            raise RuntimeError("Expected the process to record, but it ended.")
         time.sleep(np.random.default_rng(seed).uniform(SHORTEST, LONGEST))
         child.kill()
     counts = [count for (count,) in COUNT.iter_unpack((folder / "count").read_bytes())]
@@ -46,7 +46,7 @@ def _lost(path: Path, count: int) -> int:
     if held.finished or not whole or "connected" not in told or count < SHORTEST / PERIOD / 4:
         raise RuntimeError(f"Expected metadata, attachments and events in {path}, got {held.metadata}, {told}.")
     if not np.array_equal(table["tick"], np.arange(len(table))):
-        raise RuntimeError(f"Expected the first rows of {path} without a hole, got others.")
+        raise RuntimeError(f"Expected the first rows of {path} without gaps, got other rows.")
     return max(count - len(table), 0)
 
 

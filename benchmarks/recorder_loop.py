@@ -1,4 +1,4 @@
-"""One block of `bench_recorder` over a simulated link in real time: what each row costs the loop of the bridge."""
+"""One block of `bench_recorder` over a simulated link in real time, which measures the cost of each row to the loop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows for `bench_recorder`: random numbers, as compression must not find anything."""
+"""Rows for `bench_recorder`, with random numbers because they must be incompressible."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ START_NS = 1_700_000_000_000_000_000
 
 
 def signals() -> dict[str, Column]:
-    """Return the columns of the user's."""
+    """Return the user's columns."""
     return {"grip": Column((3,), unit="N")}
 
 
 def full_rows(count: int, only_signals: bool = False) -> list[tuple[State, Command, Tick]]:
-    """Return rows with all that a bridge records; with `only_signals` q, qd, tau, a wrench and the user's.
+    """Return rows with everything that a bridge records; with `only_signals`, only q, qd, tau, a wrench and user
+    columns.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def full_rows(count: int, only_signals: bool = False) -> list[tuple[State, Comma
 
 
 def fresh(row: tuple[State, Command, Tick], number: int) -> tuple[State, Command, Tick]:
-    """Return a copy of a row, as new as one that a loop has just made.
+    """Return a fresh copy of a row, as if just created by a loop.
 
     Parameters
     ----------

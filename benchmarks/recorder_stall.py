@@ -1,4 +1,4 @@
-"""One run of `bench_recorder` over a simulated link, in which the disk may stand still for a while."""
+"""One run of `bench_recorder` over a simulated link in which the disk may stall for a while."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BEFORE, AFTER = 3.0, 3.0  # s
 
 @dataclass(frozen=True)
 class Stall:
-    """What a run counted: packets, those missed and late; rows written, dropped, and dropped as events tell it.
+    """Counts of a run: packets, missed and late packets; rows written, dropped, and reported as dropped by events.
 
     `latencies`: seconds from arrival to reply of each packet in the middle of the run.
     """
@@ -33,7 +33,7 @@ class Stall:
 
 
 class Disk:
-    """A file on a disk that stands still between two moments of the monotonic clock."""
+    """File on a disk that stalls between two instants of the monotonic clock."""
 
     def __init__(self, file: BinaryIO, still: list[float]) -> None:
         self._file, self._still = file, still
@@ -53,7 +53,7 @@ class Disk:
 
 
 class Watch:
-    """Feed that keeps the stamps of every tick."""
+    """Feed that stores the stamps of every tick."""
 
     def __init__(self) -> None:
         self.stamps: list[tuple[int, int, int]] = []
@@ -63,11 +63,11 @@ class Watch:
         self.stamps.append((tick.stamp_ns, tick.receive_ns, tick.send_ns))
 
     def event(self, text: str, warn: bool = False) -> None:
-        """Take no event: they are in the file."""
+        """Ignore events, which are in the file."""
 
 
 def stalled(folder: Path, robot: str, seconds: float, stands: bool) -> Stall:
-    """Return the counts of a run whose disk, if told so, stands still for some seconds in the middle."""
+    """Return the counts of a run whose disk, if requested, stalls for some seconds in the middle."""
     folder.mkdir()
     real, still, watch = recording_file.open_new, [0.0, 0.0], Watch()
 

@@ -1,4 +1,4 @@
-"""The report in Markdown: the machine, how it was measured, the bars, and a table per benchmark."""
+"""Markdown reports: a summary table, and all measurements with machine, method and targets."""
 
 from __future__ import annotations
 
@@ -8,27 +8,34 @@ from dataclasses import dataclass
 
 from blocks import Figure, Table
 
-SCALE = {"µs": 1e6, "ms": 1e3, "s": 1.0, "%": 1e2, "N": 1.0}
+SCALE = {"µs": 1e6, "ms": 1e3, "s": 1.0, "s of rows": 1.0, "%": 1e2, "N": 1.0}
 SHARED = 0.1  # cores; above it the report warns
 
 METHOD = """\
-Contenders run side by side: in short blocks that take turns in random order, in one process, on the same data, after a
-check that they compute the same. A time is the median over the blocks, with the minimum and the quartiles. The ratio is
-that of medians, armlab's time over the contender's: smaller is better. Its range is the quartiles of the ratios of
-blocks of one round. Times of loops, batches and imports are processor time, which leaves out waiting for a core; those
-of single steps are by the clock on the wall. A bar is the largest value that the project allows itself: of that
-ratio, or of armlab's own time. Bold lines are armlab's, lines in italics are limits of the machine.
+Contenders run in short blocks that alternate in random order, in one process and on the same data, after a check that
+they compute the same results. A time is the median over the blocks, with the minimum and the quartiles. The ratio is
+armlab's median time divided by the contender's; smaller is better. Its range is given by the quartiles of the ratios
+between blocks of the same round. Times of loops, batches and imports are processor time, which excludes waiting for a
+core; times of single steps are wall-clock time. A target is the largest ratio that the project allows, relative to a
+contender of the same run; times have no targets. Bold rows are armlab; rows in italics are limits of the machine.
+"""
+
+SUMMARY = """\
+Contenders run in alternating blocks on the same data, after a check that they compute the same results. There is one
+row per benchmark, with armlab's first measurement (median) and the fastest contender. A ratio below 1 means that armlab
+is faster. Targets are the project's own limits for ratios. [All measurements](benchmarks_all.md) lists every
+contender with quartiles, every target and the method.
 """
 
 
 @dataclass(frozen=True)
 class Section:
-    """The tables of one benchmark, or why there are none.
+    """Tables of one benchmark, or the reason for its failure.
 
     Attributes
     ----------
-    other_cores : that other processes used meanwhile. seconds : by the clock on the wall.
-    failure : why it failed. earlier : why it failed before it was run once more.
+    other_cores : cores used by other processes during the run. seconds : wall-clock time.
+    failure : the reason for a failure. earlier : the reason for the failure of a first attempt.
     """
 
     name: str
@@ -39,6 +46,29 @@ class Section:
     earlier: str = ""
 
 
+def summary(date: str, machine: Sequence[str], sections: Sequence[Section], picture: str) -> str:
+    """Return the page with one table and one picture."""
+    lines = ["# Benchmarks", "", f"Measured by `make bench`, {date}.", *machine[:1], "", SUMMARY]
+    lines += [
+        "| benchmark | armlab | fastest contender | armlab / contender | targets met |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [_summary_row(section) for section in sections if section.tables]
+    lines += ["", f"![Time of armlab relative to each peer, and measurements relative to their targets]({picture})"]
+    return "\n".join(lines) + "\n"
+
+
+def _summary_row(section: Section) -> str:
+    table = section.tables[0]
+    ours = next((figure for figure in table.figures if figure.role == "armlab"), table.figures[0])
+    peers = [figure for figure in table.figures if figure.role == "peer" and math.isfinite(figure.ratio)]
+    best = max(peers, key=lambda figure: figure.ratio, default=None)  # of the largest ratio: the fastest
+    judged = [figure.is_met for one in section.tables for figure in one.figures if figure.bar is not None]
+    other, ratio = (best.name, _digits(best.ratio)) if best else ("", "")
+    met = f"{sum(map(bool, judged))} of {len(judged)}" if judged else ""
+    return f"| {table.title} | {_digits(ours.median * SCALE[table.unit])} {table.unit} | {other} | {ratio} | {met} |"
+
+
 def render(
     date: str,
     machine: Sequence[str],
@@ -47,23 +77,23 @@ def render(
     picture: str = "",
     compared: Sequence[str] = (),
 ) -> str:
-    """Return the report.
+    """Return the report with all measurements.
 
     Parameters
     ----------
     date : as told. machine : sentences. quick : say that the run was too short to judge by.
     picture : file of the picture, beside the report. compared : lines about the baseline.
     """
-    lines = ["# Benchmarks", "", f"Measured by `make bench`, {date}.", *machine, ""]
+    lines = ["# Benchmarks: all measurements", "", f"Measured by `make bench`, {date}.", *machine, ""]
     if picture:
-        lines += [f"![armlab's time over that of each peer, and what was measured over its bar]({picture})", ""]
+        lines += [f"![Time of armlab relative to each peer, and measurements relative to their targets]({picture})", ""]
     if quick:
-        lines += ["**A quick run: good for a look, too short to judge by.**", ""]
+        lines += ["**A quick run: a first impression, too short for conclusions.**", ""]
     others = max((section.other_cores for section in sections), default=0.0)
     if others > SHARED:
         lines += [
-            f"**The machine was shared:** other processes used up to {others:.1f} cores, so that times are longer and "
-            "scatter more than on a quiet one, tails above all. Each table tells how much it was meanwhile.",
+            f"**The machine was shared:** other processes used up to {others:.1f} cores, so times (especially tails) "
+            "are longer and scatter more than on an idle machine. Each table states the load during its measurement.",
             "",
         ]
     lines += [f"**{section.name} failed:** {section.failure}\n" for section in sections if section.failure]
@@ -76,20 +106,22 @@ def render(
 
 
 def _times(sections: Sequence[Section]) -> list[str]:
-    """Return how long each benchmark took, by the clock on the wall, and how quiet the machine was meanwhile."""
+    """Return the wall-clock time of each benchmark, and the load from other processes in the meantime."""
     total = sum(section.seconds for section in sections)
     rows = [f"| {section.name} | {section.seconds:.0f} | {section.other_cores:.2f} |" for section in sections]
     head = ["| benchmark | s | cores used by others |", "|---|---|---|"]
-    return ["## How long it took", "", f"{total / 60.0:.0f} minutes in all.", "", *head, *rows, ""]
+    return ["## Duration", "", f"{total / 60.0:.0f} minutes in total.", "", *head, *rows, ""]
 
 
 def _bars(sections: Sequence[Section]) -> list[str]:
     judged = [(t, f) for section in sections for t in section.tables for f in t.figures if f.bar is not None]
     if not judged:
         return []
-    lines = ["## Bars", "", "| benchmark | contender | measured | bar | |", "|---|---|---|---|---|"]
+    lines = ["## Targets", "", "| benchmark | contender | measured | target | |", "|---|---|---|---|---|"]
     for table, figure in judged:
-        if figure.role == "armlab":
+        if figure.over:
+            measured, bar = f"{_digits(figure.multiple)} of {figure.over}", f"{figure.bar:.3g}"
+        elif figure.role == "armlab":
             scale = SCALE[table.unit]
             measured, bar = (
                 f"{_digits(figure.median * scale)} {table.unit}",
@@ -103,8 +135,8 @@ def _bars(sections: Sequence[Section]) -> list[str]:
 
 
 def _table(table: Table, section: Section) -> list[str]:
-    noise = f"{table.rounds} rounds; other processes used {section.other_cores:.2f} cores meanwhile."
-    head = f"| | median [{table.unit}] | minimum | quartiles | armlab / it | |"
+    noise = f"{table.rounds} rounds; other processes used {section.other_cores:.2f} cores in the meantime."
+    head = f"| | median [{table.unit}] | minimum | quartiles | armlab / contender | |"
     rows = [_row(figure, SCALE[table.unit]) for figure in table.figures]
     return [f"## {table.title}", "", table.text, "", head, "|---|---|---|---|---|---|", *rows, "", noise, ""]
 
@@ -117,7 +149,7 @@ def _row(figure: Figure, scale: float) -> str:
     note = figure.note
     if figure.role == "limit":
         name = f"*{figure.name}*"
-        note = "; ".join(filter(None, (note, f"armlab at {100 / figure.ratio:.0f} % of it")))
+        note = "; ".join(filter(None, (note, f"armlab reaches {100 / figure.ratio:.0f} % of this limit")))
     return f"| {name} | {median} | {minimum} | {lower}–{upper} | {_ratio(figure)} | {note} |"
 
 
@@ -128,5 +160,5 @@ def _ratio(figure: Figure) -> str:
 
 
 def _digits(value: float) -> str:
-    """Three digits, never an exponent above one."""
+    """Format with three digits, without an exponent for values above one."""
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"

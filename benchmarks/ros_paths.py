@@ -1,6 +1,6 @@
-"""The ways by which programs read what a server of the bridge sends: a function each, which others are added beside.
+"""Paths by which programs read the data sent by a bridge server, with one function per path.
 
-A reader takes a number of joint states and then prints a line for each message; see `path_ends`.
+A reader receives a number of joint states and then prints a line for each message; see `path_ends`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ PATIENCE = 30.0  # s
 
 
 class Way(NamedTuple):
-    """How to serve and how to listen.
+    """Server settings and reader command.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Way(NamedTuple):
     kinds: str = "JW"
 
     def options(self) -> dict[str, Any]:
-        """Return what the server is told."""
+        """Return the settings of the server."""
         text = f'[[robots]]\nname = "{ROBOT}"\nlink = "sim://{ROBOT}"\n'
         if self.server == "local":
             return {"path": self.table}
@@ -64,23 +64,23 @@ class Way(NamedTuple):
 
 
 def dds_python(opened: ExitStack) -> Way | None:
-    """cyclonedds in Python, with its own codec."""
+    """cyclonedds in Python with its own codec."""
     domain = str(_domain())
     return _dds(lambda count: [sys.executable, str(HERE / "path_dds.py"), "read", domain, str(count)])
 
 
 def dds_cyclone(opened: ExitStack) -> Way | None:
-    """Cyclone DDS in C; None where its tools are missing."""
+    """Cyclone DDS in C; None if its tools are missing."""
     return _dds(_node(_built("cyclone", opened))) if shutil.which("idlc") else None
 
 
 def dds_fast(opened: ExitStack) -> Way | None:
-    """Fast DDS in C++; None where its tools are missing."""
+    """Fast DDS in C++; None if its tools are missing."""
     return _dds(_node(_built("fast", opened))) if shutil.which("fastddsgen") else None
 
 
 def rmw_zenoh(opened: ExitStack) -> Way | None:
-    """A peer that reads the keys that a node with rmw_zenoh would; of the bytes it reads the stamps."""
+    """Peer that reads the keys that a node with rmw_zenoh would read, but only the stamps in the bytes."""
     from armlab.bridge.servers.ros.rmw_zenoh import Names
 
     names, keys = Names(0, "1"), []
@@ -94,7 +94,7 @@ def rmw_zenoh(opened: ExitStack) -> Way | None:
 
 
 def zenoh(opened: ExitStack) -> Way | None:
-    """A plain peer that reads the rows for controllers."""
+    """Plain peer that reads the rows for controllers."""
     size = RowSchema.of([robots.load(ROBOT)]).size
     return _zenoh("zenoh", "", [Key(f"armlab/lab/{ROBOT}/live", "J", 32, False, MAGIC.hex() + "00" * (size - 4))])
 
@@ -106,7 +106,7 @@ def zenoh_feed(opened: ExitStack) -> Way | None:
 
 
 def rosbridge(opened: ExitStack) -> Way | None:
-    """A client with websockets alone."""
+    """Client with websockets alone."""
     port = _free_port()
     return Way(
         "rosbridge", f"port = {port}", _program("path_rosbridge.py", "read", port), {}, _writer("rosbridge", port)
@@ -114,7 +114,7 @@ def rosbridge(opened: ExitStack) -> Way | None:
 
 
 def roslibpy(opened: ExitStack) -> Way | None:
-    """roslibpy; None where it is missing."""
+    """roslibpy; None if it is missing."""
     port = _free_port()
     if find_spec("roslibpy") is None:
         return None
@@ -122,7 +122,7 @@ def roslibpy(opened: ExitStack) -> Way | None:
 
 
 def ros1(opened: ExitStack) -> Way | None:
-    """A real master and rospy; None where they are missing."""
+    """A real master and rospy; None if they are missing."""
     look = [SYSTEM, "-c", "import rospy, sensor_msgs.msg, geometry_msgs.msg"]
     if shutil.which("roscore") is None or subprocess.run(look, capture_output=True, check=False).returncode:
         return None
@@ -137,7 +137,7 @@ def ros1(opened: ExitStack) -> Way | None:
 
 
 def plotjuggler(opened: ExitStack) -> Way | None:
-    """A receiver of datagrams."""
+    """Receiver of datagrams."""
     port = _free_port(socket.SOCK_DGRAM)
     reader, writer = _program("path_plotjuggler.py", "read", port), _writer("plotjuggler", port)
     return Way("plotjuggler", f"port = {port}", reader, {}, writer, "J")
@@ -175,7 +175,7 @@ WAYS: dict[str, Make] = {
 }
 
 ONE_EACH = tuple(name for name in WAYS if not name.endswith((" Cyclone DDS", " Fast DDS", "roslibpy", "ZenohFeed")))
-"""One way of each server."""
+"""One path per server."""
 
 
 def _program(name: str, *words: Any) -> Callable[[int], list[str]]:
@@ -221,7 +221,7 @@ def _zenoh(server: str, table: str, keys: Sequence[Key]) -> Way:
 
 
 def _message(type_: str) -> Any:
-    """Return a message as long as those of the server."""
+    """Return a message of the same length as those of the server."""
     types = store().types
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
     if type_.endswith("JointState"):
@@ -232,7 +232,7 @@ def _message(type_: str) -> Any:
 
 
 def _roscore(opened: ExitStack, port: int, environment: Mapping[str, str]) -> None:
-    """Start a master, and wait until it answers; it ends with all that it started."""
+    """Start a master, and wait until it answers; at the end, stop it and all processes that it started."""
     master = subprocess.Popen(
         ["roscore", "-p", str(port)],
         env={**os.environ, **environment},

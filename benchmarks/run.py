@@ -1,13 +1,13 @@
-"""Run the benchmarks side by side with armlab's peers and write a report.
+"""Run the benchmarks of armlab and its peers, and write a report.
 
     python benchmarks/run.py                   all of them, half an hour on a quiet machine of two cores
     python benchmarks/run.py --only pose       one
     python benchmarks/run.py --quick           a short look
-    python benchmarks/run.py --publish         also write docs/benchmarks.md, its picture, and the baseline
+    python benchmarks/run.py --publish         also write the two pages and the picture in docs, and the baseline
 
-A benchmark is a file ``bench_NAME.py`` here with a function ``run(quick) -> list[blocks.Table]``. It runs in a process
-of its own, so that none meets what another left behind. A report, Markdown and a picture, goes to
-``benchmarks/results``; it tells how long each took, and compares with the baseline of the last published run.
+A benchmark is a file ``bench_NAME.py`` here with a function ``run(quick) -> list[blocks.Table]``. It runs in a separate
+process, so that benchmarks do not affect each other. A report, Markdown and a picture, goes to ``benchmarks/results``;
+it states the duration of each benchmark, and compares with the baseline of the last published run.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ NAMES = tuple(sorted(path.stem.removeprefix("bench_") for path in HERE.glob("ben
 
 
 def main() -> int:
-    """Prepare the environment, go there, measure, report."""
-    parser = argparse.ArgumentParser(description="Benchmarks of armlab beside its peers.")
+    """Prepare and enter the environment, measure, and report."""
+    parser = argparse.ArgumentParser(description="Benchmarks of armlab and its peers.")
     parser.add_argument("--only", choices=NAMES, action="append", metavar="NAME", help=f"one of {', '.join(NAMES)}")
     parser.add_argument("--quick", action="store_true", help="a short look")
-    parser.add_argument("--publish", action="store_true", help="also write docs/benchmarks.md and the baseline")
+    parser.add_argument("--publish", action="store_true", help="also write the pages in docs and the baseline")
     options = parser.parse_args()
     if options.publish and (options.only or options.quick):
-        parser.error("only a whole run is published: leave out --only and --quick")
+        parser.error("only a whole run can be published: omit --only and --quick")
     if not environment.is_inside():
         environment.prepare()
         environment.enter(__file__, sys.argv[1:])
@@ -50,6 +50,7 @@ def _measured(names: Sequence[str], quick: bool, some: bool, publish: bool) -> i
     import machine
     import picture
     from measure import measure
+    from report import summary
 
     start, about = datetime.now(UTC), machine.describe()
     date = f"{start:%Y-%m-%d %H:%M} UTC"
@@ -66,11 +67,13 @@ def _measured(names: Sequence[str], quick: bool, some: bool, publish: bool) -> i
     text = _write(path, date, about, sections, quick, some, shown)
     failed = [section.name for section in sections if section.failure]
     if publish and not failed:
-        (DOCS / "benchmarks.md").write_text(text.replace(f"({shown})", "(_static/benchmarks.png)"), encoding="utf-8")
+        page = "_static/benchmarks.png"
+        (DOCS / "benchmarks.md").write_text(summary(date, about, sections, page), encoding="utf-8")
+        (DOCS / "benchmarks_all.md").write_text(text.replace(f"({shown})", f"({page})"), encoding="utf-8")
         shutil.copy(drawn, DOCS / "_static" / "benchmarks.png")
         baseline.store(date, about[0], sections)
     print(text)
-    print(f"Report: {path.relative_to(environment.ROOT)}, its picture beside it")
+    print(f"Report: {path.relative_to(environment.ROOT)}, with its picture in the same folder")
     if failed:
         print(f"Failed: {', '.join(failed)}. Nothing was published.", file=sys.stderr)
     return 1 if failed else 0

@@ -7,14 +7,14 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
-os.environ["OMP_NUM_THREADS"] = "1"  # of this build and its notebooks: matrices are small, and bits the same everywhere
+os.environ["OMP_NUM_THREADS"] = "1"  # for the build and its notebooks: bit-identical results everywhere
 
-import matplotlib.font_manager  # noqa: F401  its cache of fonts is made now: a cell that makes it writes to stderr
+import matplotlib.font_manager  # noqa: F401  builds the font cache now; in a notebook cell it would write to stderr
 
 import armlab
 
-logging.basicConfig()  # before the theme does: its colours let all loggers of the process speak
-logging.getLogger("armlab").setLevel(logging.ERROR)  # a busy machine is told that no packet has come yet
+logging.basicConfig()  # before the theme does it, whose handler would show all loggers of the process
+logging.getLogger("armlab").setLevel(logging.ERROR)  # no warnings about missing packets on a busy machine
 
 project = "armlab"
 author = "The armlab authors"
@@ -30,14 +30,15 @@ extensions = [
     "accuracy_table",
     "kernel_signatures",
     "fault_table",
+    "symbol_table",
     "figures",
     "notebooks",
 ]
-exclude_patterns = ["_build", "_figures"]
+exclude_patterns = ["_build", "_figures", "_templates"]
 default_role = "literal"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300  # s, generous for a busy machine
-nb_execution_in_temp = True  # what notebooks write is gone afterwards
+nb_execution_in_temp = True  # files written by notebooks are deleted afterwards
 nb_merge_streams = True
 nb_output_stderr = "error"  # warnings and logs of a cell are errors of the build
 
@@ -46,11 +47,20 @@ myst_heading_anchors = 3
 
 html_theme = "furo"
 html_title = f"armlab {version}"
+html_favicon = "_static/favicon.svg"
+templates_path = ["_templates"]
+html_context = {"versions": os.environ.get("ARMLAB_DOCS_VERSIONS", "").split()}  # folders beside this one
+html_sidebars = {
+    "**": [
+        f"sidebar/{part}.html" for part in ("brand", "versions", "search", "scroll-start", "navigation", "scroll-end")
+    ]
+}
 html_static_path = ["_static"]
 html_css_files = ["armlab.css"]
+html_search_scorer = str(Path(__file__).parent / "_ext" / "search_scorer.js")  # users' pages first
 html_math_renderer = "mathml"
 html_show_sourcelink = False
 html_copy_source = False
 
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # shapes, units and frames stand in the docstrings; annotations repeat less than that
+autodoc_typehints = "none"  # docstrings give shapes, units and frames, which annotations lack

@@ -1,4 +1,4 @@
-"""Load a robot, compute poses and Jacobians, for one configuration or many at once."""
+"""Load a robot and compute poses and Jacobians, for one configuration or many."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ def main() -> None:
     print("library:", ", ".join(robots.names()))
     print(robot, "with limits in degrees", np.rad2deg(robot.q_min).round(1), np.rad2deg(robot.q_max).round(1))
 
-    T_base_tool = kinematics.forward(robot, robot.q_home)  # axes of the YuMi's body, metres
+    T_base_tool = kinematics.forward(robot, robot.q_home)  # in the body frame of the YuMi, metres
     print("pose of the tool at home\n", T_base_tool, sep="")
 
     J = kinematics.jacobian(robot, robot.q_home)  # rows [v; w], base axes, at the tool point
@@ -26,7 +26,7 @@ def main() -> None:
     reach = np.linalg.norm(T[:, :3, 3] - robot.T_base_mount[:3, 3], axis=1)
     print(f"{len(q)} random poses, reach from the shoulder {reach.min():.3f} to {reach.max():.3f} m")
 
-    step = se3.log(se3.inv(T[0]) @ T[1])  # twist [v; w] that leads from one pose to the other
+    step = se3.log(se3.inv(T[0]) @ T[1])  # twist [v; w] from one pose to the other
     print("from pose 0 to pose 1:", step, "which turns by", so3.angle(T[0, :3, :3], T[1, :3, :3]).round(4), "rad")
 
 

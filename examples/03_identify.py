@@ -1,4 +1,4 @@
-"""Excite a simulated YuMi, identify gravity, inertia and friction from the log, save the model."""
+"""Excite a simulated YuMi, identify gravity, inertia and friction from the log, and save the model."""
 
 import numpy as np
 

@@ -1,6 +1,6 @@
-"""Estimate the force of a hand inside a controller: the arm sways, the operator presses, the program prints.
+"""Estimate the force of a hand inside a controller: the arm sways, a hand presses, and the program prints the force.
 
-Runs after 03_identify.py, which leaves model.toml.
+Runs after 03_identify.py, which writes model.toml.
 """
 
 from pathlib import Path

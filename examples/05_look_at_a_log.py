@@ -1,6 +1,6 @@
-"""Read a recording, choose rows and columns, derive one more, draw it.
+"""Read a recording, select rows and columns, derive a new column and plot it.
 
-Runs after 02_move_a_simulated_arm.py, which leaves sine.mcap.
+Runs after 02_move_a_simulated_arm.py, which writes sine.mcap.
 """
 
 import numpy as np
@@ -13,10 +13,10 @@ def main() -> None:
     table = log.read("sine.mcap")
     print(table["q"].shape, table.units["q"], "joints", table.columns["q"].labels)
 
-    moving = table.between(1.0, 5.0).select("q", "qd", "q_sent")  # seconds, half open; a view
+    moving = table.between(1.0, 5.0).select("q", "qd", "q_sent")  # seconds, half-open interval; a view
     print(moving.describe())
 
-    error = table["q_sent"] - table["q"]  # missing values are NaN and stay NaN
+    error = table["q_sent"] - table["q"]  # missing values stay NaN
     table = table.with_column("tracking_error", error, unit="rad")
     worst = np.nanargmax(np.abs(error[:, -1]))
     print(f"largest tracking error {np.rad2deg(error[worst, -1]):.2f} deg at t = {table.t[worst]:.2f} s")

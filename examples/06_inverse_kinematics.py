@@ -1,4 +1,4 @@
-"""From poses of the tool to joint positions inside the limits; what the free joint is for; what cannot be reached."""
+"""Joint positions within the limits for a tool pose; use of the redundant joint; an unreachable pose."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ def main() -> None:
     np.set_printoptions(precision=4, suppress=True)
     robot = robots.load("yumi_right")
     T_base_tool = kinematics.forward(robot, robot.q_home)
-    T_base_tool[:3, 3] += [0.05, 0.02, 0.03]  # five centimetres forward, and a little to the side and up
+    T_base_tool[:3, 3] += [0.05, 0.02, 0.03]  # 5 cm forward, and slightly sideways and up
 
     found = kinematics.inverse(robot, T_base_tool, robot.q_home)
     print(found.report())
@@ -20,7 +20,7 @@ def main() -> None:
     goals = kinematics.forward(robot, q)
     print("a batch:", kinematics.inverse(robot, goals, threads=2).report())
 
-    for objective in ("posture", "mid_range", "limits", "manipulability"):  # seven joints, six numbers of a pose
+    for objective in ("posture", "mid_range", "limits", "manipulability"):  # 7 joints, 6 coordinates of a pose
         free = kinematics.inverse(robot, T_base_tool, objective=objective)
         room = np.min(1 - np.abs(2 * free.q - robot.q_max - robot.q_min) / (robot.q_max - robot.q_min))
         w = kinematics.manipulability(robot, free.q)

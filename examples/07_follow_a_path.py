@@ -1,17 +1,17 @@
-"""Lead the tool along a path: joint positions on one branch, how well they can move, the free elbow."""
+"""Follow a path with the tool: joint positions on one branch, their manipulability, and the self-motion of the arm."""
 
 import numpy as np
 
 from armlab import kinematics, robots
 from armlab.lie import so3
 
-PERIOD = 0.004  # s, from row to row
+PERIOD = 0.004  # s between rows
 
 
 def main() -> None:
     np.set_printoptions(precision=3, suppress=True)
     robot = robots.load("yumi_right")
-    angle = np.linspace(0, 2 * np.pi, 1001)  # a circle of 8 cm in 4 s, the tool swaying along
+    angle = np.linspace(0, 2 * np.pi, 1001)  # a circle of 8 cm in 4 s, while the tool tilts back and forth
     T_base_tool = np.tile(kinematics.forward(robot, robot.q_home), (len(angle), 1, 1))
     T_base_tool[:, 1, 3] += 0.08 * np.sin(angle)
     T_base_tool[:, 2, 3] += 0.08 * (1 - np.cos(angle))
@@ -28,7 +28,7 @@ def main() -> None:
     w = kinematics.manipulability(robot, closed.q)
     print(f"fastest joint {np.abs(qd).max():.2f} rad/s, manipulability {w.min():.4f} to {w.max():.4f}")
     Jd = kinematics.jacobian_derivative(robot, closed.q, qd)
-    v_dot = (Jd @ qd[..., None])[:, :3, 0]  # the tool's acceleration when no joint accelerates
+    v_dot = (Jd @ qd[..., None])[:, :3, 0]  # tool acceleration at constant joint velocity
     print(f"velocities alone accelerate the tool by up to {np.linalg.norm(v_dot, axis=1).max():.3f} m/s^2")
 
     walk = kinematics.self_motion(robot, robot.q_home, direction=1, length=3.0)

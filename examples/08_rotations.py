@@ -1,4 +1,4 @@
-"""Convert poses of other systems, choose signs of quaternions, average noisy rotations, interpolate."""
+"""Convert poses from other systems, make quaternions continuous, average noisy rotations and interpolate."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from armlab.lie import euler, quaternion, se3, so3
 
 def main() -> None:
     np.set_printoptions(precision=4, suppress=True)
-    # ABB gives millimetres and a quaternion wxyz with six digits; Nikon millimetres and three angles in degrees.
+    # ABB: millimetres and a wxyz quaternion with six digits. Nikon: millimetres and three angles in degrees.
     abb_mm, abb_quaternion = np.array([515.0, 0.0, 712.0]), [0.707107, 0.0, 0.707107, 0.0]
     nikon = np.array([1125.153, -683.551, 614.108, 12.5, -3.0, 91.2])
     T_base_tool = se3.from_rp(quaternion.to_matrix(abb_quaternion), abb_mm / 1000)
@@ -16,7 +16,7 @@ def main() -> None:
     angles = np.rad2deg(euler.to_rpy(T_cam_tool[:3, :3], "zyx"))
     print("tool seen by the camera:", T_cam_tool[:3, 3], "m,", angles, "deg about z, y, x")
 
-    t = np.linspace(0, 10, 1001)  # a wrist that keeps turning: with w ≥ 0 the quaternion jumps, though nothing does
+    t = np.linspace(0, 10, 1001)  # a continuous rotation whose quaternion jumps if w ≥ 0 is enforced
     R = so3.from_axis_angle([1.0, 0.0, 1.0], 2 * t)
     q = quaternion.from_matrix(R)
     smooth = quaternion.continuous(q)

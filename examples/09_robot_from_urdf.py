@@ -1,8 +1,8 @@
-"""Read a URDF, choose an arm in it, compute its poses and gravity torques, save it as TOML."""
+"""Read a URDF, select an arm, compute its poses and gravity torques, and save it as TOML."""
 
 import numpy as np
 
-from armlab import kinematics, robots
+from armlab import dynamics, kinematics, robots
 
 ARM = """<robot name="lift">
   <link name="floor"/>
@@ -21,18 +21,17 @@ ARM = """<robot name="lift">
 
 
 def main() -> None:
-    tree = robots.urdf.parse(ARM)  # of a file: robots.urdf.read, or robots.load for one arm at once
+    tree = robots.urdf.parse(ARM)  # from a file: robots.urdf.read, or robots.load to get one arm directly
     print(tree, "from", tree.root, "to", ", ".join(tree.tips))
-    robot = tree.chain("floor", "hand")  # the fixed joint is merged, the hand weighs on the beam
+    robot = tree.chain("floor", "hand")  # the fixed joint is merged; the mass of the hand is part of the beam
     print("joints", robot.joint_names, "masses", robot.inertias[:, 0], "kg, at most", robot.tau_max, "N, N m")
 
     q = np.array([0.4, 0.5])
     print("hand at", kinematics.forward(robot, q)[:3, 3].round(4), "m")
-    still = np.zeros(robot.n)
-    print("held by", robot.chain.rnea(q, still, still, robot.gravity, robot.inertias).round(3), "N, N m")
+    print("held by", dynamics.gravity(robot, q).round(3), "N, N m")
 
-    robots.save(robot, "lift.toml")  # all of it, to the last bit
-    robots.save(robot, "lift.urdf")  # for Pinocchio, MuJoCo, ROS
+    robots.save(robot, "lift.toml")  # bit-identical
+    robots.save(robot, "lift.urdf")  # for Pinocchio, MuJoCo and ROS
     print("read back, it is the same robot:", robots.load("lift.toml") == robot)
 
 

@@ -1,4 +1,4 @@
-"""Draw an arm: its frames, a motion, where its tool can be, how fast it can move there."""
+"""Plot an arm: its frames, a motion, its workspace and its velocity ellipsoids."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ def main() -> None:
     q = robot.q_home + np.outer(t, [0.6, 0.3, -0.15, 0.4, 0.4, 0.8])  # rad
     T_base_tool = kinematics.forward(robot, q)
 
-    ax = plots.robot(robot, q, path=True)  # the last configuration in full, others faint
+    ax = plots.robot(robot, q, path=True)  # the last configuration is solid, the others are faint
     plots.scene({"marker": se3.from_rp(np.eye(3), [1.2, 0.9, 0.0])}, frames=0.2, ax=ax)
     ax.figure.savefig("arm.png", dpi=120)
 
@@ -21,7 +21,7 @@ def main() -> None:
     plots.manipulability(robot, q[[0, -1]]).figure.savefig("ellipsoids.png", dpi=120)
     plots.workspace(robot, points=20_000, seed=1).savefig("workspace.png", dpi=120)
 
-    ax = plots.robot(robots.load("yumi_left"))  # two arms share axes: both are in the frame of the body
+    ax = plots.robot(robots.load("yumi_left"))  # both arms in one scene, in the body frame
     plots.robot(robots.load("yumi_right"), ax=ax)
     ax.figure.savefig("yumi.png", dpi=120)
     print("figures: arm poses path ellipsoids workspace yumi .png")

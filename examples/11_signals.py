@@ -1,4 +1,4 @@
-"""Integrate, differentiate and filter in a control loop: objects instead of macros, with the true step."""
+"""Integrate, differentiate and filter in a control loop, with objects that use the true time step."""
 
 import numpy as np
 
@@ -8,12 +8,12 @@ from armlab import signals
 def main() -> None:
     rng = np.random.default_rng(0)
     t = np.cumsum(rng.uniform(0.003, 0.005, 500))  # a loop near 250 Hz, with jitter
-    force = 5.0 * (t > 1.0) + 0.2 * rng.standard_normal(500)  # a hand that begins to push after 1 s
+    force = 5.0 * (t > 1.0) + 0.2 * rng.standard_normal(500)  # a hand pushes from 1 s on
 
     smooth = signals.ExpFilter(time_constant=0.05)  # @expfilt force 0.92
     position = signals.Integrator(dt=0.004)  # @integrate velocity 0
     velocity_of = signals.CausalDiff(cutoff=10.0)  # @differentiate position, filtered
-    for k in range(500):  # what a controller does with each state
+    for k in range(500):  # the loop of a controller
         filtered = smooth.step(force[k], t[k])
         q = position.step(0.02 * filtered, t[k])  # admittance: 20 mm/s per newton
         qd = velocity_of.step(q, t[k])
@@ -21,10 +21,10 @@ def main() -> None:
     print(f"steps longer than 1.5 dt: {position.gaps}, samples that were not finite: {position.skipped}")
 
     smooth.reset()
-    record = smooth.run(force, t)  # the same filter over a record: the same bits as the loop
+    record = smooth.run(force, t)  # the same filter on a record: bit-identical to the loop
     print("the loop ended with the same value:", bool(record[-1] == filtered))
 
-    twin = signals.filtfilt(smooth, force, t)  # forward and backward: no delay, but it needs the future
+    twin = signals.filtfilt(smooth, force, t)  # forward and backward: no delay, but only offline
     rises = [t[np.argmax(x > 2.5)] for x in (record, twin)]
     print(f"half of the step is reached at {rises[0]:.3f} s causally, at {rises[1]:.3f} s without phase")
 

@@ -1,15 +1,15 @@
-"""The figures of TFRT-7651, section 5, on the simulated YuMi: torque covariance, presses on the tips, 500 g."""
+"""Figures of TFRT-7651, section 5, with the simulated YuMi: torque covariance, presses on the tips, 500 g."""
 
 import numpy as np
 
 from armlab import contact, identify, log, plots, robots, sim
 
-WEIGHT = [(20.0, 0, 4.905), (23.0, 2, -4.905)]  # s, axis, N: 500 g along x, then along -z, both hands at once
-FIRST = {"left": 10.0, "right": 1.0}  # s: before that, 5 N along x, y, z of the base, one hand after the other
+WEIGHT = [(20.0, 0, 4.905), (23.0, 2, -4.905)]  # s, axis, N: 500 g along x, then along -z, on both hands simultaneously
+FIRST = {"left": 10.0, "right": 1.0}  # s: before this time, 5 N along x, y, z of the base, one hand after the other
 
 
 def measure(side: str) -> tuple[log.Table, log.Table]:
-    """Excite one arm and identify it, then press on its tip while it sways; return the estimates along both logs."""
+    """Identify one arm, then press on its tip while it sways; return the estimates for both logs."""
     robot = robots.load(f"yumi_{side}")
     presses = [(FIRST[side] + 3.0 * axis, axis, 5.0) for axis in range(3)] + WEIGHT
 
@@ -26,7 +26,7 @@ def measure(side: str) -> tuple[log.Table, log.Table]:
 def main() -> None:
     arms = {side: measure(side) for side in FIRST}
     free = arms["right"][0].between(0.5, np.inf)
-    e, qd = -free["tau_error"], free["qd"]  # exp is equation 3 of the report, step equation 4
+    e, qd = -free["tau_error"], free["qd"]  # exp: equation 3 of the report; step: equation 4
     curves = {kind: identify.fit_velocity_covariance(e, qd, kind).value for kind in ("exp", "step")}
     plots.residual_speed(free, curves, joints=[1]).savefig("report_1.png", dpi=120)
     for number, start, end in ((2, 0.5, 19.5), (3, 19.5, 26.0)):

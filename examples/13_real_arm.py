@@ -1,4 +1,4 @@
-"""Identify a Staubli TX40 from its public log: motor angles and currents, no velocity, a coupled wrist."""
+"""Identify a Staubli TX40 from a public log: motor angles and currents, no velocities, a coupled wrist."""
 
 import sys
 from dataclasses import replace
@@ -11,8 +11,8 @@ from armlab.robots import couplings
 
 FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else "staubli_tx40")
 GEARS = np.diag([32.0, 32.0, 45.0, -48.0, 45.0, 32.0])  # q_motor = GEARS @ q
-GEARS[5, 4] = 32.0  # the sixth motor also turns when the fifth joint does
-ZERO = np.array([0, -np.pi / 2, np.pi / 2, 0, 0, 0])  # of the URDF against the motors'
+GEARS[5, 4] = 32.0  # motor 6 also rotates with joint 5
+ZERO = np.array([0, -np.pi / 2, np.pi / 2, 0, 0, 0])  # signs of the URDF joints relative to the motors
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Use a sensor beside the arm: its newest value in each State, its age, NaN while it is silent, all in the log."""
+"""Use an external sensor: each State has its newest value and age, NaN while it is silent; the log has all values."""
 
 import itertools
 
@@ -12,13 +12,13 @@ FRAME = itertools.count()
 
 
 def read_tracker() -> dict[str, object] | None:
-    """Stand in for a camera at 30 Hz that sees the tool for two thirds of each second."""
+    """Simulate a 30 Hz camera that sees the tool for two thirds of each second."""
     k = next(FRAME)
     return {"p": [0.4, 0.0, 0.2 + 0.01 * np.sin(k / 30)]} if k % 30 < 20 else None
 
 
 def controller(state: State) -> Command:
-    """Turn the flange with what the tracker sees; back where it began while that is too old, which is NaN."""
+    """Rotate the flange with the tracker value; return to the start while the value is stale (NaN)."""
     seen = state.sources["tracker"]
     COUNTS["too old" if seen.stale else "fresh" if seen.fresh else "held"] += 1
     q = state.q_start.copy()

@@ -1,6 +1,6 @@
-"""Teleoperation: the left arm of a YuMi gives way to a hand, the right arm does the same in the mirror.
+"""Teleoperation: the left arm of a YuMi yields to a hand, and the right arm mirrors its motion.
 
-A simulated hand pushes the left arm, in lockstep; with two addresses instead of sim:// it runs on a robot.
+A simulated hand pushes the left arm, in lockstep. With two egm:// addresses, the program runs on a robot.
 """
 
 from pathlib import Path
@@ -10,12 +10,12 @@ import numpy as np
 from armlab import Command, State, bridge, kinematics, robots
 
 PUSH = "t,fx,fy,fz,mx,my,mz\n1,0,0,0,0,0,0\n1.2,0,25,0,0,0,0\n2.5,0,25,0,0,0,0\n2.7,0,0,0,0,0,0\n"
-MIRROR = np.array([-1, 1, -1, 1, -1, 1, -1])  # the arms are mirror images in the plane y = 0
-START: dict[str, np.ndarray] = {}  # torque where guidance began: gravity, and what friction held
+MIRROR = np.array([-1, 1, -1, 1, -1, 1, -1])  # the arms are mirror images about the plane y = 0
+START: dict[str, np.ndarray] = {}  # torque at the start of guidance: gravity and static friction
 
 
 def follow(state: State) -> tuple[Command, Command]:
-    """Let the left arm yield to torques beyond those at the start, and the right arm follow what it measures."""
+    """Let the left arm yield to the torque change since the start, and the right arm follow its motion."""
     left, right = state.arms
     pushed = START.setdefault("tau", left.tau) - left.tau  # the drives push back
     yielding = 0.1 * np.sign(pushed) * np.maximum(np.abs(pushed) - 2.5, 0.0)

@@ -1,4 +1,4 @@
-"""A camera watches a marker on the tool: where both are, which samples were wrong, how sure that is."""
+"""Hand-eye calibration: find the poses of a camera and of a marker on the tool, with outliers and covariance."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from armlab.lie import so3
 
 
 def main() -> None:
-    seen = sim.cell(seed=1).hand_eye(N=30, wrong=2)  # poses of the robot and of the marker; the truth is known here
+    seen = sim.cell(seed=1).hand_eye(N=30, wrong=2)  # robot poses and marker poses, with known truth
     fit = calibrate.fit_hand_eye(seen.A, seen.B, robust=True)
     print(fit.report())
     fit.save("camera.toml")

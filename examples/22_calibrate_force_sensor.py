@@ -1,4 +1,4 @@
-"""A force sensor under 1 kg in a hundred orientations: its axes, load and bias, and who touched it."""
+"""Force sensor calibration with 1 kg in a hundred orientations: axes, load, bias, and samples with contact."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from armlab.lie import so3
 
 
 def main() -> None:
-    weighed = sim.cell(seed=1).force(torque=0.005, contacts=5)  # orientations and raw readings; the truth is known here
+    weighed = sim.cell(seed=1).force(torque=0.005, contacts=5)  # orientations and raw readings, with known truth
     fit = calibrate.fit_force_sensor(weighed.RA, weighed.y, gravity=[0.0, 0.0, -9.82], robust=True)
     print(fit.report())
     fit.save("force_sensor.toml")

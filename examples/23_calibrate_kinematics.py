@@ -1,4 +1,4 @@
-"""An arm that is not quite its table: fifty measured poses make a corrected robot."""
+"""Kinematic calibration: correct the geometry of an arm from fifty measured poses."""
 
 import numpy as np
 
@@ -6,11 +6,11 @@ from armlab import calibrate, kinematics, plots, robots, sim
 
 
 def main() -> None:
-    arm = sim.cell(seed=1).kinematics()  # joint positions and measured poses of the tool; the truth is known here
+    arm = sim.cell(seed=1).kinematics()  # joint positions and measured tool poses, with known truth
     fit = calibrate.fit_kinematics(arm.robot, arm.q, pose=arm.pose)
     print(fit.report())
     fit.save("arm.toml")
-    robots.save(fit.value.robot, "corrected.toml")  # goes wherever a robot goes
+    robots.save(fit.value.robot, "corrected.toml")  # a Robot like any other
     for name, robot in (("table", arm.robot), ("corrected", robots.load("corrected.toml"))):
         off = kinematics.forward(robot, arm.q_valid)[:, :3, 3] - arm.pose_valid[:, :3, 3]
         print(f"{name}: {1e3 * np.sqrt(np.mean(np.sum(off**2, axis=1))):.3f} mm where it was not fitted")

@@ -1,4 +1,4 @@
-"""A line scanner on the tool scans three flat plates: where it sits, without a guess."""
+"""Line scanner calibration: find its pose on the tool from scans of three plates, without an initial guess."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from armlab import calibrate, models, plots, sim
 
 
 def main() -> None:
-    drawn = sim.cell(seed=1).laser(wrong=3)  # poses of the tool, lines on the plates; the truth is known here
+    drawn = sim.cell(seed=1).laser(wrong=3)  # tool poses and lines on the plates, with known truth
     fit = calibrate.fit_laser_plane(drawn.A, drawn.scans, drawn.plane, robust=True)
     print(fit.report())
     fit.save("laser.toml")

@@ -1,4 +1,4 @@
-"""Plan motions from point to point: how long they take, and that they keep to the limits of the arm."""
+"""Plan point-to-point motions; compare their durations and peak speeds with the limits of the arm."""
 
 import numpy as np
 
@@ -16,13 +16,13 @@ def report(name: str, profile: profiles.Profile) -> None:
 
 def main() -> None:
     start, end = ROBOT.q_home, ROBOT.q_home + np.deg2rad([30, -10, 20, -25, 40, 15, -60])
-    smooth = profiles.minimum_jerk(start, end, duration=0.5).slowed(SLOW, SOFT)  # the shortest within the limits
+    smooth = profiles.minimum_jerk(start, end, duration=0.5).slowed(SLOW, SOFT)  # shortest within the limits
     report("minimum jerk", smooth)
     report("trapezoidal", profiles.trapezoidal(start, end, SLOW, SOFT))
     report("spline", profiles.spline([0, 1, 2], [start, (start + end) / 2, end]).slowed(SLOW, SOFT))
     report("there and back", profiles.connect([start, end, start], duration=2.0))
 
-    def follow(state: State) -> Command:  # the same way, from where the arm stands
+    def follow(state: State) -> Command:  # the same displacement, from the current position
         q, qd, _ = smooth.at(state.t)
         return Command(state.q_start + q - start, qd)
 

@@ -1,27 +1,27 @@
-"""Teach by leading the arm, repeat the motion, hold the arm by hand for two seconds, let go: it goes on where it was.
+"""Teach by leading the arm, repeat the motion, hold the arm for two seconds and release it: the motion resumes.
 
-The experiment of Karlsson et al. (IFAC 2017) on the simulated YuMi, over EGM. A force sensor feels the hand.
+The experiment of Karlsson et al. (IFAC 2017) on the simulated YuMi, over EGM. A force sensor measures the hand force.
 """
 
 import numpy as np
 
 from armlab import State, bridge, kinematics, motion, plots, robots
 
-INERTIA = 0.5  # kg m^2, that a hand feels in each joint
+INERTIA = 0.5  # kg m^2, apparent inertia of each joint
 HELD = (1.0, 3.0)  # s
 ROBOT = robots.load("yumi_right")
 
 
 def give_way(state: State) -> np.ndarray:
-    """Return the acceleration that the force of a hand adds."""
+    """Return the acceleration caused by the force of a hand."""
     return kinematics.jacobian(ROBOT, state.q).T @ state.wrench_raw / INERTIA
 
 
 def main() -> None:
     with bridge.connect("sim://yumi_right?program=lead-through&seed=3", ROBOT) as link:
-        taught = link.run(None, seconds=2.5).table  # in real time: a hand cannot wait
+        taught = link.run(None, seconds=2.5).table  # in real time, since a hand cannot wait
     dmp = motion.fit_dmp(taught.t, taught["q"], scaling="none").value
-    two_dof = motion.TwoDofDmp(dmp, e0=0.02)  # rad: the arm lags behind by less
+    two_dof = motion.TwoDofDmp(dmp, e0=0.02)  # rad, above the tracking lag
     controller = two_dof.controller(ROBOT, give_way=give_way)
     url = f"sim://yumi_right?lockstep=true&force=true&grip={HELD[0]},{HELD[1]}"
     with bridge.connect(url, ROBOT) as link:

@@ -1,18 +1,18 @@
-"""Both arms of a YuMi run one primitive: while a hand holds the left arm the right arm waits; they end together."""
+"""Both arms of a YuMi run one primitive: while a hand holds the left arm, the right arm waits; they end together."""
 
 import numpy as np
 
 from armlab import State, bridge, kinematics, log, motion, plots, robots
 
-INERTIA = 1.0  # kg m^2, that a hand feels in each joint
+INERTIA = 1.0  # kg m^2, apparent inertia of each joint
 HELD = (0.8, 2.8)  # s
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
 MOVE = np.deg2rad([20, 10, -15, -20, 30, 10, -40])
-MIRROR = np.array([-1, 1, -1, 1, -1, 1, -1])  # the arms are mirror images in the plane y = 0
+MIRROR = np.array([-1, 1, -1, 1, -1, 1, -1])  # the arms are mirror images about the plane y = 0
 
 
 def give_way(state: State) -> np.ndarray:
-    """Return the accelerations that the force of a hand adds in either arm."""
+    """Return the accelerations caused by the force of a hand on each arm."""
     pairs = zip((LEFT, RIGHT), state.arms, strict=True)
     return np.concatenate([kinematics.jacobian(robot, arm.q).T @ arm.wrench_raw for robot, arm in pairs]) / INERTIA
 

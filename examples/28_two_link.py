@@ -1,6 +1,6 @@
-"""Two-link arm: points to joints, a primitive through them, torques by inverse dynamics, a push that is recovered from.
+"""Two-link arm: inverse kinematics, a primitive through points, torques by inverse dynamics, recovery from a push.
 
-The demonstration of DynamicMovementPrimitives.jl (src/demo_two_link.jl), which cannot run there.
+The demo of DynamicMovementPrimitives.jl (src/demo_two_link.jl), which does not run there.
 """
 
 import numpy as np
@@ -9,11 +9,11 @@ from armlab import motion
 from armlab.sim import two_link
 
 POINTS = np.array([(0.5, -0.5), (0.5, 0.0), (1.5, 0.0), (1.5, -0.5)])  # m
-PUSH = (1.2, 1.7, np.array([1.5, -1.0]))  # from, to [s], N m
+PUSH = (1.2, 1.7, np.array([1.5, -1.0]))  # start, end [s], N m
 
 
 def plant(t: float, q: np.ndarray, qd: np.ndarray, qdd_ref: np.ndarray) -> np.ndarray:
-    """Return the acceleration of the arm under the torque it is given, and under the push."""
+    """Return the acceleration of the arm under the commanded torque and the push."""
     tau = two_link.inverse_dynamics(q, qd, qdd_ref)
     return two_link.forward_dynamics(q, qd, tau + (PUSH[2] if PUSH[0] <= t < PUSH[1] else 0.0))
 

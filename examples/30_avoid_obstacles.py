@@ -1,6 +1,6 @@
-"""A taught motion goes around a pillar that was not there before, with the tool of a YuMi and in the control loop.
+"""Steer a taught motion of a YuMi around a new pillar, offline and in the control loop.
 
-Then the same path as fast as limits of velocity and acceleration allow.
+Then run the same path as fast as the velocity and acceleration limits allow.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ def main() -> None:
     way = np.array([1.1, 0.1, 0.2, 0.2, -0.3, 0.4, 0.2])
     taught = motion.profiles.minimum_jerk(ROBOT.q_home, ROBOT.q_home + way, duration=2.0)
     dmp = motion.fit_dmp(taught.t, taught.q, scaling="none").value
-    tip = kinematics.forward(ROBOT, taught.at(1.0)[0])[:3, 3]  # where the tool passes after a second
+    tip = kinematics.forward(ROBOT, taught.at(1.0)[0])[:3, 3]  # on the path of the tool, after one second
     up = np.array([0.0, 0.0, 1.0])
     pillar = motion.Capsule(tip - 0.3 * up, tip + 0.02 * up, radius=0.02)
     gripper = motion.Capsule([0.0, 0.0, -0.08], [0.0, 0.0, 0.0], radius=0.01)  # in tool axes
@@ -27,7 +27,7 @@ def main() -> None:
 
     controller, q = around.controller(), ROBOT.q_home  # for link.run(controller) of a bridge
     for k in range(1000):
-        controller.place([pillar])  # where a camera sees it now
+        controller.place([pillar])  # its position from a camera
         q = controller(State(k * DT, DT, q, np.zeros(7), q)).q
     print(f"in the loop: done {controller.done}")
 

@@ -1,6 +1,6 @@
-"""Teach a motion of the tool by leading the arm; repeat it to a goal that is moved and turned: the path turns with it.
+"""Teach a tool motion by leading the arm; repeat it to a shifted and rotated goal. The path rotates with the goal.
 
-Poses are recorded from a simulated YuMi over EGM, and a controller leads the tool along the new path.
+Poses are recorded from a simulated YuMi over EGM, and a controller moves the tool along the new path.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ MOVE = np.array([0.02, 0.03, 0.0])  # m
 
 def main() -> None:
     with bridge.connect("sim://yumi_right?program=lead-through&seed=3", ROBOT) as link:
-        table = link.run(None, seconds=2.5).table  # in real time: a hand cannot wait
+        table = link.run(None, seconds=2.5).table  # in real time, since a hand cannot wait
     shown = kinematics.forward(ROBOT, table["q"])
     fit = motion.fit_pose_dmp(table.t, shown, scaling="none", frame="goal")
     rms = np.sqrt((fit.residuals**2).mean(axis=0))

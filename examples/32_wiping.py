@@ -1,4 +1,4 @@
-"""Wipe a table: learn a rhythm from noisy turns of the tool, repeat it, then wider and faster while the arm moves."""
+"""Wipe a table: learn a periodic motion from a noisy demonstration, repeat it, then widen and speed it up."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ PERIOD, CHANGE, TURN = 1.6, 3.2, 2 * np.pi / 1.6  # s, s, rad/s
 
 
 def demonstration() -> tuple[np.ndarray, np.ndarray]:
-    """Four turns of a lying eight around the tool, as a hand would lead it, with noise of half a millimetre."""
+    """Four periods of a horizontal figure of eight, as led by hand, with 0.5 mm of noise."""
     t = np.arange(0.0, 4 * PERIOD, 0.004)
     eight = np.stack([0.02 * np.sin(2 * TURN * t), 0.05 * np.cos(TURN * t), np.zeros_like(t)], axis=1)
     return t, START[:3, 3] + eight + np.random.default_rng(0).normal(size=eight.shape) * 5e-4
@@ -21,7 +21,7 @@ def main() -> None:
     wiping = dmp.stepper(r=0.0, y0=START[:3, 3], v0=np.zeros(3))
 
     def wipe(state: State) -> Command:
-        r, period = (min(state.t, 1.0), PERIOD) if state.t < CHANGE else (1.5, 0.75 * PERIOD)  # softly from rest
+        r, period = (min(state.t, 1.0), PERIOD) if state.t < CHANGE else (1.5, 0.75 * PERIOD)  # smooth start from rest
         wiping.change(r=r, period=period)
         T_base_tool = START.copy()
         T_base_tool[:3, 3] = wiping.step(state.dt)[0]

@@ -1,4 +1,4 @@
-"""Learn how a motion varies from several demonstrations, and make it pass higher than any that was shown."""
+"""Learn the variation of a motion from several demonstrations, and condition it on a point above all of them."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from armlab import motion, plots
 
 
 def demonstrations() -> list[tuple[np.ndarray, np.ndarray]]:
-    """Eight ways over an obstacle (x, y) [m]: of different height and duration, with noise of half a millimetre."""
+    """Eight paths over an obstacle (x, y) [m] with different heights and durations, and 0.5 mm of noise."""
     rng, found = np.random.default_rng(1), []
     for _ in range(8):
         t = np.linspace(0.0, rng.normal(2.0, 0.1), 400)
@@ -24,14 +24,14 @@ def main() -> None:
     sd = promp.marginal([middle]).sd[0]
     print(f"{len(shown)} demonstrations: in the middle they differ by {1e3 * sd[0]:.0f} and {1e3 * sd[1]:.0f} mm (sd)")
 
-    passing = promp.condition(middle, [0.29], cov=1e-6, coordinates=[1])  # that high within a millimetre
+    passing = promp.condition(middle, [0.29], cov=1e-6, coordinates=[1])  # this height within a millimetre
     there = passing.marginal([middle])
     print(
         f"passes {there.y[0, 1]:.3f} m high, at {there.y[0, 0]:.3f} m with a deviation of {1e3 * there.sd[0, 0]:.0f} mm"
     )
 
     mean = passing.marginal(0.004)
-    dmp = motion.fit_dmp(mean.t, mean.y).value  # what a controller runs
+    dmp = motion.fit_dmp(mean.t, mean.y).value  # the motion that a controller runs
     print(f"as a primitive: off by {1e3 * np.abs(dmp.rollout(mean.t).y - mean.y).max():.2f} mm at most")
     plots.promp(passing, prior=promp, points=[(middle, [np.nan, 0.29])], samples=5).savefig("several.png")
 

@@ -1,4 +1,4 @@
-"""Read what `ros2 bag record` has left of a UR5e: joints at 500 Hz in the driver's order, a temperature at 10 Hz."""
+"""Read a bag of `ros2 bag record` from a UR5e: joints at 500 Hz in the order of the driver, a temperature at 10 Hz."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from armlab import log, robots
 from armlab.errors import LogError
 
 
-def record(path: Path, names: list[str]) -> None:  # in place of a robot and its driver
+def record(path: Path, names: list[str]) -> None:  # stands in for a robot and its driver
     store = get_typestore(Stores.ROS2_HUMBLE)
     kinds = ("sensor_msgs/msg/JointState", "std_msgs/msg/Float64", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
     state, number, header, time = (store.types[kind] for kind in kinds)
@@ -30,7 +30,7 @@ def main() -> None:
     record(Path("ur5e_bag"), sorted(robots.load("ur5e").joint_names))
     try:
         log.read("ur5e_bag")
-    except LogError as error:  # two rates: whose stamps are the rows?
+    except LogError as error:  # two rates: which stamps define the rows?
         print(error)
     print(log.read("ur5e_bag", robot="ur5e", clock="/joint_states"))
     print({topic: len(table) for topic, table in log.read_topics("ur5e_bag").items()})

@@ -75,7 +75,7 @@ def rosbridge(data: bytes) -> None:
         for line in data.split(b"\n")[:8]:
             engine.take(session, line.decode(errors="surrogateescape"), _NOW)
         engine.take(session, data, _NOW)
-        engine.turn(_NOW + 2 * 10**9)
+        engine.tick(_NOW + 2 * 10**9)
         for one in session.outbox.take(2**30):
             json.loads(one)
     finally:

@@ -44,7 +44,7 @@ FILES = {  # each with the tests that hold it
     f"{BRIDGE}/control/realtime.py": ["bridge/control/realtime"],
     f"{BRIDGE}/control/session.py": ["bridge/control/session"],
     f"{BRIDGE}/control/state_machine.py": ["bridge/control/state_machine", "bridge/control/commands"],
-    f"{BRIDGE}/arbiter.py": ["bridge/arbiter"],
+    f"{BRIDGE}/arbiter.py": ["bridge/arbiter", "bridge/servers/ros/actions"],
     f"{BRIDGE}/control/loop.py": ["bridge/control/loop", "bridge/control/multi_arm"],
     f"{BRIDGE}/control/supervision.py": ["bridge/control/feedback"],
     f"{BRIDGE}/control/arm.py": ["bridge/control/arm", "bridge/control/multi_arm"],

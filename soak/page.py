@@ -40,7 +40,7 @@ def _part(name: str, result: Mapping[str, Any]) -> Iterator[str]:
         for one in failed
     )
     yield f"\n![Memory, descriptors, threads and delays over time](_static/soak_{name}.png)\n"
-    yield "| process | memory at the end | growth in the second half | descriptors | threads | of a core |"
+    yield "| process | memory at the end | growth in the second half | descriptors | threads | CPU load |"
     yield "|---|---|---|---|---|---|"
     for process, one in result["held"].items():
         grown = next(

@@ -19,8 +19,8 @@ from _pytest.pathlib import import_path
 from hypothesis import settings
 
 from armlab import identify, robots
+from armlab.dynamics import base_parameters
 from armlab.estimation import Experiment, Fit
-from armlab.identify import base_parameters
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel

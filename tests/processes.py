@@ -7,13 +7,14 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
 PATIENCE = 20.0  # s; only a test that fails waits so long
+RWS_USER, RWS_PASSWORD = "operator", "kept-from-every-text-91"
 PROGRAM = Path(__file__).with_name("publisher.py")
 
 
@@ -89,3 +90,30 @@ def processes() -> Iterator[Callable[..., Started]]:
     for one in made:
         if one.process.poll() is None:
             one.kill()
+
+
+class RwsController(NamedTuple):
+    """A virtual ABB controller that answers Robot Web Services: its state, address, url and certificate."""
+
+    box: Any
+    host: str
+    url: str
+    ca: Path | None
+
+
+@contextlib.contextmanager
+def rws_controller(
+    folder: Path, robotware: str = "6.10", faults: Sequence[str] = (), robots: Sequence[str] = ("yumi_left",)
+) -> Iterator[RwsController]:
+    """Serve a virtual controller; its user and password are `RWS_USER` and `RWS_PASSWORD`."""
+    from armlab.cli.bridge import self_signed
+    from armlab.sim.controller.rws import RwsServer, VirtualController
+
+    box = VirtualController(robots, [("127.0.0.1", 6511 + k) for k in range(len(robots))], robotware, faults)
+    tls = self_signed(folder) if box.is_rws2 else None
+    server = RwsServer(box, 0, RWS_USER, RWS_PASSWORD, tls)
+    host = f"127.0.0.1:{server.port}"
+    try:
+        yield RwsController(box, host, f"http{'s' if tls else ''}://{host}", folder / "self.pem" if tls else None)
+    finally:
+        server.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from armlab._toml import TomlError, parsed
+from armlab._files import TomlError, parsed
 
 
 def test_tables() -> None:
@@ -18,7 +18,7 @@ def test_tables() -> None:
     ("text", "told"),
     [
         ("a =", "Invalid value"),
-        ("a = 9223372036854775808", "an integer of 64 bits and a sign, where TOML has 63"),
+        ("a = 9223372036854775808", "an integer of 64 bits and a sign, although TOML allows 63"),
         ("[[a]]\nb = {c = [-1" + "0" * 400 + "]}", "an integer of 1329 bits"),
         ("a = " + "1" * 5000, "4300 digits"),
         ("a = " + "[" * 5000 + "]" * 5000, "recursion"),

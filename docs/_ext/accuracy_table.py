@@ -1,4 +1,4 @@
-"""Sphinx extension: ``accuracy``, errors of the kernels as they are when the pages are built; ``accuracy-left-out``."""
+"""Sphinx extension: the directives ``accuracy`` (kernel errors) and ``accuracy-left-out`` (kernels without a table)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SCRIPT = Path(__file__).parents[2] / "tests" / "numerics" / "results.py"
 
 
 class Accuracy(SphinxDirective):
-    """A table of the largest error of each kernel, with its bound."""
+    """Table of the largest error of each kernel, with its bound."""
 
     def run(self) -> list[nodes.Node]:
         """Return the table."""
@@ -32,7 +32,7 @@ class Accuracy(SphinxDirective):
 
 
 class LeftOut(SphinxDirective):
-    """The kernels without a table, with what holds them instead."""
+    """Kernels without a table, with their other tests."""
 
     def run(self) -> list[nodes.Node]:
         """Return the list."""
@@ -41,7 +41,7 @@ class LeftOut(SphinxDirective):
 
 
 def definitions(reasons: dict[str, str]) -> nodes.definition_list:
-    """Return a list of names and what is said of each."""
+    """Return a list of names with their descriptions."""
     found = nodes.definition_list()
     for name, reason in reasons.items():
         term = nodes.term("", "", nodes.literal("", name))

@@ -1,4 +1,4 @@
-"""Sphinx extension: the directive ``faults KIND``, cells of the matrix as their tests state them."""
+"""Sphinx extension: the directive ``faults KIND``, a table of the fault matrix."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 FOLDER = Path(__file__).parents[2] / "tests" / "faults"
-HEAD = ("fault", "while", "what happens", "what you read", "what it takes to go on", "test")
+HEAD = ("fault", "mode", "reaction", "message", "recovery", "test")
 
 
 def cells() -> tuple[Any, ...]:
@@ -24,7 +24,7 @@ def cells() -> tuple[Any, ...]:
 
 
 def rows(kind: str) -> list[tuple[str, ...]]:
-    """Return the texts of one kind. States in which the same happens share a row, and so do faults."""
+    """Return the rows of one kind; states and faults with the same reaction share a row."""
     same = [(cell.happens, cell.told, cell.recovers, cell.test, cell) for cell in cells() if cell.kind == kind]
     found = []
     for (happens, told, recovers, test), alike in groupby(same, key=lambda one: one[:-1]):
@@ -38,19 +38,19 @@ def rows(kind: str) -> list[tuple[str, ...]]:
 
 
 def _listed(texts: Iterable[str]) -> str:
-    """Return texts behind one another, in their order: with semicolons where one of them has a comma."""
+    """Join texts by commas, or by semicolons if one contains a comma."""
     texts = list(texts)
     return ("; " if any("," in text for text in texts) else ", ").join(texts)
 
 
 def _text(words: str) -> nodes.inline:
-    """Return a text with what stands between backticks as code."""
+    """Return a text with code between backticks."""
     parts = enumerate(words.split("`"))
     return nodes.inline("", "", *(nodes.literal("", part) if k % 2 else nodes.Text(part) for k, part in parts if part))
 
 
 class Faults(SphinxDirective):
-    """The table of one kind of fault."""
+    """Table of one kind of fault."""
 
     required_arguments = 1
 

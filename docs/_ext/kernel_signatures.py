@@ -1,4 +1,4 @@
-"""Sphinx extension: autodoc reads the compiled kernels from their stub."""
+"""Sphinx extension: document the compiled kernels from their stub."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armlab import kernels
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Put the stub in the place of the extension, which everything else has imported from `armlab.kernels`."""
+    """Replace the extension module by its stub; other modules import from `armlab.kernels`."""
     loader = SourceFileLoader("armlab.kernels._native", str(Path(kernels.__file__).with_name("_native.pyi")))
     spec = spec_from_loader(loader.name, loader)
     assert spec is not None

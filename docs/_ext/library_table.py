@@ -1,4 +1,4 @@
-"""Sphinx extension: the directive ``robot-library``, the robots of the library as they are when the pages are built."""
+"""Sphinx extension: the directive ``robot-library``, a table of the library robots."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def facts(source: str) -> dict[str, str]:
 
 
 def known(robot: robots.Robot) -> str:
-    """Return which kinds of numbers a description has beyond its geometry."""
+    """Return the kinds of data beyond geometry."""
     has = {
         "limits": np.isfinite(robot.q_min).all(),
         "speeds": np.isfinite(robot.qd_max).all(),
@@ -36,7 +36,7 @@ def row(cells: Iterable[nodes.Node]) -> nodes.row:
 
 
 def table(head: Sequence[str], rows: Iterable[nodes.row]) -> nodes.table:
-    """Return a table with a head."""
+    """Return a table with a header row."""
     group = nodes.tgroup("", *(nodes.colspec(colwidth=1) for _ in head), cols=len(head))
     group += nodes.thead("", row(nodes.Text(title) for title in head))
     group += nodes.tbody("", *rows)
@@ -44,10 +44,10 @@ def table(head: Sequence[str], rows: Iterable[nodes.row]) -> nodes.table:
 
 
 class RobotLibrary(SphinxDirective):
-    """A table of the robots, then where every number of each comes from."""
+    """Table of the robots, then the sources of their data."""
 
     def run(self) -> list[nodes.Node]:
-        """Return the table and the list of sources."""
+        """Return the table and the sources."""
         library = Path(robots.__file__).with_name("library")
         rows, sources = [], nodes.definition_list()
         for name in robots.names():
@@ -62,7 +62,7 @@ class RobotLibrary(SphinxDirective):
             sources += nodes.definition_list_item(
                 "", nodes.term("", "", label.deepcopy()), nodes.definition("", nodes.bullet_list("", *items))
             )
-        return [table(("name", "robot: payload, reach", "joints", "beside geometry"), rows), sources]
+        return [table(("name", "robot: payload, reach", "joints", "data beyond geometry"), rows), sources]
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

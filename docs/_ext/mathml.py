@@ -1,6 +1,6 @@
-"""Sphinx extension: equations as MathML, which browsers draw without a script, a font or a request.
+"""Sphinx extension: equations as MathML, which browsers render without scripts, fonts or requests.
 
-The conversion is the one that docutils uses in its own HTML writer.
+The converter is that of the HTML writer of docutils.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from sphinx.writers.html5 import HTML5Translator
 
 logger = logging.getLogger(__name__)
 
-NO_BRACES = re.compile(r"\\[dt]?frac\s*\d\d")  # TeX takes one digit, docutils the whole number
+NO_BRACES = re.compile(r"\\[dt]?frac\s*\d\d")  # TeX reads one digit, docutils the complete number
 BELOW_ACCENT = re.compile(r'<munderover>(?:(?!</munderover>).)*<mo stretchy="false">', re.DOTALL)
 
 
 def mathml(node: nodes.Node, block: bool) -> str:
-    """Return an equation as MathML; what docutils does not understand is a warning, so an error of the build.
+    """Return an equation as MathML; unsupported LaTeX is a warning, and so a build error.
 
-    Browsers without a font for mathematics lose the dot of an accent that is marked as one; the style sheet places it.
+    Browsers without a mathematical font drop the dot of an accent; the style sheet positions it.
     """
     try:
         result = latex2mathml.tex2mathml(node.astext(), as_block=block)
@@ -43,7 +43,7 @@ def visit_math(translator: HTML5Translator, node: nodes.math) -> None:
 
 
 def visit_math_block(translator: HTML5Translator, node: nodes.math_block) -> None:
-    """Write a displayed equation, numbered and linkable when it has a label."""
+    """Write a displayed equation; with a label it has a number and an anchor."""
     translator.body.append(translator.starttag(node, "div", CLASS="equation"))
     translator.body.append(mathml(node, block=True))
     if node["number"]:
@@ -55,6 +55,6 @@ def visit_math_block(translator: HTML5Translator, node: nodes.math_block) -> Non
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the renderer that ``html_math_renderer = "mathml"`` selects."""
+    """Register the renderer for ``html_math_renderer = "mathml"``."""
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,4 @@
-"""Sphinx extension: notebooks run alike everywhere, without what a user of the machine has set up for IPython."""
+"""Sphinx extension: run notebooks without the IPython configuration of the user."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from sphinx.application import Sphinx
 PROFILE = """\
 c = get_config()
 c.HistoryManager.enabled = False
-c.IPKernelApp.exec_lines = ["import logging; logging.getLogger('armlab').setLevel('ERROR')"]  # busy machines are slow
-c.IPKernelApp.log_level = "ERROR"  # it warns that its connection, within this machine, is not encrypted
+c.IPKernelApp.exec_lines = ["import logging; logging.getLogger('armlab').setLevel('ERROR')"]
+c.IPKernelApp.log_level = "ERROR"  # no warning about the unencrypted local connection
 c.InlineBackend.figure_formats = {"png"}
-c.InlineBackend.print_figure_kwargs = {"bbox_inches": None, "dpi": 120}  # the page that armlab laid out, uncut
+c.InlineBackend.print_figure_kwargs = {"bbox_inches": None, "dpi": 120}  # keep the figure size
 """
 
 
 def prepare(app: Sphinx) -> None:
-    """Give the kernels a profile of their own."""
+    """Create a separate profile for the kernels."""
     folder = Path(app.outdir).parent / "ipython"
     profile = folder / "profile_default"
     profile.mkdir(parents=True, exist_ok=True)
@@ -27,6 +27,6 @@ def prepare(app: Sphinx) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Prepare before the pages are read."""
+    """Connect to the start of the build."""
     app.connect("builder-inited", prepare)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,6 +1,6 @@
-"""Sphinx extension: the docstrings of armlab, NumPy sections whose entries say shape, unit and frame in words.
+"""Sphinx extension: parser for armlab docstrings, NumPy sections with shape, unit and frame in words.
 
-``name : (N, n) what it is [rad].`` is prose after the colon, not a type, so nothing of it is looked up as one.
+The text after the colon in ``name : (N, n) joint positions [rad].`` is prose, so Sphinx looks up no types in it.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ WITH_ENTRIES = ("Parameters", "Raises", "Attributes")
 LITERAL = re.compile(r"(``.*?``|`.*?`)")
 ENTRY = re.compile(r"(\S.*?) : (.*)")
 NEXT_ENTRY = re.compile(r"(?<=\.) (?=[\w, *]+ : )")  # several short entries may share a line
+TYPE = re.compile(r"(array|array_like|tuple|list|dict|str|float|int|bool|path|callable|sequence)\b", re.IGNORECASE)
 
 
 class _Pair(NamedTuple):
-    """A tuple whose field is of the type that Python gives to fields of named tuples."""
+    """A named tuple, to get the type of its fields."""
 
     field: int
 
@@ -29,19 +30,19 @@ TUPLE_FIELD = type(_Pair.__dict__["field"])
 
 
 def sections(lines: list[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield (title, lines) of a docstring; what stands before the first title has the title ""."""
+    """Yield (title, lines) of a docstring; the first part has the title ""."""
     title, body = "", []
     for line, below in zip(lines, [*lines[1:], ""]):
         if line in SECTIONS and below and not below.strip("-"):
             yield title, body
             title, body = line, []
-        elif body or line.strip("-"):  # not the ruler under a title
+        elif body or line.strip("-"):  # skip the ruler under a title
             body.append(line)
     yield title, body
 
 
 def entries(body: list[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield (names, description) of a section; a line that starts no entry goes on with the one before."""
+    """Yield (names, description) of a section; other lines continue the previous entry."""
     name, text = "", []
     body = [part for line in body for part in (NEXT_ENTRY.split(line) if line[:1].strip() else [line])]
     for line, below in zip(body, [*body[1:], ""]):
@@ -58,18 +59,18 @@ def entries(body: list[str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def escaped(line: str) -> str:
-    """Return a line in which bars are bars, not substitutions."""
+    """Escape bars outside literals, which would be substitutions."""
     parts = LITERAL.split(line)
     return "".join(part if k % 2 else part.replace("|", r"\|") for k, part in enumerate(parts))
 
 
 def prose(lines: list[str]) -> list[str]:
-    """Escape what is not a literal block: those are indented."""
+    """Escape all lines except literal blocks, which are indented."""
     return [line if line.startswith("  ") else escaped(line) for line in lines]
 
 
 def rewrite(_app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, lines: list[str]) -> None:
-    """Turn one docstring into reStructuredText, in place."""
+    """Convert one docstring to reStructuredText, in place."""
     result: list[str] = []
     for title, body in sections(lines):
         if title:
@@ -77,6 +78,10 @@ def rewrite(_app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, li
         if title in WITH_ENTRIES:
             for name, text in entries(body):
                 first, *others = text or [""]
+                if (
+                    others and others[0][:1].isupper() and not first.endswith((".", ",", ":", ";"))
+                ):  # a type, then prose
+                    first = f"*{first}.*" if not re.search(r"[*`|]", first) else f"{first}."
                 result += [f"* ``{name}``: {escaped(first)}", *(f"  {escaped(line)}" for line in others)]
         else:
             result += prose(body)
@@ -84,14 +89,14 @@ def rewrite(_app: Sphinx, _what: str, _name: str, _thing: Any, _options: Any, li
 
 
 def skip(_app: Sphinx, _what: str, _name: str, thing: Any, is_skipped: bool, _options: Any) -> bool | None:
-    """Leave out the fields of named tuples: the section Attributes has them with more than a number."""
+    """Skip the fields of named tuples: the section Attributes describes them."""
     return True if isinstance(thing, TUPLE_FIELD) else None
 
 
 def sign(
     _app: Sphinx, what: str, _name: str, thing: Any, _options: Any, signature: str | None, returned: str | None
 ) -> tuple[str | None, str | None] | None:
-    """Show no arguments of classes that others make: their docstring names none, or not all of them."""
+    """Hide the arguments of classes whose docstring does not document all of them."""
     if what != "class" or not signature or not isinstance(thing, type) or issubclass(thing, tuple):
         return None
     text = thing.__doc__ or ""

@@ -1,4 +1,4 @@
-"""Pictures of the page Conventions: frames, descriptions of a chain, signs. SVG files in the current folder."""
+"""Figures of the page Conventions: frames, kinematic descriptions, signs. Writes SVG files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from armlab import kinematics, plots, robots
-from armlab._palette import AXIS_COLORS, GREY
+from armlab._display import AXIS_COLORS, GREY
 from armlab.lie import se3, so3
 from armlab.plots import space
 from armlab.plots.arm import stick as stick_of
@@ -22,12 +22,12 @@ Q = np.deg2rad([20.0, -35.0, 60.0])  # posture of the small arm
 
 
 def pose(x: float, y: float, z: float, w: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
-    """Return the pose at a place [m], turned by a rotation vector [degrees]."""
+    """Return the pose at a position [m] with a rotation vector [degrees]."""
     return se3.from_rp(so3.exp(np.deg2rad(w)), (x, y, z))
 
 
 def canvas(titles: tuple[str, ...], width: float, height: float, rows: int = 1, **view: float) -> Any:
-    """Return a figure and its panels in space, without the box around them."""
+    """Return a figure with 3-D panels, without axes boxes."""
     kw = {**space.PROJECTION, **view}
     figure, axes = plt.subplots(rows, len(titles) // rows, figsize=(width, height), subplot_kw=kw, squeeze=False)
     for ax, title in zip(axes.flat, titles, strict=True):
@@ -37,13 +37,13 @@ def canvas(titles: tuple[str, ...], width: float, height: float, rows: int = 1, 
 
 
 def link(ax: Any, a: np.ndarray, b: np.ndarray, **style: Any) -> None:
-    """Draw a line between two places or the origins of two frames."""
+    """Draw a line between two points or frame origins."""
     ends = [x[:3, 3] if x.ndim == 2 else x for x in (a, b)]
     ax.plot(*np.stack(ends, axis=1), **{"color": GREY, "linewidth": 0.9, "linestyle": "--", **style})
 
 
 def frames() -> None:
-    """World, base, flange, sensor, tool, camera and marker of one cell; the wrist again, larger."""
+    """World, base, flange, sensor, tool, camera and marker frames of a cell, with a detail of the wrist."""
     T_world_base, T_world_marker = pose(0.7, 0.6, 0.35), pose(1.9, 0.7, 0.0)
     T_flange_sensor, T_flange_tool = pose(0, 0, 0.1), pose(0.05, 0, 0.3, (0, 30, 0))
     arm = robots.load("irb2400").with_tool(T_flange_tool).with_base(T_world_base)
@@ -52,7 +52,7 @@ def frames() -> None:
     T_world_flange = T_world_tool @ se3.inv(T_flange_tool)
     T_world_cam = T_world_flange @ pose(-0.13, 0, 0.06, (0, 15, 0))
     T_world_sensor = T_world_flange @ T_flange_sensor
-    figure, (cell, wrist) = canvas(("a cell", "its wrist"), 9.5, 4.5)
+    figure, (cell, wrist) = canvas(("cell", "wrist"), 9.5, 4.5)
     plots.robot(arm, q, frames=False, ax=cell)
     named = {"world": np.eye(4), "base": T_world_base, "tool": T_world_tool, "marker": T_world_marker}
     plots.scene(named, frames=0.25, ax=cell)
@@ -100,12 +100,12 @@ def yumi() -> None:
 
 
 def small_arm() -> Robot:
-    """Return three joints with offsets between them, from a standard DH table."""
+    """Return a three-joint arm with offsets, from a standard DH table."""
     return robots.from_dh("three", np.deg2rad([-90.0, 0, 90]), [0.12, 0.4, 0.2], [0.35, 0.12, 0])
 
 
 def chains() -> None:
-    """One arm of three joints, described in four ways."""
+    """Four kinematic descriptions of a three-joint arm."""
     titles = ("standard DH", "modified DH", "product of exponentials, at q = 0", "local product of exponentials")
     figure, axes = canvas(titles, 8.6, 7.2, rows=2)
     arm = small_arm()
@@ -148,7 +148,7 @@ def exponentials(ax: Any, arm: Robot, q: np.ndarray) -> None:
 
 
 def local(ax: Any, arm: Robot, q: np.ndarray) -> None:
-    """Each screw in the frame that its A leads to."""
+    """Each screw in the frame after its A."""
     poses, screws = robots.to_local_poe(arm)
     T = np.eye(4)
     space.frame(ax, T, 0.11, "base")
@@ -167,10 +167,10 @@ def axis(ax: Any, point: np.ndarray, w: np.ndarray, j: int) -> None:
 
 
 def signs() -> None:
-    """Twist of the tool; wrench by the environment on it; the weight of a load."""
+    """Twist of the tool, wrench of the environment on it, and weight of a load."""
     arm = small_arm()
     p = kinematics.forward(arm, Q)[:3, 3]
-    titles = ("twist of the tool point: [v; w]", "contact wrench, on the robot: [f; m]", "an unknown load of 1 kg")
+    titles = ("twist of the tool point: [v; w]", "contact wrench, on the robot: [f; m]", "an unmodelled load of 1 kg")
     figure, axes = canvas(titles, 9.5, 3.2)
     for ax in axes:
         plots.robot(arm, Q, frames=False, ax=ax)
@@ -192,7 +192,7 @@ def signs() -> None:
 
 
 def turning(ax: Any, centre: np.ndarray, letter: str, radius: float = 0.07) -> None:
-    """Draw a turn about z, by the right hand, as an open circle with a head."""
+    """Draw a right-handed rotation about z as an open circle with an arrowhead."""
     angle = np.linspace(-0.3 * np.pi, 1.3 * np.pi, 60)
     circle = centre + np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(60, 0.1)], axis=1)
     ax.plot(*circle[:-3].T, color="black", linewidth=1.6)
@@ -202,7 +202,7 @@ def turning(ax: Any, centre: np.ndarray, letter: str, radius: float = 0.07) -> N
 
 
 def jacobians() -> None:
-    """One velocity of the tool point, its components in base axes and in tool axes."""
+    """One velocity of the tool point with its components in base axes and in tool axes."""
     arm = small_arm()
     T = kinematics.forward(arm, Q)
     v = np.array([0.16, 0.1, 0.14])

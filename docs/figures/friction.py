@@ -1,18 +1,18 @@
-"""What the drives add to the torque of an arm, for the page on friction. Writes friction.svg."""
+"""Friction, ripple and warm-up of the drives, for the page on friction. Writes friction.svg."""
 
 from __future__ import annotations
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-from armlab._palette import GREY
+from armlab._display import GREY
 from armlab.kernels import presliding
 from armlab.models.friction import Friction, RippleLines, WarmUp, speed_basis
 from armlab.plots.style import MODEL, look
 
 
 def curve() -> tuple[np.ndarray, np.ndarray, Friction]:
-    """Friction over speed, sliding."""
+    """Return speeds, sliding friction torques and the friction model."""
     one = {"viscous": 0.8, "coulomb_pos": 1.05, "coulomb_neg": 0.95, "offset": 0.1, "stribeck": 0.3, "delta": 1e-3}
     friction = Friction(
         **{k: np.array([v]) for k, v in one.items()}, stribeck_speed=np.array([0.05]), resolution=np.zeros(1)
@@ -22,19 +22,19 @@ def curve() -> tuple[np.ndarray, np.ndarray, Friction]:
 
 
 def main() -> None:
-    """Draw friction over speed, at a reversal, ripple over position for two speeds, and viscous friction warming up."""
+    """Plot friction against speed and at reversals, ripple against position, and viscous friction during warm-up."""
     figure, axes = plt.subplots(2, 2, figsize=(8.0, 5.4), layout="constrained")
     qd, torque, friction = curve()
     ax = axes[0, 0]
     ax.plot(qd, torque, color=MODEL)
     ax.axhline(0.0, color=GREY, linewidth=0.6)
-    ax.set(title="sliding", xlabel="velocity [rad/s]", ylabel="friction [N m]")
+    ax.set(title="sliding friction", xlabel="velocity [rad/s]", ylabel="friction [N m]")
 
     q = 4e-3 * (1.0 - np.cos(np.linspace(0, 4 * np.pi, 2000)))[:, None]
     z = presliding(q, friction.delta, friction.resolution)
     ax = axes[0, 1]
     ax.plot(1e3 * q, friction.torque(0.01 * np.sign(z), z), color=MODEL)
-    ax.set(title="reversals: the presliding state", xlabel="position [mrad]", ylabel="friction [N m]")
+    ax.set(title="reversals: presliding friction", xlabel="position [mrad]", ylabel="friction [N m]")
 
     speeds, widths = speed_basis(0.0, 1.0)
     k = np.zeros((1, 2, 8, 2))
@@ -54,7 +54,7 @@ def main() -> None:
     ax = axes[1, 1]
     ax.plot(t / 60.0, 1.0 - 0.4 * part.thermal_state(power, np.full(len(t), 10.0))[:, 0], color=MODEL)
     ax.axvline(40.0, color=GREY, linewidth=0.6)
-    ax.set(title="40 min of work, then rest", xlabel="time [min]", ylabel="viscous friction, relative")
+    ax.set(title="40 min of motion, then rest", xlabel="time [min]", ylabel="viscous friction, relative")
     figure.savefig("friction.svg")
 
 

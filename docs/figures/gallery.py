@@ -1,11 +1,12 @@
-"""Figures of the gallery: one simulated YuMi that is excited, identified and pressed, and what is drawn of it."""
+"""Gallery figures from one simulated YuMi: excitation, identification and presses."""
 
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.animation import PillowWriter
 
-from armlab import contact, identify, plots, robots, sim
+from armlab import contact, identify, kinematics, plots, robots, sim
 from armlab.log import Table
 from armlab.models.friction import FrictionMap, RadialBasis
 
@@ -14,10 +15,11 @@ robot = robots.load("yumi_right")
 arm = sim.SimulatedArm(robot, sim.synthetic_truth(robot), seed=1)
 excited = sim.record(arm, identify.design_excitation(robot, 20.0))  # q, qd, tau
 fit = identify.fit_dynamics(excited, robot)
+fit.save("model.toml")  # read by examples of force control
 
 
 def hand(t: np.ndarray) -> np.ndarray:
-    """Presses of 8 N along x, y, z of the base."""
+    """Return presses of 8 N along x, y, z of the base."""
     starts = [(2.0, 0), (5.0, 1), (8.0, 2)]
     return sum(
         np.outer(np.interp(t, s + np.array([0.0, 0.2, 1.8, 2.0]), [0, 8, 8, 0]), np.eye(6)[i]) for s, i in starts
@@ -73,5 +75,31 @@ plots.hypotheses(contact.hypotheses(pressed, robot)).figure.savefig("gallery_hyp
 plots.coverage(pressed).figure.savefig("gallery_coverage.png", dpi=110)
 # -- observability
 plots.observability(pressed).savefig("gallery_observability.png", dpi=110)
+# -- landing page: a moving picture
+swaying = sim.record(arm, identify.dither(robot.q_home, 12.0, amplitude=0.12), hand)
+shown = contact.Estimator(fit.value, robot).run(swaying)
+t, force = shown.t - shown.t[0], shown["wrench_hat"][:, :3]
+band = 2 * np.sqrt(shown["wrench_hat_cov"][:, range(3), range(3)])
+figure = plt.figure(figsize=(9.0, 3.6), layout="constrained")
+space, curves = figure.add_subplot(1, 2, 1, projection="3d"), figure.add_subplot(1, 2, 2)
+writer = PillowWriter(fps=8)
+with writer.saving(figure, "landing.webp", dpi=100):
+    for row in range(125, len(t), 75):  # every 0.3 s
+        space.clear()
+        plots.robot(robot, shown["q"][row], ax=space, frames=False)
+        tool = kinematics.forward(robot, shown["q"][row])[:3, 3]
+        space.quiver(*tool, *(0.04 * force[row]), color="tab:red", linewidth=2.5)
+        space.set(xlim=(-0.25, 0.35), ylim=(-0.5, 0.1), zlim=(0.0, 0.6))
+        space.set_box_aspect((1, 1, 1), zoom=1.5)
+        space.set_axis_off()
+        curves.clear()
+        for axis, name in enumerate("xyz"):
+            (line,) = curves.plot(t[:row], force[:row, axis], label=name)
+            low, high = force[:row, axis] - band[:row, axis], force[:row, axis] + band[:row, axis]
+            curves.fill_between(t[:row], low, high, color=line.get_color(), alpha=0.25, linewidth=0)
+            curves.plot(t[:row], shown["wrench_true"][:row, axis], "--", color="black", linewidth=0.8)
+        curves.set(xlim=(0.4, 12), ylim=(-3, 12), xlabel="time [s]", ylabel="estimated force on the tool [N]")
+        curves.legend(loc="upper left", ncols=3, frameon=False)
+        writer.grab_frame()
 # --
 plt.close("all")

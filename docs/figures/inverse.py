@@ -1,4 +1,4 @@
-"""Pictures of inverse kinematics: all branches of a wrist-partitioned arm, the self-motion of a YuMi. One SVG file."""
+"""Inverse kinematics: branches of an arm with a spherical wrist, and the self-motion of a YuMi. Writes one SVG file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armlab.robots.robot import arm_length
 
 
 def branches(robot: Robot, T_base_tool: np.ndarray) -> np.ndarray:
-    """Return postures (N, n) with one pose whose joints are at different places, highest elbow last."""
+    """Return distinct configurations (N, n) of one pose, highest elbow last."""
     starts = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (200, robot.n))
     goals = np.broadcast_to(T_base_tool, (len(starts), 4, 4))
     found = kinematics.inverse(robot, goals, starts, starts=1)
@@ -24,7 +24,7 @@ def branches(robot: Robot, T_base_tool: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Draw both into one figure."""
+    """Draw both in one figure."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.5, 4.4), subplot_kw=space.PROJECTION)
     arm = robots.load("ur5e")
     T_base_tool = kinematics.forward(arm, np.deg2rad([150, -70, 100, -60, -70, 0]))
@@ -33,7 +33,7 @@ def main() -> None:
     walk = kinematics.self_motion(yumi, yumi.q_home, length=2.0, points=15)
     back = kinematics.self_motion(yumi, yumi.q_home, length=2.0, points=15, direction=-1)
     plots.robot(yumi, np.concatenate([back.q[::-1], walk.q])[::3], frames=False, ax=right)
-    for ax, robot, title in ((left, arm, "one pose, several branches"), (right, yumi, "one pose, a whole self-motion")):
+    for ax, robot, title in ((left, arm, "one pose: solution branches"), (right, yumi, "one pose: self-motion")):
         q = T_base_tool if robot is arm else kinematics.forward(yumi, yumi.q_home)
         plots.scene({"tool": q}, frames=0.15 * arm_length(robot), ax=ax)
         ax.set_axis_off()

@@ -1,4 +1,4 @@
-"""The robots of the library at home, for the reference. Writes library.svg into the current folder."""
+"""Home configurations of the library robots, for the reference. Writes library.svg."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ COLUMNS = 4
 
 
 def main() -> None:
-    """Draw every arm in a panel of its own."""
+    """Draw one panel per arm."""
     names = robots.names()
     rows = -(-len(names) // COLUMNS)
     figure, axes = plt.subplots(rows, COLUMNS, figsize=(9.0, 2.5 * rows), subplot_kw=space.PROJECTION)

@@ -1,4 +1,4 @@
-"""A primitive around obstacles in the plane, for the page on them. Writes obstacles.svg."""
+"""A movement primitive around obstacles in the plane. Writes obstacles.svg."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import Circle
 
-from armlab._palette import AXIS_COLORS, GREY
+from armlab._display import AXIS_COLORS, GREY
 from armlab.motion import AvoidingDmp, Capsule, fit_dmp
 from armlab.plots.style import MODEL, look
 
@@ -15,7 +15,7 @@ CLEARANCE, REACH = 0.02, 0.08
 
 
 def main() -> None:
-    """Draw the path without obstacles and with both forms, and the distances over time."""
+    """Plot the path without avoidance and with both forms, and the distances against time."""
     u = np.linspace(0.0, 1.0, 501)
     s = u**3 * (10 - 15 * u + 6 * u**2)
     dmp = fit_dmp(u, np.stack([0.5 * s, 0.12 * np.sin(np.pi * s)], axis=1)).value
@@ -25,7 +25,7 @@ def main() -> None:
         for one in SCENE:
             for share in np.linspace(0.0, 1.0, 40):
                 plane.add_patch(Circle(one.a + share * (one.b - one.a), one.radius + wider, color=colour))
-    runs = {"without obstacles": (dmp.rollout(t, duration=2.0), "black", "--")}
+    runs = {"without avoidance": (dmp.rollout(t, duration=2.0), "black", "--")}
     for form, colour in (("steering", MODEL), ("potential", AXIS_COLORS[2])):
         runs[form] = (AvoidingDmp(dmp, SCENE, CLEARANCE, REACH, form).rollout(t, duration=2.0), colour, "-")
     for name, (run, colour, line) in runs.items():

@@ -1,4 +1,4 @@
-"""Primitives for the page on learning a motion. Writes dmp.svg, dmp_phase.svg, pose_dmp.svg and periodic_dmp.svg."""
+"""Movement primitives for the how-to. Writes dmp.svg, dmp_phase.svg, pose_dmp.svg and periodic_dmp.svg."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ S = 10 * (T / 2) ** 3 - 15 * (T / 2) ** 4 + 6 * (T / 2) ** 5
 
 
 def main() -> None:
-    """Draw two joints whose goal moves on the way, their phase plane, the tool of an arm, and a rhythm."""
+    """Plot two joints with a moving goal, their phase plane, a tool motion, and a periodic motion."""
     q = np.stack([0.8 * S, 0.3 * S + 0.2 * np.sin(np.pi * S) ** 2], axis=1)
     dmp = fit_dmp(T, q, n_basis=30).value
     plots.dmp(dmp, (T, q), [(0.8, [1.2, 0.1])]).savefig("dmp.svg")

@@ -24,18 +24,18 @@ bool overlap(PyArrayObject *out, const double *data, npy_intp size) {
   return a < data + size && data < a + PyArray_SIZE(out);
 }
 
-int width_of(std::initializer_list<npy_intp> tail) {
+int width_of(const Tail &tail) {
   return static_cast<int>(
-      std::accumulate(tail.begin(), tail.end(), npy_intp{1}, std::multiplies<>()));
+      std::accumulate(tail.shape, tail.shape + tail.axes, npy_intp{1}, std::multiplies<>()));
 }
 
-[[noreturn]] void raise(const char *error, const std::string &sentence) {
+}  // namespace
+
+void raise(const char *error, const std::string &sentence) {
   nb::object type = nb::module_::import_("armlab.errors").attr(error);
   PyErr_SetString(type.ptr(), sentence.c_str());
   throw nb::python_error();
 }
-
-}  // namespace
 
 void raise_shape_error(const std::string &sentence) { raise("ShapeError", sentence); }
 
@@ -132,20 +132,6 @@ void Input::require_exactly(std::initializer_list<npy_intp> wanted) const {
                     armlab::shape_text(wanted.begin(), n) + ", got " + shape_text() + ".");
 }
 
-void Input::require_last_axis(npy_intp n) const {
-  if (ndim() >= 1 && shape()[ndim() - 1] == n) return;
-  raise_shape_error(std::string("Expected ") + name_ + " of shape (..., " + std::to_string(n) +
-                    "), got " + shape_text() +
-                    ". Put the joints on the last axis, batches before it.");
-}
-
-void Input::require_shape_of(const Input &other) const {
-  if (ndim() == other.ndim() && std::equal(shape(), shape() + ndim(), other.shape())) return;
-  raise_shape_error(std::string("Expected ") + name_ + " of the same shape as " + other.name_ +
-                    ", " + other.shape_text() + ", got " + shape_text() +
-                    ". Broadcast them first with numpy.broadcast_arrays.");
-}
-
 void Input::require_tail(std::initializer_list<npy_intp> tail) const {
   const int n = static_cast<int>(tail.size());
   if (ndim() >= n && std::equal(tail.begin(), tail.end(), shape() + ndim() - n)) return;
@@ -155,17 +141,17 @@ void Input::require_tail(std::initializer_list<npy_intp> tail) const {
       std::string("Expected ") + name_ + " of shape " + wanted + "), got " + shape_text() + ".");
 }
 
-Elements::Elements(nb::handle value, const char *name, std::initializer_list<npy_intp> tail)
-    : Samples(value, name, static_cast<int>(tail.size()), width_of(tail)) {
+Samples::Samples(nb::handle value, const char *name, std::initializer_list<npy_intp> tail)
+    : Input(value, name), tail_axes_(static_cast<int>(tail.size())), width_(width_of(tail)) {
   require_tail(tail);
 }
 
-void Elements::broadcast(std::initializer_list<Elements *> elements) {
+void Samples::broadcast(std::initializer_list<Samples *> elements) {
   npy_intp shape[NPY_MAXDIMS + 2];
-  const Elements &first = **elements.begin();
+  const Samples &first = **elements.begin();
   int axes = 0;
   bool equal = true;
-  for (const Elements *element : elements) {
+  for (const Samples *element : elements) {
     equal &= element->batch_axes() == first.batch_axes() &&
              std::equal(first.shape(), first.shape() + first.batch_axes(), element->shape());
     axes = std::max(axes, element->batch_axes());
@@ -174,7 +160,7 @@ void Elements::broadcast(std::initializer_list<Elements *> elements) {
   std::fill(shape, shape + axes, npy_intp{1});
   std::string sentence = "Expected leading axes that broadcast, got ";
   bool fits = true;
-  for (const Elements *element : elements) {
+  for (const Samples *element : elements) {
     sentence += (element == &first ? "" : ", ") + std::string(element->name()) + " of shape " +
                 element->shape_text();
     for (int i = 1; i <= element->batch_axes(); ++i) {
@@ -186,7 +172,7 @@ void Elements::broadcast(std::initializer_list<Elements *> elements) {
   }
   if (!fits) raise_shape_error(sentence + ".");
   const nb::object broadcast_to = nb::module_::import_("numpy").attr("broadcast_to");
-  for (Elements *element : elements) {
+  for (Samples *element : elements) {
     nb::list wanted;
     for (int i = 0; i < axes; ++i) wanted.append(shape[i]);
     for (int i = element->batch_axes(); i < element->ndim(); ++i)
@@ -196,13 +182,21 @@ void Elements::broadcast(std::initializer_list<Elements *> elements) {
   }
 }
 
-Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail,
+nb::handle part_of(nb::handle out, std::size_t k, std::size_t count) {
+  if (count == 1 || out.is_none()) return out;
+  if (!PyTuple_Check(out.ptr()) || PyTuple_GET_SIZE(out.ptr()) != static_cast<npy_intp>(count))
+    raise_shape_error("Expected out to be a tuple of " + std::to_string(count) +
+                      " arrays, one for each result, got something else.");
+  return PyTuple_GET_ITEM(out.ptr(), k);
+}
+
+Output::Output(nb::handle out, const char *name, const Tail &tail,
     std::initializer_list<const Samples *> inputs)
     : name_(name) {
   const Samples &first = **inputs.begin();
-  const int batch = first.batch_axes(), ndim = batch + static_cast<int>(tail.size());
+  const int batch = first.batch_axes(), ndim = batch + tail.axes;
   npy_intp shape[NPY_MAXDIMS + 2];
-  std::copy(tail.begin(), tail.end(), std::copy(first.shape(), first.shape() + batch, shape));
+  std::copy_n(tail.shape, tail.axes, std::copy(first.shape(), first.shape() + batch, shape));
   width_ = width_of(tail);
   if (out.is_none()) {
     array_ = fresh_array(ndim, shape);
@@ -221,8 +215,9 @@ Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp>
   for (const Samples *input : inputs)
     if (overlap(pointer(), input->data(), input->size()))
       refuse(std::string("one that shares memory with ") + input->name());
-  // Memory that the caches cannot hold is written past them: half the time for a million Jacobians.
-  // Not fresh memory, of which the system leaves every page in a cache when it has cleared it.
+  // Outputs too large for the caches are written with streaming stores: half the time for a
+  // million Jacobians. Not for fresh memory, whose pages the system leaves in a cache after
+  // clearing.
   const auto address = reinterpret_cast<std::uintptr_t>(PyArray_DATA(pointer()));
   streams_ = PyArray_NBYTES(pointer()) >= 16'000'000 && width_ % 2 == 0 && address % 16 == 0;
 }

@@ -1,8 +1,8 @@
 // NumPy arrays in and out of the kernels.
 //
 // Fresh arrays come from the NumPy C-API (about 0.1 us; nanobind's ndarray takes 0.4 us). Arguments
-// are checked here, once, and every refusal is an armlab.errors.ShapeError: a sentence with what
-// was expected, what came and what to do.
+// are validated here, once; errors are armlab.errors.ShapeError with one sentence: expected, got,
+// advice.
 #pragma once
 
 #define PY_ARRAY_UNIQUE_SYMBOL armlab_numpy_api
@@ -17,8 +17,10 @@
 
 #include <initializer_list>
 #include <limits>
+#include <optional>
 #include <string>
 #include <string_view>
+#include <tuple>
 
 #include "array/batch.h"
 
@@ -28,19 +30,20 @@ namespace armlab {
 
 using nb::arg;
 
+[[noreturn]] void raise(const char *error, const std::string &sentence);  // of armlab.errors
 [[noreturn]] void raise_shape_error(const std::string &sentence);
 
 class Input;
 
-// Refuse numbers that are not finite, or not above zero, or below it.
+// Rejects numbers that are not finite, or not above zero, or below it.
 void require_finite(const Input &input);
 void require_positive(const char *name, const double *values, npy_intp count);
 void require_not_negative(const char *name, const double *values, npy_intp count);
 
-// The argument `threads`: an integer from 1 to max_threads, otherwise an armlab.errors.ConfigError.
+// The argument `threads`: an integer from 1 to max_threads, otherwise armlab.errors.ConfigError.
 int thread_count(nb::handle threads);
 
-// An argument that is an array; None passes nanobind, to be refused in the words of `Input`.
+// An array argument; None passes nanobind, and is rejected by `Input`.
 inline auto array(const char *name) { return nb::arg(name).none(); }
 
 // name[i, j]: sample `number` of a batch of `axes` axes; the name alone without a batch.
@@ -50,7 +53,7 @@ inline PyArrayObject *as_array(nb::handle array) {
   return reinterpret_cast<PyArrayObject *>(array.ptr());
 }
 
-// A fresh array; with the values of `data` when that is given.
+// A fresh array, initialised with `data` if given.
 nb::object fresh_of_type(int type, int ndim, const npy_intp *shape);
 nb::object fresh_array(int ndim, const npy_intp *shape, const double *data = nullptr);
 inline nb::object fresh_array(std::initializer_list<npy_intp> shape, const double *data = nullptr) {
@@ -64,7 +67,7 @@ Number *numbers(const nb::object &array) {
   return static_cast<Number *>(PyArray_DATA(as_array(array)));
 }
 
-// A C-contiguous float64 array for reading: the argument itself if it is one, else a copy.
+// A C-contiguous float64 array for reading: the argument itself if possible, else a copy.
 class Input {
  public:
   Input(nb::handle value, const char *name);
@@ -81,9 +84,10 @@ class Input {
   npy_intp size() const { return PyArray_SIZE(array()); }
   std::string shape_text() const;
 
+  // Refers to a copy of the numbers from now on, and returns it.
+  const nb::object &copy() { return array_ = fresh_array(ndim(), shape(), data()); }
+
   void require_exactly(std::initializer_list<npy_intp> shape) const;
-  void require_last_axis(npy_intp n) const;
-  void require_shape_of(const Input &other) const;
   void require_tail(std::initializer_list<npy_intp> tail) const;
 
  protected:
@@ -93,43 +97,40 @@ class Input {
   const char *name_;
 };
 
-// Samples (n,), given as (..., n); the leading axes are the batch, which every output keeps.
+// Samples of any shape, given as (..., tail): the leading axes are the batch, which outputs keep.
 struct Samples : Input {
-  Samples(nb::handle value, const char *name, int n) : Samples(value, name, 1, n) {
-    require_last_axis(n);
-  }
-  Samples(nb::handle value, const char *name, const Samples &same)
-      : Samples(value, name, 1, same.width_) {
-    require_shape_of(same);
-  }
+  Samples(nb::handle value, const char *name, std::initializer_list<npy_intp> tail);
 
   int batch_axes() const { return ndim() - tail_axes_; }
   Reading samples() const { return {data(), width_}; }
 
- protected:
-  Samples(nb::handle value, const char *name, int tail_axes, int width)
-      : Input(value, name), tail_axes_(tail_axes), width_(width) {}
+  // Broadcasts the leading axes of all, by the rules of NumPy.
+  static void broadcast(std::initializer_list<Samples *> samples);
 
+ private:
   int tail_axes_;
   int width_;
 };
 
-// Samples of any shape, given as (..., tail).
-struct Elements : Samples {
-  Elements(nb::handle value, const char *name, std::initializer_list<npy_intp> tail);
+// The shape of a kernel result per sample.
+struct Tail {
+  npy_intp shape[3];
+  int axes;
 
-  // Gives all of them the same leading axes, by the rules of NumPy.
-  static void broadcast(std::initializer_list<Elements *> elements);
+  Tail() = default;
+  Tail(std::initializer_list<npy_intp> lengths) : axes(static_cast<int>(lengths.size())) {
+    std::copy(lengths.begin(), lengths.end(), shape);
+  }
 };
 
-// An array of shape batch + tail to write into: `out` when given (float64, C-contiguous, writable,
-// apart from the inputs), a fresh one when `out` is None.
+// An output array of shape batch + tail: `out` if given (float64, C-contiguous, writable, not
+// overlapping the inputs), otherwise a new one.
 class Output {
  public:
-  Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail,
+  Output(nb::handle out, const char *name, const Tail &tail,
       std::initializer_list<const Samples *> inputs);
 
-  // The inputs that are no samples, and the other outputs.
+  // The inputs that are not samples, and the other outputs.
   void require_apart_from(std::initializer_list<const Input *> inputs) const;
   void require_apart_from(const Output &other) const;
 
@@ -147,9 +148,9 @@ class Output {
   bool streams_ = false;
 };
 
-// Runs a kernel over all samples of `first`, without the GIL when that pays, in `threads` threads
-// when each gets enough to pay for its start. The parts are several per thread, for when one is
-// held up, but large: threads that write into one page of fresh memory both have to clear it.
+// Runs a kernel over all samples of `first`, without the GIL if that pays, in `threads` threads if
+// each gets enough work. There are several parts per thread to balance the load, but large ones:
+// threads that write to the same page of fresh memory both have to clear it.
 template <std::size_t Ins, std::size_t Outs, class Kernel>
 void compute(const Samples &first, const std::array<Reading, Ins> &ins,
     const std::array<Writing, Outs> &outs, Kernel kernel, int threads = 1) {
@@ -166,11 +167,41 @@ void compute(const Samples &first, const std::array<Reading, Ins> &ins,
   });
 }
 
+// Array k of the `count` given as `out`; None if that is None.
+nb::handle part_of(nb::handle out, std::size_t k, std::size_t count);
+
+// kernel(in, out) over the samples of `given`, whose leading axes broadcast: returns the array, or
+// the tuple of arrays, of shapes `tails` per sample. `fixed` are the inputs that are not samples.
+template <std::size_t Outs, class Kernel, class... Given>
+nb::object over(nb::handle out, const std::array<Tail, Outs> &tails,
+    std::initializer_list<const Input *> fixed, int threads, const Kernel &kernel,
+    Given &&...given) {
+  static const char *const names[] = {"out[0]", "out[1]", "out[2]"};
+  Samples::broadcast({&given...});
+  std::array<std::optional<Output>, Outs> outs;
+  std::array<Writing, Outs> to;
+  for (std::size_t k = 0; k < Outs; ++k) {
+    const char *name = Outs == 1 ? "out" : names[k];
+    const Output &own = outs[k].emplace(
+        part_of(out, k, Outs), name, tails[k], std::initializer_list<const Samples *>{&given...});
+    own.require_apart_from(fixed);
+    for (std::size_t j = 0; j < k; ++j) own.require_apart_from(*outs[j]);
+    to[k] = own.samples();
+  }
+  compute<sizeof...(Given), Outs>(
+      std::get<0>(std::tie(given...)), {given.samples()...}, to, kernel, threads);
+  if constexpr (Outs == 1) return outs[0]->array();
+  if constexpr (Outs == 2) return nb::make_tuple(outs[0]->array(), outs[1]->array());
+  if constexpr (Outs == 3)
+    return nb::make_tuple(outs[0]->array(), outs[1]->array(), outs[2]->array());
+}
+
 // Each topic binds its own kernels: bind_chain(m), ...
 // clang-format off: a table
 #define ARMLAB_TOPICS(DO) \
   DO(chain) DO(datagrams) DO(drive) DO(egm) DO(estimator) DO(inverse) DO(lie) DO(limits) \
-  DO(messages) DO(obstacles) DO(primitive) DO(row_encoder) DO(row_packer) DO(signals) DO(two_dof)
+  DO(messages) DO(obstacles) DO(primitive) DO(rigid_body) DO(row_encoder) DO(row_packer) \
+  DO(signals) DO(two_dof)
 // clang-format on
 namespace python {
 #define ARMLAB_BINDS(topic) void bind_##topic(nb::module_ &m);

@@ -1,5 +1,5 @@
-// Runs a kernel over the samples of a batch, four samples side by side, in threads that live for
-// one call: no pool, no global state, nothing to break at a fork.
+// Runs a kernel over the samples of a batch, four samples side by side, in threads that exist for
+// one call: no pool and no global state that a fork could break.
 #pragma once
 
 #include <algorithm>
@@ -78,7 +78,7 @@ ARMLAB_INLINE void write_rows(const Lanes *values, int width, double *rows) {
     for (int lane = 0; lane < 4; ++lane) rows[lane * width + i] = values[i].v[lane];
 }
 
-// The same past the caches, for Writing::streams. Inlined it would cost other batches 5 %.
+// The same with streaming stores, for Writing::streams. Inlined it would cost other batches 5 %.
 #ifdef __SSE2__
 __attribute__((noinline)) inline void stream_rows(const Lanes *values, int width, double *rows) {
   for (int i = 0; i < width; i += 2)
@@ -98,37 +98,65 @@ inline void end_stream() {}
 #endif
 #endif
 
-// kernel(in, out) with in[k] and out[k] pointing to the values of one sample: `const Real *` and
-// `Real *`. It may be called for a sample twice.
-template <std::size_t Ins, std::size_t Outs, class Kernel>
-ARMLAB_VECTORISED void run_batch(std::ptrdiff_t count, const std::array<Reading, Ins> &ins,
-    const std::array<Writing, Outs> &outs, Kernel kernel) {
 #ifdef ARMLAB_LANES
+template <std::size_t Ins, std::size_t Outs, class Kernel>
+void four_samples(std::ptrdiff_t count, const std::array<Reading, Ins> &ins,
+    const std::array<Writing, Outs> &outs, Kernel &kernel) {
   constexpr int width = Lanes::width;
-  if (count >= width) {
-    std::size_t total = 0;
-    for (const Reading &in : ins) total += in.width;
-    for (const Writing &out : outs) total += out.width;
-    std::vector<Lanes> scratch(total);
-    std::array<Lanes *, Ins> in;
-    std::array<Lanes *, Outs> out;
-    Lanes *next = scratch.data();
-    for (std::size_t k = 0; k < Ins; ++k, next += ins[k - 1].width) in[k] = next;
-    for (std::size_t k = 0; k < Outs; ++k, next += outs[k - 1].width) out[k] = next;
+  std::size_t total = 0;
+  for (const Reading &in : ins) total += in.width;
+  for (const Writing &out : outs) total += out.width;
+  std::vector<Lanes> scratch(total);
+  std::array<Lanes *, Ins> in;
+  std::array<Lanes *, Outs> out;
+  Lanes *next = scratch.data();
+  for (std::size_t k = 0; k < Ins; ++k, next += ins[k - 1].width) in[k] = next;
+  for (std::size_t k = 0; k < Outs; ++k, next += outs[k - 1].width) out[k] = next;
 
-    for (std::ptrdiff_t sample = 0; sample < count; sample += width) {
-      if (sample > count - width) sample = count - width;  // the last four, some of them again
-      for (std::size_t k = 0; k < Ins; ++k)
-        read_rows(ins[k].data + sample * ins[k].width, ins[k].width, in[k]);
-      kernel(in, out);
-      for (std::size_t k = 0; k < Outs; ++k) {
-        double *rows = outs[k].data + sample * outs[k].width;
-        outs[k].streams ? stream_rows(out[k], outs[k].width, rows)
-                        : write_rows(out[k], outs[k].width, rows);
-      }
+  for (std::ptrdiff_t sample = 0; sample < count; sample += width) {
+    if (sample > count - width) sample = count - width;  // the last four, some of them again
+    for (std::size_t k = 0; k < Ins; ++k)
+      read_rows(ins[k].data + sample * ins[k].width, ins[k].width, in[k]);
+    kernel(in, out);
+    for (std::size_t k = 0; k < Outs; ++k) {
+      double *rows = outs[k].data + sample * outs[k].width;
+      outs[k].streams ? stream_rows(out[k], outs[k].width, rows)
+                      : write_rows(out[k], outs[k].width, rows);
     }
-    return end_stream();
   }
+  end_stream();
+}
+
+#ifdef ARMLAB_DISPATCH
+template <std::size_t Ins, std::size_t Outs, class Kernel>
+__attribute__((target("avx2"), flatten)) void four_by_avx2(std::ptrdiff_t count,
+    const std::array<Reading, Ins> &ins, const std::array<Writing, Outs> &outs, Kernel &kernel) {
+  four_samples(count, ins, outs, kernel);
+}
+
+template <std::size_t Ins, std::size_t Outs, class Kernel>
+__attribute__((target("avx512vl,avx512dq"), flatten)) void four_by_avx512(std::ptrdiff_t count,
+    const std::array<Reading, Ins> &ins, const std::array<Writing, Outs> &outs, Kernel &kernel) {
+  four_samples(count, ins, outs, kernel);
+}
+#endif
+#endif
+
+// kernel(in, out) with in[k] and out[k] pointing to the values of one sample: `const Real *` and
+// `Real *`. It may be called for a sample twice. Single samples, and all samples on an x86-64
+// without AVX2, use plain code: compiling that too for each instruction set takes a third longer
+// and makes a single call at most 15 % faster.
+template <std::size_t Ins, std::size_t Outs, class Kernel>
+void run_batch(std::ptrdiff_t count, const std::array<Reading, Ins> &ins,
+    const std::array<Writing, Outs> &outs, Kernel kernel) {
+#ifdef ARMLAB_DISPATCH
+  if (count >= Lanes::width && __builtin_cpu_supports("avx512vl") &&
+      __builtin_cpu_supports("avx512dq"))
+    return four_by_avx512(count, ins, outs, kernel);
+  if (count >= Lanes::width && __builtin_cpu_supports("avx2"))
+    return four_by_avx2(count, ins, outs, kernel);
+#elif defined(ARMLAB_LANES)
+  if (count >= Lanes::width) return four_samples(count, ins, outs, kernel);
 #endif
   for (std::ptrdiff_t sample = 0; sample < count; ++sample) {
     std::array<const double *, Ins> in;
@@ -142,11 +170,10 @@ ARMLAB_VECTORISED void run_batch(std::ptrdiff_t count, const std::array<Reading,
 constexpr int max_threads = 256;  // what an argument `threads` may be at most
 
 // Calls work(begin, end) for the parts [0, grain), [grain, 2 grain), ... of [0, count), in up to
-// `threads` threads, the calling one among them; each takes the next part when it is done with one,
-// so that parts may take different times. The parts do not depend on `threads`, nor may what `work`
-// does with one: any number of threads gives the same bits. With one thread, or one part, it is a
-// single call work(0, count). `work` must not throw, nor touch Python; release the GIL before.
-// Choose `grain` for parts of 0.1 ms or more: a thread takes 30 us to start and to join.
+// `threads` threads including the calling one; each takes the next part when it is free. Parts do
+// not depend on `threads`, so any number of threads gives the same bits. With one thread, or one
+// part, it is a single call work(0, count). `work` must not throw or use Python; release the GIL
+// before. Choose `grain` for parts of at least 0.1 ms: starting and joining a thread takes 30 us.
 template <class Work>
 void run_parallel(std::ptrdiff_t count, std::ptrdiff_t grain, int threads, const Work &work) {
   const std::ptrdiff_t parts = (count + grain - 1) / grain;
@@ -160,7 +187,7 @@ void run_parallel(std::ptrdiff_t count, std::ptrdiff_t grain, int threads, const
   try {
     for (std::thread &other : others) other = std::thread(take_parts);
   } catch (const std::system_error &) {
-    // the system gives no more: go on with those that there are
+    // the system has no more threads: continue with those already running
   }
   take_parts();
   for (std::thread &other : others)

@@ -2,24 +2,26 @@
 //
 // Kernels are templates over Real, which is double (one configuration) or Lanes (a batch). Both do
 // the same operations in the same order and the compiler may not contract them, so a batch gives
-// bit for bit what a loop over its samples gives, on every machine.
+// the same bits as a loop over its samples, on every machine.
 #pragma once
 
 #include <cmath>
 #include <cstdint>
 #include <cstring>
 
-// Lanes need the vector extension of GCC and Clang. Any other compiler, or one told to by
-// ARMLAB_PLAIN, makes only the kernels over double, which give the same bits.
+// Lanes need the vector extension of GCC and Clang. Other compilers, and builds with
+// ARMLAB_PLAIN, compile only the kernels over double, which give the same bits.
 #if defined(__GNUC__) && !defined(ARMLAB_PLAIN)
 #define ARMLAB_LANES
 #endif
 
-// A function marked so is compiled for several instruction sets, with all that it calls; the loader
-// chooses. Of AVX-512 only the 32 registers serve, which save the Jacobian a tenth of its time.
-// (Eight lanes would save another 7 % there, but cost 10 % with the 16 registers of AVX2.)
+// Functions marked with ARMLAB_VECTORISED are compiled for several instruction sets, with all
+// callees; the loader selects one. With ARMLAB_DISPATCH, batch.h does so itself. Of AVX-512 only
+// the 32 registers are used, which saves a tenth of the time of a Jacobian. (Eight lanes would save
+// another 7 % there, but cost 10 % with the 16 registers of AVX2.)
 #ifdef ARMLAB_VECTORISED
 #elif defined(ARMLAB_LANES) && defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__)
+#define ARMLAB_DISPATCH
 #if __GNUC__ >= 12
 #define ARMLAB_VECTORISED \
   __attribute__((target_clones("arch=x86-64-v4", "avx2", "default"), flatten))
@@ -30,7 +32,7 @@
 #define ARMLAB_VECTORISED
 #endif
 
-// For functions with Lanes by value, which are passed by instruction set: never really called.
+// For functions with Lanes by value, whose passing depends on the instruction set: always inlined.
 #ifdef ARMLAB_LANES
 #define ARMLAB_INLINE inline __attribute__((always_inline))
 #else
@@ -75,7 +77,7 @@ ARMLAB_INLINE Lanes from_bits(Lanes::Bits bits) { return (Lanes::Doubles)bits; }
 ARMLAB_INLINE Lanes::Bits is_negative(Lanes::Bits bits) { return bits < 0; }
 #endif
 
-// What a condition chooses, lane by lane; a condition is bool for double and Lanes::Bits for Lanes.
+// Selection by a condition, lane by lane; a condition is bool for double and Lanes::Bits for Lanes.
 ARMLAB_INLINE double select(bool condition, double yes, double no) { return condition ? yes : no; }
 ARMLAB_INLINE bool all(bool condition) { return condition; }
 ARMLAB_INLINE double square_root(double x) { return std::sqrt(x); }

@@ -26,7 +26,7 @@ bool any_missing(const double *m, int stride) {
   return false;
 }
 
-// What is wrong with a matrix as a rotation, or nothing.
+// The reason why a matrix is not a rotation, or nothing.
 std::string fault(const double *m, int stride) {
   if (any_missing(m, stride)) return "";
   const Rotation<double> R = rotation_at(m, stride);
@@ -49,6 +49,28 @@ double departure(const Rotation<double> &R) {
     for (int j = i; j < 3; ++j)
       off = std::max(off, std::fabs(dot(columns[i], columns[j]) - (i == j)));
   return off;
+}
+
+void restore_digits(Input &matrices) {
+  const int stride = static_cast<int>(matrices.shape()[matrices.ndim() - 1]),
+            width = stride * stride;
+  double *copy = nullptr;
+  for (npy_intp k = 0; k < matrices.size() / width; ++k) {
+    const double *m = matrices.data() + width * k;
+    Rotation<double> R = rotation_at(m, stride);
+    const double off = departure(R);
+    if (any_missing(m, stride) || off <= negligible || off > rotation_tolerance) continue;
+    if (!copy) copy = numbers(matrices.copy());
+    for (int step = 0; step < 2; ++step) {  // Newton: R (3 I - R^T R) / 2, error 1e-5, 1e-10, 1e-20
+      const Vec3<double> x = R.x, y = R.y, z = R.z;
+      const double xx = dot(x, x), yy = dot(y, y), zz = dot(z, z);
+      const double xy = 0.5 * dot(x, y), xz = 0.5 * dot(x, z), yz = 0.5 * dot(y, z);
+      R.x = (1.5 - 0.5 * xx) * x - xy * y - xz * z;
+      R.y = (1.5 - 0.5 * yy) * y - xy * x - yz * z;
+      R.z = (1.5 - 0.5 * zz) * z - xz * x - yz * y;
+    }
+    R.write(copy + width * k, stride);
+  }
 }
 
 void refuse_no_rotation(const Samples &R, const std::string &name, int stride) {

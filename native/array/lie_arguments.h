@@ -1,8 +1,11 @@
-// Arguments of the Lie groups: are these rotations, poses, unit quaternions?
+// Argument checks of the Lie groups: rotations, poses, unit quaternions.
 //
-// That is found out on the way through a batch, by a test that is quick and may suspect too much
-// (NaN, for one). Only then each sample is looked at alone, and the first that is refused is named.
-// NaN passes: what is missing stays missing.
+// A rotation within `rotation_tolerance` passes: six decimals, single precision. One that is off by
+// more than `negligible` is replaced by the nearest rotation before it is used.
+//
+// The pass over a batch includes a fast test with false alarms (NaN, for example). After an alarm,
+// each sample is checked alone, and the error names the first invalid one. NaN passes: missing
+// values stay missing.
 #pragma once
 
 #include "array/arrays.h"
@@ -10,7 +13,8 @@
 
 namespace armlab {
 
-constexpr double rotation_tolerance = 1e-6;  // of the largest entry of |R^T R - I|
+constexpr double rotation_tolerance = 1e-5;  // of the largest entry of |R^T R - I|
+constexpr double negligible = 1e-9;          // of the same: below it, a rotation keeps its bits
 constexpr double unit_tolerance = 1e-3;      // of the length of a quaternion
 
 // The largest entry of |R^T R - I| of a finite R.
@@ -19,6 +23,10 @@ double departure(const Rotation<double> &R);
 void refuse_no_rotation(const Samples &R, const std::string &name, int stride = 3);
 void refuse_no_pose(const Samples &T, const std::string &name);
 void refuse_not_unit(const Samples &q);
+
+// Replaces rotations that lack digits by the nearest ones, in a copy if there are any. They are
+// matrices (3, 3), or parts of poses (4, 4).
+void restore_digits(Input &matrices);
 
 template <class Real>
 inline Rotation<Real> rotation_at(const Real *m, int stride) {
@@ -52,7 +60,7 @@ inline bool looks_orthonormal(const Rotation<Real> &R) {
   const Real one(1.0), xy = dot(R.x, R.y), xz = dot(R.x, R.z), yz = dot(R.y, R.z);
   const Real xx = dot(R.x, R.x) - one, yy = dot(R.y, R.y) - one, zz = dot(R.z, R.z) - one;
   const Real off = xx * xx + yy * yy + zz * zz + xy * xy + xz * xz + yz * yz;
-  const Real limit(0.99 * rotation_tolerance * rotation_tolerance);
+  const Real limit(0.99 * negligible * negligible);
   return all((off <= limit) & (Real(0.0) < dot(cross(R.x, R.y), R.z)));
 }
 

@@ -1,12 +1,12 @@
-// Python class Chain: arguments are checked here, mathematics: kinematics.h and rigid_body.h.
+// Python class Chain: argument checks; mathematics in kinematics.h and rigid_body.h.
 #include "array/arrays.h"
 #include "math/arm/rigid_body.h"
 
 namespace armlab::python {
 namespace {
 
-// Makes R orthonormal by Newton steps towards the nearest rotation. Refuses what is off by more
-// than 1e-6, leaves alone what is orthonormal to rounding.
+// Orthonormalises R by Newton steps towards the nearest rotation. Raises beyond an error of 1e-6,
+// and keeps R if it is orthonormal to rounding.
 bool make_rigid(double *E) {
   const double bottom[4] = {0.0, 0.0, 0.0, 1.0};
   if (!std::equal(bottom, bottom + 4, E + 12) || !std::isfinite(E[3] + E[7] + E[11])) return false;
@@ -57,121 +57,68 @@ nb::object prismatic(const Chain &self) {
   return fresh_mask(self.n, slides);
 }
 
-nb::object forward(const Chain &self, nb::handle q_, nb::handle out, nb::handle threads_) {
-  const int threads = thread_count(threads_);
-  const Samples q(q_, "q", self.n);
-  const Output T(out, "out", {4, 4}, {&q});
-  compute<1, 1>(
-      q, {q.samples()}, {T.samples()},
-      [&](const auto &in, const auto &to) { armlab::forward(self, in[0], to[0]); }, threads);
-  return T.array();
+nb::object forward(const Chain &self, nb::handle q, nb::handle out, nb::handle threads) {
+  const auto kernel = [&](const auto &in, const auto &to) { armlab::forward(self, in[0], to[0]); };
+  return over(
+      out, std::array{Tail{4, 4}}, {}, thread_count(threads), kernel, Samples(q, "q", {self.n}));
 }
 
 nb::object jacobian(
-    const Chain &self, nb::handle q_, bool tool, nb::handle out, nb::handle threads_) {
-  const int threads = thread_count(threads_);
-  const Samples q(q_, "q", self.n);
-  const Output J(out, "out", {6, self.n}, {&q});
-  compute<1, 1>(
-      q, {q.samples()}, {J.samples()},
-      [&](const auto &in, const auto &to) { armlab::jacobian(self, in[0], tool, to[0]); }, threads);
-  return J.array();
-}
-
-// The two arrays of `out`, or None twice.
-std::array<nb::handle, 2> pair_of(nb::handle out, const char *names) {
-  if (out.is_none()) return {out, out};
-  if (!PyTuple_Check(out.ptr()) || PyTuple_GET_SIZE(out.ptr()) != 2)
-    raise_shape_error("Expected out to be a pair of arrays " + std::string(names) +
-                      ", got something else. Give a tuple of two arrays.");
-  return {PyTuple_GET_ITEM(out.ptr(), 0), PyTuple_GET_ITEM(out.ptr(), 1)};
+    const Chain &self, nb::handle q, bool tool, nb::handle out, nb::handle threads) {
+  const auto kernel = [&](const auto &in, const auto &to) {
+    armlab::jacobian(self, in[0], tool, to[0]);
+  };
+  return over(out, std::array{Tail{6, self.n}}, {}, thread_count(threads), kernel,
+      Samples(q, "q", {self.n}));
 }
 
 nb::object forward_jacobian(
-    const Chain &self, nb::handle q_, bool tool, nb::handle out, nb::handle threads_) {
-  const int threads = thread_count(threads_);
-  const auto [out_T, out_J] = pair_of(out, "(T, J)");
-  const Samples q(q_, "q", self.n);
-  const Output T(out_T, "out[0]", {4, 4}, {&q}), J(out_J, "out[1]", {6, self.n}, {&q});
-  J.require_apart_from(T);
-  compute<1, 2>(
-      q, {q.samples()}, {T.samples(), J.samples()},
-      [&](const auto &in, const auto &to) {
-        armlab::jacobian(self, in[0], tool, to[1]).write(to[0]);
-      },
-      threads);
-  return nb::make_tuple(T.array(), J.array());
+    const Chain &self, nb::handle q, bool tool, nb::handle out, nb::handle threads) {
+  const auto kernel = [&](const auto &in, const auto &to) {
+    armlab::jacobian(self, in[0], tool, to[1]).write(to[0]);
+  };
+  return over(out, std::array{Tail{4, 4}, Tail{6, self.n}}, {}, thread_count(threads), kernel,
+      Samples(q, "q", {self.n}));
 }
 
-nb::object link_transforms(const Chain &self, nb::handle q_, nb::handle out) {
-  const Samples q(q_, "q", self.n);
-  const Output T(out, "out", {self.n, 4, 4}, {&q});
-  compute<1, 1>(q, {q.samples()}, {T.samples()},
-      [&](const auto &in, const auto &to) { armlab::link_transforms(self, in[0], to[0]); });
-  return T.array();
+nb::object link_transforms(const Chain &self, nb::handle q, nb::handle out) {
+  const auto kernel = [&](const auto &in, const auto &to) {
+    armlab::link_transforms(self, in[0], to[0]);
+  };
+  return over(out, std::array{Tail{self.n, 4, 4}}, {}, 1, kernel, Samples(q, "q", {self.n}));
 }
 
 nb::object jacobian_derivative(
     const Chain &self, nb::handle q_, nb::handle qd_, bool tool, nb::handle out) {
-  const Samples q(q_, "q", self.n), qd(qd_, "qd", q);
-  const Output Jd(out, "out", {6, self.n}, {&q, &qd});
-  compute<2, 1>(
-      q, {q.samples(), qd.samples()}, {Jd.samples()}, [&](const auto &in, const auto &to) {
-        armlab::jacobian_derivative(self, in[0], in[1], tool, to[0]);
-      });
-  return Jd.array();
-}
-
-nb::object rnea(const Chain &self, nb::handle q_, nb::handle qd_, nb::handle qdd_,
-    nb::handle gravity_, nb::handle pi_, nb::handle out) {
-  const Samples q(q_, "q", self.n), qd(qd_, "qd", q), qdd(qdd_, "qdd", q);
-  const Input gravity(gravity_, "gravity", {3}), pi(pi_, "pi", {self.n, 10});
-  const Output tau(out, "out", {self.n}, {&q, &qd, &qdd});
-  tau.require_apart_from({&gravity, &pi});
-  compute<3, 1>(q, {q.samples(), qd.samples(), qdd.samples()}, {tau.samples()},
-      [&](const auto &in, const auto &to) {
-        armlab::rnea(self, in[0], in[1], in[2], gravity.data(), pi.data(), to[0]);
-      });
-  return tau.array();
+  const Samples q(q_, "q", {self.n}), qd(qd_, "qd", {self.n});
+  const auto kernel = [&](const auto &in, const auto &to) {
+    armlab::jacobian_derivative(self, in[0], in[1], tool, to[0]);
+  };
+  return over(out, std::array{Tail{6, self.n}}, {}, 1, kernel, Samples(q), Samples(qd));
 }
 
 nb::object rigid_regressor(const Chain &self, nb::handle q_, nb::handle qd_, nb::handle qdd_,
     nb::handle gravity_, nb::handle out) {
-  const Samples q(q_, "q", self.n), qd(qd_, "qd", q), qdd(qdd_, "qdd", q);
+  const npy_intp n = self.n;
+  const Samples q(q_, "q", {n}), qd(qd_, "qd", {n}), qdd(qdd_, "qdd", {n});
   const Input gravity(gravity_, "gravity", {3});
-  const Output Y(out, "out", {self.n, 10 * self.n}, {&q, &qd, &qdd});
-  Y.require_apart_from({&gravity});
-  compute<3, 1>(q, {q.samples(), qd.samples(), qdd.samples()}, {Y.samples()},
-      [&](const auto &in, const auto &to) {
-        armlab::rigid_regressor(self, in[0], in[1], in[2], gravity.data(), to[0]);
-      });
-  return Y.array();
+  const auto kernel = [&](const auto &in, const auto &to) {
+    armlab::rigid_regressor(self, in[0], in[1], in[2], gravity.data(), to[0]);
+  };
+  return over(out, std::array{Tail{n, 10 * n}}, {&gravity}, 1, kernel, Samples(q), Samples(qd),
+      Samples(qdd));
 }
 
-nb::object mass_matrix(const Chain &self, nb::handle q_, nb::handle pi_, nb::handle out) {
-  const Samples q(q_, "q", self.n);
-  const Input pi(pi_, "pi", {self.n, 10});
-  const Output M(out, "out", {self.n, self.n}, {&q});
-  M.require_apart_from({&pi});
-  compute<1, 1>(q, {q.samples()}, {M.samples()},
-      [&](const auto &in, const auto &to) { armlab::mass_matrix(self, in[0], pi.data(), to[0]); });
-  return M.array();
-}
-
-nb::object momentum(
-    const Chain &self, nb::handle q_, nb::handle qd_, nb::handle pi_, nb::handle out) {
-  const auto [out_p, out_beta] = pair_of(out, "(p, beta)");
-  const Samples q(q_, "q", self.n), qd(qd_, "qd", q);
-  const Input pi(pi_, "pi", {self.n, 10});
-  const Output p(out_p, "out[0]", {self.n}, {&q, &qd}),
-      beta(out_beta, "out[1]", {self.n}, {&q, &qd});
-  for (const Output *output : {&p, &beta}) output->require_apart_from({&pi});
-  beta.require_apart_from(p);
-  compute<2, 2>(q, {q.samples(), qd.samples()}, {p.samples(), beta.samples()},
-      [&](const auto &in, const auto &to) {
-        armlab::momentum(self, in[0], in[1], pi.data(), to[0], to[1]);
-      });
-  return nb::make_tuple(p.array(), beta.array());
+nb::object torque_of(const Chain &self, nb::handle q_, nb::handle qd_, nb::handle qdd_,
+    nb::handle gravity_, nb::handle links_, nb::handle out) {
+  const npy_intp n = self.n;
+  const Samples q(q_, "q", {n}), qd(qd_, "qd", {n}), qdd(qdd_, "qdd", {n});
+  const Input gravity(gravity_, "gravity", {3}), links(links_, "pi", {n, 10});
+  const auto kernel = [&](const auto &in, const auto &to) {
+    armlab::rnea({self, gravity.data(), links.data()}, in[0], in[1], in[2], to[0]);
+  };
+  return over(out, std::array{Tail{n}}, {&gravity, &links}, 1, kernel, Samples(q), Samples(qd),
+      Samples(qdd));
 }
 
 nb::object reduce(nb::handle self) {
@@ -183,24 +130,23 @@ nb::object reduce(nb::handle self) {
 }  // namespace armlab::python
 
 void armlab::python::bind_chain(nb::module_ &m) {
-  nb::class_<Chain>(m, "Chain", "A serial chain, immutable; _native.pyi documents it.")
-      .def("__init__", &construct, array("frames"), array("prismatic"))
+  const auto out = [] { return arg("out") = nb::none(); };
+  const auto threads = [] { return arg("threads").none() = 1; };
+  auto chain =
+      nb::class_<Chain>(m, "Chain", "A serial chain, immutable; _native.pyi documents it.");
+  chain.def("__init__", &construct, array("frames"), array("prismatic"))
       .def_ro("n", &Chain::n)
       .def_prop_ro("frames", &frames)
       .def_prop_ro("prismatic", &prismatic)
       .def("__reduce__", &reduce)
-      .def("forward", &forward, array("q"), arg("out") = nb::none(), arg("threads").none() = 1)
-      .def("jacobian", &jacobian, array("q"), arg("tool") = false, arg("out") = nb::none(),
-          arg("threads").none() = 1)
-      .def("forward_jacobian", &forward_jacobian, array("q"), arg("tool") = false,
-          arg("out") = nb::none(), arg("threads").none() = 1)
-      .def("link_transforms", &link_transforms, array("q"), arg("out") = nb::none())
+      .def("forward", &forward, array("q"), out(), threads())
+      .def("jacobian", &jacobian, array("q"), arg("tool") = false, out(), threads())
+      .def("forward_jacobian", &forward_jacobian, array("q"), arg("tool") = false, out(), threads())
+      .def("link_transforms", &link_transforms, array("q"), out())
       .def("jacobian_derivative", &jacobian_derivative, array("q"), array("qd"),
-          arg("tool") = false, arg("out") = nb::none())
-      .def("rnea", &rnea, array("q"), array("qd"), array("qdd"), array("gravity"), array("pi"),
-          arg("out") = nb::none())
+          arg("tool") = false, out())
       .def("rigid_regressor", &rigid_regressor, array("q"), array("qd"), array("qdd"),
-          array("gravity"), arg("out") = nb::none())
-      .def("mass_matrix", &mass_matrix, array("q"), array("pi"), arg("out") = nb::none())
-      .def("momentum", &momentum, array("q"), array("qd"), array("pi"), arg("out") = nb::none());
+          array("gravity"), out())
+      .def("rnea", &torque_of, array("q"), array("qd"), array("qdd"), array("gravity"), array("pi"),
+          out());
 }

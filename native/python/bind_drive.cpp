@@ -128,7 +128,8 @@ nb::object weights(nb::handle x_, nb::handle centres_, nb::handle widths_) {
 }
 
 nb::object torque(const Drive &self, nb::handle q_, nb::handle qd_, nb::handle z_, nb::handle out) {
-  const Samples q(q_, "q", self.n), qd(qd_, "qd", q), z(z_, "z", q);
+  Samples q(q_, "q", {self.n}), qd(qd_, "qd", {self.n}), z(z_, "z", {self.n});
+  Samples::broadcast({&q, &qd, &z});
   const Output tau(out, "out", {self.n}, {&q, &qd, &z});
   double *to = tau.samples().data;
   for (npy_intp k = 0; k < q.size(); ++k) {
@@ -139,8 +140,9 @@ nb::object torque(const Drive &self, nb::handle q_, nb::handle qd_, nb::handle z
   return tau.array();
 }
 
-// Adds the torque of the drives along a record to tau (N, n), that of the links; without dt (N)
-// they do not warm up. Rows of which something is not finite become NaN and leave the states alone.
+// Adds the torque of the drives along a record to tau (N, n), which holds that of the links;
+// without dt (N) there is no warm-up. Rows that are not finite become NaN and leave the states
+// unchanged.
 void add_drive_torque(const Drive &drive, npy_intp N, const double *rotor, const double *q,
     const double *qd, const double *qdd, const double *dt, double *tau) {
   const int n = drive.n;
@@ -173,7 +175,8 @@ nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle link
   if (drive.n != n)
     raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " +
                       std::to_string(drive.n) + ".");
-  const Samples q(q_, "q", n), qd(qd_, "qd", q), qdd(qdd_, "qdd", q);
+  Samples q(q_, "q", {n}), qd(qd_, "qd", {n}), qdd(qdd_, "qdd", {n});
+  Samples::broadcast({&q, &qd, &qdd});
   const npy_intp N = q.size() / n;
   q.require_exactly({N, n});
   std::vector<double> dt;
@@ -182,7 +185,7 @@ nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle link
   tau.require_apart_from({&gravity, &links, &rotor});
   compute<3, 1>(q, {q.samples(), qd.samples(), qdd.samples()}, {tau.samples()},
       [&](const auto &in, const auto &to) {
-        rnea(chain, in[0], in[1], in[2], gravity.data(), links.data(), to[0]);
+        rnea({chain, gravity.data(), links.data()}, in[0], in[1], in[2], to[0]);
       });
   {
     // not at `return`, which counts one more reference to the array
@@ -228,13 +231,10 @@ void armlab::python::bind_drive(nb::module_ &m) {
       .def("__init__", &construct, array("friction"), array("ripple"), arg("lines") = nb::none(),
           arg("map") = nb::none(), arg("warm_up") = nb::none())
       .def_ro("n", &Drive::n)
-      .def("torque", &torque, array("q"), array("qd"), array("z"), arg("out") = nb::none(),
-          "Torque (..., n) at given presliding states.");
-  m.def("basis_weights", &weights, array("x"), array("centres"), array("widths"),
-      "Normalised Gaussians (N, m) at x (N,); see tests/oracles/drive.py.");
+      .def("torque", &torque, array("q"), array("qd"), array("z"), arg("out") = nb::none());
+  m.def("basis_weights", &weights, array("x"), array("centres"), array("widths"));
   m.def("model_torque", &model_torque, arg("chain"), array("gravity"), array("links"),
       array("rotor"), arg("drive"), array("q"), array("qd"), array("qdd"), arg("dt") = nb::none(),
-      arg("out") = nb::none(), "Torque (N, n) of the arm and its drives along a record.");
-  m.def("presliding", &presliding, array("q"), array("delta"), array("resolution"),
-      "Presliding friction state z (N, n) along positions q (N, n); see tests/oracles/drive.py.");
+      arg("out") = nb::none());
+  m.def("presliding", &presliding, array("q"), array("delta"), array("resolution"));
 }

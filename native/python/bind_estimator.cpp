@@ -54,7 +54,7 @@ Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, 
 }
 
 // One estimate, or N of them, as fresh arrays: F, P, observability, torque error, its variance,
-// flags, active joints, interval; the last is None where the method has none.
+// flags, active joints, interval; the last is None unless the method has one.
 class Estimates {
  public:
   Estimates(int n, bool has_interval, npy_intp N, bool stacked) : n_(n), interval_(nullptr) {
@@ -135,12 +135,10 @@ nb::object run(Estimator &self, nb::handle q_, nb::handle qd_, nb::handle tau_, 
 
 template <class Estimator>
 void bind_steps(nb::class_<Estimator> &estimator) {
-  estimator.def("reset", &Estimator::reset, "Forget everything but the parameters.")
-      .def("step", &step<Estimator>, array("q"), array("qd"), array("tau"), arg("dt"),
-          "Advance by one sample; return F, P, observability, torque error, its variance, flags, "
-          "active, interval.")
-      .def("run", &run<Estimator>, array("q"), array("qd"), array("tau"), array("dt"),
-          "Step along a record (N, n); return the outputs of step stacked over N.");
+  estimator.def("reset", &Estimator::reset)
+      .def("__copy__", [](const Estimator &self) { return Estimator(self); })
+      .def("step", &step<Estimator>, array("q"), array("qd"), array("tau"), arg("dt"))
+      .def("run", &run<Estimator>, array("q"), array("qd"), array("tau"), array("dt"));
 }
 
 void construct_estimator(WrenchEstimator *self, const Chain &chain, nb::handle gravity,
@@ -262,14 +260,11 @@ void armlab::python::bind_estimator(nb::module_ &m) {
                           arg("gain_variance"), array("covariance"), array("prior"),
                           array("memory"), array("qd_noise"), array("rate"), array("leak"),
                           arg("gain"), arg("filters"), arg("biased"), arg("point") = nb::none())
-                      .def("tare", &MomentumEstimator::tare,
-                          "Call what the torques show now friction; False unless all joints rest.");
+                      .def("tare", &MomentumEstimator::tare);
   bind_steps(momentum);
   m.def("momentum_step", &filter_step, array("x"), array("P"), array("G"), array("u"), array("y"),
-      array("R"), arg("h"), array("Qp"), array("q"), array("a"),
-      "One step of the momentum filter; see docs/theory/contact_force.md.");
+      array("R"), arg("h"), array("Qp"), array("q"), array("a"));
   m.def("solve_wrench", &solve, array("A"), array("error"), array("variance"), array("bound"),
-      array("prior"), arg("method"), "Wrench of one instant; see tests/oracles/wrench.py.");
-  m.def("wrench_interval", &interval, array("A"), array("error"), array("spread"), array("box"),
-      "Guaranteed interval of each unknown; see tests/oracles/wrench.py.");
+      array("prior"), arg("method"));
+  m.def("wrench_interval", &interval, array("A"), array("error"), array("spread"), array("box"));
 }

@@ -22,9 +22,10 @@ struct Goals {
     for (npy_intp k = 0; k < count; ++k)
       if (!is_pose(T.data() + 16 * k))
         raise_shape_error(
-            "Expected finite poses with a rotation orthonormal to 1e-6 and last row 0 0 0 1, got " +
+            "Expected finite poses with a rotation orthonormal to 1e-5 and last row 0 0 0 1, got " +
             place("T_base_tool", k, T.shape(), axes) +
             " that is not. Project it if it is nearly one (lie.se3.project).");
+    restore_digits(T);
   }
 
   // A fresh array of shape batch + tail.
@@ -37,7 +38,7 @@ struct Goals {
     return array;
   }
 
-  const Input T;
+  Input T;
   const int axes;
   npy_intp count;
 };
@@ -82,7 +83,7 @@ Search search_of(
       {static_cast<Objective::Kind>(objective), nullptr, nullptr}};
 }
 
-// What a call asks for besides the goals: the arguments that `solve` and `follow` have in common.
+// The arguments common to `solve` and `follow`, except the goals.
 struct Request {
   Request(nb::handle T, int n, int task_, nb::handle axis_, const Search &search_,
       nb::handle reference_, nb::handle scale_, bool history_, nb::handle threads_)
@@ -137,7 +138,7 @@ void construct(InverseSolver *self, const Chain &chain, nb::handle low_, nb::han
   new (self) InverseSolver(chain, low.data(), high.data(), home.data(), seed);
 }
 
-// Fresh arrays of what a call finds: q (n), errors (3) and counts (3) of each goal.
+// New arrays for the results of a call: q (n), errors (3) and counts (3) of each goal.
 struct Results {
   Results(const Goals &goals, int n_)
       : n(n_),
@@ -293,6 +294,5 @@ void armlab::python::bind_inverse(nb::module_ &m) {
   m.def("follow_path", &follow_path, arg("solver"), array("T_base_tool"), none("q0"),
       none("change"), arg("task") = 6, axis(), arg("steps") = 100, arg("starts") = 100,
       near("position_tolerance"), near("rotation_tolerance"), arg("damping") = 0.1,
-      arg("objective") = 0, none("reference"), none("scale"),
-      "Return postures, errors and counts along a path.");
+      arg("objective") = 0, none("reference"), none("scale"));
 }

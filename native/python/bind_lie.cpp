@@ -1,6 +1,4 @@
 // Python functions of the Lie groups; the mathematics is in lie.h, se3.h and euler.h.
-#include <tuple>
-
 #include "array/lie_arguments.h"
 #include "math/lie/euler.h"
 #include "math/lie/se3.h"
@@ -11,26 +9,30 @@ namespace {
 template <npy_intp...>
 struct Shape {};
 
-// Refuses the first sample that is no rotation (3, 3), pose (4, 4) or unit quaternion (4,).
-void refuse_wrong(const Elements &given) {
+// Rejects the first sample that is not a rotation (3, 3), pose (4, 4) or unit quaternion (4,).
+void refuse_wrong(const Samples &given) {
   const int width = given.samples().width;
   if (width == 9) refuse_no_rotation(given, given.name());
   if (width == 16) refuse_no_pose(given, given.name());
   if (width == 4) refuse_not_unit(given);
 }
 
-// kernel(in, out) over broadcast leading axes; it returns whether the arguments look right.
+// Rejects invalid samples one by one, and restores missing digits of rotations.
+void correct(Samples &given) {
+  refuse_wrong(given);
+  if (given.samples().width >= 9) restore_digits(given);
+}
+
+// kernel(in, out) over broadcast leading axes; it returns whether the arguments look valid.
 template <class Kernel, class... Given>
 nb::object over(
-    nb::handle out_, std::initializer_list<npy_intp> tail, Kernel kernel, Given &...given) {
-  Elements::broadcast({&given...});
-  const Output out(out_, "out", tail, {&given...});
+    nb::handle out, std::initializer_list<npy_intp> tail, Kernel kernel, Given &...given) {
   bool right = true;
-  compute<sizeof...(Given), 1>(std::get<0>(std::tie(given...)), {given.samples()...},
-      {out.samples()},
-      [&right, kernel](const auto &in, const auto &to) { right &= kernel(in, to[0]); });
-  if (!right) (refuse_wrong(given), ...);
-  return out.array();
+  const auto checking = [&](const auto &in, const auto &to) { right &= kernel(in, to[0]); };
+  const nb::object found = armlab::over(out, std::array{Tail(tail)}, {}, 1, checking, given...);
+  if (right) return found;
+  (correct(given), ...);
+  return armlab::over(found, std::array{Tail(tail)}, {}, 1, checking, given...);
 }
 
 // A function of one argument: kernel(in, out) of one sample.
@@ -38,20 +40,20 @@ template <npy_intp... in, npy_intp... out, class Kernel>
 void def(nb::module_ &m, const char *name, const char *argument, Shape<in...>, Shape<out...>,
     Kernel kernel) {
   const auto function = [argument, kernel](nb::handle value, nb::handle to) {
-    Elements given(value, argument, {in...});
+    Samples given(value, argument, {in...});
     return over(to, {out...}, [kernel](const auto &x, auto *y) { return kernel(x[0], y); }, given);
   };
   m.def(name, function, array(argument), arg("out") = nb::none());
 }
 
-// The argument itself, once all of its samples look right.
+// The argument after validation of all samples; a copy if rotations lacked digits.
 template <class Looks>
 nb::object checked(nb::handle value, const char *name, npy_intp n, Looks looks) {
-  const Elements given(value, name, {n, n});
+  Samples given(value, name, {n, n});
   bool right = true;
   compute<1, 0>(given, {given.samples()}, {},
       [&right, looks](const auto &in, const auto &) { right &= looks(in[0]); });
-  if (!right) refuse_wrong(given);
+  if (!right) correct(given);
   return given.object();
 }
 
@@ -128,7 +130,7 @@ void def_groups(nb::module_ &m) {
 }
 
 nb::object angle(nb::handle R_a, nb::handle R_b, nb::handle out) {
-  Elements a(R_a, "R_a", {3, 3}), b(R_b, "R_b", {3, 3});
+  Samples a(R_a, "R_a", {3, 3}), b(R_b, "R_b", {3, 3});
   const auto kernel = [](const auto &in, auto *angle) {
     const auto A = rotation_at(in[0], 3), B = rotation_at(in[1], 3);
     *angle = so3_angle(A.inverse() * B);
@@ -138,7 +140,7 @@ nb::object angle(nb::handle R_a, nb::handle R_b, nb::handle out) {
 }
 
 nb::object between_rotations(nb::handle R_a, nb::handle R_b, nb::handle s_, nb::handle out) {
-  Elements a(R_a, "R_a", {3, 3}), b(R_b, "R_b", {3, 3}), s(s_, "s", {});
+  Samples a(R_a, "R_a", {3, 3}), b(R_b, "R_b", {3, 3}), s(s_, "s", {});
   const auto kernel = [](const auto &in, auto *R) {
     const auto A = rotation_at(in[0], 3), B = rotation_at(in[1], 3);
     so3_interpolate(A, B, *in[2]).write(R, 3);
@@ -148,7 +150,7 @@ nb::object between_rotations(nb::handle R_a, nb::handle R_b, nb::handle s_, nb::
 }
 
 nb::object transform_wrench(nb::handle T_a_b, nb::handle wrench_b, nb::handle out) {
-  Elements T(T_a_b, "T_a_b", {4, 4}), wrench(wrench_b, "wrench_b", {6});
+  Samples T(T_a_b, "T_a_b", {4, 4}), wrench(wrench_b, "wrench_b", {6});
   const auto kernel = [](const auto &in, auto *wrench_a) {
     const auto pose = pose_at(in[0]);
     const auto f = pose.turn(vector_at(in[1]));
@@ -161,7 +163,7 @@ nb::object transform_wrench(nb::handle T_a_b, nb::handle wrench_b, nb::handle ou
 
 nb::object between_poses(
     nb::handle T_a, nb::handle T_b, nb::handle s_, bool screw, nb::handle out) {
-  Elements a(T_a, "T_a", {4, 4}), b(T_b, "T_b", {4, 4}), s(s_, "s", {});
+  Samples a(T_a, "T_a", {4, 4}), b(T_b, "T_b", {4, 4}), s(s_, "s", {});
   const auto kernel = [screw](const auto &in, auto *T) {
     se3_interpolate(pose_at(in[0]), pose_at(in[1]), *in[2], screw).write(T);
     return looks_rigid(in[0]) & looks_rigid(in[1]);
@@ -170,7 +172,7 @@ nb::object between_poses(
 }
 
 nb::object multiply(nb::handle p_, nb::handle q_, nb::handle out) {
-  Elements p(p_, "p", {4}), q(q_, "q", {4});
+  Samples p(p_, "p", {4}), q(q_, "q", {4});
   const auto kernel = [](const auto &in, auto *to) {
     write(quaternion_at(in[0]) * quaternion_at(in[1]), to);
     return true;
@@ -179,7 +181,7 @@ nb::object multiply(nb::handle p_, nb::handle q_, nb::handle out) {
 }
 
 nb::object between_quaternions(nb::handle a_, nb::handle b_, nb::handle s_, nb::handle out) {
-  Elements a(a_, "a", {4}), b(b_, "b", {4}), s(s_, "s", {});
+  Samples a(a_, "a", {4}), b(b_, "b", {4}), s(s_, "s", {});
   const auto kernel = [](const auto &in, auto *q) {
     const auto begin = quaternion_at(in[0]), end = quaternion_at(in[1]);
     write(slerp(unit(begin), unit(end), *in[2]), q);
@@ -189,7 +191,7 @@ nb::object between_quaternions(nb::handle a_, nb::handle b_, nb::handle s_, nb::
 }
 
 nb::object from_rpy(nb::handle rpy_, int first, int middle, int last, nb::handle out) {
-  Elements rpy(rpy_, "rpy", {3});
+  Samples rpy(rpy_, "rpy", {3});
   const auto kernel = [axes = Axes{first, middle, last}](const auto &in, auto *R) {
     matrix_from_angles(in[0], axes, R);
     return true;
@@ -198,7 +200,7 @@ nb::object from_rpy(nb::handle rpy_, int first, int middle, int last, nb::handle
 }
 
 nb::object to_rpy(nb::handle R_, int first, int middle, int last, nb::handle out) {
-  Elements R(R_, "R", {3, 3});
+  Samples R(R_, "R", {3, 3});
   const auto kernel = [axes = Axes{first, middle, last}](const auto &in, auto *rpy) {
     angles_from_matrix(in[0], axes, rpy);
     return looks_orthonormal(rotation_at(in[0], 3));

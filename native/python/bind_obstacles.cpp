@@ -62,7 +62,7 @@ void put(Obstacles &self, nb::handle capsules_) {
 }
 
 nb::object distance(Obstacles &self, nb::handle y_) {
-  const Samples y(y_, "y", self.n());
+  const Samples y(y_, "y", {self.n()});
   const nb::object out = fresh_array(y.ndim() - 1, y.shape());
   for (npy_intp i = 0; i < y.size() / self.n(); ++i)
     numbers(out)[i] = self.distance(y.data() + self.n() * i);
@@ -85,15 +85,14 @@ void armlab::python::bind_obstacles(nb::module_ &m) {
   nb::class_<Obstacles>(m, "Obstacles", "What a motion goes around; see docs/theory/obstacles.md.")
       .def("__init__", &construct, arg("arm"), array("links"), array("bodies"), arg("clearance"),
           arg("reach"), arg("by_potential") = false)
-      .def("place", &put, array("capsules"), "Obstacles (K, 10) from now on.")
-      .def("distance", &distance, array("y"), "Least distance (...) of any surface at (..., n).")
-      .def("add", &add, array("y"), array("yd"), array("g"), array("ydd"),
-          "Acceleration (n,) with what obstacles add.")
+      .def("place", &put, array("capsules"))
+      .def("distance", &distance, array("y"))
+      .def("add", &add, array("y"), array("yd"), array("g"), array("ydd"))
       .def(
           "advance",
           [](Obstacles &self, double dt) {
             require_not_negative("dt", &dt, 1);
             self.advance(dt);
           },
-          arg("dt"), "Let the obstacles go on for dt.");
+          arg("dt"));
 }

@@ -39,7 +39,7 @@ void construct(Primitive *self, nb::handle centres_, nb::handle widths_, nb::han
 }
 
 nb::object basis(const Primitive &p, nb::handle x_, nb::handle out_) {
-  const Elements x(x_, "x", {});
+  const Samples x(x_, "x", {});
   require_finite(x);
   const Output out(out_, "out", {p.m}, {&x});
   double *to = out.samples().data;
@@ -76,13 +76,13 @@ nb::object forcing(const Primitive &p, nb::handle x_, nb::handle out_) {
     return out.array();
   };
   if (p.phase == PhaseKind::position)
-    return evaluate(Samples(x_, "x", p.n),
+    return evaluate(Samples(x_, "x", {p.n}),
         [&](const double *x, double *f) { p.forcing_each(x, index.data(), psi.data(), f); });
-  return evaluate(Elements(x_, "x", {}),
+  return evaluate(Samples(x_, "x", {}),
       [&](const double *x, double *f) { p.forcing(*x, index.data(), psi.data(), f); });
 }
 
-// Times (N) that increase, N at least 1.
+// Increasing times (N), N at least 1.
 npy_intp read_times(const Input &t) {
   const npy_intp N = t.size();
   t.require_exactly({N});
@@ -108,7 +108,8 @@ nb::object run(const Primitive &p, nb::handle t_, double tau, nb::handle y0_, nb
   const npy_intp N = read_times(t), n = p.n;
   require_positive("tau", &tau, 1);
   require_steps(p, t.data()[N - 1] - t.data()[0], tau);
-  const Samples y0(y0_, "y0", p.n), v0(v0_, "v0", y0), g(g_, "g", y0), scale(scale_, "scale", y0);
+  Samples y0(y0_, "y0", {n}), v0(v0_, "v0", {n}), g(g_, "g", {n}), scale(scale_, "scale", {n});
+  Samples::broadcast({&y0, &v0, &g, &scale});
   for (const Input *input : {&y0, &v0, &g, &scale}) require_finite(*input);
   if (y0.ndim() > 2)
     raise_shape_error("Expected y0 of shape (n,) or (K, n), got " + y0.shape_text() + ".");
@@ -215,7 +216,7 @@ nb::object stepper_forcing(const PrimitiveStepper &self) {
   return fresh_array({self.primitive.n}, self.force().data());
 }
 
-// A finite array of exactly that shape.
+// A finite array of exactly this shape.
 struct Finite : Input {
   Finite(nb::handle value, const char *name, std::initializer_list<npy_intp> shape)
       : Input(value, name, shape) {
@@ -223,7 +224,7 @@ struct Finite : Input {
   }
 };
 
-// A quaternion that has a direction.
+// A normalisable quaternion.
 struct Orientation : Finite {
   Orientation(nb::handle value, const char *name) : Finite(value, name, {4}) {
     const double *q = data(), square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
@@ -298,9 +299,9 @@ void bind_time(nb::class_<Stepper> &stepper) {
     require_positive("tau", &tau, 1);
     self.change_tau(tau);
   };
-  stepper.def("change_tau", change_tau, arg("tau"), "Another time constant from now on.")
-      .def_prop_ro("tau", &Stepper::tau, "Time constant [s].")
-      .def_prop_ro("elapsed", &Stepper::elapsed, "Phase time in units of tau.");
+  stepper.def("change_tau", change_tau, arg("tau"))
+      .def_prop_ro("tau", &Stepper::tau)
+      .def_prop_ro("elapsed", &Stepper::elapsed);
 }
 
 }  // namespace
@@ -311,43 +312,34 @@ void armlab::python::bind_primitive(nb::module_ &m) {
       m, "Primitive", "Spring, damper and forcing; see tests/oracles/primitive.py.")
       .def("__init__", &construct, array("centres"), array("widths"), array("weights"),
           arg("alpha"), arg("stiffness"), arg("decay"), arg("pace"), arg("phase"))
-      .def("basis", &basis, array("x"), arg("out").none() = nb::none(),
-          "Normalised kernels (..., m) at phases (...).")
-      .def("design", &design, array("x"), array("factors"), arg("rows"), arg("columns"),
-          "Kernels at phases (N,) times factors (N,) in the corner [:m, :N] of zeros (columns, "
-          "rows).")
-      .def("forcing", &forcing, array("x"), arg("out").none() = nb::none(),
-          "Forcing (..., n) at phases.")
+      .def("basis", &basis, array("x"), arg("out").none() = nb::none())
+      .def("design", &design, array("x"), array("factors"), arg("rows"), arg("columns"))
+      .def("forcing", &forcing, array("x"), arg("out").none() = nb::none())
       .def("rollout", &run, array("t"), arg("tau"), array("y0"), array("v0"), array("g"),
-          array("scale"), arg("weights").none() = nb::none(),
-          "y, yd, ydd, x and f over times (N,).")
-      .def("response", &responses, array("t"), arg("tau"), arg("longest"),
-          "Position and velocity (N, m + 3) of each kernel, y0, v0 and g alone.");
-  auto stepper = nb::class_<PrimitiveStepper>(
-      m, "PrimitiveStepper", "One run, sample by sample; see tests/oracles/primitive.py.")
-                     .def("__init__", &construct_stepper, arg("primitive"), arg("filter") = 0.0,
-                         arg("around").none() = nb::none(), nb::keep_alive<1, 4>())
-                     .def("start", &start, array("y0"), array("v0"), array("g"), array("scale"),
-                         arg("tau"), "Begin at phase time 0.")
-                     .def("step", &step, arg("dt"), "Advance by dt and return y, yd, ydd.")
-                     .def("follow", &follow, array("t"),
-                         "y, yd, ydd and f over times (N,), the first of which is now.")
-                     .def("outputs", &outputs, "y, yd and ydd as they are now.")
-                     .def("change_goal", &change_goal, array("g"), array("scale"),
-                         arg("limit").none() = nb::none(), "Another goal from now on.")
-                     .def_prop_ro("forcing", &stepper_forcing, "Forcing (n,) now.");
+          array("scale"), arg("weights").none() = nb::none())
+      .def("response", &responses, array("t"), arg("tau"), arg("longest"));
+  auto stepper =
+      nb::class_<PrimitiveStepper>(
+          m, "PrimitiveStepper", "One run, sample by sample; see tests/oracles/primitive.py.")
+          .def("__init__", &construct_stepper, arg("primitive"), arg("filter") = 0.0,
+              arg("around").none() = nb::none(), nb::keep_alive<1, 4>())
+          .def("start", &start, array("y0"), array("v0"), array("g"), array("scale"), arg("tau"))
+          .def("step", &step, arg("dt"))
+          .def("follow", &follow, array("t"))
+          .def("outputs", &outputs)
+          .def("change_goal", &change_goal, array("g"), array("scale"),
+              arg("limit").none() = nb::none())
+          .def_prop_ro("forcing", &stepper_forcing);
   bind_time(stepper);
   auto rotation = nb::class_<RotationStepper>(
       m, "RotationStepper", "One run of orientations, sample by sample; _native.pyi documents it.")
                       .def("__init__", &construct_rotation, arg("primitive"))
                       .def("start", &start_rotation, array("q0"), array("w0"), array("goal"),
-                          array("map"), arg("tau"), "Begin at phase time 0.")
-                      .def("step", &rotation_step, arg("dt"), "Advance by dt and return q, w, wd.")
-                      .def("outputs", &rotation_outputs, "q, w and wd as they are now.")
-                      .def("change_goal", &change_rotation_goal, array("goal"), array("map"),
-                          "Another goal from now on.");
+                          array("map"), arg("tau"))
+                      .def("step", &rotation_step, arg("dt"))
+                      .def("outputs", &rotation_outputs)
+                      .def("change_goal", &change_rotation_goal, array("goal"), array("map"));
   bind_time(rotation);
   m.def("rotation_rollout", &rotation_rollout, arg("primitive"), array("t"), arg("tau"),
-      array("q0"), array("w0"), array("goal"), array("map"),
-      "Orientations q (N, 4), angular velocities and accelerations (N, 3) over times (N,).");
+      array("q0"), array("w0"), array("goal"), array("map"));
 }

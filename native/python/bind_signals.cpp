@@ -109,6 +109,24 @@ void reset(PySignalOperator &self, nb::handle init) {
   self.kernel.reset(init.is_none() ? self.kernel.init() : values_of(init));
 }
 
+nb::tuple state_of(const PySignalOperator &self) {
+  const std::vector<double> memory = self.kernel.memory();
+  const npy_intp count = static_cast<npy_intp>(memory.size());
+  const nb::object numbers_ = fresh_array(1, &count);
+  std::copy(memory.begin(), memory.end(), numbers(numbers_));
+  nb::list shape;
+  for (npy_intp entry : self.shape) shape.append(entry);
+  return nb::make_tuple(numbers_, nb::tuple(shape));
+}
+
+void restore(PySignalOperator *self, const nb::tuple &state) {
+  const Input memory(state[0], "state");
+  std::vector<npy_intp> shape;
+  for (nb::handle entry : nb::tuple(state[1])) shape.push_back(nb::cast<npy_intp>(entry));
+  new (self) PySignalOperator{
+      SignalOperator::of_memory({memory.data(), memory.data() + memory.size()}), shape};
+}
+
 }  // namespace
 }  // namespace armlab::python
 
@@ -120,13 +138,12 @@ void armlab::python::bind_signals(nb::module_ &m) {
       m, "SignalOperator", "Streaming operator on a signal; see tests/oracles/signals.py.")
       .def("__init__", &construct, arg("kind"), arg("a"), arg("b"), arg("dt"),
           arg("init").none() = nb::none())
-      .def("step", &step, array("x"), arg("t").none() = nb::none(),
-          "Advance by one sample and return the output.")
-      .def("run", &run, array("x"), arg("t").none() = nb::none(),
-          "Step along samples (N, ...) and return the outputs stacked over N.")
-      .def("reset", &reset, arg("init").none() = nb::none(),
-          "Forget all samples; start again from init.")
-      .def_prop_ro("gaps", count(&SignalOperator::gaps), "Steps longer than 1.5 dt.")
-      .def_prop_ro("longest_gap", count(&SignalOperator::longest_gap), "Longest of them.")
-      .def_prop_ro("skipped", count(&SignalOperator::skipped), "Samples that were not finite.");
+      .def("step", &step, array("x"), arg("t").none() = nb::none())
+      .def("run", &run, array("x"), arg("t").none() = nb::none())
+      .def("__getstate__", &state_of)
+      .def("__setstate__", &restore)
+      .def("reset", &reset, arg("init").none() = nb::none())
+      .def_prop_ro("gaps", count(&SignalOperator::gaps))
+      .def_prop_ro("longest_gap", count(&SignalOperator::longest_gap))
+      .def_prop_ro("skipped", count(&SignalOperator::skipped));
 }

@@ -96,14 +96,12 @@ void armlab::python::bind_two_dof(nb::module_ &m) {
   nb::class_<TwoDof>(m, "TwoDof", "Two-degree-of-freedom control; see tests/oracles/two_dof.py.")
       .def("__init__", &construct, arg("primitive"), arg("tau"), array("y0"), array("g"),
           array("scale"), array("gains"), array("dead_zone"), array("unit"))
-      .def_prop_ro("n", &TwoDof::n, "Number of coordinates.")
+      .def_prop_ro("n", &TwoDof::n)
       .def("advance", &advance, array("state"), arg("dt"), arg("steps"), array("driven"),
-          array("speed"), "Return the state after dt seconds.")
-      .def("reference", &reference, array("state"), array("speed"),
-          "Return (3, n) yc', yc'' and ya_ref''.")
-      .def("slopes", &slopes, array("state"), array("speed"),
-          "Return the time derivative of a state.")
+          array("speed"))
+      .def("reference", &reference, array("state"), array("speed"))
+      .def("slopes", &slopes, array("state"), array("speed"))
       .def("follow", &follow, array("state"), arg("dt"), arg("steps"), array("speed"), array("ya"),
-          array("yad"), "Return the state when ya and ya' are measured, and its reference.")
-      .def("time_constant", &time_constant, array("state"), "Return tau_a [s] of a state.");
+          array("yad"))
+      .def("time_constant", &time_constant, array("state"));
 }

@@ -1,11 +1,14 @@
-// Datagrams in and out of a socket that another owns. Documented in armlab/kernels/_native.pyi.
+// Datagrams to and from a socket of another owner. Documented in armlab/kernels/_native.pyi.
 //
-// Python's own calls make an exception for "nothing there", parse the address each time and let
-// another thread have the interpreter at each call: three times the time of the system calls.
+// Python's own calls raise an exception for "nothing there", parse the address each time and
+// release the interpreter at each call: three times the time of the system calls.
 #include "array/arrays.h"
+
+#include <nanobind/stl/vector.h>
 
 #include <arpa/inet.h>
 #include <netinet/in.h>
+#include <poll.h>
 #include <sys/socket.h>
 #include <time.h>
 
@@ -22,6 +25,8 @@ std::int64_t clock_ns(clockid_t clock) {
   clock_gettime(clock, &now);
   return now.tv_sec * 1'000'000'000LL + now.tv_nsec;
 }
+
+std::int64_t now_ns() { return clock_ns(CLOCK_MONOTONIC); }
 
 class Datagrams {
  public:
@@ -47,7 +52,7 @@ class Datagrams {
       errors_ += errno != EAGAIN && errno != EWOULDBLOCK;
       return nb::none();
     }
-    std::int64_t ns = clock_ns(CLOCK_MONOTONIC);
+    std::int64_t ns = now_ns();
 #ifdef SCM_TIMESTAMPNS  // Linux stamps what arrives
     for (cmsghdr *found = CMSG_FIRSTHDR(&message); found; found = CMSG_NXTHDR(&message, found)) {
       if (found->cmsg_level != SOL_SOCKET || found->cmsg_type != SCM_TIMESTAMPNS) continue;
@@ -86,7 +91,7 @@ class Datagrams {
     return sent;
   }
 
-  // The number of a closed socket may soon be that of another one.
+  // The descriptor of a closed socket may be reused for another one.
   void close() {
     fd_ = -1;
     socket_.attr("close")();
@@ -105,6 +110,18 @@ class Datagrams {
   char buffer_[largest];
 };
 
+// Without the interpreter, so that other threads run meanwhile and ask for nothing afterwards.
+bool await_datagram(const std::vector<int> &sockets, std::int64_t poll_ns, std::int64_t end_ns) {
+  std::vector<pollfd> all;
+  for (const int number : sockets) all.push_back({number, POLLIN, 0});
+  nb::gil_scoped_release released;
+  const std::int64_t left = std::max<std::int64_t>(std::min(poll_ns, end_ns) - now_ns(), 0);
+  const timespec sleep{left / 1'000'000'000, left % 1'000'000'000}, none{};
+  int found = ppoll(all.data(), all.size(), &sleep, nullptr);
+  while (found == 0 && now_ns() < end_ns) found = ppoll(all.data(), all.size(), &none, nullptr);
+  return found > 0;  // not after a signal, which Python handles first
+}
+
 }  // namespace
 }  // namespace armlab::python
 
@@ -115,4 +132,6 @@ void armlab::python::bind_datagrams(nb::module_ &m) {
       .def("send", &Datagrams::send, arg("data"), arg("to"))
       .def("close", &Datagrams::close)
       .def_prop_ro("errors", &Datagrams::errors);
+  m.def("await_datagram", &await_datagram, arg("sockets"), arg("poll_ns"), arg("end_ns"),
+      "See _native.pyi.");
 }

@@ -45,7 +45,7 @@ namespace EgmSensor { enum { header = 1, planned = 2, speedRef = 3, rapidToRobot
 // clang-format on
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-// Degrees or mm: no arm is there, and differences of larger numbers would not be finite.
+// Degrees or mm: beyond any arm, and differences of larger numbers could overflow.
 constexpr double most = 1e9;
 constexpr std::uint64_t max_seconds = 9'000'000'000, max_microseconds = 1'000'000'000;
 constexpr int joints_at_most = 6, matrix_numbers = 16, kinematic = 1, data_type = 2,
@@ -101,7 +101,7 @@ struct Motion {
   }
 };
 
-// An EgmRobot as it is on the wire.
+// An EgmRobot in wire units.
 struct Robot {
   std::uint32_t seqno, tm, order, queue_depth;
   std::int32_t mtype;
@@ -252,7 +252,7 @@ class EgmMessages {
     scale_ = doubles_of(scale, "scale"), beyond_ = doubles_of(external_scale, "external_scale");
     if (!PyType_Check(packet.ptr()) || !PyType_IsSubtype(type(), &PyTuple_Type) ||
         nb::len(nb::object(packet.attr("_fields"))) != fields)
-      throw nb::type_error("Expected the named tuple of packets.");
+      throw nb::type_error("Expected the named tuple of packets, with as many fields as `fields`.");
     axes_.assign(order_.size(), -1);
     for (std::size_t k = 0; k < order_.size(); ++k)
       if (order_[k] >= 0 && order_[k] < n())
@@ -320,7 +320,7 @@ class EgmMessages {
   }
 
  private:
-  static constexpr std::size_t fields = 21;  // of a packet
+  static constexpr Py_ssize_t fields = 21;  // of `Packet`; packet() sets each in turn
 
   PyTypeObject *type() const { return reinterpret_cast<PyTypeObject *>(packet_.ptr()); }
   int n() const { return static_cast<int>(order_.size()); }
@@ -333,7 +333,7 @@ class EgmMessages {
            motion.joints.size() == head() && motion.external.size() >= tail();
   }
 
-  // The joints of a motion in kinematic order times a scale.
+  // The joints of a motion in kinematic order, scaled.
   void joints_of(const Motion &motion, bool in_radians, double *to) const {
     for (std::size_t k = 0; k < order_.size(); ++k) {
       const auto axis = static_cast<std::size_t>(order_[k]);
@@ -342,7 +342,7 @@ class EgmMessages {
     }
   }
 
-  // An array in kinematic order; NaN for what is absent.
+  // An array in kinematic order; NaN if absent.
   void array_of(const Doubles &values, bool is_kinematic, double *to) const {
     for (std::size_t k = 0; k < order_.size(); ++k) {
       const std::size_t from = is_kinematic ? k : static_cast<std::size_t>(order_[k]);
@@ -378,10 +378,11 @@ class EgmMessages {
     else std::fill_n(pose, matrix_numbers, nan);
     PyArray_CLEARFLAGS(as_array(values), NPY_ARRAY_WRITEABLE);
 
-    const nb::object made = nb::steal(type()->tp_alloc(type(), static_cast<Py_ssize_t>(fields)));
+    const nb::object made = nb::steal(type()->tp_alloc(type(), fields));
     if (!made.is_valid()) throw nb::python_error();
     Py_ssize_t field = 0;
     const auto set = [&](nb::object value) {
+      if (field == fields) raise_shape_error("Expected no more values than a packet has fields.");
       PyTuple_SET_ITEM(made.ptr(), field++, value.release().ptr());
     };
     const auto vector = [&](double *at, std::size_t size) {

@@ -1,4 +1,4 @@
-// The numbers of messages, out of a chunk of an MCAP file. Documented in _native.pyi.
+// Numeric fields of messages in a chunk of an MCAP file. Documented in _native.pyi.
 #include <utility>
 
 #include "wire/bytes.h"
@@ -16,7 +16,7 @@ struct Place {
   std::size_t start, stop;
 };
 
-// An array of `rows` rows of `width` bytes to write into; any number of rows when that is negative.
+// A writable array of `rows` rows of `width` bytes; any number of rows if negative.
 std::uint8_t *writable(nb::handle array, npy_intp rows, std::size_t width) {
   PyArrayObject *found = as_array(array);
   if (!PyArray_Check(array.ptr()) ||
@@ -42,7 +42,7 @@ std::vector<Place> places_of(nb::handle pairs, std::size_t size) {
   return places;
 }
 
-// The bytes of an object, for as long as this lives.
+// The bytes of an object, kept alive by this.
 class Bytes {
  public:
   explicit Bytes(nb::handle object) {

@@ -1,4 +1,4 @@
-// Fields of protobuf messages, read one after the other and written one behind the other.
+// Reading and writing of protobuf fields in sequence.
 #pragma once
 
 #include "wire/bytes.h"
@@ -19,14 +19,14 @@ struct Field {
   bool is_varint(std::uint32_t wanted) const { return number == wanted && kind == varint; }
 };
 
-// The fields of one message, one after the other.
+// The fields of one message, in sequence.
 class FieldReader {
  public:
   explicit FieldReader(std::string_view data) : at_(data.data()), end_(at_ + data.size()) {}
 
   bool is_malformed() const { return malformed_; }
 
-  // The next field; false at the end and where the message is malformed. Groups are skipped.
+  // The next field; false at the end and for malformed input. Groups are skipped.
   bool next(Field &field) {
     while (at_ != end_) {
       if (!read(field)) return false;
@@ -83,7 +83,7 @@ class FieldReader {
   bool malformed_ = false;
 };
 
-// Calls `take` with each field, which returns whether it is well formed.
+// Calls `take` with each field, which returns whether it is well-formed.
 template <class Take>
 bool walk(std::string_view data, Take take) {
   FieldReader fields(data);

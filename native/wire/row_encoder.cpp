@@ -75,7 +75,7 @@ class RowEncoder {
 
   nb::tuple encode(nb::list rows, std::optional<std::int64_t> first, std::uint64_t at) const {
     if (rows.size() == 0) raise_shape_error("Expected at least one row, got none.");
-    std::vector<nb::bytes> held;  // so that nobody takes them away meanwhile
+    std::vector<nb::bytes> held;  // keeps the bytes alive meanwhile
     std::vector<std::string_view> views;
     for (nb::handle row : rows) views.push_back(view(held.emplace_back(nb::cast<nb::bytes>(row))));
     Made made{{}, std::vector<std::string>(topics_.size()), 0, 0, 0, 0};

@@ -25,8 +25,8 @@ enum Form {
 constexpr const char *kForms[] = {"count", "real", "flag", "code", "doubles", "fitting", "padded",
     "bits", "wide", "said", "heard", "blank"};
 
-// Where an object of a class keeps an attribute, if that is a slot or an item of a named tuple:
-// bytes from its beginning to a pointer. -1 for others, which are asked for.
+// The offset of an attribute in an object of a class, for slots and items of named tuples: bytes to
+// a pointer. -1 for others, which are read by getattr.
 std::int32_t offset_of(nb::handle kind, nb::handle name) {
   const nb::object found = nb::getattr(kind, name, nb::none());
   if (PyObject_TypeCheck(found.ptr(), &PyMemberDescr_Type))
@@ -39,7 +39,7 @@ std::int32_t offset_of(nb::handle kind, nb::handle name) {
   return static_cast<std::int32_t>(offsetof(PyTupleObject, ob_item) + item * sizeof(PyObject *));
 }
 
-// What is needed of each place in each cycle: small, since after a sleep none of it is cached.
+// Data of one field per cycle: small, because caches are cold after a sleep.
 struct Place {
   std::int32_t offset;
   std::uint32_t start, size;
@@ -48,7 +48,7 @@ struct Place {
   std::uint8_t form;
 };
 
-// What is needed of it seldom.
+// Rarely needed data.
 struct About {
   std::string column;
   nb::object field, codes;
@@ -80,7 +80,7 @@ std::int64_t code(const nb::object &codes, nb::handle text) {
   return found ? whole(found) : 0;
 }
 
-// A mapping as a dict; none at all when it is empty.
+// A mapping as a dict; None if it is empty.
 nb::object dict(nb::object record) {
   if (PyDict_CheckExact(record.ptr())) return record;
   const Py_ssize_t size = PyMapping_Size(record.ptr());
@@ -276,6 +276,23 @@ class RowPacker {
   std::size_t short_ = std::string::npos;
 };
 
+// object.__setattr__ of each slot: a frozen dataclass is made in a tenth of its constructor's time.
+nb::object filled(nb::handle kind, nb::tuple slots, nb::tuple values) {
+  if (!PyType_Check(kind.ptr()) || slots.size() != values.size())
+    throw nb::type_error("Expected a class, its slots and a value for each.");
+  auto *type = reinterpret_cast<PyTypeObject *>(kind.ptr());
+  const nb::object made = nb::steal(type->tp_alloc(type, 0));
+  if (!made.is_valid()) throw nb::python_error();
+  for (std::size_t k = 0; k < slots.size(); ++k) {
+    const nb::handle slot = slots[k];
+    if (!PyObject_TypeCheck(slot.ptr(), &PyMemberDescr_Type))
+      throw nb::type_error("Expected slots of the class.");
+    if (Py_TYPE(slot.ptr())->tp_descr_set(slot.ptr(), made.ptr(), nb::handle(values[k]).ptr()))
+      throw nb::python_error();
+  }
+  return made;
+}
+
 }  // namespace
 }  // namespace armlab::python
 
@@ -284,4 +301,5 @@ void armlab::python::bind_row_packer(nb::module_ &m) {
       .def(nb::init<nb::tuple, nb::sequence, nb::str>(), arg("kinds"), arg("places"), arg("seldom"))
       .def(
           "pack", &RowPacker::pack, arg("state").none(), arg("command").none(), arg("tick").none());
+  m.def("filled", &filled, arg("kind"), arg("slots"), arg("values"), "See _native.pyi.");
 }

@@ -1,7 +1,7 @@
 """armlab: a robotics laboratory for robot arms.
 
-A robot and a log go in; a model file comes out; the model file runs the robot; running the robot makes a log.
-Subpackages, and NumPy with them, are imported on first use: ``armlab --help`` needs none.
+A robot and a log yield a model file; the model file is used to run the robot; running the robot produces a log.
+Subpackages (and NumPy) are imported on first use, because ``armlab --help`` needs none of them.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # for type checkers and editors, what `__getattr__` does when
         bridge,
         calibrate,
         contact,
+        dynamics,
         errors,
         estimation,
         frames,
@@ -40,14 +41,14 @@ if TYPE_CHECKING:  # for type checkers and editors, what `__getattr__` does when
 __version__ = "0.1.0"
 
 __all__ = [
-    "ArmlabError", "Command", "State", "__version__", "bridge", "calibrate", "contact", "errors", "estimation",
-    "frames", "glossary", "identify", "kernels", "kinematics", "lie", "live", "log", "models", "motion", "plots",
-    "robots", "signals", "sim", "state", "wire",
+    "ArmlabError", "Command", "State", "__version__", "bridge", "calibrate", "contact", "dynamics", "errors",
+    "estimation", "frames", "glossary", "identify", "kernels", "kinematics", "lie", "live", "log", "models", "motion",
+    "plots", "robots", "signals", "sim", "state", "wire",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    """Import a subpackage, or what a controller takes and returns, when it is first used."""
+    """Import a subpackage, `State` or `Command` on first use."""
     if name in ("Command", "State"):
         return getattr(import_module("armlab.state"), name)
     if name in __all__:
@@ -56,5 +57,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """List the public names, subpackages included."""
+    """List the public names, including subpackages."""
     return sorted(__all__)

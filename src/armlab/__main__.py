@@ -1,4 +1,4 @@
-"""``python -m armlab`` is the command ``armlab``."""
+"""``python -m armlab`` runs the command ``armlab``."""
 
 from armlab.cli import main
 

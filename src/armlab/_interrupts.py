@@ -1,4 +1,4 @@
-"""What ends a program from outside: Ctrl-C, a request to terminate, a terminal that was closed."""
+"""External requests to end a program: Ctrl-C, SIGTERM, or a closed terminal."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from types import FrameType
 
 @contextmanager
 def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Handle SIGINT, SIGTERM and, unless it is ignored (nohup), SIGHUP by `handler` for a while, in the main thread.
+    """Handle SIGINT, SIGTERM and (unless ignored, as with nohup) SIGHUP with `handler` in the main thread during the
+    block.
 
-    Outside of the main thread it does nothing: there the process's owner handles signals.
+    Outside the main thread it does nothing, because the owner of the process handles signals.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -31,7 +32,7 @@ def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Let Ctrl-C and the like act when the block has ended: compiled modules may swallow an interrupt."""
+    """Delay Ctrl-C and similar signals until the block has ended, because compiled modules may swallow an interrupt."""
     came: list[int] = []
     with handling(lambda number, _frame: came.append(number)):
         yield

@@ -1,4 +1,4 @@
-"""From what a user gives to an array of real numbers or a tuple, or one sentence."""
+"""Validation of user input as arrays of real numbers or tuples; errors are one sentence."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armlab.errors import ArmlabError, RobotError, ShapeError, UnknownName
 
 
 def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) -> np.ndarray:
-    """Return real numbers as float64, without a copy where possible; raise `error` for anything else.
+    """Return real numbers as float64, without a copy if possible; raise `error` for anything else.
 
     NumPy alone would parse strings of digits and drop imaginary parts. `what` names the value in the message.
     """
@@ -33,7 +33,7 @@ def members(value: Any, what: str, error: type[ArmlabError] = RobotError) -> tup
         or not isinstance(value, Iterable)
         or (isinstance(value, np.ndarray) and not value.ndim)
     ):
-        raise error(f"Expected {what} as a list or tuple, got {shortened(value)}.")
+        raise error(f"Expected {what} to be a list or tuple, got {shortened(value)}.")
     return tuple(value)
 
 
@@ -46,7 +46,7 @@ def frozen(value: ArrayLike, what: str) -> np.ndarray:
 
 
 def still(value: ArrayLike, what: str) -> np.ndarray:
-    """Return real numbers as a read-only copy, bit for bit."""
+    """Return real numbers as a bit-identical read-only copy."""
     array = np.array(numbers(value, what, ShapeError))
     array.flags.writeable = False
     return array
@@ -57,21 +57,26 @@ def make_read_only(result: Any, *names: str) -> None:
     for name in names:
         array = getattr(result, name)
         if not isinstance(array, np.ndarray):
-            raise ShapeError(f"Expected {name} of a {type(result).__name__} as a NumPy array, got {shortened(array)}.")
+            raise ShapeError(
+                f"Expected {name} of a {type(result).__name__} to be a NumPy array, got {shortened(array)}."
+            )
         view = array.view()
         view.flags.writeable = False
         object.__setattr__(result, name, view)
 
 
 def flag(value: Any, what: str) -> bool:
-    """Return True or False; raise for anything else: a list or a string would count as True."""
+    """Return True or False; raise for anything else, because a list or a string would count as True."""
     if not isinstance(value, bool | np.bool_):
-        raise ShapeError(f"Expected {what} as True or False, got {shortened(value)}.")
+        raise ShapeError(f"Expected {what} to be True or False, got {shortened(value)}.")
     return bool(value)
 
 
 def number(value: Any, what: str, error: type[ArmlabError] = ShapeError) -> float:
-    """Return one real number, infinite and NaN included; raise `error` for anything else. `what` includes the unit."""
+    """Return one real number (including infinity and NaN); raise `error` for anything else.
+
+    `what` includes the unit.
+    """
     if type(value) is float:
         return value
     array = numbers(value, what, error)
@@ -95,14 +100,16 @@ def check_name(value: Any, what: str, names: Collection[str]) -> None:
 
 
 def generator(seed: Any) -> np.random.Generator:
-    """Return the random generator of a seed, or the generator given."""
+    """Return a random generator for a seed, or the given generator."""
     whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool) and seed >= 0
     if not whole and not isinstance(seed, np.random.Generator):
-        raise ShapeError(f"Expected a whole number from 0 as seed, got {shortened(seed)}. Each gives other numbers.")
+        raise ShapeError(
+            f"Expected a non-negative integer as seed, got {shortened(seed)}. Each seed gives different numbers."
+        )
     return np.random.default_rng(seed)
 
 
 def rows_text(rows: np.ndarray) -> str:
-    """Return row numbers for a message, at most the first twenty."""
+    """Return row numbers for a message (at most the first twenty)."""
     shown = ", ".join(str(i) for i in rows[:20])
     return shown if len(rows) <= 20 else f"{shown} and {len(rows) - 20} more"

@@ -1,7 +1,7 @@
 """All errors of armlab.
 
-Every message is a sentence that says what was expected, what came, where, and what to do.
-Each class is an `ArmlabError` and, where one fits, also the builtin that callers would catch.
+Each message states the expected and the received value, where they occur, and the remedy. Each class derives from
+`ArmlabError` and, if applicable, from the built-in exception that callers would catch.
 """
 
 from __future__ import annotations
@@ -18,93 +18,107 @@ __all__ = [
 
 
 class ArmlabError(Exception):
-    """Root of all errors that armlab raises on purpose."""
+    """Base class of all errors that armlab raises on purpose."""
 
     def __str__(self) -> str:
-        """Return the sentence itself (a KeyError would show its quoted form)."""
+        """Return the message without the quotes of KeyError."""
         return str(self.args[0]) if self.args else ""
 
 
 class ShapeError(ArmlabError, ValueError):
-    """An array has the wrong shape or content: shape, NaN rows, not a rotation, time order."""
+    """An array with the wrong shape or content, such as NaN rows, an invalid rotation or unsorted times."""
 
     @classmethod
     def no_table(cls, value: object) -> ShapeError:
-        """Build the error for `value` where a log was expected.
+        """Return the error for a `value` that is not a Table.
 
         Parameters
         ----------
-        value : what came: often the path of a log that was not read.
+        value : object
+            Received value, often the path of an unread log.
         """
-        return cls(f"Expected a Table, got {shortened(value)}. Read files by log.read.")
+        return cls(f"Expected a Table, got {shortened(value)}. Read files with log.read.")
 
 
 class UnknownName(ArmlabError, KeyError):
-    """A robot, column, link or convention does not exist. The message lists those that do."""
+    """An unknown name of a robot, column, link or convention. The message lists the known names."""
 
     @classmethod
     def among(cls, kind: str, name: object, known: Iterable[str]) -> UnknownName:
-        """Build the error for `name`, listing what exists and the closest match.
+        """Return the error for an unknown `name`, with the known names and the closest match.
 
         Parameters
         ----------
-        kind : what was looked up, for example "robot".
-        name : what came.
-        known : the names that exist.
+        kind : str
+            Kind of the name, for example "robot".
+        name : object
+            Received name.
+        known : iterable of str
+            Known names.
         """
-        from difflib import get_close_matches  # 1 ms that a program without mistakes need not pay
+        from difflib import get_close_matches  # takes 1 ms to import, only needed here
 
         names = sorted(known)
         close = get_close_matches(name, names, n=1) if isinstance(name, str) else []
         hint = f" Did you mean {close[0]!r}?" if close else ""
         article = "an" if kind[:1] in "aeiou" else "a"
-        came = repr(name) if isinstance(name, str) else shortened(name)
-        return cls(f"Expected the name of {article} {kind}, got {came}. Known: {', '.join(names) or 'none'}.{hint}")
+        got = repr(name) if isinstance(name, str) else shortened(name)
+        return cls(f"Expected the name of {article} {kind}, got {got}. Known: {', '.join(names) or 'none'}.{hint}")
 
 
 class RobotError(ArmlabError, ValueError):
-    """A robot description is inconsistent, or something else came in place of a robot."""
+    """An inconsistent robot description, or a value that is not a robot."""
 
     @classmethod
     def no_robot(cls, value: object) -> RobotError:
-        """Build the error for `value` where a `Robot` was expected.
+        """Return the error for a `value` that is not a `Robot`.
 
         Parameters
         ----------
-        value : what came: often the name of a robot that was not loaded.
+        value : object
+            Received value, often the name of a robot.
         """
-        advice = f"Load it first: robots.load({value!r})" if isinstance(value, str) else "robots.load gives one"
+        advice = f"Load it first: robots.load({value!r})" if isinstance(value, str) else "Load one with robots.load"
         if hasattr(value, "robot"):
-            advice = "Give its attribute robot"
+            advice = "Pass its attribute robot"
             if hasattr(value, "joints"):  # of a kinematic calibration
-                advice += (
-                    "; positions that an arm tells go through its joints(), those to ask for through its command()"
-                )
+                advice += "; convert measured positions with its joints(), references with its command()"
         return cls(f"Expected a Robot, got {shortened(value)}. {advice}.")
 
 
 class ConfigError(ArmlabError, ValueError):
-    """A configuration file or option has a wrong value."""
+    """An invalid value in a configuration file or option."""
 
 
 class MissingExtra(ArmlabError, ImportError):
-    """An optional dependency is not installed. The message holds the command that installs it."""
+    """A missing optional dependency. The message contains the installation command."""
 
 
 class LogError(ArmlabError, ValueError):
-    """A log file cannot be read or written."""
+    """A log file that cannot be read or written."""
 
 
 class LabCommError(ArmlabError, ValueError):
-    """A LabComm stream, definition, value or `.lc` text is malformed.
+    """A malformed LabComm stream, definition, value or `.lc` text.
 
     Attributes
     ----------
-    offset : position in the stream of the first byte of the field at fault, or None.
-    events : what the same piece of the stream held before the fault.
-    path : the part of a value at fault, for example "robot_row.pos".
-    line, column : place in an `.lc` text, from 1, or None.
+    offset : int
+        Offset of the faulty field in the stream, or None.
+    events : list
+        Events from the same piece of the stream before the fault.
+    path : str
+        Faulty part of a value, for example "robot_row.pos".
+    line : int
+        Line in an `.lc` text, from 1, or None.
+    column : int
+        Column in an `.lc` text, from 1, or None.
     """
+
+    offset: int | None
+    path: str
+    line: int | None
+    column: int | None
 
     def __init__(
         self,
@@ -121,69 +135,76 @@ class LabCommError(ArmlabError, ValueError):
 
 
 class FrameError(ArmlabError, ValueError):
-    """Two frames do not fit together. The message names both."""
+    """Two frames that do not match. The message names both frames."""
 
 
 class ModelMismatchError(ArmlabError, ValueError):
-    """A model file belongs to another robot, sign convention or unit, or something else came in place of a model."""
+    """A model file of another robot, sign convention or unit, or a value that is not a model."""
 
     @classmethod
     def no_model(cls, value: object) -> ModelMismatchError:
-        """Build the error for `value` where a `TorqueModel` was expected.
+        """Return the error for a `value` that is not a `TorqueModel`.
 
         Parameters
         ----------
-        value : what came: often the path of a model that was not loaded, or a fit in place of its value.
+        value : object
+            Received value, often the path of a model, or a fit instead of its value.
         """
-        return cls(f"Expected a TorqueModel, got {shortened(value)}. models.load gives one, or the value of a fit.")
+        return cls(f"Expected a TorqueModel, got {shortened(value)}. Use models.load, or the value of a fit.")
 
 
 class NotExcited(ArmlabError, ValueError):
-    """The data do not determine what was asked for.
+    """Data that do not identify the requested quantities.
 
     Attributes
     ----------
-    directions : names of the parameters, joints or directions that were not excited.
-    spread : what the data showed for each of them, in words.
+    directions : tuple of str
+        Parameters, joints or directions without excitation.
+    spread : tuple of str
+        Excitation of each of them in the data as text.
     """
 
     def __init__(self, message: str, directions: Sequence[str] = (), spread: Sequence[str] = ()) -> None:
         super().__init__(message)
-        self.directions = tuple(directions)
-        self.spread = tuple(spread)
+        self.directions: tuple[str, ...] = tuple(directions)
+        self.spread: tuple[str, ...] = tuple(spread)
 
 
 class NotConverged(ArmlabError, RuntimeError):
-    """An iteration stopped before its tolerance.
+    """An iteration that stopped before it reached its tolerance.
 
     Attributes
     ----------
-    best : the best result found.
-    history : the cost after each iteration.
-    reason : one word where the cause is known, for example "left_handed".
+    best : object
+        Best result so far.
+    history : tuple of float
+        Cost after each iteration.
+    reason : str
+        Cause in one word if known, for example "left_handed".
     """
 
     def __init__(self, message: str, best: Any = None, history: Sequence[float] = (), reason: str = "") -> None:
         super().__init__(message)
         self.best = best
-        self.history = tuple(history)
+        self.history: tuple[float, ...] = tuple(history)
         self.reason = reason
 
 
 class ConcurrentUse(ArmlabError, RuntimeError):
-    """An object with a state of its own was used by two threads at once."""
+    """Simultaneous use of a stateful object by two threads."""
 
 
 class SingularPoseError(ArmlabError, ValueError):
-    """At this pose a requested quantity is not determined."""
+    """A pose at which a requested quantity is not determined."""
 
 
 class LinkError(ArmlabError, RuntimeError):
-    """A link to a robot failed.
+    """A failed link to a robot.
 
     Attributes
     ----------
-    table : the last seconds before the failure as a Table, or None.
+    table : Table
+        Log of the last seconds before the failure, or None.
     """
 
     def __init__(self, message: str, table: Any = None) -> None:
@@ -192,20 +213,20 @@ class LinkError(ArmlabError, RuntimeError):
 
 
 class NoRobot(LinkError):
-    """No packet from a robot came within the time allowed."""
+    """No packet from a robot within the time limit."""
 
 
 class SessionEnded(LinkError):
-    """The controller ended the EGM session. The message says why."""
+    """An EGM session ended by the robot's controller. The message states the reason."""
 
 
 class CommandRefused(LinkError):
-    """A command was refused: shape, not finite, a jump, or a capability the link does not have."""
+    """A refused command, because of a wrong shape, non-finite values, a jump, or a capability that the link lacks."""
 
 
 class ControllerLate(LinkError):
-    """The user's controller was late too often."""
+    """Too many late calls of the user's controller."""
 
 
 class ControllerFailed(LinkError):
-    """The user's controller raised, and the exception is `__cause__`; or it closed descriptors of the bridge."""
+    """An exception in the user's controller (as `__cause__`), or bridge descriptors closed by the controller."""

@@ -1,6 +1,6 @@
-"""Every symbol of armlab once: shape, unit, frame, kind and one sentence, read from ``glossary.toml``.
+"""Glossary of armlab's symbols with shape, unit, frame, kind and one sentence, read from ``glossary.toml``.
 
-Labels of plots, headers of logs and messages about shapes come from here.
+Plot labels, log headers and messages about shapes are taken from it.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
 
+from armlab._display import Shown
 from armlab.errors import UnknownName
 
 __all__ = ["Symbol", "columns", "label", "lookup", "symbols"]
 
 
-@dataclass(frozen=True, slots=True)
-class Symbol:
+@dataclass(frozen=True, slots=True, repr=False)
+class Symbol(Shown):
     """One symbol.
 
     Attributes
@@ -29,7 +30,7 @@ class Symbol:
     frame : axes the numbers are in, empty when none.
     kind : real, angle, pose, quaternion, count, flag or text; decides how a column is resampled.
     text : one sentence.
-    column : whether a log may have it as a column, whose unit and shape it then is. Other files mean other things by
+    column : whether it is also the name, unit and shape of a log column. Other files mean other things by
         x, y, e or g.
     """
 
@@ -51,7 +52,7 @@ def symbols() -> Mapping[str, Symbol]:
 
 @cache
 def columns() -> Mapping[str, Symbol]:
-    """Return those symbols by name that logs have as columns."""
+    """Return, by name, the symbols that are log columns."""
     return MappingProxyType({name: symbol for name, symbol in symbols().items() if symbol.column})
 
 
@@ -60,7 +61,7 @@ def lookup(name: str) -> Symbol:
 
     Raises
     ------
-    UnknownName : when the glossary does not have it; the message lists what exists.
+    UnknownName : if the glossary does not have it; the message lists what exists.
     """
     try:
         return symbols()[name]
@@ -69,6 +70,6 @@ def lookup(name: str) -> Symbol:
 
 
 def label(name: str) -> str:
-    """Return the axis label of a symbol: ``"tau [N m]"``; the bare name when it is not in the glossary."""
+    """Return the axis label of a symbol, such as ``"tau [N m]"``, or the bare name if it is not in the glossary."""
     symbol = symbols().get(name)
     return f"{name} [{symbol.unit}]" if symbol and symbol.unit not in ("", "1") else name

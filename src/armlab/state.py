@@ -1,17 +1,21 @@
-"""What a controller sees and what it returns: `State` and `Command`.
+"""Input and output of a controller: `State` and `Command`.
 
-A controller is any callable ``State -> Command``. Fields follow docs/egm (names of `glossary.toml`).
-Values that the robot did not send are NaN arrays, NaN, None or empty, never zeros.
+A controller is any callable ``State -> Command``. Fields follow docs/egm, with names from `glossary.toml`.
+Values missing in the packet are NaN arrays, NaN, None or empty, never zeros.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import partial
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._display import Shown
 
 __all__ = ["Command", "State"]
 
@@ -21,54 +25,111 @@ _NO_SOURCES: Mapping[str, Any] = MappingProxyType({})
 
 
 def _nan(*shape: int) -> np.ndarray:
-    """Return a read-only array of NaN: a value the robot did not send."""
+    """Return a read-only array of NaN, for missing values."""
     array = np.full(shape, np.nan)
     array.flags.writeable = False
     return array
 
 
 def _nothing() -> None:
-    """Return None: a source that says no more than the State."""
+    """Return None, the default of `State.details`."""
+
+
+def _known(details: Any) -> Any:
+    """Return the decoded details in a copy of a State."""
+    return details
+
+
+def _kept(kind: type[Any], values: dict[str, Any]) -> Any:
+    """Return the copy of a State with read-only arrays."""
+    for value in values.values():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+    return kind(**values)
 
 
 _NAN6 = _nan(6)
 _NAN44 = _nan(4, 4)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class State:
-    """One sample of one arm, SI units, kinematic joint order.
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class State(Shown):
+    """Sample of one arm in SI units and kinematic joint order.
 
     Attributes
     ----------
-    t : seconds of robot time since guidance began in this session.
-    dt : seconds since the previous state (nominal period for the first; larger after lost packets).
-    seq, missed, session : the robot's sequence number, packets lost before this one, session number from 1.
-    q, qd, tau : (n,) joint positions [rad or m], velocities, joint-side torques [N m]; `tau` is NaN when not sent.
-    qdd : (n,) joint accelerations when the source has them, else None.
-    qd_source : "measured" or "difference".
-    tau_source : "measured", "reference" or "none".
-    q_start : (n,) position when guidance began.
-    q_planned : (n,) the controller's own reference.
-    q_sent, qd_sent, clamped : (n,) the previous reply and its clamps (bits: 1 position, 2 velocity, 4 acceleration, 8
-        braking, 16 torque, 32 torque rate).
-    T_frame_tool : (4, 4) pose reported by the controller, in the frame that RAPID activated.
-    wrench_raw : (6,) measuredForce as sent [N, N m], frame and sign not documented by ABB.
-    wrench : (6,) calibrated force sensor, base axes, at the tool point.
-    q_ext : positions of external axes.
-    motors, rapid, mci : state numbers as received (ABB's enumerations).
-    converged : window of EGMAct is met.
-    utilization : percent.
-    robotware : "6.06", "6.07", "6.10" or "7".
-    rapid_data, rapid_digital : values from RAPID.
-    robot_ns : controller clock, int64 nanoseconds.
-    t_receive : arrival, int64 nanoseconds.
-    sources : what each source has at this tick by name (`bridge.Held`): ``state.sources["tracker"]["p"]``.
-    robot : name of the arm.
-    age : seconds from arrival to this tick, 0 for the arm that paces.
-    details : called without arguments, returns what else the packet says (`wire.egm.Details`: planned pose, collision,
-        currents, ...), read then; None for a link or a log that has nothing more.
-    arms : the State of each arm when several are fused; `q` and the other joint arrays are then one arm after another.
+    t : float, s
+        Robot time since guidance began in this session.
+    dt : float, s
+        Time since the previous state; the nominal period for the first state, and longer after lost packets.
+    q : array, shape (n,), rad or m
+        Joint positions.
+    qd : array, shape (n,), rad/s or m/s
+        Joint velocities.
+    tau : array, shape (n,), N m or N
+        Joint-side torques; NaN if missing.
+    qdd : array, shape (n,), rad/s^2 or m/s^2
+        Joint accelerations; None if missing.
+    seq : int
+        Sequence number of the robot.
+    missed : int
+        Packets lost before this one.
+    session : int
+        Session number, counted from 1.
+    qd_source : str
+        "measured" or "difference".
+    tau_source : str
+        "measured", "reference" or "none".
+    q_start : array, shape (n,), rad or m
+        Position when guidance began.
+    q_planned : array, shape (n,), rad or m
+        Reference of the robot's own controller.
+    q_sent : array, shape (n,), rad or m
+        Position in the previous reply.
+    qd_sent : array, shape (n,), rad/s or m/s
+        Velocity in the previous reply.
+    clamped : array, shape (n,)
+        Clamps of the previous reply (bits: 1 position, 2 velocity, 4 acceleration, 8 braking, 16 torque, 32 torque
+        rate).
+    T_frame_tool : array, shape (4, 4), m
+        Tool pose reported by the robot's controller, in the frame that RAPID activated.
+    wrench_raw : array, shape (6,), N and N m
+        measuredForce as received; ABB does not document its frame and sign.
+    wrench : array, shape (6,), N and N m
+        Calibrated wrench in base axes at the tool point.
+    q_ext : array, shape (k,), rad or m
+        Positions of external axes.
+    motors : int
+        Motor state in ABB's enumeration.
+    rapid : int
+        RAPID state in ABB's enumeration.
+    mci : int
+        EGM state in ABB's enumeration.
+    converged : bool
+        Whether the convergence condition of EGMAct is met.
+    utilization : float, %
+        Utilisation of the robot's motion limits.
+    robotware : str
+        "6.06", "6.07", "6.10" or "7".
+    rapid_data : array, shape (k,)
+        Numbers sent by RAPID.
+    rapid_digital : bool
+        Digital value sent by RAPID.
+    robot_ns : int, ns
+        Clock of the robot's controller.
+    t_receive : int, ns
+        Arrival, wall clock.
+    sources : mapping
+        `bridge.Held` of each source by name: ``state.sources["tracker"]["p"]``.
+    robot : str
+        Name of the arm.
+    age : float, s
+        Time from arrival to this tick; 0 for the pacing arm.
+    details : callable
+        Decodes and returns the other fields of the packet (`wire.egm.Details`: planned pose, collision, currents, ...);
+        None if the link or log has no other fields.
+    arms : tuple of State
+        State of each arm if there are several; `q` and the other joint arrays are then concatenated.
     """
 
     t: float
@@ -107,29 +168,46 @@ class State:
     details: Callable[[], Any] = _nothing
     arms: tuple[State, ...] = ()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy the State with decoded `details`, and sources as plain dicts."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values["sources"] = dict(self.sources)
+        if self.details is not _nothing:
+            values["details"] = partial(_known, self.details())
+        return _kept, (State, values)
+
     @property
     def pos0(self) -> np.ndarray:
-        """Position when guidance began: the name that Robotlab.jl used for `q_start`."""
+        """Position when guidance began (Robotlab.jl's name for `q_start`)."""
         return self.q_start
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Command:
-    """What the arm shall do next.
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Command(Shown):
+    """Next references of an arm.
 
-    ``Command(q)`` is a position; ``Command(qd=...)`` a velocity that the bridge integrates;
-    ``Command(q, qd)`` both; ``Command()`` holds; ``Command.stop()`` ends the run normally.
+    ``Command(q)`` commands a position, ``Command(qd=...)`` a velocity that the bridge integrates, and ``Command(q,
+    qd)`` both. ``Command()`` holds, and ``Command.stop()`` ends the run normally.
 
     Attributes
     ----------
-    q, qd, tau : (n,) references [rad, rad/s, N m] or None for "not commanded".
-    q_ext : (k,) references of the external axes beyond the robot's joints [rad or m], in the order of `State.q_ext`, or
-        None. Needs limits of these axes, see `bridge.Limits`.
-    rapid_data : at most 40 numbers for RAPID, or None.
-    rapid_digital : the digital value for RAPID, or None. The numbers go out with the one reply to this command
-        (RobotWare 7).
-    record : values of the controller's own, by column name, written to the log.
-    ends : True for the command that ends the run.
+    q : array, shape (n,), rad or m
+        Joint positions (a list is also accepted); None if not commanded.
+    qd : array, shape (n,), rad/s or m/s
+        Joint velocities; None if not commanded.
+    tau : array, shape (n,), N m or N
+        Joint torques; None if not commanded.
+    record : mapping
+        Values by column name, written to the log.
+    ends : bool
+        Whether the command ends the run.
+    q_ext : array, shape (k,), rad or m
+        Positions of the external axes in the order of `State.q_ext`; None if not commanded. They require limits; see
+        `bridge.Limits`.
+    rapid_data : sequence of float
+        At most 40 numbers for RAPID (RobotWare 7), sent once; None sends nothing.
+    rapid_digital : bool
+        Digital value for RAPID (RobotWare 7), sent once; None sends nothing.
     """
 
     q: np.ndarray | None = None
@@ -141,7 +219,21 @@ class Command:
     rapid_data: Sequence[float] | np.ndarray | None = None
     rapid_digital: bool | None = None
 
+    if TYPE_CHECKING:  # accepted types; the fields are arrays
+
+        def __init__(
+            self,
+            q: ArrayLike | None = None,
+            qd: ArrayLike | None = None,
+            tau: ArrayLike | None = None,
+            record: Mapping[str, Any] = ...,
+            ends: bool = False,
+            q_ext: ArrayLike | None = None,
+            rapid_data: ArrayLike | None = None,
+            rapid_digital: bool | None = None,
+        ) -> None: ...
+
     @classmethod
     def stop(cls) -> Command:
-        """Return the command that brings the arm to rest and ends the run."""
+        """Return a command that brings the arm to rest and ends the run."""
         return cls(ends=True)

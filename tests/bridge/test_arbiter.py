@@ -73,11 +73,13 @@ def test_the_first_valid_command_takes_the_arm() -> None:
     assert bench.arbiter.commander("yumi_left") == "labcomm a"
     assert bench.events[0] == "labcomm a commands yumi_left."
     assert bench.answers == [
-        ("labcomm b", "yumi_left is commanded by labcomm a. You may read. 1 commands refused so far.")
+        ("labcomm b", "yumi_left is commanded by labcomm a. You may only read. 1 commands refused so far.")
     ]
     assert bench.arbiter.refused == {"labcomm b": 1}
     assert bench.arbiter.obeyed == {"yumi_left": {"labcomm a": 1}}
-    assert bench.warnings == ["A command of labcomm b was refused: yumi_left is commanded by labcomm a. You may read."]
+    assert bench.warnings == [
+        "A command of labcomm b was refused: yumi_left is commanded by labcomm a. You may only read."
+    ]
 
 
 def test_others_are_answered_once_a_second() -> None:
@@ -195,10 +197,10 @@ def test_stop_is_for_everybody_and_resume_for_operators() -> None:
     assert bench.arbiter.commander("yumi_left") == "labcomm a", "nothing was stopped"
     for client in ("web b", "web c"):
         bench.arbiter.stop(client)
-    assert bench.warnings == ["Stopped by web b. An operator ends this: armlab bridge resume."]
+    assert bench.warnings == ["Stopped by web b. An operator can end the stop with armlab bridge resume."]
     assert bench.events[-1] == "labcomm a no longer commands yumi_left: all arms were stopped. The arm holds."
     assert bench(order()) is None
-    assert "All arms hold, since web b stopped them." in bench.answers[0][1]
+    assert "All arms hold, because web b stopped them." in bench.answers[0][1]
     assert (bench.arbiter.stopped, bench.arbiter.commander("yumi_left")) == ("web b", "")
     bench.arbiter.submit(order())
     bench.arbiter.resume("local 1")
@@ -315,7 +317,7 @@ def test_a_client_of_ros_is_told_of_its_own_joints() -> None:
     bench(Order("rosbridge a", RIGHT.name, q, first=7))
     assert "for yumi_robr_joint_3 (number 10 of the message) of yumi_right, which is at" in bench.answers[0][1]
     bench(Order("rosbridge b", RIGHT.name, np.where(np.arange(7) == 3, np.nan, 0.0), first=0))
-    assert "but that of yumi_robr_joint_4 (number 4 of the message) is not" in bench.answers[1][1]
+    assert "got nan for yumi_robr_joint_4 (number 4 of the message)" in bench.answers[1][1]
 
 
 def test_a_jump_is_refused_and_the_last_command_stays() -> None:

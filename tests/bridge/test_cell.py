@@ -47,6 +47,25 @@ def test_a_cell(cell_text: str) -> None:
     np.testing.assert_allclose(cell.limits[0].qd_max, 0.5 * cell.robots[0].qd_max)
 
 
+def test_the_arm_of_a_urdf_is_chosen_in_the_file(tmp_path: Path) -> None:
+    limit = '<limit lower="-1" upper="1" effort="9" velocity="1"/>'
+    path = tmp_path / "fork.urdf"
+    path.write_text(
+        '<robot name="fork"><link name="foot"/><link name="left"/><link name="right"/><link name="hand"/>'
+        + "".join(
+            f'<joint name="to_{child}" type="revolute"><parent link="{parent}"/><child link="{child}"/>{limit}</joint>'
+            for parent, child in (("foot", "left"), ("foot", "right"), ("right", "hand"))
+        )
+        + "</robot>"
+    )
+    text = f'[[robots]]\nname = "{path}"\nlink = "sim://{path}?lockstep=true"\n'
+    with pytest.raises(ConfigError, match="got several"):
+        parse_cell(text)
+    cell = parse_cell(text + 'tip = "hand"\n[robots.lock]\nto_hand = 0.5\n')
+    assert cell.robots[0] == robots.load(path, tip="hand", lock={"to_hand": 0.5})
+    assert cell.links == (f"sim://{path}?lockstep=true&tip=hand&lock=to_hand%3D0.5",)
+
+
 def test_two_arms_have_the_ports_of_the_ancestor() -> None:
     cell = parse_cell(
         'pace = "yumi_right"\n[[robots]]\nname="yumi_left"\nlink="egm://127.0.0.1:6511"\n'
@@ -73,7 +92,7 @@ def test_a_force_sensor_with_its_calibration(cell_text: str, tmp_path: Path) -> 
     (source,) = parse_cell(text).sources()
     assert (source.calibration.mass, source.robot) == (0.8, "yumi_left")
     models.save(replace(sensor, robot_hash="other"), path)
-    with pytest.raises(ConfigError, match=r"cell\.toml: .*to be of a robot of this run"):
+    with pytest.raises(ConfigError, match=r"cell\.toml: .*to belong to a robot of this run"):
         parse_cell(text)
     path.unlink()
     with pytest.raises(ConfigError, match=r"cell\.toml: .*force\.toml, got: No such file"):
@@ -97,14 +116,14 @@ def test_a_force_sensor_with_its_calibration(cell_text: str, tmp_path: Path) -> 
         (
             'sim://yumi_left?lockstep=true"',
             'egm://127.0.0.1:6510"\ntorque = 5.0',
-            "carries torques to yumi_left.*extension",
+            "link for yumi_left that carries torques.*extension",
         ),
         ('sim://yumi_left?lockstep=true"', 'labcomm://h"\nextension = true\ntorque = 5.0', "carries torques"),
         ("speed = 0.5", 'speed = "fast"', r"Expected `float`, got `str` - at `\$.robots\[0\].speed`"),
         ("default = 2.0", "default = 20.0", "from 0 to 10"),
         ("{yumi_left = 0}", "{yumi_right = 0}", "robot of this cell"),
         ("parameters = 0", "parameters = 7514\nrows = 7514", "Cannot overwrite"),
-        ("{yumi_left = 0}\nparameters = 0\nrows = 0", "{yumi_left = 7513}", "a LabComm port of its own"),
+        ("{yumi_left = 0}\nparameters = 0\nrows = 0", "{yumi_left = 7513}", "Expected different LabComm ports"),
         ("{yumi_left = 0}", "{yumi_left = 70000}", "65535"),
         ("[servers.labcomm]", '[sources.a]\nperiod=0.0\nport=0\nfields.x.unit="1"\n[servers.labcomm]', "above 0 s"),
     ],
@@ -119,7 +138,7 @@ def test_errors_are_one_line_with_the_path(cell_text: str, old: str, new: str, w
 def test_entries_that_contradict_each_other() -> None:
     text = 'name = "yumi_left"\n[[robots]]\nname = "yumi_left"\nlink = "sim://yumi_left"\n'
     assert parse_cell(text).name == "yumi_left"
-    with pytest.raises(ConfigError, match="that none of its robots has, got yumi_left"):
+    with pytest.raises(ConfigError, match="that differs from its robots, got yumi_left"):
         parse_cell(f'{text}[[robots]]\nname = "yumi_right"\nlink = "sim://yumi_right"\n')
     with pytest.raises(ConfigError, match=r"got labcomm. Add \[servers.labcomm\]"):
         parse_cell(f'commands=["labcomm"]\n{text}')
@@ -127,8 +146,8 @@ def test_entries_that_contradict_each_other() -> None:
 
 def test_ros_2_in_a_domain() -> None:
     text = 'commands=["ros2"]\n[[robots]]\nname="ur5e"\nlink="egm://127.0.0.1:6510"\n[servers.ros2]\n'
-    assert parse_cell(text).servers["ros2"] == {"domain": None}
-    assert parse_cell(f"{text}domain = 7").servers["ros2"] == {"domain": 7}
+    assert parse_cell(text).servers["ros2"] == {"domain": None, "tf": False}
+    assert parse_cell(f"{text}domain = 7\ntf = true").servers["ros2"] == {"domain": 7, "tf": True}
     with pytest.raises(ConfigError, match=r"servers\.ros2\.domain"):
         parse_cell(f"{text}domain = 233")
 
@@ -148,7 +167,7 @@ def test_a_second_bridge_refuses_at_once(cell_text: str, tmp_path: Path, monkeyp
             run_cell(cell)
     assert "\n" not in str(caught.value)
     with contextlib.closing(_listen(socket_path("yumi"))):
-        words = rf"server local to listen.*yumi.sock, but one runs: process {os.getpid()} \("
+        words = rf"server local to listen.*yumi.sock, got process {os.getpid()} \("
         with pytest.raises(LinkError, match=words):
             run_cell(parse_cell(cell_text))
 
@@ -363,7 +382,7 @@ def test_ten_idle_clients_and_one_that_never_reads(cell_text: str, bench: Bench,
 
     run = bench(parse_cell(cell_text.replace("?lockstep=true", "")), script, seconds=60.0)
     told = [text for _, text in run.events]
-    assert any("The server labcomm ended with status -9. It starts again in 1 s." in text for text in told)
+    assert any("The server labcomm ended with status -9. It restarts in 1 s." in text for text in told)
     assert run.reason == "the controller ended the run"
     answered = np.asarray(run.table["seq"], dtype=int)[np.asarray(run.table["send_ns"]) > 0]
     assert np.diff(answered).max() <= 25, "0.1 s: a busy machine misses some; a loop that is held up more"
@@ -414,13 +433,13 @@ HERE = "127.0.0.1"
         ("labcomm", "local", ["labcomm=lo"], [HERE]),
         ("labcomm", "local", ["ros=0.0.0.0"], "enabled server"),
         ("labcomm", "local", ["labcomm=nowhere"], "IPv4 address or one of the interfaces"),
-        ("labcomm", "local", ["labcomm=224.0.0.1"], "Expected the address of a network card"),
-        ("labcomm", "local", ["labcomm=255.255.255.255"], "Expected the address of a network card"),
+        ("labcomm", "local", ["labcomm=224.0.0.1"], "Expected the address of a network interface"),
+        ("labcomm", "local", ["labcomm=255.255.255.255"], "Expected the address of a network interface"),
         ("labcomm", "labcomm", ["labcomm=127.0.0.2"], ["127.0.0.2"]),
-        ("labcomm", "labcomm", ["labcomm=0.0.0.0"], "no place for a secret and no encryption"),
+        ("labcomm", "labcomm", ["labcomm=0.0.0.0"], "neither a secret nor encryption"),
         # Who commands from elsewhere has to know a secret, over an encrypted connection.
-        ("rosbridge", "rosbridge", ["rosbridge=0.0.0.0"], "asks for no secret, or does not encrypt"),
-        (f"rosbridge {KEYS}", "rosbridge", ["rosbridge=0.0.0.0"], "asks for no secret, or does not encrypt"),
+        ("rosbridge", "rosbridge", ["rosbridge=0.0.0.0"], "needs a secret and encryption"),
+        (f"rosbridge {KEYS}", "rosbridge", ["rosbridge=0.0.0.0"], "needs a secret and encryption"),
         (f'rosbridge {KEYS} key="k.pem"', "rosbridge", ["rosbridge=0.0.0.0"], ["0.0.0.0"]),
         # No commands come through the open router of another server.
         ("rmw_zenoh; zenoh", "zenoh", ["rmw_zenoh=0.0.0.0"], "shares the router at port 7447 with zenoh"),
@@ -450,7 +469,7 @@ HERE = "127.0.0.1"
         ('ros1 master="nothing"', "ros1", [], "master of ROS 1 on this computer"),
         ('ros1 master="http://127.0.0.1:11311"', "ros1", [], [HERE]),
         ('ros1 master="http://localhost:11399"', "ros1", [], [HERE]),
-        ("ros1", "local", ["ros1=0.0.0.0"], "address by which other nodes reach ros1"),
+        ("ros1", "local", ["ros1=0.0.0.0"], "address at which other nodes can reach ros1"),
         ("ros1", "local", ["ros1=127.0.0.2"], ["127.0.0.2"]),
     ],
 )

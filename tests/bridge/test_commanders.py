@@ -186,7 +186,7 @@ def bench(request: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iter
         now = time.monotonic_ns()  # before the arbiter looks at the clock
         command: Any = obey(arbiter, state)
         holder = arbiter._holders["yumi_left"]
-        client, heard = ("", now) if holder is None else (holder.client, holder.heard_ns)
+        client, heard = ("", now) if holder is None else (holder.client, holder.received_ns)
         made.obeyed.append(Obeyed(client, now - heard, command))
         made.refused = {**arbiter.refused}
         return Command.stop() if made.over.is_set() else command

@@ -24,12 +24,26 @@ from armlab.bridge.control.run import checked_limits
 from armlab.bridge.link import GROUP, Simulator, codec_named, connect
 from armlab.bridge.net.sockets import Port
 from armlab.bridge.urls import Address, addresses, simulator_options, split_url
-from armlab.errors import ConfigError, LinkError, LogError, NoRobot, RobotError, UnknownName
+from armlab.errors import ConfigError, LinkError, LogError, ModelMismatchError, NoRobot, RobotError, UnknownName
 from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec
 
 RIGHT = robots.load("yumi_right")
+
+
+@pytest.mark.parametrize(
+    ("url", "robot", "error", "words"),
+    [
+        ("sim://yumi", RIGHT, UnknownName, "yumi_right"),
+        ("sim://none.toml", RIGHT, RobotError, r"none\.toml"),
+        ("sim://irb2400", RIGHT, ModelMismatchError, r"sim://irb2400, 'irb2400' .*got 'yumi_right' .*7 joints, not 6"),
+        ("sim://yumi_left", RIGHT, ModelMismatchError, "mount moved by"),
+    ],
+)
+def test_a_simulated_arm_that_is_not_the_robot_is_refused_at_once(url, robot, error, words) -> None:
+    with pytest.raises(error, match=words):
+        connect(url, robot)
 
 
 def test_addresses() -> None:
@@ -50,13 +64,13 @@ PORTS = ["65536", "0000001000000", "0" * 30 + "70000", "1" * 5000, "٦٥١٠", "
     [
         *(([f"egm://127.0.0.1:{port}"], "a port from 0 to 65535") for port in PORTS),
         (["labcomm://lab:x"], "labcomm://HOST:PORT"),
-        (["egm://[::1"], "Expected a url like egm"),
-        (["sim://a]"], "Expected a url like egm"),
+        (["egm://[::1"], "Expected a URL such as egm"),
+        (["sim://a]"], "Expected a URL such as egm"),
         (["sim://"], "Expected a link"),
-        (["sim://a+b"], "one url per robot, got 2 for 1"),
+        (["sim://a+b"], "one URL per robot, got 2 for 1"),
         ([None], "got None"),
-        (["sim://a?loss=0.1", "sim://b"], "Only seeds of simulated robots may differ"),
-        (["labcomm://a?seed=1", "labcomm://b?seed=2"], "Only seeds of simulated robots may differ"),
+        (["sim://a?loss=0.1", "sim://b"], "Only the seeds of simulated robots may differ"),
+        (["labcomm://a?seed=1", "labcomm://b?seed=2"], "Only the seeds of simulated robots may differ"),
     ],
     ids=range(15),
 )
@@ -94,7 +108,7 @@ def sway(state: State) -> Command:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"controller": 5}, "controller to call"),
+        ({"controller": 5}, "a callable controller"),
         ({"limits": 3}, r"Expected Limits, .* got 3\. Use Limits\.of"),
         ({"limits": Limits(*np.stack([-np.ones(6), *[np.ones(6)] * 5]))}, r"7 joints of yumi_right, got 6"),
         ({"limits": [Limits.of(RIGHT)] * 2}, "Limits for each"),
@@ -113,7 +127,7 @@ def test_what_a_run_cannot_use_is_refused_before_it_begins(robot: Robot, options
         assert (link.host, link.port > 0) == ("127.0.0.1", True)
         with pytest.raises((ConfigError, LogError), match=words):
             link.run(**{"controller": sway, **options})
-    with pytest.raises(LinkError, match=r"closed\. Connect again"):
+    with pytest.raises(LinkError, match=r"closed one\. Connect again"):
         link.run(sway)
 
 
@@ -123,12 +137,12 @@ def test_what_a_run_cannot_use_is_refused_before_it_begins(robot: Robot, options
         ("http://x", 1, {}, "egm://127.0.0.1:6510 or sim://"),
         ("egm://", 1, {}, "egm://127.0.0.1:6510 or sim://"),
         ("egm://127.0.0.1:port", 1, {}, "port from 0 to 65535"),
-        ("egm://127.0.0.1:0?seed=1", 1, {}, "no options in an egm link, got seed"),
+        ("egm://127.0.0.1:0?seed=1", 1, {}, "rws=HOST and, with it, .* got seed"),
         ("egm://127.0.0.1:0", 1, {"clock": "atomic"}, "clock"),
         ("egm://127.0.0.1:0", 1, {"patience": 0.0}, "patience above 0 s"),
-        ("sim://yumi_left", 2, {}, "one url per robot, got 1 for 2"),
+        ("sim://yumi_left", 2, {}, "one URL per robot, got 1 for 2"),
         (["egm://127.0.0.1:6510"] * 2, 2, {}, "a port per arm"),
-        (["sim://yumi_left", "egm://127.0.0.1:0"], 2, {}, "of one kind"),
+        (["sim://yumi_left", "egm://127.0.0.1:0"], 2, {}, "of the same kind"),
         (["sim://yumi_left?seed=1&loss=0.1", "sim://yumi_right?seed=2"], 2, {}, "the same options"),
         (["egm://127.0.0.1:0"] * 2, 0, {}, "different names"),
         ("egm://127.0.0.1:0", 3, {}, r"Expected a Robot, got 'yumi_left'\. Load it first"),
@@ -330,7 +344,10 @@ def test_an_entry_point(robot: Robot) -> None:
         codec_named("egmri", robot)
     connect("egm://127.0.0.1:0", robots.load("irb2400")).close()  # whose axis 3 is not the third joint
     scara = replace(robot, prismatic=np.arange(7) == 0)  # a linear joint without a unit
-    with connect("egm://127.0.0.1:0", scara) as link, pytest.raises(ConfigError, match=r"cannot\. Listen only"):
+    with (
+        connect("egm://127.0.0.1:0", scara) as link,
+        pytest.raises(ConfigError, match=r"without that capability\. To listen only"),
+    ):
         link.run(sway)
 
 
@@ -343,7 +360,7 @@ def test_entry_points_that_give_no_codec(robot: Robot, name: str, words: str) ->
         codec_named(name, robot)
 
 
-BROKEN = r"^Expected a cycle without errors, got ZeroDivisionError: division by zero\.$"
+BROKEN = r"^Expected the cycle to run without errors, got ZeroDivisionError: division by zero\.$"
 
 
 def test_an_error_outside_the_controller_stops_the_arm_first(play: Any, robot: Any) -> None:
@@ -395,7 +412,7 @@ def test_rows_for_which_there_is_never_memory_leave_the_reason_and_a_whole_file(
     monkeypatch.setattr(Recording, "keep", fails)
 
     link = play.link()
-    with pytest.raises(LinkError, match=r"got MemoryError: no memory is left\."):
+    with pytest.raises(LinkError, match=r"got MemoryError: out of memory\."):
         play(answered, lambda state: Command(qd=np.full(7, 0.1)), link, record=tmp_path / "run.mcap")
     assert len(log.read(tmp_path / "run.mcap")) == 30
     assert "The last rows were not recorded: MemoryError." in link.last.statistics["problems"]
@@ -412,7 +429,7 @@ def test_a_run_without_memory_for_its_end_does_not_begin(
     with pytest.raises(LinkError, match=r"Expected 16 MiB .* of the run: Cannot allocate memory\. End other"):
         play(lambda peer: None, lambda state: None, link, record=tmp_path / "run.mcap")
     assert log.inspect(tmp_path / "run.mcap").finished
-    assert link.last.reason == "there is no memory for its end"
+    assert link.last.reason == "there is no memory to end the run"
 
 
 def test_a_robot_without_limits_of_speed_is_not_commanded() -> None:

@@ -108,9 +108,9 @@ def test_outliers_missing_samples_and_unknown_noise(case: DualRun) -> None:
 def test_samples_that_do_not_belong_together_are_refused() -> None:
     run = cell(2400).two_arms(0, 60)
     wrong = run.pose[np.random.default_rng(0).permutation(60)]
-    with pytest.raises((NotConverged, NotExcited), match="belong together"):
+    with pytest.raises((NotConverged, NotExcited), match="pairing of samples and joint positions"):
         fit_of(run, pose=wrong, noise=NOISE, robust=True)
-    with pytest.raises(NotConverged, match=r"residuals of .* m in a space of .* m"):
+    with pytest.raises(NotConverged, match=r"residuals of .* m in a workspace of .* m"):
         fit_of(run, pose=wrong, weak="prior")
 
 
@@ -157,7 +157,7 @@ def test_gears_of_both_arms(exact: DualRun, tmp_path: Path) -> None:
     )
     with pytest.raises(ShapeError, match=r"joint_terms_b of shape \(80, 6, L\), got \(79, 6, 1\)"):
         fit_of(run, pose=pose, joint_terms_b=phi_b[1:])
-    with pytest.raises(ShapeError, match="fitted with 6 of them"):
+    with pytest.raises(ShapeError, match="fitted with L = 6"):
         fit.value.forward(run.q_a, run.q_b)
 
 

@@ -177,11 +177,11 @@ class TestRefusals:
             fit_kinematics(case.robot, case.q[:4], pose=case.pose[:4], noise=NOISE)
         with pytest.raises(NotExcited, match=r"at least 27 numbers .* got 24. Measure at least 9 samples"):
             fit_kinematics(case.robot, case.q[:8], position=case.pose[:8, :3, 3], noise=1e-4)
-        with pytest.raises(NotExcited, match="got none"):
+        with pytest.raises(NotExcited, match="an empty q"):
             fit_kinematics(case.robot, case.q[:0], pose=case.pose[:0])
 
     def test_limits_are_arguments(self, case) -> None:
-        with pytest.raises(NotExcited, match="worse than the limit"):
+        with pytest.raises(NotExcited, match="beyond the limit"):
             fit_kinematics(case.robot, case.q, pose=case.pose, noise=NOISE, limits=(1e-6, 1e-6))
         assert LIMITS == (0.05, 0.05)
 
@@ -222,7 +222,7 @@ class TestUncertainty:
         assert run.error(fit.value.forward(run.q_valid))[0] < 0.1
         plain = fit_kinematics(run.robot, run.q, pose=run.pose, noise=NOISE)
         assert run.error(plain.value.forward(run.q_valid))[0] > 1.0
-        assert "outliers left out: 0, 1, 2, 3, 4" in fit.report()
+        assert "outliers excluded: 0, 1, 2, 3, 4" in fit.report()
 
 
 class TestAncestor:

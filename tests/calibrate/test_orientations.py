@@ -26,8 +26,8 @@ def transposed(T: np.ndarray) -> np.ndarray:
 
 
 WRONG: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "x, y, z, w taken": lambda T: rolled(T, -1),
-    "w, x, y, z taken": lambda T: rolled(T, 1),
+    "x, y, z, w but were read": lambda T: rolled(T, -1),
+    "w, x, y, z but were read": lambda T: rolled(T, 1),
     "are transposed": transposed,
 }
 
@@ -81,13 +81,13 @@ def test_forces_with_orientations_in_another_reading_are_refused_by_name(text: s
 def test_residuals_that_no_sensor_has_are_doubted_in_the_report() -> None:
     """A marker that was mounted anew after a third of the samples: no other reading of the poses explains it."""
     seen = sim.cell(1).hand_eye()
-    assert "are some samples wrong" not in fit_hand_eye(seen.A, seen.B).report()
+    assert "are some samples" not in fit_hand_eye(seen.A, seen.B).report()
     B = seen.B.copy()
     B[:10] = B[:10] @ se3.exp([0.1, 0.0, 0.0, 0.0, 0.0, 0.5])
-    assert "are some samples wrong, or all?" in fit_hand_eye(seen.A, B).report()
+    assert "are some samples wrong?" in fit_hand_eye(seen.A, B).report()
     assert fit_hand_eye(seen.A, B, robust=True).outliers.tolist() == [True] * 10 + [False] * 20
     sights = sim.cell(1).marker_points(N=40, missing=0.0)
     p = sights.p.copy()
-    assert "are some samples wrong" not in fit_hand_eye_points(sights.A, p).report()
+    assert "are some samples" not in fit_hand_eye_points(sights.A, p).report()
     p[:12] += [0.2, 0.0, 0.0]
-    assert "are some samples wrong, or all?" in fit_hand_eye_points(sights.A, p).report()
+    assert "are some samples wrong?" in fit_hand_eye_points(sights.A, p).report()

@@ -87,7 +87,7 @@ def test_set(running: Hub, command) -> None:
         (["gain=-1"], 1, "from 0 to inf"),  # the bridge that runs knows its parameters, and refuses
         (["gan=1"], 1, "Did you mean 'gain'"),
         (["gain=3", "word=4"], 1, "a text"),
-        (["word=99999999999999999999"], 2, "an integer of 64 bits"),
+        (["word=99999999999999999999"], 2, "a 64-bit integer"),
     ],
 )
 def test_refused(running: Hub, command, words: list[str], code: int, said: str) -> None:
@@ -231,7 +231,7 @@ def test_the_table() -> None:
     console.print(table(watch, NOW))
     text = console.file.getvalue()  # type: ignore[attr-defined]
     for word in (
-        "No row yet",
+        "No rows yet",
         "Cell yumi",
         "yumi_right",
         "p50 / p99 / max [us]",

@@ -47,7 +47,7 @@ def test_hand_eye_ends_in_a_file_a_page_and_a_figure(files: Path, tmp_path: Path
     options = [word for pair in zip(("-o", "--report", "--figure"), map(str, out)) for word in pair]
     words = ["calibrate", "hand-eye", str(files / "eye.mat"), "--robust", *options]
     said = command(words).out
-    assert "2 outliers left out: 0, 1" in said
+    assert "2 outliers excluded: 0, 1" in said
     assert "good: 30 samples" in said
     truth = sim.cell(1).hand_eye()
     found = models.load(out[0], "hand_eye")
@@ -163,17 +163,17 @@ def fit():
 def test_the_verdict_names_what_is_wrong(fit) -> None:
     verdict = judge(fit)
     assert not verdict.bad
-    assert "Look at the 2 samples that were left out." in verdict.ahead
+    assert "Inspect the 2 excluded samples." in verdict.ahead
     many = replace(fit, outliers=np.arange(30) < 12)
-    assert "12 of 30 samples were left out" in judge(many).bad[0]
+    assert "12 of 30 samples were excluded" in judge(many).bad[0]
     few = replace(fit, residuals=fit.residuals[:2])
-    assert "hardly more measurements" in judge(few).bad[0]
+    assert "few measurements" in judge(few).bad[0]
     held = replace(fit, excitation=replace(fit.excitation, held=("link 3",)))
     assert "A prior fixes what the samples do not identify: link 3." in judge(held).bad
     assert not judge(held).good
     rough = replace(fit, sigma=np.array([0.03, 0.001]))
     assert judge(rough).bad == [
-        "Noise of position [m] of 0.03 is no noise of a sensor: some samples are wrong, or all."
+        "Noise of position [m] of 0.03 is too large for a sensor, so some samples are probably wrong."
     ]
     asked = replace(fit, doubts=("positions spread over 465 m: millimetres given as metres?",))
     assert judge(asked).bad == ["Positions spread over 465 m: millimetres given as metres?"]
@@ -224,7 +224,7 @@ def test_distances_from_a_point_that_is_roughly_known(nominal: str, tmp_path: Pa
     values = {one["name"]: one["value"] for one in found["parameters"]}
     assert values["length offset"] == pytest.approx(0.25, abs=2e-3)
     assert found["excitation"]["rank"] == 25
-    assert "first guess of the fixed point" in command(["calibrate", *words], 2).err
+    assert "initial guess of the fixed point" in command(["calibrate", *words], 2).err
     said = command(["calibrate", *words[:3], "--noise", "5e-5", "1e-4", *there], 2).err
     assert "Expected 1 numbers for --noise (distance: m), got 2" in said
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -12,10 +13,11 @@ from scipy.io import savemat
 
 from armlab import log as logs
 from armlab import models, robots, sim
+from armlab.cli.calibrate.camera import _chained, _edges, at_times, camera_in
 from armlab.cli.calibrate.samples import Samples, Wanted, measured_rows, noise_of, read_samples, run_fit, tool_poses
-from armlab.errors import LogError
+from armlab.errors import ConfigError, LogError
 from armlab.kinematics import forward
-from armlab.lie import quaternion
+from armlab.lie import euler, quaternion, se3, so3
 from armlab.log import Column, Table
 
 from .conftest import samples_csv
@@ -96,7 +98,7 @@ def test_what_is_not_there_is_told(T: np.ndarray, tmp_path: Path) -> None:
     cases = [
         (lambda: empty.poses("pose"), "Expected pose in .*x.csv, got a, word"),
         (lambda: empty.vectors("a", (3,)), r"a of shape \(N, 3\) in .*, got \(3,\)"),
-        (lambda: empty.numbers("word"), "numbers in word of .* words such as 'one'"),
+        (lambda: empty.numbers("word"), "numbers in word of .* text such as 'one'"),
         (
             lambda: Samples(empty.path, {"a": np.zeros((3, 2))}, "").numbers("a"),
             r"one number per sample of a .*\(3, 2\)",
@@ -127,7 +129,7 @@ def test_semicolons_and_tabs_are_seen(T: np.ndarray, tmp_path: Path) -> None:
     text = samples_csv(tmp_path / "a.csv", as_quaternions("pose", T, " [mm]")).read_text(encoding="utf-8")
     for mark in ";\t":
         (tmp_path / "b.csv").write_text(text.replace(",", mark), encoding="utf-8")
-        np.testing.assert_allclose(read_samples(tmp_path / "b.csv").poses("pose"), T, atol=1e-12)
+        np.testing.assert_allclose(read_samples(tmp_path / "b.csv").poses("pose"), T, rtol=0, atol=1e-12)
     (tmp_path / "c.csv").write_text(text.replace(",", ";").replace(".", ","), encoding="utf-8")
     with pytest.raises(LogError, match="Expected a decimal point"):
         read_samples(tmp_path / "c.csv")
@@ -153,7 +155,7 @@ def test_what_a_table_drops_is_said(tmp_path: Path, capsys) -> None:
 
 def test_joints_of_a_bag_are_left_out_since_their_order_is_not_known(ur5e_bag: Path, capsys, monkeypatch) -> None:
     one_rate = logs.read(ur5e_bag, ["q", "tau"])
-    monkeypatch.setattr("armlab.log.read", lambda path: one_rate)
+    monkeypatch.setattr("armlab.log.read", lambda path, *_: one_rate)
     samples = read_samples(ur5e_bag)
     assert "export bag samples.csv --robot NAME" in capsys.readouterr().err
     with pytest.raises(LogError, match=r"Expected q in .*bag"):
@@ -198,7 +200,7 @@ def test_rows_that_were_measured(capsys) -> None:
     assert "1 of 4 rows of some.mat have no measurement" in capsys.readouterr().err
     assert len(measured_rows(samples(), (q, a))[0]) == 2
     assert len(measured_rows(samples(), (q,), (a, b), every=True)[0]) == 4
-    with pytest.raises(LogError, match=r"as many samples of each kind in some\.mat, got 4, 3"):
+    with pytest.raises(LogError, match=r"equal sample counts in some\.mat, got 4, 3"):
         measured_rows(samples(), (q, a[:3]))
 
 
@@ -221,9 +223,9 @@ def test_copies_of_a_sample_count_once_and_held_values_are_told(capsys) -> None:
     np.testing.assert_array_equal(A, seen.A)
     np.testing.assert_array_equal(B, seen.B)
     np.testing.assert_array_equal(rows, np.arange(0, 12, 2))
-    assert "6 of 12 rows of some.mat are copies of others" in capsys.readouterr().err
+    assert "6 of 12 rows of some.mat are duplicates" in capsys.readouterr().err
     measured_rows(samples(), (seen.A, seen.B[[0, 0, 2, 3, 3, 5]]))
-    assert "2 rows of some.mat repeat the measurement of the row before" in capsys.readouterr().err
+    assert "2 rows of some.mat repeat the previous measurement" in capsys.readouterr().err
     measured_rows(samples(), (seen.A, seen.B))
     assert capsys.readouterr().err == ""
 
@@ -232,5 +234,158 @@ def test_parts_of_a_measurement_are_refused_by_their_row() -> None:
     seen = sim.cell(5).hand_eye(N=6)
     B = seen.B.copy()
     B[1], B[4, 0, 3] = np.nan, np.nan
-    with pytest.raises(LogError, match=r"missing in 1 of 6 rows, first in row 4"):
+    with pytest.raises(LogError, match=r"missing numbers in 1 of 6 rows, first in row 4"):
         measured_rows(samples(), (seen.A, B))
+
+
+FORMS = {
+    "rotvec": lambda R: so3.log(R),
+    "xyzw": lambda R: np.roll(quaternion.from_matrix(R), -1, axis=1),
+    "wxyz": quaternion.from_matrix,
+    "rpy_deg": lambda R: np.rad2deg(euler.to_rpy(R, "zyx")[:, ::-1]),
+    "euler_zyz": lambda R: euler.to_rpy(R, "zyz"),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_poses_of_other_programs_are_read_by_their_representation(form, tmp_path: Path) -> None:
+    T = se3.exp(np.random.default_rng(0).normal(size=(5, 6)))
+    numbers = np.column_stack([1e3 * T[:, :3, 3], FORMS[form](T[:, :3, :3])])
+    path = tmp_path / "poses.csv"
+    np.savetxt(path, numbers, delimiter=",", comments="", header=",".join(f"pose_{k}" for k in range(numbers.shape[1])))
+    read = read_samples(path, f"T_base_tool:{form}=pose_{{0..}} [mm]")
+    np.testing.assert_allclose(read.poses("T_base_tool"), T, rtol=0, atol=1e-12)
+    with pytest.raises(ConfigError, match=r"Expected a rotation as wxyz, xyzw, rotvec.*got 'angles'"):
+        read_samples(path, "T_base_tool:angles=pose_{0..}")
+    named = {"rotvec": ("rx", "ry", "rz"), "rpy_deg": ("roll [deg]", "pitch [deg]", "yaw [deg]")}.get(form)
+    if named:
+        header = [f"T_cam_marker_{one}" for one in ("x [mm]", "y [mm]", "z [mm]", *named)]
+        np.savetxt(path, numbers, delimiter=",", comments="", header=",".join(header))
+        np.testing.assert_allclose(read_samples(path).poses("T_cam_marker"), T, rtol=0, atol=1e-12)
+
+
+def moving(t: np.ndarray) -> np.ndarray:
+    """Poses along a smooth motion."""
+    turn = np.stack([0.8 * np.sin(0.5 * t), 0.7 * np.cos(0.4 * t), 0.5 * np.sin(0.3 * t + 1)], axis=1)
+    return se3.from_rp(so3.exp(turn), 0.2 * np.stack([np.sin(0.6 * t), np.cos(0.5 * t), np.sin(0.7 * t)], axis=1))
+
+
+def test_two_files_with_one_clock_are_joined_by_time(tmp_path: Path, command) -> None:
+    X, Y = se3.exp([0.1, 0, 0.05, 0.3, 0.2, -0.1]), se3.exp([1, 0.2, 0.4, -1, 0.3, 2])
+    t, times = 5.0 + 0.008 * np.arange(2000), 6.0 + 0.3 * np.arange(45)
+    seen = se3.inv(Y) @ moving(times) @ X @ se3.exp(2e-4 * np.random.default_rng(1).standard_normal((45, 6)))
+    robot = samples_csv(tmp_path / "robot.csv", {"t": t, "T_base_tool": moving(t)})
+    camera = samples_csv(tmp_path / "camera.csv", {"t": times, "T_cam_marker": seen})
+    words = ["calibrate", "hand-eye", robot, camera, "--join", "linear", "--max-gap", "20ms"]
+    command([*words, "-o", tmp_path / "eye.toml"])
+    found = models.load(tmp_path / "eye.toml")
+    assert np.abs(found.X - X).max() < 5e-4
+    assert np.abs(found.Y - Y).max() < 5e-4
+    for path, name, clock, T in ((robot, "tcp", "stamp", moving(t)), (camera, "pose", "time", seen)):  # other names
+        turn = so3.log(T[:, :3, :3]) if name == "tcp" else FORMS["xyzw"](T[:, :3, :3])
+        header = ",".join([clock, *(f"{name}_{k}" for k in range(3 + turn.shape[1]))])
+        rows = np.column_stack([t if name == "tcp" else times, T[:, :3, 3], turn])
+        np.savetxt(path, rows, delimiter=",", comments="", header=header)
+    named = "t=stamp|time,T_base_tool:rotvec=tcp_{0..5},T_cam_marker:xyzw=pose_{0..6}"
+    command([*words, "--columns", named, "-o", tmp_path / "named.toml"])
+    assert np.abs(models.load(tmp_path / "named.toml").X - X).max() < 5e-4
+    assert "Expected the columns of T_cam_marker:xyzw in" in command([*words, "--columns", named + "_"], 1).err
+    robot = samples_csv(robot, {"t": t, "T_base_tool": moving(t)})
+    late = samples_csv(tmp_path / "late.csv", {"t": times + 1e9, "T_cam_marker": seen})
+    said = command(["calibrate", "hand-eye", robot, late, "--join", "nearest"], 1).err
+    assert "data recorded with one clock, got robot.csv from 5.000" in said
+    assert "time above 0, such as 20ms" in command([*words[:-1], "soon"], 2).err
+    assert "Expected T_cam_marker or p_cam in one of" in command([*words[:2], robot, robot, "--join", "linear"], 1).err
+
+
+def test_poses_between_and_beyond_gaps() -> None:
+    t = np.delete(0.01 * np.arange(100), np.s_[40:60])
+    for join, worst in (("nearest", 5e-3), ("linear", 1e-5)):
+        times = np.array([0.103, 0.15, 0.499, 0.99])
+        found = at_times(moving(t), t, times, join, 0.02, "robot.csv")
+        assert np.isnan(found[2]).all()
+        assert np.abs(found[[0, 1, 3]] - moving(times[[0, 1, 3]])).max() < worst
+
+
+def test_transforms_of_a_bag_are_chained_to_the_frames_that_are_named() -> None:
+    t = 0.02 * np.arange(500)
+    step = se3.exp([0.1, 0.2, 0.3, 0.1, 0.2, 0.3])
+    column = Column(unit="m", kind="pose", frame="base")
+    arm = Table(t, {"tf.base.link": moving(t)}, {"tf.base.link": column}, t0_ns=10**18)
+    fixed = Table([0.0], {"tf_static.link.tool0": step[None]}, {"tf_static.link.tool0": replace(column, frame="link")})
+    eye = Table(t[::7], {"tf.camera.marker": moving(t[::7] + 3)}, {"tf.camera.marker": replace(column, frame="camera")},
+                t0_ns=10**18)  # fmt: skip
+    tables = {"/tf": arm, "/tf_static": fixed, "/tf camera": eye}
+    way = _edges(tables, "/tf:tool0->base", Path("run"))
+    T = _chained(way, t[::7] + 1e9, "linear", None, "robot")
+    np.testing.assert_allclose(T, se3.inv(moving(t[::7]) @ step), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(_edges(tables, "/tf:camera->marker", Path("run"))[0][1], moving(t[::7] + 3))
+    with pytest.raises(LogError, match=r"from base to hand in run, got frames base, camera, link, marker, tool0"):
+        _edges(tables, "/tf:base->hand", Path("run"))
+    with pytest.raises(LogError, match="Expected one pose per message on /pose"):
+        _edges(tables, "/pose", Path("run"))
+
+
+@pytest.mark.parametrize("form", ["opencv", "ros", "json"])
+def test_intrinsics_are_read_as_others_write_them(form, tmp_path: Path) -> None:
+    K, dist = [800.0, 0, 320, 0, 790, 240, 0, 0, 1], [-0.1, 0.01, 0, 0]
+    text = {
+        "opencv": "%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: {}\n"
+        "distortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 4\n   dt: d\n   data: {}\n",
+        "ros": "image_width: 640\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: {}\ndistortion_model: plumb_bob\n"
+        "distortion_coefficients:\n  rows: 1\n  cols: 4\n  data: {}\n",
+        "json": '{{"K": {}, "D": {}}}',
+    }[form].format(K, dist)
+    (tmp_path / "camera.yaml").write_text(text)
+    found = camera_in(tmp_path / "camera.yaml")
+    np.testing.assert_array_equal(found[0].ravel(), K)
+    np.testing.assert_array_equal(found[1], dist)
+    (tmp_path / "camera.yaml").write_text("fx: 800\n")
+    with pytest.raises(LogError, match="Expected camera_matrix and distortion_coefficients"):
+        camera_in(tmp_path / "camera.yaml")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--images", "pictures"], "Expected --images FOLDER and --board BOARD together"),
+        (["--intrinsics", "k.yaml"], "Expected --intrinsics with --images"),
+        (["--robot-topic", "/tf:a->b"], "Expected --robot-topic and --camera-topic together"),
+        (["--max-gap", "20ms"], "Expected --max-gap 20ms with --join"),
+        (["--images", "p", "--board", "b", "--join", "linear"], "Expected --images without --join"),
+        (["--join", "linear"], "Expected two files"),
+    ],
+)
+def test_options_that_do_not_belong_together_are_refused(options, words, command) -> None:
+    assert words in command(["calibrate", "hand-eye", "samples.csv", *options], 2).err
+
+
+@pytest.mark.slow
+def test_pictures_of_a_board_become_a_calibration_in_one_line(tmp_path: Path, command) -> None:
+    cv2 = pytest.importorskip("cv2", reason="OpenCV, the extra vision, is not installed")
+    K, rng = np.array([[800.0, 0, 320], [0, 800, 240], [0, 0, 1]]), np.random.default_rng(0)
+    words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    board = cv2.aruco.CharucoBoard((7, 5), 0.03, 0.022, words).generateImage((420, 300))
+    X, Y = se3.exp(0.1 * rng.standard_normal(6)), se3.exp(rng.standard_normal(6))
+    seen = se3.from_rp(so3.exp(rng.uniform(-0.5, 0.5, (9, 3))), np.column_stack([rng.uniform(-0.13, -0.08, (9, 2)),
+                                                                              rng.uniform(0.35, 0.45, 9)]))  # fmt: skip
+    A, folder = Y @ seen @ se3.inv(X), tmp_path / "pictures"
+    folder.mkdir()
+    for k, T in enumerate(seen):
+        plane = np.array([[0.0005, 0, 0.00025], [0, 0.0005, 0.00025], [0, 0, 1]])
+        image = cv2.warpPerspective(board, K @ T[:3, [0, 1, 3]] @ plane, (640, 480), borderValue=255)
+        cv2.imwrite(str(folder / f"{k}.png"), np.full_like(image, 90) if k == 4 else image)
+    header = ["image", *(f"T_base_tool{i}_{j}" for i in range(1, 5) for j in range(1, 5))]
+    rows = [",".join([f"{k}.png", *map(repr, map(float, T.ravel()))]) for k, T in enumerate(A)]
+    (tmp_path / "poses.csv").write_text("\n".join([",".join(header), *rows]))
+    (tmp_path / "k.json").write_text(json.dumps({"K": K.tolist(), "D": []}))
+    options = ["--images", folder, "--board", "charuco:7x5:0.03:0.022", "--intrinsics", tmp_path / "k.json"]
+    said = command(["calibrate", "hand-eye", tmp_path / "poses.csv", *options, "-o", tmp_path / "eye.toml", "--force"])
+    assert "4.png: 0 corners of the board" in said.err
+    found = models.load(tmp_path / "eye.toml")
+    assert np.abs(found.Y - Y).max() < 5e-3
+    (tmp_path / "poses.csv").write_text("\n".join([",".join(header), rows[0].replace("0.png", "gone.png")]))
+    assert (
+        "1 missing images, first gone.png"
+        in command(["calibrate", "hand-eye", tmp_path / "poses.csv", *options], 1).err
+    )

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import json
+import re
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from armlab import robots
 from armlab.cli import main
-from armlab.cli.demo import PRESSES, Plan, demo, judge, rehearse
-from armlab.errors import ControllerLate, LogError
+from armlab.cli.demo import PRESSES, UNIT, Plan, demo, force_unit, judge, rehearse
+from armlab.errors import ControllerLate, LinkError, LogError, RobotError, UnknownName
 from armlab.log import Table
+from armlab.robots import inertia
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+import any_arm
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +39,12 @@ def test_the_plan_presses_while_the_arm_sways_and_once_at_rest(plan: Plan) -> No
     assert np.all(np.abs(qd) <= 0.5 * robots.load("yumi_right").qd_max)
 
 
-def test_a_busy_computer_is_told_of_the_fast_demo(tmp_path, command, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("error", [ControllerLate, LinkError])
+def test_a_busy_computer_is_told_of_the_fast_demo(
+    error: type[Exception], tmp_path, command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def late(*_: object) -> None:
-        raise ControllerLate("The controller was too slow.")
+        raise error("The controller was too slow.")
 
     monkeypatch.setattr("armlab.cli.demo.rehearse", late)
     said = command(["demo", "-o", tmp_path / "demo"], 1).err
@@ -46,10 +56,11 @@ def test_a_busy_computer_is_told_of_the_fast_demo(tmp_path, command, monkeypatch
 def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, command, capsys) -> None:
     assert demo(fast=True, output=tmp_path / "demo") == 0
     names = {path.name for path in (tmp_path / "demo").iterdir()}
-    assert names == {"excite.mcap", "model.toml", "press.csv", "press.mcap", "summary.json", "torque.png", "wrench.png"}
+    texts = {"identify.txt", "model.toml", "press.csv", "summary.json"}
+    assert names == texts | {"excite.mcap", "press.mcap", "torque.png", "wrench.png"}
     assert json.loads((tmp_path / "demo" / "summary.json").read_text())["passed"]
     said = capsys.readouterr().out
-    assert "every bar is met" in said
+    assert "every target is met" in said
     assert "p50" in said
     log, model = str(tmp_path / "demo" / "press.mcap"), str(tmp_path / "again.toml")
     assert main(["identify", "yumi_right", str(tmp_path / "demo" / "excite.mcap"), "-o", model]) == 0
@@ -59,12 +70,54 @@ def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, command, capsys)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 4))
+@pytest.mark.parametrize("seed", [1, 2])
 def test_other_seeds_meet_the_bars(tmp_path, seed: int) -> None:
-    """With seed 0 above: four seeds, both arms, over EGM in lockstep, causal, at 248 Hz."""
+    """With seed 0 above: three seeds, both arms, over EGM in lockstep, causal, at 248 Hz."""
     outcome = rehearse("yumi_left" if seed % 2 else "yumi_right", seed, tmp_path / "demo", fast=True)
     verdict = judge(outcome["estimate"], outcome["plan"])
     assert verdict.passed, verdict.missed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "seed"), list(zip(any_arm.ARMS, range(1, 1 + len(any_arm.ARMS)))))
+@pytest.mark.filterwarnings("ignore:The arm of .* omits")  # the fingers of a hand
+def test_any_arm_with_masses_meets_its_scaled_bars(name: str, seed: int, tmp_path) -> None:
+    """One seed per arm of `benchmarks/any_arm.py`, which runs five."""
+    try:
+        found = any_arm.demo(name, seed, tmp_path)
+    except (UnknownName, RobotError) as error:
+        pytest.skip(f"needs the description of {name}: {error}")
+    assert found["passed"], found["missed"]
+
+
+def test_forces_and_bars_go_with_the_torque_limits(tmp_path) -> None:
+    assert [force_unit(robots.load(name))[0] / UNIT for name in ("yumi_left", "yumi_right")] == pytest.approx(
+        [1, 1], 0.01
+    )
+    path = tmp_path / "scara.urdf"
+    path.write_text(any_arm.SCARA)
+    weak, strong = robots.load(path), tmp_path / "strong.urdf"
+    strong.write_text(re.sub(r'effort="(\d+)"', lambda found: f'effort="{3 * int(found[1])}"', any_arm.SCARA))
+    unit, seen = force_unit(weak)
+    assert force_unit(robots.load(strong))[0] == pytest.approx(3 * unit, rel=1e-6)
+    assert seen.all()
+    plan = Plan.make(weak, 0)
+    assert plan.scale == pytest.approx(unit / UNIT, rel=0.05)
+    np.testing.assert_allclose(max(abs(force) for _, _, force, *_ in plan.presses), 5.0 * plan.scale)
+    q = plan.test.sample(np.linspace(0, plan.test.seconds, 500))[0]
+    assert np.all((q > weak.q_min) & (q < weak.q_max))
+
+
+def test_directions_that_no_torque_tells_are_neither_pressed_nor_judged() -> None:
+    """Two parallel axes: no force along them."""
+    pi = inertia.from_body([2.0, 1.0], [[0.2, 0, 0], [0.1, 0, 0]], 0.01 * np.eye(3))
+    limits = {"q_min": [-2, -2], "q_max": [2, 2], "qd_max": [2, 2], "q_home": [0.3, 0.9], "tau_max": [20, 10]}
+    flat = robots.from_dh("flat", [0.0, 0.0], [0.4, 0.3], [0.0, 0.0], inertias=pi, **limits)
+    plan = Plan.make(flat, 0)
+    assert plan.seen == (True, True, False)
+    assert {axis for _, axis, *_ in plan.presses} == {0, 1}
+    blind = judge(pretend(plan, noise(plan, 0.1)), plan)
+    assert not any(" z " in missed for missed in blind.missed)
 
 
 def pretend(plan: Plan, error: np.ndarray, sigma: float = 0.5) -> Table:
@@ -92,12 +145,12 @@ def test_a_good_estimate_passes_and_its_text_says_so(plan: Plan) -> None:
     verdict = judge(wide, plan)
     assert verdict.passed
     assert 0.94 < verdict.coverage < 0.97
-    assert "500 g -z" in verdict.text()
+    assert "weight -z" in verdict.text()
 
 
 @pytest.mark.parametrize(
     ("error", "sigma", "words"),
-    [(2.0, 2.0, "force error x"), (0.0, 0.5, "coverage 100.0 %"), (1.0, 0.4, "500 g"), (2.0, 2.0, "false force")],
+    [(2.0, 2.0, "force error x"), (0.0, 0.5, "coverage 100.0 %"), (1.0, 0.4, "weight"), (2.0, 2.0, "false force")],
 )
 def test_each_bar_can_be_missed(plan: Plan, error: float, sigma: float, words: str) -> None:
     verdict = judge(pretend(plan, np.array(error), sigma), plan)

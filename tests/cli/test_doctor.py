@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -48,7 +49,11 @@ def test_the_simulated_controller(capsys: Any, monkeypatch: pytest.MonkeyPatch) 
     assert found[f"port {port}, first packet"]["value"] == "RobotWare 6.10, 7 axes"
     assert "guidance has not begun" in found[f"port {port}, guidance"]["value"]
     assert found[f"port {port}, guidance"]["verdict"] == "warning"
-    assert "period 4.03" in found[f"port {port}, timing"]["value"]
+    timing = re.match(r"period ([\d.]+) ms", found[f"port {port}, timing"]["value"])
+    assert timing is not None
+    cycles = float(timing[1]) / 4.032  # a simulator on a busy machine leaves some out
+    assert round(cycles) >= 1
+    assert cycles == pytest.approx(round(cycles), rel=1e-3)
     assert found[f"port {port}, senders"]["verdict"] == "ok"
     assert found[f"port {port}, posture"]["verdict"] == "ok"
 
@@ -84,10 +89,10 @@ def test_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("armlab.cli.doctor.os.fsync", lambda number: now.__setitem__(0, now[0] + 1e-3))
     good = disk(tmp_path)
     assert good.verdict == "ok"
-    assert "room for" in good.value
+    assert "space for" in good.value
     free[0] = 10**6
     full = disk(tmp_path)
-    assert (full.verdict, "room for 0 h" in full.value) == ("warning", True)
+    assert (full.verdict, "space for 0 h" in full.value) == ("warning", True)
     assert disk(tmp_path / "none").verdict == "failure"
     assert not list(tmp_path.iterdir())
     free[0] = 10**12

@@ -48,14 +48,14 @@ def test_the_press_is_found(pushed: str, monkeypatch, tmp_path, command) -> None
     assert fx == pytest.approx(8.0, abs=1.0)
     assert figure.exists()
     page = report.read_text(encoding="utf-8")
-    for part in ("Contact wrench", "1 contact; the strongest from", "where it may be", "method map"):
+    for part in ("Contact wrench", "1 contact; the strongest from", "possible location", "method map"):
         assert part in page
     assert page.count("data:image/png;base64,") == 4
     written = read(tmp_path / "est.mcap")
     columns = ("wrench_hat", "wrench_hat_cov", "observability", "wrench_flags", "wrench_active")
     beliefs = [name for name in written.names if name.startswith("p_")]
     assert {"p_none", "p_point", "p_wrench"} < set(beliefs)
-    assert sorted(written.names) == sorted((*columns, *beliefs, "tick", "session"))
+    assert sorted(written.names) == sorted((*columns, *beliefs, "q", "qd", "tau", "tick", "session"))
     middle = (written.t > 3.2) & (written.t < 3.9)
     assert written["p_none"][middle].max() < 0.01 < 0.5 < written["p_none"][0]
     assert written["wrench_hat"][middle, 0].mean() == pytest.approx(8.0, abs=1.0)
@@ -107,7 +107,7 @@ def test_prior_and_point_reach_the_estimator(pushed: str, command) -> None:
     assert json.loads(command([*words, "--prior-force", "0.1"]).out)["contacts"][0]["force"][0] < 1.0
     known = json.loads(command([*words, "--point", "0", "0", "0"]).out)
     assert known["axes"][3]["two_sigma"] == pytest.approx(0.0, abs=1e-9)
-    assert "got one 120 m away. Give metres" in command([*words, "--point", "0", "0", "120"], 2).err
+    assert "got one 120 m away. Pass metres" in command([*words, "--point", "0", "0", "120"], 2).err
     assert "six positive" in command([*words, "--prior-force=-1"], 2).err
     assert main([*words, "--method", "kalman"]) == 2
     assert "method='kf' only" in command([*words, "--bias"], 2).err
@@ -193,22 +193,22 @@ def with_limits(table: Table) -> Table:
 @pytest.mark.parametrize(
     ("part", "words", "change"),
     [
-        ("good", "Well seen: ", lambda t: t),
+        ("good", "Well observable: ", lambda t: t),
         ("good", "No contact", lambda t: t),
         ("good", "against the true wrench", lambda t: t),
         ("bad", "against the true wrench", lambda t: t.with_column("wrench_true", t["wrench_true"] + 20.0)),
         ("good", "against the force sensor", measured),
         ("bad", "50.0 %), between 0.00 and 3.99 s, are not finite", lambda t: flagged(t, INVALID)),
-        ("bad", "In 50 % of the rows every joint is inside its friction bound", lambda t: flagged(t, STUCK)),
+        ("bad", "In 50 % of the rows every joint torque is within its friction bound", lambda t: flagged(t, STUCK)),
         ("bad", "In 50.0 % of the rows no wrench at the tool explains", lambda t: flagged(t, INFEASIBLE)),
         ("bad", "50.0 % of the rows are at singular poses", lambda t: flagged(t, SINGULAR)),
         ("ahead", "--method interval", lambda t: flagged(t, STUCK, 1)),
         ("ahead", "wrench_interval", lambda t: with_limits(flagged(t, STUCK, 1))),
         ("bad", "f_z (50 % of the time)", hidden),
         ("ahead", "--point", hidden),
-        ("ahead", "Sway", lambda t: hidden(t).with_column("qd", 0.0 * t["qd"])),
+        ("ahead", "Move the joints slightly", lambda t: hidden(t).with_column("qd", 0.0 * t["qd"])),
         ("bad", "joint 4 (100 %)", lambda t: moved(t, "q", 3)),
-        ("bad", "speeds that were not trained", lambda t: moved(t, "qd", 0)),
+        ("bad", "at untrained speeds", lambda t: moved(t, "qd", 0)),
     ],
 )
 def test_the_verdict_names_what_to_rely_on_and_what_not(

@@ -20,6 +20,7 @@ import pytest
 from cyclopts import App
 
 from armlab import cli, log, models, robots
+from armlab.cli.support.options import take_robot_options
 from armlab.motion import fit_dmp
 
 NEED_NOTHING = {  # verbs without a required argument
@@ -44,6 +45,7 @@ log show {}
 log recover {}
 log export {} new.csv
 log cut {} --from 0 -o new.mcap
+log resample {} --rate 250 -o new.mcap
 identify yumi_left {} -o new.toml
 estimate yumi_left good.csv --model {}
 payload yumi_left good.csv --model {}
@@ -74,6 +76,7 @@ sim yumi_left --to 127.0.0.1:9 --operator {}
 OUTPUTS = """
 log export good.csv {}.csv
 log cut good.mcap --from 0.5 -o {}.mcap
+log resample good.mcap --rate 500 -o {}.mcap
 identify yumi_left good.csv -o {}.toml
 identify yumi_left good.csv -o new.toml --report {}.html
 estimate yumi_left good.csv --model m.toml -o {}.csv
@@ -97,6 +100,7 @@ NUMBERS = {
     "excite yumi_left -o new.csv": "seconds f0 harmonics speed acceleration seed joint noise approach",
     "monitor": "seconds",
     "fleet router": "seconds port",
+    "log resample good.mcap -o new.mcap": "rate",
     "fleet record -o new": "seconds",
     "fleet list": "seconds",
     "demo": "seed",
@@ -107,12 +111,12 @@ REFUSED = """
 sim yumi_rihgt --to 127.0.0.1:9 | yumi_right
 sim yumi_right --to 127.0.0.1 | HOST:PORT
 sim yumi_right --to 127.0.0.1:99999 | 65535
-sim yumi_right --to 127.0.0.1:9,127.0.0.1:8 | got 1 and 2
+sim yumi_right --to 127.0.0.1:9,127.0.0.1:8 | got 1 robots and 2
 sim yumi_right --to 127.0.0.1:9 --delay 5 | two numbers
 sim yumi_right --to 127.0.0.1:9 --outgoing.loss 2 | loss
 sim yumi_right --to 127.0.0.1:9 --axes 6 | got both
 sim yumi_right --to 127.0.0.1:9 --fields tim | planned
-sim yumi_right --to 127.0.0.1:9 --hand missing.csv | missing.csv
+sim yumi_right --to 127.0.0.1:9 --program lead-through --hand missing.csv | missing.csv
 sim yumi_right --to 127.0.0.1:9 --seed 1,2 | --seed
 sim yumi_right --to 127.0.0.1:9 --seed 99999999999999999999 | --seed
 sim yumi_right yumi_left --to 127.0.0.1:9,127.0.0.1:8 --truth new.csv | one robot together with --truth
@@ -123,37 +127,37 @@ record yumi_left -o run.csv | .mcap
 record yumi_left -o good.mcap | exists
 record yumi_lefft -o run.mcap | Did you mean
 run yumi_left --log a --no-log | either --log or --no-log
-run yumi_left --log nowhere/a | folder that exists
+run yumi_left --log nowhere/a | existing folder
 run yumi_left --link sim://yumi_right | Expected a link to yumi_left, got sim://yumi_right, another arm
-run yumi_left --link sim://yumi_left+yumi_right | one url per robot
+run yumi_left --link sim://yumi_left+yumi_right | one URL per robot
 doctor yumi | Did you mean
 excite yumi_left | got neither
 excite yumi_left -o motion.txt | .csv
 excite yumi_left --run sim://yumi_right | got sim://yumi_right, another arm
 view --live yumi_left yumi_right | Expected one arm with --live, got yumi_left, yumi_right
 view --live --model none.toml | Expected a model file at none.toml
-view --live --robot yumi_left | a bridge tells its robots
+view --live --package-path none | Expected --package-path with a folder, got none
 view | Expected at least one log to show, got none
 view --cell yumi run.mcap | Expected --cell yumi together with --live
-view --live --zenoh http://host | Expected a place like zenoh://
+view --live --zenoh http://host | Expected an address such as zenoh://
 view --live --zenoh zenoh://host --cell a | Expected --cell of this computer or --zenoh
 view --fleet run.mcap | Expected at most --zenoh and --port with --fleet
-demo --fast --robot irb2400 | yumi_left, yumi_right
+demo --fast --robot irb1200 | no masses
 sim yumi_right --to 127.0.0.1:9 --rapid-data 1 | --rapid-data from 0 to 40
 sim yumi_right --to 127.0.0.1:9 --robotware 7 --rapid-data 41 | --rapid-data from 0 to 40
 sim yumi_right --to 127.0.0.1:9 --grip soon | --grip
 demo --fast -o folder | new folder
-fleet list --router nowhere:port | Expected a place like zenoh://
+fleet list --router nowhere:port | Expected an address such as zenoh://
 fleet record -o text | Expected a folder for the recordings, got the file text
 fleet router --port 70000 | Expected a port from 0 to 65535
 log export good.mcap run.xls | ends in .mcap or .csv or .mat
-log export good.mcap good.csv | good.csv, which exists
-log cut good.mcap -o to.mcap | Expected --from S, --to S or both
-log cut good.mcap --from 1 --to 1 -o to.mcap | the first before the second, got 1.0 and 1.0
-log merge good.mcap -o to.mcap | Expected two recordings or more to merge, got 1
+log export good.mcap good.csv | good.csv already exists
+log cut good.mcap -o to.mcap | Expected --from S < --to S
+log cut good.mcap --from 1 --to 1 -o to.mcap | or only one of them, got 1.0 and 1.0
+log merge good.mcap -o to.mcap | Expected at least two recordings to merge, got 1
 log open good.mcap --rerun --foxglove | got foxglove and rerun
-plot wrenches | one per arm, got none
-plot wrenches good.csv good.csv | different names
+plot wrenches | one per arm, got no log
+plot wrenches good.csv good.csv | distinct names
 plot scene | --cloud
 plot table good.csv wrench | Known: q
 plot dmp motion.toml good.csv good.csv | one demonstration
@@ -169,10 +173,10 @@ dmp fit good.csv -o x.toml --kind rhythm | periodic
 dmp fit good.csv good.csv -o x.toml --kind periodic --period 1 | Expected one log
 dmp play motion.toml | --robot NAME
 dmp play motion.toml --robot yumi_left --goal -9,0,0,0,0,0,0 | got -9 for joint 1
-dmp play motion.toml -o x.csv --goal here | numbers with commas
+dmp play motion.toml -o x.csv --goal here | comma-separated numbers
 robot convert yumi_left x.json | ends in .toml or .urdf, got x.json
 robot show yumi_left --figure x.txt | ends in
-calibrate hand-eye | files of samples, got none
+calibrate hand-eye | sample files, got none
 dmp play motion.toml -o x.csv --amplitude 2 | --amplitude
 dmp play motion.toml -o x.csv --via now:1 | TIME:Y
 dmp play robot.toml -o x.csv | a movement primitive
@@ -183,8 +187,8 @@ sim yumi_right --to 127.0.0.1:9 --seconds 0.05 --stats /dev/full | Expected to w
 sim yumi_right --to 127.0.0.1:9 --seconds 0.05 --truth /dev/full | Expected to write /dev/full, got: No space left
 excite yumi_left --saved none.csv --run sim://yumi_left | none.csv
 log show folder | Is a directory
-log cut good.mcap --from 9 -o to.mcap | got none; it has 0 s to 0.996 s
-log cut good.csv --from 9 -o to.csv | it has 0 s to 0.996 s
+log cut good.mcap --from 9 -o to.mcap | got none. It has 0 s to 0.996 s
+log cut good.csv --from 9 -o to.csv | It has 0 s to 0.996 s
 log merge good.mcap good.mcap -o to.mcap | to begin after
 log open good.csv | got a file of format text
 plot wrench good.csv | armlab estimate ROBOT LOG
@@ -248,11 +252,12 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def tried(desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def tried(desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """Return a function that tries words, and checks what every failure has in common; it returns what was said."""
     monkeypatch.chdir(desk)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(desk))
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(desk))
+    monkeypatch.setenv("MPLCONFIGDIR", str(tmp_path))  # made where matplotlib is imported first
     before = contents(desk)
 
     def attempt(words: list[str], codes: tuple[int, ...], silent: bool = True) -> str:
@@ -292,9 +297,12 @@ def test_help_ends_with_an_example_that_is_right_and_imports_nothing_heavy() -> 
     assert heavy == {}
     app = cli.build_app()
     for words in verbs():
-        example = said[" ".join(words)].rpartition("Example: armlab ")[2].split()  # in one line, or broken into two
+        ending = said[" ".join(words)].rpartition("Example: armlab ")[2]
+        example = ending.partition("For a URDF,")[0].split()  # in one line, or broken into two
         assert tuple(example[: len(words)]) == words
+        example = take_robot_options(example)
         assert not app.parse_args(example, exit_on_error=False, print_error=False)[2]
+    take_robot_options([])
 
 
 def test_the_reference_names_every_command() -> None:
@@ -331,7 +339,7 @@ def test_a_wrong_file_gets_a_sentence(words: str, name: str, tried) -> None:
 @pytest.mark.parametrize("words", rows(OUTPUTS))
 def test_what_exists_is_kept_and_a_missing_folder_named(words: str, tried, desk: Path) -> None:
     wanted = next(word for word in words.split() if "{}" in word)
-    assert "Make the folder first" in tried(words.format("nowhere/new").split(), (cli.WRONG_USE,))
+    assert "Create the folder first" in tried(words.format("nowhere/new").split(), (cli.WRONG_USE,))
     mine = desk / wanted.format("mine")
     mine.write_text("mine")
     try:

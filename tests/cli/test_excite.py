@@ -82,7 +82,7 @@ def test_a_motion_is_within_the_setting_of_speed_unless_asked_for(tmp_path, monk
     assert main(["excite", "yumi_left", "--seconds", "10", "-o", "fast.csv", "--speed", "0.5"]) == 0
     assert np.max(np.abs(log.read("fast.csv")["qd"]) / limit) > 0.2
     said = command(["excite", "yumi_left", "--saved", "fast.csv", "--run", "sim://yumi_left"], 2).err
-    assert "within 0.2 of the limits of speed" in said
+    assert "within 0.2 of the speed limits" in said
 
 
 def test_a_saved_motion_beyond_the_limits_is_refused_before_the_robot_moves(tmp_path, monkeypatch, command) -> None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import threading
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from armlab import cli, log, models, robots
 from armlab.fleet import Router
+from armlab.fleet.identification import Identified
 
 from ..processes import free_port
 
@@ -24,9 +27,12 @@ def test_an_empty_fleet(tmp_path: Path, command) -> None:
     port = free_port()
     with Router(port=port):
         where = ["--router", f"127.0.0.1:{port}"]
-        assert command(["fleet", "list", *where, "--seconds", "0"]).out == "No robot is there.\n"
+        assert command(["fleet", "list", *where, "--seconds", "0"]).out == "No robots found.\n"
         assert json.loads(command(["fleet", "list", *where, "--json"]).out) == []
-        assert command(["fleet", "record", *where, "-o", tmp_path / "new", "--seconds", "0"]).out == "No robot came.\n"
+        assert (
+            command(["fleet", "record", *where, "-o", tmp_path / "new", "--seconds", "0"]).out
+            == "No robots recorded.\n"
+        )
     assert threading.active_count() < 20  # what listened has ended
 
 
@@ -56,8 +62,8 @@ def test_bad_input(logs: Path, tmp_path: Path, command) -> None:
     (logs / "one.mcap").unlink()
     words = ["fleet", "identify", str(logs), "-o", str(tmp_path / "model.toml")]
     for more, code, sentence in (
-        ([], cli.WRONG_USE, "Name it with --robot"),
-        (["--robot", "yumi_left"], cli.FAILED, "a log that can be used among 1, got none"),
+        ([], cli.WRONG_USE, "Give --robot"),
+        (["--robot", "yumi_left"], cli.FAILED, "a usable log among 1, got none"),
         (["--robot", "yumi_left", "--workers", "0"], cli.WRONG_USE, "at least one worker, got 0"),
     ):
         assert sentence in command([*words, *more], code).err
@@ -81,6 +87,25 @@ def test_estimates_and_exports_of_many_logs(logs: Path, model, tmp_path: Path, c
     assert log.read(path).sha256 == log.read(logs / "one.mcap").sha256
 
 
+def test_logs_of_other_programs_with_their_columns(logs: Path, model, excited, tmp_path: Path, command) -> None:
+    n = excited["q"].shape[1]
+    names = [f"{own}{k}" for own in ("angle", "speed", "torque") for k in range(1, n + 1)]
+    rows = np.hstack([excited.t[:, None], *(excited[name] for name in ("q", "qd", "tau"))])
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    np.savetxt(foreign / "one.csv", rows, delimiter=",", header=",".join(["t", *names]), comments="")
+    models.save(model, tmp_path / "model.toml")
+    columns = f"q=angle{{1..{n}}} [rad],qd=speed{{1..{n}}} [rad/s],tau=torque{{1..{n}}} [N m]"
+    words = ["fleet", "estimate", foreign, "--model", tmp_path / "model.toml", "--robot", model.robot_name]
+    words += ["-o", tmp_path / "new", "--json"]
+    assert "columns q and tau" in command(words, cli.FAILED).err
+    (found,) = json.loads(command([*words, "--columns", columns]).out)["logs"].values()
+    assert found["rows"] == len(excited)
+    words = ["fleet", "export", foreign, "--format", "csv", "-o", tmp_path / "text", "--columns", columns, "--json"]
+    (path,) = json.loads(command(words).out)["files"].values()
+    np.testing.assert_allclose(log.read(path)["tau"], excited["tau"])
+
+
 @pytest.mark.slow  # a thousand logs
 def test_a_damaged_log_among_a_thousand_is_named(short_arm, tmp_path: Path, capsys) -> None:
     logs, robot = tmp_path / "logs", tmp_path / "short.toml"
@@ -98,3 +123,15 @@ def test_a_damaged_log_among_a_thousand_is_named(short_arm, tmp_path: Path, caps
     assert f"skipped {logs / 'log500_damaged.parquet'}: " in said.out
     assert "1000 of 1000 logs, " in said.err
     assert "log500_damaged" in (tmp_path / "model.toml").read_text()
+
+
+def test_a_model_that_is_not_good_is_saved_by_force_only(logs: Path, fitted, monkeypatch, command) -> None:
+    found = Identified(replace(fitted, doubts=("Joint 2 reads half.",)), (str(logs / "one.mcap"),), {})
+    monkeypatch.setattr("armlab.fleet.identify", lambda *_, **__: found)
+    words = ["fleet", "identify", logs / "one.mcap", "-o", logs / "model.toml"]
+    said = command(words, cli.DOUBTFUL)
+    assert "not good: Joint 2 reads half." in said.out
+    assert "not saved" in said.err
+    assert not (logs / "model.toml").exists()
+    command([*words, "--force"])
+    assert models.load(logs / "model.toml", "torque_model").n == 7

@@ -38,7 +38,7 @@ def test_a_log_cut_off_before_its_first_message_says_what_recover_says(
     for words in (["show"], ["show", "--json"], ["show", "--parameters"], ["recover"]):
         said = command(["log", *words, tiny], 1)
         assert said.out == ""
-        assert f"Expected messages in {tiny}, got none that can be read in {size} bytes." in said.err
+        assert f"Expected messages in {tiny}, got no readable message in {size} bytes." in said.err
 
 
 def test_show_says_what_the_log_holds(path: Path, command) -> None:
@@ -86,7 +86,7 @@ def test_a_recording_is_of_the_robot_that_it_describes(
         assert robots.from_toml(held.attachments["robot.toml"].decode(), "it") == mine
     assert "Known: mine." in command(["log", "export", "run.mcap", "copy.mcap", "--force", "--robot", "irb120"], 2).err
     assert cli.main(["log", "export", "run.mcap", "run.csv"]) == 0
-    assert "Expected the robot of the table" in command(["log", "export", "run.csv", "copy.mcap", "--force"], 2).err
+    assert "Expected a robot for the table" in command(["log", "export", "run.csv", "copy.mcap", "--force"], 2).err
 
 
 def test_the_original_stays(path: Path, tmp_path: Path, command) -> None:
@@ -94,7 +94,7 @@ def test_the_original_stays(path: Path, tmp_path: Path, command) -> None:
     whole = path.read_bytes()
     for words in (["export", str(path)], ["cut", str(path), "--to", "0.1", "-o"], ["merge", str(path), "b.mcap", "-o"]):
         for output in (path, tmp_path / "same.mcap"):
-            assert "which is or holds what is read" in command(["log", *words, output, "--force"], 2).err
+            assert "which is or contains the input" in command(["log", *words, output, "--force"], 2).err
     assert path.read_bytes() == whole
 
 
@@ -107,7 +107,7 @@ def test_export_and_back(path: Path, tmp_path: Path, command, ending: str) -> No
     table, again = read(path), read(output)
     assert again.sha256 == table.sha256
     assert again.source[1:] == table.source
-    assert "which exists. Choose another name or add --force." in command(["log", "export", path, output], 2).err
+    assert "already exists. Choose another name or add --force." in command(["log", "export", path, output], 2).err
     assert cli.main(["log", "export", str(path), str(output), "--force"]) == 0
     back = tmp_path / "back.mcap"
     assert cli.main(["log", "export", str(output), str(back), "--robot", "yumi_right"]) == 0
@@ -157,12 +157,40 @@ def test_cut_and_merge(path: Path, tmp_path: Path, command) -> None:
     assert read(part).sha256 == table.between(0.2, 0.3).sha256
 
 
+def test_resample_makes_the_rate_even_and_leaves_gaps_missing(path: Path, tmp_path: Path, command) -> None:
+    table = read(path)
+    gappy = write(table.rows(np.r_[0:100, 101:150, 200:300]), tmp_path / "gappy.mcap", robots.load("yumi_right"))
+    said = command(["log", "resample", gappy, "--rate", 250, "-o", tmp_path / "even.mcap"])
+    even = read(tmp_path / "even.mcap")
+    assert np.ptp(np.diff(even.t)) < 1e-8
+    assert f"249 rows became {len(even)}" in said.err
+    assert len(even) == len(table)
+    np.testing.assert_allclose(even["q"][[10, 120]], table["q"][[10, 120]], atol=1e-6)
+    np.testing.assert_allclose(even["q"][100], table["q"][[99, 101]].mean(axis=0), atol=1e-6)
+    assert np.isnan(even["q"][175]).all()
+    assert (
+        "Expected a rate of at least 250"
+        in command(["log", "resample", path, "--rate", 10, "-o", tmp_path / "slow.csv"], 1).err
+    )
+
+
+def test_the_name_of_a_cell_stands_for_the_files_of_its_arms(tmp_path: Path, path: Path, command) -> None:
+    table = read(path).select("q", "tau")
+    for side in ("left", "right"):
+        write(table, tmp_path / f"cell{side}.mcap", robots.load(f"yumi_{side}"))
+    write(table, tmp_path / "cellar.mcap", robots.load("yumi_left"))
+    said = command(["log", "show", tmp_path / "cell.mcap"]).out
+    assert [f"cell{end}.mcap" in said for end in ("left", "right", "ar")] == [True, True, False]
+    shown = json.loads(command(["log", "show", tmp_path / "cell.mcap", "--json"]).out)
+    assert [one["metadata"]["armlab"]["robot"] for one in shown] == ["yumi_left", "yumi_right"]
+
+
 def test_open_calls_an_installed_program(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -> None:
     """The first that is installed, or the one that is asked for; Rerun for this computer only."""
     monkeypatch.setenv("PATH", str(tmp_path))
     said = command(["log", "open", path], 1).err
     assert "Expected Foxglove, PlotJuggler or Rerun on the PATH, got none of these programs" in said
-    assert "How to get it: Foxglove: its desktop program" in said
+    assert "Install it: Foxglove: download the desktop program" in said
     for name in ("plotjuggler", "rerun"):
         program = tmp_path / name
         program.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/called\nexit {int(name == "rerun")}\n')
@@ -172,7 +200,7 @@ def test_open_calls_an_installed_program(path: Path, tmp_path: Path, monkeypatch
     command(["log", "open", path, "--rerun"], 1)
     assert (tmp_path / "called").read_text() == f"--bind 127.0.0.1 {path}\n"
     said = command(["log", "open", path, "--foxglove"], 1).err
-    assert "Expected Foxglove on the PATH, got PlotJuggler, Rerun. How to get it: Foxglove" in said
+    assert "Expected Foxglove on the PATH, got PlotJuggler, Rerun. Install it: Foxglove" in said
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(path.read_bytes()[:-30])
     assert f"armlab log recover {torn}" in command(["log", "open", torn], 1).err
@@ -187,7 +215,7 @@ def test_a_bag_of_another_program(ur5e_bag: Path, tmp_path: Path, command) -> No
     assert json.loads(command(["log", "show", "--json", ur5e_bag]).out)["tables"]["/Float64"]["rows"] == 5
     words = ["log", "export", ur5e_bag, tmp_path / "run.csv"]
     said = command(words, 1).err
-    assert "Expected topics of one rate" in said
+    assert "Expected topics with the same rate" in said
     assert "/JointState 1 Hz" in said
     command([*words, "--robot", "ur5e", "--clock", "/JointState"])
     table = read(tmp_path / "run.csv")
@@ -220,7 +248,7 @@ def test_a_bag_has_the_joint_names_of_the_robot(path: Path, tmp_path: Path, comm
         assert names_in(bag) == names
         assert read(bag).columns["q"].labels == read(path).columns["q"].labels, "our own reader gives the same table"
     said = command(["log", "export", csv, bag, "--robot", "irb120", "--force"], 1).err
-    assert "(300, 6) for robot 'irb120' of 6 joints, got (300, 7). Name the robot" in said
+    assert "(300, 6) for robot 'irb120' with 6 joints, got (300, 7). Pass the robot" in said
     assert names_in(bag) == of_urdf, "the bag from before stays"
 
 

@@ -84,6 +84,17 @@ def test_help_fills_the_terminal(columns: int, command, monkeypatch: pytest.Monk
     assert len(first) > columns - 15
 
 
+@pytest.mark.parametrize(("verb", "of_a_robot"), [
+    ("demo", True), ("robot show", True), ("fleet identify", True), ("plot robot", True), ("sim", True),
+    ("dmp play", True), ("monitor", False), ("log show", False),
+])  # fmt: skip
+def test_the_help_of_a_verb_that_takes_a_robot_names_the_options_of_a_urdf(
+    verb: str, of_a_robot: bool, command
+) -> None:
+    said = command([*verb.split(), "--help"]).out
+    assert all((option in said) == of_a_robot for option in ("--tip LINK", "--base LINK", "--lock JOINT=VALUE"))
+
+
 def completed(script: Path, *words: str) -> list[str]:
     """Return what bash offers for the last word."""
     typed = " ".join(f"'{word}'" for word in words)

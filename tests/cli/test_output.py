@@ -29,7 +29,7 @@ def test_what_is_read_is_never_replaced(tmp_path: Path) -> None:
     folders = [(bag, bag), (bag, bag / "run_0.mcap"), (bag / "run_0.mcap", bag)]
     for path, read in (*ways, *folders):
         for force in (False, True):
-            with pytest.raises(ConfigError, match="which is or holds what is read"):
+            with pytest.raises(ConfigError, match="which is or contains the input"):
                 check_output(path, force, [".csv", ".mcap", ".rosbag2"], [tmp_path / "other.csv", read])
     check_output(bag / "new.csv", False, [".csv"], [bag])
     check_output(log, True, [".csv"], [bag, tmp_path / "none.csv"])
@@ -68,7 +68,7 @@ def test_a_log_has_a_velocity_and_is_of_the_robot(truth, tmp_path: Path) -> None
     table = truth.log(identify.dither(truth.robot.q_home, 1.0), seed=5).select("q", "tau")
     path = log.write(table, tmp_path / "swayed.mcap", truth.robot)
     assert "qd" in read_log(path, truth.robot)
-    with pytest.raises(ModelMismatchError, match="recording of 'yumi_right', got one of 'yumi_left'"):
+    with pytest.raises(ModelMismatchError, match=r"'yumi_left' .*, got 'yumi_right'"):
         read_log(path, robots.load("yumi_right"))
 
 
@@ -77,7 +77,7 @@ def test_what_cannot_be_true_is_doubted(truth, model) -> None:
     assert doubts(table, truth.robot) == ()
     backwards, motors = table.with_column("qd", -table["qd"]), table.with_column("tau", table["tau"] / 100)
     assert ["derivative of q" in sentence for sentence in doubts(backwards, truth.robot)] == [True]
-    assert ["motors'" in sentence for sentence in doubts(motors, truth.robot)] == [True]
+    assert ["motor torques" in sentence for sentence in doubts(motors, truth.robot)] == [True]
     dead = table.with_column("tau", np.where(np.arange(7) == 6, 0.0, table["tau"]))
     (said,) = doubts(dead, truth.robot, model)
     assert "got a constant for axis_6" in said

@@ -59,10 +59,10 @@ def test_part_of_a_log(tmp_path: Path) -> None:
     assert len(LogPart().read(path)) == 10
     assert LogPart(2.0, 5.0).read(path).t.tolist() == [2.0, 3.0, 4.0]
     assert len(LogPart(end=5.0).read(path)) == 5
-    with pytest.raises(LogError, match=r"from 20 to inf s, got none: it ends at 9\.000 s"):
+    with pytest.raises(LogError, match=r"from 20 to inf s, got no rows: it ends at 9\.000 s"):
         LogPart(20.0).read(path)
     nothing = log.write(Table(np.zeros(0), {"q": np.zeros((0, 2))}), tmp_path / "none.csv")
-    with pytest.raises(LogError, match=r"Expected rows in .*none\.csv, got a log without any"):
+    with pytest.raises(LogError, match=r"Expected rows in .*none\.csv, got an empty log"):
         LogPart().read(nothing)
 
 
@@ -204,7 +204,7 @@ def test_a_log_is_read_as_that_of_the_robot_of_the_model(
     """A bag has its joints in the order of their driver; see `LogPart.read`."""
     asked = []
 
-    def told(part: LogPart, path: Path, robot: str | None = None) -> Table:
+    def told(part: LogPart, path: Path, robot: str | None = None, model: object = None) -> Table:
         asked.append(robot)
         raise LogError("Expected no more.")
 
@@ -243,7 +243,7 @@ def test_wrong_files_get_a_sentence(files: tuple[str, str], drawn: dict[str, Any
         ("torque_fit", run, model): (2, "TOML"),
         ("torque_fit", model, str(tmp_path / "none.mcap")): (1, "none.mcap"),
         ("friction_map", model, "--joint", "9"): (2, "from 1 to 7"),
-        ("spectrum", model, run, "--joints", "a"): (2, "with commas"),
+        ("spectrum", model, run, "--joints", "a"): (2, "separated by commas"),
         ("torque_fit", model, run, "--robot", "ur5e"): (2, "ur5e"),
         ("calibration", model): (2, "torque model"),
     }.items():
@@ -286,7 +286,7 @@ def test_phase_plane_and_names(tmp_path: Path, command) -> None:
     taught = log.write(Table(T_MOTION, {"q": Q}), tmp_path / "taught.csv")
     for words, sentence in {
         ("dmp_phase", pose): "pose_dmp",
-        ("two_dof", pose, taught): "primitive of joints",
+        ("two_dof", pose, taught): "joint-space primitive",
     }.items():
         assert sentence in command(["plot", *words], 2).err
 

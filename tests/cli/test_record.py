@@ -64,8 +64,8 @@ def test_two_arms_are_recorded_and_nothing_is_sent(tmp_path: Path, streaming: An
         assert f"run{side}.mcap: {len(table)} packets" in said.out
         assert peer.surplus() == 0
     assert "Manual mode, motors off" in said.err
-    assert "yumi_right does not begin in its home posture: joint 3 is 0.20" in said.err
-    assert "yumi_left does not begin" not in said.err
+    assert "yumi_right does not start in its home posture: joint 3 is 0.20" in said.err
+    assert "yumi_left does not start" not in said.err
 
 
 def test_an_arm_that_waits_for_references_gets_none_but_is_told_of(tmp_path: Path, streaming: Any, capsys: Any) -> None:
@@ -143,7 +143,7 @@ def test_a_full_disk(tmp_path: Path, streaming: Any, capsys: Any, monkeypatch: p
         warnings.simplefilter("ignore")  # the log is not finished
         assert main(["record", "yumi_left", *words]) == 1
     said = capsys.readouterr().err
-    assert "No packet came" not in said
+    assert "No packets received" not in said
     assert said.count("The recording stopped: The log") == 1
     assert "No space left on device" in said
 

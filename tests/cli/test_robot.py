@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from armlab import robots
+from armlab import models, robots
 from armlab.cli.robot import convert, list_robots, robot, show
-from armlab.errors import RobotError
 
 
 def test_list_names_every_robot_of_the_library(capsys: pytest.CaptureFixture[str]) -> None:
@@ -86,15 +87,40 @@ def test_show_prints_the_tree_of_a_urdf(gripper: Path, capsys: pytest.CaptureFix
     assert data["joints"][1]["follows"] == {"joint": "close", "multiplier": -1.0, "offset": 0.0}
 
 
-def test_convert_writes_what_it_read(gripper: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_convert_writes_what_it_read(gripper: Path, tmp_path: Path, command) -> None:
     target = tmp_path / "finger.toml"
-    convert(str(gripper), target, tip="finger")
-    assert f"robot: {target}, joints close" in capsys.readouterr().err
+    words = ["robot", "convert", gripper, target]
+    assert f"robot: {target}, joints close" in command([*words, "--tip", "finger"]).err
     assert robots.load(target) == robots.load(gripper, tip="finger")
-    with pytest.raises(RobotError, match=r"got several: finger, thumb\. Say which is the tip"):
-        convert(str(gripper), tmp_path / "which.toml")
+    several = command(["robot", "convert", gripper, tmp_path / "which.toml"], 1).err
+    assert "got several: finger, thumb. Select the tip" in several
     assert not (tmp_path / "which.toml").exists()
-    convert(str(gripper), target, base="finger", tip="thumb", force=True)
+    command([*words, "--base=finger", "--tip=thumb", "--force"])
     assert robots.load(target).joint_names == ("close", "oppose")
     convert("irb2400", tmp_path / "irb2400.urdf")
     assert robots.load(tmp_path / "irb2400.urdf").n == 6
+
+
+@pytest.mark.slow  # a semidefinite programme, twice
+def test_a_model_and_a_calibration_go_into_a_urdf(fitted, truth, tmp_path: Path, command) -> None:
+    model, target = fitted.save(tmp_path / "model.toml"), tmp_path / "arm.urdf"
+    said = command(["robot", "export", "yumi_left", target, "--model", model])
+    assert "joints" in said.err
+    read = robots.load(target)
+    assert read.inertias is not None
+    friction = fitted.value.friction
+    text = target.read_text(encoding="utf-8")
+    assert f'damping="{float(friction.viscous[0])!r}"' in text
+    assert "rotor inertia on the joint side" in text
+    arm, found, words = truth.robot, tmp_path / "kinematics.toml", ["robot", "export", "yumi_left"]
+    moved = replace(arm, T_flange_tool=arm.T_flange_tool + np.pad([[0.001]], ((0, 3), (3, 0))))
+    models.save(
+        models.KinematicCorrection(moved, arm.name, arm.hash, (), np.zeros((7, 0)), np.zeros(0), np.zeros((48, 48))),
+        found,
+    )
+    command([*words, tmp_path / "new.toml", "--calibrated", found, "--model", model])
+    new = robots.load(tmp_path / "new.toml")
+    assert new.inertias is not None
+    np.testing.assert_allclose(new.T_home[:3, 3] - arm.T_home[:3, 3], 0.001 * arm.T_home[:3, 0], rtol=0, atol=1e-9)
+    assert "Expected --calibrated FILE, --model FILE" in command([*words, target, "--force"], 2).err
+    assert "Expected a calibration of" in command([*words, target, "--calibrated", model, "--force"], 2).err

@@ -69,7 +69,7 @@ def test_a_log_of_the_same_name_is_kept_and_the_new_name_is_told(
     monkeypatch.setattr("armlab.cli.run.time.strftime", lambda *_: "now")
     (folder / "sway-now.mcap").write_bytes(b"mine")
     words = ["run", "yumi_left", "--link", "sim://yumi_left?lockstep=true", "--log", "sway", "--seconds", "0.1", "-i"]
-    assert "log: sway-now-2.mcap; look at it: armlab log show sway-now-2.mcap" in command(words).err
+    assert "log: sway-now-2.mcap; show it with armlab log show sway-now-2.mcap" in command(words).err
     assert (folder / "sway-now.mcap").read_bytes() == b"mine"
     assert (seen["log"]["q"].shape[1], seen["robot"].name, seen["run"].reason) == (7, "yumi_left", "the time is up")
 
@@ -124,9 +124,9 @@ def test_a_log_in_a_folder_has_the_name_of_the_robot(folder: Path, command) -> N
     ("place", "words"),
     [
         ("no.py:sine", "no file no.py"),
-        ("code/sine", r"Expected a controller as FILE.py:NAME, got 'code/sine'\. Name a file that ends in \.py"),
-        ("motion.csv", r"got 'motion\.csv'\. Name a file that ends in \.py"),
-        ("code/sine.py", "Expected a function 'controller' .*sine.py, but there is no such name in it.* sine"),
+        ("code/sine", r"Expected a controller as FILE.py:NAME, got 'code/sine'\. Use a file name that ends in \.py"),
+        ("motion.csv", r"got 'motion\.csv'\. Use a file name that ends in \.py"),
+        ("code/sine.py", "Expected a function 'controller' .*sine.py, but the name does not exist.* sine"),
         ("none.py:f", "Expected a function 'f' in none.py, got None"),
         ("exits.py:f", r"exits\.py to load, but it raised SystemExit: 3\."),
         ("code/sine.py:number", "got 3"),

@@ -55,7 +55,7 @@ def test_environment_before_folder_before_user(home: Path) -> None:
         ('wait = "never"', r"Invalid enum value 'never' - at `\$\.wait`"),
         ("[ports]\na = 70000", r"at `\$\.ports"),
         ("speed = \n", "Expected TOML in armlab.toml.*line 1"),
-        ("\udcff", "no text in UTF-8"),
+        ("\udcff", "not UTF-8 text"),
     ],
 )
 def test_wrong_files_and_variables_get_one_line_with_the_place(text: str, said: str, home: Path) -> None:
@@ -103,7 +103,7 @@ def test_another_arm_is_refused_also_of_the_same_name(changed: robots.Robot) -> 
         links_to("my arm?.toml", [changed], "sim://irb120")
     with pytest.raises(UnknownName, match="yumi_right"):
         links_to("my arm?.toml", [changed], "sim://nobody")
-    with pytest.raises(ConfigError, match="one url per robot"):
+    with pytest.raises(ConfigError, match="one URL per robot"):
         links_to("my arm?.toml", [changed], "egm://0.0.0.0,egm://0.0.0.0")
     assert links_to("scara", [scara()], "sim://scara?lockstep=true")
     assert links_to("a+b", [scara(), scara()], "egm://h:1,egm://h:2") == ["egm://h:1", "egm://h:2"]

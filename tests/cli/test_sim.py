@@ -13,11 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armlab import cli, robots
+from armlab import bridge, cli, robots
 from armlab.cli.sim import SurroundingOptions, read_hand, read_operator
-from armlab.errors import ConfigError, UnknownName
+from armlab.cli.support.options import sim_url, take_robot_options
+from armlab.errors import CommandRefused, ConfigError, UnknownName
 from armlab.sim.arm.arm import scara
 from armlab.sim.controller.settings import ControllerSettings
+from armlab.state import Command
 from armlab.wire.egm import EgmCodec, Packet
 
 from ..sim.conftest import ThreadedPeer
@@ -204,3 +206,81 @@ def test_read_hand_refuses(tmp_path: Path) -> None:
     path.write_text("t,q1,q2\n0,0,1\n1,2,1\n2,4,1\n", encoding="utf-8")
     q, qd = read_hand(path, 2).at(1.0)
     np.testing.assert_allclose([q, qd], [[2.0, 1.0], [2.0, 0.0]])
+
+
+USELESS = {  # what cannot act on an arm without masses, by verb
+    "sim": ["--operator", "operator.csv"],
+    "sim ": ["--grip", "1,2"],
+    "sim  ": ["--mismatch.payload", "0.5"],
+    "demo": [],
+    "excite": ["--seconds", "10"],
+}
+
+
+@pytest.mark.parametrize("verb", USELESS)
+@pytest.mark.parametrize("name", ["irb1200", "massless.urdf", "yumi_left"])
+def test_hands_and_mismatch_need_masses(verb: str, name: str, tmp_path: Path, command, monkeypatch) -> None:
+    """Table of verbs and robots: from the library, from a file, and one with masses that asks for none of them."""
+    monkeypatch.chdir(tmp_path)
+    Path("operator.csv").write_text("t,fx,fy,fz,mx,my,mz\n0,0,0,0,0,0,0\n1,5,0,0,0,0,0\n")
+    robots.save(robots.load("irb1200"), "massless.urdf")
+    words = {"demo": ["demo", "--robot", name], "excite": ["excite", name, "--run", f"sim://{name}"]}
+    words = words.get(verb, ["sim", name])
+    more = ["--to", "127.0.0.1:9", "--seconds", "0.01", *USELESS[verb]] if verb.strip() == "sim" else []
+    lagging = ["--lagging"] if name == "yumi_left" else []
+    if lagging and words[0] != "sim":
+        return
+    said = command([*words, *more, *lagging], 2).err
+    assert "no masses" in said or "--lagging" in said
+    assert "kinematic" in said
+
+
+@pytest.mark.parametrize("name", ["irb1200", "yumi_left"])
+@pytest.mark.parametrize("program", ["loop", "stream"])
+def test_a_hand_that_leads_needs_its_program(name: str, program: str, tmp_path: Path, command, monkeypatch) -> None:
+    """With or without masses: the arm would not follow the hand."""
+    monkeypatch.chdir(tmp_path)
+    n = robots.load(name).n
+    Path("hand.csv").write_text("t," + ",".join(f"q{i + 1}" for i in range(n)) + "\n0" + ",0" * n + "\n1" + ",0" * n)
+    words = ["sim", name, "--to", "127.0.0.1:9", "--seconds", "0.01", "--hand", "hand.csv", "--program", program]
+    assert f"Expected --program lead-through with --hand, got {program}" in command(words, 2).err
+
+
+def test_torque_commands_to_an_arm_without_masses_are_refused_with_the_reason() -> None:
+    robot = robots.load("irb1200")
+    with bridge.connect("sim://irb1200?lockstep=true", robot) as link:
+        limits = bridge.Limits.of(robot, tau_max=np.full(6, 10.0))
+        with pytest.raises(CommandRefused, match=r"reports no torques.*masses"):
+            link.run(lambda state: Command(tau=np.zeros(6)), 1.0, limits=limits)
+        assert link.last is not None
+        assert any("accepts no torque commands" in str(event) for event in link.last.events)
+
+
+def test_torque_commands_move_an_arm_of_a_description() -> None:
+    robot = robots.load("panda")
+    with bridge.connect("sim://panda?lockstep=true", robot) as link:
+        run = link.run(lambda state: Command(q=state.q_start, tau=np.full(7, 3.0)), 0.5)
+    assert np.abs(run.table["tau"][-1] - run.table["tau"][0]).max() < 20
+    assert not run.statistics["problems"]
+
+
+def test_the_simulator_builds_the_arm_that_tip_and_lock_choose(tmp_path: Path, command) -> None:
+    inertia = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+    text = f"""<robot name="two"><link name="base"/>
+    <link name="a"><inertial><mass value="1"/>{inertia}</inertial></link>
+    <link name="b"><inertial><mass value="2"/>{inertia}</inertial></link>
+    <joint name="ja" type="revolute"><parent link="base"/><child link="a"/><limit lower="-1" upper="1"/></joint>
+    <joint name="jb" type="revolute"><parent link="a"/><child link="b"/><limit lower="-1" upper="1"/></joint>
+    <joint name="jc" type="revolute"><parent link="a"/><child link="c"/><limit lower="-1" upper="1"/></joint>
+    <link name="c"/></robot>"""
+    path = tmp_path / "two.urdf"
+    path.write_text(text)
+    several = command(["sim", path, "--to", "127.0.0.1:9", "--seconds", "0.01"], 1).err
+    assert "got several: b, c. Select the tip with --tip LINK" in several
+    assert "two.urdf: 0.0" in command(["sim", path, "--to", "127.0.0.1:9", "--seconds", "0.01", "--tip", "b"]).err
+    shown = command(["robot", "show", path, "--tip=c", "--lock", "jb=0.5", "--json"]).out
+    assert json.loads(shown)["inertias"][0][0] == 3.0
+    assert "JOINT=VALUE" in command(["robot", "show", path, "--lock", "jb"], 2).err
+    assert take_robot_options(["sim", "a", "--lock", "jb", "--to", "x"]) == ["sim", "a", "--to", "x"]
+    assert sim_url("a.urdf+b", seed=1) == "sim://a.urdf+b?lock=jb&seed=1", "links build the arm of this command"
+    take_robot_options([])

@@ -12,7 +12,8 @@ import pytest
 from armlab import log as logs
 from armlab import robots
 from armlab.cli import main
-from armlab.cli.view import _folders, beside
+from armlab.cli.support.options import mesh_option, take_robot_options
+from armlab.cli.view import _mesh_folders, beside
 from armlab.errors import LinkError
 from armlab.live import Player
 from armlab.log import Table
@@ -31,7 +32,7 @@ def test_a_port_that_is_taken(alone: None, capsys: Any) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         assert main(["view", "--live", "--port", str(taken.getsockname()[1])]) == 1
-    assert "is taken. Choose another: --port" in capsys.readouterr().err
+    assert "in use. Choose another: --port" in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -69,10 +70,20 @@ def test_a_view_beside_a_run_ends_with_it(alone: None) -> None:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
 
 
+def test_a_view_gets_the_description_that_may_have_meshes() -> None:
+    take_robot_options(["--tip", "panda_hand", "--lock", "a=0", "--lock", "b=0.1"])
+    chosen = ["--tip", "panda_hand", "--lock", "a=0,b=0.1"]
+    assert mesh_option("panda_description") == ["--robot", "panda_description", *chosen]
+    assert take_robot_options(mesh_option("arm.urdf")) == ["--robot", "arm.urdf"]
+    assert mesh_option("arm.urdf") == ["--robot", "arm.urdf", *chosen]
+    assert mesh_option("panda") == mesh_option("arm.toml") == []
+    take_robot_options([])
+
+
 def test_a_view_that_cannot_begin_says_why(alone: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "viser.py").write_text("raise ImportError")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with pytest.raises(LinkError, match=r"^Expected viser.*pip install 'armlab\[live\]'"), beside("nobody"):
+    with pytest.raises(LinkError, match=r"^Expected the package viser.*pip install 'armlab\[live\]'"), beside("nobody"):
         pass
 
 
@@ -82,4 +93,5 @@ def test_meshes_of_a_robot_file_are_looked_for_around_it(tmp_path: Path) -> None
     file.parent.mkdir(parents=True)
     file.write_text("")
     inside = tmp_path.resolve() / "maker"
-    assert _folders(["yumi_left", str(file)]) == [inside / "urdf", inside, inside.parent, Path()]
+    found = _mesh_folders(["yumi_left", str(file)], [tmp_path])
+    assert [*found[:4], found[-1]] == [tmp_path, inside / "urdf", inside, inside.parent, Path()]

@@ -23,7 +23,9 @@ from armlab.state import State
 PRIOR_SD = np.array([20.0, 20, 20, 2, 2, 2])
 ON_ONE_LINE = np.tile(se3.from_rp(np.eye(3), [0.0, 0.0, 0.1]), (8, 1, 1))  # frames of seven axes that see one direction
 WAYS: dict[str, dict[str, Any]] = {
-    **{name: {"method": name} for name in ("map", "bounded", "clip", "interval", "ls", "lund", "observer", "kf")},
+    **{
+        name: {"method": name} for name in ("map", "bounded", "clip", "interval", "ls", "lund", "ols", "observer", "kf")
+    },
     "kf with bias": {"method": "kf", "bias": True},
 }
 
@@ -161,9 +163,9 @@ def test_two_threads_by_turns_are_refused_until_a_reset(truth, model, excited) -
         estimator.step(states[0])
         other.submit(estimator.step, states[1]).result()  # a thread may take over
         for _ in range(2):
-            with pytest.raises(ConcurrentUse, match="got samples from two by turns"):
+            with pytest.raises(ConcurrentUse, match="got samples from two alternating threads"):
                 estimator.step(states[2])
-        with pytest.raises(ConcurrentUse, match="by turns"):  # of the other as well: its state is mixed
+        with pytest.raises(ConcurrentUse, match="alternating"):  # of the other as well: its state is mixed
             other.submit(estimator.step, states[2]).result()
         estimator.reset()
         estimator.step(states[0])
@@ -178,7 +180,7 @@ def test_a_run_is_the_only_user(truth, model, excited) -> None:
 
     def meanwhile(done: int, total: int, what: str) -> None:
         if calls:
-            with pytest.raises(ConcurrentUse, match=r"got another one in its run\(\)"):
+            with pytest.raises(ConcurrentUse, match=r"but another thread is in run\(\)"):
                 elsewhere(*calls.pop())
             refused.append(done)
 

@@ -57,7 +57,7 @@ CASES: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     *((ShapeError, "six positive rates", estimator("kf", force_rate=rate)) for rate in (5.0, [1, 1, 1, 1, 1, np.nan])),
     *((ShapeError, "leak", estimator("kf", leak=leak)) for leak in (-1.0, [0.1, 0.2], np.inf)),
     *((ShapeError, "gain", estimator("observer", gain=gain)) for gain in (0.0, np.nan, [1.0, 2.0])),
-    (ModelMismatchError, "Identify again", lambda s: Estimator(replace(s.model, momentum=None), YUMI, "kf")),
+    (ModelMismatchError, "Repeat the identification", lambda s: Estimator(replace(s.model, momentum=None), YUMI, "kf")),
     *((ConfigError, "bias=True", lambda s, way=way: Estimator(s.model, YUMI, way).tare()) for way in ("map", "kf")),
     (NotExcited, "rest", lambda s: Estimator(s.model, YUMI, "kf", bias=True).tare()),
     (UnknownName, "tau_error", lambda s: hypotheses(ERRORS.without("tau_error", "tau_variance"), YUMI)),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import armlab
 from armlab import plots, robots
 from armlab.lie import quaternion
 
@@ -24,6 +25,7 @@ def programs(page: Path) -> list[str]:
     return ["\n" * text[: found.start(1)].count("\n") + found[1] for found in BLOCK.finditer(text)]
 
 
+NAME = re.compile(r"\b(bridge|calibrate|dynamics|identify|kinematics|lie|log|motion|robots)((?:\.\w+)+)\(?")
 HOW_TO = [page for page in sorted((DOCS / "how_to").glob("*.md")) if page.stem != "index"]
 PAGES = [page for page in sorted(DOCS.rglob("*.md")) if "_build" not in page.parts and programs(page)]
 
@@ -56,7 +58,7 @@ def peers() -> dict[str, Any]:
 NAMES: dict[str, Callable[[], dict[str, Any]]] = {"conventions.md": peers}
 
 
-SLOW = ("robotlab", "weigh_a_load", "from_robotlib", "watch_in_the_browser")  # they identify a whole arm, or wait
+SLOW = ("robotlab", "from_robotlib", "watch_in_the_browser")  # they identify a whole arm, or wait
 
 
 @pytest.mark.parametrize(
@@ -67,6 +69,16 @@ def test_programs_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.
     namespace = NAMES.get(page.name, dict)()
     for program in programs(page):
         exec(compile(program, str(page), "exec"), namespace)
+
+
+def test_names_for_users_of_other_programs_exist() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "coming_from").glob("*.md"))
+    names = {name for code in re.findall(r"`([^`\n]+)`", text) for name in NAME.findall(code)}
+    assert len(names) > 40
+    for package, path in names:
+        thing = getattr(armlab, package)
+        for part in path.strip(".").split("."):
+            thing = getattr(thing, part)
 
 
 @pytest.mark.parametrize("name", ["yumi_left", "yumi_right"])
@@ -99,16 +111,18 @@ def test_a_how_to_shows_a_program_that_runs() -> None:
 def test_commands_on_the_pages_are_those_of_the_program() -> None:
     """Verbs and options of every indented line that calls armlab; the work itself is tested elsewhere."""
     from armlab.cli import build_app
+    from armlab.cli.support.options import take_robot_options
 
     app, lines = build_app(), []
     for page in DOCS.rglob("*.md"):
         lines += re.findall(r"^ {4}(?:\.venv/bin/)?armlab (.+)$", page.read_text(encoding="utf-8"), flags=re.M)
     assert len(lines) > 8
     for line in lines:
-        words = line.split("#")[0].split()
+        words = take_robot_options(line.split("#")[0].split())
         command, _, ignored = app.parse_args(words, exit_on_error=False, print_error=False)
         assert command.__module__.startswith("armlab.cli"), line
         assert not ignored, line
+    take_robot_options([])
 
 
 SHOWN = re.compile(

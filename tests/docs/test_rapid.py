@@ -1,4 +1,4 @@
-"""The RAPID modules and the controller configuration of the documentation, as far as that can be seen without a robot.
+"""The RAPID modules and the controller configuration that armlab brings, as far as that can be seen without a robot.
 
 No compiler of RAPID is at hand: blocks balance, statements end, names are declared, and each argument is one that ABB's
 manual 3HAC073318-001 lists for its instruction.
@@ -9,12 +9,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from armlab import robots
+from armlab.bridge.rws import PROGRAMS
 
-FOLDER = Path(__file__).parents[2] / "docs" / "rapid"
+FOLDER = Path(__file__).parents[2] / "src/armlab/bridge/rapid"
 MODULES = sorted(FOLDER.glob("*.mod"))
 GUIDES = [path for path in MODULES if path.stem != "ArmlabStream"]
 JOINTS = {f"J{i}" for i in range(1, 8)}
@@ -31,11 +30,12 @@ ARGUMENTS = {  # instruction -> optional arguments
     "TPWrite": set(),
     "TRYNEXT": set(),
     "RAISE": set(),
+    "start": set(),  # an assignment
 }
 BLOCKS = {"MODULE": "ENDMODULE", "PROC": "ENDPROC", "WHILE": "ENDWHILE", "IF": "ENDIF"}
 GIVEN = {  # what RAPID, the system module or the controller declares
     *("TRUE", "ERRNO", "ERR_UDPUC_COMM", "EGM_STOP_HOLD", "v50", "fine", "tool0"),
-    *("ROB_1", "ROB_L", "ROB_R"),
+    *("ROB_1", "ROB_L", "ROB_R", "CJointT"),
 }
 DECLARATION = re.compile(r"LOCAL (?:PERS|CONST|VAR) (?:jointtarget|num|egm_minmax|egmident) (\w+)(?: := (.*))?")
 
@@ -142,14 +142,17 @@ def test_guidance(path: Path) -> None:
     assert "TRYNEXT" in handler
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_a_yumi_starts_in_the_home_posture_of_the_library(side: str) -> None:
-    robot = robots.load(f"yumi_{side}")
-    start = declared(FOLDER / f"ArmlabYumi{side[0].upper()}.mod")["start"]
-    numbers = [float(number) for number in re.findall(r"-?[\d.E]+", start)]
-    home = np.degrees(robot.q_home)[np.argsort(robot.abb_axes)]
-    assert numbers[:7] == pytest.approx(home)
-    assert numbers[7:] == [9e9] * 5
+@pytest.mark.parametrize("path", GUIDES, ids=lambda path: path.stem)
+def test_guidance_begins_where_the_arm_is(path: Path) -> None:
+    """A program that a computer starts moves nothing by itself."""
+    first, second, *_ = instructions(path)
+    assert first == ("start", ":= CJointT()")
+    assert second == ("MoveAbsJ", "start, v50, fine, tool0")
+
+
+def test_the_modules_are_those_of_armlab_abb() -> None:
+    found = {re.search(r'"(\w+)" \\Joint', path.read_text(encoding="ascii"))[1]: path.stem for path in GUIDES}  # type: ignore[index]
+    assert {device: module for module, device in PROGRAMS.values()} == found
 
 
 def test_the_configuration_is_two_files_of_instances() -> None:

@@ -45,7 +45,7 @@ def fit(cov: np.ndarray, outliers: np.ndarray | None = None) -> Fit[Pair]:
 def test_fit_is_frozen_and_reports_value_deviation_and_unit() -> None:
     result = fit(np.diag([0.04, 0.09]), np.array([False, True, False, True, False]))
     np.testing.assert_allclose(result.sd, [0.2, 0.3])
-    for part in ("+- 0.2 m", "+- 0.3 N", "5 samples", "noise of position [m]: 0.5", "2 outliers left out: 1, 3"):
+    for part in ("+- 0.2 m", "+- 0.3 N", "5 samples", "noise of position [m]: 0.5", "2 outliers excluded: 1, 3"):
         assert part in result.report()
     with pytest.raises(ValueError, match="read-only"):
         result.cov[0, 0] = 1.0
@@ -106,7 +106,7 @@ def test_check_excitation_is_free_of_units() -> None:
 
 def test_a_prior_holds_what_would_be_refused_and_says_so() -> None:
     A = design([1.0, 0.0, 1.0])
-    with pytest.raises(NotExcited, match="none at all for: offset") as caught:
+    with pytest.raises(NotExcited, match="the data do not excite: offset") as caught:
         check_excitation(A, NAMES, "model")
     assert caught.value.directions == ("offset",)
     found = check_excitation(A, NAMES, "model", Prior(np.zeros(3), np.ones(3)))
@@ -135,10 +135,10 @@ def test_unseen_directions_are_refused_by_name() -> None:
     J = np.array([[100.0, 0.0, 0.0], [0.0, 100.0, 100.0]]) / LIMITS
     with pytest.raises(NotExcited, match=r"offset and viscous|viscous and offset") as caught:
         check_spread(J, NAMES, UNITS, LIMITS, "model")
-    assert caught.value.spread == ("unseen",)
+    assert caught.value.spread == ("unobservable",)
     held = Excitation(2, 3, np.ones(3), "b", held=("c",), null_names=("gauge: d",), spread=np.array([0.1, 0.2, 2.0]))
-    assert "excitation weak: log a longer or richer motion: rank 2 of 3" in held.text()
-    assert "not seen: gauge: d\nheld by the prior: c" in held.text()
+    assert "excitation weak: record a longer or richer motion: rank 2 of 3" in held.text()
+    assert "not observable: gauge: d\nheld by the prior: c" in held.text()
 
 
 def test_an_estimate_without_a_design_matrix_tells_the_same_by_its_covariance() -> None:

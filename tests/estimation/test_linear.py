@@ -113,7 +113,7 @@ def test_trimming_needs_blocks_that_determine_the_model_together(problems) -> No
     A, y = problems.draw(3, 600)
     A[60:, 0, 2] *= 1e-5  # one block of ten tells the third parameter
     rows = list(Rows.of(A, y, np.arange(600) // 60))
-    with pytest.raises(NotExcited, match="Let every joint move for the whole record"):
+    with pytest.raises(NotExcited, match="Move every joint during the whole record"):
         least_trimmed_squares(least_squares(rows, problems.names))
 
 
@@ -129,7 +129,7 @@ def test_bounds_hold_and_say_what_they_cost(problems) -> None:
     assert [a.name for a in found.active] == ["mass"]
     assert isinstance(found.active[0], ActiveBound)
     assert found.active[0].free == pytest.approx(free.x[0], rel=1e-3)
-    assert "mass held at its bound 1.5; without it" in found.active[0].text()
+    assert "mass held at its bound 1.5; without the bound" in found.active[0].text()
     rms = [np.sqrt(np.mean((y - A @ s.x) ** 2)) for s in (free, found)]
     assert found.growth == pytest.approx(rms[1] / rms[0] - 1.0, rel=1e-6)
     assert free.active == ()

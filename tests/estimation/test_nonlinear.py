@@ -326,7 +326,7 @@ def test_weighted_rows_of_their_own_covariance() -> None:
     ({"names": ["a"]}, ShapeError, "3 names"),
     ({"robust": True}, ShapeError, "cov="),
     ({"cov": np.eye(3)}, ShapeError, "cov"),
-    ({"cov": -np.eye(4)}, ShapeError, "not negative"),
+    ({"cov": -np.eye(4)}, ShapeError, "positive semidefinite"),
     ({"cov": np.diag([1.0, 1, 1, 0])}, ShapeError, "variance of y"),
     ({"cov": np.eye(4), "exact": [2]}, ShapeError, "got both"),
 ])  # fmt: skip

@@ -109,7 +109,7 @@ def test_white_noise_is_good(case) -> None:
 
 
 def test_student_factor() -> None:
-    """As of F for one class, of a sum of two for two, and 1 for noise that was given."""
+    """As of F for one class, of a sum of two for two, and 1 for the given noise."""
     assert student_factor(np.array([4.0]), np.array([6.0])) == pytest.approx(4 * 4.533677 / 9.487729, rel=1e-6)
     assert student_factor(np.array([4.0, 3.0]), np.array([np.inf, np.inf])) == 1.0
     rng = np.random.default_rng(0)
@@ -138,7 +138,7 @@ def test_each_fault_has_its_sentence() -> None:
     assert "robust=True" in " ".join(level(wrong).check.doubts)
     assert level(wrong, robust=True).check.doubts == ()
     assert any("halves" in one or "half" in one for one in level(white + 2.5 * (np.arange(60) > 29)).check.doubts)
-    assert "noise that was given" in level(2.0 * white, noise=1.0).check.doubts[0]
+    assert "the given noise" in level(2.0 * white, noise=1.0).check.doubts[0]
 
 
 def test_the_variance_of_a_mean_of_slow_noise() -> None:

@@ -23,7 +23,9 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = {path.name: path for path in sorted((ROOT / "examples").glob("*.py"))}
 NEEDS = {  # example -> the one whose files it reads, and one of these files
     "04_contact_force.py": ("03_identify.py", "model.toml"),
+    "14_hand_guiding.py": ("03_identify.py", "model.toml"),
     "16_stop_on_contact.py": ("03_identify.py", "model.toml"),
+    "37_constant_force.py": ("03_identify.py", "model.toml"),
     "05_look_at_a_log.py": ("02_move_a_simulated_arm.py", "sine.mcap"),
 }
 LONG = (
@@ -31,9 +33,10 @@ LONG = (
     *("26_hold_and_recover.py", "27_both_arms_wait.py", "31_turned_goal.py", "32_wiping.py"),
 )
 SLOW = {
-    *LONG, "02_move_a_simulated_arm.py", "05_look_at_a_log.py", "10_draw_an_arm.py", "14_sine.py", "17_impedance.py",
-    "18_sensor_in_the_loop.py", "19_teleoperation.py", "22_calibrate_force_sensor.py", "23_calibrate_kinematics.py",
-    "24_calibrate_laser.py", "25_profiles.py", "28_two_link.py", "35_many_logs.py",
+    *LONG, "02_move_a_simulated_arm.py", "05_look_at_a_log.py", "10_draw_an_arm.py", "14_hand_guiding.py",
+    "17_impedance.py", "18_sensor_in_the_loop.py", "19_teleoperation.py", "22_calibrate_force_sensor.py",
+    "23_calibrate_kinematics.py", "24_calibrate_laser.py", "25_profiles.py", "28_two_link.py", "35_many_logs.py",
+    "37_constant_force.py", "38_weigh.py", "39_carry_with_two_arms.py",
 }  # fmt: skip
 LONGEST = 120  # s, generous for a busy machine; each takes less than 30 s on a quiet one
 MAX_LINES = 40
@@ -108,13 +111,6 @@ def test_the_program_of_the_readme_runs(folder: Path) -> None:
     path = folder / "readme.py"
     path.write_text(text, encoding="utf-8")
     assert "the time is up" in run_file(path, folder)
-
-
-def test_the_kinematics_of_the_readme_run(folder: Path) -> None:
-    _, program = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
-    path = folder / "kinematics.py"
-    path.write_text(program, encoding="utf-8")
-    assert run_file(path, folder).startswith("Solved to ")
 
 
 def test_examples_are_short_say_what_they_do_and_are_on_a_page() -> None:

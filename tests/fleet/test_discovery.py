@@ -51,7 +51,7 @@ def test_robots_and_how_they_do(processes: Callable[..., Started]) -> None:
 def test_beyond_this_computer_it_asks_for_certificates_and_users() -> None:
     with pytest.raises(ConfigError, match=r"Expected certificates and users for a router at 0.0.0.0"):
         Router("0.0.0.0", 0)
-    with pytest.raises(ConfigError, match="Expected the address of a network card"):
+    with pytest.raises(ConfigError, match="Expected the address of a network interface"):
         Router("eth0", 0)
     with pytest.raises(ConfigError, match=r"Expected certificates and users for a router connected to 192.168.1.9:1"):
         Router(port=0, connect=["192.168.1.9:1"])
@@ -84,7 +84,7 @@ def test_who_has_no_password_is_not_let_in(tmp_path: Path) -> None:
         viewer = Security(ca=tmp_path / "lab.pem", secret=tmp_path / "viewer.secret")
         close_session(LabAddress(port=port, security=viewer).open_behind())
         for stranger in (Security(ca=tmp_path / "lab.pem"), Security()):
-            with pytest.raises(LinkError, match="certificates and password"):
+            with pytest.raises(LinkError, match="the certificates and the password"):
                 LabAddress(port=port, security=stranger).open_behind(0.1)
 
 

@@ -97,7 +97,7 @@ def test_logs_that_cannot_be_used_are_named_with_their_sentence(
     wrong = {"torn": "torn.parquet", "log0_slow": "sampling rate of the first logs, 100 Hz, got 50 Hz"}
     for name in ("log0_copy", "z_copy"):  # among the first, and behind them
         shutil.copy(logs / "log0.parquet", logs / f"{name}.parquet")
-        wrong[name] = f"its rows are those of {logs / 'log0.parquet'}"
+        wrong[name] = f"it repeats the rows of {logs / 'log0.parquet'}"
     for name, (table, sentence) in spoilt(short_arm).items():
         log.write(table, logs / f"{name}.parquet")
         wrong[name] = sentence
@@ -121,18 +121,18 @@ def test_a_file_that_ends_its_reader_is_skipped_by_name_also_among_the_first(
     deadly, here = logs / "log0 deadly.parquet", os.getpid()
     shutil.copy(folder / "log0.parquet", deadly)
 
-    def read(log, robot):
+    def read(log, robot, *more, **options):
         if log == deadly and os.getpid() != here:
             os.kill(os.getpid(), signal.SIGKILL)
         assert log != deadly, "it was read by the caller"
-        return as_table(log, robot)
+        return as_table(log, robot, *more, **options)
 
     as_table = identification.as_table
     monkeypatch.setattr(identification, "as_table", read)
     with ProcessPoolExecutor(2, mp_context=get_context("fork")) as pool:
         found = fleet.identify(logs, short_arm.robot, pool)
     assert list(found.skipped) == [str(deadly)]
-    assert "killed again" in found.skipped[str(deadly)]
+    assert "but it crashed again" in found.skipped[str(deadly)]
     np.testing.assert_allclose(found.fit.parameters, plain.fit.parameters, rtol=1e-9)
 
 
@@ -140,7 +140,7 @@ def test_shapes_of_friction_that_no_worker_can_choose_end_it(
     folder: Path, short_arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(identification, "choose", lambda choice: (_ for _ in ()).throw(MemoryError("too large")))
-    with pytest.raises(LogError, match="structure of friction of joint 1, but: too large"):
+    with pytest.raises(LogError, match="friction structure of joint 1, but: too large"):
         fleet.identify(folder, short_arm.robot)
 
 

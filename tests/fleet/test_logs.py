@@ -46,9 +46,9 @@ def test_a_file_by_two_names_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_bad_input(tmp_path: Path) -> None:
     for given, error, sentence in (
-        ([], LogError, "at least one log, got none"),
-        (tmp_path, LogError, f"Expected logs in {tmp_path}, got none"),
-        ([tmp_path / "no.mcap"], LogError, "no.mcap, which does not exist"),
+        ([], LogError, "at least one log, got an empty list"),
+        (tmp_path, LogError, f"Expected logs in {tmp_path}, got no "),
+        ([tmp_path / "no.mcap"], LogError, "the missing path .*no.mcap"),
         ([3], ShapeError, "got 3"),
         ([__file__, __file__], ShapeError, "test_logs.py twice"),
     ):
@@ -69,10 +69,16 @@ def test_what_exists_or_cannot_be_named_is_refused(tmp_path: Path) -> None:
     logs = {"a": tmp_path / "logs/a.mcap", "b": tmp_path / "logs/b.mcap"}
     table = Table(np.arange(3.0), {"q": np.zeros((3, 1))})
     for jobs, folder, ending, error, sentence in (
-        (logs, tmp_path, ".csv", ConfigError, r"got 1 that exist, first .*a\.csv.*--force"),
-        ({"a": tmp_path / "a.mcap", "b": tmp_path / "a.csv"}, tmp_path / "new", ".mat", ShapeError, "both be"),
+        (logs, tmp_path, ".csv", ConfigError, r"but 1 already exist, first .*a\.csv.*--force"),
+        (
+            {"a": tmp_path / "a.mcap", "b": tmp_path / "a.csv"},
+            tmp_path / "new",
+            ".mat",
+            ShapeError,
+            "distinct output files",
+        ),
         ({"a": table}, tmp_path, ".mat", ShapeError, "got a table"),
-        ({"a": tmp_path / "a.mcap"}, tmp_path, ".docx", ConfigError, r"Expected a format among \.mcap"),
+        ({"a": tmp_path / "a.mcap"}, tmp_path, ".docx", ConfigError, r"Expected a file extension among \.mcap"),
     ):
         with pytest.raises(error, match=sentence):
             targets(jobs, folder, ending)
@@ -83,7 +89,7 @@ def test_a_log_is_never_replaced_by_what_it_becomes(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"rows")
     (tmp_path / "link").symlink_to(tmp_path)
     for folder in (tmp_path, tmp_path / "link"):
-        with pytest.raises(ConfigError, match=r"got 1 that are read, first .*a\.mcap\. Name another folder or format"):
+        with pytest.raises(ConfigError, match=r"but 1 are inputs, first .*a\.mcap\. Choose another folder or format"):
             targets({"a": tmp_path / "a.mcap"}, folder, ".mcap", force=True)
     assert targets({"a": tmp_path / "a.mcap"}, tmp_path, ".csv", force=True) == {"a": tmp_path / "a.csv"}
 
@@ -145,10 +151,10 @@ def test_each_log_gets_what_one_estimator_says_of_it(truth, model, recordings: P
 
 def test_what_leaves_no_log_to_use(truth, model, recordings: Path, tmp_path: Path) -> None:
     (tmp_path / "bad.mcap").write_bytes(b"nonsense")
-    with pytest.raises(LogError, match="used among 1, got none"):
+    with pytest.raises(LogError, match="usable log among 1, got none"):
         fleet.export(tmp_path, tmp_path / "out", ".csv")
     with pytest.raises(ModelMismatchError):
         fleet.estimate(recordings, model, load("irb120"), tmp_path / "out")
-    with pytest.raises(LogError, match="used among 1, got none"):
+    with pytest.raises(LogError, match="usable log among 1, got none"):
         fleet.estimate(recordings / "no_torque.mcap", model, truth.robot, tmp_path / "out")
     assert not (tmp_path / "out").exists()

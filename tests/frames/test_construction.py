@@ -33,7 +33,7 @@ def test_plane_of_a_normal_that_is_not_unit() -> None:
     plane = Plane.of([0.999918, 0.010683, -0.007026], [-0.44, 0.23, -2.6])
     assert np.linalg.norm(plane.n) == pytest.approx(1.0, abs=1e-15)
     assert plane.d == pytest.approx(plane.n @ [-0.44, 0.23, -2.6], abs=1e-15)
-    with pytest.raises(ShapeError, match=r"length 1, got one off by 2\.5e-07"):
+    with pytest.raises(ShapeError, match=r"length 1, got an error of 2\.5e-07"):
         Plane(np.array([0.999918, 0.010683, -0.007026]), 0.0, np.zeros(3), np.eye(3)[1:])
 
 
@@ -149,27 +149,27 @@ def test_the_origin_of_a_sphere_or_circle() -> None:
     (lambda: build(x=LINE, y=PLANE, z=LINE, origin=[0, 0, 0]), ShapeError, "exactly two"),
     (lambda: build(z=LINE, w=PLANE, origin=[0, 0, 0]), FrameError, "'w'"),
     (lambda: build(z=LINE, xy=PLANE, origin=[0, 0, 0]), FrameError, "'xy'"),
-    (lambda: build(z=LINE, y=[0.1, 0.2, 1.0], origin=[0, 0, 0]), ShapeError, "not parallel"),
-    (lambda: build(z=LINE, y=-LINE, origin=[0, 0, 0]), ShapeError, "not parallel"),
+    (lambda: build(z=LINE, y=[0.1, 0.2, 1.0], origin=[0, 0, 0]), ShapeError, "non-parallel"),
+    (lambda: build(z=LINE, y=-LINE, origin=[0, 0, 0]), ShapeError, "non-parallel"),
     (lambda: build(z=LINE, y=PLANE, origin=[0, 0]), ShapeError, "origin"),
     (lambda: build(z=LINE, y=[0, 0, 0], origin=[0, 0, 0]), ShapeError, "length zero"),
     (lambda: build(z=fit_line(np.outer(np.arange(5.0), [1, 2, 3])), y=PLANE, origin=[0, 0, 0]), ShapeError, "Fit"),
-    (lambda: build(z=LINE, y=PLANE, origin=Sphere(np.ones(3), 1.0), origin_cov=np.eye(3)), ShapeError, "beside"),
-    (lambda: project(RAY, RAY), ShapeError, "Project its points"),
+    (lambda: build(z=LINE, y=PLANE, origin=Sphere([1, 1, 1], 1.0), origin_cov=np.eye(3)), ShapeError, "own covariance"),
+    (lambda: project(RAY, RAY), ShapeError, "Project points on the line"),
     (lambda: project(np.zeros((2, 4)), FLOOR), ShapeError, "points"),
     (lambda: project([np.nan, 0, 0], FLOOR), ShapeError, "missing"),
-    (lambda: project([0, 0, 0], "plane"), ShapeError, "Take the value of a fit"),
-    (lambda: project(Line.of(FLOOR.n, [0, 0, 0]), FLOOR), ShapeError, "along its normal"),
+    (lambda: project([0, 0, 0], "plane"), ShapeError, "Use the value of a fit"),
+    (lambda: project(Line.of(FLOOR.n, [0, 0, 0]), FLOOR), ShapeError, "got a normal line"),
     (lambda: intersect(RAY, RAY), ShapeError, "distance"),
-    (lambda: intersect(FLOOR, Line.of(FLOOR.axes[0], [0, 0, 0])), ShapeError, "parallel to it"),
-    (lambda: intersect(FLOOR, -FLOOR), ShapeError, "parallel ones"),
+    (lambda: intersect(FLOOR, Line.of(FLOOR.axes[0], [0, 0, 0])), ShapeError, "got a parallel line"),
+    (lambda: intersect(FLOOR, -FLOOR), ShapeError, "parallel planes"),
     (lambda: distance(RAY, FLOOR), ShapeError, "two lines"),
     (lambda: Plane.of([0, 0, 0], [1, 1, 1]), ShapeError, "length zero"),
     (lambda: Plane.of([0, 0, np.nan], [1, 1, 1]), ShapeError, "finite vector"),
     (lambda: Plane.of("up", [1, 1, 1]), ShapeError, "real numbers"),
     (lambda: Plane(np.eye(3)[2], 1.0, np.zeros(3), np.eye(3)[:2]), ShapeError, "centroid in the plane"),
     (lambda: Plane(np.eye(3)[2], 0.0, np.zeros(3), np.eye(3)[1:]), ShapeError, "unit vectors"),
-    (lambda: Plane(np.eye(3)[2], 0.0, np.zeros(3), np.eye(3)[:2], -COV), ShapeError, "not negative"),
+    (lambda: Plane(np.eye(3)[2], 0.0, np.zeros(3), np.eye(3)[:2], -COV), ShapeError, "positive semidefinite"),
     (lambda: Line(np.eye(3)[2], np.array([1.0, 0, 1]), np.zeros(3), np.eye(3)[:2]), ShapeError, "foot of a line"),
     (lambda: Line.of([1, 0], [1, 1, 1]), ShapeError, r"vector \(3,\)"),
     (lambda: Plane.of([0, 0, 1], [1, 1, 1]).moved(np.diag([1.0, 1, -1, 1])), ShapeError, "pose"),

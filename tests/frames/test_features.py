@@ -86,7 +86,7 @@ def test_upward_needs_a_side() -> None:
         fit_plane(sheet() - [0, 0, 2.0])
     assert caught.value.directions == ("side of the plane",)
     assert fit_plane(sheet() - [0, 0, 2.0], normal=[0, 0, 1]).value.n[2] > 0.99
-    with pytest.raises(ShapeError, match="lies in it"):
+    with pytest.raises(ShapeError, match="hint within it"):
         fit_plane(sheet(), toward=[0.1, 0, 2.0])
     with pytest.raises(ShapeError, match="got both"):
         fit_plane(sheet(), toward=[0.1, 0, 0], normal=[0, 0, 1])
@@ -94,7 +94,7 @@ def test_upward_needs_a_side() -> None:
     closed[-1] = closed[0]
     with pytest.raises(NotExcited, match="along="):
         fit_line(closed)
-    with pytest.raises(ShapeError, match="across it"):
+    with pytest.raises(ShapeError, match="normal to it"):
         fit_line(rod(sigma=0.0), along=[0, 1, 0])
 
 
@@ -104,19 +104,19 @@ def test_upward_needs_a_side() -> None:
     (lambda: fit_line(rod(2)), NotExcited, "at least 3 points"),
     (lambda: fit_plane(sheet().T), ShapeError, "Transpose"),
     (lambda: fit_plane([["a"] * 3] * 5), ShapeError, "real numbers"),
-    (lambda: fit_plane(sheet(), noise=0.0), ShapeError, "above zero"),
+    (lambda: fit_plane(sheet(), noise=0.0), ShapeError, "standard deviation > 0"),
     (lambda: fit_plane(sheet(), limit=-1.0), ShapeError, "limit"),
     (lambda: fit_line(np.vstack([rod(), [np.nan, 0, 0]])), ShapeError, "rows 20"),
     (lambda: fit_plane(rod(20, sigma=0.0), normal=[0, 0, 1]), NotExcited, r"the long axis of the points, \(1.0000"),
     (lambda: fit_plane(rod(200), normal=[0, 0, 1]), NotExcited, r"tilt about the long axis of the points, \(1.0000"),
-    (lambda: fit_line(np.ones((20, 3)), along=[1, 0, 0]), NotExcited, "in one place"),
+    (lambda: fit_line(np.ones((20, 3)), along=[1, 0, 0]), NotExcited, "points coincide"),
     (lambda: fit_circle(RING[:3]), NotExcited, "at least 4 points"),
     (lambda: fit_sphere(RING[:4]), NotExcited, "at least 5 points"),
     (lambda: fit_circle(RING[:4], robust=True), NotExcited, "at least 5 points"),
     (lambda: fit_circle(RING[:, :2]), ShapeError, r"\(N, 3\)"),
     (lambda: fit_sphere(np.vstack([RING, [np.nan] * 3])), ShapeError, "rows 9"),
-    (lambda: fit_circle(np.outer(np.arange(9.0), [1, 2, 3])), NotExcited, "in a line"),
-    (lambda: fit_circle(np.ones((9, 3))), NotExcited, "in one place"),
+    (lambda: fit_circle(np.outer(np.arange(9.0), [1, 2, 3])), NotExcited, "collinear"),
+    (lambda: fit_circle(np.ones((9, 3))), NotExcited, "coincident"),
     (lambda: check_offset(PLANE, points(2, 0.0, 0.0)), NotExcited, "at least 3 points"),
     (lambda: check_offset(PLANE, [[0, 0, 0], [0, np.inf, 0], [0, 0, 1]]), ShapeError, "rows 1"),
     (lambda: check_offset([0, 0, 1], points(5, 0.0, 0.0)), ShapeError, "Plane"),
@@ -391,7 +391,7 @@ PLACE = np.ones((20, 3)) + SIGMA * np.random.default_rng(0).standard_normal((20,
 SHORT, CAP = ring(np.random.default_rng(0), 20, 0.02), ball(np.random.default_rng(0), 20, 0.03)
 CONTRACTS = {
     "plane": (fit_plane, plane_error, spoil, "tilt about the long axis", {"p": rod(), "normal": [0, 0, 1]}),
-    "line": (fit_line, line_error, spoil, "in one place", {"p": PLACE, "along": [1, 0, 0]}),
+    "line": (fit_line, line_error, spoil, "points coincide", {"p": PLACE, "along": [1, 0, 0]}),
     "circle": (fit_circle, circle_error, inflated, "centre", {"p": SHORT, "normal": [0, 0, 1]}),
     "sphere": (fit_sphere, sphere_error, inflated, "centre along", {"p": CAP}),
 }

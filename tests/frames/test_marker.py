@@ -79,10 +79,10 @@ def test_points_in_a_line_give_no_pose() -> None:
     seen = np.ones((30, 4), dtype=bool)
     seen[5, 3] = False  # what is left is a line
     assert np.flatnonzero(~marker_pose(p, line, visible=seen).valid).tolist() == [5]
-    with pytest.raises(NotExcited, match="not in a line") as caught:
+    with pytest.raises(NotExcited, match="non-collinear") as caught:
         marker_pose(p[:, :3], line[:3])
     assert "about the line" in caught.value.directions[0]
-    with pytest.raises(NotExcited, match="at least three points"):
+    with pytest.raises(NotExcited, match="at least three non-collinear points"):
         marker_pose(p[:, :2], line[:2])
 
 
@@ -131,14 +131,14 @@ def test_bad_input_is_refused_by_name() -> None:
         ((p[0], MARKER), {}, r"p of shape \(N, K, 3\), got \(4, 3\)"),
         (("led", MARKER), {}, "p to be real numbers"),
         ((spoilt, MARKER), {}, "NaN or Inf in 1 rows: 4"),
-        ((p, MARKER[:3]), {}, r"marker as \(4, 3\)"),
-        ((p, MARKER), {"visible": np.ones((30, 4))}, "visible as truth values"),
-        ((p, MARKER), {"visible": np.ones((30, 3), dtype=bool)}, "visible as truth values"),
+        ((p, MARKER[:3]), {}, r"marker to be \(4, 3\)"),
+        ((p, MARKER), {"visible": np.ones((30, 4))}, "visible as booleans"),
+        ((p, MARKER), {"visible": np.ones((30, 3), dtype=bool)}, "visible as booleans"),
         ((p, MARKER), {"noise": 0.0}, "noise above zero"),
     ):
         with pytest.raises(ShapeError, match=words):
             marker_pose(*arguments, **more)
-    with pytest.raises(NotExcited, match="three points where the marker is not given, got 4"):
+    with pytest.raises(NotExcited, match="three points without marker=, got 4"):
         marker_pose(p)
     never = np.ones((30, 3), dtype=bool)
     never[:, 0] = False

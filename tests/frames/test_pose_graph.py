@@ -52,7 +52,9 @@ def test_inverse_and_chain_are_automatic() -> None:
 def test_via_composes_only_what_is_joined() -> None:
     graph = ring()
     np.testing.assert_allclose(graph.get("base", "tool", via=["cam"]), between("base", "tool"), atol=1e-14)
-    with pytest.raises(FrameError, match=r"between 'flange' and 'cam', got none\. Joined to 'flange': base, tool"):
+    with pytest.raises(
+        FrameError, match=r"between 'flange' and 'cam', but there is no direct pose\. Poses of 'flange': base, tool"
+    ):
         graph.get("base", "cam", via=["flange"])
 
 
@@ -73,9 +75,9 @@ def test_unknown_and_unjoined_frames_are_named() -> None:
     with pytest.raises(FrameError, match=r"'camera'\. Known: base, flange, tool, cam"):
         graph.get("base", "camera")
     graph.add("world", "table", np.eye(4))
-    with pytest.raises(FrameError, match="join 'base' and 'table'"):
+    with pytest.raises(FrameError, match="connect 'base' and 'table'"):
         graph.get("base", "table")
-    with pytest.raises(FrameError, match="join 'base' and 'world'"):
+    with pytest.raises(FrameError, match="connect 'base' and 'world'"):
         graph.solve()
 
 
@@ -86,7 +88,7 @@ def test_unknown_and_unjoined_frames_are_named() -> None:
     (("base", "cam", np.eye(3)), ShapeError, "T_base_cam"),
     (("base", "cam", np.diag([1.0, 1, -1, 1])), ShapeError, "T_base_cam"),
     (("base", "cam", np.eye(4), np.eye(3)), ShapeError, "covariance of T_base_cam"),
-    (("base", "cam", np.eye(4), -np.eye(6)), ShapeError, "not negative"),
+    (("base", "cam", np.eye(4), -np.eye(6)), ShapeError, "positive semidefinite"),
 ])  # fmt: skip
 def test_bad_input_is_refused(arguments: tuple, error: type[Exception], sentence: str) -> None:
     with pytest.raises(error, match=sentence):
@@ -118,7 +120,7 @@ def test_solve_spreads_the_error_and_finds_the_wrong_pose() -> None:
         wrong.add(edge.a, edge.b, T, edge.cov, edge.source)
     fit = wrong.solve(robust=True)
     assert np.flatnonzero(fit.outliers).tolist() == [4]
-    assert "left out: base to tool (drawing)" in fit.report()
+    assert "excluded: base to tool (drawing)" in fit.report()
     np.testing.assert_allclose(fit.value.get("cam", "tool"), between("cam", "tool"), atol=1e-9)
 
 
@@ -246,11 +248,11 @@ def test_unknown_noise_is_found_by_class() -> None:
 
 
 def test_what_cannot_be_solved_is_refused() -> None:
-    with pytest.raises(FrameError, match="got none"):
+    with pytest.raises(FrameError, match="empty graph"):
         solve_poses([], ())
     some = measured(None)
     some[2] = Edge("d", "c", some[2].T, None, "drawing")
-    with pytest.raises(FrameError, match=r"got none of d to c \(drawing\)"):
+    with pytest.raises(FrameError, match=r"but d to c \(drawing\) has no covariance"):
         solve_poses(some, NAMES_SOLVED)
     with pytest.raises(NotExcited, match="numbers"):
         solve_poses([Edge(e.a, e.b, e.T) for e in measured(None)[:3]], NAMES_SOLVED)

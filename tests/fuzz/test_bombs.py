@@ -122,7 +122,7 @@ def test_bombs_are_refused_soon(tmp_path: Path) -> None:
     bombs: list[tuple[Callable[[Path], None], str, str]] = [
         (zstd_of_zeros, ".mcap", "Expected a recording"),
         (zstd_in_many_chunks, ".mcap", "chunks that unpack to at most"),
-        (gzip_of_rows, ".csv.gz", "got more. If you trust it, unpack it"),
+        (gzip_of_rows, ".csv.gz", "got more. If you trust the file, unpack it"),
         (gzip_with_a_word, ".csv.gz", "read"),
         (toml_of_dotted_keys, ".toml", "a dotted key of more than 16 names"),
         (toml_of_joints, ".toml", "a robot file"),

@@ -35,7 +35,7 @@ def test_lines_that_the_sampling_hides_are_told_by_joint(model: TorqueModel) -> 
     qd, qdd = 0.9 * f * np.cos(f * t[:, None]), -0.9 * f**2 * np.sin(f * t[:, None])
     noise = 0.05 * np.random.default_rng(0).standard_normal(q.shape)
     table = Table(t, {"q": q, "qd": qd, "tau": model.torque(q, qd, qdd) + noise})
-    with pytest.warns(UserWarning, match=r"faster ripple for joint 3 \(above \d+ cycles/rev\): it folds back"):
+    with pytest.warns(UserWarning, match=r"faster ripple for joint 3 \(above \d+ cycles/rev\): it aliases"):
         fit_friction(table, model)
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armlab import identify, log, robots
+from armlab import dynamics, identify, log, robots
 from armlab.errors import NotConverged, ShapeError
 from armlab.identify import Trajectory, design_excitation, dither, friction_run, sequence
 from armlab.identify.excite import PredictedUncertainty, predicted_uncertainty
@@ -27,6 +27,8 @@ def test_excitation_stays_inside_the_limits(name: str) -> None:
     np.testing.assert_allclose(np.gradient(q, t, axis=0)[1:-1], qd[1:-1], atol=1e-3)
     np.testing.assert_allclose(np.gradient(qd, t, axis=0)[1:-1], qdd[1:-1], atol=2e-2)
     np.testing.assert_array_equal(qd[[0, -1]], 0.0)
+    axes = q @ np.linalg.inv(robot.coupling / np.diag(robot.coupling)).T  # a rod's axis 3: q_2 + q_3
+    assert np.all((axes >= robot.q_min + 0.04) & (axes <= robot.q_max - 0.04))
 
 
 def test_a_joint_with_a_short_stroke_moves_inside_it() -> None:
@@ -255,7 +257,7 @@ def test_the_spread_of_fits_is_what_was_expected(expected: PredictedUncertainty,
     """Least squares on the expected regressor itself, with white noise: the deviations are those of 200 fits."""
     robot = robots.load("yumi_left")
     q, qd, qdd = motion.sample(np.arange(0.0, 15.0, 0.02))
-    base = identify.base_parameters(robot)
+    base = dynamics.base_parameters(robot)
     rotor = np.zeros((len(q), 7, 7))
     rotor[:, range(7), range(7)] = qdd
     A = np.zeros((len(q), 7, len(expected.names)))

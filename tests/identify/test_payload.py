@@ -8,7 +8,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from armlab import identify, robots, sim
+from armlab import dynamics, identify, robots, sim
 from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, check_estimator
 from armlab.identify import fit_payload, physically_consistent, physically_consistent_load
@@ -104,14 +104,14 @@ def test_a_wrist_alone_weighs_it(truth, model) -> None:
     assert fit.residuals.shape[1] == 4
     assert fit.value.mass == pytest.approx(MASS, abs=3 * fit.sd[0])
     assert fit.sd[0] < 0.1 * MASS
-    assert f"left out, at rest: {', '.join(robot.joint_names[:3])}" in fit.report()
+    assert f"excluded because at rest: {', '.join(robot.joint_names[:3])}" in fit.report()
 
 
 def test_a_load_on_another_link_is_doubted(truth, model, motion, table) -> None:
     links = truth.links.copy()
     links[3] += inertia.from_body(1.5, [0.0, 0.0, 0.0], np.zeros((3, 3)))
     (doubt,) = fit_payload(replace(truth, links=links).log(motion, seed=3), model, truth.robot).doubts
-    assert "not only, at the flange, or a contact" in doubt
+    assert "a load elsewhere or a contact" in doubt
     assert fit_payload(table, model, truth.robot).good
 
 
@@ -230,7 +230,7 @@ def test_an_identified_model_is_in_the_covariance() -> None:
 
 
 def test_of_a_model_without_its_fit_friction_is_said_to_be_unknown(truth, fitted, table) -> None:
-    words = "give the fit of the model, not its value"
+    words = "pass the fit instead of the model"
     assert words in fit_payload(table, fitted.value, truth.robot).report()
     assert words not in fit_payload(table, fitted, truth.robot).report()
 
@@ -292,7 +292,7 @@ needs_cvxpy = pytest.mark.skipif(find_spec("cvxpy") is None, reason="the extra s
 
 def shifted(fit: Fit, base_values: np.ndarray, robot) -> Fit:
     """The fit with other base parameters, as another record would have given."""
-    base = identify.base_parameters(robot)
+    base = dynamics.base_parameters(robot)
     links, rotor = base.links_and_rotors(base_values)
     parameters = np.concatenate([base_values, fit.parameters[len(base_values) :]])
     value = replace(fit.value, link_parameters=links, rotor=rotor, base_values=base_values)
@@ -317,7 +317,7 @@ def test_true_bodies_stay(truth, fitted, pull: str) -> None:
     """Base parameters of real bodies, with these bodies as the prior: nothing is to be done."""
     robot = truth.robot
     bodies = sim.synthetic_truth(robot).pi
-    values = identify.base_parameters(robot).B @ np.concatenate([bodies.ravel(), truth.rotor])
+    values = dynamics.base_parameters(robot).B @ np.concatenate([bodies.ravel(), truth.rotor])
     found = physically_consistent(shifted(fitted, values, robot), robot, prior=bodies, pull=pull)
     assert isinstance(found, PhysicallyConsistent)
     np.testing.assert_allclose(found.links, bodies, atol=1e-4)
@@ -351,7 +351,7 @@ def test_an_identified_model_gets_bodies_without_a_prior(fitted, bodies) -> None
 @needs_cvxpy
 def test_an_impossible_fit_becomes_possible(truth, fitted, bodies) -> None:
     """A last link whose inertia is too small by far more than the log allows."""
-    base = identify.base_parameters(truth.robot)
+    base = dynamics.base_parameters(truth.robot)
     wrong = np.array(fitted.value.base_values)
     wrong[[name.startswith("I_xx7") for name in base.names]] -= 0.02
     found = physically_consistent(shifted(fitted, wrong, truth.robot), truth.robot)
@@ -396,6 +396,6 @@ def test_a_load_becomes_a_body(truth, model, brief) -> None:
     body = physically_consistent_load(fit)
     assert np.linalg.eigvalsh(pseudo_inertia(body.value.pi)).min() > -1e-12
     assert np.all(np.abs(body.parameters - POINT) < 4 * fit.sd)
-    assert "deviations to a body" in body.report()
+    assert "deviations to become physically consistent" in body.report()
     with pytest.raises(ConfigError, match="dynamic"):
         physically_consistent_load(fit_payload(truth.log(brief, seed=3), model, truth.robot))

@@ -293,6 +293,21 @@ def test_some_windows_of_a_long_record_tell_the_factors(truth, excited, model, m
     np.testing.assert_array_equal(part.memory, whole.memory)
 
 
+def test_drift_between_logs_is_not_averaged(truth, excited, model) -> None:
+    """In the factors of both estimators, drift counts as an error that lasts."""
+    data = prepare(excited, truth.robot)
+    rows = np.ones(len(data.t), dtype=bool)
+    errors, moving = held_out([(model, rows)], data)
+    errors = np.where(moving, errors, np.nan)
+    drift = 2.0 * np.nanmean(errors**2, axis=0)
+    wide = model.covariance
+    wide = replace(wide, C0=wide.C0 + drift / wide.alpha2, Cinf=wide.Cinf + drift / wide.alpha2)
+    plain = momentum_noise(model, [(model, rows)], errors, data)
+    found = momentum_noise(replace(model, covariance=wide), [(model, rows)], errors, data, drift)
+    assert plain.alpha2_observer < found.alpha2_observer < 1.2
+    assert found.alpha2_kf > momentum_noise(replace(model, covariance=wide), [(model, rows)], errors, data).alpha2_kf
+
+
 def test_momentum_noise_makes_two_sigma_hold(truth, excited, model) -> None:
     """On the rows that it is set on 95.4 % of the axes that can be seen, unless a factor met its bound."""
     data = prepare(excited, truth.robot)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import identify, robots
+from armlab import dynamics, identify, robots
 from armlab.contact import Estimator, compare, contacts, hypotheses
 from armlab.errors import ConfigError, MissingExtra, ModelMismatchError, NotExcited, RobotError, ShapeError, UnknownName
 from armlab.estimation import Fit
@@ -78,17 +78,17 @@ RECORD: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
      lambda s: identify.prepare(changed(s.log, put([7, 9], 0, np.nan), "tau"), YUMI)),
     (ShapeError, "derivative of q", lambda s: identify.prepare(changed(s.log, -1.0, "qd"), YUMI)),
     (ShapeError, "57.3 times", lambda s: identify.prepare(changed(s.log, DEGREES, "qd"), YUMI)),
-    (ShapeError, "Name the robot that was logged", lambda s: identify.prepare(without_joint(s.log), YUMI)),
+    (ShapeError, "Pass the recorded robot", lambda s: identify.prepare(without_joint(s.log), YUMI)),
     (ShapeError, r"Expected a Table.*log\.read", lambda s: identify.prepare("log.csv", YUMI)),
     (ShapeError, "Expected a Table", lambda s: identify.prepare(s.log["q"], YUMI)),
     (RobotError, r"robots\.load\('yumi_left'\)", lambda s: identify.prepare(s.log, "yumi_left")),
-    (UnknownName, "numbers of joints from 0 to 6", lambda s: identify.prepare(s.log, YUMI, joints=[0.5])),
+    (UnknownName, "joint numbers from 0 to 6", lambda s: identify.prepare(s.log, YUMI, joints=[0.5])),
     (ShapeError, "at least 40 Hz, got 10 Hz", lambda s: identify.prepare(s.log.rows(slice(None, None, 25)), YUMI)),
     (ShapeError, r"got 0\.25 Hz.*milliseconds",
      lambda s: identify.prepare(Table(1000 * s.log.t, dict(s.log.values)), YUMI)),
-    (ShapeError, r"rows of log 1 again as copy of it\.mcap",
+    (ShapeError, r"copy of it\.mcap repeats the rows of log 1\.",
      lambda s: identify.prepare([s.log, replace(s.log, source=("copy of it.mcap sha256 0123",))], YUMI)),
-    (ShapeError, "rows of b again as c", lambda s: record.check_once([("a", "1"), ("b", "2"), ("c", "2")])),
+    (ShapeError, r"c repeats the rows of b\.", lambda s: record.check_once([("a", "1"), ("b", "2"), ("c", "2")])),
     (ShapeError, "Table", lambda s: identify.with_velocity(None)),
 ]  # fmt: skip
 MOTIONS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
@@ -113,18 +113,18 @@ MOTIONS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     (ShapeError, "rate above 0 Hz", lambda s: MOTION.table(rate=0.0)),
     (UnknownName, "name of a joint, got 'elbow'", lambda s: identify.friction_run(YUMI, "elbow")),
     (UnknownName, "from 0 to 6, got 7", lambda s: identify.friction_run(YUMI, 7)),
-    (UnknownName, "number of a joint from 0 to 6", lambda s: identify.friction_run(YUMI, True)),
+    (UnknownName, "joint number from 0 to 6", lambda s: identify.friction_run(YUMI, True)),
     (ShapeError, r"pose of shape \(7,\)", lambda s: identify.friction_run(YUMI, 0, at=np.full(7, 9.0))),
-    (ShapeError, "limits of speed and acceleration",
+    (ShapeError, "speed and acceleration limits",
      lambda s: identify.friction_run(replace(YUMI, qd_max=np.full(7, np.inf)), 0)),
     *((ShapeError, "noise above 0", lambda s, noise=noise: excite.predicted_uncertainty(MOTION, YUMI, noise))
       for noise in (0.0, np.nan, np.inf)),
     (ShapeError, "6 joints", lambda s: excite.predicted_uncertainty(MOTION, robots.load("irb2400"))),
 ]  # fmt: skip
 MODELS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
-    (UnknownName, "from 0 to 6", lambda s: identify.base_parameters(YUMI, joints=[1, 1])),
-    (UnknownName, "from 0 to 6", lambda s: identify.base_parameters(YUMI, joints=["axis_1"])),
-    (RobotError, "Load it first", lambda s: identify.base_parameters("yumi_left")),
+    (UnknownName, "from 0 to 6", lambda s: dynamics.base_parameters(YUMI, joints=[1, 1])),
+    (UnknownName, "from 0 to 6", lambda s: dynamics.base_parameters(YUMI, joints=["axis_1"])),
+    (RobotError, "Load it first", lambda s: dynamics.base_parameters("yumi_left")),
     (UnknownName, "method of identification", lambda s: identify.fit_dynamics(s.log, YUMI, method="median")),
     (ModelMismatchError, "earlier fit", lambda s: identify.fit_dynamics(s.log, YUMI, prior=s.model)),
     (ShapeError, "62.5 Hz, a quarter of the sampling rate", lambda s: identify.fit_dynamics(s.log, YUMI, cutoff=80.0)),
@@ -136,16 +136,16 @@ MODELS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     (NotExcited, "20 min", lambda s: identify.fit_warm_up(s.log, s.model)),
     (NotExcited, "joint 2", lambda s: rbf_centres(Q * [1, 0], QD * [1, 0])),
     (ShapeError, "at least 2", lambda s: rbf_centres(Q, QD, speeds=1)),
-    (ShapeError, "one shape", lambda s: rbf_centres(Q, QD[:-1])),
+    (ShapeError, "q and qd of equal shape", lambda s: rbf_centres(Q, QD[:-1])),
     (ShapeError, "2 joints", lambda s: rbf_regressor(Q[:, :1], QD[:, :1], rbf_centres(Q, QD))),
     (ShapeError, "finite q, qd and z", lambda s: rbf_regressor(Q, QD, rbf_centres(Q, QD), z=np.nan * Q)),
     (ShapeError, "finite q", lambda s: rbf_regressor(np.nan * Q, QD, rbf_centres(Q, QD))),
-    (ShapeError, "one shape", lambda s: ripple_lines(Q[:, 0], QD[:, 0], Q[:-1, 0], 250.0, 250.0)),
-    (ShapeError, "rate above 0 Hz and finite ends", lambda s: ripple_lines(Q[:, 0], QD[:, 0], Q[:, 0], 0.0, 250.0)),
-    (ShapeError, "rate above 0 Hz and finite ends", lambda s: ripple_lines(Q[:, 0], QD[:, 0], Q[:, 0], 250.0, np.inf)),
+    (ShapeError, "q, qd and y of equal shape", lambda s: ripple_lines(Q[:, 0], QD[:, 0], Q[:-1, 0], 250.0, 250.0)),
+    (ShapeError, "rate above 0 Hz and finite", lambda s: ripple_lines(Q[:, 0], QD[:, 0], Q[:, 0], 0.0, 250.0)),
+    (ShapeError, "rate above 0 Hz and finite", lambda s: ripple_lines(Q[:, 0], QD[:, 0], Q[:, 0], 250.0, np.inf)),
     (ShapeError, "finite", lambda s: ripple_lines(Q[:, 0], QD[:, 0], np.nan * Q[:, 0], 250.0, 250.0)),
-    (ShapeError, "one shape", lambda s: identify.fit_velocity_covariance(NOISE, QD[:10])),
-    (ShapeError, "one shape", lambda s: identify.fit_velocity_covariance(NOISE[:, :0], QD[:, :0])),
+    (ShapeError, "the same shape", lambda s: identify.fit_velocity_covariance(NOISE, QD[:10])),
+    (ShapeError, "the same shape", lambda s: identify.fit_velocity_covariance(NOISE[:, :0], QD[:, :0])),
     (ShapeError, r"1 rows, first \[3\]",
      lambda s: identify.fit_velocity_covariance(NOISE, np.where(QD[3] == QD, np.nan, QD))),
     (NotExcited, "zeros for joint 2", lambda s: identify.fit_velocity_covariance(NOISE * [1.0, 0.0], QD)),
@@ -157,23 +157,23 @@ MODELS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
      lambda s: identify.extrapolation(s.model, changed(s.log, put(5, 2, np.nan), "q"))),
     (ShapeError, "100 rows without a gap",
      lambda s: identify.extrapolation(s.model, Table(s.log.t[:50], {"q": s.log["q"][:50]}))),
-    (ShapeError, "share of rest", lambda s: replace(s.model.training, rest_share=2.0)),
+    (ShapeError, "a rest share from 0 to 1", lambda s: replace(s.model.training, rest_share=2.0)),
     (ShapeError, "100 Hz, got 50 Hz",
      lambda s: log_sums(s.short.log(0, 3000).rows(slice(None, None, 2)), s.draft()[1])),
-    (NotExcited, "at least 8 stretches", lambda s: few_stretches(s)),
+    (NotExcited, "at least 8 segments", lambda s: few_stretches(s)),
 ]  # fmt: skip
 PAYLOAD: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     (ModelMismatchError, "yumi_right", lambda s: identify.fit_payload(s.log, s.model, robots.load("yumi_right"))),
     (UnknownName, "static", lambda s: identify.fit_payload(s.log, s.model, YUMI, "fast")),
-    (ShapeError, "gains", lambda s: identify.fit_payload(s.log, s.model, YUMI, gain_sd=-0.1)),
+    (ShapeError, "a gain standard deviation", lambda s: identify.fit_payload(s.log, s.model, YUMI, gain_sd=-0.1)),
     (NotExcited, "5 s", lambda s: identify.fit_payload(s.log.between(0, 3), s.model, YUMI)),
     (ShapeError, r"\[11\]", lambda s: identify.fit_payload(changed(s.log, put(11, 0, np.nan), "tau"), s.model, YUMI)),
     (ShapeError, r"\(7500, 7\)", lambda s: identify.fit_payload(without_joint(s.log), s.model, YUMI)),
     (ShapeError, r"axis_1 \(\S+, limit 2\.941: degrees",
      lambda s: LoadRecord.of(changed(s.log, DEGREES, "q", "qd"), s.model, YUMI)),
     (ShapeError, "degrees", lambda s: LoadRecord.of(s.log, s.model, YUMI, changed(s.log, DEGREES, "q", "qd"))),
-    (ShapeError, "rows of log 1 again as log 2", lambda s: LoadRecord.of(s.log, s.model, YUMI, s.log)),
-    (ShapeError, "one rate", lambda s: LoadRecord.of(s.log, s.model, YUMI, s.log.rows(slice(None, None, 2)))),
+    (ShapeError, r"log 2 repeats the rows of log 1\.", lambda s: LoadRecord.of(s.log, s.model, YUMI, s.log)),
+    (ShapeError, "equal rates", lambda s: LoadRecord.of(s.log, s.model, YUMI, s.log.rows(slice(None, None, 2)))),
     (ShapeError, "same motion", lambda s: LoadRecord.of(s.log, s.model, YUMI, s.other)),
 ]  # fmt: skip
 
@@ -241,7 +241,7 @@ def test_a_model_that_no_bodies_can_be_found_for(given, tmp_path, monkeypatch) -
         (ShapeError, "strength", lambda: identify.physically_consistent(fitted, YUMI, strength=0.0)),
         (ShapeError, r"\(7, 10\)", lambda: identify.physically_consistent(fitted, YUMI, prior=np.zeros((6, 10)))),
         (ShapeError, "link 1, link 2", lambda: identify.physically_consistent(fitted, YUMI, prior=np.zeros((7, 10)))),
-        (ConfigError, "Identify again",
+        (ConfigError, "Repeat the identification from the log",
          lambda: identify.physically_consistent(Fit.load(fitted.save(tmp_path / "model.toml")), YUMI)),
         (ConfigError, "fit_dynamics", lambda: identify.physically_consistent(replace(fitted, value=nameless), YUMI)),
     ]  # fmt: skip

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.identify import base_parameters, design_excitation, prepare
+from armlab.dynamics import BaseParameters, base_parameters
+from armlab.identify import design_excitation, prepare
 from armlab.identify.friction_structure import (
     DELTAS,
     FOLDS,
@@ -20,7 +21,7 @@ from armlab.identify.friction_structure import (
     choose,
 )
 from armlab.identify.record import Decimation
-from armlab.identify.regression import BaseParameters, Design, ParameterLayout
+from armlab.identify.regression import Design, ParameterLayout, independent_rotors
 from armlab.identify.solve import alternate
 from armlab.kernels import presliding
 from armlab.lie import se3
@@ -192,7 +193,8 @@ def test_ripple_that_folds_back_is_not_fitted(truth, excited) -> None:
         coarse = Design.build(prepare(excited.rows(slice(None, None, 5)), robot), robot, base)
     assert not coarse.geared
     data = prepare(excited, robot)
-    told = Design.build(prepare(excited.rows(slice(None, None, 5)), robot), robot, base, geared=True)
+    lines = Design.build(data, robot, base).lines
+    told = Design.build(prepare(excited.rows(slice(None, None, 5)), robot), robot, base, lines=lines)
     assert told.layout.names == Design.build(data, robot, base).layout.names, "another record may decide"
     fixed = Design.build(data, robot, base, cutoff=np.inf, every=1).fixed
     fast = 202 * np.abs(data.qd[:, 5]) > 2 * np.pi * 62.5
@@ -255,9 +257,9 @@ def test_a_record_of_many_has_the_load_of_the_draft(truth, excited) -> None:
 def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:
     robot = short_arm.robot
     base = base_parameters(robot)
-    p, motors = len(base.names), np.array([[1.0, 1.0]])
+    p, motors, seen = len(base.names), np.array([[1.0, 1.0]]), np.array([True])
     terms = (("viscous", "coulomb", "offset", "delta"), ("viscous", "coulomb+", "coulomb-", "offset", "root"))
-    layout = ParameterLayout(robot, base, np.arange(2), motors, np.array([1]), terms)
+    layout = ParameterLayout(robot, base, np.arange(2), motors, np.array([1]), seen, terms)
     assert len(layout.names) == len(layout.units) == len(layout.lower) == len(layout.slopes) == p + 4 + 5 + 3
     assert len(set(layout.names)) == len(layout.names)
     np.testing.assert_array_equal(np.flatnonzero(layout.slopes), [p + 3])
@@ -268,6 +270,19 @@ def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:
     for i, (columns, own) in enumerate(zip(layout.columns, ([*range(p, p + 4)], [*range(p + 4, p + 9)]))):
         motor = [p + 9, p + 10, p + 11]
         np.testing.assert_array_equal(columns, [*np.flatnonzero(base.seen[i]), *own, *motor])
+    behind_a_rod = replace(layout, rotors=np.array([False]))
+    assert behind_a_rod.names == tuple(name for name in layout.names if not name.startswith("rotor of motor"))
+    assert [c[-1] for c in behind_a_rod.columns] == [p + 10, p + 10]
+
+
+def test_a_rotor_behind_a_parallel_rod_is_an_inertia_of_the_link() -> None:
+    """Axis 3 of an IRB 2400, q_2 + q_3, moves with the upper arm; coupled axes of a wrist do not move with a link."""
+    robot = robots.load("irb2400")
+    wrist = np.eye(6)
+    wrist[5, 4] = 0.5
+    for arm, seen in ((robot, [False]), (replace(robot, coupling=wrist), [True])):
+        ratios = np.linalg.inv(arm.coupling)
+        assert independent_rotors(arm, base_parameters(arm), ratios[np.count_nonzero(ratios, axis=1) > 1]) == seen
 
 
 # The structure of friction, chosen on held-out blocks.

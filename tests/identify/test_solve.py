@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from armlab import identify
+from armlab.dynamics import base_parameters
 from armlab.estimation import Rows, least_squares
 from armlab.estimation.linear_problem import LinearSolution
-from armlab.identify import base_parameters, prepare
+from armlab.identify import prepare
 from armlab.identify.regression import Design
 from armlab.identify.solve import GAIN_SD, GainProblem, best_cutoff, calibrated, gain_share, linearised, solved
 
@@ -134,7 +135,7 @@ def test_a_fit_of_misread_torque_reads_the_same_torque(truth, short_arm) -> None
     assert np.all(np.diag(fit.cov)[:p] >= np.diag(fit.value.base_cov))
     e = (fit.parameters - plain.parameters)[:p]
     assert e @ np.linalg.solve(fit.cov[:p, :p], e) / p < 1.0
-    assert "true torque" in fit.report()
+    assert "torque gain per joint" in fit.report()
     again = identify.fit_dynamics(log, short_arm.robot, method="wls", prior=fit)
     np.testing.assert_array_equal(again.value.gains, fit.value.gains)
 
@@ -152,7 +153,7 @@ def test_the_corner_is_lower_where_acceleration_is_noisy(truth, excited) -> None
         design = Design.build(prepare(excited.with_column("qd", qd), robot), robot, base)
         corner, why = best_cutoff(design, "wls")
         assert f"+0.0 % at {corner:g} Hz" in why
-        low = Design.build(design.data, robot, base, cutoff=corner, geared=design.geared)
+        low = Design.build(design.data, robot, base, cutoff=corner, lines=design.lines)
         errors = [np.linalg.norm(solved(one, None, "wls").x[: len(true)] - true) for one in (design, low)]
         found.append((corner, errors[1] / errors[0]))
     (high, same), (lower, better) = found

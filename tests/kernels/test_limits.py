@@ -271,3 +271,50 @@ def test_the_kernel_checks_shapes() -> None:
         kernels.limit_reference(np.zeros((3, 2)), bounds(2), T, np.zeros(3))
     with pytest.raises(ShapeError, match="positive period"):
         kernels.limit_reference(np.zeros((3, 2)), bounds(2), 0.0)
+
+
+@given(st.integers(0, 2**32))
+@settings(max_examples=200)
+def test_feedback_is_judged_as_the_oracle_does(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(0, 8))
+    values = rng.standard_normal((6, n))
+    q, before, reference, speed, fastest, allowed = values
+    before = q + rng.choice([0.0, 0.03, 1.0]) * before
+    reference = q + rng.choice([0.0, 0.2, 3.0]) * reference
+    limits = np.abs(rng.normal(1.5, 0.5, (3, n))) * [[-1.0], [1.0], [0.5]]
+    if n and rng.random() < 0.2:
+        values[rng.integers(0, 6), -1] = np.nan
+    margin, step, seconds, kept, lag = rng.uniform(0.0, [1.0, 0.05, 0.1, 1.0, 0.3])
+    for last in (before, None):
+        arguments = q, last, limits, margin, step, seconds
+        assert kernels.implausible(*arguments) == oracles.implausible(*arguments)
+    if not np.isnan(speed).any():  # speeds are ours
+        arguments = q, reference, speed, np.abs(np.nan_to_num(fastest)), np.abs(allowed), kept, lag
+        ours, wanted = kernels.following_error(*arguments), oracles.following_error(*arguments)
+        np.testing.assert_array_equal(ours[0], wanted[0])
+        assert ours[1:] == wanted[1:]
+    velocity = kernels.filtered_velocity(q, before, speed, 0.004, 30.0)
+    np.testing.assert_allclose(velocity, oracles.filtered_velocity(q, before, speed, 0.004, 30.0), rtol=1e-12)
+    assert not velocity.flags.writeable
+
+
+def test_the_edges_of_plausible_feedback() -> None:
+    limits = np.array([[-1.0, -1.0], [1.0, 1.0], [2.0, 2.0]])
+    for q, before, found in (
+        ([1.25, 0.0], None, 0), ([0.0, -1.25], None, 0), ([1.5, 2.0], None, 2), ([1.5, 1.5], None, 1),
+        ([-1.5, np.nan], None, 2), ([0.0, 0.75], [0.0, 0.0], 0), ([0.75, 1.0], [0.0, 0.0], -2),
+        ([1.0, -1.0], [0.0, 0.0], -1), ([1.5, 0.0], [0.0, 0.0], 1), ([0.0, 0.0], [0.0, np.nan], -2),
+    ):  # fmt: skip
+        last = None if before is None else np.array(before)
+        assert kernels.implausible(np.array(q), last, limits, 0.25, 0.5, 0.125) == found
+    for error, near in ((0.75, True), (1.0, False), (np.nan, False)):
+        arguments = np.array([1.0, -2.0]), np.array([4.0, 1.0]), np.full(2, 0.25), 0.5, 0.25
+        fastest, worst, is_near = kernels.following_error(np.zeros(2), np.array([-error, 0.0]), *arguments)
+        assert (fastest.tolist(), worst, is_near) == ([2.0, 2.0], 0, near)
+    with pytest.raises(ShapeError, match="bounds"):
+        kernels.implausible(np.zeros(2), None, np.zeros((2, 2)), 0.1, 0.1, 0.1)
+    with pytest.raises(ShapeError, match="speed"):
+        kernels.following_error(np.zeros(2), np.zeros(2), np.zeros(3), np.zeros(2), np.zeros(2), 1.0, 0.1)
+    with pytest.raises(ShapeError, match="velocity"):
+        kernels.filtered_velocity(np.zeros(2), np.zeros(2), np.zeros(3), 0.004, 30.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import struct
+import threading
 import time
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 
 from armlab import kernels
 from armlab.errors import ShapeError
+from armlab.state import Command
 from armlab.wire.egm import Drop, Packet, Reference
 
 
@@ -73,6 +75,38 @@ def test_errors_are_counted(pair: Any) -> None:
     sender, _, address = pair
     assert not sender.send(b"x" * 70_000, address)
     assert sender.errors == 1
+
+
+def test_a_wait_ends_with_a_datagram_or_in_time() -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as two,
+    ):
+        one.bind(("127.0.0.1", 0))
+        sockets = [two.fileno(), one.fileno()]
+        for polled in (0, 10**18):
+            end = time.monotonic_ns() + 2_000_000
+            assert not kernels.await_datagram(sockets, polled, end)
+            assert time.monotonic_ns() >= end
+        two.sendto(b"x", one.getsockname())
+        assert kernels.await_datagram(sockets, 10**18, 10**18)
+        assert kernels.await_datagram(sockets, 0, 0)
+        one.recv(1)
+        threading.Timer(0.01, two.sendto, (b"y", one.getsockname())).start()
+        assert kernels.await_datagram(sockets, 0, time.monotonic_ns() + 60 * 10**9), "other threads run meanwhile"
+
+
+def test_slots_are_filled_as_by_the_constructor() -> None:
+    slots = tuple(getattr(Command, name) for name in Command.__slots__)
+    q = np.zeros(2)
+    whole = Command(q, None, None, {"a": 1.0}, True)
+    made = kernels.filled(Command, slots, tuple(slot.__get__(whole) for slot in slots))
+    assert type(made) is Command
+    assert made.q is q
+    assert all(slot.__get__(made) is slot.__get__(whole) for slot in slots)
+    for kind, of, values in ((1, slots, slots), (Command, slots, ()), (Command, (1,), (1,))):
+        with pytest.raises(TypeError, match="slots"):
+            kernels.filled(kind, of, values)
 
 
 EXAMPLES = {3: b"name" + bytes(24) + b"\1\2", 700: b"x" + bytes(4)}

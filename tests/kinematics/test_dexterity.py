@@ -189,7 +189,7 @@ def test_of_several_dimensions_one_is_chosen() -> None:
     walk = self_motion(YUMI, q, task="position", direction=wish, length=0.5, points=6)
     assert pose_errors(YUMI, walk.q)[0] <= 1e-9
     assert walk.q[1, 2] > q[2]
-    with pytest.raises(SingularPoseError, match="one of the 4 dimensions of this self-motion, got only the sign 1"):
+    with pytest.raises(SingularPoseError, match="within the 4 dimensions of this self-motion, got only the sign 1"):
         self_motion(YUMI, q, task="position")
 
 
@@ -220,7 +220,7 @@ WALK = partial(self_motion, YUMI, posture(0))
 
 
 @pytest.mark.parametrize(("error", "words", "call"), [
-    (RobotError, "a joint to spare for the task 'pose', got 'irb2400', which needs all its 6",
+    (RobotError, "a redundant joint for the task 'pose', got 'irb2400', which needs all its 6",
      lambda: self_motion(robots.load("irb2400"), np.ones(6) / 5)),
     (RobotError, "'planar', which needs all its 3 joints", lambda: self_motion(DH([0.5, 0.4, 0.3], 0.0), np.ones(3))),
     (UnknownName, r"task, got \['pose'\]", lambda: WALK(task=["pose"])),
@@ -231,8 +231,8 @@ WALK = partial(self_motion, YUMI, posture(0))
     *((ShapeError, "length above 0 and up to 1000, and from 2 to 1000000 points",
        partial(WALK, length=length, points=points))
       for length, points in ((1001.0, 5), (0.0, 5), (np.nan, 5), (1.0, 1), (1.0, 10**30), (1.0, 2.5), ("1", 5))),
-    (SingularPoseError, "a direction with a part along", lambda: WALK(direction=jacobian(YUMI, posture(0))[0])),
-    (SingularPoseError, "a regular posture to walk from",
+    (SingularPoseError, "a direction with a component along", lambda: WALK(direction=jacobian(YUMI, posture(0))[0])),
+    (SingularPoseError, "a regular start posture",
      lambda: self_motion(DH([0.5, 0.4, 0.3, 0.2], 0.0), np.zeros(4))),
 ])  # fmt: skip
 def test_refusals_of_a_walk(error: type[Exception], words: str, call: Callable[[], Any]) -> None:

@@ -409,3 +409,61 @@ def test_five_of_six_joints_for_an_axis() -> None:
     turned = forward(robot, result.q)
     np.testing.assert_allclose(turned[:, :3, 2:], T[:, :3, 2:], rtol=0, atol=2e-9)
     assert np.abs(turned[:, :3, 0] - T[:, :3, 0]).max() > 0.1
+
+
+def test_what_is_left_beside_a_singular_posture_is_called_so() -> None:
+    """A wrist 1e-7 rad from straight: nearly all are solved, and the rest is not called out of reach or limits."""
+    robot = robots.load("ur5e")
+    q = np.random.default_rng(0).uniform(-3.0, 3.0, (100, 6))
+    q[:, 4] = 1e-7
+    found = inverse(robot, forward(robot, q))
+    assert set(found.reason) <= {"solved", "singular"}
+    assert found.success.sum() >= 95
+    assert found.rotation_error.max() < 1e-6
+
+
+def gen3() -> Robot:
+    """A Kinova Gen3 of seven axes: the published frames of its joints, with offsets of millimetres at the elbow."""
+    origins = [
+        (np.pi, 0.0, 0.15643),
+        (np.pi / 2, 0.005375, -0.12838),
+        (-np.pi / 2, -0.21038, -0.006375),
+        (np.pi / 2, 0.006375, -0.21038),
+        (-np.pi / 2, -0.20843, -0.006375),
+        (np.pi / 2, 0.00017505, -0.10593),
+        (-np.pi / 2, -0.10593, -0.00017505),
+        (np.pi, 0.0, -0.061525),
+    ]
+    links = [lie.se3.from_rp(lie.so3.exp([turn, 0.0, 0.0]), [0.0, y, z]) for turn, y, z in origins]
+    limit = np.array([np.inf, 2.41, np.inf, 2.66, np.inf, 2.23, np.inf])
+    return robots.from_links("gen3", links, q_min=-limit, q_max=limit)
+
+
+@pytest.mark.parametrize("bend", ["straight", "nearly", "both"])
+def test_beside_a_singular_elbow_reachable_poses_are_solved_or_called_singular(bend: str) -> None:
+    """First-order steps left 7 of 1000 unsolved, some as "out of reach"; from a start nearby 11, now none."""
+    robot, rng = gen3(), np.random.default_rng(5)
+    q = rng.uniform(np.maximum(robot.q_min, -np.pi), np.minimum(robot.q_max, np.pi), (1000, 7))
+    q[:, 3] = 0.0 if bend == "straight" else 10.0 ** rng.uniform(-9, -2, 1000)
+    if bend == "both":
+        q[:, 5] = q[:, 3]
+    T = forward(robot, q)
+    found = inverse(robot, T)
+    assert set(found.reason) <= {"solved", "singular"}
+    assert found.success.sum() >= 997
+    assert max(found.position_error.max(), found.rotation_error.max()) < 1e-4
+    near = inverse(robot, T, q0=q + 0.1 * rng.standard_normal(q.shape), starts=1)
+    assert set(near.reason) <= {"solved", "singular"}
+    assert near.success.sum() >= 999
+    np.testing.assert_allclose(forward(robot, near.q)[near.success], T[near.success], rtol=0, atol=4e-9)
+
+
+@pytest.mark.parametrize("digits", [8, 6])
+def test_goals_with_few_digits_are_solved_as_the_nearest_poses(digits: int) -> None:
+    robot = robots.load("yumi_left")
+    T = np.round(goals(robot, 20, seed=8), digits)
+    found = inverse(robot, T)
+    assert found.success.all()
+    np.testing.assert_allclose(forward(robot, found.q), lie.se3.project(T)[0], rtol=0, atol=3e-9)
+    arm = robot.with_tool(T[0])
+    assert lie.se3.is_pose(arm.T_flange_tool, 1e-14)

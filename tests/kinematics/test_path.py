@@ -147,7 +147,7 @@ def test_out_of_reach_is_said_and_left_behind() -> None:
     assert path.reason[50] == "jump"  # from the posture with the least error
     assert path.success[51:].all()
     assert (
-        "89 of 100 poses reached; the path breaks at index 40 (out of reach; in all: 1 jump, 10 out of reach"
+        "89 of 100 poses reached; the path breaks at index 40 (out of reach; in total: 1 jump, 10 out of reach"
         in path.report()
     )
 
@@ -215,7 +215,7 @@ def test_empty_path_and_one_pose() -> None:
 def test_refusals() -> None:
     T = np.tile(np.eye(4), (3, 1, 1))
     for step in ([1.0, 2.0], -1.0, np.nan):
-        with pytest.raises(ShapeError, match=r"Expected max_step to be a number of at least 0 or 6 of them"):
+        with pytest.raises(ShapeError, match=r"Expected max_step to be one number or 6 numbers"):
             inverse_path(IRB, T, max_step=step)
     for poses in (np.eye(4), np.tile(np.eye(4), (2, 3, 1, 1)), np.zeros((2, 3, 3))):
         with pytest.raises(ShapeError, match="Expected T_base_tool of shape"):

@@ -32,20 +32,15 @@ def test_the_force_of_a_load_is_inside_its_band(logs, method: str, mass: float) 
     assert (rms <= 5.0).all()
 
 
-@pytest.mark.parametrize(
-    "method",
-    [
-        "map",
-        pytest.param("observer", marks=pytest.mark.xfail(reason="88 % on one axis: offsets wander", strict=True)),
-        "kf",
-    ],
-)
+@pytest.mark.parametrize("method", protocol.METHODS)
 def test_free_motion_is_inside_its_band(logs, method: str) -> None:
     assert (protocol.judge(logs, method, 0.0)[1] >= 0.90).all()
 
 
 @pytest.mark.parametrize("part", ["load friction", "doubt of a contact"])
 def test_each_part_of_the_model_is_needed(logs, part: str) -> None:
-    """Without it fewer forces of 3 kg are inside 2 sigma on the worst axis."""
+    """Without it fewer forces of 3 kg are inside 2 sigma, on some axis by more than 1 %."""
     model = protocol.without_load_friction(logs) if part == "load friction" else protocol.without_doubt(logs)
-    assert protocol.judge(logs, "map", 3.0, model)[1].min() < protocol.judge(logs, "map", 3.0)[1].min() - 0.01
+    less = protocol.judge(logs, "map", 3.0)[1] - protocol.judge(logs, "map", 3.0, model)[1]
+    assert less.max() > 0.01
+    assert (less > 0).all()

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 
 from armlab import log, robots, signals
+from armlab.dynamics import base_parameters
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Rows, least_squares
-from armlab.identify import base_parameters, extrapolation, fit_dynamics, predict, prepare, with_velocity
+from armlab.identify import extrapolation, fit_dynamics, predict, prepare, with_velocity
 from armlab.identify.record import Record
 from armlab.identify.regression import Design
 from armlab.identify.solve import alternate
@@ -233,7 +234,7 @@ def test_tx40_torque_of_the_motors_is_told(tx40) -> None:
     with pytest.raises(ShapeError, match="torque on the joint side in N m, got: joint 4: sign reversed"):
         fit_dynamics(motors.between(0.1, 5.8), robot)
     angles = couplings.joint_to_motor(robot, table["q"] - TX40_ZERO)
-    with pytest.raises(ShapeError, match=r"joint_1 \(67\.\d+, limit 3\.14: degrees or the motor's, gear ratio 32"):
+    with pytest.raises(ShapeError, match=r"joint_1 \(67\.\d+, limit 3\.14: degrees or motor side, gear ratio 32"):
         prepare(table.with_column("q", angles), robot)
 
 

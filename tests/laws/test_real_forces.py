@@ -55,9 +55,20 @@ def read(path: Path, robot: Robot, q: np.ndarray) -> tuple[Table, np.ndarray]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not DATA.exists(), reason="the measurements are not part of the repository")
-@pytest.mark.parametrize(("method", "nees"), [("kf", (0.2, 1.5)), ("map", (0.04, 1.5)), ("observer", (0.04, 1.5))])
-def test_every_press_is_found_and_as_large_as_the_sensor_says(method: str, nees: tuple[float, float]) -> None:
-    """The residual lags by 25 to 50 ms. Of x, 0.64 to 0.72 N; the specification asks for 0.6 N."""
+@pytest.mark.parametrize(
+    ("method", "point", "largest", "nees"),
+    [
+        ("kf", (0.0, 0.0, 0.0), 0.6, (0.5, 1.5)),
+        ("map", (0.0, 0.0, 0.0), 0.6, (0.15, 1.8)),
+        ("observer", (0.0, 0.0, 0.0), 0.6, (0.15, 1.8)),
+        ("kf", None, 0.75, (0.2, 1.5)),
+        ("map", None, 0.75, (0.04, 1.5)),
+        ("observer", None, 0.75, (0.04, 1.5)),
+    ],
+)
+def test_every_press_is_found_and_as_large_as_the_sensor_says(method, point, largest, nees) -> None:
+    """The residual lags by 25 to 50 ms. Where the contact is on the sensor is known; a wrench without that is vaguer:
+    its band includes a moment of 2 N m, and of x, 0.64 to 0.72 N; the specification asks for 0.6 N."""
     flange = se3.from_rp(euler.rot_z(-np.pi / 2), np.zeros(3))
     sensor = se3.from_rp(euler.rot_y(np.pi), [0.0, 0.0, 0.0287])
     robot = robots.load("panda").with_tool(flange @ sensor)
@@ -68,7 +79,7 @@ def test_every_press_is_found_and_as_large_as_the_sensor_says(method: str, nees:
         table, force = read(DATA / name, robot, q)
         touched = np.flatnonzero(np.linalg.norm(force, axis=1) > TOUCHED)
         start, end = table.t[touched[0]], table.t[touched[-1]]  # one press, or strokes without a pause
-        found = Estimator(model_of(robot), robot, method).run(table, tare=min(1.5, start - 0.3))
+        found = Estimator(model_of(robot), robot, method, point=point).run(table, tare=float(min(1.5, start - 0.3)))
         off = found["wrench_hat"][:, :3] - force
         error.append(np.mean(off**2, axis=0))
         ratio.append(np.mean(off**2 / np.einsum("kii->ki", found["wrench_hat_cov"])[:, :3], axis=0))
@@ -77,7 +88,7 @@ def test_every_press_is_found_and_as_large_as_the_sensor_says(method: str, nees:
         missed += not there
         delays += [there[0].start - start] * bool(there)
     assert missed == 0
-    assert false <= 1
+    assert false <= (0 if point else 1)
     assert np.median(delays) <= 0.1 + 0.0125  # one row of the file
-    assert np.all(np.sqrt(np.mean(error, axis=0)) <= [0.75, 0.6, 0.6])
+    assert np.all(np.sqrt(np.mean(error, axis=0)) <= [largest, 0.6, 0.6])
     assert np.all((np.mean(ratio, axis=0) > nees[0]) & (np.mean(ratio, axis=0) < nees[1]))

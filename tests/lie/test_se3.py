@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import ShapeError, UnknownName
-from armlab.lie import euler, se3, so3
+from armlab.lie import euler, quaternion, se3, so3
 
 
 def random_twists(count: int, seed: int = 0) -> np.ndarray:
@@ -126,3 +126,28 @@ def test_bad_input_is_a_sentence(call, sentence: str) -> None:
 def test_an_unknown_path_is_refused() -> None:
     with pytest.raises(UnknownName, match="linear, screw"):
         se3.interpolate(np.eye(4), np.eye(4), 0.5, "straight")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("digits", [8, 6])
+def test_rounded_rotations_are_used_as_the_nearest_ones(digits: int) -> None:
+    """Every function takes poses with six decimals, and answers as for the projected ones; beyond 1e-5 all refuse."""
+    T = np.round(se3.exp(random_twists(50)), digits)
+    near, w = se3.project(T)[0], np.ones(6)
+    R, exact = T[:, :3, :3], near[:, :3, :3]
+    of_poses = se3.inv, se3.log, se3.adjoint, se3.adjoint_inv, se3.mean, se3.orthonormalise
+    of_rotations = so3.log, so3.orthonormalise, quaternion.from_matrix, se3.from_rp
+    pairs = [(f(T), f(near)) for f in of_poses] + [(f(R), f(exact)) for f in of_rotations]
+    pairs += [
+        (euler.to_rpy(R, "zyx"), euler.to_rpy(exact, "zyx")),
+        (se3.transform_wrench(T, w), se3.transform_wrench(near, w)),
+        (se3.interpolate(T[0], T[1:], 0.3), se3.interpolate(near[0], near[1:], 0.3)),
+        (so3.interpolate(R[0], R[1:], 0.3), so3.interpolate(exact[0], exact[1:], 0.3)),
+        (so3.angle(R[0], R[1:]), so3.angle(exact[0], exact[1:])),
+    ]
+    for got, wanted in pairs:
+        np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-13)
+    assert se3.is_pose(T).all()
+    coarse = np.round(T, 4)
+    for f in (se3.inv, se3.log, se3.adjoint):
+        with pytest.raises(ShapeError, match="rotation within 1e-05"):
+            f(coarse)

@@ -76,7 +76,7 @@ def test_is_rotation_and_its_tolerance() -> None:
     for tolerance in ("a", -1e-9, np.nan, [1e-6, 1e-6], None):
         with pytest.raises(ShapeError, match="tolerance"):
             so3.is_rotation(off, tolerance=tolerance)
-    assert so3.ROTATION_TOLERANCE == 1e-6
+    assert so3.ROTATION_TOLERANCE == 1e-5
 
 
 def test_project_is_the_nearest_rotation() -> None:
@@ -96,7 +96,7 @@ def test_project_of_a_reflection_and_of_nothing() -> None:
     R, _ = so3.project(np.diag([1.0, 1.0, -0.5]))
     np.testing.assert_allclose(R, np.eye(3), rtol=0, atol=1e-15)
     for M in (np.diag([1.0, 0.0, 0.0]), np.zeros((3, 3)), -np.eye(3)):
-        with pytest.raises(ShapeError, match="one nearest rotation"):
+        with pytest.raises(ShapeError, match="unique nearest rotation"):
             so3.project(M)
 
 
@@ -166,7 +166,7 @@ def test_mean_of_a_symmetric_pair(method) -> None:
      r"leading axes that broadcast, got R_a of shape \(2, 3, 3\), R_b of shape \(5, 3, 3\)\."),
     (lambda: so3.angle_about(np.eye(3), np.tile(np.eye(3), (2, 1, 1)), np.ones((5, 3))),
      r"leading axes that broadcast, got R_a of shape \(3, 3\), R_b of .*, axis of shape \(5, 3\)\."),
-    (lambda: so3.project(np.diag([np.inf, 1, 1])), "one nearest rotation, got one with an infinite entry"),
+    (lambda: so3.project(np.diag([np.inf, 1, 1])), "finite matrices, got an infinite entry"),
     (lambda: so3.to_axis_angle(np.zeros((3, 3))), "Expected R to be a rotation"),
     (lambda: so3.project(np.eye(2)), "Expected M of shape"),
 ])  # fmt: skip
@@ -249,14 +249,14 @@ EVERYWHERE = so3.exp(np.pi / 2 * np.array([[0, 0, 0], [0, 0, 2], [2, 0, 0], [0, 
 
 
 @pytest.mark.parametrize(("call", "error", "sentence"), [
-    (lambda: so3.mean(EVERYWHERE), ShapeError, "agree on a mean, got ones that point everywhere"),
+    (lambda: so3.mean(EVERYWHERE), ShapeError, "well-defined mean, got an agreement of"),
     (lambda: so3.mean(EVERYWHERE[:2]), ShapeError, "Cluster them"),
     (lambda: so3.mean(np.zeros((0, 3, 3))), ShapeError, "at least one element along axis 0"),
     (lambda: so3.mean(np.eye(3)), ShapeError, "at least one element along axis 0"),
     (lambda: so3.mean(np.zeros((2, 3, 3))), ShapeError, r"Expected R\[0\] to be a rotation"),
     (lambda: so3.mean(EVERYWHERE, [1, 2]), ShapeError, r"Expected weights of shape \(4,\), got \(2,\)"),
-    (lambda: so3.mean(EVERYWHERE, [1, 2, 3, -1]), ShapeError, "none negative"),
-    (lambda: so3.mean(EVERYWHERE, np.zeros(4)), ShapeError, "sum above 0"),
+    (lambda: so3.mean(EVERYWHERE, [1, 2, 3, -1]), ShapeError, ">= 0"),
+    (lambda: so3.mean(EVERYWHERE, np.zeros(4)), ShapeError, "positive sum"),
     (lambda: so3.mean(EVERYWHERE, [1, np.nan, 0, 0]), ShapeError, "Expected finite weights"),
     (lambda: so3.mean(EVERYWHERE, method="median"), UnknownName, "chordal, geodesic"),
     (lambda: se3.mean(np.zeros((2, 4, 4))), ShapeError, r"Expected the rotation of T\[0\]"),
@@ -269,5 +269,5 @@ def test_what_has_no_mean_is_refused(call, error: type[Exception], sentence: str
 def test_an_iteration_that_does_not_end_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """No set of rotations is known that needs more than a few steps; one step is too few for this one."""
     monkeypatch.setattr("armlab.lie.so3.ITERATIONS", 1)
-    with pytest.raises(NotConverged, match="Take the chordal mean"):
+    with pytest.raises(NotConverged, match="Use the chordal mean"):
         so3.mean(scattered(10, 0.6)[1], method="geodesic")

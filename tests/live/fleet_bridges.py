@@ -102,7 +102,7 @@ def fleet(monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
     """Return a fleet whose bridges report ten times a second."""
     pytest.importorskip("zenoh", reason="many robots need the extra `net`")
     monkeypatch.setattr("armlab.bridge.servers.zenoh.process._STATUS", 10**8)
-    monkeypatch.setattr("armlab.bridge.servers.zenoh.feed._HEARD", 0.1)
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.feed._DISCOVERY", 0.1)
     one = Fleet()
     yield one
     one.close()

@@ -72,7 +72,7 @@ def with_mesh(*files: str) -> Robot:
 
 
 def test_meshes_are_read_where_there_are_any(tmp_path: Path) -> None:
-    pytest.importorskip("trimesh")
+    pytest.importorskip("trimesh", reason="trimesh is not installed: meshes of the extra live")
     (tmp_path / "maker").mkdir()
     for name, length in (("maker/one.stl", 300.0), ("two.stl", 10.0)):
         box(np.zeros(3), np.array([0.0, 0.0, length]), 100.0).export(tmp_path / name)
@@ -86,9 +86,32 @@ def test_meshes_are_read_where_there_are_any(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.ptp(found[1].vertices, axis=0), [0.1, 0.1, 0.3])  # mm in the file
 
 
+def test_packages_are_looked_for_where_ros_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("trimesh", reason="trimesh is not installed: meshes of the extra live")
+    for folder in ("src/maker", "install/share/other"):
+        (tmp_path / folder).mkdir(parents=True)
+    for name in ("src/maker/one.stl", "install/share/other/two.stl"):
+        box(np.zeros(3), np.array([0.0, 0.0, 10.0]), 100.0).export(tmp_path / name)
+    robot = with_mesh("package://maker/one.stl", "package://other/two.stl")
+    with pytest.warns(UserWarning, match=r"package://maker/one\.stl.*--package-path FOLDER"):
+        assert mesh_bodies(robot, [tmp_path]) == [None] * 7
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"/nowhere:{tmp_path / 'src'}")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "install"))
+    assert [one is None for one in mesh_bodies(robot, [tmp_path])] == [True, False, False, *[True] * 4]
+
+
+def test_meshes_of_collada_are_read(tmp_path: Path) -> None:
+    pytest.importorskip("trimesh", reason="trimesh is not installed: meshes of the extra live")
+    pytest.importorskip("collada", reason="pycollada is not installed: .dae meshes of the extra live")
+    (tmp_path / "one.dae").write_bytes(box(np.zeros(3), np.array([0.0, 0.0, 300.0]), 100.0).export(file_type="dae"))
+    found = mesh_bodies(with_mesh("one.dae"), [tmp_path])[1]
+    assert found is not None
+    np.testing.assert_allclose(np.ptp(found.vertices, axis=0), [0.1, 0.1, 0.3])
+
+
 def test_missing_meshes_are_told_once(tmp_path: Path) -> None:
     (tmp_path / "broken.stl").write_text("solid of nothing")
-    with pytest.warns(UserWarning, match=r"no mesh for gone\.stl, broken\.stl of irb2400") as told:
+    with pytest.warns(UserWarning, match=r"irb2400, got no readable gone\.stl, broken\.stl") as told:
         found = mesh_bodies(with_mesh("gone.stl", "broken.stl"), [tmp_path])
     assert len(told) == 1
     assert found == [None] * 7

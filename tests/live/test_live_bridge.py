@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -13,9 +14,11 @@ from armlab import robots
 from armlab.contact import Estimator
 from armlab.errors import ConfigError, LinkError, ModelMismatchError, UnknownName
 from armlab.kinematics import forward
+from armlab.lie import se3
 from armlab.live.live_bridge import Force, RunningView, watch
 from armlab.log import Table
 from armlab.models import TorqueModel
+from armlab.robots.robot import Mesh
 from armlab.state import State
 
 from .fleet_bridges import Fleet
@@ -28,7 +31,7 @@ def test_it_waits_for_a_bridge_and_follows_it(bridge: Any, following: Any, hear_
     running = following()
     assert not running.hear(0.0)
     assert running.state.startswith("Waiting for a bridge")
-    with pytest.raises(LinkError, match="none has come yet"):
+    with pytest.raises(LinkError, match="got none yet"):
         running.value("yumi_left", "q")
     one = bridge(LEFT, RIGHT)
     hear_until(running, lambda: running.robots)
@@ -80,7 +83,7 @@ def test_a_bridge_over_zenoh_is_waited_for_followed_and_found_again(
     hear_until(running, lambda: "yumi_right" in running.robots)
     running.row = None
     hear_until(running, lambda: running.row)
-    with pytest.raises(ConfigError, match="Expected a place like zenoh"):
+    with pytest.raises(ConfigError, match="Expected an address such as zenoh"):
         following(zenoh="http://host")
 
 
@@ -100,6 +103,22 @@ def test_one_arm_of_two(bridge: Any, following: Any, hear_until: Any) -> None:
     assert list(running.robots) == ["yumi_right"]
     with pytest.raises(UnknownName, match="Known: yumi_left, yumi_right"):
         hear_until(following("ur5e"), lambda: False)
+
+
+def test_a_description_of_the_bridge_brings_its_meshes(bridge: Any, following: Any, hear_until: Any) -> None:
+    bridge(LEFT, RIGHT)
+    mesh = Mesh("visual", "maker/link.stl", np.eye(4), np.ones(3))
+    meshes = replace(LEFT, meshes=((mesh,), *[()] * LEFT.n))
+    running = following(described=[meshes])
+    hear_until(running, lambda: running.robots)
+    assert running.robots["yumi_left"] is meshes
+    assert running.robots["yumi_right"] == RIGHT
+    for other, error, words in (
+        (LEFT.with_tool(se3.from_rp(np.eye(3), [0.0, 0.0, 0.1])), ModelMismatchError, "tool moved by 0.1 m"),
+        (robots.load("ur5e"), UnknownName, "Known: yumi_left, yumi_right"),
+    ):
+        with pytest.raises(error, match=words):
+            hear_until(following(described=[other]), lambda: False)
 
 
 def test_several_bridges_need_a_name(bridge: Any, following: Any, hear_until: Any) -> None:
@@ -138,12 +157,12 @@ def test_a_model_estimates_where_nobody_else_does(
 ) -> None:
     """The estimate is that of the same rows in a table; a row that was dropped makes the next step longer."""
     one, running = bridge(LEFT), following(models=[model])
-    hear_until(running, lambda: running.robots)
+    hear_until(running, lambda: running.row, lambda: one.row(LEFT))  # from now on every row is sent
     rows = np.r_[0:20, 23:40]
     wanted = Estimator(model, LEFT)
     for k in rows:
         fields = {name: excited[name][k] for name in ("q", "qd", "tau")}
-        one.row(LEFT, t=excited.t[k], **fields)
+        one.row(LEFT, t=excited.t[k], session=2, **fields)
         dt = excited.t[k] - excited.t[k - 1 if k != 23 else 19] if k else 0.004
         expected = wanted.step(State(excited.t[k], dt, **fields))
         hear_until(running, lambda k=k: running.row and running.value("yumi_left", "session_t") == excited.t[k])
@@ -151,7 +170,7 @@ def test_a_model_estimates_where_nobody_else_does(
     np.testing.assert_array_equal(force.wrench, expected.wrench)
     np.testing.assert_array_equal(force.covariance, expected.cov)
     assert isinstance(force, Force)
-    assert force.origin == "estimate of the model"
+    assert force.origin == "estimate from the model"
 
 
 def test_a_model_of_another_arm_is_refused(bridge: Any, following: Any, hear_until: Any, model: TorqueModel) -> None:
@@ -197,7 +216,7 @@ def test_the_arms_are_drawn_as_the_bridge_has_them(server: Any, bridge: Any, fol
     view._due = 0.0
     view.draw()
     said = view._arms["yumi_right"]._panel._words._html.content
-    for word in ("no state of the motors", "rate [Hz]", "clamps per joint", "estimate of the controller"):
+    for word in ("do not contain the motor state", "rate [Hz]", "clamps per joint", "estimate of the controller"):
         assert word in said
     assert view._state._html.content.count("Cell small") == 1
 

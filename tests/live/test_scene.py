@@ -132,7 +132,7 @@ def test_frames_come_move_and_go(server: Any) -> None:
 def test_wrong_input_gets_a_sentence(server: Any) -> None:
     with pytest.raises(RobotError, match="different names"):
         RobotScene(server, [LEFT, LEFT])
-    with pytest.raises(RobotError, match="different names to show, got none"):
+    with pytest.raises(RobotError, match="different names, got none"):
         RobotScene(server, [])
     with pytest.raises(RobotError):
         RobotScene(server, ["yumi_left"])  # type: ignore[list-item]

@@ -1,4 +1,4 @@
-"""The server listens on this computer only, says nothing, and opens no tunnel."""
+"""The server listens on local view, says nothing, and opens no tunnel."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_nothing_is_printed_and_a_port_that_is_taken_is_left_alone(
     server: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     port = server.get_port()
-    with pytest.raises(LinkError, match=f"Expected port {port} to be free for the view, but it is taken"):
+    with pytest.raises(LinkError, match=f"Expected port {port} to be free for the view, but it is in use"):
         start(port)
     monkeypatch.setattr("armlab.live.server._PORT", port)
     other = start()
@@ -74,7 +74,7 @@ def test_origins_are_compared_with_the_server_that_was_asked() -> None:
 
 def test_no_tunnel_is_opened(server: Any) -> None:
     """The page of viser may ask for one by itself: its handler calls this attribute."""
-    with pytest.raises(ConfigError, match="this computer only"):
+    with pytest.raises(ConfigError, match="local view"):
         server.request_share_url()
 
 

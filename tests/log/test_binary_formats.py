@@ -86,7 +86,7 @@ def test_a_table_of_another_program(tmp_path: Path) -> None:
     assert table["count"].tolist() == [2**60 + 1, 2**60 + 2]
     assert table["mode"].tolist() == ["a", ""]
     assert table["on"].tolist() == [1, 0]
-    assert table.notes == ("left out: list (list<element: int64>)",)
+    assert table.notes == ("skipped: list (list<element: int64>)",)
     pq.write_table(found.select(["count"]), path)
     with pytest.raises(LogError, match=r"Expected a column t \[s\] in .*got count"):
         log.read(path)
@@ -97,12 +97,12 @@ def test_damaged_files(table: Table, tmp_path: Path, read_spoilt: Callable[..., 
     path = log.write(table, tmp_path / f"run{ending}")
     read_spoilt(path, path, 20)
     path.write_bytes(path.read_bytes()[:50])
-    with pytest.raises(LogError, match=f"a whole {what} file"):
+    with pytest.raises(LogError, match=f"a valid {what} file"):
         log.read(path)
     if ending == ".h5":
         with h5py.File(path, "w") as file:
             file.attrs["armlab"], file["t"] = "0.1.0", T
-        with pytest.raises(LogError, match="a whole HDF5 file"):
+        with pytest.raises(LogError, match="a valid HDF5 file"):
             log.read(path)
 
 
@@ -114,7 +114,7 @@ def test_without_an_extra(
     (tmp_path / "a.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n")
     monkeypatch.setitem(sys.modules, module, None)
     for job in (lambda: log.read(path), lambda: log.write(table, tmp_path / f"again{ending}")):
-        with pytest.raises(MissingExtra, match=rf"Expected {module} .*pip install 'armlab\[data\]'"):
+        with pytest.raises(MissingExtra, match=rf"Expected the package {module} .*pip install 'armlab\[data\]'"):
             job()
     if module == "h5py":
         with pytest.raises(MissingExtra, match=r"pip install 'armlab\[data\]', or save again"):
@@ -265,7 +265,7 @@ def test_what_matlab_sees(table: Table, tmp_path: Path) -> None:
     assert about["columns"]["q"]["labels"] == ["a", "b"]
     del found["q"]
     savemat(tmp_path / "less.mat", {name: one for name, one in found.items() if name[:2] != "__"})
-    with pytest.raises(LogError, match=r"variables that are described in .*less\.mat, got none for q\."):
+    with pytest.raises(LogError, match=r"variables described in .*less\.mat, but there are none for q\."):
         log.read(tmp_path / "less.mat")
     name = "a_name_of_more_than_thirty_one_characters"
     path = log.write(Table(T, {name: T}, {name: Column(unit="m")}), tmp_path / "run.mat")
@@ -286,7 +286,7 @@ def test_a_log_of_matlab_in_both_orientations(tmp_path: Path) -> None:
         found = log.read(path)
         np.testing.assert_array_equal(found["q"], q)
         np.testing.assert_array_equal(found.t, T)
-        assert found.notes == ("left out: about, gain (1, 1)",)
+        assert found.notes == ("skipped: about, gain (1, 1)",)
 
 
 def test_version_73(table: Table, tmp_path: Path) -> None:
@@ -308,7 +308,7 @@ def test_version_73(table: Table, tmp_path: Path) -> None:
         else:
             np.testing.assert_array_equal(found["q"], table["q"])
             assert found["xend"].tolist() == table["end"].tolist()
-            assert found.notes == ("left out: units",)
+            assert found.notes == ("skipped: units",)
 
 
 def test_what_another_program_sees_hdf5(table: Table, tmp_path: Path) -> None:
@@ -338,7 +338,7 @@ def test_an_old_jld_file(tmp_path: Path) -> None:
     found = log.read(path)
     np.testing.assert_array_equal(found["q"], q)
     np.testing.assert_array_equal(found["log.pos"], q)
-    assert found.notes == ("left out: controller, name",)
+    assert found.notes == ("skipped: controller, name",)
 
 
 def test_a_log_of_another_program(tmp_path: Path) -> None:
@@ -353,3 +353,27 @@ def test_a_log_of_another_program(tmp_path: Path) -> None:
         file["q"] = np.zeros((4, 2))
     with pytest.raises(LogError, match=r"Expected times t, time or timestamp in .*other\.h5, got q \(4, 2\)"):
         log.read(path)
+
+
+def save_struct(path: Path, fields: dict[str, np.ndarray]) -> Path:
+    """Write as JLD.jl does when a struct is saved whole: a compound of references into _refs."""
+    with h5py.File(path, "w") as file:
+        kept = [file.create_dataset(f"_refs/{k:08d}", data=array) for k, array in enumerate(fields.values())]
+        row = np.empty((), dtype=[(f"{name}_", h5py.ref_dtype) for name in fields])
+        for name, one in zip(fields, kept):
+            row[f"{name}_"] = one.ref
+        file["log"] = row
+    return path
+
+
+def test_a_struct_of_julia_saved_whole_is_read_or_refused_with_what_to_do(tmp_path: Path) -> None:
+    rows = np.random.default_rng(0).normal(size=(30, 7))
+    fields = {"pos": rows, "vel": rows + 1, "trq": rows + 2, "timestamp": 0.004 * np.arange(30)}
+    read = log.read(save_struct(tmp_path / "whole.jld", fields))
+    for name, source in (("q", "pos"), ("qd", "vel"), ("tau", "trq")):
+        np.testing.assert_array_equal(read[name], fields[source])
+    np.testing.assert_allclose(read.t, fields["timestamp"])
+    with h5py.File(tmp_path / "odd.jld", "w") as file:
+        file["log"] = np.zeros((), dtype=[("name_", "S4"), ("data_", "V8")])
+    with pytest.raises(LogError, match=r'a struct .* compound type.*save\("log.jld", "pos", log.pos'):
+        log.read(tmp_path / "odd.jld")

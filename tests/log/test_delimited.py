@@ -44,7 +44,7 @@ def test_labels_of_other_tools(tmp_path: Path) -> None:
     orca = read_csv(written(tmp_path, text), skip=1, separator=";")
     np.testing.assert_array_equal(orca.matching("robot_0.*posRawAbs"), [[1], [2]])
     path = written(tmp_path, "Joint_1,Joint_2\n1,2\n3,4\n5,6\n")
-    with pytest.raises(LogError, match=r"Expected a column t \[s\].*got Joint_1, Joint_2\. Give rate="):
+    with pytest.raises(LogError, match=r"Expected a column t \[s\].*got Joint_1, Joint_2\. Pass rate="):
         read_csv(path)
     table = read_csv(path, rate=5000.0)
     np.testing.assert_allclose(table.t, [0, 2e-4, 4e-4])
@@ -68,14 +68,14 @@ def test_words_make_a_text_column_with_a_note(tmp_path: Path) -> None:
         ("t,x\n0,1\n1,2,3\n", r"Expected 2 fields separated by ',' in line 3 .*got 3"),
         ("t;x\n0;1,5\n1;2,5\n", r"decimal point in the column 'x' .*'1,5' in line 2"),
         ("t;x\n0;1\n1;2,5\n", r"decimal point in the column 'x' .*'2,5' in line 3"),
-        ("t,x,x\n0,1,2\n", r"names that come once .*'x' twice"),
+        ("t,x,x\n0,1,2\n", r"unique names .*'x' twice"),
         ("t,x,\n0,1,2\n", r"a column without a name"),
-        ("t,x [furlong]\n0,1\n", r"unit that armlab knows for 'x' .*'furlong'.*Known: s, ms"),
+        ("t,x [furlong]\n0,1\n", r"supported unit for 'x' .*'furlong'.*Known: s, ms"),
         ("t [m],x\n0,1\n", r"times in s, ms, us or ns in the column 't'.*got m"),
-        ("t,x\n0,1\n,2\n", r"a time in every row.*none in line 3"),
+        ("t,x\n0,1\n,2\n", r"a time in every row.*a missing time in line 3"),
         ("now,x\n0,1\n", r"Expected a column t \[s\]"),
         ("t,x\n", r"a header and rows of numbers .*got 1 lines"),
-        ("t,q1 [N]\n0,1\n", r"columns that fit the glossary"),
+        ("t,q1 [N]\n0,1\n", r"columns that match the glossary"),
         ("t,q1 [deg],q2 [m]\n0,1,2\n", r"one unit for the components of q, got m, rad"),
     ],
 )
@@ -101,9 +101,9 @@ def test_files_that_are_no_text(tmp_path: Path) -> None:
         read_csv(path)
     for data, words in (
         (b"PAR1\0\0\0\0", "got a file of format Parquet"),
-        (packed[:-12], "delimited text in UTF-8"),
-        (packed[:10] + b"\0\0\0\0\0" + packed[15:], "delimited text in UTF-8"),
-        (b"t,\xff\n0,1\n", "delimited text in UTF-8"),
+        (packed[:-12], "delimited UTF-8 text"),
+        (packed[:10] + b"\0\0\0\0\0" + packed[15:], "delimited UTF-8 text"),
+        (b"t,\xff\n0,1\n", "delimited UTF-8 text"),
     ):
         path.write_bytes(data)
         with pytest.raises(LogError, match=words):
@@ -240,7 +240,7 @@ def test_a_line_of_megabytes_takes_no_memory(tmp_path: Path, head: bytes, packed
         log.read_csv(path)
     put(path, b"t,x\r" + b"1,a\r" * (3 * LONGEST))  # these ends of lines make no long header
     with memory(8 * LONGEST):
-        assert _numbers_only(path, 0, ",") is None
+        assert _numbers_only(path, 0, ",", 2) is None
 
 
 @pytest.mark.parametrize(("digit", "most"), [(b"12", 16.0), (b"ab", 64.0)])
@@ -260,7 +260,7 @@ def test_what_unpacks_to_far_more_than_its_size_is_refused(
     monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", len(text))
     assert len(log.read_csv(put(path, text, packed=True), rate=250.0)) == SOME
     monkeypatch.setattr("armlab.log.file_formats.delimited._LINES", 1000)
-    with pytest.raises(LogError, match=r"and 1000 lines in .*log, got more\. If you trust it"):
+    with pytest.raises(LogError, match=r"and 1000 lines in .*log, got more\. If you trust the file, unpack it"):
         log.read_csv(put(path, b"x\n" + b"1\n" * 1000, packed=True), rate=250.0)
     monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", 1 << 14)
     rows = [f"{0.004 * k:.3f}" + ",0.25" * 30 for k in range(1000)]  # an arm that stands still is no bomb
@@ -272,7 +272,7 @@ def test_what_unpacks_to_far_more_than_its_size_is_refused(
 def test_one_long_text_among_short_ones_is_refused(tmp_path: Path) -> None:
     """180 kB, of which 7 GiB would be made."""
     path = put(tmp_path / "log", b"t,note\n" + b"0,a\n" * 20_000 + b"1," + b"a" * 100_000 + b"\n")
-    with pytest.raises(LogError, match=r"values that are alike, got 20001 rows .* in log: note"):
+    with pytest.raises(LogError, match=r"arrays of similar size, got 20001 rows .* in log: note"):
         log.read_csv(path)
 
 
@@ -298,7 +298,7 @@ def test_descriptions_that_are_damaged_or_of_other_columns(path: Path) -> None:
         ('clock = "file"', 'clok = "file"', "unknown field `clok`"),
         ("shape = []", "shape = [", "run.csv.toml"),
         ("shape = []", "shape = [1000000, 1000000]", "at most 1048576 numbers"),
-        ("shape = []", "shape = [-1]", "sizes from 0"),
+        ("shape = []", "shape = [-1]", "sizes of at least 0"),
     ):
         assert old in text
         beside.write_text(text.replace(old, new), encoding="utf-8")
@@ -307,7 +307,7 @@ def test_descriptions_that_are_damaged_or_of_other_columns(path: Path) -> None:
         assert str(told.value).endswith(".")
     beside.write_text(text, encoding="utf-8")
     for old, new, words in (
-        ("0.2,1.0,1.0,2", "0.2,1.0,1.0,2.5", r"described in .*run\.csv, got others: .*'n' of kind count"),
+        ("0.2,1.0,1.0,2", "0.2,1.0,1.0,2.5", r"described in .*run\.csv, got other columns: .*'n' of kind count"),
         ("0.1,1.0,1.0,1", "0.1,1.0,1.0,1,7", r"Expected 4 fields .*line 3 "),
         ("0.1,1.0,1.0,1", "0.1,1.0,1.0,1x", r"columns that run\.csv\.toml describes"),
     ):
@@ -317,7 +317,7 @@ def test_descriptions_that_are_damaged_or_of_other_columns(path: Path) -> None:
     path.write_text("t [s],q1 [rad]\n0,1\n0.1,2\n")
     table = read(path)
     assert table["q"].tolist() == [[1.0], [2.0]]
-    assert "run.csv.toml describes other columns and is not used" in table.notes
+    assert "run.csv.toml describes different columns and is ignored" in table.notes
 
 
 @pytest.fixture
@@ -338,7 +338,7 @@ def test_a_log_of_the_ancestors(path_described: Path) -> None:
     np.testing.assert_array_equal(table["q"], q)
     assert set(table.names) == {"q", "tau_ref", "seq"}
     assert table["seq"].dtype == np.int64
-    assert table.notes == ("left out: Log, GR (7, 7)",)
+    assert table.notes == ("skipped: Log, GR (7, 7)",)
     square = np.arange(25.0).reshape(5, 5)  # samples in rows stay
     arrays = {"t": (T[:, None], "s"), "q": (square, "deg"), "T": (np.zeros((5, 4, 4)), ""), "x": (T[:, None], "")}
     table = foreign_table(path_described, arrays)
@@ -357,7 +357,7 @@ def test_a_description_goes_through_json(path_described: Path) -> None:
     about = of_json(Description.of(table).json(more=[1]), path_described)
     assert about == Description.of(table)
     assert about.table(path_described, table.t, dict(table.values)).sha256 == table.sha256
-    with pytest.raises(LogError, match="columns that are described in"):
+    with pytest.raises(LogError, match="columns described in"):
         about.table(path_described, table.t, {"q": np.zeros((2, 3))})
     for text in ("", "[]", '{"armlab": 1}', '{"armlab": "1"}', b"\xff"):
         with pytest.raises(LogError, match=r"a description of the columns in .*Export the log again\."):

@@ -138,13 +138,18 @@ def test_two_arms_in_one_file(tmp_path: Path) -> None:
     ("old", "new", "error", "words"),
     [
         ("4000, axis = 1", "4000, axis = 8", ConfigError, "an axis from 1 to 7 of 'yumi_left' .* got 8"),
-        ("4000, axis = 1", "4000, axis = 2", ConfigError, "each signal of an axis once .*signal_4000_axis_2 twice"),
+        (
+            "4000, axis = 1",
+            "4000, axis = 2",
+            ConfigError,
+            "each signal of an axis exactly once .*signal_4000_axis_2 twice",
+        ),
         ("axis = 1 }", "axes = 1 }", ConfigError, "unknown field `axes`"),
         ('time = "time"\n', "", ConfigError, "either time or rate"),
         ('"yumi_left"', '"yumi_up"', UnknownName, "yumi_up"),
         ('arm = "yumi_left"', "", ConfigError, "an arm for every column"),
-        ("s4000 3", "s4000 9", LogError, "a column 's4000 9' in .*run.txt, as the map says, got time, s4000 1"),
-        ('time_unit = "ms"', 'time_unit = "min"', LogError, "a unit that armlab knows for 't'"),
+        ("s4000 3", "s4000 9", LogError, "a column 's4000 9' in .*run.txt, as stated in the map, got time, s4000 1"),
+        ('time_unit = "ms"', 'time_unit = "min"', LogError, "a supported unit for 't'"),
     ],
 )
 def test_maps_that_are_wrong(tmp_path: Path, old: str, new: str, error: type[Exception], words: str) -> None:
@@ -163,7 +168,7 @@ def test_files_that_are_wrong(tmp_path: Path) -> None:
         (re.sub(rb"\n1008\.0,", b"\nlate,", whole), r"numbers in the column 'time' .*late"),
         (whole + b"1,2\n", r"Expected 8 fields in line 8 .* got 2"),
         (b"time\n", "lines of numbers"),
-        (b"\0\1\2binary", "signal viewers are read by them alone: export text there"),
+        (b"\0\1\2binary", "signal viewer, the only program that can read its binary files"),
     ):
         path.write_bytes(data)
         with pytest.raises(LogError, match=words):
@@ -244,7 +249,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     first = "irb2ext.robot[0].joint[0].posRawAbs"
     twice = table.with_column("other.robot[0].joint[0].posRawAbs", table[first], unit="1")
     for wrong, arm, words in (
-        (table, 1, r"robot\[1\]\.joint\[0\]\.posRawAbs and so on, got arms 0\. Name another arm"),
+        (table, 1, r"robot\[1\]\.joint\[0\]\.posRawAbs and so on, got arms 0\. Give another arm"),
         (table.select("force.sensor[0]"), 0, "got columns force"),
         (table.without(first.replace("joint[0]", "joint[4]")), 0, r"of 7 joints of robot\[0\] .*none of joint \[4\]"),
         (twice, 0, r"one posRawAbs per joint, got irb2ext.* and other"),
@@ -319,7 +324,7 @@ def test_read_plane_makes_the_normal_unit_unless_raw(tmp_path: Path) -> None:
         (read_cloud, CLOUD.replace("187.260742", "1e999"), "'1e999' in line 2, column 3"),
         (read_cloud, CLOUD.replace("0.976892 , ", ""), "6 in line 2"),
         (read_cloud, PLANE, "4 in line 1"),
-        (read_cloud, "a\0b", "bytes"),
+        (read_cloud, "a\0b", "binary"),
         (read_plane, PLANE.replace("1.000000]", "2.000000]"), "last row"),
         (read_plane, "\n".join(PLANE.split("\r\n")[:3]), "3 rows"),
         (read_plane, PLANE.replace("0.999918", "0.899918"), "normal of length 1"),
@@ -371,5 +376,7 @@ def test_a_rotation_that_is_none_is_projected_on_demand_only(tmp_path: Path) -> 
     assert se3.is_pose(found.T, 1e-14)
     assert found.distance == pytest.approx(1e-5, rel=0.3)
     T[0, 0] -= 1e-5
-    T[0, 0] += 1e-8  # rounding of a file: left as it is
-    np.testing.assert_array_equal(read_matrix(pose_file(tmp_path, T)).T[:3, :3], T[:3, :3])
+    T[0, 0] += 1e-8  # rounding of a file: restored
+    found = read_matrix(pose_file(tmp_path, T))
+    assert se3.is_pose(found.T, 1e-14)
+    np.testing.assert_allclose(found.T[:3, :3], T[:3, :3], rtol=0, atol=1e-8)

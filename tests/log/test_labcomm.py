@@ -99,7 +99,7 @@ def test_a_clock_that_wraps_and_one_that_stands(tmp_path: Path) -> None:
 def test_without_a_clock_the_rate_is_asked_for(tmp_path: Path) -> None:
     path = tmp_path / "force"
     path.write_bytes(stream("2006", [("force", [1.0 * k]) for k in range(4)] + [("big", 1)]))
-    with pytest.raises(LogError, match=r"clock .* in the sample 'force' .*got force, big\. Give the rate"):
+    with pytest.raises(LogError, match=r"clock .* in the sample 'force' .*got force, big\. Pass the rate"):
         read(path)
     table = read_labcomm(path, rate=1 / 0.004032)
     np.testing.assert_allclose(table.t, 0.004032 * np.arange(4))
@@ -124,7 +124,7 @@ def test_a_stream_cut_anywhere_is_read_as_far_as_it_goes(tmp_path: Path) -> None
         path.write_bytes(data[:length])
         rows, torn = 1 + (length - first) // size, (length - first) % size
         if torn:
-            with pytest.warns(UserWarning, match=f"ends within a packet: its last {torn} bytes are left out"):
+            with pytest.warns(UserWarning, match=f"ends within a packet: its last {torn} bytes are skipped"):
                 assert len(read(path)) == rows
         else:
             with warnings.catch_warnings():
@@ -138,12 +138,12 @@ def test_bad_streams_name_the_byte(tmp_path: Path) -> None:
     place = data.rindex(row(0)["tm"].to_bytes(4, "big"))  # type: ignore[union-attr]
     data[place - 1] ^= 1  # in the length of the first value, which begins one byte before
     path.write_bytes(data)
-    words = rf"Expected a whole LabComm stream in .*bad, got a fault at byte {place - 2}: .*\.$"
+    words = rf"Expected a valid LabComm stream in .*bad, got an error at byte {place - 2}: .*\.$"
     with pytest.raises(LogError, match=words) as told:
         read(path)
     assert "\n" not in str(told.value)
     for data, words in (
-        (stream("2014v1", []), "got definitions at most"),
+        (stream("2014v1", []), "got only definitions"),
         (b"\x01\x02other bytes\0", "a file of format"),
     ):
         path.write_bytes(data)
@@ -173,8 +173,8 @@ def test_a_sample_that_is_declared_with_two_types(tmp_path: Path) -> None:
     for first, second, told in (
         (("int", 3), ("string", "a"), "numbers or texts in x, got both"),
         (("string", "4"), ("double", 1.5), "numbers or texts in x, got both"),
-        (("double", 7.5), ("double[3]", [1.0, 2.0, 3.0]), "arrays of 0 dimensions in x, got one of 1"),
-        (("double[2]", [1.0, 2.0]), ("double", 7.5), "arrays of 1 dimensions in x, got one of 0"),
+        (("double", 7.5), ("double[3]", [1.0, 2.0, 3.0]), "arrays of 0 dimensions in x, got 1"),
+        (("double[2]", [1.0, 2.0]), ("double", 7.5), "arrays of 1 dimensions in x, got 0"),
     ):
         with pytest.raises(LogError, match=rf"Expected samples .*run\.labcomm.*{told}"):
             read_labcomm(declared_twice(path, *first, *second), rate=1.0)
@@ -184,7 +184,7 @@ def test_one_long_value_does_not_ask_for_memory_in_all_rows(tmp_path: Path) -> N
     path = tmp_path / "run.labcomm"
     for name, one, most in (("force", [0.5], 200_000), ("word", "x", 500_000)):
         path.write_bytes(stream("2014", [(name, one * (most if k == 7 else 1)) for k in range(2000)]))
-        with pytest.raises(LogError, match=r"run\.labcomm.*Expected values that are alike, got 2000 rows with"):
+        with pytest.raises(LogError, match=r"run\.labcomm.*Expected arrays of similar size, got 2000 rows with"):
             read_labcomm(path, rate=1.0)
 
 

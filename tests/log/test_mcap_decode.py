@@ -145,7 +145,7 @@ def test_a_damaged_message_costs_itself_only(chunking: bool) -> None:
     rows = [row for row in range(40) if row % 9 != 4]
     assert decoded[1].sequence.tolist() == decoded[1].fields["a"][:, 0].tolist() == rows
     assert decoded[2].fields == {}
-    with pytest.raises(LogError, match="Expected messages in cdr on /plain, got 'json'"):
+    with pytest.raises(LogError, match="Expected messages encoded as cdr on /plain, got 'json'"):
         decode(view, contents(view), {3: ["a"]})
     assert damage == [
         "4 messages on /states skipped: Expected at most 13 elements in x, got 1828716544.",
@@ -173,7 +173,7 @@ def test_a_channel_whose_columns_would_be_holes_is_left_out_alone() -> None:
     assert decoded[2].fields["a"][:, 0].tolist() == list(range(3000))
     (sentence,) = damage
     assert sentence.startswith(
-        "3000 messages on /ragged skipped: Expected values that are alike, got 3000 rows with 105999"
+        "3000 messages on /ragged skipped: Expected arrays of similar size, got 3000 rows with 105999"
     )
     assert len(decode(view, contents(view), {1: ["a"]})[0][1].fields["a"]) == 3000
 

@@ -60,7 +60,7 @@ def test_row_never_raises_and_says_what_it_did_not_write(tmp_path: Path, robot: 
     texts = event_texts(recorder.path)
     assert len([text for text in texts if "undeclared" in text]) == 1
     assert any("Expected 7 values in q_ref, got 6." in text for text in texts)
-    assert any("3 rows were dropped, ticks 1 to 3" in text for text in texts)
+    assert any("3 rows dropped, ticks 1 to 3" in text for text in texts)
     assert len(read(recorder.path)) == 2
 
 
@@ -81,7 +81,7 @@ def test_text_that_is_no_utf8_does_not_end_the_recording(
     assert held.metadata["armlab"]["command"] == r"armlab run --log caf\udce9"
     assert held.attachments[r"caf\udce9"] == b"data"
     assert [event.text for event in held.events][1:3] == [
-        r"not written, as not declared with extra=: 5, caf\udce9",
+        r"not written, because not declared with extra=: 5, caf\udce9",
         r"caf\udce9 was refused",
     ]
 
@@ -93,7 +93,7 @@ def test_complaints_that_are_always_new_do_not_fill_the_disk(tmp_path: Path, rob
             assert not recorder.row(state, Command(q=f"up {i}"), tick)  # type: ignore[arg-type]
     texts = event_texts(recorder.path)
     assert len([text for text in texts if "row not written" in text]) == 100
-    assert any("300 rows were dropped" in text for text in texts)
+    assert any("300 rows dropped" in text for text in texts)
 
 
 def test_a_finished_file_is_read_by_rosbags_and_by_mcap(recording: Callable[..., Path], rows: Callable) -> None:
@@ -287,7 +287,7 @@ def test_each_row_is_there_at_once_and_no_chunk_is_longer_than_a_second(
     for i in range(MAX_CHUNK_ROWS + 20):
         file.write([layout.pack(*rows(i))])
         if i in (0, MAX_CHUNK_ROWS - 2, MAX_CHUNK_ROWS - 1, MAX_CHUNK_ROWS + 19):
-            with pytest.warns(UserWarning, match=rf"recovered {i + 1} rows \(.*, 0 bytes torn"):
+            with pytest.warns(UserWarning, match=rf"recovered {i + 1} rows \(.*, 0 bytes truncated"):
                 read(file.path)
     file.event("the last word", 1)
     file.abandon()
@@ -299,7 +299,7 @@ def test_each_row_is_there_at_once_and_no_chunk_is_longer_than_a_second(
 def test_a_recording_has_no_name_of_another_format(name: str, tmp_path: Path, robot: Robot) -> None:
     assert recording_path("run.MCAP") == Path("run.MCAP")
     for written in (recording_path, Log(robot).save, lambda path: Recorder(path, robot)):
-        with pytest.raises(ConfigError, match=rf"ending in \.mcap, got .*{name}\. Change the ending.*log\.write"):
+        with pytest.raises(ConfigError, match=rf"the extension .mcap, got .*{name}\. Change the extension.*log\.write"):
             written(tmp_path / name)
     assert not list(tmp_path.iterdir())
 
@@ -347,7 +347,7 @@ def test_a_file_of_somebody_else_is_neither_written_nor_closed(tmp_path: Path) -
     close_it(file, tmp_path)
     (tmp_path / "run-2").rename(tmp_path / "moved")
     (tmp_path / "run-2").write_bytes(b"theirs")
-    with pytest.raises(FileNotFoundError, match="another file has its name"):
+    with pytest.raises(FileNotFoundError, match="its name belongs to another file"):
         file.write(b"x")
     assert (tmp_path / "run-2").read_bytes() == b"theirs"
 

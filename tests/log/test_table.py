@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import pickle
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab import glossary
-from armlab.errors import LogError, ShapeError, UnknownName
+from armlab.errors import LogError, MissingExtra, ShapeError, UnknownName
 from armlab.lie import quaternion, se3, so3
 from armlab.log import Column, Table, concat
 from armlab.log.column import alias, refuse_ragged
@@ -72,13 +74,13 @@ def test_values_are_read_only_and_independent_of_the_callers_array() -> None:
         ({"wrench": np.zeros((3, 6))}, {"wrench": Column(frame="sensor")}, "Expected frame 'base'"),
         ({"mine": np.zeros(3)}, {"mine": Column(unit="1", kind="odd")}, "kind of column"),
         ({"mine": np.zeros((3, 2))}, {"mine": Column(unit="1", labels=("a",))}, "Expected 2 labels"),
-        ({"seq": [0.0, 0.5, 1.0]}, {}, "whole numbers"),
-        ({"seq": [0.0, 2.0**70, 1.0]}, {}, "whole numbers"),
-        ({"late": [0, 1, 2]}, {}, "whole numbers"),
+        ({"seq": [0.0, 0.5, 1.0]}, {}, "integers that fit int64"),
+        ({"seq": [0.0, 2.0**70, 1.0]}, {}, "integers that fit int64"),
+        ({"late": [0, 1, 2]}, {}, "integers that fit bool"),
         ({"dt": 1.0}, {}, "one value per row"),
         ({"q": [["a"], ["b"], ["c"]]}, {}, "Expected numbers"),
-        ({}, {"q": Column()}, "that have values"),
-        ({"t": [0.0, 1.0, 2.0]}, {"t": Column(unit="s")}, "columns besides t, the clock"),
+        ({}, {"q": Column()}, "only for columns with values"),
+        ({"t": [0.0, 1.0, 2.0]}, {"t": Column(unit="s")}, "column names other than t, which is the clock"),
     ],
 )
 def test_wrong_columns_are_refused(values: dict, columns: dict, message: str) -> None:
@@ -131,7 +133,7 @@ def test_select_without_with_column_and_rename() -> None:
         table.with_column("mine", np.ones(50))
     with pytest.raises(ShapeError, match="Expected unit"):
         table.rename({"grip": "qdd"})
-    with pytest.raises(ShapeError, match="do not meet"):
+    with pytest.raises(ShapeError, match="differ from other columns"):
         table.rename({"grip": "q"})
 
 
@@ -250,7 +252,7 @@ def test_stored_values_have_the_type_of_their_kind(name: str, values: list, dtyp
     assert table[name].dtype.str == dtype
     if dtype == "<f8" and name == "late":
         assert table.columns[name].kind == "real"
-        assert table.notes == ("late: flag with missing values, kept as real",)
+        assert table.notes == ("late: flag with missing values, stored as real",)
 
 
 def test_a_name_that_is_no_column_of_the_glossary_takes_the_unit_that_is_given() -> None:
@@ -260,7 +262,9 @@ def test_a_name_that_is_no_column_of_the_glossary_takes_the_unit_that_is_given()
     assert "x" not in glossary.columns()
 
 
-@pytest.mark.parametrize(("rows", "held", "told"), [(2**21, 0, ""), (2**22, 2**20, ""), (2**22, 2**20 - 1, "alike")])
+@pytest.mark.parametrize(
+    ("rows", "held", "told"), [(2**21, 0, ""), (2**22, 2**20, ""), (2**22, 2**20 - 1, "similar size")]
+)
 def test_few_holes_and_small_columns_are_no_matter(rows: int, held: int, told: str) -> None:
     with pytest.raises(LogError, match=told) if told else contextlib.nullcontext():
         refuse_ragged(rows, {"x": 100, "y": 28}, held)
@@ -355,11 +359,11 @@ def test_rates() -> None:
         with pytest.raises(ShapeError, match="rate above zero"):
             table.resample(rate)
     for rate in (1e9, 1e308):
-        with pytest.raises(ShapeError, match=r"got 1e\+\d+ Hz over 1 s: \S+ rows of 101\. Give the rate in hertz"):
+        with pytest.raises(ShapeError, match=r"got 1e\+\d+ Hz over 1 s: \S+ rows of 101\. Pass the rate in hertz"):
             table.resample(rate)
     with pytest.raises(ShapeError, match="t in seconds"):
         replace(table, t=1e9 * table.t).resample(100.0)
-    with pytest.raises(ShapeError, match=r"between 0 and 1 s, got 1\.01 s in row 1: no extrapolation"):
+    with pytest.raises(ShapeError, match=r"between 0 and 1 s, got 1\.01 s in row 1; there is no extrapolation"):
         table.resample(np.array([0.5, 1.01]))
     with pytest.raises(ShapeError, match="two rows"):
         ramp(1).resample(100.0)
@@ -425,8 +429,48 @@ def test_concatenation_keeps_the_gap_and_refuses_what_does_not_fit() -> None:
     table = ramp()
     for tables, words in (
         ([table, table], r"begin after 1 s, got 0 s; use shifted"),
-        ([table, table.without("q").shifted(2.0)], "differ in q"),
+        ([table, table.without("q").shifted(2.0)], "differences of table 2 in q"),
         ([], "at least one"),
     ):
         with pytest.raises(ShapeError, match=words):
             concat(*tables)
+
+
+def mixed() -> Table:
+    columns = {"grip": Column(unit="N"), "who": Column(unit="1", kind="text"), "q": Column(labels=("a", "b"))}
+    values = {"q": [[0.1, 0.2], [0.3, np.nan]], "grip": [1.0, 2.0], "who": ["<me>", "you"]}
+    return Table([0.0, 0.5], values, columns)
+
+
+@pytest.mark.parametrize("package", ["pandas", "polars", "pyarrow", "xarray"])
+def test_tables_become_those_of_other_libraries(package: str, monkeypatch) -> None:
+    kind = {"pyarrow": "arrow"}.get(package, package)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(
+        MissingExtra,
+        match=f"Expected the package {package}, but it is not installed. Install it: pip install {package}",
+    ):
+        getattr(mixed(), f"to_{kind}")()
+    monkeypatch.undo()
+    pytest.importorskip(package, reason=f"{package} is not installed")
+    found = getattr(mixed(), f"to_{kind}")()
+    if package == "xarray":
+        assert found["q"].sel(q_0="b").values[0] == 0.2
+        assert found["grip"].attrs["units"] == "N"
+        return
+    q2 = found["q2"].to_pylist() if package == "pyarrow" else list(found["q2"])
+    assert q2[0] == 0.2
+    assert math.isnan(q2[1])
+    if package == "pyarrow":
+        assert found.column_names == ["t", "q1", "q2", "grip", "who"]
+        assert found.schema.field("grip").metadata == {b"unit": b"N"}
+    if package == "pandas":
+        assert found.attrs["units"]["q1"] == "rad"
+        assert found.index.tolist() == [0.0, 0.5]
+
+
+def test_a_notebook_shows_rows_columns_and_ranges() -> None:
+    page = mixed()._repr_html_()
+    assert "Table of 2 rows" in page
+    assert "<td>q</td><td>(2, 2)</td><td>rad</td><td>1</td><td>0.1 to 0.3</td>" in page
+    assert Table([], {"grip": []}, {"grip": Column(unit="N")})._repr_html_().count("<tr>") == 2

@@ -40,9 +40,11 @@ def test_files_of_mcap(ros: Any, tmp_path: Path, chunking: bool) -> None:
     table = log.read(path, clock="/joint_states")
     np.testing.assert_array_equal(table["q"][:, 0], np.arange(20))
     np.testing.assert_array_equal(table["state.gain"], np.arange(20))
-    assert table.notes == ("left out: /odd (Expected messages in cdr, json or protobuf, got 'flatbuffer')",)
+    assert table.notes == ("skipped: /odd (Expected messages encoded as cdr, json or protobuf, got 'flatbuffer')",)
     with pytest.raises(
-        LogError, match=r"as clock= for .*, got /odd: Expected messages in cdr, json or protobuf, got 'flatbuffer'\."
+        LogError,
+        match=r"as clock= for .*, got /odd: Expected messages encoded as cdr, json or protobuf, got "
+        r"'flatbuffer'\.",
     ):
         log.read(path, clock="/odd")
     assert log.read(path, ["q"], robot=None).names == ("q",)
@@ -87,7 +89,7 @@ def test_idl_and_types_that_nobody_defines(ros: Any, tmp_path: Path) -> None:
         writer.finish()
     table = log.read(path)
     assert table["Gauge"].tolist() == [1.5, 1.5, 1.5]
-    assert "left out: /X (Expected a ros2msg definition of lab_msgs/msg/X" in table.notes[0]
+    assert "skipped: /X (Expected a ros2msg definition of lab_msgs/msg/X" in table.notes[0]
 
 
 def test_parts_of_a_topic_that_are_holes_together_are_left_out_alone() -> None:
@@ -102,7 +104,7 @@ def test_parts_of_a_topic_that_are_holes_together_are_left_out_alone() -> None:
     assert len(decoded.sequence) == 3001
     (sentence,) = into.damage
     assert sentence.startswith(
-        "3001 messages on /ragged skipped: Expected values that are alike, got 3001 rows with 103000"
+        "3001 messages on /ragged skipped: Expected arrays of similar size, got 3001 rows with 103000"
     )
 
 
@@ -145,7 +147,9 @@ def test_one_long_message_does_not_ask_for_memory_in_all_rows() -> None:
     assert decoded.fields == {}
     assert len(decoded.sequence) == 0
     assert bad == 4_002
-    assert reason.startswith("Expected values that are alike, got 4001 rows with 204000 numbers, up to 200000 in value")
+    assert reason.startswith(
+        "Expected arrays of similar size, got 4001 rows with 204000 numbers, up to 200000 in value"
+    )
     decoded, bad, _ = decode_one_by_one(((k, k, b'{"%d": %d}' % (k, k)) for k in range(2000)), numbers_in_json)
     assert bad == 0
     assert [decoded.fields[str(k)][k, 0] for k in range(2000)] == list(range(2000))
@@ -167,5 +171,5 @@ def test_protobuf() -> None:
     found = numbers_in_protobuf("google.protobuf.ListValue", definition)(listed.SerializeToString())
     assert found["values[0].number_value"] == 2.0
     for name, data in (("google.protobuf.Nix", definition), ("google.protobuf.Timestamp", b"\xff\xff")):
-        with pytest.raises(LogError, match=f"the definition of {name} in protobuf"):
+        with pytest.raises(LogError, match=f"a protobuf definition of {name}"):
             numbers_in_protobuf(name, data)

@@ -70,7 +70,7 @@ def test_a_bag_of_a_ur5e(ros: Any, tmp_path: Path, storage: str) -> None:
     np.testing.assert_array_equal(table["tf_static.world.base_link"][:, 2, 3], np.ones(40))  # before it was told, too
     np.testing.assert_array_equal(table["commands"][:, 1], -(rows // 5 * 5))  # without stamps, less the delay of rows
     assert table.notes == (
-        "left out: /robot_description (std_msgs/msg/String)",
+        "skipped: /robot_description (std_msgs/msg/String)",
         "wrench_raw is /ft/wrench, in axes of tool0",
     )
     assert table.source[0].split()[:2] == [table.source[0].split()[0], "sha256"]
@@ -88,7 +88,7 @@ def test_columns_of_one_topic_need_no_clock(ros: Any, tmp_path: Path) -> None:
     np.testing.assert_array_equal(slow["q"][:, 0], np.arange(0, 40, 5))
     with pytest.raises(UnknownName, match=r"'force'\. Known: commands, q, qd, tau, tf\.base_link\.tool0, .*wrench_raw"):
         log.read(path, ["force"])
-    with pytest.raises(UnknownName, match=r"topic with numbers in this file, got '/nix'\. Known: /commands"):
+    with pytest.raises(UnknownName, match=r"topic with numeric data in this file, got '/nix'\. Known: /commands"):
         log.read(path, clock="/nix")
     with pytest.raises(LogError, match=r"as clock= for .*, got /robot_description: std_msgs/msg/String\."):
         log.read(path, clock="/robot_description")
@@ -100,7 +100,7 @@ def test_joints_of_another_robot_are_listed_on_both_sides(ros: Any, tmp_path: Pa
         LogError, match=r"Only in the robot: panda_joint1, .*; only in the log: elbow_joint, .*_3_joint\."
     ):
         log.read(path, ["q"], robot="panda")
-    with pytest.raises(UnknownName, match=r"robot of the library, or first part of topics in this file, got 'nix'"):
+    with pytest.raises(UnknownName, match=r"library robot or the first part of a topic name in this file, got 'nix'"):
         log.read(path, robot="nix")
     only = ros.bag(tmp_path / "other", [("/x", ros.start, ros.numbers([1.0]))])
     with pytest.raises(
@@ -245,7 +245,7 @@ def test_topics_one_by_one(ros: Any, tmp_path: Path) -> None:
     assert {name: len(table) for name, table in tables.items()} == {
         "/tf_static": 1, "/joint_states": 40, "/ft/wrench": 20, "/tf": 8, "/commands": 8,
     }  # fmt: skip
-    assert tables["/tf"].notes[-1].startswith("left out: /")
+    assert tables["/tf"].notes[-1].startswith("skipped: /")
     assert tables["/joint_states"].columns["q"].labels == robots.load("ur5e").joint_names
     assert tables["/ft/wrench"].names == ("wrench_raw",)
     assert is_foreign(path)
@@ -275,7 +275,7 @@ def test_messages_without_fields_in_a_bag_of_ros_1(tmp_path: Path) -> None:
     }  # fmt: skip
     path = bag_of_one(tmp_path / "endless.bag", "Nothing[] a", b"\xff\xff\xff\xff")  # as many as a message says
     with pytest.warns(
-        UserWarning, match=r"left out: /one \(Expected elements with a byte for each 16 fields in a of lab_msgs/"
+        UserWarning, match=r"skipped: /one \(Expected at most 16 fields per byte in the elements of a of lab_msgs/"
     ):
         assert read_topics(path) == {}
 
@@ -331,7 +331,7 @@ def test_a_state_of_one_message(ros: Any) -> None:
     assert (columns["o_f_ext.wrench"].frame, columns["o_f_ext.wrench"].unit) == ("tool", "N, N m")
     assert np.isnan(values["poses[0].pose"][0]).all()
     np.testing.assert_allclose(values["poses[0].pose"][1, :3], [[-1, 0, 0, 1], [0, -1, 0, 2], [0, 0, 1, 3]], atol=1e-15)
-    assert notes == ["1 poses of poses[0].pose are missing: no quaternion of length 1"]
+    assert notes == ["1 poses of poses[0].pose are missing: their quaternions do not have unit norm"]
     assert (columns["count"].kind, columns["on"].kind, columns["gains"].kind) == ("real", "flag", "real")
 
 

@@ -92,7 +92,7 @@ def test_damaged_fields_are_refused_in_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("sources", "said"),
     [
-        ("tuples = []", "got one with 'tuples'"),
+        ("tuples = []", "got a table with 'tuples'"),
         ("", "fields of a test_outer"),
         ("tuple = [1]", "texts for sources .* 1"),
     ],
@@ -152,6 +152,12 @@ def test_what_a_fit_knew_is_kept_beside_the_value(tmp_path, model) -> None:
     assert (known["names"], known["n"]) == (("a", "b"), 3)
     assert np.array_equal(load(path, kind="torque_model").rotor, model.rotor)
     assert load_statistics(save(model, tmp_path / "bare.toml")) == {}
+
+
+def test_a_fit_is_saved_as_by_its_own_save(tmp_path, fitted) -> None:
+    path = save(fitted, tmp_path / "model.toml", sources=["a.mcap"])
+    assert any("a.mcap" in source for source in load(path, kind="torque_model").sources)
+    np.testing.assert_array_equal(load_statistics(path)["cov"], fitted.cov)
 
 
 def values(truth) -> list[object]:

@@ -63,21 +63,21 @@ FIELDS: list[tuple[Any, dict[str, Any], str]] = [
     (QUALITY, {"coverage": ONE}, r"coverage of one number per joint, got shape \(1,\)"),
     (TRAINING, {"speed_share": np.ones((2, 4))}, r"speed_share of shape \(2, 12\) of the training, got shape \(2, 4\)"),
     (TRAINING, {"q_max": np.array([1.0, np.nan])}, "finite q_max"),
-    (TRAINING, {"rest_share": 1.5}, "share of rest from 0 to 1"),
-    (TRAINING, {"longest_rest": np.nan}, "length from 0 s"),
+    (TRAINING, {"rest_share": 1.5}, "rest share from 0 to 1"),
+    (TRAINING, {"longest_rest": np.nan}, "duration of at least 0 s"),
     (NOISE, {"memory": np.zeros(2)}, "memory > 0"),
     (NOISE, {"qd_noise": -TWO}, "memory > 0"),
     (NOISE, {"memory": ONE}, "memory > 0"),
     (NOISE, {"alpha2_kf": 0.0}, "memory > 0"),
     (FORCE, {"R_tool_sensor": np.diag([1.0, 1.0, -1.0])}, "a rotation"),
     (FORCE, {"R_tool_sensor": np.eye(4)}, r"finite R_tool_sensor of shape \(3, 3\)"),
-    (FORCE, {"mass": -0.1}, "mass of 0 kg or more"),
-    (FORCE, {"mass": np.nan}, "mass of 0 kg or more"),
+    (FORCE, {"mass": -0.1}, "mass of at least 0 kg"),
+    (FORCE, {"mass": np.nan}, "mass of at least 0 kg"),
     (FORCE, {"centre": np.array([np.nan, 0.0, 0.0])}, "finite centre"),
     (FORCE, {"bias": np.full(6, np.nan)}, "finite bias"),
     (FORCE, {"gravity": np.array([0.0, 0.0, np.inf])}, "finite gravity"),
     (FORCE, {"position": np.zeros(2)}, "finite position"),
-    (FORCE, {"sign": 0}, r"sign \+1 or -1"),
+    (FORCE, {"sign": 0}, r"sign of a force sensor to be \+1 or -1"),
     (ACCELEROMETER, {"R_tool_sensor": np.diag([1.0, 1.0, -1.0])}, "a rotation"),
     (ACCELEROMETER, {"bias": np.full(3, np.nan)}, "finite bias"),
     (ACCELEROMETER, {"gravity": np.zeros(2)}, "finite gravity"),
@@ -119,10 +119,10 @@ CALLS: list[tuple[type[Exception], str, Callable[[], Any]]] = [
     (RobotError, "Load it first", lambda: CORRECTION.check_robot("irb2400")),  # type: ignore[arg-type]
     (RobotError, "Load it first", lambda: replace(CORRECTION, robot="irb2400")),  # type: ignore[arg-type]
     (ShapeError, r"q of shape \(..., 6\)", lambda: CORRECTION.joints(np.zeros((4, 5)))),
-    (ShapeError, "was fitted with 1 of them", lambda: CORRECTION.joints(np.zeros((4, 6)))),
+    (ShapeError, "was fitted with L = 1", lambda: CORRECTION.joints(np.zeros((4, 6)))),
     (ConfigError, "file format, got float", lambda: kind_of(1.0)),
     (ConfigError, "got complex", lambda: models.save(1j, "none.toml")),
-    (ConfigError, "a kind of its own", lambda: register("payload", Friction)),
+    (ConfigError, "a unique kind", lambda: register("payload", Friction)),
     (ConfigError, "a dataclass", lambda: register("test_float", float)),
 ]  # fmt: skip
 
@@ -146,7 +146,7 @@ def test_parts_of_another_robot(model) -> None:
         (ShapeError, "map positions", lambda: replace(model, friction_map=FrictionMap(BASIS, np.zeros((2, 2, 2, 2))))),
         (ShapeError, "tau", lambda: kernel.step(zero, zero, zero[:6], 0.004)),
         (ShapeError, "qd", lambda: kernel.run(rows, rows[:, :1], rows, np.full(5, 0.004))),
-        (ShapeError, "coupled motors of 7 joints", lambda: replace(model, coupled=MOTORS)),
+        (ShapeError, "coupled motors for 7 joints", lambda: replace(model, coupled=MOTORS)),
     ):
         with pytest.raises(error, match=words):
             call()

@@ -162,7 +162,7 @@ def test_a_marker_of_unknown_shape_has_points_and_no_pose() -> None:
     seen = HandEye("eye_to_hand", None, Y, np.ones((2, 3)))
     assert seen.points is not None
     np.testing.assert_array_equal(seen.T_base_cam, Y)
-    with pytest.raises(FrameError, match="has points and no pose"):
+    with pytest.raises(FrameError, match="has points but no pose"):
         seen.T_tool_marker
 
 
@@ -300,3 +300,16 @@ def shifted(arm: KinematicCorrection, x: np.ndarray) -> KinematicCorrection:
     robot = robots.from_local_poe("arm", frames, np.tile([0.0, 0, 0, 0, 0, 1], (6, 1)))
     amplitudes = arm.amplitudes + x[42:66].reshape(6, 4)
     return replace(arm, robot=robot, amplitudes=amplitudes, coefficients=arm.coefficients + x[66:])
+
+
+def test_poses_with_few_digits_are_used_as_the_nearest_ones_and_no_poses_are_refused() -> None:
+    rng = np.random.default_rng(4)
+    T = np.round(se3.exp(rng.standard_normal((5, 6))), 6)
+    R = np.round(T[0, :3, :3], 6)
+    sensor = Accelerometer(R, np.zeros(3))
+    assert so3.is_rotation(sensor.R_tool_sensor, 1e-14)
+    raw = rng.standard_normal((5, 3))
+    wanted = sensor.acceleration(raw, se3.project(T)[0])
+    np.testing.assert_allclose(sensor.acceleration(raw, T), wanted, rtol=0, atol=1e-13)
+    with pytest.raises(ShapeError, match="rotation of T_base_tool"):
+        sensor.acceleration(raw, 2.0 * T)

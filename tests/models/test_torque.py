@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from armlab import contact, identify, models, robots
+from armlab.errors import ModelMismatchError
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel, load, save, velocity_covariance
@@ -257,3 +258,17 @@ def test_velocity_covariance_kinds() -> None:
     step = velocity_covariance("step", C0, Cinf, [0.1, 0.1])
     np.testing.assert_allclose(step.variance([[0.05, 0.05], [0.2, -0.2]]), [[4.0, 1.0], [1.0, 1.0]])
     np.testing.assert_allclose(velocity_covariance("const", C0, Cinf).variance([0.0, 0.0]), [1.0, 1.0])
+
+
+def test_a_model_moves_to_another_tool_and_not_to_another_arm(model: TorqueModel, truth) -> None:
+    T_flange_tool = np.eye(4)
+    T_flange_tool[2, 3] = 0.12
+    robot = truth.robot.with_tool(T_flange_tool)
+    with pytest.raises(ModelMismatchError, match=r"tool moved by 0\.12 m"):
+        model.check_robot(robot)
+    moved = model.moved_to(robot)
+    moved.check_robot(robot)
+    q = robot.q_home[None]
+    np.testing.assert_array_equal(moved.torque(q, 0 * q, 0 * q), model.torque(q, 0 * q, 0 * q))
+    with pytest.raises(ModelMismatchError, match="ur5e"):
+        model.moved_to(robots.load("ur5e"))

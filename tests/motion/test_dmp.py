@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion import Dmp, Rollout, Stepper, fit_dmp, with_via_points
+from armlab.motion import AvoidingDmp, Capsule, Dmp, Rollout, Stepper, TwoDofDmp, fit_dmp, with_via_points
 from armlab.motion.primitive.equation import SCALINGS, placed
 from armlab.motion.primitive.run import RunOptions
 
@@ -105,7 +105,7 @@ def test_paths_turn_with_the_displacement(primitive: Primitive, turn: list[float
     np.testing.assert_allclose(path, wanted, atol=1e-12 * (1 + abs(wanted).max()) * 10)
     with pytest.raises(ShapeError, match="half a turn"):
         dmp.rollout(t, g=dmp.y0 - way)
-    with pytest.raises(ShapeError, match="apart"):
+    with pytest.raises(ShapeError, match="the same point"):
         dmp.rollout(t, g=dmp.y0)
 
 
@@ -358,3 +358,10 @@ def test_it_ends_with_a_velocity(arc: Dmp) -> None:
     np.testing.assert_allclose(
         moving.rollout(np.linspace(0, 20, 4001)).y[-1], arc.g, atol=1e-9
     )  # and settles when it runs on
+
+
+def test_a_fit_stands_for_its_primitive() -> None:
+    t = np.linspace(0.0, 1.0, 201)
+    fit = fit_dmp(t, np.stack([t, t**2, t**3], axis=1))
+    assert TwoDofDmp(fit).dmp is fit.value
+    assert AvoidingDmp(fit, [Capsule.sphere([3.0, 3.0, 3.0], 0.1)], 0.01, 0.1).dmp is fit.value

@@ -122,7 +122,7 @@ def test_every_method_follows(schedule: str, convention: str, method: str) -> No
 def test_the_report_says_when_the_noise_cannot_be_told() -> None:
     t = np.linspace(0.0, 1.0, 20)
     few, enough = (fit_dmp(t, t**2 * (3 - 2 * t), n_basis=n).report() for n in (50, 10))
-    assert "20 samples for 51 unknowns: the noise is not told" in few
+    assert "20 samples for 51 unknowns: the noise is not identifiable" in few
     assert "not told" not in enough
 
 
@@ -198,7 +198,7 @@ def test_demonstrations_share_their_weights() -> None:
     assert dmp.demo_weights.shape == (3, 50, 2)
     assert fit.names.count("v0 of demonstration 2 of coordinate 1") == 1
     assert fit_dmp(ts[:2], ys[:2]).value.demo_weights is None
-    with pytest.raises(ConfigError, match="three demonstrations"):
+    with pytest.raises(ConfigError, match="at least 3 demonstrations"):
         fit_dmp(ts[:2], ys[:2]).value.sample(np.random.default_rng(0))
 
 

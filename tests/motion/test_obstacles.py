@@ -155,7 +155,7 @@ def test_a_new_goal_within_the_clearance_is_refused(space: Dmp) -> None:
     stepper = AvoidingDmp(space, [Capsule.sphere([0.25, 0.3, 0.1], 0.03)], 0.02, 0.1).stepper()
     free, taken = [0.6, 0.1, 0.1], [0.25, 0.26, 0.1]
     stepper.change_goal(free)
-    with pytest.raises(ShapeError, match=r"goal outside the clearance of every obstacle, got one 0\.01"):
+    with pytest.raises(ShapeError, match=r"goal outside the clearance of every obstacle, got a distance of 0\.01"):
         stepper.change_goal(taken)
     with pytest.raises(ShapeError, match="3 coordinates"):
         stepper.change_goal([0.1])

@@ -125,7 +125,7 @@ def test_a_ridge_makes_weights_smaller() -> None:
 def test_a_period_seen_in_part_is_refused_by_what_is_missing(share: float) -> None:
     """The motion would be off by 1e12, 7e7 and 29 times its size where there are no samples."""
     t = np.linspace(0.0, share * TURN, 500)
-    with pytest.raises(NotExcited, match=rf"from {share:.2g} to 1 of it.*ridge") as refused:
+    with pytest.raises(NotExcited, match=rf"from {share:.2g} to 1 of the period.*ridge") as refused:
         fit_periodic_dmp(t, wave(t), period=TURN)
     assert refused.value.directions
     held = fit_periodic_dmp(t, wave(t), period=TURN, ridge=1e-8)
@@ -134,7 +134,7 @@ def test_a_period_seen_in_part_is_refused_by_what_is_missing(share: float) -> No
 
 def test_samples_at_few_places_of_many_periods_are_refused() -> None:
     t = TURN / 4 * np.arange(200)
-    with pytest.raises(NotExcited, match="21 of 25 weights untold"):
+    with pytest.raises(NotExcited, match="21 of 25 weights undetermined"):
         fit_periodic_dmp(t, wave(t), period=TURN)
     t = 1.01 * t
     assert fit_periodic_dmp(t, wave(t), period=TURN).excitation.condition < 1e3

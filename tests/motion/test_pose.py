@@ -326,7 +326,7 @@ def test_a_path_that_the_arm_leaves_ends_the_run(path: PoseDmp, arm: Callable[..
     yumi.run(controller, 0.2)
     controller._stepper.change_goal(_lifted(path.T_goal, 30.0))  # pyright: ignore
     yumi.run(controller, 3.0)
-    assert controller.reason.startswith("Expected a path that yumi_right reaches")
+    assert controller.reason.startswith("Expected a path within the reach of yumi_right")
 
 
 def _lifted(T: np.ndarray, height: float) -> np.ndarray:

@@ -87,5 +87,5 @@ def test_a_file_is_read_before_its_package_is_imported(saved: dict[str, Any], tm
     run = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=False)
     assert run.stdout == "Dmp\n", run.stderr
     path.write_text(path.read_text().replace('"dmp"', '"swing"').replace('"armlab.motion"', '"elsewhere"'))
-    with pytest.raises(ModelMismatchError, match="Import elsewhere that made it"):
+    with pytest.raises(ModelMismatchError, match="Import elsewhere, which wrote the file"):
         models.load(path)

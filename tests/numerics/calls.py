@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-METHODS = ("map", "bounded", "clip", "interval", "ls", "lund")  # by their numbers
+METHODS = ("map", "bounded", "clip", "interval", "ls", "lund", "ols")  # by their numbers
 
 
 def of_group(module: Any, name: str, given: dict[str, np.ndarray], _: dict[str, np.ndarray]) -> Any:
@@ -20,6 +20,8 @@ def of_group(module: Any, name: str, given: dict[str, np.ndarray], _: dict[str, 
 
 def of_chain(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
     chain, words = module.Chain(fixed["frames"], fixed["prismatic"]), name.split()
+    if words[0] in ("mass_matrix", "momentum"):
+        chain, given = module.RigidBody(chain, np.zeros(3), given["pi"]), {k: x for k, x in given.items() if k != "pi"}
     found = getattr(chain, words[0])(**given, **({"tool": True} if "tool" in words else {}))
     return np.stack(found, axis=-2) if words[0] == "momentum" else found
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from .chain import Chain
 from .drive import Drive, basis_weights, model_torque, presliding
 from .estimator import WrenchEstimator
-from .limits import limit_reference
+from .limits import filtered_velocity, following_error, implausible, limit_reference
 from .momentum import MomentumEstimator, momentum_step
 from .primitive import Primitive, PrimitiveStepper
 from .signals import SignalOperator

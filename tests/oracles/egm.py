@@ -11,7 +11,7 @@ from google.protobuf.message import DecodeError
 from armlab.wire.egm import Drop, Packet, Reference
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import AxisMap, Refused
-from armlab.wire.egm.pose_force import pose_values, read_pose
+from armlab.wire.egm.codec import pose_values, read_pose
 from armlab.wire.egm.types import Beside
 
 UINT32, UINT64 = 2**32 - 1, 2**64 - 1

@@ -1,4 +1,4 @@
-"""Limits on one reference before it goes to a robot."""
+"""Limits on one reference before it goes to a robot, and plausibility of its feedback."""
 
 from __future__ import annotations
 
@@ -113,3 +113,36 @@ def _within(
         bits |= np.where((wanted < low - slack) | (wanted > high + slack), bit, 0).astype(np.uint8)
         wanted = np.where(wanted < low - slack, low, np.where(wanted > high + slack, high, wanted))
     return wanted
+
+
+def implausible(
+    q: np.ndarray, before: np.ndarray | None, bounds: np.ndarray, margin: float, step: float, seconds: float
+) -> int:
+    """Return i (from 1) when joint i is outside its range, -i when it moved too far since `before`, else 0."""
+    q_min, q_max, qd_max = bounds
+    beyond = np.maximum(q_min - q, q - q_max) - margin
+    if len(q) and not beyond.max() <= 0.0:
+        return int(beyond.argmax()) + 1
+    excess = -np.ones(1) if before is None or not len(q) else np.abs(q - before) - (step + qd_max * seconds)
+    return 0 if excess.max() <= 0.0 else -(int(excess.argmax()) + 1)
+
+
+def following_error(
+    q: np.ndarray,
+    reference: np.ndarray,
+    speed: np.ndarray,
+    fastest: np.ndarray,
+    allowed: np.ndarray,
+    kept: float,
+    lag: float,
+) -> tuple[np.ndarray, int, bool]:
+    """Return the speeds ``max(kept * fastest, |speed|)``, the joint furthest from its reference, and if it is near."""
+    fastest = np.maximum(kept * fastest, np.abs(speed))
+    excess = np.abs(reference - q) - (allowed + lag * fastest)
+    return (fastest, int(excess.argmax()), bool(excess.max() <= 0.0)) if len(q) else (fastest, 0, True)
+
+
+def filtered_velocity(q: np.ndarray, last: np.ndarray, velocity: np.ndarray, dt: float, cutoff: float) -> np.ndarray:
+    """Return the velocity (n,) after a step from `last` to `q`, through a low-pass of first order [Hz]."""
+    share = 1.0 - np.exp(-2.0 * np.pi * cutoff * dt)
+    return velocity + share * ((q - last) / dt - velocity)

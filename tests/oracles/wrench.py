@@ -5,6 +5,7 @@ the wrench, A then the Jacobian, or a force at a known point.
 
 map      S = A^T C A + V, K = C A S^-1, x = K error; no bound.
 ls       (A V^-1 A^T)^-1 A V^-1 error; no prior, no bound.
+ols      (A A^T)^-1 A error; no weight, no prior, no bound.
 lund     (A V A^T + C^-1)^-1 A V error: TFRT-7651 as printed, V a covariance where a weight belongs.
 bounded  argmin over x and d by semismooth Newton; eliminating d leaves sum max(|r| - bound, 0)^2 / V + x^T C^-1 x.
 clip     the same minimum by d <- clip(error - A^T x), x <- map(error - d).
@@ -18,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-METHODS = ("map", "bounded", "clip", "interval", "ls", "lund")  # in the order of the compiled twin
+METHODS = ("map", "bounded", "clip", "interval", "ls", "lund", "ols")  # in the order of the compiled twin
 NEWTON_LIMIT = 60
 CLIP_LIMIT = 20_000
 KKT_GOAL = 1e-10
@@ -58,6 +59,9 @@ def _solve(
         case "ls":
             x, P, singular = _least_squares(A, error, variance)
             return x, P, every, 0, 0.0, singular
+        case "ols":
+            x, H, singular = _least_squares(A, error, np.ones(len(error)))
+            return x, H @ (A * variance) @ A.T @ H, every, 0, 0.0, singular
         case "clip":
             return *_clip(A, error, variance, bound, prior), False
         case _:

@@ -133,7 +133,7 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         (lambda: workspace(arm, points=5, ax=[flat] * 3), ShapeError, "3d"),
         (lambda: workspace(arm, points=0), ShapeError, "points=0"),
         (lambda: workspace(arm, points=1.5), ShapeError, "points=1.5"),
-        (lambda: workspace(arm, points=5, seed=-1), ConfigError, "seed to be an integer of at least 0, got -1"),
+        (lambda: workspace(arm, points=5, seed=-1), ConfigError, "seed as an integer >= 0, got -1"),
         (lambda: manipulability(arm, part="force"), UnknownName, "'force'"),
     ):
         with pytest.raises(error, match=words):
@@ -159,7 +159,7 @@ def test_a_planar_arm_reaches_its_ring() -> None:
     assert np.abs(solid[:, 2]).max() < 1e-15
     title = figure.axes[0].get_title(loc="left")
     assert title == f"planar\ntool {reach.min():.2f} to {reach.max():.2f} m from the mount"
-    assert figure.axes[1].get_title(loc="left") == "4000 random postures"
+    assert figure.axes[1].get_title(loc="left") == "4000 random configurations"
     assert [ax.get_xlabel() + ax.get_ylabel() for ax in figure.axes] == ["x [m]z [m]", "x [m]y [m]", "x [m]y [m]"]
     assert np.array_equal(figure.axes[1].lines[1].get_xydata(), stick(arm, arm.q_home)[:, :2])
 
@@ -192,7 +192,7 @@ def test_the_surface_is_the_image_of_unit_speeds(name: str, part: str) -> None:
     ax = manipulability(arm, q, part)
     balls = [c for c in ax.collections if c.get_gid() == "ellipsoid"]
     assert len(balls) == 2
-    scale = float(ax.get_title().split(" is drawn ")[1].split()[0])
+    scale = float(ax.get_title().split(" = ")[-1].split()[0])
     for ball, configuration in zip(balls, q, strict=True):
         J = kinematics.jacobian(arm, configuration)[slice(3) if part == "position" else slice(3, 6)]
         centre = kinematics.forward(arm, configuration)[:3, 3]

@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from armlab._palette import AXIS_COLORS
+from armlab._display import AXIS_COLORS
 from armlab.contact import contacts
 from armlab.contact.contacts import Hypotheses
 from armlab.errors import ShapeError, UnknownName
@@ -110,7 +110,7 @@ def test_probabilities_stack_to_one_and_doubt_is_marked() -> None:
     )  # fmt: skip
     ax = hypotheses(found)
     labels = ax.get_legend_handles_labels()[1]
-    assert labels == ["none", "point", "others", "maybe on a link"]
+    assert labels == ["none", "point", "others", "possibly on a link"]
     top = max(path.get_extents().y1 for area in ax.collections for path in area.get_paths())
     assert np.isclose(top, 1.0)
     assert np.isfinite(np.asarray(ax.lines[0].get_ydata())).tolist() == [False, True, False]

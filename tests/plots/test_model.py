@@ -228,9 +228,9 @@ def test_the_spectrum_shows_ripple_without_and_with_the_model(model: TorqueModel
     assert np.asarray(without.get_ydata())[peak] == pytest.approx(SIZE, rel=0.15)
     assert np.asarray(with_model.get_ydata())[peak] < 0.2 * SIZE
     assert np.asarray(mark.get_xdata())[0] == CYCLES
-    assert ax.get_xlabel() == "cycles per joint turn"
+    assert ax.get_xlabel() == "cycles per joint revolution"
     assert ax.get_ylabel() == "amplitude [N m]"
-    assert ax.child_axes[0].get_xlabel() == "cycles per motor turn"
+    assert ax.child_axes[0].get_xlabel() == "cycles per motor revolution"
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["without", "with", "line of the model"]
 
 
@@ -265,7 +265,10 @@ def test_quantiles_are_near_the_line_and_ellipses_two_sigma_with_the_truth_a_cro
     assert np.asarray(cross.get_xdata()) == pytest.approx([fit.sd[0]])
     assert outline.get_label() == "T_tool_marker x and T_tool_marker y [m]"
     assert ellipses.xaxis.get_major_formatter()(2e-4) == "0.0002"
-    assert (ellipses.get_xlabel(), ellipses.get_ylabel()) == ("first parameter, off by", "second parameter, off by")
+    assert (ellipses.get_xlabel(), ellipses.get_ylabel()) == (
+        "error of the first parameter",
+        "error of the second parameter",
+    )
 
 
 def test_every_calibration_can_be_drawn() -> None:
@@ -298,7 +301,7 @@ def test_what_cannot_be_drawn_is_refused(fit, table: Table, model: TorqueModel, 
         (lambda: residual_speed(table.without("tau_error")), UnknownName, "tau_error"),
         (lambda: autocorrelation(table.rows(slice(0, 12))), ShapeError, "at least 10 rows"),
         (lambda: excitation(Excitation(0, 0, np.zeros(0), "none")), ShapeError, "singular values"),
-        (lambda: excitation(Excitation(0, 2, np.zeros(2), "none")), ShapeError, "above zero"),
+        (lambda: excitation(Excitation(0, 2, np.zeros(2), "none")), ShapeError, "positive singular values"),
         (lambda: friction_map(model, 7), ShapeError, "from 0 to 2"),
         (lambda: spectrum(model, excited, joints=[-1]), ShapeError, "from 0 to 2"),
     ):

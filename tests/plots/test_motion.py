@@ -106,7 +106,7 @@ def test_motion_and_demonstration_are_shown_with_their_distance(taught_pose: Pos
     np.testing.assert_allclose(distance.lines[0].get_ydata(), off, atol=1e-15)
     np.testing.assert_allclose(angle.lines[0].get_ydata(), so3.angle(run.T[:, :3, :3], POSES[:, :3, :3]), atol=1e-9)
     units = [panel.get_ylabel()[-5:] for panel in figure.axes]
-    assert units == ["n [m]", "[rad]", "f [m]", "[rad]"]
+    assert units == ["n [m]", "[rad]", "r [m]", "[rad]"]
     assert angle.get_xlabel() == "t [s]"
     assert position.get_legend_handles_labels()[1] == ["x", "y", "z", "demonstration"]
     assert len(pose_dmp(taught_pose).axes) == 2
@@ -205,7 +205,7 @@ def test_two_dof_shows_arm_path_and_what_happened() -> None:
     axes = two_dof(done, [1]).axes
     assert axes[0].get_legend_handles_labels()[1] == ["y2", "arm ya", "path yc", "undisturbed", "disturbed"]
     assert [line.get_linestyle() for line in axes[0].lines[:3]] == [":", "--", "-"]
-    assert [panel.get_ylabel() for panel in axes] == [label("y"), label("e"), "times slower [1]"]
+    assert [panel.get_ylabel() for panel in axes] == [label("y"), label("e"), "slow-down [1]"]
 
 
 def test_bad_input_gets_a_sentence(taught_pose: PoseDmp, taught_rhythm: PeriodicDmp, taught_promp: ProMP) -> None:

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from armlab._palette import AXIS_COLORS
+from armlab._display import AXIS_COLORS
 from armlab.errors import ShapeError, UnknownName
 from armlab.lie import se3, so3
 from armlab.log import Column, Table
@@ -47,7 +47,7 @@ def test_usual_columns_each_in_a_panel(data: Table, tmp_path: Path) -> None:
     assert [text.get_text() for text in legends[0].get_texts()] == ["a1", "a2", "a3", "limit acted"]
     assert legends[1:] == [None, None]  # the same lines: said once
     both = table(data, "tau", "q", "q_ref")
-    assert [text.get_text() for text in both.axes[1].get_legend().get_texts()] == ["asked"]  # the rest stands above
+    assert [text.get_text() for text in both.axes[1].get_legend().get_texts()] == ["commanded"]  # the rest stands above
     figure.savefig(tmp_path / "figure.png")
     assert (tmp_path / "figure.png").stat().st_size > 5000
 
@@ -62,7 +62,7 @@ def test_asked_and_sent_share_the_panel_dashed(data: Table, spans) -> None:
     assert asked[0] > sent[0]  # long and short dashes
     assert spans(ax) == [pytest.approx((1.0, 2.0))]
     shown = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert shown == ["a1", "a2", "a3", "asked", "sent", "limit acted"]
+    assert shown == ["a1", "a2", "a3", "commanded", "sent", "limit acted"]
     ax = table(data.with_column("wrench_hat", np.zeros((N, 6))), "wrench_hat")
     assert ax.get_ylabel() == "wrench_hat [N, N m]"
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["f_x", "f_y", "f_z", "m_x", "m_y", "m_z"]
@@ -124,7 +124,7 @@ def test_missing_poses_leave_gaps_and_small_turns_are_exact() -> None:
 def test_poses_that_cannot_be_drawn() -> None:
     for given, times, words in (
         (np.eye(4), None, "Expected poses"),
-        (T, t[:-1], "200 in all"),
+        (T, t[:-1], r"Expected 200 finite times, one per pose, got t of shape \(199,\)"),
         (T, np.where(t == t[3], np.nan, t), "finite time"),
         (T, ["now"] * len(T), "t to be real numbers"),
     ):
@@ -162,5 +162,5 @@ def test_ticks_without_a_reply_do_not_count() -> None:
     assert "p50 4 µs " in ax.get_legend().get_texts()[0].get_text()
     with pytest.raises(UnknownName, match="loop times"):
         latency(table.select("receive_ns"))
-    with pytest.raises(ShapeError, match="got none in 2 rows"):
+    with pytest.raises(ShapeError, match="zeros or NaN in 2 rows"):
         latency(Table([0.0, 1.0], {"step_ns": [0, 0]}))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from armlab._palette import AXIS_COLORS
+from armlab._display import AXIS_COLORS
 from armlab.errors import ShapeError
 from armlab.frames import Line, Plane
 from armlab.frames.features import Circle, Sphere
@@ -145,7 +145,7 @@ def test_what_cannot_be_drawn_is_refused() -> None:
     for item, words in (
         (np.zeros((3, 20)), "Transpose it"),
         (np.zeros(3), r"got \(3,\)"),
-        (np.zeros((5, 4, 4)), "row 0 whose rotation"),
+        (np.zeros((5, 4, 4)), "without a rotation at row 0"),
         (np.zeros((5, 3, 3)), r"\(N, 4, 4\)"),
         ({"cam": 2 * np.eye(4)}, "poses in 'cam'"),
         ({"cam": np.eye(3)}, r"the pose of 'cam' of shape \(4, 4\), got \(3, 3\)"),
@@ -153,5 +153,5 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         with pytest.raises(ShapeError, match=words):
             scene(item)
     for frames in (-1, np.nan, "long", [0.1, 0.2]):
-        with pytest.raises(ShapeError, match="frames to be"):
+        with pytest.raises(ShapeError, match="frames"):
             scene({"base": np.eye(4)}, frames=frames)

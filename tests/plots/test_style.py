@@ -70,7 +70,7 @@ def test_a_figure_and_its_axes_give_a_picture_of_the_size_asked_for_and_are_clos
 def test_windows_are_left_to_the_backend(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
     monkeypatch.setattr(plt, "show", lambda: asked.append(True))
-    with pytest.raises(ConfigError, match=r"Expected a screen .* \(matplotlib draws by [Aa]gg\)"):
+    with pytest.raises(ConfigError, match=r"Expected a screen .* backend [Aa]gg"):
         show()
     monkeypatch.setattr(plt, "get_backend", lambda: "QtAgg")
     show()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from armlab import robots
-from armlab.errors import RobotError, UnknownName
+from armlab.errors import MissingExtra, RobotError, UnknownName
 from armlab.lie import quaternion, se3
 from armlab.robots import Mesh, Robot, inertia
 from armlab.robots.build import Details
@@ -65,7 +66,7 @@ def test_load_a_file_of_the_user(tmp_path: Path) -> None:
 def test_the_text_alone_for_who_has_no_file() -> None:
     robot = robots.load("yumi_left")
     assert_same_bits(robots.from_toml(robots.to_toml(robot), "a feed"), robot)
-    with pytest.raises(RobotError, match="Expected a robot file in a feed, got one that cannot be read"):
+    with pytest.raises(RobotError, match="Expected a robot file in a feed, got a file that cannot be read"):
         robots.from_toml(robots.to_toml(robot) + "[more]\n", "a feed")
     with pytest.raises(RobotError, match="Expected a Robot"):
         robots.to_toml("yumi_left")  # type: ignore[arg-type]
@@ -187,7 +188,7 @@ def any_robot(draw: st.DrawFn) -> Robot:
     return robots.from_dh(name, *table, prismatic=prismatic, modified=draw(st.booleans()), **details)
 
 
-@pytest.mark.filterwarnings("ignore:Expected limits of revolute joints")
+@pytest.mark.filterwarnings("ignore:Expected revolute limits")
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(robot=any_robot())
 def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
@@ -217,7 +218,7 @@ def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
     ('name = "mine"', 'name = "mine"\nabb_axes = [1, 2, 3]', "Expected 2 different abb_axes"),
     ('name = "mine"', 'name = "mine"\ncoupling = [[1]]', "Expected 2 numbers in every row of coupling, got"),
     ('name = "mine"', 'name = "mine"\ncoupling = [[1, 0], [1, 0]]', "coupling of robot .* that can be inverted"),
-    ('name = "mine"', 'name = "mine"\nfirst = {}', "Expected `first` only beside joints with `next`"),
+    ('name = "mine"', 'name = "mine"\nfirst = {}', "Expected `first` only together with `next`"),
     ('name = "mine"', 'name = "mine"\nmount = { rotation = [[1, 0, 0], [0, 2, 0], [0, 0, 1]] }',
      "pose in mount.*rotat"),
     ('name = "mine"', 'name = "mine"\nmount = { quaternion = [1, 1, 0, 0] }', "pose in mount.* length 1"),
@@ -227,14 +228,14 @@ def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
     ("alpha_deg = 90", "a_deg = 90", r"unknown field `a_deg` - at `\$\.joint\[0\]`"),
     ('name = "mine"', 'name = "mine"\ninertias = [[1, 2]]', r"at `\$\.inertias\[0\]`"),
     ('name = "mine"', f'name = "mine"\ninertias = [{[1] + [0] * 9}]', r"inertias .* to have shape \(2, 10\),"),
-    ('name = "mine"', f'name = "mine"\ninertias = {[[-1] + [0] * 9] * 2}', "body for link 1 .* mass of -1 kg"),
+    ('name = "mine"', f'name = "mine"\ninertias = {[[-1] + [0] * 9] * 2}', "inertia of link 1 .* mass of -1 kg"),
     ('name = "mine"', 'name = "mine"\nmesh = [{ link = 3, file = "a" }]', "link of mesh 'a' from 0 .* to 2, got 3"),
     ('name = "mine"', 'name = "mine"\nmesh = [{ link = 1, file = "" }]', "file name of a mesh, got ''"),
     ('name = "mine"', 'name = "mine"\nmesh = [{ link = 1 }]', r"missing required field `file` - at"),
     ("alpha_deg = 90", "gear_ratio = 0", "Expected a gear_ratio other than zero, got 0 in joint 'shoulder'"),
-    ("alpha_deg = 90, ", 'kind = "prismatic", ', "Expected metres for prismatic joint 'shoulder', got limits_deg"),
+    ("alpha_deg = 90, ", 'kind = "prismatic", ', "Expected metres for the prismatic joint 'shoulder', got limits_deg"),
     ("offset_deg = 45", 'kind = "prismatic", acceleration_deg = 9', "'elbow', got acceleration_deg"),
-    ("offset_deg = 45", "next = {}", "alike in all joints, got a mixture at 'shoulder'"),
+    ("offset_deg = 45", "next = {}", "in all joints, got a mixture at 'shoulder'"),
     ("joint = [", "joint = [ 1,", r"Expected `object`, got `int` - at `\$\.joint\[0\]`"),
     ("joint = [", "joint = ", "Expected a robot file in"),
     ('name = "mine"',
@@ -261,7 +262,7 @@ def test_a_missing_or_binary_file(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match="Expected at least one joint, got none"):
         robots.load(written(tmp_path, 'name = "none"\nsource = ""\njoint = []\n'))
     text = MINIMAL.replace("a = 0.1", "a = 0.1, gear_ratio = 2").replace("name", "coupling = [[1, 0], [0, 1]]\nname", 1)
-    with pytest.raises(RobotError, match="Expected gears as coupling or as gear_ratio, got both"):
+    with pytest.raises(RobotError, match="Expected gears either as coupling or as gear_ratio, got both"):
         robots.load(written(tmp_path, text))
 
 
@@ -288,7 +289,7 @@ def test_numbers_that_no_computer_holds(tmp_path: Path, number: str) -> None:
     path.write_text(
         f'name = "arm"\nsource = "test"\njoint = [{{ name = "a", home_deg = {number} }}]\n', encoding="utf-8"
     )
-    with pytest.raises(RobotError, match=r"Expected a robot file in .*arm\.toml, got one that cannot be read: "):
+    with pytest.raises(RobotError, match=r"Expected a robot file in .*arm\.toml, got a file that cannot be read: "):
         robots.load(path)
 
 
@@ -298,3 +299,33 @@ def test_paths_and_names_that_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match="Expected to write robot"):
         robots.save(replace(robots.load("irb120"), source="\ud800"), tmp_path / "arm.toml")
     assert not list(tmp_path.iterdir())
+
+
+def test_names_of_robot_descriptions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    """A package like it, so that the network is not asked."""
+    robots.save(robots.load("ur5e"), tmp_path / "toy.urdf")
+    package = tmp_path / "robot_descriptions"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "toy_description.py").write_text(f"print('Cloning')\nURDF_PATH = {str(tmp_path / 'toy.urdf')!r}")
+    (package / "far_description.py").write_text("raise OSError('no network')")
+    (package / "other_description.py").write_text("MJCF_PATH = 'other.xml'")
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "robot_descriptions"]:
+        monkeypatch.delitem(sys.modules, name)
+    assert robots.load("toy_description").n == 6
+    assert robots.load("toy_description", tip="flange").n == 6
+    assert capsys.readouterr() == ("", "Cloning\n")  # results alone go to stdout
+    for name, words in (
+        ("far", "no network. The first use of a description needs network access"),
+        ("other", "URDF of other_description"),
+    ):
+        with pytest.raises(RobotError, match=words):
+            robots.load(f"{name}_description")
+    with pytest.raises(UnknownName, match="tyo_description"):
+        robots.load("tyo_description")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "robot_descriptions"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "robot_descriptions", None)
+    with pytest.raises(MissingExtra, match=r"armlab\[robots\]"):
+        robots.load("toy_description")

@@ -63,7 +63,7 @@ def test_principal_moments_do_not_depend_on_the_frame() -> None:
     (lambda: from_body("heavy", np.zeros(3), np.eye(3)), "Expected mass to be real numbers, got 'heavy'"),
     (lambda: to_body(np.zeros(9)), r"Expected finite inertial parameters of shape \(\.\.\., 10\)"),
     (lambda: principal_moments(np.full(10, np.nan)), "Expected finite inertial parameters"),
-    (lambda: transform(2 * np.eye(4), np.zeros(10)), "Expected poses T_a_b"),
+    (lambda: transform(2 * np.eye(4), np.zeros(10)), "Expected the rotation of T_a_b"),
     (lambda: from_body([1, 2], np.zeros((3, 3)), np.eye(3)), r"that broadcast, got mass \(2,\), centre \(3,\)"),
     (lambda: transform(np.tile(np.eye(4), (2, 1, 1)), np.ones((3, 10))), r"got T_a_b \(2,\), pi \(3,\)"),
 ])  # fmt: skip

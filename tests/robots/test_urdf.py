@@ -152,7 +152,7 @@ def test_gravity_follows_the_base(tree: Tree) -> None:
 def test_what_is_left_out_is_said(tree: Tree) -> None:
     robot = tree.chain("body", "tip_b")
     assert robot.inertias is None
-    assert "left out, behind joints: finger_a" in robot.source.splitlines()
+    assert "omitted, behind joints: finger_a" in robot.source.splitlines()
     assert "follow other joints: finger_b" in robot.source.splitlines()
     across = tree.chain("cup", "tip_a")
     assert "no mass known behind: left_turn, right_turn, finger_a" in across.source
@@ -218,7 +218,9 @@ def test_read_and_load(tmp_path: Path) -> None:
 def test_limits_in_degrees_are_doubted_and_a_wrist_of_more_than_a_turn_is_not() -> None:
     arm = """<robot name="arm"><link name="a"/><link name="b"/><joint name="turn" type="{}"><parent link="a"/>
       <child link="b"/><axis xyz="0 0 1"/><limit lower="-{}" upper="{}" velocity="3"/></joint></robot>"""
-    with pytest.warns(UserWarning, match=r"joints of robot 'arm' within four turns, got turn \(-170 to 170 rad\)"):
+    with pytest.warns(
+        UserWarning, match=r"limits of robot 'arm' within four revolutions, got turn \(-170 to 170 rad\)"
+    ):
         urdf.parse(arm.format("revolute", 170, 170)).chain()
     for kind, limit in (("revolute", 7.0), ("prismatic", 170), ("continuous", 170), ("revolute", 1e16)):
         urdf.parse(arm.format(kind, limit, limit)).chain()
@@ -247,13 +249,13 @@ def test_there_and_back(tmp_path: Path, tree: Tree) -> None:
 def test_refusals_of_arms_and_files(tmp_path: Path, tree: Tree) -> None:
     path, table = written(tmp_path, TWO_ARMS), tmp_path / "a.toml"
     robots.save(robots.load("dh_test"), table)
-    none = "Expected a joint that moves between '{}' and '{}' of the URDF text, got none"
-    only = "Expected base and tip with a URDF file only, got them with"
+    none = "Expected a moving joint between '{}' and '{}' of the URDF text, got none"
+    only = "Expected base, tip and lock only with a URDF, got them with"
     cases = [
-        (RobotError, r"one branch that moves below link 'body' of .*arm\.urdf, got several: cup, tip_a, tip_b\. Say",
+        (RobotError, r"one moving branch below link 'body' of .*arm\.urdf, got several: cup, tip_a, tip_b\. Select",
          lambda: robots.load(path)),
         (RobotError, r"below link 'right_1' .* got several: tip_a, tip_b", lambda: robots.load(path, base="right_1")),
-        (RobotError, r"one branch that moves below link 'cup' .* got none", lambda: robots.load(path, base="cup")),
+        (RobotError, r"one moving branch below link 'cup' .* got none", lambda: robots.load(path, base="cup")),
         (UnknownName, r"name of a link of the URDF text, got 'cups'\. Known: body, cup.*Did you mean 'cup'",
          lambda: tree.chain(tip="cups")),
         (UnknownName, "got 'bodi'", lambda: tree.chain("bodi", "cup")),
@@ -280,10 +282,15 @@ def test_refusals_of_arms_and_files(tmp_path: Path, tree: Tree) -> None:
 
 def test_an_inertia_of_no_body_is_said(tree: Tree) -> None:
     odd = urdf.parse(TWO_ARMS.replace('izz="0.01"/></inertial>\n    <visual>', 'izz="0.05"/></inertial>\n    <visual>'))
-    with pytest.warns(UserWarning, match=r"no principal moment exceeds the sum.*'left_1' \(line 16\)\. They are used"):
+    with pytest.warns(UserWarning, match=r"to satisfy the triangle inequality.*'left_1' \(line 16\)\. They are used"):
         robot = odd.chain("body", "cup")
     assert robot.inertias is not None
     odd.chain("body", "right_1")  # what is not on the arm does not matter
+    placeholder = urdf.parse(TWO_ARMS.replace('<mass value="0.5"/>', '<mass value="0"/>'))
+    with pytest.warns(UserWarning, match=r"a mass with every inertia.*mass 0 in 'cup' \(line \d+\)"):
+        bare = placeholder.chain("body", "cup")
+    assert bare.inertias is not None
+    assert bare.inertias[-1, 0] == robot.inertias[-1, 0] - 0.5
 
 
 def test_a_rotation_may_be_a_quaternion() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+import warnings
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ import pinocchio as pin
 import pytest
 
 from armlab import kinematics, robots
+from armlab.errors import RobotError, UnknownName
 from armlab.robots import Robot, inertia, urdf
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed")
@@ -151,6 +154,7 @@ def moving_groups(robot: Robot, bodies: list[Body], base: int) -> list[set[int]]
     return groups
 
 
+@pytest.mark.filterwarnings("ignore:The arm of .* omits")
 @pytest.mark.parametrize("seed", range(20))  # about 180 chains
 def test_every_chain_of_a_random_tree(seed: int) -> None:
     """From the root to every link, and between some others: up, down and across."""
@@ -182,6 +186,95 @@ def test_every_chain_of_a_random_tree(seed: int) -> None:
                 pi += inertia.transform(T_base_body, own)
         gathered = inertia.transform(robot.chain.link_transforms(q), robot.inertias)
         np.testing.assert_allclose(gathered, expected, rtol=0, atol=1e-12 * (1 + np.abs(expected).max()))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_dropped_branches_are_warned_of_with_their_mass_and_kept_when_locked(seed: int) -> None:
+    """All masses that move are in the arm, in the warning, or rigid with its base."""
+    rng = np.random.default_rng(seed)
+    text, bodies = random_tree(rng)
+    tree, q = urdf.parse(text), float(rng.uniform(-1, 1))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        robot = tree.chain(
+            tip=next(f"l{k}" for k in reversed(range(len(bodies))) if k not in rigidly_joined(bodies, 0))
+        )
+    left = [float(x) for x in re.findall(r"([\d.e+-]+) kg behind", " ".join(str(one.message) for one in told))]
+    groups = moving_groups(robot, bodies, 0)
+    hanging = {k for k in range(len(bodies)) if any(follows(bodies, k, group) for group in groups)}
+    expected = sum(bodies[k].mass for k in hanging) - (0.0 if robot.inertias is None else robot.inertias[:, 0].sum())
+    assert sum(left) == pytest.approx(expected, rel=0.02, abs=1e-9)
+    beside = [f"j{k}" for k in hanging if bodies[k].kind != "fixed" and f"j{k}" not in robot.joint_names]
+    tip = re.search(r"to '(\w+)'", robot.source)
+    locked = tree.chain(tip=tip and tip[1], lock=dict.fromkeys(beside, q))
+    assert locked.joint_names == robot.joint_names
+    total = sum(bodies[k].mass for k in hanging)
+    assert (0.0 if locked.inertias is None else locked.inertias[:, 0].sum()) == pytest.approx(total, abs=1e-9)
+
+
+def follows(bodies: list[Body], k: int, group: set[int]) -> bool:
+    """Whether a link is in a group or hangs on it."""
+    while k >= 0 and k not in group:
+        k = bodies[k].parent
+    return k in group
+
+
+def test_a_locked_joint_is_where_it_was_told(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    text, bodies = random_tree(rng)
+    tree, peer = urdf.parse(text), Peer(text)
+    tip = next(k for k in reversed(range(len(bodies))) if bodies[k].kind != "fixed" and bodies[k].parent > 0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        names = tree.chain(tip=f"l{tip}").joint_names
+        robot = tree.chain(tip=f"l{tip}", lock={names[0]: 0.4})
+    q = rng.uniform(-1, 1, robot.n)
+    peer.move({names[0]: 0.4, **dict(zip(robot.joint_names, q))})
+    np.testing.assert_allclose(kinematics.forward(robot, q), peer.pose(f"l{tip}"), rtol=0, atol=1e-12)
+    with pytest.raises(UnknownName, match="joint of"):
+        tree.chain(tip=f"l{tip}", lock={"elbow": 0.0})
+    fixed = next(joint.name for joint in tree.joints if joint.kind == "fixed")
+    with pytest.raises(RobotError, match="moving joint"):
+        tree.chain(tip=f"l{tip}", lock={fixed: 0.0})
+
+
+@pytest.mark.filterwarnings("ignore:The arm of .* omits")
+@pytest.mark.parametrize("seed", range(5))
+def test_homes_are_inside_their_ranges_and_do_not_depend_on_chance(seed: int) -> None:
+    text, bodies = random_tree(np.random.default_rng(seed))
+    tip = next(f"l{k}" for k in reversed(range(len(bodies))) if k not in rigidly_joined(bodies, 0))
+    robot, again = (urdf.parse(text).chain(tip=tip) for _ in range(2))
+    np.testing.assert_array_equal(robot.q_home, again.q_home)
+    room = np.minimum(robot.q_home - robot.q_min, robot.q_max - robot.q_home)
+    assert np.all(room >= 0.2 * np.minimum(robot.q_max - robot.q_min, 1.0))
+
+
+def singular_value(robot: Robot) -> float:
+    values = np.linalg.svd(robot.chain.jacobian(robot.q_home), compute_uv=False)
+    return float(values[-1] / values[0])
+
+
+def test_a_stretched_middle_is_left_for_a_dexterous_home(tmp_path: Path) -> None:
+    """The iiwa and the UR5e are stretched in the middle of their ranges."""
+    for name in ("iiwa14", "ur5e", "panda"):
+        robots.save(robots.load(name), tmp_path / f"{name}.urdf")
+        robot = robots.load(tmp_path / f"{name}.urdf")
+        middle = replace(robot, q_home=0.5 * (robot.q_min + robot.q_max))
+        assert singular_value(robot) > (0.03 if name != "panda" else 0.9 * singular_value(middle))
+
+
+@pytest.mark.parametrize(("name", "tip", "n"), [("panda_description", "panda_hand", 7), ("ur5_robot", "tool0", 6)])
+@pytest.mark.filterwarnings("ignore:The arm of .* omits")
+def test_robots_of_description_packages_have_names(name: str, tip: str, n: int) -> None:
+    if not robots.files._example_robot_data():
+        pytest.skip("needs example-robot-data")
+    robot = robots.load(name, tip=tip)
+    assert robot.n == n
+    assert robot.inertias is not None
+    with pytest.raises(RobotError, match="Select the tip with --tip"):
+        robots.load(name)
+    with pytest.raises(UnknownName, match="ur5_robot"):
+        robots.load("ur_description")
 
 
 PUBLISHED = Path(__file__).parents[3] / "shared/data/ident/staubli_tx40/tx40_mdh_modified.urdf"

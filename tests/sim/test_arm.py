@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 
 from armlab import identify, robots
-from armlab.robots import Robot
-from armlab.sim.arm.arm import LaggingArm, SensorReading, SimulatedArm, TrueState, build_model, record
-from armlab.sim.arm.joints import (
+from armlab.robots import Robot, inertia
+from armlab.sim.arm.arm import (
     INTEGRAL_TIME,
     POSITION_GAIN,
     VELOCITY_GAIN,
     WARM_TIME,
     JointDrives,
     JointFriction,
+    LaggingArm,
+    SensorReading,
+    SimulatedArm,
+    TrueState,
     WornFriction,
+    record,
 )
 from armlab.sim.arm.mismatch import Mismatch, load_share
 from armlab.sim.arm.truth import Truth, synthetic_truth
@@ -131,12 +135,47 @@ def test_noise_is_white_with_the_stated_size(robot: Robot, truth: Truth) -> None
         assert np.abs(rho).max() < 4 / np.sqrt(len(tau))
 
 
-def test_build_model_keeps_inertias(robot: Robot, truth: Truth) -> None:
-    model = build_model(robot, truth)
-    np.testing.assert_allclose(model.body_mass[1:], truth.pi[:, 0], rtol=1e-12)
-    np.testing.assert_allclose(model.dof_armature, truth.rotor)
-    diagonal = SimulatedArm(robot, truth)._inertia(robot.q_home) - truth.rotor
-    np.testing.assert_allclose(diagonal, [0.1636, 0.1976, 0.1013, 0.0803, 0.0016, 0.0009, 0.0002], atol=6e-5)
+def mujoco_model(robot: Robot, truth: Truth) -> tuple[object, object]:
+    """The same arm for MuJoCo: one body per link frame, a site at the tool point."""
+    import mujoco
+
+    def pose(T: np.ndarray) -> dict[str, np.ndarray]:
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, np.ascontiguousarray(T[:3, :3]).ravel())
+        return {"pos": T[:3, 3], "quat": quat}
+
+    spec = mujoco.MjSpec()
+    spec.option.gravity = robot.gravity
+    body = spec.worldbody
+    for i in range(robot.n):
+        body = body.add_body(**pose(robot.frames[i]))
+        kind = mujoco.mjtJoint.mjJNT_SLIDE if robot.prismatic[i] else mujoco.mjtJoint.mjJNT_HINGE
+        body.add_joint(type=kind, axis=[0, 0, 1], armature=truth.rotor[i])
+        mass, centre, about = inertia.to_body(truth.pi[i])
+        body.mass, body.ipos, body.explicitinertial = mass, centre, True
+        body.fullinertia = about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    body.add_site(**pose(robot.frames[-1]))
+    model = spec.compile()
+    return model, mujoco.MjData(model)
+
+
+@pytest.mark.parametrize("name", ["yumi_left", "panda"])
+def test_bodies_move_as_those_of_mujoco(name: str) -> None:
+    import mujoco
+
+    robot = robots.load(name)
+    truth, wrench = synthetic_truth(robot), np.array([3.0, -5.0, 4.0, 0.3, -0.2, 0.1])
+    arm = SimulatedArm(robot, truth)
+    model, data = mujoco_model(robot, truth)
+    for k in range(1, 60):
+        arm.step(*sway(robot, k * T), wrench)
+    now = arm.sample
+    data.qpos[:], data.qvel[:], data.qfrc_applied[:] = now.q, now.qd, now.tau - now.tau_friction
+    mujoco.mj_fwdPosition(model, data)
+    mujoco.mj_applyFT(model, data, wrench[:3], wrench[3:], data.site_xpos[0], robot.n, data.qfrc_applied)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(now.qdd, data.qacc, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(now.T_base_tool[:3, 3], data.site_xpos[0], rtol=0, atol=1e-12)
 
 
 YUMI = robots.load("yumi_left")

@@ -20,7 +20,7 @@ def test_a_cell_is_its_seed() -> None:
     one, same, other = (cell(seed).hand_eye(2) for seed in (7, 7, 8))
     np.testing.assert_array_equal(one.B, same.B)
     assert np.abs(one.B - other.B).max() > 0.1
-    with pytest.raises(ConfigError, match="seed from 0, got -1"):
+    with pytest.raises(ConfigError, match="seed of at least 0, got -1"):
         cell(-1)
 
 

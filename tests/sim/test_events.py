@@ -36,7 +36,7 @@ def test_a_hand_leads_in_one_program_only_and_an_arm_of_as_many_joints() -> None
     scene = Surroundings(hand=hand)
     assert scene.leads("loop", 7) is None
     assert scene.leads("lead-through", 6) is hand
-    with pytest.raises(ShapeError, match="7 joints, got one of 6"):
+    with pytest.raises(ShapeError, match="7 joints, got a path of 6"):
         scene.leads("lead-through", 7)
 
 

@@ -11,9 +11,8 @@ import pytest
 from armlab import robots
 from armlab.sim.arm.arm import SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
-from armlab.sim.controller.controller import ReplyQueue, Sent
+from armlab.sim.controller.controller import EPOCH_NS, OPTIONAL_FIELDS, PacketBuilder, ReplyQueue, Sent
 from armlab.sim.controller.guidance import Guidance, ReferenceDecoder
-from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, PacketBuilder
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import EventLog, Statistics
 from armlab.wire.egm import Drop, EgmCodec, Packet, Reference
@@ -195,8 +194,8 @@ def test_everything_is_plain_json_and_text() -> None:
     statistics.queue[1] += 2
     statistics.age[1] += 2
     statistics.late(1e-4, uptime=2.0)
-    statistics.heard(np.array([7.0, 8.5]), True, np.array([0.5]))
-    statistics.heard(None, None, None)
+    statistics.record_reply(np.array([7.0, 8.5]), True, np.array([0.5]))
+    statistics.record_reply(None, None, None)
     journal = EventLog("yumi_left", statistics, None)
     for _ in range(2):  # sessions: each tells of a kind of drop once
         for _ in range(3):

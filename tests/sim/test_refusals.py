@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 from armlab import identify, robots
-from armlab.errors import ConfigError, LinkError, ShapeError, UnknownName
+from armlab.errors import ConfigError, LinkError, RobotError, ShapeError, UnknownName
 from armlab.sim.arm.arm import LaggingArm, Sensors, SimulatedArm, record
 from armlab.sim.arm.mismatch import Mismatch
 from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.channel import UdpClient
-from armlab.sim.controller.controller import SimulatedController
+from armlab.sim.controller.controller import PacketBuilder, SimulatedController
 from armlab.sim.controller.cycles import Timing
 from armlab.sim.controller.guidance import ExternalAxes
-from armlab.sim.controller.packets import PacketBuilder
 from armlab.sim.controller.settings import ControllerSettings, FaultRates
 from armlab.sim.events import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
 from armlab.sim.experiments.cell import cell
@@ -59,7 +58,7 @@ REFUSED: list[tuple[type[Exception], str, Callable[[], object]]] = [
     (ConfigError, "jitter", lambda: record(arm(jitter=0.003), SWAY)),
     (ShapeError, "7 joints", lambda: record(arm(), identify.dither(np.zeros(6), 2.0))),
     (ShapeError, "wrench", lambda: record(arm(), SWAY, lambda t: np.zeros((3, 6)))),
-    (UnknownName, "yumi_left", lambda: synthetic_truth(robots.load("dh_test"))),
+    (RobotError, "no masses", lambda: synthetic_truth(robots.load("dh_test"))),
     (ConfigError, "-1", lambda: TRUTH.with_payload(-1.0, np.zeros(3))),
     (ConfigError, "mass", lambda: Mismatch(mass=-0.1)),
     (ConfigError, "lost", lambda: Mismatch(lost=1.0)),
@@ -79,7 +78,7 @@ REFUSED: list[tuple[type[Exception], str, Callable[[], object]]] = [
         for name in ("program", "stream_queue", "queue", "mode", "activated")
     ),
     (ConfigError, "loss", lambda: FaultRates(loss=1.1)),
-    (ConfigError, "instant", lambda: Sensors(TRUTH, Mismatch(), 0.004, 0).measure()),
+    (ConfigError, "exact state to measure, got none", lambda: Sensors(TRUTH, Mismatch(), 0.004, 0).measure()),
     (ConfigError, "period", lambda: SimulatedArm(ROBOT, TRUTH, period=0.0)),
     (ConfigError, "pause", lambda: FaultRates(pause=(1.0, INF))),
     (ConfigError, "until", lambda: FaultRates(until=NAN)),
@@ -102,16 +101,16 @@ REFUSED: list[tuple[type[Exception], str, Callable[[], object]]] = [
         for times in ((1.0, 1.0), (2.0, 1.0), (NAN, 1.0), (0, INF))
     ),
     (ShapeError, "at least two rows", lambda: path([0.0], [[1.0]])),
-    (ShapeError, "increase", lambda: path([0.0, 0.0], [[1.0], [2.0]])),
+    (ShapeError, "increasing times", lambda: path([0.0, 0.0], [[1.0], [2.0]])),
     (ShapeError, "finite", lambda: path([0.0, 1.0], [[1.0], [NAN]])),
     (ShapeError, "postures", lambda: path([0.0, 1.0], [1.0, 2.0])),
     (ShapeError, "7 joints", lambda: task(hand=HandPath.random(robots.load("ur5e")))),
     *(
-        (ConfigError, "increase", lambda text=text: StateScript(text, MOTORS))
+        (ConfigError, "with increasing times", lambda text=text: StateScript(text, MOTORS))
         for text in ("0:on,0:off", "x:on", "nan:on", "2:on,1:off")
     ),
     (UnknownName, "running", lambda: StateScript("0:runing", RAPID)),
-    (ConfigError, "'lpoe' or 'dh' of an arm, got 'urdf'", lambda: cell(1).kinematics(truth="urdf")),
+    (ConfigError, "'lpoe' or 'dh', got 'urdf'", lambda: cell(1).kinematics(truth="urdf")),
     (ConfigError, "one to three plates, got 4", lambda: cell(1).laser(plates=4)),
     (ShapeError, "shape", lambda: forward([1.0, 2.0, 3.0])),
     (ShapeError, "q", lambda: mass_matrix("12")),

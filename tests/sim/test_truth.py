@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.errors import ShapeError, UnknownName
+from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.robots import inertia
 from armlab.sim.arm.arm import SimulatedArm
 from armlab.sim.arm.mismatch import Mismatch, built_robot, built_truth, draw, position_gain, torque_gain
-from armlab.sim.arm.truth import Truth, cylinder, synthetic_truth, truth_names
+from armlab.sim.arm.truth import Truth, cylinder, no_masses, synthetic_truth
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 G_LEFT = [6.20953, 5.37511, -0.02260, 0.53069, -0.00042, -0.02481, 0.0]
@@ -40,7 +41,7 @@ def test_yumi_parameters_follow_the_rule() -> None:
     np.testing.assert_allclose(truth.static_ratio, 1.3)
 
 
-@pytest.mark.parametrize("name", truth_names())
+@pytest.mark.parametrize("name", [name for name in robots.names() if not no_masses(robots.load(name))])
 def test_every_simulated_robot_is_physical(name: str) -> None:
     robot = robots.load(name)
     truth = synthetic_truth(robot)
@@ -54,6 +55,44 @@ def test_every_simulated_robot_is_physical(name: str) -> None:
     zero = np.zeros(robot.n)
     G = robot.chain.rnea(robot.q_home, zero, zero, robot.gravity, truth.pi)
     assert (np.abs(G) < 0.5 * truth.tau_max).all(), "the drives can hold the arm"
+
+
+def test_masses_are_those_of_the_description_and_drives_in_proportion_to_its_efforts() -> None:
+    robot = robots.load("panda")
+    truth = synthetic_truth(robot)
+    np.testing.assert_array_equal(truth.pi, robot.inertias)
+    np.testing.assert_array_equal(truth.tau_max, robot.tau_max)
+    np.testing.assert_allclose(truth.coulomb_pos + truth.coulomb_neg, 0.1 * robot.tau_max)
+    np.testing.assert_allclose(truth.ripple_cycles, 200.0)
+
+
+def test_what_a_file_says_of_drives_takes_the_place_of_the_proportions(tmp_path: Path) -> None:
+    drives = {"friction": [3.0, 0, 0, 0, 0, 0, 1.0], "damping": [2.0] * 7, "rotor": [0.5] * 7, "noise": [0.1] * 7}
+    pairs = tuple((name, tuple(values)) for name, values in drives.items())
+    robot = replace(robots.load("panda"), drives=pairs)
+    robots.save(robot, tmp_path / "arm.toml")
+    assert robots.load(tmp_path / "arm.toml") == robot
+    truth = synthetic_truth(robots.load(tmp_path / "arm.toml"))
+    np.testing.assert_allclose(truth.coulomb_pos / 1.05, [3.0, *(0.05 * robot.tau_max[1:6]), 1.0])
+    np.testing.assert_array_equal([truth.viscous[0], truth.rotor[3], truth.tau_noise[6]], [2.0, 0.5, 0.1])
+    assert robot.hash == robots.load("panda").hash
+    for wrong, words in ((("gain", (1.0,) * 7), "among friction"), (("noise", (1.0,)), "7 finite numbers")):
+        with pytest.raises(RobotError, match=words):
+            replace(robot, drives=(wrong,))
+
+
+def test_without_efforts_the_drives_can_hold_the_stretched_arm() -> None:
+    rng = np.random.default_rng(0)
+    for name in ("panda", "ur5e"):
+        robot = replace(robots.load(name), tau_max=np.full(robots.load(name).n, np.inf))
+        truth, zero = synthetic_truth(robot), np.zeros(robot.n)
+        for q in rng.uniform(robot.q_min, robot.q_max, (50, robot.n)):
+            assert np.all(np.abs(robot.chain.rnea(q, zero, zero, robot.gravity, truth.pi)) < 0.5 * truth.tau_max)
+        assert truth.tau_max.max() < 30 * truth.tau_max.min()
+
+
+def test_an_arm_of_another_shape_does_not_get_masses_by_its_name() -> None:
+    assert "no masses" in no_masses(robots.from_dh("yumi_left", np.zeros(3), np.ones(3), np.zeros(3)))
 
 
 def test_cylinder_is_the_textbook_one() -> None:

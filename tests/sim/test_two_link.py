@@ -105,9 +105,9 @@ def test_batches_are_loops() -> None:
 
 
 def test_points_out_of_reach_are_named_with_their_distance() -> None:
-    with pytest.raises(ShapeError, match=r"between 0 m and 2 m .* got one at 5 m"):
+    with pytest.raises(ShapeError, match=r"between 0 m and 2 m .* got a point at 5 m"):
         inverse([[0.5, 0.5], [3.0, 4.0]])
     with pytest.raises(ShapeError, match=r"between 0\.3 m"):
         inverse([0.1, 0.0], arm=OTHER)
-    with pytest.raises(ShapeError, match="does not reach"):
+    with pytest.raises(ShapeError, match="Move the point within reach"):
         inverse([np.nan, 0.0])

@@ -26,13 +26,13 @@ FILES = sorted(p for p in SOURCE.rglob("*.py") if p not in GENERATED)
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
 LAYERS = [  # low to high; packages on one line do not see each other
-    {"errors"},
-    {"_descriptors", "glossary", "state", "_interrupts", "_numbers", "_palette", "_toml", "_whole_files"},
+    {"errors", "_display"},
+    {"_files", "glossary", "state", "_interrupts", "_numbers"},
     {"kernels"},
     {"lie", "wire"},
     {"robots", "signals"},
     {"kinematics", "models", "log"},
-    {"estimation"},
+    {"estimation", "dynamics"},
     {"frames"},
     {"calibrate", "identify", "contact", "motion"},
     {"sim", "bridge"},

@@ -52,7 +52,7 @@ def test_contenders_take_turns(harness: dict[str, ModuleType]) -> None:
 def test_figures_are_medians_and_ratios_of_one_round(harness: dict[str, ModuleType]) -> None:
     blocks = harness["blocks"]
     contenders = [
-        blocks.Contender("ours", constant(9.0, 1.0, 2.0, 3.0), "armlab", bar=2.5),
+        blocks.Contender("ours", constant(9.0, 1.0, 2.0, 3.0), "armlab", bar=2.5, over="limit"),
         blocks.Contender("theirs", constant(9.0, 4.0, 8.0, 12.0), bar=0.2),
         blocks.Contender("limit", constant(9.0, 1.0, 1.0, 1.0), "limit"),
     ]
@@ -60,6 +60,16 @@ def test_figures_are_medians_and_ratios_of_one_round(harness: dict[str, ModuleTy
     assert (ours.median, ours.minimum, ours.lower, ours.upper) == (2.0, 1.0, 1.5, 2.5), "without the warm-up's 9"
     assert (theirs.ratio, theirs.ratio_lower, theirs.ratio_upper) == (0.25, 0.25, 0.25)
     assert (ours.is_met, theirs.is_met, limit.is_met) == (True, False, None)
+    assert ours.multiple == 2.0
+
+
+def test_a_time_is_not_judged_by_itself(harness: dict[str, ModuleType]) -> None:
+    """The same bar would be met on one machine and missed on another."""
+    blocks = harness["blocks"]
+    ours = [blocks.Contender("ours", constant(1.0, 1.0, 1.0), "armlab", bar=2.0)]
+    with pytest.raises(ValueError, match="ours to be judged by a ratio, got a bar in ms"):
+        blocks.table("One pose", "", "ms", ours, rounds=1)
+    assert blocks.table("Force", "", "N", ours, rounds=1, warm=False).figures[0].is_met
 
 
 def test_each_keeps_every_sample(harness: dict[str, ModuleType]) -> None:
@@ -82,17 +92,17 @@ def test_contenders_that_disagree_are_not_timed(harness: dict[str, ModuleType], 
 def test_report_tells_bars_and_noise(harness: dict[str, ModuleType]) -> None:
     blocks, report = harness["blocks"], harness["report"]
     contenders = [
-        blocks.Contender("armlab forward", constant(2e-6, 2e-6), "armlab", bar=3e-6),
+        blocks.Contender("armlab forward", constant(2e-6, 2e-6), "armlab", bar=3.0, over="writing"),
         blocks.Contender("Peer", constant(3e-3, 3e-3), bar=0.0005, note="its best"),
         blocks.Contender("writing", constant(1e-6, 1e-6), "limit"),
     ]
     section = report.Section("pose", [blocks.table("One pose", "A pose.", "µs", contenders, rounds=1)], 0.25, 90.0)
     text = report.render("2026-01-02", ["A machine."], [section], quick=True)
-    assert "| One pose | armlab forward | 2 µs | 3 µs | met |" in text
+    assert "| One pose | armlab forward | 2 of writing | 3 | met |" in text
     assert re.search(r"\| One pose \| Peer \| 0\.000667 .*\| 0\.0005 \| \*\*missed\*\* \|", text)
     assert "| Peer | 3000 | 3000 | 3000–3000 |" in text
     assert "| pose | 90 | 0.25 |" in text, "how long it took"
-    assert "armlab at 50 % of it" in text
+    assert "armlab reaches 50 % of this limit" in text
     assert "other processes used 0.25 cores" in text
     assert "The machine was shared" in text
     assert "quick run" in text
@@ -133,7 +143,9 @@ def section(harness: dict[str, ModuleType], ours: float, theirs: float, alone: f
     blocks = harness["blocks"]
     spread = (0.98, 1.0, 1.02)
     peer = [
-        blocks.Contender("armlab forward", constant(1.0, *(ours * one for one in spread)), "armlab", bar=2.0),
+        blocks.Contender(
+            "armlab forward", constant(1.0, *(ours * one for one in spread)), "armlab", bar=2.0, over="writing"
+        ),
         blocks.Contender("Peer", constant(1.0, theirs, theirs, theirs), bar=0.5),
         blocks.Contender("writing", constant(1.0, 1.0, 1.0, 1.0), "limit"),
     ]
@@ -177,10 +189,10 @@ def test_baseline_compares_values_that_are_no_times_on_any_machine(
 
 def test_baseline_names_what_became_slower(harness: dict[str, ModuleType], baseline: ModuleType) -> None:
     text = "\n".join(baseline.render(baseline.compare("Slow.", [section(harness, 2.0, 4.0)], whole=True)))
-    assert re.search(r"1 differ by more than a tenth with quartiles apart .*, 1 of them for the worse", text)
+    assert re.search(r"1 differ by more than a tenth with disjoint quartiles .*, 1 of them for the worse", text)
     assert "| One pose | Peer | ratio | 0.25 | 0.5 | 2.00 |" in text
     better = "\n".join(baseline.render(baseline.compare("Slow.", [section(harness, 0.5, 4.0)], whole=True)))
-    assert re.search(r"1 differ by more than a tenth with quartiles apart .*, 0 of them for the worse", better)
+    assert re.search(r"1 differ by more than a tenth with disjoint quartiles .*, 0 of them for the worse", better)
 
 
 def test_what_was_measured_once_must_change_by_half(harness: dict[str, ModuleType]) -> None:
@@ -294,7 +306,8 @@ def run(harness: dict[str, ModuleType], monkeypatch: pytest.MonkeyPatch, tmp_pat
 def test_second_run_is_compared_with_the_published_one(
     harness: dict[str, ModuleType], run: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    page, picture = run.DOCS / "benchmarks.md", run.DOCS / "_static" / "benchmarks.png"
+    short, page = run.DOCS / "benchmarks.md", run.DOCS / "benchmarks_all.md"
+    picture = run.DOCS / "_static" / "benchmarks.png"
 
     def measured(ours: float, failure: str = "", publish: bool = True) -> int:
         made = {"pose": section(harness, ours, 4.0), "lie": harness["report"].Section("lie", [], 0.0, failure=failure)}
@@ -302,13 +315,16 @@ def test_second_run_is_compared_with_the_published_one(
         return run._measured(list(made), False, False, publish)
 
     assert (measured(1.0, failure="Disagreement"), measured(1.0, publish=False)) == (1, 0)
-    assert not any(one.exists() for one in (page, picture, harness["baseline"].PATH)), "a failure, and not asked for"
+    assert not any(one.exists() for one in (short, page, picture, harness["baseline"].PATH)), (
+        "a failure, and not asked for"
+    )
     assert measured(1.0) == 0
     first = page.read_text(encoding="utf-8")
     assert "Fast." in first
     assert "(_static/benchmarks.png)" in first
     assert "Compared with the baseline" not in first
     assert picture.read_bytes() == b"drawn"
+    assert "| One pose | 1 s | Peer | 0.25 | 2 of 2 |" in short.read_text(encoding="utf-8")
     assert measured(2.0) == 0
     assert "| One pose | Peer | ratio | 0.25 | 0.5 | 2.00 |" in page.read_text(encoding="utf-8")
     assert measured(2.0) == 0

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
 import socket
 import subprocess
 import sys
 import tempfile
+import tomllib
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 from urllib.parse import unquote
 
 import pytest
 
 import armlab
+
+from ..live.browser.conftest import _chromium, browse  # noqa: F401  fixtures
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -189,6 +196,102 @@ def test_the_library_is_in_the_reference(built: Path) -> None:
         assert about in page
 
 
+# Of a page in the browser: its width beyond the window [pixels], what is cut off, broken pictures, empty links.
+FITS = """(() => {
+    const width = document.documentElement.clientWidth, scrolls = element => {
+        for (let e = element.parentElement; e; e = e.parentElement)
+            if (["auto", "scroll"].includes(getComputedStyle(e).overflowX)) return true;
+        return false;
+    };
+    const cut = [...document.querySelectorAll("article *")].filter(
+        e => e.getBoundingClientRect().right > width + 1 && !scrolls(e));
+    return {
+        wider: document.documentElement.scrollWidth - width,
+        cut: cut.slice(0, 3).map(e => e.outerHTML.slice(0, 80)),
+        broken: [...document.images].filter(e => e.complete && !e.naturalWidth).map(e => e.src),
+        empty: [...document.querySelectorAll("article a[href]")].filter(
+            e => !e.textContent.trim() && !e.querySelector("img, svg, object")).map(e => e.href),
+    };
+})()"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [390, 1280])
+def test_pages_fit_a_telephone_and_a_desk(width: int, built: Path, browse: Callable[[str], Any]) -> None:  # noqa: F811
+    page = browse("about:blank")
+    page.call("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=width < 600)
+    found = {}
+    for path in sorted(path for path in built.rglob("*.html") if "_static" not in path.parts):
+        page.errors.clear()
+        page.call("Page.navigate", url=path.as_uri())
+        page.wait(f"document.readyState === 'complete' && location.pathname.endsWith({json.dumps(path.name)})")
+        seen = page.value(FITS) | {"errors": list(page.errors)}
+        if seen != {"wider": 0, "cut": [], "broken": [], "empty": [], "errors": []}:
+            found[str(path.relative_to(built))] = seen
+    page.close()
+    assert not found
+
+
+SEARCH = """
+const fs = require("fs"), vm = require("vm"), [folder, ...queries] = process.argv.slice(1);
+const page = {window: globalThis, document: {getElementById: () => null}, _: (text) => text};
+Object.assign(globalThis, page, {SPHINX_HIGHLIGHT_ENABLED: false, _ready: () => {}});
+const read = (name) => fs.readFileSync(`${folder}/${name}`, "utf8");
+const code = ["_static/language_data.js", "_static/searchtools.js"].map(read);
+vm.runInThisContext([...code, read("searchindex.js"), "globalThis.Search = Search"].join(";"));
+const first = (query) => Search._performSearch(...Search._parseQuery(query)).pop()?.[0];
+console.log(JSON.stringify(Object.fromEntries(queries.map((query) => [query, first(query)]))));
+"""
+
+FOUND = {
+    "install": "install",
+    "quick start": "quick_start",
+    "impedance": "how_to/impedance",
+    "impedance control": "how_to/impedance",
+    "stiffness": "how_to/impedance",
+    "admittance": "how_to/impedance",
+    "force": "how_to/contact_force",
+    "contact force": "how_to/contact_force",
+    "URDF": "how_to/robot_description",
+    "calibrate camera": "how_to/calibrate_camera",
+    "hand-eye": "how_to/calibrate_camera",
+    "inverse kinematics": "how_to/inverse_kinematics",
+    "jacobian": "how_to/kinematics",
+    "payload": "how_to/weigh_a_load",
+    "identification": "how_to/identify",
+    "record replay": "how_to/record_and_replay",
+    "rosbag": "how_to/read_a_bag",
+    "ROS bag": "how_to/read_a_bag",
+    "bag file": "how_to/read_a_bag",
+    "ABB": "how_to/connect_abb",
+    "EGM": "egm",
+    "collision": "how_to/force_control",
+    "trajectory": "how_to/plan_a_motion",
+    "report a bug": "contributing",
+    "time synchronisation": "theory/clocks",
+    "load URDF": "how_to/robot_description",
+    "UR force": "how_to/contact_force",
+    "teach": "how_to/record_and_replay",
+    "teach motion": "how_to/learn_a_motion",
+    "sign of the force": "how_to/contact_force",
+    "sign convention": "conventions",
+    "hand guiding": "how_to/force_control",
+    "weigh": "how_to/weigh_a_load",
+    "ROS 2": "ros",
+    "notebook": "notebooks/index",
+    "wheel": "install",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed, which runs the search of the pages")
+def test_the_search_finds_the_right_page_first(built: Path) -> None:
+    command = ["node", "-e", SEARCH, str(built), *FOUND]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == FOUND
+
+
 @pytest.mark.parametrize(
     ("name", "text", "count"),
     [
@@ -229,7 +332,7 @@ def test_commands_of_the_reference_are_those_of_the_program() -> None:
 
 def test_readme_names_commands_that_exist() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    for page in ("README.md", "CONTRIBUTING.md", "docs/quick_start.md"):
+    for page in ("README.md", "CONTRIBUTING.md", "docs/quick_start.md", ".github/workflows/ci.yml"):
         text = (ROOT / page).read_text(encoding="utf-8")
         targets = set(re.findall(r"\bmake (\w+)", text))
         assert targets
@@ -243,3 +346,14 @@ def test_links_between_files_outside_the_pages_hold() -> None:
         text = (ROOT / page).read_text(encoding="utf-8")
         for link in re.findall(r"\]\((?!https?:)([^)#]+)", text):
             assert (ROOT / link).exists(), f"{page}: {link}"
+
+
+def test_one_version_everywhere() -> None:
+    """The package, its citation and the newest entry of the changelog."""
+    package = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    newest = re.search(r"^## \[(.+?)\] - (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), flags=re.M)
+    assert newest
+    assert f"version: {package}\n" in citation
+    assert newest[1] == package
+    assert newest[2] == "unreleased" or f"date-released: {newest[2]}\n" in citation

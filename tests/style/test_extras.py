@@ -17,10 +17,12 @@ SOURCE = ROOT / "src" / "armlab"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 MODULES = {
     "eclipse-zenoh": "zenoh",
+    "opencv-contrib-python-headless": "cv2",
     "protobuf": "google",
     "ruamel.yaml": "ruamel",
     "tomli-w": "tomli_w",
 }  # packages that are imported by another name
+NOT_IMPORTED = {"pycollada", "example-robot-data"}  # trimesh imports it to read .dae; files only
 BROUGHT = {"attrs", "mpl_toolkits", "trimesh"}  # by cyclopts, whose help it is; by matplotlib; by viser, for its scenes
 NAMED = re.compile(r"^\s*(?:import|from) (\w+)|(?:import_module|needed)\(\"(\w+)", flags=re.M)
 BLOCKED = """
@@ -39,7 +41,7 @@ print("all")
 
 def modules(requirements: list[str]) -> set[str]:
     """Names by which required packages are imported."""
-    names = {re.split(r"[\[<>=]", one)[0] for one in requirements}
+    names = {re.split(r"[\[<>=]", one)[0] for one in requirements} - NOT_IMPORTED
     return {MODULES.get(name, name) for name in names}
 
 

@@ -37,6 +37,7 @@ STARTS_PROGRAMS = {  # file: which
 }
 
 RUNS_THE_USERS_CODE = {  # file: what the user names on the command line is the user's own program
+    "bridge/servers/ros/dds.py": "nothing of a user: ctypes hides the type descriptions of Cyclone DDS",
     "cli/run.py": "the file of a controller; and a prompt after the run, when asked",
 }
 

@@ -116,6 +116,7 @@ def test_wheel_holds_the_package_and_its_compiled_core(wheel: Path) -> None:
     assert len(compiled) == 1
     assert names - information - compiled == {f"armlab/{name}" for name in files(SOURCE)}
     assert {"armlab/py.typed", "armlab/wire/egm/armlab_egm_pb2.py", "armlab/robots/library/yumi_left.toml"} < names
+    assert "armlab/bridge/rapid/ArmlabYumiL.mod" in names
     assert any(name.endswith("licenses/LICENSE") for name in information)
 
 

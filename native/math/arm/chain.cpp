@@ -5,8 +5,8 @@ namespace {
 
 constexpr double pi = 3.14159265358979323846;
 
-// R = Rz(beta) Rx(alpha) Rz(gamma). Where alpha is near 0 or pi beta is arbitrary: alpha and gamma
-// are therefore read from Rz(-beta) R, which makes the product right whatever beta is.
+// R = Rz(beta) Rx(alpha) Rz(gamma). For alpha near 0 or pi, beta is arbitrary: alpha and gamma are
+// therefore read from Rz(-beta) R, which makes the product exact for any beta.
 struct Angles {
   double beta, alpha, gamma;
 };
@@ -21,7 +21,7 @@ Angles zxz(const double *E) {
   return {beta, alpha, gamma};
 }
 
-// Zero for what rounding leaves: entries of a rotation and lengths in metres are not known to
+// Sets rounding errors to zero: entries of a rotation and lengths in metres are not accurate to
 // 1e-15.
 double without_rounding(double x) { return std::fabs(x) < 1e-15 ? 0.0 : x; }
 

@@ -18,7 +18,7 @@ struct Chain {
   // One joint and what follows it, with every E_i = Rz(beta_i) [p_i; Rx(alpha_i)] Rz(gamma_i).
   // Rotations about z merge with those of the neighbouring joints, so a step is Rz(q + offset),
   // Tz(q) of a prismatic joint, a translation by p, and Rx(alpha): at most 54 multiplications and
-  // additions instead of 81, for any E_i. What is zero is left out.
+  // additions instead of 81, for any E_i. Zero terms are omitted.
   // Twists by 0, 90, -90 degrees: nearly all arms have no other.
   enum class Twist { none, quarter, minus_quarter, other };
   struct Step {

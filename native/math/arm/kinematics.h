@@ -43,8 +43,8 @@ inline void joint_sincos(const Chain &chain, const double *q, double *sine, doub
 }
 #endif
 
-// Walks from base to tool; visit(i, z, p) sees the axis and a point of joint i + 1 in base axes.
-// Returns T_base_tool. (A pose would be kept in memory: variables.)
+// Walks from base to tool; visit(i, z, p) gets the axis and a point of joint i + 1 in base axes.
+// Returns T_base_tool. (Separate variables stay in registers; a pose would be in memory.)
 template <class Real, class Visit>
 inline Pose<Real> walk(const Chain &chain, const Real *q, Visit visit) {
   Real sine[max_joints], cosine[max_joints];
@@ -84,7 +84,7 @@ inline void forward(const Chain &chain, const Real *q, Real *T_out) {
   walk(chain, q, [](int, const Vec3<Real> &, const Vec3<Real> &) {}).write(T_out);
 }
 
-// Zero, or NaN where a joint is NaN: for what does not depend on it, but must show it missing.
+// Zero, or NaN if a joint is NaN: marks results as missing that do not depend on it.
 template <class Real>
 inline Vec3<Real> missing_in(const Pose<Real> &T) {
   return Real(0.0) * (T.x + T.p);
@@ -143,48 +143,85 @@ inline void link_transforms(const Chain &chain, const Real *q, Real *T_out) {
   }
 }
 
+// A twist [v; w] of the point at the origin, or a wrench [f; m] about it.
+template <class Real>
+struct Twist {
+  Vec3<Real> v, w;
+
+  static Twist read(const Real *m) { return {Vec3<Real>::read(m), Vec3<Real>::read(m + 3)}; }
+};
+
+template <class Real>
+inline Twist<Real> operator+(const Twist<Real> &a, const Twist<Real> &b) {
+  return {a.v + b.v, a.w + b.w};
+}
+template <class Real>
+inline Twist<Real> operator*(const Real &s, const Twist<Real> &a) {
+  return {s * a.v, s * a.w};
+}
+template <class Real>
+inline Real dot(const Twist<Real> &a, const Twist<Real> &b) {
+  return dot(a.v, b.v) + dot(a.w, b.w);
+}
+// V x S: the rate of a twist S that is fixed in a body moving with V. V x* F: the same of a wrench.
+template <class Real>
+inline Twist<Real> cross(const Twist<Real> &V, const Twist<Real> &S) {
+  return {cross(V.w, S.v) + cross(V.v, S.w), cross(V.w, S.w)};
+}
+template <class Real>
+inline Twist<Real> wrench_cross(const Twist<Real> &V, const Twist<Real> &F) {
+  return {cross(V.w, F.v), cross(V.w, F.w) + cross(V.v, F.v)};
+}
+
+// For T = T_a_b: a twist of frame a in frame b, a wrench of frame b in frame a.
+template <class Real>
+inline Twist<Real> twist_in(const Pose<Real> &T, const Twist<Real> &V) {
+  return {T.turn_back(V.v + cross(V.w, T.p)), T.turn_back(V.w)};
+}
+template <class Real>
+inline Twist<Real> wrench_from(const Pose<Real> &T, const Twist<Real> &F) {
+  const Vec3<Real> f = T.turn(F.v);
+  return {f, T.turn(F.w) + cross(T.p, f)};
+}
+
+// Of a joint along or about an axis z through p.
+template <class Real>
+inline Twist<Real> joint_twist(bool slides, const Vec3<Real> &z, const Vec3<Real> &p) {
+  if (slides) return {z, {Real(0.0), Real(0.0), Real(0.0)}};
+  return {cross(p, z), z};
+}
+template <class Real>
+inline Twist<Real> unit_twist(bool slides) {  // in its link's frame
+  const Vec3<Real> zero{Real(0.0), Real(0.0), Real(0.0)}, z{Real(0.0), Real(0.0), Real(1.0)};
+  return slides ? Twist<Real>{z, zero} : Twist<Real>{zero, z};
+}
+template <class Real>
+inline const Real &along_axis(const Twist<Real> &V, bool slides) {
+  return slides ? V.v.z : V.w.z;
+}
+
 // Jd (6, n): the derivative of J (6, n) along the motion q, qd, in base axes or in tool axes.
 //
-// With w_i the angular velocity of the link before joint i and pd_i the velocity of the joint's
-// point, in base axes:
-//   revolute   d/dt [z x (p - p_i); z] = [(w_i x z) x (p - p_i) + z x (pd - pd_i); w_i x z]
-//   prismatic  d/dt [z; 0] = [w_i x z; 0]
-// In tool axes, d/dt (R^T u) = R^T (ud - w x u) for both halves u of a column, w the angular
-// velocity of the tool.
+// With S_i the twist of joint i and V_i that of the link before it, about the base's origin,
+// dS_i/dt = V_i x S_i. At the tool point p the column is [S.v + S.w x p; S.w]. In tool axes,
+// d/dt (R^T u) = R^T (ud - w x u) for both halves u of a column, w the angular velocity of the
+// tool.
 template <class Real>
 inline void jacobian_derivative(
     const Chain &chain, const Real *q, const Real *qd, bool tool, Real *Jd) {
   const int n = chain.n;
-  const Vec3<Real> zero{Real(0.0), Real(0.0), Real(0.0)};
-  Vec3<Real> axis[max_joints + 1], point[max_joints + 1], w[max_joints + 1], pd[max_joints + 1];
-  w[0] = pd[0] = zero;
-  // The motion of link i and of the point that ends it, from joint i - 1.
-  const auto advance = [&](int i) {
-    const bool slides = chain.steps[i - 1].slides;
-    const Vec3<Real> own = qd[i - 1] * axis[i - 1];
-    w[i] = slides ? w[i - 1] : w[i - 1] + own;
-    pd[i] = pd[i - 1] + cross(w[i], point[i] - point[i - 1]);
-    if (slides) pd[i] = pd[i] + own;
-  };
+  Twist<Real> S[max_joints], s[max_joints], V{};
   const Pose<Real> T = walk(chain, q, [&](int i, const Vec3<Real> &z, const Vec3<Real> &p) {
-    axis[i] = z;
-    point[i] = p;
-    if (i > 0) advance(i);
+    S[i] = joint_twist(chain.steps[i].slides, z, p);
+    s[i] = cross(V, S[i]);
+    V = V + qd[i] * S[i];
   });
-  const Vec3<Real> missing = missing_in(T);
-  point[n] = T.p + missing;
-  advance(n);
+  const Vec3<Real> missing = missing_in(T), tip = T.p + missing, velocity = V.v + cross(V.w, tip);
   for (int i = 0; i < n; ++i) {
-    const Vec3<Real> turning = cross(w[i], axis[i]), lever = point[n] - point[i];
-    const bool slides = chain.steps[i].slides;
-    Vec3<Real> vd = turning + missing, wd = zero;
-    if (!slides) {
-      vd = cross(turning, lever) + cross(axis[i], pd[n] - pd[i]);
-      wd = turning;
-    }
+    Vec3<Real> vd = s[i].v + cross(s[i].w, tip) + cross(S[i].w, velocity) + missing, wd = s[i].w;
     if (tool) {
-      vd = T.turn_back(vd - cross(w[n], slides ? axis[i] : cross(axis[i], lever)));
-      wd = T.turn_back(slides ? wd : wd - cross(w[n], axis[i]));
+      vd = T.turn_back(vd - cross(V.w, S[i].v + cross(S[i].w, tip)));
+      wd = T.turn_back(wd - cross(V.w, S[i].w));
     }
     vd.write(Jd + i, n);
     wd.write(Jd + 3 * n + i, n);

@@ -1,5 +1,5 @@
-// Torque of the drives at one instant: friction with its presliding state and warmth, friction that
-// depends on position, and torque ripple. The only place in the compiled core that evaluates it;
+// Torque of the drives at one instant: friction with its presliding and thermal state, friction
+// over position, and torque ripple. The only implementation in the compiled core;
 // tests/oracles/drive.py states the mathematics.
 #pragma once
 
@@ -18,16 +18,16 @@ struct JointRipple {
   double cycles, cosine, sine;
 };
 
-// Friction changes by its own heat: coulomb (1 + of_coulomb x), viscous (1 + of_viscous x), x
-// towards power / reference within `time`; time 0: it does not.
+// Warm-up by friction: coulomb (1 + of_coulomb x), viscous (1 + of_viscous x), x tends to
+// power / reference with time constant `time`; time 0: constant.
 struct JointWarmUp {
   double of_coulomb, of_viscous, time, reference, start;
 };
 
 constexpr int max_centres = 64;
 
-// Gaussians exp(-((x - c) / w)^2) divided by their sum, which is that of the nearest: no x is far
-// from all of them. x outside the centres counts as the nearest end.
+// Gaussians exp(-((x - c) / w)^2) over their sum; the sum never vanishes because x is clamped to
+// the range of the centres.
 inline void basis_weights(
     double x, int count, const double *centres, const double *widths, double *weights) {
   x = std::min(std::max(x, centres[0]), centres[count - 1]);
@@ -56,7 +56,7 @@ inline double follow(double &y, double q, double resolution) {
   return dy;
 }
 
-// What one joint remembers.
+// State of one joint.
 struct DriveState {
   double play = 0.0, z = 0.0, warmth = 0.0;
 };
@@ -88,10 +88,10 @@ class Drive {
   // The state of joint i at the first position of a record.
   DriveState start(int i, double q) const { return {q, 0.0, warm_up[i].start}; }
 
-  // Its state after a gap of unknown motion: as at the first position, but for the warmth.
+  // Its state after a gap of unknown motion: initial, except for the thermal state.
   static DriveState restart(double q, const DriveState &before) { return {q, 0.0, before.warmth}; }
 
-  // Moves the state of joint i to position q; returns the displacement that the encoder can tell.
+  // Moves the state of joint i to position q; returns the displacement resolved by the encoder.
   double move(int i, double q, DriveState &state) const {
     const double dy = follow(state.play, q, friction[i].resolution);
     state.z = slide(state.z, dy, friction[i].delta);
@@ -109,8 +109,8 @@ class Drive {
     return tau;
   }
 
-  // Friction of joint i that grows with its load x, the torque that it passes to the links: load
-  // |x| s. Either x is known, or y = x + load |x| s is, what is left of the motor's torque.
+  // Load-dependent friction of joint i, with x the torque transmitted to the links: load |x| s.
+  // Given is either x, or y = x + load |x| s, the remainder of the motor's torque.
   double of_load(int i, double x, double qd, const DriveState &state) const {
     const double load = friction[i].load;
     return load == 0.0 ? 0.0 : load * sign(i, qd, state) * std::fabs(x);
@@ -121,7 +121,7 @@ class Drive {
     return c * std::fabs(y) / (1.0 + (y < 0.0 ? -c : c));
   }
 
-  // Heats joint i for a time dt by what it rubs.
+  // Heats joint i for a time dt by its friction power.
   void heat(int i, double qd, double dt, DriveState &state) const {
     const JointWarmUp &w = warm_up[i];
     if (!(w.time > 0.0)) return;
@@ -141,7 +141,7 @@ class Drive {
     return friction[i].smooth_speed > 0.0 ? std::tanh(qd / friction[i].smooth_speed) : state.z;
   }
 
-  // What turns into heat.
+  // Dissipated power.
   double rubbing(int i, double qd, double s, double warmth, double dry_share) const {
     const JointFriction &f = friction[i];
     const double slow = qd / f.stribeck_speed;

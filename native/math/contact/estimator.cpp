@@ -78,7 +78,7 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
     qdd[i] = (qd[i] - joint.qd) / dt;
     joint.qd = qd[i];
   }
-  rnea(p_.chain, q, qd, qdd, p_.gravity.data(), p_.links.data(), rigid);
+  rnea(p_.bodies(), q, qd, qdd, rigid);
   for (int i = 0; i < n; ++i) {
     // near rest it is anything within the bound
     const double dry_share = has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;
@@ -100,7 +100,7 @@ void WrenchEstimator::step(
   double raw[max_joints], load[max_joints];
   const bool apart = first_ || dt > gap_steps * nominal_, band = has_band();
   if (!advance(q, qd, tau, dt, apart, raw, load)) return e.make_invalid(n);
-  const bool begins = apart || fresh_;  // in steady state, without a transient from what was
+  const bool begins = apart || fresh_;  // in steady state, without a transient from earlier samples
   if (first_) nominal_ = dt;
   fresh_ = apart && !first_;
   first_ = false;

@@ -1,7 +1,7 @@
 // Contact wrench from joint motion and torque; tests/oracles/estimator.py states the mathematics.
 #pragma once
 
-#include "math/arm/kinematics.h"
+#include "math/arm/rigid_body.h"
 #include "math/contact/drive.h"
 #include "math/contact/wrench.h"
 
@@ -55,7 +55,7 @@ struct Unknowns {
 
 constexpr double rest_time = 0.5;  // s, in which friction at rest becomes unknown
 constexpr double gap_steps = 5.0;  // first steps; a longer step is a gap, of which nothing is known
-constexpr double largest_torque = 1e100;  // N m; beyond it an error would never leave a filter
+constexpr double largest_torque = 1e100;  // N m; a larger error would never decay in a filter
 
 struct JointCovariance {
   double at_rest, at_speed, shape, kind;  // kind: 0 exponential, 1 step, 2 constant
@@ -75,24 +75,21 @@ struct JointBound {
   double torque, speed, floor;
 };
 
-// What every estimator knows of an arm.
-struct ArmModel {
-  explicit ArmModel(const Chain &arm) : chain(arm) {}
-  Chain chain;
-  std::array<double, 3> gravity;
-  std::array<double, 10 * max_joints> links;
+// Model of an arm, common to all estimators.
+struct ArmModel : RigidBody {
+  explicit ArmModel(const Chain &arm) : RigidBody{arm, {}, {}, {}} {}
   std::array<double, max_joints> rotor;
   Drive drive;
   std::array<double, max_joints> gains;  // torque as it is read over true torque
-  double gain_variance;                  // of what they have in common
+  double gain_variance;                  // of their common factor
   std::array<JointCovariance, max_joints> covariance;
   std::array<double, 6> prior;
   bool at_point;                // the contact is at a known point: a force of three unknowns
   std::array<double, 3> point;  // it, in tool axes
 };
 
-// One joint's drive, and how surely its presliding state is known: the variance of it, 1 being the
-// largest that a variable in [-1, 1] can have. Rest adds to it, displacement wipes it out.
+// One joint's drive, and the variance of its presliding state, 1 being the largest of a variable in
+// [-1, 1]. Rest increases it, displacement reduces it.
 struct JointDrive {
   DriveState state;
   double unsure = 1.0;
@@ -113,7 +110,7 @@ struct WrenchEstimate {
   bool active[max_joints];
   int flags;
 
-  // Writes the wrench of the unknowns x (k) with covariance P (k, k), and what of it can be seen.
+  // Writes the wrench of the unknowns x (k) with covariance P (k, k), and its observability.
   void tell(
       const Unknowns &unknowns, const ArmModel &arm, const double *x, const double *covariance);
   void make_invalid(int n);
@@ -138,7 +135,7 @@ class WrenchEstimator {
   bool has_interval() const { return p_.method == WrenchMethod::interval; }
   void reset();
 
-  // One sample. All NaN and flag 1 for a sample that is not finite; then nothing has moved.
+  // One sample. All NaN and flag 1 for a non-finite sample, which changes no state.
   void step(
       const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &estimate);
 
@@ -148,9 +145,9 @@ class WrenchEstimator {
     double qd, low[2][2];  // low-pass states of torque error and of uncertainty (or of the bound)
   };
 
-  // Moves play, presliding state and velocity by one sample and gives the torque error and the
-  // load; false, and nothing moved, when the sample or its torque error is not finite. Only the
-  // warmth is kept of what was when the sample is `apart`.
+  // Advances play, presliding state and velocity by one sample and returns the torque error and
+  // the load; returns false without any change if the sample or its torque error is not finite.
+  // After a gap (`apart`), only the thermal state is kept.
   bool advance(const double *q, const double *qd, const double *tau, double dt, bool apart,
       double *raw, double *load);
   double slowness(int i, double qd) const;

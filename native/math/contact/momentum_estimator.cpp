@@ -39,9 +39,9 @@ bool MomentumEstimator::prepare(
     return false;
   s.apart = first_ || dt > gap_steps * nominal_;
   const double relax = 1.0 - std::exp(-dt / rest_time);
-  double p[max_joints], beta[max_joints], gravity[max_joints], zero[max_joints] = {};
-  momentum(p_.chain, q, qd, p_.links.data(), p, beta);
-  rnea(p_.chain, q, zero, zero, p_.gravity.data(), p_.links.data(), gravity);
+  double p[max_joints], beta[max_joints], gravity[max_joints];
+  momentum(p_.bodies(), q, qd, p, beta);
+  gravity_torque(p_.bodies(), q, gravity);
   for (int i = 0; i < n; ++i) {
     Joint &joint = s.joints[i] = joints_[i];
     if (s.apart)
@@ -56,7 +56,7 @@ bool MomentumEstimator::prepare(
     p[i] += p_.rotor[i] * qd[i];
     double u = tau[i] / p_.gains[i] + beta[i] - gravity[i] -
                p_.drive.torque(i, q[i], qd[i], joint.drive.state, 1.0);
-    s.load[i] = u - beta[i] + gravity[i];  // with what the rotor takes: its acceleration is unknown
+    s.load[i] = u - beta[i] + gravity[i];  // with the rotor, of unknown acceleration
     const double rubs = p_.drive.of_passing(i, s.load[i], qd[i], joint.drive.state, 1.0);
     u -= rubs;
     s.load[i] -= rubs;
@@ -92,8 +92,8 @@ void MomentumEstimator::step(
   if (tared_) e.flags |= 32;
 }
 
-// r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r): J^T F through a low-pass, stable for any
-// step. It has seen only a share of the wrench when it starts.
+// r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r): J^T F, low-pass filtered, stable for any
+// step. Initially it contains only a share of the wrench.
 void MomentumEstimator::observe(
     const double *q, const double *qd, double dt, Sample &s, WrenchEstimate &e) {
   const int n = this->n();
@@ -148,8 +148,8 @@ void MomentumEstimator::hidden(const Sample &s, const double *A, double dt, Wren
     } else {
       lasting += friction * s.joints[i].drive.unsure;
     }
-    // An error that stays must not be averaged away: as noise it is so strong that the wrench keeps
-    // its doubt, and no stronger.
+    // A constant error must not be averaged away: as noise it is scaled to keep the uncertainty of
+    // the wrench, and no more.
     const double strength = 2.0 * e.variance[i] * p_.memory[i] + lasting * longest;
     e.variance[i] += lasting;
     Qp_[i] = std::min(strength * speed, e.variance[i] * e.variance[i]) / speed;
@@ -157,8 +157,8 @@ void MomentumEstimator::hidden(const Sample &s, const double *A, double dt, Wren
   }
 }
 
-// The momentum is known as well as it is measured, friction as its prior says. The wrench is as
-// before the gap and has wandered since, or as its prior says.
+// Momentum gets its measurement covariance, friction its prior. The wrench is that before the gap
+// plus its random walk since then, or its prior.
 void MomentumEstimator::restart(const Sample &s, double dt) {
   const int n = this->n(), k = unknowns(), m = inputs(), N = n + m;
   for (int j = 0; j < m; ++j) {
@@ -189,7 +189,7 @@ bool MomentumEstimator::filter(
   const int n = this->n(), m = inputs();
   double A[6 * max_joints], p[max_joints];
   const Unknowns middle(point(), jacobian(p_.chain, s.middle, false, A), n, A);
-  mass_matrix(p_.chain, q, p_.links.data(), M_.data());
+  mass_matrix(p_.bodies(), q, M_.data());
   for (int i = 0; i < n; ++i) {
     M_[(n + 1) * i] += p_.rotor[i];
     e.variance[i] = p_.covariance[i].at(qd[i]);
@@ -230,7 +230,7 @@ void MomentumEstimator::report(const double *q, const Unknowns &middle, WrenchEs
   e.tell(Unknowns(point(), jacobian(p_.chain, q, false, J), n, J), p_, x, P);
 }
 
-// The posterior of all else given that the wrench is zero.
+// The posterior of all other states, given a zero wrench.
 bool MomentumEstimator::tare() {
   const int n = this->n(), k = unknowns(), N = n + inputs();
   const bool rests = std::all_of(joints_.begin(), joints_.begin() + n,
@@ -241,12 +241,12 @@ bool MomentumEstimator::tare() {
     z[j] = x_[n + j];
     for (int l = 0; l < k; ++l) L[k * j + l] = P_[N * (n + j) + n + l];
   }
-  if (!cholesky(L, k)) return false;
+  if (!factor(L, k)) return false;
   std::vector<double> gain(N * k);
   for (int r = 0; r < N; ++r) {
     double *row = gain.data() + k * r;
     std::copy_n(P_.begin() + N * r + n, k, row);
-    cholesky_solve(L, k, row);
+    substitute(L, k, row);
   }
   const std::vector<double> before(P_);
   for (int r = 0; r < N; ++r)
@@ -263,6 +263,119 @@ bool MomentumEstimator::tare() {
       P_[N * r + c] = P_[N * c + r] = 0.5 * (P_[N * r + c] + P_[N * c + r]);
   for (Joint &joint : joints_) joint.since_tare = 0.0;
   return tared_ = true;
+}
+
+namespace {
+
+// (1 - 2 phi / h + zz / h) / x^2 up to x = 1, where this form loses digits: the sum of (2^(k+2) -
+// 2) (-x)^k / (k+3)!.
+double series(double x) {
+  double sum = 0.0, term = 1.0 / 6.0, power = 4.0;
+  for (int k = 0; k < 20 && std::fabs(term) > 1e-24; ++k, power *= 2.0) {
+    sum += term * (power - 2.0);
+    term *= -x / (k + 4);
+  }
+  return sum;
+}
+
+}  // namespace
+
+Leak leak_integrals(double a, double h) {
+  const double x = a * h;
+  if (!(x > 0.0)) return {1.0, h, h, 0.5 * h * h, h * h * h / 3.0};
+  const double phi = -std::expm1(-x) / a, zz = -std::expm1(-2.0 * x) / (2.0 * a);
+  const double pp = x > 1.0 ? (h - 2.0 * phi + zz) / (a * a) : h * h * h * series(x);
+  return {std::exp(-x), phi, zz, 0.5 * phi * phi, pp};
+}
+
+namespace {
+
+// C (rows, columns) = A (rows, inner) B (inner, columns); strides are lengths of rows.
+void multiply(int rows, int inner, int columns, const double *A, int sa, const double *B, int sb,
+    double *C, int sc) {
+  for (int i = 0; i < rows; ++i) {
+    double *c = C + sc * i;
+    std::fill_n(c, columns, 0.0);
+    for (int k = 0; k < inner; ++k) {
+      const double f = A[sa * i + k];
+      const double *b = B + sb * k;
+      for (int j = 0; j < columns; ++j) c[j] += f * b[j];
+    }
+  }
+}
+
+// P <- Phi P Phi^T + Q. Only the first n rows and columns of Phi couple, through W = G diag(phi).
+void predict(const MomentumInputs &in, double h, double *x, double *P, double *W, double *T) {
+  const int n = in.n, m = in.m, N = n + m;
+  Leak leak[max_inputs];
+  for (int j = 0; j < m; ++j) leak[j] = leak_integrals(in.a[j], h);
+  for (int i = 0; i < n; ++i)
+    for (int j = 0; j < m; ++j) W[m * i + j] = in.G[m * i + j] * leak[j].phi;
+  for (int i = 0; i < n; ++i)
+    for (int j = 0; j < m; ++j) x[i] += W[m * i + j] * x[n + j];
+  for (int j = 0; j < m; ++j) x[n + j] *= leak[j].decay;
+  // Rows p of Phi P: those of P plus W times rows z.
+  multiply(n, m, N, W, m, P + N * n, N, T, N);
+  for (int i = 0; i < n; ++i)
+    for (int j = 0; j < N; ++j) P[N * i + j] += T[N * i + j];
+  // Columns p of (Phi P) Phi^T, rows p only; the rest follows from symmetry.
+  for (int i = 0; i < n; ++i)
+    for (int k = 0; k <= i; ++k) {
+      double sum = P[N * i + k] + (i == k ? in.Qp[i] * h : 0.0);
+      for (int j = 0; j < m; ++j)
+        sum += P[N * i + n + j] * W[m * k + j] +
+               in.G[m * i + j] * in.q[j] * leak[j].pp * in.G[m * k + j];
+      T[N * i + k] = T[N * k + i] = sum;
+    }
+  for (int i = 0; i < n; ++i) {
+    for (int j = 0; j < m; ++j)
+      P[N * (n + j) + i] = P[N * i + n + j] =
+          P[N * i + n + j] * leak[j].decay + in.G[m * i + j] * in.q[j] * leak[j].pz;
+    std::copy_n(T + N * i, n, P + N * i);
+  }
+  for (int i = 0; i < m; ++i)
+    for (int j = 0; j < m; ++j)
+      P[N * (n + i) + n + j] = leak[i].decay * P[N * (n + i) + n + j] * leak[j].decay +
+                               (i == j ? in.q[i] * leak[i].zz : 0.0);
+}
+
+}  // namespace
+
+bool momentum_step(const MomentumInputs &in, const double *u, const double *y, const double *R,
+    double h, double *x_, double *P_, double *work) {
+  const int n = in.n, N = in.n + in.m;
+  double *P = work, *K = work + N * N, *T = work + 2 * N * N, *W = work + 3 * N * N;
+  double x[max_states], S[max_joints * max_joints], innovation[max_joints];
+  std::copy_n(x_, N, x);
+  std::copy_n(P_, N * N, P);
+  predict(in, h, x, P, W, T);
+  for (int i = 0; i < n; ++i) {
+    x[i] += h * u[i];
+    innovation[i] = y[i] - x[i];
+    for (int j = 0; j < n; ++j) S[n * i + j] = P[N * i + j] + R[n * i + j];
+  }
+  if (!factor(S, n)) return false;
+  for (int i = 0; i < N; ++i) {  // rows of K = P[:, :n] S^-1
+    std::copy_n(P + N * i, n, K + n * i);
+    substitute(S, n, K + n * i);
+    for (int k = 0; k < n; ++k) x[i] += K[n * i + k] * innovation[k];
+  }
+  // Joseph: A P A^T + K R K^T with A = I - K [I 0]; first T = A P, then P = T A^T.
+  multiply(N, n, N, K, n, P, N, T, N);
+  for (int i = 0; i < N * N; ++i) T[i] = P[i] - T[i];
+  double *KR = W;
+  multiply(N, n, n, K, n, R, n, KR, n);
+  for (int i = 0; i < N; ++i)
+    for (int j = 0; j <= i; ++j) {
+      double sum = T[N * i + j], other = T[N * j + i];
+      for (int k = 0; k < n; ++k) {
+        sum += KR[n * i + k] * K[n * j + k] - T[N * i + k] * K[n * j + k];
+        other += KR[n * j + k] * K[n * i + k] - T[N * j + k] * K[n * i + k];
+      }
+      P_[N * i + j] = P_[N * j + i] = 0.5 * (sum + other);
+    }
+  std::copy_n(x, N, x_);
+  return true;
 }
 
 }  // namespace armlab

@@ -43,10 +43,10 @@ class MomentumEstimator {
   int n() const { return p_.chain.n; }
   bool has_interval() const { return false; }
   void reset();
-  // One sample. All NaN and flag 1 for a sample that is not finite; then nothing has moved.
+  // One sample. All NaN and flag 1 for a non-finite sample, which changes no state.
   void step(
       const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &estimate);
-  // Calls what the torques show now friction; false unless every joint rests and it is hidden.
+  // Assigns the current torques to friction; false unless every joint rests and friction is hidden.
   bool tare();
 
  private:
@@ -56,11 +56,11 @@ class MomentumEstimator {
     double residual, unsure;    // of the observer: low-passed
     double since_tare;          // displacement, in presliding distances
   };
-  // A sample on its way in: nothing of the estimator has moved yet.
+  // A prepared sample; the state of the estimator is still unchanged.
   struct Sample {
     std::array<Joint, max_joints> joints;
     double known[max_joints], middle[max_joints];  // torque and position in the middle of the step
-    double change[max_joints], load[max_joints];   // of the momentum; torque that goes to the links
+    double change[max_joints], load[max_joints];   // of the momentum; torque of the links
     double moved[max_joints], rise[max_joints];    // displacement; variance of z that rest adds
     bool apart;  // from the last sample: nothing is known of the time between
   };

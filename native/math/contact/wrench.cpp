@@ -7,15 +7,15 @@ namespace {
 constexpr int newton_limit = 60;    // 14 were needed at most in 1e5 random problems
 constexpr int clip_limit = 20000;   // the clip iteration needs thousands
 constexpr double kkt_goal = 1e-10;  // clip stops here
-constexpr double weakest = 1e-12;   // ls: smallest pivot of the scaled information
+constexpr double weakest = 1e-12;   // ls, ols: smallest pivot of the scaled information
 constexpr double rounding = 1e-14;  // map: a pivot below it, by the largest variance, has no digit
 
-// P = scale S^-1 scale for the factor L of S (k, k).
+// P = scale S^-1 scale for S (k, k) from `factor`.
 void inverse(const double *L, int k, const double *scale, double *P) {
   for (int j = 0; j < k; ++j) {
     double column[6] = {};
     column[j] = 1.0;
-    cholesky_solve(L, k, column);
+    substitute(L, k, column);
     for (int i = 0; i < k; ++i) P[k * i + j] = scale[i] * scale[j] * column[i];
   }
   for (int i = 0; i < k; ++i)
@@ -44,8 +44,8 @@ void joseph(const WrenchProblem &p, const double *K, double *x, double *P) {
     }
 }
 
-// K = C_F A S^-1, S = A^T C_F A + C_tau: needs no inverse of either covariance, and works at
-// singular poses. False for numbers without a digit left.
+// K = C_F A S^-1, S = A^T C_F A + C_tau: needs no inverse of either covariance, and is defined at
+// singular poses. False if no significant digits are left.
 bool map_gain(const WrenchProblem &p, double *K) {
   const int n = p.n, k = p.k;
   double S[max_joints * max_joints], largest = 0.0;
@@ -57,16 +57,16 @@ bool map_gain(const WrenchProblem &p, double *K) {
     }
     largest = std::max(largest, S[(n + 1) * i]);
   }
-  if (!cholesky(S, n, rounding * largest)) return false;
+  if (!factor(S, n, rounding * largest)) return false;
   for (int a = 0; a < k; ++a) {
     double *row = K + n * a;
     for (int i = 0; i < n; ++i) row[i] = p.prior[a] * p.A[n * a + i];
-    cholesky_solve(S, n, row);
+    substitute(S, n, row);
   }
   return true;
 }
 
-// As TFRT-7651 prints it: (A C_tau A^T + C_F^-1)^-1 A C_tau e, right if C_tau is a weight.
+// As printed in TFRT-7651: (A C_tau A^T + C_F^-1)^-1 A C_tau e, correct if C_tau is a weight.
 bool printed_gain(const WrenchProblem &p, double *K) {
   const int n = p.n, k = p.k;
   double H[36];
@@ -76,11 +76,11 @@ bool printed_gain(const WrenchProblem &p, double *K) {
       for (int i = 0; i < n; ++i) sum += p.A[n * a + i] * p.variance[i] * p.A[n * b + i];
       H[k * a + b] = sum;
     }
-  if (!cholesky(H, k)) return false;
+  if (!factor(H, k)) return false;
   for (int i = 0; i < n; ++i) {
     double column[6];
     for (int a = 0; a < k; ++a) column[a] = p.A[n * a + i] * p.variance[i];
-    cholesky_solve(H, k, column);
+    substitute(H, k, column);
     for (int a = 0; a < k; ++a) K[n * a + i] = column[a];
   }
   return true;
@@ -92,32 +92,34 @@ void undetermined(const WrenchProblem &p, WrenchSolution &s) {
   std::fill_n(s.P, p.k * p.k, std::numeric_limits<double>::quiet_NaN());
 }
 
-// (A C_tau^-1 A^T)^-1 A C_tau^-1 e; the unknowns are scaled by their prior only to judge the rank.
-void least_squares(const WrenchProblem &p, WrenchSolution &s) {
+// K = (A W A^T)^-1 A W with the weights W = C_tau^-1 of ls, 1 of ols; the unknowns are scaled only
+// to determine the rank. False if they are not determined.
+bool least_squares_gain(const WrenchProblem &p, bool weighted, double *K) {
   const int n = p.n, k = p.k;
-  double H[36], scale[6], rhs[6];
+  double H[36], scale[6], weight[max_joints];
+  for (int i = 0; i < n; ++i) weight[i] = weighted ? 1.0 / p.variance[i] : 1.0;
   for (int a = 0; a < k; ++a) {
     double size = 0.0;
-    for (int i = 0; i < n; ++i) size += p.A[n * a + i] * p.A[n * a + i] / p.variance[i];
+    for (int i = 0; i < n; ++i) size += p.A[n * a + i] * p.A[n * a + i] * weight[i];
     scale[a] = size > 0.0 ? 1.0 / std::sqrt(size) : 0.0;
-  }
-  for (int a = 0; a < k; ++a) {
-    rhs[a] = 0.0;
-    for (int i = 0; i < n; ++i) rhs[a] += scale[a] * p.A[n * a + i] * p.error[i] / p.variance[i];
     for (int b = 0; b <= a; ++b) {
       double sum = 0.0;
-      for (int i = 0; i < n; ++i) sum += p.A[n * a + i] * p.A[n * b + i] / p.variance[i];
+      for (int i = 0; i < n; ++i) sum += p.A[n * a + i] * p.A[n * b + i] * weight[i];
       H[k * a + b] = scale[a] * scale[b] * sum;
     }
   }
-  if (!cholesky(H, k, weakest)) return undetermined(p, s);
-  cholesky_solve(H, k, rhs);
-  for (int a = 0; a < k; ++a) s.x[a] = scale[a] * rhs[a];
-  inverse(H, k, scale, s.P);
+  if (!factor(H, k, weakest)) return false;
+  for (int i = 0; i < n; ++i) {
+    double column[6];
+    for (int a = 0; a < k; ++a) column[a] = scale[a] * p.A[n * a + i] * weight[i];
+    substitute(H, k, column);
+    for (int a = 0; a < k; ++a) K[n * a + i] = scale[a] * column[a];
+  }
+  return true;
 }
 
 // The cost sum_i max(|r_i| - bound_i, 0)^2 / variance_i + y^T y over unknowns y in units of the
-// prior: convex, smooth, piecewise quadratic. `beyond` are the residuals less the bound.
+// prior: convex, smooth, piecewise quadratic. `beyond` are the residuals minus the bound.
 struct BandCost {
   const WrenchProblem &p;
   double scale[6];
@@ -147,7 +149,7 @@ struct BandCost {
     }
     return largest;
   }
-  // Factor of half the Hessian: joints inside their band carry no information.
+  // Factor of half the Hessian; joints inside their band contribute nothing.
   bool hessian(double *H) const {
     for (int a = 0; a < p.k; ++a)
       for (int b = 0; b <= a; ++b) {
@@ -157,7 +159,7 @@ struct BandCost {
             sum += scale[a] * scale[b] * p.A[p.n * a + i] * p.A[p.n * b + i] / p.variance[i];
         H[p.k * a + b] = sum;
       }
-    return cholesky(H, p.k);
+    return factor(H, p.k);
   }
 };
 
@@ -182,7 +184,7 @@ void newton(const WrenchProblem &p, WrenchSolution &s) {
     if (cost.gradient(y, g) == 0.0) break;
     if (!cost.hessian(H)) break;
     std::copy_n(g, k, step);
-    cholesky_solve(H, k, step);
+    substitute(H, k, step);
     double slope = 0.0, size = 0.0, length = 1.0, next = value;
     for (int a = 0; a < k; ++a) {
       slope -= 2.0 * g[a] * step[a];
@@ -236,13 +238,165 @@ void solve_wrench(const WrenchProblem &p, WrenchMethod method, WrenchSolution &s
   s.kkt = 0.0;
   s.singular = false;
   double K[6 * max_joints];
-  if (method == WrenchMethod::map || method == WrenchMethod::lund) {
-    const bool found = method == WrenchMethod::map ? map_gain(p, K) : printed_gain(p, K);
-    return found ? joseph(p, K, s.x, s.P) : undetermined(p, s);
-  }
-  if (method == WrenchMethod::ls) return least_squares(p, s);
   if (method == WrenchMethod::clip) return clip(p, s);
-  newton(p, s);
+  if (method == WrenchMethod::bounded || method == WrenchMethod::interval) return newton(p, s);
+  const bool found = method == WrenchMethod::map ? map_gain(p, K)
+                     : method == WrenchMethod::lund
+                         ? printed_gain(p, K)
+                         : least_squares_gain(p, method == WrenchMethod::ls, K);
+  if (!found) return undetermined(p, s);
+  joseph(p, K, s.x, s.P);
+}
+
+namespace {
+
+constexpr int pivot_limit = 200;  // 12 were needed at most in 1e5 random problems
+constexpr double tolerance = 1e-10;
+
+// Solves M x = b (or M^T x = b), M (k, k), by elimination with row pivots; false when singular.
+bool solve(const double *M, int k, bool transposed, const double *b, double *x) {
+  double W[6][7];
+  for (int i = 0; i < k; ++i) {
+    for (int j = 0; j < k; ++j) W[i][j] = transposed ? M[k * j + i] : M[k * i + j];
+    W[i][k] = b[i];
+  }
+  for (int c = 0; c < k; ++c) {
+    int pivot = c;
+    for (int i = c + 1; i < k; ++i)
+      if (std::fabs(W[i][c]) > std::fabs(W[pivot][c])) pivot = i;
+    if (!(std::fabs(W[pivot][c]) > 1e-14)) return false;
+    for (int j = c; j <= k; ++j) std::swap(W[c][j], W[pivot][j]);
+    for (int i = c + 1; i < k; ++i) {
+      const double f = W[i][c] / W[c][c];
+      for (int j = c; j <= k; ++j) W[i][j] -= f * W[c][j];
+    }
+  }
+  for (int i = k - 1; i >= 0; --i) {
+    x[i] = W[i][k];
+    for (int j = i + 1; j < k; ++j) x[i] -= W[i][j] * x[j];
+    x[i] /= W[i][i];
+  }
+  return true;
+}
+
+// Rows -box <= x_a <= box, then e_i - spread_i <= A_i^T x <= e_i + spread_i, in units of the box.
+struct Polytope {
+  int k, rows;
+  double normal[6 + max_joints][6], low[6 + max_joints], high[6 + max_joints];
+
+  double value(int row, const double *x) const {
+    double sum = 0.0;
+    for (int a = 0; a < k; ++a) sum += normal[row][a] * x[a];
+    return sum;
+  }
+};
+
+struct Vertex {
+  int row[6];     // the k rows that hold with equality
+  bool upper[6];  // at their upper end
+  double x[6];
+
+  bool place(const Polytope &set) {
+    double M[36], b[6];
+    for (int i = 0; i < set.k; ++i) {
+      std::copy_n(set.normal[row[i]], set.k, M + set.k * i);
+      b[i] = upper[i] ? set.high[row[i]] : set.low[row[i]];
+    }
+    return solve(M, set.k, false, b, x);
+  }
+};
+
+enum class Outcome { found, empty, failed };
+
+// Maximises c^T x. Starts at the corner of the box in the direction of c, which is dual feasible,
+// and adds the most violated row until none is violated. `entering`: the last row left out.
+Outcome maximise(const Polytope &set, const double *c, Vertex &v, int &entering) {
+  const int k = set.k;
+  for (int a = 0; a < k; ++a) {
+    v.row[a] = a;
+    v.upper[a] = c[a] >= 0.0;
+  }
+  for (int pivot = 0; pivot < pivot_limit; ++pivot) {
+    if (!v.place(set)) return Outcome::failed;
+    double worst = tolerance;
+    entering = -1;
+    bool above = false;
+    for (int r = 0; r < set.rows; ++r) {
+      const double value = set.value(r, v.x), over = value - set.high[r],
+                   under = set.low[r] - value;
+      if (std::max(over, under) > worst) {
+        worst = std::max(over, under);
+        entering = r;
+        above = over > under;
+      }
+    }
+    if (entering < 0) return Outcome::found;
+    double M[36], y[6], alpha[6];
+    for (int i = 0; i < k; ++i) std::copy_n(set.normal[v.row[i]], k, M + k * i);
+    if (!solve(M, k, true, c, y) || !solve(M, k, true, set.normal[entering], alpha))
+      return Outcome::failed;
+    int leaving = -1;
+    double least = 0.0;
+    for (int i = 0; i < k; ++i) {
+      const double rate = (above ? alpha[i] : -alpha[i]) * (v.upper[i] ? 1.0 : -1.0);
+      if (!(rate > 1e-11)) continue;
+      const double room = std::max((v.upper[i] ? y[i] : -y[i]), 0.0) / rate;
+      if (leaving < 0 || room < least) {
+        least = room;
+        leaving = i;
+      }
+    }
+    if (leaving < 0) return Outcome::empty;
+    v.row[leaving] = entering;
+    v.upper[leaving] = above;
+  }
+  return Outcome::failed;
+}
+
+}  // namespace
+
+bool wrench_interval(int n, int k, const double *A, const double *error, const double *spread,
+    const double *box, double *interval, bool *violated) {
+  Polytope set{k, k + n, {}, {}, {}};
+  std::fill_n(violated, n, false);
+  const auto unknown = [](double x) { return !std::isfinite(x); };
+  if (std::any_of(A, A + k * n, unknown) || std::any_of(error, error + n, unknown)) {
+    std::fill_n(interval, 2 * k, std::numeric_limits<double>::quiet_NaN());
+    return true;
+  }
+  for (int a = 0; a < k; ++a) {
+    set.normal[a][a] = 1.0;
+    set.low[a] = -1.0;
+    set.high[a] = 1.0;
+  }
+  for (int i = 0; i < n; ++i) {  // rows scaled to size 1, so that one tolerance serves all
+    double size = 1e-300;
+    for (int a = 0; a < k; ++a) size = std::max(size, std::fabs(A[n * a + i] * box[a]));
+    for (int a = 0; a < k; ++a) set.normal[k + i][a] = A[n * a + i] * box[a] / size;
+    set.low[k + i] = (error[i] - spread[i]) / size;
+    set.high[k + i] = (error[i] + spread[i]) / size;
+  }
+  for (int a = 0; a < k; ++a)
+    for (int end = 0; end < 2; ++end) {
+      // Small weights of all other axes break ties, by which a simplex could cycle; the end is
+      // extended by their largest effect.
+      double c[6], margin = 0.0;
+      for (int b = 0; b < k; ++b) margin += 2.0 * (c[b] = 1e-11 * (1.0 + 0.1 * b));
+      c[a] = end ? 1.0 : -1.0;
+      Vertex v;
+      int entering;
+      const Outcome outcome = maximise(set, c, v, entering);
+      if (outcome == Outcome::empty) {
+        if (entering >= k) violated[entering - k] = true;
+        for (int i = 0; i < k; ++i)
+          if (v.row[i] >= k) violated[v.row[i] - k] = true;
+        return false;
+      }
+      // Without a solution, only the box is known.
+      const double reach = outcome == Outcome::found ? c[a] * v.x[a] + margin : 1.0;
+      interval[2 * a + end] = c[a] * box[a] * std::min(reach, 1.0);
+    }
+  return true;
 }
 
 }  // namespace armlab

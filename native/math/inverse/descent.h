@@ -1,18 +1,20 @@
-// Descent of the inverse kinematics from one start after the other; see inverse.h.
+// Descent of the inverse kinematics from successive starts; see inverse.h.
 #pragma once
 
 #include <cstddef>
 #include <utility>
 
-#include "math/inverse/inverse_step.h"
+#include "math/inverse/second_order_step.h"
 
 namespace armlab {
 
 constexpr double least_damping = 1e-12;
 constexpr int grace = 3;  // steps in a row that may fail to be the best before they are taken back
+constexpr int second_order_window = 8;      // steps of second order that must halve the error
+constexpr double least_share = 1e-3;        // of a step of second order
 constexpr double stationary_cosine = 1e-2;  // of the residual and what free joints can do about it
 
-// A start is given up when the last `window` steps together left more than `rate` of |e|^2.
+// A start is abandoned when the last `window` steps left more than `rate` of |e|^2.
 struct Patience {
   int window;
   double rate;
@@ -27,9 +29,9 @@ class Descent {
   Descent(const Chain &chain, const Goal &goal, const Search &search, double weight)
       : chain_(chain), goal_(goal), search_(search), weight_(weight) {}
 
-  // Descends from q inside the box; true when it gets to the goal. A step that does not reduce the
+  // Descends from q inside the box; true when it reaches the goal. A step that does not reduce the
   // error may still lead on, as along a curved valley near a singular posture: `grace` of them are
-  // tried before the damping is raised.
+  // allowed before the damping is increased.
   bool run(const double *q, const Box &box, Patience patience, double *history) {
     for (int i = 0; i < chain_.n; ++i) best_->q[i] = clamp(q[i], box.low[i], box.high[i]);
     evaluate(chain_, goal_, weight_, *best_);
@@ -70,6 +72,28 @@ class Descent {
     }
   }
 
+  // Second-order steps from the best posture, beside a singular one; true when they get to the
+  // goal.
+  bool leave_singularity(const Box &box) {
+    double before = std::numeric_limits<double>::infinity();
+    for (int k = 0; k < search_.steps && !best_->within(search_); ++k) {
+      if (k % second_order_window == 0) {
+        if (!(best_->square <= 0.25 * before)) return false;
+        before = best_->square;
+      }
+      ++steps_;
+      const SecondOrderStep<M> second_order(chain_, goal_, weight_, *best_);
+      double share = 1.0;
+      do {
+        if (share < least_share) return false;
+        second_order.take(share, box, *trial_);
+        share *= 0.5;
+      } while (!(trial_->square < best_->square));
+      std::swap(best_, trial_);
+    }
+    return best_->within(search_);
+  }
+
   // The posture with the least error of the last run.
   const Iterate<M> &best() const { return *best_; }
 
@@ -83,7 +107,7 @@ class Descent {
       if (is_blocked(box, i)) return true;
     return false;
   }
-  // Whether no joint that is free to move reduces the error.
+  // Whether no free joint reduces the error.
   bool is_stationary(const Box &box) const {
     double slopes = 0.0, sizes = 0.0;
     for (int i = 0; i < chain_.n; ++i) {
@@ -94,8 +118,8 @@ class Descent {
     return slopes <= stationary_cosine * stationary_cosine * sizes * best_->square;
   }
 
-  // Whether joints could do more elsewhere than at the best posture. Where there are joints enough
-  // for the task, a stationary residual says so; otherwise, that columns of J are dependent.
+  // Whether the best posture is singular. With enough joints for the task, a stationary residual
+  // shows it; otherwise, dependent columns of J.
   bool is_singular() const {
     if (chain_.n >= M) return true;
     double Q[M][M];  // orthogonal to each other, by Gram and Schmidt
@@ -113,6 +137,25 @@ class Descent {
       for (int a = 0; a < M; ++a) Q[i][a] /= std::sqrt(after);
     }
     return false;
+  }
+
+  // The motion v (n) of unit length that changes the residual least, by inverse iteration.
+  void find_weakest(double *v) const {
+    const int n = chain_.n;
+    double A[max_joints * max_joints];
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j < n; ++j) {
+        A[n * i + j] = i == j ? least_damping : 0.0;
+        for (int a = 0; a < M; ++a) A[n * i + j] += best_->J[i][a] * best_->J[j][a];
+      }
+    factor(A, n);
+    for (int i = 0; i < n; ++i) v[i] = 1.0 + i;
+    for (int round = 0; round < 3; ++round) {
+      double square = 0.0;
+      substitute(A, n, v);
+      for (int i = 0; i < n; ++i) square += v[i] * v[i];
+      for (int i = 0; i < n; ++i) v[i] /= std::sqrt(square);
+    }
   }
 
   int steps() const { return steps_; }  // of all runs

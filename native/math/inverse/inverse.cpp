@@ -8,9 +8,11 @@ namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double pi = 3.14159265358979323846;
-// How far postures of the second half reach over the limits, in ranges, to be moved back.
+// Range by which postures of the second half exceed the limits, before they are moved back.
 constexpr double over_limits = 0.5;
-constexpr int few_starts = 10;  // beyond reach, or to learn whether limits are in the way
+constexpr double nearly = 1e-4;  // rad, of an error that only a singular posture leaves
+constexpr int turns = 16;        // about the weakest direction, to both sides
+constexpr int few_starts = 10;   // beyond reach, beside a singular posture, or without limits
 
 Vec3<double> direction_across(const Vec3<double> &axis) {
   const double x = std::fabs(axis.x), y = std::fabs(axis.y), z = std::fabs(axis.z);
@@ -32,7 +34,7 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
     const double *home, std::uint64_t seed)
     : chain_(chain), angles_(postures * chain.n), poses_(12 * postures) {
   const int n = chain.n;
-  // How far joint i moves its link from where it is at zero.
+  // The displacement of joint i's link from its zero position.
   double slides[max_joints + 1] = {}, lengths = 0.0;
   for (int i = 0; i < n; ++i) {
     limits_.low[i] = low[i];
@@ -54,7 +56,7 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
     double *q = &angles_[k * n];
     const double over = k < postures / 2 ? 0.0 : over_limits;
     for (int i = 0; i < n; ++i) {
-      // Without one end: a turn, or twice the arm's length, from the other or about zero.
+      // With one limit only: one revolution, or twice the arm's length, from it or about zero.
       const double range = chain.steps[i].slides ? 2.0 * lengths : 2.0 * pi;
       const bool below = std::isfinite(low[i]), above = std::isfinite(high[i]);
       const double first = below ? low[i] : above ? high[i] - range : -0.5 * range;
@@ -72,8 +74,8 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
       poses_[a * postures + k] = T[16 * k + (a < 9 ? 4 * (a / 3) + a % 3 : 4 * (a - 9) + 3)];
 }
 
-// Start `number` of the table: of block number mod blocks, the posture that is next in the order of
-// |e|^2 (with rotations by 2 (1 - cos)); then the next block.
+// Start `number` of the table: of block number mod blocks, the posture next in the order of |e|^2
+// (rotations as 2 (1 - cos)); then the next block.
 void InverseSolver::take_start(const Goal &goal, int number, double *q) const {
   const double across = goal.task == Task::axis ? 0.0 : weight_ * weight_;
   double wanted[9] = {};  // the error of rotation is a constant less sum(wanted * R)
@@ -112,7 +114,7 @@ bool InverseSolver::beyond_reach(const Goal &goal, double tolerance) const {
   return norm(end - shoulder) > (1.0 + 1e-9) * reach + tolerance;
 }
 
-// Moves revolute joints by whole turns into their limits; false where none fits.
+// Moves revolute joints by full revolutions into their limits; false if impossible.
 bool InverseSolver::wrap(double *q) const {
   for (int i = 0; i < chain_.n; ++i) {
     const double low = limits_.low[i], high = limits_.high[i];
@@ -146,10 +148,51 @@ Outcome InverseSolver::solve_rows(
   if (found) return finish(descent, goal, search, limits_, starts, q);
   std::copy_n(descent.best().q, chain_.n, q);
   if (beyond) return descent.outcome(Status::out_of_reach, starts);
+  if (descent.best().square <= nearly * nearly) {
+    if (leave_singularity(descent, goal, search, q))
+      return finish(descent, goal, search, limits_, starts, q);
+    if (!descent.is_blocked(limits_)) return descent.outcome(Status::singular, starts);
+  }
   return explain(descent, goal, search, q);
 }
 
-// The solution, moved along the self-motion where there is an objective.
+// Near a singular posture a small error remains along the one direction without first-order motion.
+// Second-order steps reduce it, from here or from where other starts end near one. `q` is the best
+// posture, also on failure.
+template <int M>
+bool InverseSolver::leave_singularity(
+    Descent<M> &descent, const Goal &goal, const Search &search, double *q) const {
+  double from[max_joints], least = infinity;
+  for (int number = 0; number < std::min(search.starts, few_starts); ++number) {
+    if (number > 0) {
+      take_start(goal, number - 1, from);
+      if (descent.run(from, limits_, patient, search.history)) return true;
+    }
+    const bool reached = chain_.n >= M && descent.best().square <= nearly * nearly &&
+                         descent.leave_singularity(limits_);
+    if (reached || descent.best().square < least) std::copy_n(descent.best().q, chain_.n, q);
+    if (reached) return descent.run(q, limits_, patient, search.history);
+    least = std::min(least, descent.best().square);
+  }
+  descent.run(q, limits_, patient, search.history);
+  return turn_weakest(descent, search.history, q);
+}
+
+// Rotates the joints that do not change the residual, such as two aligned axes of a wrist, until
+// the others can reduce it.
+template <int M>
+bool InverseSolver::turn_weakest(Descent<M> &descent, double *history, double *q) const {
+  double weakest[max_joints], from[max_joints];
+  descent.find_weakest(weakest);
+  for (int k = 1; k <= turns; ++k) {
+    const double turn = (k % 2 ? 1 : -1) * 2.0 * pi * k / turns;
+    for (int i = 0; i < chain_.n; ++i) from[i] = q[i] + turn * weakest[i];
+    if (descent.run(from, limits_, patient, history)) return true;
+  }
+  return descent.run(q, limits_, patient, history);
+}
+
+// The solution, moved along the self-motion if there is an objective.
 template <int M>
 Outcome InverseSolver::finish(const Descent<M> &descent, const Goal &goal, const Search &search,
     const Box &box, int starts, double *q) const {
@@ -166,7 +209,7 @@ Outcome InverseSolver::finish(const Descent<M> &descent, const Goal &goal, const
   return outcome;
 }
 
-// Why the descent ends where it does; q is replaced if a solution is found on the way.
+// The reason why the descent ends; q is replaced if a solution is found on the way.
 template <int M>
 Outcome InverseSolver::explain(
     Descent<M> &descent, const Goal &goal, const Search &search, double *q) const {

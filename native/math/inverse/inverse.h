@@ -1,7 +1,7 @@
 // Inverse kinematics of a chain within joint limits. Theory: docs/theory/inverse_kinematics.md.
 //
-// Levenberg-Marquardt from one start after the other. Starts that stall are given up early; the
-// next is taken from a table of random postures, in each block the one nearest to the goal.
+// Levenberg-Marquardt from successive starts. Stalled starts are abandoned early; the next one is
+// taken from a table of random configurations, in each block the one nearest to the goal.
 #pragma once
 
 #include <type_traits>
@@ -11,8 +11,8 @@
 
 namespace armlab {
 
-// What of the goal pose is asked for: all of it, the position, the position and the direction of an
-// axis of the tool, or that direction alone. The value is the number of rows of the task.
+// The constrained part of the goal pose: all of it, the position, the position and the direction of
+// an axis of the tool, or that direction alone. The value is the number of rows of the task.
 enum class Task { pose = 6, position = 3, position_axis = 5, axis = 2 };
 
 struct Goal {
@@ -32,7 +32,7 @@ auto with_rows(Task task, Function function) {
   return function(std::integral_constant<int, 6>());
 }
 
-// What is made least with the joints that the task leaves free; see self_motion.h.
+// Objective for the redundant joints; see self_motion.h.
 struct Objective {
   enum class Kind { none = 0, posture = 1, limits = 2, manipulability = 3 };
   Kind kind;
@@ -48,7 +48,7 @@ struct Search {
   double *history = nullptr;  // (steps + 1, 2): errors of the start that led here, then NaN
 };
 
-// Why there is no solution. `bound` is for `follow` only.
+// The cause of failure. `bound` is for `follow` only.
 enum class Status { solved, out_of_reach, limits, singular, iterations, bound };
 
 struct Outcome {
@@ -58,7 +58,7 @@ struct Outcome {
   int steps, starts;  // of all starts together
 };
 
-// Joint positions that are allowed.
+// Box of allowed joint positions.
 struct Box {
   double low[max_joints], high[max_joints];
 };
@@ -82,12 +82,12 @@ class InverseSolver {
   // error, which is always within the limits; a start outside them is moved to them.
   Outcome solve(const Goal &goal, const Search &search, const double *start, double *q) const;
 
-  // Solves from `start` alone, and no joint leaves `bound`, a part of the limits. For paths, where
-  // the start is the previous posture: damping bounds the steps near singular postures, and the
-  // branch is kept. `q`: the posture with the least error within the bound.
+  // Solves from `start` alone, with all joints inside `bound`, a part of the limits. For paths,
+  // where the start is the previous posture: damping bounds the steps near singular postures, and
+  // the branch is kept. `q`: the posture with the least error within the bound.
   Outcome follow(const Goal &goal, const Search &search, const double *start, const Box &bound,
       double *q) const;
-  // The part of the limits that is no further than `change` from `q`, which is moved to them first.
+  // The part of the limits within `change` of `q`, which is moved into them first.
   Box around(const double *q, double change) const;
 
  private:
@@ -99,6 +99,11 @@ class InverseSolver {
   template <int M>
   Outcome finish(const Descent<M> &descent, const Goal &goal, const Search &search, const Box &box,
       int starts, double *q) const;
+  template <int M>
+  bool leave_singularity(
+      Descent<M> &descent, const Goal &goal, const Search &search, double *q) const;
+  template <int M>
+  bool turn_weakest(Descent<M> &descent, double *history, double *q) const;
   template <int M>
   Outcome explain(Descent<M> &descent, const Goal &goal, const Search &search, double *q) const;
 

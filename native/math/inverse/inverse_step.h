@@ -4,6 +4,7 @@
 
 #include <limits>
 
+#include "math/arm/ldl.h"
 #include "math/inverse/inverse.h"
 #include "math/lie/lie.h"
 
@@ -38,7 +39,7 @@ struct Iterate {
   }
 };
 
-// The shortest turn of the tool's axis into the goal's, along two directions across it.
+// The shortest rotation from the tool's axis to the goal's, about two directions across it.
 inline void axis_residual(
     const Goal &goal, const Pose<double> &T, Vec3<double> *across, double *e) {
   const Vec3<double> now = T.turn(goal.axis), wanted = goal.T.turn(goal.axis),
@@ -111,37 +112,7 @@ inline void evaluate(const Chain &chain, const Goal &goal, double weight, Iterat
   }
 }
 
-// A = L D L^T: L below the diagonal of A, and 1 / D. False when A is not positive definite.
-template <int M>
-inline bool factor(double (&A)[M][M], double (&inverse)[M]) {
-  double D[M], scaled[M] = {};
-  for (int j = 0; j < M; ++j) {
-    D[j] = A[j][j];
-    for (int k = 0; k < j; ++k) {
-      scaled[k] = A[j][k] * D[k];
-      D[j] -= A[j][k] * scaled[k];
-    }
-    if (!(D[j] > 0.0)) return false;
-    inverse[j] = 1.0 / D[j];
-    for (int i = j + 1; i < M; ++i) {
-      for (int k = 0; k < j; ++k) A[i][j] -= A[i][k] * scaled[k];
-      A[i][j] *= inverse[j];
-    }
-  }
-  return true;
-}
-
-// Solves A x = b in place, with A from `factor`.
-template <int M>
-inline void substitute(const double (&A)[M][M], const double (&inverse)[M], double (&b)[M]) {
-  for (int i = 1; i < M; ++i)
-    for (int k = 0; k < i; ++k) b[i] -= A[i][k] * b[k];
-  for (int i = 0; i < M; ++i) b[i] *= inverse[i];
-  for (int i = M - 2; i >= 0; --i)
-    for (int k = i + 1; k < M; ++k) b[i] -= A[k][i] * b[k];
-}
-
-// A = J J^T + lambda I, with the columns of J that `uses` tells.
+// A = J J^T + lambda I, over the columns of J selected by `uses`.
 template <int M>
 inline void normal_matrix(
     int n, const double (*J)[M], const bool *uses, double lambda, double (&A)[M][M]) {
@@ -155,8 +126,8 @@ inline void normal_matrix(
         for (int b = 0; b < M; ++b) A[a][b] += J[i][a] * J[i][b];
 }
 
-// next.q = q + dq with dq = J^T (J J^T + lambda I)^-1 e inside the box: a joint that would leave it
-// goes to its end, the others make up for what it does not do. False: no solution.
+// next.q = q + dq with dq = J^T (J J^T + lambda I)^-1 e within the box: joints that would leave it
+// stop at their limit, the others compensate. False: no solution.
 template <int M>
 inline bool step(int n, const Iterate<M> &at, const Box &box, double lambda, Iterate<M> &next) {
   bool moves[max_joints];
@@ -164,11 +135,11 @@ inline bool step(int n, const Iterate<M> &at, const Box &box, double lambda, Ite
   std::fill_n(moves, n, true);
   std::copy_n(at.e, M, e);
   for (bool again = true; again;) {
-    double A[M][M], inverse[M], y[M];
+    double A[M][M], y[M];
     normal_matrix(n, at.J, moves, lambda, A);
-    if (!factor(A, inverse)) return false;
+    if (!factor(A[0], M)) return false;
     std::copy_n(e, M, y);
-    substitute(A, inverse, y);
+    substitute(A[0], M, y);
     again = false;
     for (int i = 0; i < n; ++i) {
       if (!moves[i]) continue;

@@ -7,8 +7,8 @@ namespace armlab {
 
 constexpr double no_slope = 1e-6;  // along a direction without curvature, of the slope
 
-// The null space of J (M rows) in the joints that move, and what of a gradient lies in it: gradient
-// = J^T mu + N reduced. By Householder reflections of J^T.
+// The null space of J (M rows) over the moving joints, and the projection of a gradient onto it:
+// gradient = J^T mu + N reduced. By Householder reflections of J^T.
 template <int M>
 struct NullSpace {
   int joints, joint[max_joints];         // those that move
@@ -84,9 +84,9 @@ inline void rotate(double &x, double &y, double c, double s) {
   x = turned;
 }
 
-// z = -|H|^-1 g with the absolute values of the eigenvalues: downhill also where the curvature is
-// negative, and nowhere along directions without slope and curvature. H becomes diagonal, by
-// Jacobi's rotations.
+// z = -|H|^-1 g with the absolute values of the eigenvalues: a descent direction also for negative
+// curvature, and zero along directions without slope and curvature. H is diagonalised by Jacobi
+// rotations.
 inline void newton_step(int size, double (*H)[max_joints], const double *g, double *z) {
   double V[max_joints][max_joints], largest = 0.0, length = 0.0;  // rows: eigenvectors
   for (int k = 0; k < size; ++k)

@@ -1,4 +1,4 @@
-// Inverse kinematics along a path of poses: each from the one before, on one branch.
+// Inverse kinematics along a path of poses: each from the previous one, on one branch.
 #pragma once
 
 #include "math/inverse/descent.h"
@@ -15,13 +15,13 @@ struct PathRow {
 template <int M>
 class PathFollower {
  public:
-  // change (n): how far a joint may move from row to row; null: by the length of the pose step.
+  // change (n): largest joint step per row; null: from the length of the pose step.
   PathFollower(const InverseSolver &solver, const double *change)
       : solver_(solver), chain_(solver.chain()), n_(solver.chain().n), change_(change) {}
 
   const double *q() const { return q_; }
 
-  // The first row: from q0 (n), or, when null or without success, from the solver's table.
+  // The first row: from q0 (n), or, if null or without success, from the solver's table.
   PathRow first(const Goal &goal, const Search &search, const double *q0) {
     goal_ = &goal;
     search_ = &search;
@@ -55,8 +55,8 @@ class PathFollower {
     return solver_.follow(*goal_, *search_, start, bound, q);
   }
 
-  // Where to start from: as far again as the last row went, without what the tool did not feel of
-  // that. Returns what the joints may reach.
+  // The start of the next row: extrapolates the last step, without its null-space component.
+  // Returns the box reachable by the joints.
   Box predict(double *start) const {
     Iterate<M> here;
     std::copy_n(q_, n_, here.q);
@@ -81,8 +81,8 @@ class PathFollower {
     return bound;
   }
 
-  // Where the descent from the row before ends within the bound without a solution. Random starts
-  // near that row; then further away on this branch; then on other branches; else the best stays.
+  // If the descent from the previous row ends within the bound without a solution: random starts
+  // near that row; then further along this branch; then on other branches; else the best result.
   PathRow recover(const double *before, const Box &bound, Outcome outcome) {
     const bool thorough = (failures_ & (failures_ - 1)) == 0;  // after 0, 1, 2, 4, 8 ... failures
     if (thorough && search_around(before, bound, outcome)) return finish(before, outcome, false);
@@ -100,7 +100,7 @@ class PathFollower {
     return finish(before, outcome, far.status == Status::solved && !this_branch);
   }
 
-  // The nearest of a few solutions from random starts about the row before.
+  // The nearest of a few solutions from random starts near the previous row.
   bool search_around(const double *before, const Box &bound, Outcome &outcome) {
     double start[max_joints], there[max_joints], nearest = std::numeric_limits<double>::infinity();
     int found = 0;

@@ -1,7 +1,7 @@
-// The self-motion of a redundant arm: joints move to where an objective is least.
+// The self-motion of a redundant arm: minimisation of an objective in the null space.
 //
 // Newton steps in the null space of the task, with the curvature of the task in the Hessian. Joints
-// at a limit that a step would press against it stay there. Each step ends at the goal.
+// that a step would push against their limit stay there. Each step ends at the goal.
 #pragma once
 
 #include "math/inverse/null_space.h"
@@ -9,7 +9,7 @@
 
 namespace armlab {
 
-// Objectives for the joints that a task leaves free.
+// Objectives for redundant joints.
 constexpr double tie = 1e-3;  // of the sum of squares in the objective "limits"
 
 // With x = scale (q - reference), joint by joint:
@@ -48,7 +48,7 @@ inline double limits_objective(
 // times G_j, a twist:
 //   d/dq_i = -sum over j of c_j . dJ_j/dq_i,  dJ_j/dq_i = [w_i x v_j; w_i x w_j] (i <= j) or [w_j x
 //   v_i; 0] (i > j),
-// and what comes from the rows themselves where they turn with the tool.
+// plus the derivative of the rows themselves if they rotate with the tool.
 template <int M>
 inline double manipulability_objective(
     const Chain &chain, const Goal &goal, double weight, const Iterate<M> &at, double *gradient) {
@@ -62,23 +62,23 @@ inline double manipulability_objective(
         point[i] = p;
       });
   bool all[max_joints];
+  std::fill_n(all, max_joints, true);
   for (int i = 0; i < n; ++i) {
-    all[i] = true;
     if (chain.steps[i].slides) w[i] = zero;
     else v[i] = cross(w[i], T.p - point[i]);
   }
-  double A[M][M], inverse[M], value = 0.0;
+  double A[M][M], value = 0.0;
   normal_matrix(n, at.J, all, 0.0, A);
   std::fill_n(gradient, n, 0.0);
-  if (!factor(A, inverse)) return std::numeric_limits<double>::infinity();
-  for (int a = 0; a < M; ++a) value += 0.5 * std::log(inverse[a]);
+  if (!factor(A[0], M)) return std::numeric_limits<double>::infinity();
+  for (int a = 0; a < M; ++a) value += 0.5 * std::log(A[a][a]);
 
-  // c_j, and what the rows across the axis add
+  // c_j, and the contribution of the rows across the axis
   Vec3<double> pull[max_joints], twist[max_joints], row_pull = zero;
   for (int j = 0; j < n; ++j) {
     double G[M];
     std::copy_n(at.J[j], M, G);
-    substitute(A, inverse, G);
+    substitute(A[0], M, G);
     pull[j] = twist[j] = zero;
     if constexpr (I::has_position) pull[j] = weight * Vec3<double>{G[0], G[1], G[2]};
     if constexpr (I::has_rotation) twist[j] = {G[3], G[4], G[5]};
@@ -122,7 +122,7 @@ class SelfMotion {
       const Chain &chain, const Goal &goal, const Search &search, double weight, const Box &box)
       : chain_(chain), goal_(goal), search_(search), weight_(weight), box_(box), n_(chain.n) {}
 
-  // Moves `at`, which is at the goal. Returns the slope that is left along the free self-motion.
+  // Moves `at`, which is at the goal. Returns the remaining slope along the free self-motion.
   double descend(Iterate<M> &at) {
     trial_ = at;
     if (restore(box_)) at = trial_;
@@ -154,7 +154,7 @@ class SelfMotion {
     return objective(chain_, goal_, weight_, search_.objective, sharpness_, at, gradient);
   }
 
-  // The null space of the joints that can go downhill: those that would leave the box are fixed.
+  // The null space of the joints free to descend: joints at their limits are fixed.
   void find_null_space(const Iterate<M> &at) {
     double uphill[max_joints];
     do {
@@ -164,7 +164,7 @@ class SelfMotion {
     } while (fix_blocked(at));
   }
 
-  // Fixes the joints at an end of the box that step_ presses against it; false when there are none.
+  // Fixes the joints at limits that step_ pushes against; false without any.
   bool fix_blocked(const Iterate<M> &at) {
     bool any = false;
     for (int i = 0; i < n_; ++i)
@@ -173,8 +173,8 @@ class SelfMotion {
     return any;
   }
 
-  // step_: the Newton step, with the joints that it presses against a limit fixed as well; where
-  // that leaves nothing, the step goes straight downhill.
+  // step_: the Newton step, also fixing the joints that it pushes against a limit; if none is
+  // free, steepest descent.
   void find_direction(const Iterate<M> &at) {
     bool fixed[max_joints];
     double z[max_joints];
@@ -217,7 +217,7 @@ class SelfMotion {
     go_along(z);
   }
 
-  // step_ = N z, shortened to `longest_step`; fall_ is what the slope promises of it.
+  // step_ = N z, shortened to `longest_step`; fall_ is the predicted decrease.
   void go_along(const double *z) {
     space_.expand(n_, z, step_);
     double longest = longest_step;
@@ -228,8 +228,8 @@ class SelfMotion {
       fall_ -= longest_step / longest * z[k] * space_.reduced[k];
   }
 
-  // Goes along step_ as far as limits and objective allow, and back to the goal; false without
-  // gain.
+  // Moves along step_ as far as limits and objective allow, and back to the goal; false without
+  // improvement.
   bool advance(Iterate<M> &at, double value) {
     double part = 1.0, there[max_joints], unused[max_joints];
     for (int i = 0; i < n_; ++i)
@@ -259,7 +259,7 @@ class SelfMotion {
   }
   double end(int i) const { return step_[i] > 0.0 ? box_.high[i] : box_.low[i]; }
 
-  // Brings trial_ back to the goal; false where that fails.
+  // Brings trial_ back to the goal; false on failure.
   bool restore(const Box &box) {
     evaluate(chain_, goal_, weight_, trial_);
     for (int k = 0; k < 8 && trial_.square > 1e-30; ++k) {

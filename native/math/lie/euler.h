@@ -12,7 +12,7 @@ struct Axes {
 
 constexpr double gimbal_lock = 1e-13;  // below, the first and last axes are parallel
 
-// atan2(y, x), with atan2(0, 0) = 0; a half turn is +pi whatever the sign of a zero.
+// atan2(y, x), with atan2(0, 0) = 0; a rotation by pi is +pi whatever the sign of zero.
 template <class Real>
 inline Real angle_of(const Real &y, const Real &x) {
   constexpr Real pi(0x1.921fb54442d18p1);
@@ -23,7 +23,7 @@ inline Real angle_of(const Real &y, const Real &x) {
   return select(y < zero, -size, size);
 }
 
-// m <- m times the turn about an axis.
+// m <- m times the rotation about an axis.
 template <class Real>
 inline void turn_on(Real *m, int axis, const Real &angle) {
   const int j = (axis + 1) % 3, k = (axis + 2) % 3;
@@ -49,12 +49,12 @@ inline void angles_from_matrix(const Real *m, const Axes &axes, Real *rpy) {
   const int i = axes.first, j = axes.middle, k = 3 - i - j;
   const bool proper = axes.last == i;
   const Real e((j - i + 3) % 3 == 1 ? 1.0 : -1.0);  // e_i x e_j = e e_k
-  // What the first two turns make of the last axis.
+  // The last axis after the first two rotations.
   const Real sine = proper ? m[3 * j + i] : -e * m[3 * j + k];
   const Real cosine = proper ? -e * m[3 * k + i] : m[3 * k + k];
   const Real length = square_root(sine * sine + cosine * cosine);
   const Real first = select(length < Real(gimbal_lock), Real(0.0), angle_of(sine, cosine));
-  // Row j after the first turn is undone holds the last turn alone, so lock does not touch it.
+  // Row j without the first rotation contains only the last one, so gimbal lock does not affect it.
   Real s, c, row[3];
   sincos(first, s, c);
   for (int column = 0; column < 3; ++column)

@@ -1,8 +1,7 @@
 // Rotations and rigid motions: exponential, logarithm and quaternions over Real (double or Lanes).
 //
 // Exact values: tests/numerics/tables/groups.json. Both sides of every `select` are computed, and
-// the one that is not chosen may be NaN; so a batch gives bit for bit what single calls give. No
-// arc cosine.
+// the unselected one may be NaN; so batches and single calls give the same bits. No arc cosine.
 #pragma once
 
 #include "math/lie/vec3.h"
@@ -41,7 +40,7 @@ struct Quaternion {
   Vec3<Real> v;
 };
 
-// Where a square under- or overflowed, the length from the C library instead.
+// Where a square over- or underflows, the length from the C library instead.
 inline double exact_norm(const Vec3<double> &a, double) { return std::hypot(a.x, a.y, a.z); }
 #ifdef ARMLAB_LANES
 inline Lanes exact_norm(const Vec3<Lanes> &a, Lanes length) {
@@ -69,16 +68,16 @@ inline Quaternion<Real> unit(const Quaternion<Real> &q) {
   return {q.w / length, {q.v.x / length, q.v.y / length, q.v.z / length}};
 }
 
-// y / x, and `at_zero` where x is 0.
+// y / x, or `at_zero` for x = 0.
 template <class Real>
 inline Real ratio(const Real &y, const Real &x, double at_zero) {
   const auto zero = x == Real(0.0);
   return select(zero, Real(at_zero), y / select(zero, Real(1.0), x));
 }
 
-// atan2(y, x) of two numbers that are not negative and not both zero; error below 4e-16 of the
-// result. One of them over the other is at most 1; beyond tan(pi/8) the turn by pi/4 is taken out.
-// On what remains the polynomial (Chebyshev points) is off by less than 8e-18.
+// atan2(y, x) of two non-negative numbers, not both zero; error below 4e-16 of the result. The
+// smaller over the larger is at most 1; beyond tan(pi/8), pi/4 is split off. The polynomial on the
+// remainder (Chebyshev points) has an error below 8e-18.
 template <class Real>
 inline Real quadrant_angle(const Real &y, const Real &x) {
   constexpr Real tan_pi_8(0x1.a827999fcef32p-2);
@@ -142,7 +141,7 @@ inline Rotation<Real> rotation_from(const Quaternion<Real> &q, const Real &twice
       {xz + wy, yz - wx, one - (xx + yy)}};
 }
 
-// The rotation of a quaternion that is not zero, of any length.
+// The rotation of a nonzero quaternion of any length.
 template <class Real>
 inline Rotation<Real> rotation_from(const Quaternion<Real> &q) {
   return rotation_from(q, Real(2.0) / (q.w * q.w + dot(q.v, q.v)));
@@ -160,7 +159,7 @@ inline Vec3<Real> rotation_vector(const Quaternion<Real> &q) {
   return ratio(Real(2.0) * quadrant_angle(length, q.w), length, 2.0) * q.v;
 }
 
-// The rotation vector of least length, |w| <= pi.
+// The shortest rotation vector, |w| <= pi.
 template <class Real>
 inline Vec3<Real> so3_log(const Rotation<Real> &R) {
   return rotation_vector(quaternion_from(R));
@@ -173,7 +172,7 @@ inline Real so3_angle(const Rotation<Real> &R) {
   return Real(2.0) * quadrant_angle(norm(q.v), q.w);
 }
 
-// From a to b along the shorter arc at constant speed, unit quaternions; on the side of a.
+// Interpolation from a to b along the shorter arc at constant speed, unit quaternions.
 template <class Real>
 inline Quaternion<Real> slerp(const Quaternion<Real> &a, const Quaternion<Real> &b, const Real &s) {
   const Real one(1.0), zero(0.0);
@@ -201,7 +200,7 @@ inline Rotation<Real> polynomial(const Vec3<Real> &w, const Real &a, const Real 
       {xz + aw.y, yz - aw.x, one - (xx + yy)}};
 }
 
-// What exponential and Jacobians have in common, of an angle theta = |w|.
+// Common terms of exponential and Jacobians, for the angle theta = |w|.
 template <class Real>
 struct Angle {
   Real theta, sine, cosine, k;  // sine and cosine of theta / 2; k = sine / theta

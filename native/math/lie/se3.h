@@ -27,7 +27,7 @@ constexpr double cotangent(int k) {  // (1 - t/2 cot(t/2)) / t^2: |B_2k+2| / (2k
   return bernoulli[k] / factorial(2 * k + 2);
 }
 
-// The series itself, or its derivative over t.
+// The series itself, or its derivative by t.
 constexpr Coefficients series(int kind, bool derivative) {
   Coefficients s{};
   for (int k = 0; k < 8; ++k) {
@@ -127,7 +127,8 @@ inline Pose<Real> se3_exp(const Vec3<Real> &v, const Vec3<Real> &w) {
   return {R.x, R.y, R.z, v + (t.versine() * wv + cubic(t) * cross(w, wv))};
 }
 
-// The twist of least turn: w = log(R), v = (I - hat(w)/2 + (1 - h cot h)/t^2 hat(w)^2) p.
+// The twist with the smallest rotation: w = log(R), v = (I - hat(w)/2 + (1 - h cot h)/t^2 hat(w)^2)
+// p.
 template <class Real>
 inline void se3_log(const Pose<Real> &T, Vec3<Real> &v, Vec3<Real> &w) {
   const Quaternion<Real> q = quaternion_from(Rotation<Real>{T.x, T.y, T.z});
@@ -143,14 +144,14 @@ inline Pose<Real> pose_inverse(const Pose<Real> &T) {
   return {R.x, R.y, R.z, Real(-1.0) * T.turn_back(T.p)};
 }
 
-// What a condition chooses, number by number.
+// Selection by a condition, number by number.
 template <class Condition, class Real>
 inline Vec3<Real> select(const Condition &condition, const Vec3<Real> &yes, const Vec3<Real> &no) {
   return {select(condition, yes.x, no.x), select(condition, yes.y, no.y),
       select(condition, yes.z, no.z)};
 }
 
-// R_a exp(s log(R_a^T R_b)), from the nearer end, which is exact that way.
+// R_a exp(s log(R_a^T R_b)), starting at the nearer end, which is then exact.
 template <class Real>
 inline Rotation<Real> so3_interpolate(
     const Rotation<Real> &a, const Rotation<Real> &b, const Real &s) {

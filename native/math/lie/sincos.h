@@ -5,7 +5,7 @@
 
 namespace armlab {
 
-// Where |x| is beyond this, sine and cosine are taken from the C library instead.
+// Beyond this |x|, sine and cosine are taken from the C library.
 constexpr double far_angle = 1e6;
 
 inline void replace_far(double x, double &sine, double &cosine) {
@@ -25,8 +25,8 @@ inline void replace_far(const Lanes &x, Lanes &sine, Lanes &cosine) {
 #endif
 
 // Sine and cosine of |x| <= far_angle in three steps, error below 2.5e-16; NaN and infinity give
-// NaN. Several angles are best taken through each step together: the processor then finds
-// independent work close by, and needs two thirds of the time.
+// NaN. Process several angles through each step together: instruction-level parallelism saves a
+// third of the time.
 //
 // First x = k pi/2 + r with pi/2 in two parts, one of 33 bits, so that k times it is exact for |k|
 // < 2^20, and one whose error is 4e-27. `quadrant` holds k in its low bits.
@@ -54,8 +54,8 @@ inline void sincos_of_remainder(const Real &r, Real &sine, Real &cosine) {
   cosine = (one + c2 * r2) + r4 * ((c4 + c6 * r2) + r4 * ((c8 + c10 * r2) + r4 * (c12 + c14 * r2)));
 }
 
-// Last the quadrant: an odd one swaps the two; the second bit of k is the sign of the sine, and
-// where it is unlike the first the cosine is negative.
+// Finally the quadrant: an odd one swaps the two; the second bit of k is the sign of the sine, and
+// the cosine is negative where it differs from the first.
 template <class Real>
 inline void turn_to_quadrant(const Real &quadrant, Real &sine, Real &cosine) {
   const auto bits = to_bits(quadrant);
@@ -65,7 +65,7 @@ inline void turn_to_quadrant(const Real &quadrant, Real &sine, Real &cosine) {
   cosine = from_bits(to_bits(select(is_negative(swap), s, c)) ^ (sign ^ swap));
 }
 
-// Grows `farthest` to |x|, unless x is NaN, whose sine and cosine are NaN as they are.
+// Raises `farthest` to |x|, except for NaN, whose sine and cosine are NaN already.
 template <class Real>
 inline void note_distance(const Real &x, Real &farthest) {
   const Real distance = from_bits(to_bits(x) & 0x7fffffffffffffff);

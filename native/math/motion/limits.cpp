@@ -1,4 +1,4 @@
-// Limits on one reference before it goes to a robot. Specification: tests/oracles/limits.py.
+// Limits on one reference before it is sent to a robot. Specification: tests/oracles/limits.py.
 #include "array/arrays.h"
 
 namespace armlab::python {
@@ -9,8 +9,8 @@ constexpr double slack = 1e-9;  // relative: rounding is not a clamp
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr int max_axes = 64;
 
-// The fastest velocity v of a step T after which the arm, late by `lag`, can still stop within
-// `distance`, however long the steps to come are: v T + v lag + v^2 / (2 a) = distance.
+// The largest velocity v of a step T after which an arm with delay `lag` can still stop within
+// `distance`, for all later steps: v T + v lag + v^2 / (2 a) = distance.
 double brakeable(double distance, double a, double T, double lag) {
   const double d = std::max(distance, 0.0), late = T + lag;
   if (std::isinf(d)) return infinity;
@@ -24,7 +24,7 @@ struct Joint {
   double low, high;  // velocities from which it can stop before its limits
 };
 
-// Scales the velocities by one ratio when they are too fast. Returns the ratio.
+// Scales the velocities by one ratio if they are too large. Returns the ratio.
 double scale(int n, const Joint *joints, double *wanted, std::uint8_t *bits) {
   double worst = 0.0, ratio = 1.0;
   for (int i = 0; i < n; ++i) worst = std::max(worst, std::fabs(wanted[i]) / joints[i].fastest);
@@ -38,7 +38,7 @@ double scale(int n, const Joint *joints, double *wanted, std::uint8_t *bits) {
   return ratio;
 }
 
-// Keeps each velocity within what acceleration and braking allow.
+// Limits each velocity by acceleration and braking distance.
 void keep_within(
     int n, const Joint *joints, double T, const double *last, double *wanted, std::uint8_t *bits) {
   for (int i = 0; i < n; ++i) {
@@ -67,7 +67,7 @@ int refusal(int n, const Joint *joints, const double *jump, double T, const doub
   return 0;
 }
 
-// A vector of the call: its numbers, or null for None.
+// A vector argument: its numbers, or null for None.
 struct Optional {
   Optional(nb::handle value, const char *name, int n)
       : input(value.is_none() ? nb::handle(empty()) : value, name) {
@@ -149,6 +149,68 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
   return nb::make_tuple(out, bits_array, ratio, refused);
 }
 
+// The index of the largest number, or of the first NaN.
+template <class Values>
+int largest(int n, const Values &values) {
+  int found = 0;
+  for (int i = 0; i < n; ++i) {
+    if (std::isnan(values(i))) return i;
+    if (values(i) > values(found)) found = i;
+  }
+  return found;
+}
+
+// i (from 1) when joint i is outside its range, or -i when it moved too far, or 0.
+int implausible(nb::handle q_, nb::handle before_, nb::handle bounds_, double margin, double step,
+    double seconds) {
+  const Input given(q_, "q"), bounds(bounds_, "bounds");
+  const int n = static_cast<int>(given.size());
+  given.require_exactly({n}), bounds.require_exactly({3, n});
+  const Optional last(before_, "before", n);
+  if (n == 0) return 0;
+  const double *q = given.data(), *low = bounds.data(), *high = low + n, *fastest = high + n;
+  const auto beyond = [&](int i) { return std::max(low[i] - q[i], q[i] - high[i]); };
+  const int out = largest(n, beyond);
+  if (!(beyond(out) <= margin)) return out + 1;
+  if (!last.data) return 0;
+  const auto excess = [&](int i) {
+    return std::fabs(q[i] - last.data[i]) - (step + fastest[i] * seconds);
+  };
+  const int far = largest(n, excess);
+  return excess(far) <= 0.0 ? 0 : -(far + 1);
+}
+
+nb::tuple following_error(nb::handle q_, nb::handle reference_, nb::handle speed_,
+    nb::handle fastest_, nb::handle allowed_, double kept, double lag) {
+  const Input q(q_, "q");
+  const int n = static_cast<int>(q.size());
+  const Input reference(reference_, "reference", {n}), speed(speed_, "speed", {n}),
+      before(fastest_, "fastest", {n}), allowed(allowed_, "allowed", {n});
+  const nb::object out = fresh_array({n});
+  double *fastest = numbers(out);
+  for (int i = 0; i < n; ++i)
+    fastest[i] = std::max(kept * before.data()[i], std::fabs(speed.data()[i]));
+  const auto excess = [&](int i) {
+    return std::fabs(reference.data()[i] - q.data()[i]) - (allowed.data()[i] + lag * fastest[i]);
+  };
+  const int worst = largest(n, excess);
+  return nb::make_tuple(out, worst, n == 0 || excess(worst) <= 0.0);
+}
+
+nb::object filtered_velocity(
+    nb::handle q_, nb::handle last_, nb::handle velocity_, double dt, double cutoff) {
+  const Input q(q_, "q");
+  const Input last(last_, "last", {q.size()}), velocity(velocity_, "velocity", {q.size()});
+  const nb::object out = fresh_array({q.size()});
+  const double share = 1.0 - std::exp(-2.0 * M_PI * cutoff * dt);
+  for (npy_intp i = 0; i < q.size(); ++i) {
+    const double before = velocity.data()[i];
+    numbers(out)[i] = before + share * ((q.data()[i] - last.data()[i]) / dt - before);
+  }
+  PyArray_CLEARFLAGS(as_array(out), NPY_ARRAY_WRITEABLE);
+  return out;
+}
+
 }  // namespace
 }  // namespace armlab::python
 
@@ -158,4 +220,10 @@ void armlab::python::bind_limits(nb::module_ &m) {
       arg("qd_ref").none() = nb::none(), arg("lag") = 0.0,
       "Return the reference to send next, clamp bits, velocity ratio and refusal; see "
       "tests/oracles/limits.py.");
+  m.def("implausible", &implausible, array("q"), arg("before").none(), array("bounds"),
+      arg("margin"), arg("step"), arg("seconds"), "See _native.pyi.");
+  m.def("following_error", &following_error, array("q"), array("reference"), array("speed"),
+      array("fastest"), array("allowed"), arg("kept"), arg("lag"), "See _native.pyi.");
+  m.def("filtered_velocity", &filtered_velocity, array("q"), array("last"), array("velocity"),
+      arg("dt"), arg("cutoff"), "See _native.pyi.");
 }

@@ -12,7 +12,7 @@ constexpr double pi = 3.141592653589793;
 constexpr double steering = 12.0, turn = 20.0 / pi;  // 1/s per rad; 1/rad: Hoffmann et al. 2009
 constexpr double pushing = 0.15;                     // m^2/s
 constexpr double slowest = 15.0, fastest = 200.0;    // 1/s: rates of the guard
-constexpr double slide = 0.3;                        // of what the guard adds: along the surface
+constexpr double slide = 0.3;                        // of the guard, along the surface
 constexpr double still = 1e-9;                       // m/s
 constexpr double straight = 1e-9;                    // sine of an angle
 constexpr double apart = 1e-3;                       // m: a way that leads anywhere
@@ -25,7 +25,7 @@ double length(const Point &a) { return std::sqrt(dot(a, a)); }
 double clamped(double x, double low, double high) { return std::min(std::max(x, low), high); }
 Point point_of(const double *y, int axes) { return {y[0], y[1], axes == 3 ? y[2] : 0.0}; }
 
-// A unit vector across another, the same for the same.
+// A unit vector perpendicular to another, deterministic.
 Point across(const Point &v, int axes) {
   const double size[3] = {std::fabs(v.x), std::fabs(v.y), std::fabs(v.z)};
   const int i = static_cast<int>(std::min_element(size, size + axes) - size);
@@ -35,7 +35,7 @@ Point across(const Point &v, int axes) {
   return (1.0 / length(side)) * side;
 }
 
-// Shares of two segments, at which they are nearest.
+// Parameters of the nearest points of two segments.
 std::pair<double, double> shares(const Capsule &one, const Capsule &two) {
   const Point d1 = one.b - one.a, d2 = two.b - two.a, r = one.a - two.a;
   const double a = dot(d1, d1), e = dot(d2, d2), c = dot(d1, r), f = dot(d2, r);
@@ -85,7 +85,7 @@ void Obstacles::locate(const double *y, std::vector<Pose<double>> &frames) const
   }
 }
 
-// Forward recursion of Newton and Euler over the links, without accelerations of the joints.
+// Forward Newton-Euler recursion over the links, without joint accelerations.
 void Obstacles::move(const double *yd) {
   const Point zero{0.0, 0.0, 0.0};
   Motion last{zero, zero, zero, zero};
@@ -134,7 +134,7 @@ double Obstacles::distance(const double *y) {
 
 bool Obstacles::acts(const double *y) { return distance(y) < rule_.reach; }
 
-// What is within reach of what; the bodies are where `distance` put them.
+// Pairs within reach; the bodies are at the positions of `distance`.
 void Obstacles::find(const double *yd) {
   contacts_.clear();
   if (arm_) move(yd);
@@ -154,7 +154,7 @@ void Obstacles::find(const double *yd) {
     }
 }
 
-// j = e^T J of the point of a contact; returns its square with the damping.
+// j = e^T J of the contact point; returns its square with damping.
 double Obstacles::row(const Contact &contact, const Point &e, double *j) const {
   if (!arm_) {
     j[0] = e.x;
@@ -196,7 +196,7 @@ Point Obstacles::steer(const Contact &c) const {
   return (weight * pushing * cosine * speed / (near * near)) * force;
 }
 
-// What the acceleration away from an obstacle lacks to keep the clearance.
+// The missing acceleration away from an obstacle to keep the clearance.
 double Obstacles::missing(const Contact &c, const double *ydd) {
   const double h = c.distance - rule_.clearance, rate = dot(c.away, c.velocity);
   const double k = h > 0.0 && -rate > slowest * h ? std::min(-rate / h, fastest) : slowest;

@@ -1,4 +1,4 @@
-// Obstacles that a motion goes around. Specification: docs/theory/obstacles.md.
+// Obstacle avoidance of a motion. Specification: docs/theory/obstacles.md.
 #pragma once
 
 #include <optional>

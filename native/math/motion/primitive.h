@@ -9,15 +9,15 @@
 
 namespace armlab {
 
-// What adds to the acceleration of a movement primitive from outside of it.
+// External term in the acceleration of a movement primitive.
 class Coupling {
  public:
   virtual ~Coupling() = default;
-  // Whether it may add anything at y (n).
+  // Whether it may be nonzero at y (n).
   virtual bool acts(const double *y) = 0;
   // Adds to the acceleration ydd (n) of a motion at y with velocity yd on its way to g.
   virtual void add(const double *y, const double *yd, const double *g, double *ydd) = 0;
-  // Time goes on, dt >= 0.
+  // Advances time, dt >= 0.
   virtual void advance(double dt) = 0;
 };
 
@@ -34,8 +34,8 @@ struct Primitive {
 
   // Normalised kernels at x above 1e-17 of the largest: numbers, and values times `factor`.
   int kernels(double x, double factor, int *index, double *psi) const;
-  // The same for all of N phases, times factors (N) where there are any; number j of phase k goes
-  // to psi[k row + j column], and what is left out is not written.
+  // The same for N phases, times factors (N) if given; number j of phase k is written to
+  // psi[k row + j column], and omitted numbers are not written.
   void basis(std::ptrdiff_t N, const double *x, const double *factors, std::ptrdiff_t row,
       std::ptrdiff_t column, double *psi) const;
   // psi(x) . w times the share that is left, for phases that all coordinates have in common.
@@ -44,7 +44,7 @@ struct Primitive {
   void forcing_each(const double *x, int *index, double *psi, double *f) const;
 };
 
-// One run of a primitive, sample by sample; nothing is allocated after it was made.
+// One run of a primitive, sample by sample, without allocation after construction.
 class PrimitiveStepper {
  public:
   explicit PrimitiveStepper(const Primitive &primitive);
@@ -57,7 +57,7 @@ class PrimitiveStepper {
   double elapsed() const { return s_; }  // in units of tau
   double tau() const { return tau_; }
 
-  // From now on. `limit` (n): largest deceleration of the brake, 0 where none; null without brakes.
+  // From now on. `limit` (n): largest deceleration of the brake, 0 for none; null without brakes.
   void change_goal(const double *g, const double *scale, const double *limit);
   void change_tau(double tau);
 

@@ -53,7 +53,7 @@ Vector RotationStepper::force(double s) {
   return map_.turn({f[0], f[1], f[2]});
 }
 
-// The rotation vector that leads to the goal on the shorter way.
+// The rotation vector to the goal, the shorter way.
 Vector RotationStepper::error(const Quaternion<double> &q) const {
   const Quaternion<double> way = goal_ * conjugate(q);
   return rotation_vector(way.w < 0.0 ? Quaternion<double>{-way.w, -way.v} : way);
@@ -70,7 +70,7 @@ void RotationStepper::step(double dt) {
   s_ = begin + r;
 }
 
-// One step of Runge and Kutta in the chart exp(theta) q around the orientation at its start.
+// One RK4 step in the chart exp(theta) q around the orientation at its start.
 void RotationStepper::advance(
     double h, const Vector &start, const Vector &middle, const Vector &end) {
   const double alpha = primitive.alpha, stiffness = primitive.stiffness;

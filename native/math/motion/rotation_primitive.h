@@ -4,10 +4,10 @@
 //   q' = z q / 2,   z' = stiffness e - alpha z + map f,   e = rotation vector of goal q^-1 on the
 //   shorter way
 //
-// f is the forcing of a primitive of three coordinates; map (3, 3) rotates and scales it. A
-// Runge-Kutta step is taken in the chart exp(theta) q around the orientation at its start, theta' =
+// f is the forcing of a primitive of three coordinates; map (3, 3) rotates and scales it. An
+// RK4 step is taken in the chart exp(theta) q around the orientation at its start, theta' =
 // z - theta x z / 2 + theta x (theta x z) / 12, with the forcing at its start, middle and end: of
-// fourth order, and on the group. Steps that are long for the spring are divided.
+// fourth order, and on the group. Steps too long for the spring are divided.
 #pragma once
 
 #include "math/lie/lie.h"

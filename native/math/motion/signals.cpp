@@ -21,6 +21,37 @@ SignalOperator::SignalOperator(
   reset(std::move(init));
 }
 
+std::vector<double> SignalOperator::memory() const {
+  std::vector<double> all{double(kind_), a_, b_, dt_, double(started_), double(stamped_), clock_,
+      waiting_, nominal_, h_, double(gaps), double(skipped), longest_gap};
+  all.insert(all.end(), c_, c_ + 4);
+  for (const std::vector<double> *part : {&init_, &x_, &y_, &v_}) {
+    all.push_back(double(part->size()));
+    all.insert(all.end(), part->begin(), part->end());
+  }
+  return all;
+}
+
+SignalOperator SignalOperator::of_memory(const std::vector<double> &memory) {
+  std::size_t at = 0;
+  const auto next = [&] { return memory.at(at++); };  // throws past the end
+  const auto kind = static_cast<SignalKind>(int(next()));
+  const double a = next(), b = next(), dt = next();
+  SignalOperator made(kind, a, b, dt, {});
+  made.started_ = next() != 0.0;
+  made.stamped_ = next() != 0.0;
+  for (double *value : {&made.clock_, &made.waiting_, &made.nominal_, &made.h_}) *value = next();
+  made.gaps = long(next());
+  made.skipped = long(next());
+  made.longest_gap = next();
+  for (double &c : made.c_) c = next();
+  for (std::vector<double> *part : {&made.init_, &made.x_, &made.y_, &made.v_}) {
+    const auto count = static_cast<std::size_t>(next());
+    for (std::size_t i = 0; i < count; ++i) part->push_back(next());
+  }
+  return made;
+}
+
 void SignalOperator::reset(std::vector<double> init) {
   init_ = std::move(init);
   x_.clear();
@@ -62,7 +93,7 @@ void SignalOperator::note_gap(double h) {
   longest_gap = std::max(longest_gap, h);
 }
 
-// The first sample. Operators that look back take a step of dt from `init`; the others start there.
+// The first sample. Operators with memory take a step of dt from `init`; the others start there.
 void SignalOperator::begin(std::size_t n, const double *x, double *out) {
   const auto initial = [this](std::size_t i) { return init_[init_.size() == 1 ? 0 : i]; };
   const bool given = !init_.empty(), timed = !std::isnan(dt_);

@@ -17,11 +17,15 @@ class SignalOperator {
   // or n.
   SignalOperator(SignalKind kind, double a, double b, double dt, std::vector<double> init);
 
+  // From the numbers of `memory`, for copies in other processes.
+  static SignalOperator of_memory(const std::vector<double> &memory);
+  std::vector<double> memory() const;
+
   void reset(std::vector<double> init);
   const std::vector<double> &init() const { return init_; }
   std::size_t channels() const { return x_.size(); }  // 0 before the first sample
 
-  // One sample of n channels; t is NaN-free, or null without time stamps. out may not overlap x.
+  // One sample of n channels; t without NaN, or null without time stamps. out may not overlap x.
   SignalStatus step(std::size_t n, const double *x, const double *t, double *out);
 
   long gaps = 0, skipped = 0;

@@ -38,7 +38,7 @@ inline void short_moments(double alpha, double stiffness, double r, double &firs
   }
 }
 
-// The impulse response and its derivative where r is not short.
+// The impulse response and its derivative unless r is short.
 inline void long_response(double alpha, double stiffness, double r, double &G, double &slope) {
   const double sigma = 0.5 * alpha, square = sigma * sigma - stiffness;
   const double mu = std::sqrt(std::fabs(square)), angle = mu * r;
@@ -64,7 +64,7 @@ inline SpringStep::SpringStep(double alpha, double stiffness, double r) {
   double G, slope, zeroth, first, second;  // impulse response, its derivative, its moments
   r = std::max(r, 1e-100);  // shorter steps change nothing, and their powers would be 0
   const double fastest = std::max(alpha, std::sqrt(stiffness));
-  // what is slow has hardly moved: its moments would cancel
+  // over a short time the slow mode hardly moves, and its moments would cancel
   if (fastest * r < 1.0 || stiffness * r < alpha) {
     double h = r;
     int doublings = 0;
@@ -73,7 +73,7 @@ inline SpringStep::SpringStep(double alpha, double stiffness, double r) {
     zeroth = 0.5 * (h * h - stiffness * second) - alpha * first;
     G = h - alpha * zeroth - stiffness * first;
     slope = 1.0 - alpha * G - stiffness * zeroth;
-    for (; doublings > 0; --doublings) {  // the first half goes on freely, the second adds its own
+    for (; doublings > 0; --doublings) {  // free response of the first half, plus the second
       const double stays = slope + alpha * G + 1.0;
       second = stays * second + 2.0 * (G + h) * first + h * h * zeroth;
       first = stays * first + (G + h) * zeroth;

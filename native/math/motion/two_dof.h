@@ -23,13 +23,13 @@ class TwoDof {
   int n() const { return p_.primitive.n; }
   int size() const { return 5 * n() + 2; }  // of a state
 
-  // Moves a state on in place. driven (n): velocity of ya, NaN where it follows its reference.
+  // Advances a state in place. driven (n): velocity of ya, NaN if it follows its reference.
   void advance(double *state, double dt, long steps, const double *driven, const Speed &speed);
   // out (3, n): yc', yc'' and ya_ref''.
   void reference(const double *state, const Speed &speed, double *out);
   // Time derivative of a state whose ya'' is ya_ref''.
   void slopes(const double *state, const Speed &speed, double *out);
-  // `advance` with the last velocity, then ya and yad (n) are measured; out as of `reference`.
+  // `advance` with the last velocity, then ya and yad (n) are measured; out as in `reference`.
   void follow(double *state, double dt, long steps, const Speed &speed, const double *ya,
       const double *yad, double *out);
   double time_constant(const double *state) const;

@@ -1,4 +1,4 @@
-"""Who may command: `Arbiter`, a controller that obeys one client per arm; `Order`, what a client wants an arm to do.
+"""Command arbitration: `Arbiter`, a controller with one commanding client per arm; `Order`, a client's command.
 
 Not a safety function: emergency stop and the robot's own supervision stay in charge.
 """
@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,9 +19,12 @@ from armlab.bridge.net.events import Tell, nobody
 from armlab.robots import Robot
 from armlab.state import Command, State
 
+if TYPE_CHECKING:
+    from armlab.motion import TrajectoryController
+
 
 class Order(NamedTuple):
-    """What a client wants an arm to do next."""
+    """Command of a client to an arm: references, or a trajectory with the name of its goal."""
 
     client: str
     arm: str
@@ -31,30 +34,35 @@ class Order(NamedTuple):
     seq: int | None = None
     first: int | None = None
     by_axis: bool = False
+    goal: str = ""
+    trajectory: TrajectoryController | None = None
 
     @property
     def server(self) -> str:
-        """Name of the server it came through."""
+        """Name of the client's server."""
         return self.client.partition(" ")[0]
 
 
 def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Command, str]:
-    """Return the command of an order, and what is wrong with it, "" when nothing is; one bad number refuses it."""
+    """Return the command of an order and its problem, "" if valid; a single invalid number makes it invalid."""
     values: dict[str, np.ndarray | None] = {}
     for name in ("q", "qd", "tau"):
         values[name], problem = _vector(order, name, robot)
         if problem:
             return Command(), problem
     if values["tau"] is not None and not has_torque:
-        problem = f"Expected no torque: {robot.name} takes none here. A cell allows it by `torque` of the robot."
+        problem = (
+            f"Expected no torque for {robot.name}, because this cell allows no torque commands. Set `torque` of "
+            "the robot in its file."
+        )
         return Command(), problem
     if all(value is None for value in values.values()):
-        return Command(), f"Expected a position, a velocity or a torque for {robot.name}, got none."
+        return Command(), f"Expected a position, a velocity or a torque for {robot.name}, got an empty command."
     return Command(values["q"], values["qd"], values["tau"]), ""
 
 
 def _vector(order: Order, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
-    """Return the (n,) numbers of a command, and what is wrong with them."""
+    """Return one vector (n,) of a command and its problem."""
     values = getattr(order, name)
     if values is None:
         return None, ""
@@ -65,37 +73,49 @@ def _vector(order: Order, name: str, robot: Robot) -> tuple[np.ndarray | None, s
     if array.shape != (robot.n,):
         return None, f"Expected {robot.n} numbers in {name} for {robot.name}, got {np.shape(array)}."
     if not np.isfinite(array).all():
-        joint = joint_name(robot, int(np.argmin(np.isfinite(array))), order.first, order.by_axis)
-        return None, f"Expected finite numbers in {name} for {robot.name}, but that of {joint} is not."
+        i = int(np.argmin(np.isfinite(array)))
+        joint = joint_name(robot, i, order.first, order.by_axis)
+        return None, f"Expected finite numbers in {name} for {robot.name}, got {array[i]} for {joint}."
     array.flags.writeable = False
     return array, ""
 
 
 LEASE = 0.1
-"""Seconds of silence after which an arm is free again, the same for all servers."""
+"""Silence after which an arm is free again [s], the same for all servers."""
 
+Result = tuple[str, str, str]
+"""Status of a goal ("executing", "succeeded", "canceled" or "aborted"), how its trajectory ended, and the reason."""
+
+_RESULTS = 64  # of goals that have ended, kept for clients that missed them
 _ANSWER_EVERY = 1_000_000_000  # ns between two answers to one client
-_CLIENTS = 256  # that are counted or wait; more are a flood
+_CLIENTS = 256  # clients that are counted or wait; more are a flood
 
 
 @dataclass(slots=True)
 class _Holder:
-    """Who commands an arm: the command in force, its number, and when the last one came [ns]."""
+    """Commanding client of an arm: its command in force, the number of the command, its time of arrival [ns]."""
 
     client: str
     command: Command
     seq: int | None
-    heard_ns: int
+    received_ns: int
+    order: Order
 
 
 class Arbiter:
-    """A controller that gives each arm the newest command of the one client that holds it, else hold.
+    """Controller that passes on the newest command of each arm's commanding client, or holds without one.
 
-    The first valid command of an allowed client takes a free arm. The client keeps it by commands and loses it after
-    `lease` of silence, when it closes, or by `release`. The first position must lie within `entry` of the measured
-    joints. A command that is refused changes nothing and keeps nothing. `stop` is for everybody, `resume` for
-    operators.
+    A free arm goes to the first valid command of an allowed client. The client keeps the arm by sending commands; it
+    loses it after a silence of `lease` seconds, on disconnection, or by `release`. The first position must lie within
+    `entry` of the measured joints. A refused command changes nothing. Any client may `stop`, only operators may
+    `resume`.
+
+    A trajectory is one command that lasts: its server renews the lease while the client lives. `on_goal` receives the
+    beginning and the result of each goal.
     """
+
+    poll: Callable[[], None]
+    stopped: str
 
     def __init__(
         self,
@@ -108,6 +128,7 @@ class Arbiter:
         lease: float = LEASE,
         entry: float = ENTRY,
         torque: Iterable[str] = (),
+        on_goal: Callable[[Order, Result], None] = lambda order, result: None,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._robots, self._allowed = tuple(robots), frozenset(allowed)
@@ -118,76 +139,117 @@ class Arbiter:
         self._holders: dict[str, _Holder | None] = {robot.name: None for robot in robots}
         self._inbox: dict[tuple[str, str], tuple[int, Order]] = {}
         self._answered: dict[str, int] = {}
+        self._on_goal, self._results = on_goal, dict[tuple[str, str], Result]()
+        self._called_ns = 0
         self.refused: Counter[str] = Counter()
         self.obeyed: dict[str, Counter[str]] = {robot.name: Counter() for robot in robots}
         self.stopped = self._reserved = ""
 
     def commander(self, arm: str) -> str:
-        """Return who commands an arm, "" when nobody does."""
+        """Return the commanding client of an arm, "" if free."""
         holder = self._holder(arm)
         return "" if holder is None else holder.client
 
     def commands(self, client: str) -> bool:
-        """Return whether a client commands an arm, or could take a free one at once: the rights of a commander."""
+        """Return whether a client commands an arm or could command it, because it is free."""
         holders = [holder.client for holder in map(self._holder, self._holders) if holder is not None]
         return client in holders or (not holders and client.partition(" ")[0] in self._allowed)
 
     def submit(self, order: Order) -> None:
-        """Take what a client wants; it is judged in the next tick. Of one client and arm only the newest counts."""
-        now = self._clock()
+        """Queue a command for the next tick; only the newest per client and arm counts."""
+        now, why = self._clock(), ""
+        self._results.pop((order.client, order.goal), None)  # a client may use the name of a goal again
         if order.arm not in self._holders:
-            known = ", ".join(self._holders)
-            self._refuse(order.client, f"Expected the name of an arm of this cell ({known}), got {order.arm!r}.", now)
+            why = f"Expected the name of an arm of this cell ({', '.join(self._holders)}), got {order.arm!r}."
         elif self._reserved:
-            self._refuse(order.client, f"{order.arm} is commanded by {self._reserved}. You may read.", now)
+            why = f"{order.arm} is commanded by {self._reserved}. You may only read."
         elif order.server not in self._allowed:
-            self._refuse(
-                order.client, f"Expected no commands through {order.server}: `commands` does not name it.", now
-            )
-        elif len(self._inbox) < _CLIENTS or (order.arm, order.client) in self._inbox:
+            why = f"Expected no commands through {order.server}, because `commands` does not list it."
+        elif len(self._inbox) >= _CLIENTS and (order.arm, order.client) not in self._inbox:
+            why = f"Expected at most {_CLIENTS} commanding clients at once." if order.goal else ""
+        else:
+            _, before = self._inbox.get((order.arm, order.client), (0, None))
             self._inbox[order.arm, order.client] = (now, order)
+            self._end(before, "aborted", "interrupted", "A newer command replaced it.")
+        if why:
+            self._refuse(order, why, now)
+
+    def renew(self, client: str, arm: str, goal: str) -> None:
+        """Renew the lease of a trajectory; called by its server while the client is connected."""
+        if not goal:
+            return
+        holder, (_, waiting) = self._holder(arm), self._inbox.get((arm, client), (0, None))
+        now = self._clock()
+        late = now - self._called_ns > self._lease_ns and f"{arm} is not ready"
+        if holder is not None and (holder.client, holder.order.goal) == (client, goal):
+            holder.received_ns = now
+            if late:
+                self._free(arm, late)
+        elif waiting is not None and waiting.goal == goal:
+            if late:
+                del self._inbox[arm, client]
+                self._refuse(waiting, f"{late}. Send the goal again when it is ready.", now)
+        else:
+            known = self._results.get((client, goal), ("aborted", "interrupted", "The lease of the arm ended."))
+            self._on_goal(Order(client, arm, goal=goal), known)
+
+    def cancel(self, who: str, arm: str, goal: str) -> None:
+        """Bring to rest an arm that follows the trajectory of a goal; open to all clients, like `stop`."""
+        if not goal:
+            return
+        holder = self._holder(arm)
+        if holder is not None and holder.order.goal == goal:
+            self._end(holder.order, "canceled", "interrupted", f"Canceled by {who}.")
+            self._free(arm, f"canceled by {who}")
+        for (place, client), (_, order) in tuple(self._inbox.items()):
+            if place == arm and order.goal == goal:
+                del self._inbox[arm, client]
+                self._end(order, "canceled", "interrupted", f"Canceled by {who}.")
 
     def reserve(self, who: str) -> None:
-        """Refuse the commands of all clients, since the arms have a controller of their own."""
+        """Refuse the commands of all clients, because a controller commands the arms."""
         self._reserved = who
 
     def stop(self, who: str) -> None:
-        """Hold all arms until an operator resumes. Everybody may."""
+        """Hold all arms until an operator resumes; open to all clients."""
         if not self.stopped:
             self.stopped = who
-            self._tell(f"Stopped by {who}. An operator ends this: armlab bridge resume.", warn=True)
+            self._tell(f"Stopped by {who}. An operator can end the stop with armlab bridge resume.", warn=True)
         for arm in self._holders:
             self._free(arm, "all arms were stopped")
 
     def resume(self, who: str) -> None:
-        """End a stop; every commander begins anew by the start rule. For operators."""
+        """End a stop; each client must restart near the arm. For operators."""
         if self.stopped:
             self.release(who)
+            for _, order in self._inbox.values():
+                self._end(order, "aborted", "interrupted", f"{who} ended a stop.")
             self._inbox.clear()
             self.stopped = ""
             self._tell(f"Resumed by {who}.")
 
     def release(self, who: str, client: str = "") -> None:
-        """Free the arms that a client holds; without one all arms."""
+        """Free the arms of a commanding client, or all arms if no client is given."""
         for arm, holder in self._holders.items():
             if holder is not None and client in ("", holder.client):
                 self._free(arm, f"released by {who}")
 
     def leave(self, client: str) -> None:
         for arm, holder in self._holders.items():
-            self._inbox.pop((arm, client), None)
+            _, order = self._inbox.pop((arm, client), (0, None))
+            self._end(order, "aborted", "interrupted", "The client closed.")
             if holder is not None and holder.client == client:
                 self._free(arm, "it closed")
         self._answered.pop(client, None)
 
     def report(self, client: str, why: str) -> None:
-        """Count what a client sent and its server refused, and tell it, at most once a second for each client."""
-        self._refuse(client, why, self._clock(), answer=False)
+        """Count a message refused by its server, and report it at most once a second per client."""
+        self._refuse(Order(client, ""), why, self._clock(), answer=False)
 
     def __call__(self, state: State) -> Command | tuple[Command | None, ...] | None:
-        """Return what each arm shall do: the newest command of its holder, or None, hold."""
+        """Return the command of each arm: the newest one of its commanding client, or None (hold)."""
         self.poll()
-        now = self._clock()
+        now = self._called_ns = self._clock()
         for arm in self._holders:
             if self._holder(arm) is None:
                 self._free(arm, f"silent for {1e-9 * self._lease_ns:g} s")
@@ -198,30 +260,37 @@ class Arbiter:
         for came_ns, order in tuple(inbox.values()):
             if now - came_ns > self._lease_ns:
                 _count(self.refused, order.client)
+                self._end(order, "aborted", "refused", f"{order.arm} was not ready. Send the goal again.")
             elif self._judge(order, by_name[order.arm], came_ns):
                 fresh.add(order.arm)
         commands = tuple(
-            self._command(robot, at, robot.name in fresh) for robot, at in zip(self._robots, states, strict=True)
+            self._command(robot, at, robot.name in fresh, state.dt)
+            for robot, at in zip(self._robots, states, strict=True)
         )
         return commands[0] if len(commands) == 1 else commands
 
     def _holder(self, arm: str) -> _Holder | None:
-        """Return who holds an arm: nobody whose lease is over, also where no tick has freed it yet."""
+        """Return the commanding client of an arm, or None once its lease has expired."""
         holder = self._holders.get(arm)
-        return None if holder is None or self._clock() - holder.heard_ns > self._lease_ns else holder
+        return None if holder is None or self._clock() - holder.received_ns > self._lease_ns else holder
 
     def _judge(self, order: Order, state: State, came_ns: int) -> bool:
-        """Let a command come into force, for a lease from when it came; False when it was refused."""
+        """Put a command into force for one lease from its arrival; return False if it is refused."""
         holder = self._holders[order.arm]
         robot = next(one for one in self._robots if one.name == order.arm)
         if self.stopped:
-            return self._refuse(order.client, f"All arms hold, since {self.stopped} stopped them.", came_ns)
+            return self._refuse(order, f"All arms hold, because {self.stopped} stopped them.", came_ns)
         if holder is not None and holder.client != order.client:
-            return self._refuse(order.client, f"{order.arm} is commanded by {holder.client}. You may read.", came_ns)
+            return self._refuse(order, f"{order.arm} is commanded by {holder.client}. You may only read.", came_ns)
         if holder is not None and None not in (order.seq, holder.seq) and order.seq <= holder.seq:  # type: ignore[operator]
             _count(self.refused, order.client)
             return False
-        command, problem = read_order(order, robot, order.arm in self._torque)
+        if order.trajectory is not None:
+            limits = self._limits[order.arm]
+            problem = order.trajectory.begin(state, limits.entry, is_moving=holder is not None)
+            command = Command()
+        else:
+            command, problem = read_order(order, robot, order.arm in self._torque)
         if command.q is not None and not problem:
             limits, name = self._limits[order.arm], partial(joint_name, robot, first=order.first, by_axis=order.by_axis)
             if holder is None:
@@ -229,34 +298,66 @@ class Arbiter:
             else:
                 problem = jump_refusal(command.q, _sent(state), limits.jump, robot, name)
         if problem:
-            return self._refuse(order.client, problem, came_ns)
+            return self._refuse(order, problem, came_ns)
         if holder is None:
             self._tell(f"{order.client} commands {order.arm}.", each=True)
-        self._holders[order.arm] = _Holder(order.client, command, order.seq, came_ns)
+        else:
+            self._end(holder.order, "aborted", "interrupted", "A newer command replaced it.")
+        self._holders[order.arm] = _Holder(order.client, command, order.seq, came_ns, order)
+        if order.goal:
+            self._on_goal(order, ("executing", "", ""))
         _count(self.obeyed[order.arm], order.client)
         return True
 
-    def _command(self, robot: Robot, state: State, is_fresh: bool) -> Command | None:
+    def _command(self, robot: Robot, state: State, is_fresh: bool, dt: float) -> Command | None:
         holder = self._holders[robot.name]
-        if holder is None or self.stopped:  # another thread may have taken the stop while a command came into force
+        if holder is None or self.stopped:  # another thread may stop the arms while a command comes into force
             return None
+        if holder.order.trajectory is not None:
+            return self._follow(holder.order, holder.order.trajectory, state, 0.0 if is_fresh else dt)
         q, axes, jump = holder.command.q, self._axes[robot.name], self._limits[robot.name].jump
         if not is_fresh and q is not None and np.any(np.abs(axes(q) - axes(_sent(state))) > jump):
-            return None  # the arm was held meanwhile: to go on would be a jump, which ends runs
+            return None  # the arm held meanwhile: to continue would be a jump, which ends runs
         return holder.command
+
+    def _follow(self, order: Order, trajectory: TrajectoryController, state: State, dt: float) -> Command | None:
+        """Return the next command of a trajectory, or None once it has ended or its reference has diverged."""
+        command, axes = trajectory(state, dt), self._axes[order.arm]
+        is_far = command.q is not None and not np.all(
+            np.abs(axes(command.q) - axes(_sent(state))) <= self._limits[order.arm].jump
+        )  # NaN is far
+        if not is_far and not trajectory.ending:
+            return command
+        reason = "The limits of the arm prevent it from following its trajectory." if is_far else trajectory.reason
+        self._end(order, "succeeded" if trajectory.done else "aborted", trajectory.ending or "path", reason)
+        self._free(order.arm, reason or "its trajectory has ended")
+        return None
+
+    def _end(self, order: Order | None, status: str, ending: str, reason: str) -> None:
+        """Report the result of a goal once; other commands have no result."""
+        if order is not None and order.goal and (order.client, order.goal) not in self._results:
+            self._results[order.client, order.goal] = found = status, ending, reason
+            while len(self._results) > _RESULTS:
+                del self._results[next(iter(self._results))]
+            self._on_goal(order, found)
 
     def _free(self, arm: str, why: str) -> None:
         holder, self._holders[arm] = self._holders[arm], None
         if holder is not None:
-            self._tell(f"{holder.client} no longer commands {arm}: {why}. The arm holds.", each=True)
+            self._end(holder.order, "aborted", "interrupted", f"{why[:1].upper()}{why[1:].rstrip('.')}.")
+            self._tell(f"{holder.client} no longer commands {arm}: {why.rstrip('.')}. The arm holds.", each=True)
 
-    def _refuse(self, client: str, why: str, now: int, answer: bool = True) -> bool:
+    def _refuse(self, order: Order, why: str, now: int, answer: bool = True) -> bool:
+        client = order.client
         _count(self.refused, client)
+        self._end(order, "aborted", "refused", why)
         if client not in self._answered and len(self._answered) >= _CLIENTS:
             self._answered.pop(next(iter(self._answered)))
         if now - self._answered.get(client, -_ANSWER_EVERY) >= _ANSWER_EVERY:
             self._answered[client] = now
-            if answer:
+            if answer and order.goal:  # its result says why
+                self._tell(f"A trajectory of {client} was refused: {why}", warn=True)
+            elif answer:
                 self._answer(client, f"{why} {self.refused[client]} commands refused so far.")
                 self._tell(f"A command of {client} was refused: {why}", warn=True)
             else:
@@ -265,13 +366,13 @@ class Arbiter:
 
 
 def _count(counter: Counter[str], client: str) -> None:
-    """Count one; of too many clients the first is forgotten."""
+    """Count a client; beyond the limit the oldest entry is dropped."""
     if client not in counter and len(counter) >= _CLIENTS:
         del counter[next(iter(counter))]
     counter[client] += 1
 
 
 def _sent(state: State) -> np.ndarray:
-    """Return the position that was sent last, the measured one before anything was."""
+    """Return the last position sent, or the measured position before the first command."""
     q = state.q_sent
     return q if len(q) and not np.isnan(q).any() else state.q

@@ -1,6 +1,6 @@
-"""A cell: robots, sources, parameters and servers from one TOML file, and the bridge that runs it.
+"""A cell: robots, sources, parameters and servers from one TOML file, and its bridge.
 
-Its network servers listen on this computer only, unless the user asks otherwise (`listening`).
+By default, network servers listen only on this computer; --listen changes this (`listening`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from armlab import models, robots
-from armlab._toml import TomlError, parsed
+from armlab._files import TomlError, parsed
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.loop import Controller
 from armlab.bridge.control.run import Run
@@ -31,6 +31,7 @@ from armlab.bridge.servers.labcomm.client import LabCommSource
 from armlab.bridge.servers.labcomm.process import labcomm_options
 from armlab.bridge.servers.local import socket_path
 from armlab.bridge.servers.supervisor import Servers, server_command, stoppable
+from armlab.bridge.urls import choosing_arm
 from armlab.errors import ArmlabError, ConfigError, UnknownName
 from armlab.log import Column
 from armlab.robots import Robot
@@ -38,14 +39,14 @@ from armlab.robots import Robot
 __all__ = ["Cell", "cell_values", "is_open", "listening", "parse_cell", "run_cell"]
 
 GUARDED = "guarded"
-"""Server option: clients that command must know a secret, over an encrypted connection."""
+"""Server option: commanding clients need a secret and an encrypted connection."""
 
 _ANYWHERE = "0.0.0.0"
-_ZENOH = ("zenoh", "rmw_zenoh")  # at one port they share a router, and what reaches one of them reaches the other
+_ZENOH = ("zenoh", "rmw_zenoh")  # at the same port they share a router, and each reads the messages of both
 
 
 def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
-    """Return the address of each network server: loopback, or what the user asked for."""
+    """Return the address of each network server: loopback, or that of --listen."""
     found = {name: "127.0.0.1" for name in cell.servers if name != OPERATOR}
     for word in listen:
         server, _, place = word.partition("=")
@@ -53,12 +54,14 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
             raise UnknownName.among("enabled server (--listen SERVER=ADDRESS)", server, found)
         found[server] = _address(place)
         if server == "ros1" and found[server] == _ANYWHERE:
-            raise ConfigError(f"Expected the address by which other nodes reach ros1, got --listen {word}. Name it.")
+            raise ConfigError(
+                f"Expected an address at which other nodes can reach ros1, got --listen {word}. Give its address."
+            )
         options = cell.servers[server]
         if server in cell.commands and is_open(options, found[server]):
             raise ConfigError(
-                f"Expected {server} on this computer only, since `commands` names it, got --listen {word}: "
-                f"{_why(options)} Or take it out of `commands`, or let clients come through an SSH tunnel."
+                f"Expected {server} only on this computer, because `commands` lists it, got --listen {word}: "
+                f"{_why(options)} Or remove it from `commands`, or let clients connect through an SSH tunnel."
             )
     _check_readers(cell, found)
     _check_routers(cell, found)
@@ -67,43 +70,44 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
 
 
 def is_open(options: Mapping[str, Any], address: str) -> bool:
-    """Return whether a server is reached from beyond this computer by clients that prove nothing: they only read."""
+    """Return whether clients on other computers reach a server without a secret; such clients may only read."""
     return not options.get(GUARDED, False) and not ipaddress.ip_address(address).is_loopback
 
 
 def _check_readers(cell: Cell, addresses: Mapping[str, str]) -> None:
-    """Refuse that rows go to a router elsewhere unless --listen says that this server is read from there."""
+    """Refuse to send rows to a router on another computer unless --listen allows readers there."""
     for name in _ZENOH:
         router = cell.servers.get(name, {}).get("router", "")
         if router and not is_here(router) and ipaddress.ip_address(addresses[name]).is_loopback:
             raise ConfigError(
-                f"Expected --listen {name}=ADDRESS too, since its router {router} is not on this computer: whoever "
-                "reads there reads the rows. Add it."
+                f"Expected --listen {name}=ADDRESS too, because its router {router} is on another computer, where "
+                "others can read its rows. Add it."
             )
 
 
 def _check_routers(cell: Cell, addresses: Mapping[str, str]) -> None:
-    """Refuse that commands of one Zenoh server come through the router of another that anybody reaches."""
+    """Refuse commands to one Zenoh server through the unprotected router of the other."""
     places = {name: _router_port(cell.servers[name]) for name in _ZENOH if name in cell.servers}
     for name in places:
         for other, place in places.items():
             is_shared = other != name and place and place == places[name]
             if is_shared and name in cell.commands and is_open(cell.servers[other], addresses[other]):
                 raise ConfigError(
-                    f"Expected {other} on this computer only, got --listen {other}={addresses[other]}: it shares the "
-                    f"router at port {place} with {name}, which `commands` names, so that anybody could command. Give "
-                    f"[servers.{other}] another `port`."
+                    f"Expected {other} only on this computer, got --listen {other}={addresses[other]}: it shares the "
+                    f"router at port {place} with {name}, which `commands` names, so any client could command. Choose "
+                    f"a different `port` for [servers.{other}]."
                 )
     at = {addresses[name] for name, place in places.items() if place and not cell.servers[name]["router"]}
     if len(set(places.values())) == 1 and len(at) == 2 and _ANYWHERE in at:
         raise ConfigError(
-            f"Expected zenoh and rmw_zenoh at the same address, since one is at port {places['zenoh']} of every one "
-            "and both share that router. Give --listen for both, or another `port` to one of them."
+            f"Expected zenoh and rmw_zenoh at the same address, because both share the router at port "
+            f"{places['zenoh']} and one of them listens at every address. Pass --listen for both, or give one of them "
+            "another `port`."
         )
 
 
 def _check_master(cell: Cell) -> None:
-    """Refuse commands of ROS 1 when the master is elsewhere: it tells us to read from nodes of its network."""
+    """Refuse ROS 1 commands with a master on another computer, which could connect unauthenticated nodes."""
     if "ros1" not in cell.commands:
         return
     master = cell.servers["ros1"]["master"]
@@ -113,13 +117,14 @@ def _check_master(cell: Cell) -> None:
         host = ""
     if host != "localhost" and not is_loopback(host):
         raise ConfigError(
-            f"Expected the master of ROS 1 on this computer, such as http://127.0.0.1:11311, since `commands` names "
-            f"ros1, got {master}: nodes of its network could command, and prove nothing. Take ros1 out of `commands`."
+            f"Expected the master of ROS 1 on this computer, such as http://127.0.0.1:11311, because `commands` names "
+            f"ros1, got {master}: nodes in its network could command the arms without a secret. Remove ros1 from "
+            "`commands`."
         )
 
 
 def _router_port(options: Mapping[str, Any]) -> str:
-    """Return the port of the router on this computer that a Zenoh server uses, "" when it shares none."""
+    """Return the router port on this computer that a Zenoh server uses, "" if it shares none."""
     host, _, port = options["router"].rpartition(":")
     if host:
         return port if is_here(options["router"]) else ""
@@ -128,8 +133,8 @@ def _router_port(options: Mapping[str, Any]) -> str:
 
 def _why(options: Mapping[str, Any]) -> str:
     if GUARDED in options:
-        return "it asks for no secret, or does not encrypt. Give it both in its table of the cell."
-    return "it has no place for a secret and no encryption."
+        return "it needs a secret and encryption. Set both in its table of the cell."
+    return "it supports neither a secret nor encryption."
 
 
 def _address(place: str) -> str:
@@ -140,7 +145,7 @@ def _address(place: str) -> str:
         pass
     else:
         if address.is_multicast or address == ipaddress.IPv4Address("255.255.255.255"):
-            raise ConfigError(f"Expected the address of a network card after --listen SERVER=, got {place}.")
+            raise ConfigError(f"Expected the address of a network interface after --listen SERVER=, got {place}.")
         return str(address)
     own = local_addresses()
     if place not in own:
@@ -155,21 +160,24 @@ _Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A table of the file."""
+    """Table of a cell file."""
 
 
 class RobotTable(_Table, frozen=True):
-    """A robot: a name of the library or a file, and the url of its link."""
+    """Robot: library name or file, and URL of its link; for a URDF, base, tip and lock select the arm."""
 
     name: str
     link: str
+    base: str | None = None
+    tip: str | None = None
+    lock: dict[str, float] = {}  # rad or m of each joint
     extension: bool = False
     speed: float = 1.0
-    torque: float | list[float] | None = None  # largest that is sent, of all joints or of each [N m]
+    torque: float | list[float] | None = None  # limit for all joints or for each [N m]
 
 
 class FieldTable(_Table, frozen=True):
-    """A field of a source; what the glossary knows needs no unit."""
+    """Field of a source; fields of the glossary need no unit."""
 
     shape: tuple[int, ...] = ()
     unit: str | None = None
@@ -177,7 +185,7 @@ class FieldTable(_Table, frozen=True):
 
 
 class SourceTable(_Table, frozen=True):
-    """A source of values beside the arms: datagrams of another program, or a sample of a LabComm server."""
+    """Source of external values: datagrams of another program, or a sample of a LabComm server."""
 
     fields: dict[_Name, FieldTable]
     period: float
@@ -193,7 +201,7 @@ class SourceTable(_Table, frozen=True):
 
 
 class ParameterTable(_Table, frozen=True):
-    """A parameter; see `Parameter`."""
+    """Parameter of the cell; see `Parameter`."""
 
     default: bool | int | float | str | list[float]
     type: str = "float"
@@ -206,7 +214,7 @@ class ParameterTable(_Table, frozen=True):
 
 
 class LabCommTable(_Table, frozen=True):
-    """The LabComm server: a port per arm, for the parameters and for the fused rows."""
+    """LabComm server: ports of each arm, the parameters and the fused rows."""
 
     ports: dict[str, _Port] = {}
     parameters: _Port = 7513
@@ -218,21 +226,22 @@ class LabCommTable(_Table, frozen=True):
 
 
 class _Server(_Table, frozen=True):
-    """The table of a server."""
+    """Table of a server."""
 
     def options(self) -> dict[str, Any]:
-        """Return what the process of the server is told; "guarded" where it knows a secret (see `listening`)."""
+        """Return the options of the server process; "guarded" if it requires a secret (see `listening`)."""
         return msgspec.to_builtins(self)
 
 
 class Ros2Table(_Server, frozen=True):
-    """ROS 2 over DDS; without a domain that of ROS_DOMAIN_ID."""
+    """ROS 2 over DDS; default domain: ROS_DOMAIN_ID."""
 
     domain: Annotated[int, msgspec.Meta(ge=0, le=232)] | None = None
+    tf: bool = False
 
 
 class RosbridgeTable(_Server, frozen=True):
-    """The rosbridge server: its port, the dialect of clients that do not say, and what guards it."""
+    """rosbridge server: port, default dialect, and access control."""
 
     port: _Port = 9090
     dialect: Literal["ros1", "ros2"] = "ros2"
@@ -243,13 +252,13 @@ class RosbridgeTable(_Server, frozen=True):
     key: str | None = None
 
     def options(self) -> dict[str, Any]:
-        """Return the options; it is guarded with a token, certificate and key."""
+        """Return the options; token, certificate and key guard the server."""
         token = self.token_file or self.token_variable
         return {**super().options(), "guarded": bool(token and self.certificate and self.key)}
 
 
 class ZenohTable(_Server, frozen=True):
-    """The Zenoh server: name of the lab, where it is found, and who may come; see `zenoh.security.Security`."""
+    """Zenoh server: name of the lab, router, and access control; see `zenoh.security.Security`."""
 
     lab: _Name = "lab"
     port: _Port = 7447
@@ -265,23 +274,24 @@ class ZenohTable(_Server, frozen=True):
 
 
 class RmwZenohTable(_Server, frozen=True):
-    """ROS 2 over Zenoh, as rmw_zenoh speaks it; without a domain that of ROS_DOMAIN_ID."""
+    """ROS 2 over Zenoh, compatible with rmw_zenoh; default domain: ROS_DOMAIN_ID."""
 
     domain: Annotated[int, msgspec.Meta(ge=0, le=232)] | None = None
     distribution: Literal["humble", "jazzy", "kilted"] = "jazzy"
+    tf: bool = False
     port: _Port = 7447
     router: str = ""
 
 
 class Ros1Table(_Server, frozen=True):
-    """A node of ROS 1: its master, and the Python that has rospy."""
+    """ROS 1 node: its master, and a Python interpreter with rospy."""
 
     master: str = "http://127.0.0.1:11311"
     python: str = "/usr/bin/python3"
 
 
 class PlotJugglerTable(_Server, frozen=True):
-    """Datagrams for PlotJuggler: where it runs, and which fields of a robot; None sends those that fit."""
+    """Datagrams for PlotJuggler: its address, and the fields of a robot; default: all numeric fields."""
 
     to: str = "127.0.0.1"
     port: _Port = 9870
@@ -289,7 +299,7 @@ class PlotJugglerTable(_Server, frozen=True):
 
 
 class ServersTable(_Table, frozen=True):
-    """Servers that are enabled besides the local one."""
+    """Enabled servers besides the local one."""
 
     labcomm: LabCommTable | None = None
     ros2: Ros2Table | None = None
@@ -301,7 +311,7 @@ class ServersTable(_Table, frozen=True):
 
 
 class File(_Table, frozen=True):
-    """The whole file."""
+    """The whole cell file."""
 
     robots: Annotated[list[RobotTable], msgspec.Meta(min_length=1)]
     name: _Name = "cell"
@@ -318,20 +328,34 @@ _SIDES = {"left": 7511, "right": 7512}
 
 @dataclass(frozen=True)
 class Cell:
-    """What a cell file says, checked.
+    """Checked content of a cell file.
 
     Attributes
     ----------
-    name : of the cell.
-    robots, links : the arms and their urls.
-    extension : send the research extension.
-    limits : of each arm.
-    torque : names of arms that clients may command by torque.
-    commands : servers that may command.
-    pace, record : see `Link.run`.
-    parameters : declared.
-    servers : options by name of the server.
-    text : of the file, kept in recordings.
+    name : str
+        Name of the cell.
+    robots : tuple of Robot
+        The arms.
+    links : tuple of str
+        The URL of each arm.
+    extension : bool
+        Whether the research extension is sent.
+    limits : tuple of Limits
+        The limits of each arm.
+    torque : tuple of str
+        Names of the arms that clients may command by torque.
+    commands : tuple of str
+        Servers whose clients may command.
+    pace : str
+        See `Link.run`.
+    record : str
+        See `Link.run`.
+    parameters : tuple of Parameter
+        Declared parameters.
+    servers : mapping
+        Options by server name.
+    text : str
+        Text of the file, stored in recordings.
     """
 
     name: str
@@ -349,21 +373,23 @@ class Cell:
     text: str = ""
 
     def sources(self) -> list[Source]:
-        """Return the sources, not yet started."""
+        """Return new sources, not yet started."""
         return [_source(name, one) for name, one in self._sources.items()]
 
 
 def parse_cell(text: str, path: str = "cell.toml") -> Cell:
-    """Return the cell that a TOML text describes.
+    """Parse a cell from TOML text.
 
     Parameters
     ----------
-    text : of the file.
-    path : its name, for messages.
+    text : str
+        Text of the file.
+    path : str
+        File name for error messages.
 
     Raises
     ------
-    ConfigError : no TOML, an unknown or wrong entry, or entries that contradict each other; one line with the path.
+    ConfigError Invalid TOML, an unknown or invalid entry, or contradictory entries; one line with the path.
     """
     try:
         file = msgspec.convert(parsed(text), File, strict=True)
@@ -371,16 +397,23 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
     except TomlError as error:
         raise ConfigError(f"Expected TOML in {path}: {_line(error)}.") from None
     except (msgspec.ValidationError, ArmlabError) as error:
-        raise ConfigError(f"Expected another cell in {path}: {_line(error)}.") from None
+        raise ConfigError(f"Expected a valid cell in {path}: {_line(error)}.") from None
+
+
+def _link(one: RobotTable) -> str:
+    """Return the URL of a link; for a simulated robot, add the options that select its arm."""
+    lock = ",".join(f"{joint}={value!r}" for joint, value in one.lock.items())
+    chosen = {name: value for name, value in (("base", one.base), ("tip", one.tip), ("lock", lock)) if value}
+    return choosing_arm(one.link, chosen)
 
 
 def _cell(file: File) -> Cell:
-    arms = tuple(robots.load(one.name) for one in file.robots)
+    arms = tuple(robots.load(one.name, base=one.base, tip=one.tip, lock=one.lock or None) for one in file.robots)
     names = [arm.name for arm in arms]
     if len(set(names)) < len(names):
         raise ConfigError(f"Expected robots with different names, got {', '.join(names)}.")
     if len(names) > 1 and file.name in names:  # both arms are commanded under the name of the cell
-        raise ConfigError(f"Expected a name of the cell that none of its robots has, got {file.name}.")
+        raise ConfigError(f"Expected a cell name that differs from its robots, got {file.name}.")
     if file.pace is not None and file.pace not in names:
         raise UnknownName.among("robot of this cell", file.pace, names)
     servers: dict[str, Mapping[str, Any]] = {OPERATOR: {}}
@@ -405,7 +438,7 @@ def _cell(file: File) -> Cell:
     return Cell(
         file.name,
         arms,
-        tuple(one.link for one in file.robots),
+        tuple(_link(one) for one in file.robots),
         extension,
         limits,
         tuple(arm.name for arm, one in zip(arms, file.robots, strict=True) if one.torque is not None),
@@ -419,18 +452,18 @@ def _cell(file: File) -> Cell:
 
 
 def _limits(arm: Robot, one: RobotTable, extension: bool) -> Limits:
-    """Return the limits of an arm; torques only where the link carries them."""
+    """Return the limits of an arm; with torques only if its link carries them."""
     if one.torque is None:
         return Limits.of(arm, speed=one.speed)
     if not (one.link.startswith("sim:") or (extension and one.link.startswith("egm:"))):
         raise ConfigError(
-            f"Expected a link that carries torques to {arm.name}, since `torque` is given, got {one.link}. Set "
-            "extension = true, if the robot's controller understands it, or take `torque` out."
+            f"Expected a link for {arm.name} that carries torques, because `torque` is set, got {one.link}. Set "
+            "extension = true if the robot's controller supports it, or remove `torque`."
         )
     most = np.asarray(one.torque, dtype=float)
     if most.shape not in ((), (arm.n,)) or not np.all(most > 0.0) or np.any(most > arm.tau_max):
         raise ConfigError(
-            f"Expected `torque` of {arm.name} as one number or {arm.n}, positive and within its limits, got "
+            f"Expected `torque` of {arm.name} to be one number or {arm.n} numbers, positive and within its limits, got "
             f"{one.torque}."
         )
     return Limits.of(arm, speed=one.speed, tau_max=most)
@@ -445,7 +478,7 @@ def _labcomm(options: LabCommTable, arms: Sequence[Robot]) -> dict[str, Any]:
     ports = [options.ports.get(arm.name, side) for arm, side in zip(arms, sides, strict=True)]
     taken = [port for port in (*ports, options.parameters, options.rows) if port]
     if len(set(taken)) < len(taken):
-        raise ConfigError(f"Expected a LabComm port of its own for each arm, parameters and rows, got {taken}.")
+        raise ConfigError(f"Expected different LabComm ports for each arm, the parameters and the rows, got {taken}.")
     return labcomm_options(
         arms,
         ports=ports,
@@ -482,27 +515,38 @@ def run_cell(
 
     Parameters
     ----------
-    cell : from `parse_cell`.
-    listen : see `listening`.
-    seconds : robot time under guidance after which to end.
-    patience : s to wait for a robot.
-    ready : told one line, who listens where, before the first packet is taken.
-    ended : told the run that ended, also when it then raises.
-    controller : commands the arms in place of the clients, which then only read, set parameters and stop the arms.
-    parameters : that the controller reads, made of `Cell.parameters`.
+    cell : Cell
+        From `parse_cell`.
+    listen : iterable of str
+        See `listening`.
+    seconds : float, s
+        Robot time under guidance after which the run ends.
+    patience : float, s
+        Time to wait for a robot.
+    ready : callable
+        Called before the first packet with one line that lists all listening addresses.
+    ended : callable
+        Called with the finished Run, even if an error is then raised.
+    controller : callable
+        Commands the arms instead of the clients, which then only read, set parameters and stop the arms.
+    parameters : Parameters
+        Parameters of the controller, made of `Cell.parameters`.
 
     Returns
     -------
-    Run as of `Link.run`.
+    Run
+        See `Link.run`.
 
     Raises
     ------
-    ConfigError, UnknownName, LinkError : see `listening`, `connect` and `Link.run`. LinkError also when a port or the
-        socket of a server is taken: before any robot is heard.
+    ConfigError, UnknownName, LinkError
+        See `listening`, `connect` and `Link.run`. LinkError is also raised if a port or the socket of a server is in
+        use.
     """
     addresses = listening(listen, cell)
     sources = cell.sources()
     about = {"cell": cell.name, "links": cell.links, "commands": cell.commands, "record": cell.record}
+    about["speeds"] = {robot.name: limits.qd_max.tolist() for robot, limits in zip(cell.robots, cell.limits)}
     exchange = Hub(
         cell.robots,
         cell.servers,
@@ -546,16 +590,19 @@ def _line(error: Exception) -> str:
 
 
 def cell_values(text: str, path: str = "cell.toml") -> list[tuple[str, Any, bool]]:
-    """Return (place, value, whether the file says it) of all that a cell file may say, as `robots[0].speed`.
+    """Return (place, value, whether the file sets it) for all entries, with places such as `robots[0].speed`.
 
     Parameters
     ----------
-    text : of the file.
-    path : its name, for messages.
+    text : str
+        Text of the file.
+    path : str
+        File name for error messages.
 
     Raises
     ------
-    ConfigError : as of `parse_cell`.
+    ConfigError
+        See `parse_cell`.
     """
     parse_cell(text, path)
     raw = parsed(text)

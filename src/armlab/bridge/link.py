@@ -1,4 +1,4 @@
-"""`connect` and `Link`: the entry to the bridge."""
+"""`connect` and `Link`: entry points of the bridge."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ import os
 import subprocess
 import sys
 import threading
+import warnings
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from armlab._descriptors import Descriptor
+from armlab._files import Descriptor
 from armlab.bridge.control.arm import ArmSession, End
 from armlab.bridge.control.limits import Limits
-from armlab.bridge.control.loop import Controller, Loop
+from armlab.bridge.control.loop import Controller, DryRun, Loop
 from armlab.bridge.control.realtime import (
     LOOP_PRIORITY,
     Guard,
@@ -33,24 +34,36 @@ from armlab.bridge.control.realtime import (
 from armlab.bridge.control.recording import Feed
 from armlab.bridge.control.run import Run, assemble, checked_limits, finished, together
 from armlab.bridge.control.supervision import Settings
-from armlab.bridge.control.torque import TorqueModel, admittances
+from armlab.bridge.control.torque import FreeTorque, admittances
 from armlab.bridge.inputs.sources import Source
 from armlab.bridge.net.events import Tell
 from armlab.bridge.net.sockets import Port
 from armlab.bridge.servers.supervisor import Offering, stoppable
-from armlab.bridge.urls import addresses, simulator_options
+from armlab.bridge.urls import Address, addresses, simulator_options
 from armlab.errors import ConfigError, LinkError, RobotError, UnknownName
 from armlab.log import Column
 from armlab.robots import Robot
+from armlab.robots.comparison import check_same
+from armlab.robots.files import load_chosen
 from armlab.wire.egm import Codec, EgmCodec
 
+if TYPE_CHECKING:
+    from armlab.bridge.doctor.controller import RapidRun
+
 GROUP = "armlab.bridge.codecs"
-"""Group of entry points; each is a function from a Robot to its `wire.egm.Codec`."""
+"""Entry point group; each entry point returns the `wire.egm.Codec` of a Robot."""
+
+_MOVES = ("links", "prismatic", "coupling", "T_base_mount", "gravity")
+_CALIBRATED = 0.02  # largest difference of an entry [m, 1, m/s^2] that a calibration may explain
+_SCARA = "scara"  # only known to the simulator, not to the library
 
 _METHODS = ("capabilities", "reset", "decode", "encode")
 
 
-def codec_named(name: str, robot: Robot, extension: bool = False) -> Codec:
+def codec_named(name: str, robot: Robot, extension: bool = False, simulated: bool = False) -> Codec:
+    if name == "egm" and simulated:  # whose controller takes linear axes as it sends them
+        axes = zip(robot.prismatic, robot.abb_axes, strict=True)
+        return EgmCodec(robot, extension, ["mm" if slides and axis > 6 else "deg" for slides, axis in axes])
     if name == "egm":
         return EgmCodec(robot, extension)
     from importlib.metadata import entry_points
@@ -63,39 +76,43 @@ def codec_named(name: str, robot: Robot, extension: bool = False) -> Codec:
         codec = point.load()(robot)
     except Exception as error:
         raise ConfigError(
-            f"Expected the entry point {point.value} of {GROUP} to make a codec for {robot.name}, but it raised "
-            f"{type(error).__name__}: {error}."
+            f"Expected the entry point {point.value} of {GROUP} to return a codec for {robot.name}, got "
+            f"{type(error).__name__}: {error}. Correct the entry point."
         ) from error
     missing = [method for method in _METHODS if not hasattr(codec, method)]
     if missing:
         raise ConfigError(
-            f"Expected the entry point {point.value} of {GROUP} to make a codec, got {type(codec).__name__} without "
+            f"Expected the entry point {point.value} of {GROUP} to return a codec, got {type(codec).__name__} without "
             f"{', '.join(missing)}. See wire.egm.Codec."
         )
     return codec
 
 
-def codecs_of(codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool) -> list[Codec]:
-    """Return the codec of each arm: made by name, or the user's objects."""
+def codecs_of(
+    codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool, simulated: bool = False
+) -> list[Codec]:
+    """Return the codec of each arm, looked up by name or as given."""
     if isinstance(codec, str):
-        return [codec_named(codec, robot, extension) for robot in robots]
+        return [codec_named(codec, robot, extension, simulated) for robot in robots]
     given = list(codec) if isinstance(codec, Sequence) else [codec]
     for one in given:
         if not all(hasattr(one, method) for method in _METHODS):
-            raise ConfigError(f"Expected the name of a codec, or one like wire.egm.Codec, got {one!r}.")
+            raise ConfigError(
+                f"Expected the name of a codec, or an object with the methods of wire.egm.Codec, got {one!r}."
+            )
     if len(given) != len(robots):
-        raise ConfigError(f"Expected one codec per arm, since each follows one session, got {len(given)}.")
+        raise ConfigError(f"Expected one codec per arm, because each tracks one session, got {len(given)}.")
     return given
 
 
 _KEPT_LINES = 20
-_PATIENCE = 5.0  # s to end by itself before it is killed
+_PATIENCE = 5.0  # s to exit before the process is killed
 
 
 class Simulator:
     """One ``python -m armlab sim`` process that sends to ports of this computer.
 
-    It gets its own process group, so that Ctrl-C reaches the bridge alone, which brings the arm to rest first.
+    A separate process group shields it from Ctrl-C, so that the bridge can bring the arm to rest first.
     """
 
     def __init__(self, robots: Sequence[str], ports: Sequence[int], options: Mapping[str, str]) -> None:
@@ -105,7 +122,7 @@ class Simulator:
             if value.lower() != "false":
                 arguments += [f"--{name}"] if value.lower() in ("", "true") else [f"--{name}", value]
         self._command = " ".join(["armlab", *arguments[3:]])
-        arguments += ["--parent", str(os.getpid())]  # told, not found: this process may end before the other looks
+        arguments += ["--parent", str(os.getpid())]  # passed on: this process may end before the child could ask
         self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
         number, errors = os.pipe()
         self._errors = Descriptor(number)
@@ -121,15 +138,15 @@ class Simulator:
         self._reader.start()
 
     def gone(self) -> str:
-        """Return why it has ended, "" while it runs."""
+        """Return why the process has ended, or "" while it is running."""
         status = self._process.poll()
         if status is None:
             return ""
         self._reader.join(_PATIENCE)
         if status == 0:
             return "the simulated robot ended"
-        said = " ".join(line for line in self.lines if line) or "nothing"
-        raise LinkError(f"Expected `{self._command}` to go on, but it ended with status {status}. It said: {said}")
+        output = " ".join(line for line in self.lines if line) or "nothing"
+        raise LinkError(f"Expected `{self._command}` to keep running, got exit status {status}. Its output: {output}")
 
     def stop(self) -> None:
         if self._process.poll() is None:
@@ -162,28 +179,46 @@ def connect(
 
     Parameters
     ----------
-    url : ``egm://127.0.0.1:6510`` listens there for a robot's controller. ``sim://yumi_right`` starts that simulated
-        robot and stops it with the link; ``?seed=1&lockstep=true`` are options of ``armlab sim``. Several arms have one
-        url each, of which only the seeds may differ, or ``sim://yumi_left+yumi_right``; ``sim://mine.toml`` simulates
-        what a file describes. Without a number the port is 6510, of several 6511, 6512, ... ``labcomm://host:7511``
-        goes to a LabComm server whose bridge has the robot; ``?order=chain&dialect=2014`` say how its port is set.
-        ``zenoh://host:7447/lab`` goes to a bridge that serves Zenoh, or to a router that knows it;
-        ``?ca=lab.pem&secret=commander.secret`` are its certificate and our password.
-    robot : the arm, or several in the order of the urls.
-    codec : "egm", the name of an entry point of the group ``armlab.bridge.codecs``, or an object with the methods of
-        `wire.egm.Codec`; one per arm.
-    extension : send the research extension; always with a simulated robot. What arrives of it is always used.
-    answer_stream : answer also before guidance begins.
-    clock : "robot" for a robot in lockstep: no deadline then. Implied by ``lockstep=true``.
-    patience : seconds to wait for a packet before `NoRobot` or `SessionEnded` is raised.
-    offer : name of the cell under which ``armlab view --live`` and ``armlab monitor`` find the runs of this link, and
-        ``armlab bridge stop`` makes its arms hold. Nobody does when left out.
+    url : str or sequence of str
+        One URL per arm. ``egm://127.0.0.1:6510`` listens for a robot's controller; default ports: 6510, for several
+        arms 6511, 6512, ... ``sim://yumi_right`` starts a simulated robot and stops it with the link. Its query has
+        options of the command armlab sim, ``?seed=1&lockstep=true``; only seeds may differ between arms.
+        ``sim://yumi_left+yumi_right`` starts two robots, ``sim://mine.toml`` the robot described in a file.
+        ``labcomm://host:7511`` connects to a bridge by its LabComm server; ``?order=chain&dialect=2014`` sets the
+        options of the port. ``zenoh://host:7447/lab`` connects to a bridge or router over Zenoh;
+        ``?ca=lab.pem&secret=commander.secret`` sets its certificate and the client password.
+        ``egm://127.0.0.1:6510?rws=192.168.125.1`` starts RAPID on that ABB controller at the start of each run with a
+        controller, and stops it at the end; ``&ca=FILE`` or ``&insecure=true`` sets the handling of its certificate.
+        User and password are in ``ARMLAB_RWS_USER`` and ``ARMLAB_RWS_PASSWORD``.
+    robot : Robot or sequence of Robot
+        The arms in the order of the urls.
+    codec : str, Codec or sequence of Codec
+        "egm", the name of an entry point in the group ``armlab.bridge.codecs``, or one object per arm with the methods
+        of `wire.egm.Codec`.
+    extension : bool
+        Send the research extension; always on for a simulated robot. Received extensions are always decoded.
+    answer_stream : bool
+        Also reply before guidance begins.
+    clock : str
+        "robot" for a robot in lockstep, without deadlines; implied by ``lockstep=true``.
+    patience : float, s
+        Time to wait for a packet before `NoRobot` or `SessionEnded` is raised.
+    offer : str
+        Name of the cell by which ``armlab view --live``, ``armlab monitor`` and ``armlab bridge stop`` reach a run;
+        default: these commands cannot reach the run.
 
     Raises
     ------
-    ConfigError, UnknownName : wrong url, codec or clock.
-    RobotError : no robot, or one whose axes EGM does not give.
-    LinkError : a port cannot be bound, or a bridge of that name runs.
+    ConfigError, UnknownName
+        Invalid URL, codec or clock, or ``sim://`` with an arm that is not in the library.
+    RobotError
+        The argument is not a robot, or EGM does not report its axes.
+    ModelMismatchError
+        The simulated arm differs from the robot.
+    LinkError
+        A port cannot be bound, or a bridge of that name is running.
+    MissingExtra
+        ``rws=`` was given, but the extra ``abb`` is not installed.
     """
     robots = _robots(robot)
     where = addresses([url] if isinstance(url, str) else list(url), len(robots))
@@ -192,7 +227,9 @@ def connect(
     if not patience > 0.0:
         raise ConfigError(f"Expected patience above 0 s, got {patience}.")
     is_simulated = where[0].scheme == "sim"
-    codecs = codecs_of(codec, robots, extension or is_simulated)
+    if is_simulated:
+        _check_simulated(robots, where)
+    codecs = codecs_of(codec, robots, extension or is_simulated, is_simulated)
     in_lockstep = is_simulated and where[0].options.get("lockstep", "false").lower() in ("", "true")
     settings = Settings(clock="robot" if in_lockstep else clock, patience=patience)
     with ExitStack() as opened:
@@ -215,9 +252,14 @@ def connect(
             )
             opened.callback(simulator.stop)
             settings = replace(settings, alive=simulator.gone)
+        rapid = None
+        if where[0].scheme == "egm" and "rws" in where[0].options:
+            from armlab.bridge.doctor.controller import RapidRun
+
+            rapid = RapidRun(**where[0].options)
         offering = Offering(robots, offer) if offer else None
         opened.pop_all()
-    return Link(ends, answer_stream, settings, simulator, offering)
+    return Link(ends, answer_stream, settings, simulator, offering, rapid)
 
 
 def _robots(robot: Any) -> list[Robot]:
@@ -231,17 +273,46 @@ def _robots(robot: Any) -> list[Robot]:
     return found
 
 
+def _check_simulated(robots: Sequence[Robot], where: Sequence[Address]) -> None:
+    """Raise if a simulated arm is unknown, or its links or mount differ; its tool and calibration may differ."""
+    for robot, address in zip(robots, where, strict=True):
+        if address.robot == _SCARA:
+            continue
+        with warnings.catch_warnings():  # the robot was loaded with the same ones
+            warnings.simplefilter("ignore")
+            simulated = load_chosen(address.robot, address.options)
+        same = simulated.n == robot.n and all(
+            np.allclose(getattr(simulated, name), getattr(robot, name), rtol=0.0, atol=_CALIBRATED) for name in _MOVES
+        )
+        if not same:
+            advice = "Pass the arm that is simulated, or simulate this arm with sim://FILE."
+            check_same(robot, f"the link sim://{address.robot}", simulated.name, simulated.hash, simulated, advice)
+
+
 class Link:
-    """A bound port for each arm. Made by `connect`; several runs after one another are allowed.
+    """Connection to one or more arms, made by `connect`; runs may follow one another.
 
     Attributes
     ----------
-    robots : the arms.
-    robot : the first.
-    host, port : the address bound for the first.
-    ports : of each arm.
-    last : what the last run left behind, also one that raised; None before the first.
+    robots : tuple of Robot
+        The arms.
+    robot : Robot
+        The first arm.
+    host : str
+        Bound address of the first arm.
+    port : int
+        Bound port of the first arm.
+    ports : tuple of int
+        Bound port of each arm.
+    last : Run
+        Result of the last run, even if it failed; None before the first run.
     """
+
+    robots: tuple[Robot, ...]
+    ports: tuple[int, ...]
+    robot: Robot
+    host: str
+    port: int
 
     def __init__(
         self,
@@ -250,13 +321,18 @@ class Link:
         settings: Settings,
         simulator: Simulator | None = None,
         offering: Offering | None = None,
+        rapid: RapidRun | None = None,
     ) -> None:
         self.robots, self.ports = tuple(end.robot for end in ends), tuple(end.port.port for end in ends)
         self.robot, self.host, self.port = ends[0].robot, ends[0].port.host, ends[0].port.port
         self._ends, self._answer_stream = tuple(ends), answer_stream
-        self._settings, self._simulator, self._offering = settings, simulator, offering
+        self._settings, self._simulator, self._offering, self._rapid = settings, simulator, offering, rapid
         self.last: Run | None = None
         self._closed = False
+
+    def __repr__(self) -> str:
+        names = ", ".join(robot.name for robot in self.robots)
+        return f"<Link to {names}, {self.host} port {', '.join(map(str, self.ports))}>"
 
     def __enter__(self) -> Link:
         return self
@@ -291,70 +367,93 @@ class Link:
         feeds: Sequence[Feed] = (),
         sources: Sequence[Source] = (),
         damping: np.ndarray | None = None,
-        torque_model: TorqueModel | Sequence[TorqueModel] | None = None,
+        torque_model: FreeTorque | Sequence[FreeTorque] | None = None,
         attachments: Mapping[str, bytes] | None = None,
     ) -> Run:
-        """Run a controller against the robot: one call and one reply per packet.
+        """Run a controller on the robot, with one call and one reply per packet.
 
-        The arm holds until the first command within `Limits.entry` of where it is. The run ends after `seconds`, when
-        the controller returns ``Command.stop()``, raises or is late too often, on Ctrl-C, when the robot is gone, or
-        when ten sessions in a row end before 0.1 s under guidance; the arm is brought to rest first. Ctrl-C
-        raises KeyboardInterrupt once the arm rests and the log is closed; a second one raises at once, and the last
-        speed then acts until the time-out of the robot's controller. A call of the controller that lasts longer
-        than 1 s is broken off by Ctrl-C, and the arm is brought to rest as otherwise.
+        The arm holds until the first command within `Limits.entry` of its position. The run ends
 
-        With several arms the controller is called on the packets of the arm that paces, with the State of all, while
-        all are ready; each other arm is answered in its own tick with the newest command it was given. When one is
-        not ready, ends its session or falls silent, all hold.
+        - after `seconds`, or when the controller returns ``Command.stop()``;
+        - when the controller raises or is late too often;
+        - when the robot is lost, or ten sessions in a row end before 0.1 s under guidance;
+        - on Ctrl-C.
+
+        The arm is brought to rest first. Ctrl-C raises KeyboardInterrupt once the arm rests and the log is closed. A
+        second Ctrl-C raises immediately; the arm then keeps its last speed until the robot controller times out. If a
+        call of the controller lasts longer than 1 s, Ctrl-C interrupts it, and the arm is brought to rest.
+
+        With several arms, the packets of the pacing arm call the controller with the State of all arms, while all are
+        ready. Each other arm gets its newest command in its own tick. All arms hold when one is not ready, ends its
+        session or falls silent.
 
         Parameters
         ----------
-        controller : callable State -> Command or None (hold). None only listens and never sends. With several arms the
-            Command has the joints of all, or there is one per arm in a tuple.
-        seconds : robot time under guidance, counted from the first readiness (from the first packet when listening).
-        wait : "ahead" polls just before the packet, "block" sleeps, "spin" polls always.
-        limits : on what is sent, one per arm; `Limits.of(robot)` by default.
-        reconnect : "resume" waits for the next session when the controller ends one, "stop" ends the run.
-        torque : what becomes of a torque command on a codec without the capability "torque": "refuse" ends the run with
-            `CommandRefused`, "admittance" moves at ``qd = (tau - torque_model(q, qd)) / damping``.
-        record : file for the recording; without it the rows stay in memory. Several arms have a file each, see
-            `recording.paths`.
-        extra : columns of ``Command.record`` by name.
-        progress : called ten times a second of robot time with (done, total, what): seconds under guidance, and of all.
-        pace : name of the arm that paces, the first by default.
-        feeds : told every row and event after the reply was sent; see `recording.Feed`.
-        sources : fused with each packet into `State.sources` and recorded; started and closed with the run.
-        damping : (n,) of each joint [N m s/rad], for the admittance; it has no default.
-        torque_model : (q, qd) -> (n,) torque of a free motion, one per arm; without it the command is what goes beyond.
-        attachments : name -> bytes kept in the recordings, such as models and settings; descriptions of the arms are.
+        controller : callable
+            From a State to a Command or None (hold). None only listens and never sends. With several arms it returns a
+            Command for all joints, or a tuple with one Command per arm.
+        seconds : float, s
+            Robot time under guidance, from the first readiness; without a controller, from the first packet.
+        wait : str
+            "ahead" polls just before the packet, "block" sleeps, "spin" always polls.
+        limits : Limits or sequence of Limits
+            Limits of the references sent, one per arm; default: `Limits.of(robot)`.
+        reconnect : str
+            "resume" waits for the next session when the controller ends one, "stop" ends the run.
+        torque : str
+            Torque commands on a codec without the capability "torque": "refuse" ends the run with `CommandRefused`,
+            "admittance" moves at ``qd = (tau - torque_model(q, qd)) / damping``.
+        record : path
+            File of the recording; default: rows stay in memory. For the files of several arms see `recording.paths`.
+        extra : mapping
+            Columns of ``Command.record`` by name.
+        progress : callable
+            Called ten times a second of robot time with (done, total, activity): seconds under guidance, of `seconds`.
+        pace : str
+            Name of the pacing arm; default: the first.
+        feeds : sequence of Feed
+            Receive each row and event after the reply; see `recording.Feed`.
+        sources : sequence of Source
+            Fused with each packet into `State.sources` and recorded; started and closed with the run.
+        damping : array, shape (n,), N m s/rad
+            Damping per joint of the admittance; required for it.
+        torque_model : callable, TorqueModel or its Fit, or a sequence of them
+            Torque (n,) of free motion as a callable of (q, qd), one per arm; default: zero.
+        attachments : mapping
+            Bytes by name, stored in the recordings, such as models and settings; robot descriptions are always stored.
 
         Returns
         -------
-        Run with the table, the report and the reason.
+        Run
+            Table, report and reason.
 
         Raises
         ------
-        ConfigError : wrong options, limits for another number of joints, or a robot in lockstep that gets no answers.
-        UnknownName : `pace` is no arm of this link.
-        NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed : with the last ten seconds in `.table`.
+        ConfigError
+            Invalid options, limits for another number of joints, or a robot in lockstep without replies.
+        UnknownName
+            `pace` is not an arm of this link.
+        NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed
+            These errors hold the last ten seconds in `.table`.
         """
         self._check(controller, seconds, wait, reconnect)
         names = [robot.name for robot in self.robots]
         if pace is not None and pace not in names:
             raise UnknownName.among("arm of this link", pace, names)
         paced = 0 if pace is None else names.index(pace)
-        what = "listening" if controller is None else "moving"
+        activity = "listening" if controller is None else "moving"
         if self._offering is not None:
             exchange, feeds = self._offering.exchange, (*feeds, self._offering.exchange)
             controller = None if controller is None else stoppable(controller, exchange.arbiter)
-        tell = None if progress is None else lambda done: progress(done, seconds or done, what)
-        settings = replace(self._settings, seconds=seconds, resume=reconnect == "resume", progress=tell)
+        report = None if progress is None else lambda done: progress(done, seconds or done, activity)
+        settings = replace(self._settings, seconds=seconds, resume=reconnect == "resume", progress=report)
+        given = checked_limits(limits, self.robots, controller is not None)
         softness = admittances(torque, damping, torque_model, self.robots)
-        asked: list[bool] = []  # to stop, before there is a loop that can: recordings that were begun are finished
-        with interrupts(lambda: asked.append(True)):
+        early: list[bool] = []  # interrupts before the loop exists: open recordings must still be closed
+        with interrupts(lambda: early.append(True)):
             arms = assemble(
                 [end._replace(admittance=one) for end, one in zip(self._ends, softness, strict=True)],
-                checked_limits(limits, self.robots, controller is not None),
+                given,
                 settings,
                 commands=controller is not None,
                 answer_stream=self._answer_stream,
@@ -365,20 +464,27 @@ class Link:
                 sources=sources,
             )
             mode: Wait = "block" if settings.clock == "robot" else wait
-            waiting = Waiting([arm.port for arm in arms], [arm.prediction for arm in arms], mode)
+            end = self._ends[paced]
+            dry_run = None
+            if mode != "block" and controller is not None and isinstance(end.codec, EgmCodec):
+                dry_run = DryRun(end, given[paced])
+            waiting = Waiting([arm.port for arm in arms], [arm.prediction for arm in arms], mode, dry_run)
             loop = Loop(arms, waiting, controller, settings, paced)
         arms.insert(0, arms.pop(paced))
         try:
             with ExitStack() as stack:
                 stack.enter_context(interrupts(loop.interrupt))
-                if asked:
+                if early:
                     loop.interrupt()
+                if self._rapid is not None and controller is not None:
+                    note, is_over = arms[0].recording.note, lambda: loop.interrupted
+                    stack.enter_context(self._rapid.running(self.ports, note, is_over))
                 for source in sources:
                     stack.callback(source.close)
                     source.start()
                 stack.enter_context(quiet_memory())
                 if settings.clock != "robot":
-                    for arm in arms if controller is not None else ():  # a listener keeps what has come meanwhile
+                    for arm in arms if controller is not None else ():  # a listener keeps earlier packets
                         arm.port.flush()
                     _enter_real_time(stack, loop, arms[0].recording.event, wait)
                 loop.run()
@@ -392,11 +498,11 @@ class Link:
 
     def _check(self, controller: Controller | None, seconds: Any, wait: str, reconnect: str) -> None:
         if self._closed:
-            raise LinkError("Expected an open link, got one that was closed. Connect again.")
+            raise LinkError("Expected an open link, got a closed one. Connect again.")
         if controller is not None and not callable(controller):
-            raise ConfigError(f"Expected a controller to call with each State, or None to listen, got {controller!r}.")
-        if seconds is not None and not (isinstance(seconds, int | float) and seconds >= 0.0):  # NaN would never end
-            raise ConfigError(f"Expected seconds of at least 0, or None for no end, got {seconds!r}.")
+            raise ConfigError(f"Expected a callable controller, or None to listen, got {controller!r}.")
+        if seconds is not None and not (isinstance(seconds, int | float) and seconds >= 0.0):  # NaN: no end
+            raise ConfigError(f"Expected seconds of at least 0, or None to run without a time limit, got {seconds!r}.")
         for name, value, known in (
             ("wait", wait, ("ahead", "block", "spin")),
             ("reconnect", reconnect, ("resume", "stop")),
@@ -406,27 +512,27 @@ class Link:
         for end in self._ends:
             if controller is not None and "position" not in end.codec.capabilities:
                 raise ConfigError(
-                    f"Expected a codec that can send positions to {end.robot.name}, but this one cannot. "
-                    "Listen only: pass None as the controller."
+                    f"Expected a codec that can send positions to {end.robot.name}, got a codec without that "
+                    "capability. To listen only, pass None as the controller."
                 )
         if self._settings.clock == "robot" and (controller is None or not self._answer_stream):
             what = "controller=None" if controller is None else "answer_stream=False"
             raise ConfigError(
-                f"Expected every packet to be answered, since a robot in lockstep waits for each reply, got {what}. "
-                'Leave out lockstep=true and clock="robot", or answer.'
+                f"Expected a reply to every packet, because a robot in lockstep waits for each reply, got {what}. "
+                'Omit lockstep=true and clock="robot", or reply.'
             )
 
 
 def _with_tail(failure: LinkError, arms: Sequence[ArmSession]) -> LinkError:
-    """Return the error with the last ten seconds of all arms, where there is memory for them."""
-    with suppress(MemoryError):  # the reason is told in any case
+    """Return the error with the last ten seconds of all arms, if memory allows."""
+    with suppress(MemoryError):  # the error matters more than its table
         tails = {arm.robot.name: arm.recording.tail() for arm in arms}
         failure.table = together(tails) if len(tails) > 1 else tails[arms[0].robot.name]
     return failure
 
 
 def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Tell, wait: Wait) -> None:
-    """Enter short switches, guard and priority. A loop that always polls keeps normal priority: it never yields."""
+    """Enter short switches, watchdog and priority. With wait="spin" the loop never yields: normal priority."""
     stack.enter_context(short_switches())
     stack.enter_context(Guard(loop.overdue, loop.answer_for_controller))
     if wait != "spin":

@@ -1,21 +1,22 @@
-"""Urls of a link, taken apart: `Address`, and `addresses`, one per robot or one for all simulated robots."""
+"""URLs of a link; `addresses` parses them into one `Address` per robot."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
-from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
+from urllib.parse import SplitResult, parse_qsl, unquote, urlencode, urlsplit
 
 from armlab.errors import ConfigError
 
 _PORT = 6510  # of one arm
 _PORTS = 6511  # of the first of several: 6511 left, 6512 right
 _ZENOH = 7447  # of the router
+_RWS = ("rws", "ca", "insecure")  # a controller with Robot Web Services, and its certificate
 _LABCOMM = 7511  # of the first arm of a LabComm server: 7511 left, 7512 right
 
 
 class Address(NamedTuple):
-    """Where one robot is heard."""
+    """Address of one robot."""
 
     scheme: str
     host: str
@@ -29,20 +30,26 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
     rows = [_LABCOMM + index for index in range(len(urls))]
     found = [one for url, *numbers in zip(urls, ports, rows, strict=True) for one in _taken_apart(url, *numbers)]
     if len(found) != count:
-        raise ConfigError(f"Expected one url per robot, got {len(found)} for {count}: {', '.join(urls)}.")
+        raise ConfigError(f"Expected one URL per robot, got {len(found)} for {count}: {', '.join(urls)}.")
     if len({(address.scheme, *sorted(_shared(address).items())) for address in found}) > 1:
         raise ConfigError(
-            f"Expected urls of one kind and with the same options in one link, got {', '.join(urls)}. "
-            "Only seeds of simulated robots may differ."
+            f"Expected URLs of the same kind and with the same options in one link, got {', '.join(urls)}. "
+            "Only the seeds of simulated robots may differ."
         )
     bound = [(one.host, one.port) for one in found if one.port and one.scheme != "zenoh"]
     if len(set(bound)) < len(bound):
-        raise ConfigError(f"Expected a port per arm, since each motion task needs its own, got {', '.join(urls)}.")
+        raise ConfigError(f"Expected a port per arm, because each motion task needs its own, got {', '.join(urls)}.")
     return found
 
 
+def choosing_arm(url: str, chosen: Mapping[str, str]) -> str:
+    """Return a URL; for a simulated robot, add missing options base, tip and lock."""
+    missing = urlencode({name: value for name, value in chosen.items() if f"{name}=" not in url})
+    return f"{url}{'&' if '?' in url else '?'}{missing}" if missing and url.startswith("sim:") else url
+
+
 def simulator_options(found: Sequence[Address]) -> dict[str, str]:
-    """Return the options of the one simulator that plays all robots, with a seed for each where they differ."""
+    """Return the simulator options for all robots, with one seed per robot if the seeds differ."""
     seeds = [one.options.get("seed", "0") for one in found]
     return found[0].options if len(set(seeds)) == 1 else {**found[0].options, "seed": ",".join(seeds)}
 
@@ -53,16 +60,23 @@ def _shared(address: Address) -> dict[str, str]:
 
 def split_url(url: str) -> SplitResult:
     try:
-        return urlsplit(url if isinstance(url, str) else "")
+        parts = urlsplit(url if isinstance(url, str) else "")
+        if parts.password is not None or "@" in dict(parse_qsl(parts.query)).get("rws", ""):  # never repeated
+            raise ConfigError(
+                "Expected a URL without a password, got a URL with one. Store passwords in environment variables."
+            )
+        return parts
+    except ConfigError:
+        raise
     except ValueError as error:
-        raise ConfigError(f"Expected a url like egm://127.0.0.1:6510, got {url!r} ({error}).") from None
+        raise ConfigError(f"Expected a URL such as egm://127.0.0.1:6510, got {url!r} ({error}).") from None
 
 
 def _taken_apart(url: str, port: int, rows: int) -> list[Address]:
     parts = split_url(url)
     simulated = parts.netloc + parts.path if parts.scheme == "sim" else ""
     if parts.scheme not in ("egm", "sim", "labcomm", "zenoh") or not (parts.netloc or simulated):
-        raise ConfigError(f"Expected a link like egm://127.0.0.1:6510 or sim://yumi_right, got {url!r}.")
+        raise ConfigError(f"Expected a link such as egm://127.0.0.1:6510 or sim://yumi_right, got {url!r}.")
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
     if parts.scheme == "sim":
         return [Address("sim", "127.0.0.1", 0, robot, options) for robot in map(unquote, simulated.split("+"))]
@@ -70,10 +84,13 @@ def _taken_apart(url: str, port: int, rows: int) -> list[Address]:
         port = rows
     elif parts.scheme == "zenoh":
         port, options = _ZENOH, {"lab": parts.path.strip("/"), **options}
-    elif options:
-        raise ConfigError(f"Expected no options in an egm link, got {', '.join(options)} in {url!r}.")
+    elif unknown := [name for name in options if name not in _RWS or "rws" not in options]:
+        raise ConfigError(
+            f"Expected only the options rws=HOST and, with it, ca=FILE or insecure=true in an egm link, got "
+            f"{', '.join(unknown)} in {url!r}."
+        )
     number = parts.netloc.rpartition(":")[2] if ":" in parts.netloc else str(port)
-    number = number.lstrip("0") or number[:1]  # Python reads no number of 5000 digits
+    number = number.lstrip("0") or number[:1]  # int() refuses 5000 digits
     if not parts.hostname or not number.isascii() or not number.isdigit() or int(number[:6]) > 65535:
         raise ConfigError(f"Expected {parts.scheme}://HOST:PORT with a port from 0 to 65535, got {url!r}.")
     return [Address(parts.scheme, parts.hostname, int(number), "", options)]

@@ -1,5 +1,6 @@
-"""Calibration of what is on and around a robot: every `fit_*` returns a `Fit` with covariance, outliers, excitation."""
+"""Calibration of cameras, sensors and kinematics; every `fit_*` returns a `Fit` with covariance and excitation."""
 
+from armlab.calibrate.board_images import BoardPoses, board_poses, fit_hand_eye_images
 from armlab.calibrate.gravity_load.fit import fit_accelerometer, fit_force_sensor
 from armlab.calibrate.hand_eye import fit_hand_eye
 from armlab.calibrate.hand_eye_points import fit_hand_eye_points
@@ -8,6 +9,6 @@ from armlab.calibrate.kinematics.fit import fit_kinematics
 from armlab.calibrate.laser_plane import fit_laser_plane
 
 __all__ = [
-    "fit_accelerometer", "fit_dual_arm", "fit_force_sensor", "fit_hand_eye", "fit_hand_eye_points", "fit_kinematics",
-    "fit_laser_plane",
+    "BoardPoses", "board_poses", "fit_accelerometer", "fit_dual_arm", "fit_force_sensor", "fit_hand_eye",
+    "fit_hand_eye_images", "fit_hand_eye_points", "fit_kinematics", "fit_laser_plane",
 ]  # fmt: skip

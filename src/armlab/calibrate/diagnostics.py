@@ -1,4 +1,4 @@
-"""Diagnostics shared by all calibrations: limits, axes in words, unexciting rotations, misread orientations."""
+"""Diagnostics shared by all calibrations: limits, axis names, insufficient rotations, misread orientations."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from armlab.estimation.residual_tests import ResidualCheck
 from armlab.lie import quaternion
 
 Limits = TypeVar("Limits", tuple[float, float], tuple[float, float, float])
-FIXED = 1e-6  # rad: an orientation that moves less does not move
-NOISE = 3.0  # an orientation that moves less than this many deviations of the noise does not either
-ALIGNED = 0.996  # cosine beyond which an axis is called by its letter
-THINNED = 2000  # rotations among which the largest is looked for
-UNSEEN = 1e-9  # a direction as long as its limits has no deviation: nothing is seen of it
-ROUGH = 0.05  # rad: a larger residual is no noise of a sensor
+FIXED = 1e-6  # rad: smaller rotations count as none
+NOISE = 3.0  # so do rotations below this many noise deviations
+ALIGNED = 0.996  # cosine above which an axis is named by its letter
+THINNED = 2000  # rotations in the search for the largest
+UNSEEN = 1e-9  # information below which a direction is unobserved
+ROUGH = 0.05  # rad: larger residuals are not sensor noise
 COUNTS = {2: "two", 3: "three"}
 SPREAD_AND_ANGLE = "a share of the spread of the positions and an angle [rad]"
 ANGLE_WEIGHT_LENGTH = "an angle [rad], a share of the weight and a length [m]"
-SUSPECT = 0.02  # residual, of the spread or rad, from which other readings are tried
-MUCH_BETTER = 0.3  # share of the residual that the right reading leaves at most
-FITS = 0.1  # of the spread, that it leaves at most
+SUSPECT = 0.02  # relative or rad residual above which other interpretations are tried
+MUCH_BETTER = 0.3  # largest residual of the right interpretation, relative to the present one
+FITS = 0.1  # largest residual of it, relative to the spread
 ROBOT, MARKER = "T_base_tool", "T_cam_marker"
 
 
 def axis_text(u: np.ndarray, axes: str) -> str:
-    """Return "tool axis z", or "tool axis (0.60, 0.00, 0.80)": a line, without sense."""
+    """Return "tool axis z", or "tool axis (0.60, 0.00, 0.80)"; the sign is arbitrary."""
     parts = u.tolist()
     length = hypot(*parts)
     k = max(range(3), key=lambda i: abs(parts[i]))
@@ -41,21 +41,21 @@ def axis_text(u: np.ndarray, axes: str) -> str:
 
 
 def limits_of(limits: Any, what: str, usual: Limits) -> Limits:
-    """Return the limits of a fit, as many as usual, refusing others than numbers above zero."""
+    """Return the limits of a fit; raise unless they are positive numbers."""
     values = numbers(limits, "limits", ShapeError)
     if values.shape != (len(usual),) or not np.all(values > 0):
         raise ShapeError(
-            f"Expected limits as {COUNTS[len(usual)]} numbers above zero, {what}, got {limits!r}. {usual} are the "
-            "usual ones."
+            f"Expected limits as {COUNTS[len(usual)]} numbers above zero, {what}, got {limits!r}. The defaults are "
+            f"{usual}."
         )
     found: Any = tuple(values.tolist())
     return found
 
 
 def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence[str]) -> None:
-    """Refuse rotations about one axis, and none; `noise` is the deviation of a rotation [rad].
+    """Raise unless the rotations are about two axes; `noise` is the standard deviation of a rotation [rad].
 
-    ``e_u^2 = 1 - |mean(R_A) u|^2`` is the mean square by which a tool axis u turns; noise alone makes it 2 sigma^2.
+    ``e_u^2 = 1 - |mean(R_A) u|^2`` is the mean square rotation of a tool axis u; noise alone makes it 2 sigma^2.
     """
     M = RA.sum(axis=0) / len(RA)
     squares, u = np.linalg.eigh(np.eye(3) - M.T @ M)
@@ -68,40 +68,40 @@ def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence
     turn = "about one axis only" if turned[1] > limit else "nowhere"
     largest = largest_rotation(RA)
     raise NotExcited(
-        f"Expected poses that turn the tool about two axes, got rotations {turn} (largest between two poses "
-        f"{largest:.3g} rad): not told is the {'; '.join(where)}. Turn the wrist about a second axis.",
+        f"Expected poses that rotate the tool about two axes, got rotations {turn} (largest angle between two poses "
+        f"{largest:.3g} rad). Not identifiable: {'; '.join(where)}. Rotate the wrist about a second axis.",
         where,
         [f"turned by {t:.2g} rad, noise {noise:.2g} rad" for t in turned[: len(where)]],
     )
 
 
 def largest_rotation(R: np.ndarray) -> float:
-    """Return the largest angle between two of the rotations (N, 3, 3) [rad]; of many, of 2000 of them."""
+    """Return the largest angle between two of the rotations (N, 3, 3) [rad], using at most 2000 samples."""
     flat = R[:: 1 + len(R) // THINNED].reshape(-1, 9)
     return float(np.arccos(np.clip(0.5 * ((flat @ flat.T).min() - 1.0), -1.0, 1.0)))
 
 
 def doubts_of(check: ResidualCheck, remarks: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
-    """Return why a fit is not good, and the remarks that are no doubts: those are questions."""
+    """Return the doubts about a fit, and the remarks that are not doubts (doubts are phrased as questions)."""
     asked = (line for line in remarks if line.endswith("?"))
     return (*check.doubts, *asked), [line for line in remarks if line and not line.endswith("?")]
 
 
 def require_most(outliers: np.ndarray, what: str, best: Any) -> None:
-    """Refuse a fit that leaves out half of the samples or more: it agrees with some by chance."""
+    """Raise if a fit excludes at least half of the samples, because it then fits the others by chance."""
     left, total = int(np.count_nonzero(outliers)), len(outliers)
     if 2 * left < total or not left:
         return
     raise NotConverged(
-        f"Expected {what} most of which agree with each other, got {left} of {total} samples left out. Check that "
-        "sample i of all records is the same moment, units and frames, and noise if it was given.",
+        f"Expected mostly consistent {what}, but {left} of {total} samples were excluded. Check that sample i of all "
+        "records belongs to the same moment; also check units, frames, and the noise if given.",
         best=best,
         reason="mismatch",
     )
 
 
 class Reading(NamedTuple):
-    """What orientations may have been, in words, and the poses (N, 3, 3), (N, 3) that they then are."""
+    """Description of one interpretation of orientations, and the resulting poses (N, 3, 3), (N, 3)."""
 
     text: str
     R: np.ndarray
@@ -109,22 +109,22 @@ class Reading(NamedTuple):
 
 
 def readings(R: np.ndarray, t: np.ndarray) -> list[Reading]:
-    """Return the other readings of poses; what is wrong is said of "{}".
+    """Return alternative interpretations of poses, each with a sentence about "{}".
 
-    Both records with the wrong order of quaternions keep the rotations of ``A X = Y B`` true: ``q_A = q_Y q_B q_X^-1``
-    is a rotation of four numbers, and whatever order these have it stays one. Only positions show it.
+    If both records have the wrong quaternion order, the rotations of ``A X = Y B`` still agree: ``q_A = q_Y q_B
+    q_X^-1`` is a rotation of the four numbers in any order. Only positions reveal the error.
     """
     q = quaternion.from_matrix(R)
     there, back = (quaternion.to_matrix(np.roll(q, by, -1)) for by in (1, -1))
     return [
-        Reading("The quaternions of {} are x, y, z, w taken as w, x, y, z.", there, t),
-        Reading("The quaternions of {} are w, x, y, z taken as x, y, z, w.", back, t),
-        Reading("The rotations of {} are transposed: those of the inverse.", R.transpose(0, 2, 1), t),
+        Reading("The quaternions of {} are x, y, z, w but were read as w, x, y, z.", there, t),
+        Reading("The quaternions of {} are w, x, y, z but were read as x, y, z, w.", back, t),
+        Reading("The rotations of {} are transposed (rotations of the inverse).", R.transpose(0, 2, 1), t),
     ]
 
 
 def readings_of_robot(R: np.ndarray, t: np.ndarray) -> Iterator[Reading]:
-    """Yield readings of the poses of the robot, and of their inverses, which they are where the eye is in the hand."""
+    """Yield interpretations of the robot poses and of their inverses, which eye-in-hand setups use."""
     yield from readings(R, t)
     back = R.transpose(0, 2, 1)
     for one in readings(back, -(back @ t[:, :, None])[:, :, 0]):

@@ -1,11 +1,10 @@
-"""Hand-eye and robot-world calibration: poses of the camera and of the marker, from pairs of poses.
+"""Hand-eye and robot-world calibration from pairs of robot and marker poses.
 
-Maximum likelihood on two poses for ``A_i X = Y B_i``, with the noise of the camera and, where it is given, of the
-robot:
+Maximum-likelihood estimate of two poses in ``A_i X = Y B_i``, with the noise of the camera and, if given, of the robot:
 
     r_t = t_B - R_Y^T (R_A t_X + t_A - t_Y),    r_R = Log((R_Y^T R_A R_X)^T R_B)
 
-The file follows the fit: inputs, problem with its closed-form start, solution, diagnostics.
+The file follows the order of the fit: inputs, problem with closed-form initial guess, solution, diagnostics.
 Theory: Shiu and Ahmad (1989); Park and Martin (1994); Dornaika and Horaud (1998); Strobl and Hirzinger (2006).
 """
 
@@ -51,16 +50,19 @@ LIMITS = (0.2, 0.2)
 CLASSES = ("position [m]", "rotation [rad]")
 WHAT = "hand-eye calibration"
 COMPONENTS = ("t",) * 3 + ("R",) * 3
-SHARED = 0.3  # length, relative to the largest, from which a part of a direction is named
-APART = 0.5  # residual over spread beyond which two records do not belong together
-COARSE = 0.03  # of the spread: a larger residual is no noise of a sensor
-NOTHING, FITS_BETTER = 1e-4, 0.1  # mean square of a rotation [rad^2] that is no misfit; share that is left of one
-FAR = 30.0  # m: no arm measures over that, but one of 30 cm does in millimetres
-LATE, ENOUGH = 4.0, 12  # deviations from which an offset is one; samples that show one
-LEAST, LATEST = 0.01, 1.5  # samples: less is none, as of poses in no order; more is another pairing
-STENCIL = 5  # poses through which a motion is interpolated
-PROBE, TINY = 1e-5, 1e-12  # samples of a numerical derivative; m, rad that are rounding
-FIRST_ORDER = 0.05  # rad: beyond it a covariance is a first-order statement
+SHARED = 0.3  # relative length above which a component of a direction is named
+APART = 0.5  # residual over spread above which two records are inconsistent
+COARSE = 0.03  # of the spread: larger residuals are not sensor noise
+NOTHING, FITS_BETTER = (
+    1e-4,
+    0.1,
+)  # mean square rotation [rad^2] without misfit; relative misfit of a better interpretation
+FAR = 30.0  # m: longer than any arm, but 30 cm in millimetres exceed it
+LATE, ENOUGH = 4.0, 12  # deviations and samples needed for a time offset
+LEAST, LATEST = 0.01, 1.5  # samples: smaller offsets are none, as for unordered poses; larger ones are a wrong pairing
+STENCIL = 5  # poses of the interpolating polynomial
+PROBE, TINY = 1e-5, 1e-12  # step in samples of a numerical derivative; rounding in m, rad
+FIRST_ORDER = 0.05  # rad: larger deviations are first-order only
 
 
 def fit_hand_eye(
@@ -74,44 +76,46 @@ def fit_hand_eye(
     offset: float | None = None,
     limits: tuple[float, float] = LIMITS,
 ) -> Fit[HandEye]:
-    """Find where camera and marker are from poses of the robot and of the marker seen at the same moments.
+    """Calibrate the poses of the camera and a marker from simultaneous robot and marker poses (hand-eye calibration).
 
         eye_to_hand:  T_base_tool T_tool_marker    = T_base_cam T_cam_marker
         eye_in_hand:  T_base_tool^-1 T_base_marker = T_tool_cam T_cam_marker
 
-    No guess is needed, and order of samples, frames and unit of length do not matter.
+    No initial guess is needed; the result does not depend on the order of the samples, the frames or the unit of
+    length.
 
     Parameters
     ----------
-    T_base_tool : (N, 4, 4) poses of the robot, N >= 3, that turn the tool about at least two axes.
+    T_base_tool : (N, 4, 4) poses of the robot, N >= 3, rotated about at least two axes.
     T_cam_marker : (N, 4, 4) poses of the marker in the camera.
-    setup : "eye_to_hand": the camera stands, the marker is on the tool. "eye_in_hand": the other way round.
-    noise : of T_cam_marker: (sd of each axis of the position [m], of the rotation vector [rad]), or covariance (6, 6)
-        or (N, 6, 6) of [v; w], v in camera axes, w in marker axes. Estimated when left out.
-    noise_robot : the same of T_base_tool, v in base axes, w in tool axes. It is never estimated: data cannot separate
-        the two. Exact when left out or zero.
-    robust : find wrong samples; `Fit.outliers` marks them, and they do not count.
-    offset : how late the camera is, in samples: it saw the pose of sample i - offset, samples in the order and at the
-        even pace of a motion. None: found where the motion shows it, and then the last parameter; it is one of the
-        `doubts` until you give it.
-    limits : largest standard deviation accepted along any direction: share of the spread of the positions, and [rad].
+    setup : "eye_to_hand": fixed camera, marker on the tool. "eye_in_hand": camera on the tool, fixed marker.
+    noise : noise of T_cam_marker: (sd of each axis of the position [m], of the rotation vector [rad]), or covariance
+        (6, 6) or (N, 6, 6) of [v; w], v in camera axes, w in marker axes. Default: estimated.
+    noise_robot : the same for T_base_tool, v in base axes, w in tool axes. Never estimated, because data cannot
+        separate the two. Default: exact.
+    robust : detect outliers; `Fit.outliers` marks them, and they are excluded.
+    offset : delay of the camera in samples: it saw the pose of sample i - offset, for samples in the order and even
+        pace of a motion. None: estimated as the last parameter if the motion determines it; the offset is then one of
+        the `doubts` until it is given.
+    limits : largest accepted standard deviation along any direction: share of the spread of the positions, and [rad].
 
     Returns
     -------
-    Fit of a `models.HandEye`. Parameters and covariance: X, then Y; the position and the rotation vector of each. The
+    Fit of a `models.HandEye`. Parameters and covariance: position and rotation vector of X, then of Y. The
     covariance is that of (R Exp(w), t + v): v in the parent's axes, w in the child's. Residuals (N, 6): [r_t; r_R].
 
     Raises
     ------
-    ShapeError : another shape, NaN rows, no rotations, left-handed axes. UnknownName : another setup.
+    ShapeError : wrong shape, NaN rows, invalid rotations, left-handed axes.
+    UnknownName : unknown setup.
     NotExcited : too few poses; an unidentifiable direction, by name.
-    NotConverged : records that do not belong together: pairing, inverse poses, millimetres.
+    NotConverged : inconsistent records: pairing, inverse poses, millimetres.
 
     References
     ----------
     Shah, J. Mech. Robotics 5(3), 2013 (start); Strobl and Hirzinger, IROS 2006 (weights).
     """
-    equation, notes = _inputs(T_base_tool, T_cam_marker, setup, noise, noise_robot)
+    equation, notes = equation_of(T_base_tool, T_cam_marker, setup, noise, noise_robot)
     widths = limits_of(limits, SPREAD_AND_ANGLE, LIMITS)
     require_samples(equation.N, 3, "poses")
     _require_excitation(equation, _rotation_noise(equation, robust), setup)
@@ -127,23 +131,23 @@ def fit_hand_eye(
     return _result(equation, found, residuals, setup, widths, notes)
 
 
-def _inputs(
+def equation_of(
     T_base_tool: ArrayLike, T_cam_marker: ArrayLike, setup: str, noise: Any, noise_robot: Any
 ) -> tuple[HandEyeEquation, list[str]]:
-    """Return the checked equation, and what must be reported of its poses."""
+    """Return the validated equation and remarks on its poses."""
     if setup not in FRAMES:
         raise UnknownName.among("setup", setup, FRAMES)
     RA, tA, first = poses(T_base_tool, "T_base_tool")
     RB, tB, second = poses(T_cam_marker, "T_cam_marker")
     if len(RA) != len(RB):
         raise ShapeError(
-            f"Expected as many poses of the robot as of the marker, got {len(RA)} and {len(RB)}. "
+            f"Expected equal numbers of robot and marker poses, got {len(RA)} and {len(RB)}. "
             "Pair them by their time first."
         )
     N = len(RA)
     of_camera, of_robot = pose_noise(noise, N), pose_noise(noise_robot, N, "noise_robot")
     if of_camera is not None and not np.all(np.diagonal(full(of_camera), axis1=-2, axis2=-1) > 0):
-        raise ShapeError("Expected noise above zero, got zero. Leave it out to have it estimated.")
+        raise ShapeError("Expected noise above zero, got zero. Omit it to estimate the noise.")
     RA, tA, of_robot = robot_side(RA, tA, of_robot, setup)
     return HandEyeEquation(RA, tA, RB, tB, of_camera, of_robot), [note for note in (first, second) if note]
 
@@ -151,7 +155,7 @@ def _inputs(
 def robot_side(
     R: np.ndarray, t: np.ndarray, noise: np.ndarray | None, setup: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return rotations, positions and noise of A: the robot's poses, or their inverses with the eye in the hand."""
+    """Return the rotations, positions and noise of A, which are the robot poses or, for eye-in-hand, their inverses."""
     noise = noise if noise is not None and noise.any() else None
     if setup == "eye_to_hand":
         return R, t, noise
@@ -170,12 +174,12 @@ def inverse_noise(noise: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.ndarray
 
 
 def full(noise: np.ndarray) -> np.ndarray:
-    """Return variances (k,) as a covariance (k, k); a covariance as it is."""
+    """Return variances (k,) as a covariance (k, k), and covariances unchanged."""
     return np.diag(noise) if noise.ndim == 1 else noise
 
 
 def rotation_sd(noise: np.ndarray | None) -> float:
-    """Return the deviation of one component of a rotation [rad] of a covariance of poses; 0 for None."""
+    """Return the standard deviation of one rotation component [rad] from a covariance of poses; 0 for None."""
     if noise is None:
         return 0.0
     variance = noise if noise.ndim == 1 else np.diagonal(noise, axis1=-2, axis2=-1)
@@ -204,7 +208,7 @@ class Pair(NamedTuple):
 
 
 class TimedPair(NamedTuple):
-    """A pair and how late the camera is [samples]."""
+    """Pair of poses and the delay of the camera [samples]."""
 
     pair: Pair
     late: float
@@ -215,15 +219,15 @@ class TimedPair(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HandEyeEquation:
-    """The hand-eye equation A_i X = Y B_i for pairs of poses; AX = XB is its form for relative poses."""
+    """Hand-eye equation A_i X = Y B_i for pairs of poses; AX = XB is its form for relative poses."""
 
     RA: np.ndarray  # RA, tA: (N, 3, 3) and (N, 3) of A
     tA: np.ndarray
     RB: np.ndarray  # RB, tB: of B, which is measured
     tB: np.ndarray
-    # of B: variances (6,) or covariance (6, 6) or (N, 6, 6); None when it is to be estimated
+    # of B: variances (6,) or covariance (6, 6) or (N, 6, 6); None: estimate
     noise: np.ndarray | None = None
-    noise_A: np.ndarray | None = None  # of A, in the same forms; None when A is exact
+    noise_A: np.ndarray | None = None  # of A, in the same forms; None: exact
 
     @property
     def N(self) -> int:
@@ -231,25 +235,25 @@ class HandEyeEquation:
 
     @cached_property
     def mean(self) -> np.ndarray:
-        """Mean of R_A (3, 3): no rotation, and the shorter the more they turn."""
+        """Mean of R_A (3, 3), with a smaller norm for larger rotations."""
         return self.RA.sum(axis=0) / self.N
 
     @cached_property
     def spread(self) -> float:
-        """Length by which positions are judged [m]: their RMS distance from their mean, of the record that has more."""
+        """Length scale of the positions [m]: the larger RMS distance from the mean of both records."""
         both = (t - t.sum(axis=0) / self.N for t in (self.tA, self.tB))
         return max(float(np.sqrt(np.vdot(t, t) / self.N)) for t in both) or 1.0
 
     @cached_property
     def _near(self) -> tuple[np.ndarray, np.ndarray]:
-        """Places (N, 5) of the poses of A near each one, relative to it, and the steps (N, 5, 6) to them."""
+        """Neighbours (N, 5) of each pose of A, and the steps (N, 5, 6) to them."""
         here, width = np.arange(self.N), min(STENCIL, self.N)
         near = np.clip(here - width // 2, 0, self.N - width)[:, None] + np.arange(width)
         turn = so3.log(self.RA.transpose(0, 2, 1)[:, None] @ self.RA[near])
         return near - here[:, None], np.concatenate([self.tA[near] - self.tA[:, None], turn], axis=2)
 
     def late(self, samples: float) -> HandEyeEquation:
-        """Return the equation of the poses of A so many samples earlier, on the polynomial through those near each."""
+        """Return the equation with the poses of A this many samples earlier, by polynomial interpolation."""
         places, steps = self._near
         apart = places[:, :, None] - places[:, None, :] + np.eye(places.shape[1])
         ahead = np.where(np.eye(places.shape[1]) > 0, 1.0, -samples - places[:, None, :])
@@ -257,11 +261,12 @@ class HandEyeEquation:
         return replace(self, RA=self.RA @ so3.exp(x[:, 3:]), tA=self.tA + x[:, :3])
 
     def timed(self, value: TimedPair) -> list[Measurement]:
-        """Return the residuals, with their derivative by the offset in the last column."""
-        (one,), pair = self.late(value.late).evaluate(value.pair), value.pair
+        """Return the residuals, with their derivative with respect to the offset in the last column."""
+        now, pair = self.late(value.late) if value.late else self, value.pair
+        (one,) = now.evaluate(pair)
         (R0, t0), (R1, t1) = ((e.RA, e.tA) for e in (self.late(value.late + h) for h in (-PROBE, PROBE)))
         w = so3.log(R0.transpose(0, 2, 1) @ R1) / (2.0 * PROBE)
-        v = (self.late(value.late).RA @ np.cross(w, pair.tX)[:, :, None])[:, :, 0] + (t1 - t0) / (2.0 * PROBE)
+        v = (now.RA @ (so3.hat(-pair.tX) @ w[:, :, None]))[:, :, 0] + (t1 - t0) / (2.0 * PROBE)
         turned = one.J[:, 3:, 3:6] @ (w @ pair.RX)[:, :, None]
         column = np.concatenate([-(v @ pair.RY)[:, :, None], turned], axis=1)
         return [replace(one, J=np.concatenate([one.J, column], axis=2))]
@@ -272,7 +277,7 @@ class HandEyeEquation:
         return K.reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
 
     def start(self) -> Pair:
-        """Return rotations by the singular vectors of K, positions by least squares: no units, no guess."""
+        """Return rotations from the singular vectors of K, positions by least squares; no initial guess is needed."""
         U, _, V = np.linalg.svd(self.product())
         pair = np.stack([V[0], U[:, 0]]).reshape(2, 3, 3)
         U, _, V = np.linalg.svd(np.sign(np.linalg.det(pair[0])) * pair)
@@ -314,7 +319,7 @@ class HandEyeEquation:
 
 
 def _solve(equation: HandEyeEquation, robust: bool) -> tuple[NonlinearSolution[Pair], np.ndarray]:
-    """Return the most likely poses, and residuals (N, 6) of all samples; where none are found, say why."""
+    """Return the most likely poses and the residuals (N, 6) of all samples; raise with the cause if none are found."""
     try:
         found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust)
     except NotConverged as error:
@@ -330,7 +335,7 @@ def _offset(offset: Any) -> float:
     found = numbers(offset, "offset", ShapeError)
     if found.shape != () or not abs(found) <= LATEST:
         raise ShapeError(
-            f"Expected offset as one number of samples up to {LATEST}, got {offset!r}. Shift the records by whole "
+            f"Expected offset to be one number of samples up to {LATEST}, got {offset!r}. Shift the records by whole "
             "samples first."
         )
     return float(found)
@@ -343,13 +348,14 @@ def _pair(found: NonlinearSolution[Any]) -> Pair:
 def _timed(
     equation: HandEyeEquation, found: NonlinearSolution[Pair], robust: bool
 ) -> NonlinearSolution[TimedPair] | None:
-    """Return the fit with the time offset of the camera, None where data do not show one."""
+    """Return the fit with the time offset of the camera, or None if the data do not determine the offset."""
     if equation.N < ENOUGH:
         return None
     (one,) = equation.timed(TimedPair(found.value, 0.0))
     roots = one.roots(dict(zip(found.classes, np.maximum(found.sigma, TINY).tolist())))
     rows = whiten([one], [roots]).times(1.0 - found.outliers)
-    column = rows.J[:, 12] - rows.J[:, :12] @ np.linalg.lstsq(rows.J[:, :12], rows.J[:, 12], rcond=None)[0]
+    U = np.linalg.qr(rows.J[:, :12])[0]
+    column = rows.J[:, 12] - U @ (U.T @ rows.J[:, 12])
     if abs(column @ rows.r) < LATE * float(np.linalg.norm(column)):
         return None
     problem = NonlinearProblem(equation.timed, TimedPair.plus, what=WHAT)
@@ -362,13 +368,13 @@ def _timed(
 
 
 def _require_excitation(equation: HandEyeEquation, noise: float, setup: str) -> None:
-    """Refuse poses that do not turn the tool about two axes; noise is the deviation of a rotation [rad]."""
+    """Raise unless the poses rotate the tool about two axes; `noise` is the standard deviation of a rotation [rad]."""
     names = FRAMES[setup]
     require_two_axes(equation.RA, noise, names[0].split("_")[1], names)
 
 
 def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
-    """Return what is known of the deviation of rotations before the fit [rad]."""
+    """Return the prior knowledge of the standard deviation of rotations [rad]."""
     if equation.noise is not None:
         return float(np.hypot(rotation_sd(equation.noise), rotation_sd(equation.noise_A)))
     if robust:
@@ -377,7 +383,7 @@ def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
 
 
 def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) -> None:
-    """Refuse two records of poses that fit much better when orientations are read in another way."""
+    """Raise if two records fit much better with another interpretation of orientations."""
     now = _sizes(r[kept])
     if now[0] < SUSPECT * equation.spread and now[1] < SUSPECT:
         return
@@ -386,7 +392,7 @@ def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) ->
         fits = position < min(max(MUCH_BETTER * now[0], SUSPECT * equation.spread), FITS * equation.spread)
         if fits and rotation < max(MUCH_BETTER * now[1], SUSPECT):
             raise NotConverged(
-                f"Expected two records of poses that belong together, got {now[0]:.3g} m and {now[1]:.3g} rad between "
+                f"Expected two consistent records of poses, got {now[0]:.3g} m and {now[1]:.3g} rad between "
                 f"them (RMS). {text}",
                 best=other.start(),
                 reason="mismatch",
@@ -394,7 +400,7 @@ def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) ->
 
 
 def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
-    """Refuse records that do not belong together, residuals r (N, 6), with what would make them fit if known."""
+    """Raise if records are inconsistent (residuals r (N, 6)), stating the interpretation that would fit if known."""
     require_order(equation, r, kept)
     turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
     squares, count = (r[kept] ** 2).sum(axis=0), np.count_nonzero(kept)
@@ -404,10 +410,10 @@ def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, be
         cause = _other_reading(equation) if rotation > SUSPECT else ""
         if not cause:
             return
-    left_out = f", {np.count_nonzero(~kept)} of {len(kept)} left out" if few else ""
+    left_out = f", {np.count_nonzero(~kept)} of {len(kept)} excluded" if few else ""
     raise NotConverged(
-        f"Expected two records of poses that belong together, got {position:.3g} m and {rotation:.3g} rad between them "
-        f"(RMS{left_out}) where the poses spread over {moved:.3g} m and {turned:.3g} rad. {_cause(equation)}",
+        f"Expected two consistent records of poses, got {position:.3g} m and {rotation:.3g} rad between them "
+        f"(RMS{left_out}), although the poses spread over {moved:.3g} m and {turned:.3g} rad. {_cause(equation)}",
         best=best,
         reason="mismatch",
     )
@@ -415,15 +421,15 @@ def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, be
 
 @dataclass(frozen=True)
 class Part:
-    """Three of the unknowns."""
+    """Group of three unknowns."""
 
     what: str  # "translation of T_tool_marker"
-    axes: str  # whose axes, "tool"
+    axes: str  # their axes, "tool"
     rotation: bool  # True for a rotation vector
 
     @classmethod
     def of(cls, names: Sequence[str]) -> tuple[Part, ...]:
-        """Return the parts of poses T_a_b: translation in axes of a, rotation in axes of b."""
+        """Return the parts of poses T_a_b: translation in axes of a and rotation in axes of b."""
         found: list[Part] = []
         for name in names:
             _, parent, child = name.split("_")
@@ -433,11 +439,11 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class PoseUnknowns:
-    """Names, units and limits of the unknowns; puts a direction of them into words, see `check_spread`."""
+    """Names, units and limits of the unknowns; describes directions, see `check_spread`."""
 
-    parts: Sequence[Part]  # of the unknowns, three each
-    spread: float  # of the measured positions [m]
-    limits: tuple[float, float]  # largest deviation accepted: share of the spread, and [rad]
+    parts: Sequence[Part]  # parts of the unknowns, three each
+    spread: float  # spread of the measured positions [m]
+    limits: tuple[float, float]  # largest accepted deviation: share of the spread, and [rad]
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -457,7 +463,9 @@ class PoseUnknowns:
         blocks = step.reshape(-1, 3)
         sizes = [hypot(*block) for block in (blocks / self.widths.reshape(-1, 3)).tolist()]
         largest = max(sizes)
-        first = next(i for i, size in enumerate(sizes) if size > 0.5 * largest)  # of poses that move together
+        first = next(
+            i for i, size in enumerate(sizes) if size > 0.5 * largest
+        )  # first of several poses that move together
         part = self.parts[first]
         text = f"{part.what} {'about' if part.rotation else 'along'} {axis_text(blocks[first], part.axes)}"
         others = {p.what.split()[-1] for p, size in zip(self.parts, sizes) if size > SHARED * largest}
@@ -471,51 +479,52 @@ class PoseUnknowns:
 def require_samples(N: int, least: int, what: str) -> None:
     if least > N:
         raise NotExcited(
-            f"Expected at least {least} pairs of {what}, got {N}. Measure at poses that turn the tool about two axes.",
+            f"Expected at least {least} pairs of {what}, got {N}. Use poses that rotate the tool about two axes.",
             [f"everything: {N} poses"],
             [f"{N} of at least {least} poses"],
         )
 
 
 def _cause(equation: HandEyeEquation) -> str:
-    """Return what is wrong with the records, as far as another reading of them fits much better."""
+    """Return the likely error in the records, which is an interpretation that fits much better, if any."""
     cause = _other_reading(equation)
     if cause:
         return cause
     scale = _scale(equation)
     if scale is not None and scale < 0.0:
-        return "Positions and rotations are of different hands: one axis of the camera or of the robot is reversed."
+        return "Positions and rotations have opposite handedness: one axis of the camera or of the robot is reversed."
     if scale is not None:
-        return f"Lengths of the measured poses times {scale:.3g} would fit: perhaps millimetres were given as metres."
-    return "Check that sample i of both is the same moment, and which frame each is in."
+        return (
+            f"The measured poses would fit with lengths scaled by {scale:.3g}; perhaps millimetres were given as "
+            "metres."
+        )
+    return "Check that sample i of both records is simultaneous, and the frame of each."
 
 
 def _other_reading(equation: HandEyeEquation) -> str:
-    """Return the reading of the records whose rotations fit much better, "" where none does."""
+    """Return the interpretation of the records whose rotations fit much better, or an empty string."""
     now = _misfit(equation.RA, equation.RB)
     RA, RB = equation.RA, equation.RB
     other = {
-        "One of the records holds the inverse of what was expected, or the setup is the other one.": _misfit(
-            RA.transpose(0, 2, 1), RB
-        ),
+        "One of the records contains inverse poses, or the other setup applies.": _misfit(RA.transpose(0, 2, 1), RB),
         "One of the records is in reverse order.": _misfit(RA, RB[::-1]),
     }
     for k in (1, 2, 3):
         if 2 * k + 3 < equation.N:
-            text = f"The records are shifted by {k} samples against each other."
+            text = f"The records are shifted by {k} samples relative to each other."
             other[text] = min(_misfit(RA[k:], RB[:-k]), _misfit(RA[:-k], RB[k:]))
     cause = min(other, key=lambda text: other[text])
     return cause if now > NOTHING and other[cause] < FITS_BETTER * now else ""
 
 
 def _misfit(RA: np.ndarray, RB: np.ndarray) -> float:
-    """Return 1 minus the largest singular value of the mean of R_A (x) R_B: 0 where they belong together."""
+    """Return 1 minus the largest singular value of the mean of R_A (x) R_B, which is 0 for consistent records."""
     still = np.zeros((len(RA), 3))
     return float(1.0 - np.linalg.svd(HandEyeEquation(RA, still, RB, still).product(), compute_uv=False)[0])
 
 
 def _scale(equation: HandEyeEquation) -> float | None:
-    """Return the factor on t_B that makes the positions fit, below 0 for a mirror image; None where none does."""
+    """Return the factor on t_B for which the positions fit (negative for a mirror image), or None if there is none."""
     RY = equation.start().RY
     turned = equation.tB @ RY.T
     A = np.concatenate([equation.RA, -turned[:, :, None], np.broadcast_to(-np.eye(3), (equation.N, 3, 3))], axis=2)
@@ -529,19 +538,19 @@ def _scale(equation: HandEyeEquation) -> float | None:
 def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution[Any], turns: np.ndarray) -> list[str]:
     lines = [f"largest rotation between two poses {largest_rotation(RA):.3g} rad"]
     if given and found.freedom:
-        lines.append(f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise that was given")
+        lines.append(f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the given noise")
     left = found.sigma.tolist()
     if not given and (left[0] > COARSE * spread or (left[-1] > ROUGH and len(left) == 2)):
-        lines.append("residuals are larger than those of any sensor: are some samples wrong, or all?")
+        lines.append("residuals are too large for a sensor: are some samples wrong?")
     if spread > FAR:
         lines.append(f"positions spread over {spread:.3g} m: millimetres given as metres?")
     if turns.max() > FIRST_ORDER:
-        lines.append("rotations are known to worse than 3 degrees: deviations are first-order statements there")
+        lines.append("standard deviations of rotations exceed 3 degrees and are only first-order approximations")
     return lines
 
 
 def _equations(equation: HandEyeEquation) -> Iterator[tuple[str, HandEyeEquation]]:
-    """Yield the equation with the robot, the marker, or both read in another way."""
+    """Yield the equation with another interpretation of the robot, the marker, or both."""
     RA, tA, RB, tB = equation.RA, equation.tA, equation.RB, equation.tB
     of_marker = readings(RB, tB)
     for one in of_marker:
@@ -554,7 +563,7 @@ def _equations(equation: HandEyeEquation) -> Iterator[tuple[str, HandEyeEquation
 
 
 def _sizes(r: np.ndarray) -> tuple[float, float]:
-    """Return the RMS length of the residuals (N, 6): of positions [m], of rotations [rad]."""
+    """Return the RMS of residuals (N, 6): positions [m] and rotations [rad]."""
     position, rotation = np.sqrt((r**2).sum(axis=0).reshape(2, 3).sum(axis=1) / max(len(r), 1))
     return float(position), float(rotation)
 
@@ -563,7 +572,7 @@ def _result(
     equation: HandEyeEquation, found: NonlinearSolution[Any], residuals: np.ndarray, setup: str,
     limits: tuple[float, float], notes: list[str],
 ) -> Fit[HandEye]:  # fmt: skip
-    """Return the fit, refusing directions of the unknowns that are not identifiable within the limits."""
+    """Return the fit; raise on unknowns that are not identifiable within the limits."""
     words = PoseUnknowns(Part.of(FRAMES[setup]), equation.spread, limits)
     J, pair, late = found.rows.J, _pair(found), []
     names, units, parameters = words.names, words.units, pair.parameters()
@@ -572,8 +581,8 @@ def _result(
         J = J[:, :12] - np.outer(column, column @ J[:, :12]) / (column @ column)
         names, units, parameters = (*names, "time offset"), (*units, "samples"), np.append(parameters, by)
         late = [
-            f"The camera is {abs(by):.2f} +- {sd:.1g} samples {'late' if by > 0 else 'early'}, which is corrected. "
-            f"Synchronise the clocks, or give offset={by:.2f}."
+            f"The camera is {abs(by):.2f} +- {sd:.1g} samples {'late' if by > 0 else 'early'}; this is corrected. "
+            f"Synchronise the clocks, or pass offset={by:.2f}."
         ]
     excitation = check_spread(J, words.names, words.units, words.widths, WHAT, describe=words)
     turns = np.sqrt(np.diag(found.cov)[:12]).reshape(4, 3)[1::2]

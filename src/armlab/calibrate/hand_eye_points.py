@@ -2,11 +2,11 @@
 
     p_ik = Y^-1 A_i s_k + noise,    s_k = X l_k with a known marker
 
-Poses of the marker are not needed in between: with their unequal covariance they cost accuracy, and a sample in which
-a point is missing still counts.
+Estimating marker poses as an intermediate step would lose accuracy because of their unequal covariance. Here, samples
+with missing points still contribute.
 
-The equation is ``A_i s_k = Y p_ik`` for the points s_k on the tool: linear start, then residuals with their Jacobian,
-for a known marker or unknown points.
+The equation is ``A_i s_k = Y p_ik`` for the points s_k on the tool. A linear initial guess is followed by residuals
+with their Jacobian, for a known marker or unknown points.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ from armlab.lie import se3, so3
 from armlab.models import HandEye
 from armlab.models.sensors import FRAMES
 
-TURNED = 1e-3  # rad: orientations of robots are no better; a turn that they could make by that is none
-APART = 0.5  # residual over spread beyond which two records do not belong together
-ROUND = 0.5  # smallest over largest singular value of a matrix that is a rotation, a mirror image or a scale
-SHAPED = 0.25  # difference of two arrangements over their size from which they are different
-CLEAR = 5.0  # deviations of the points found from which a difference is one
-OTHER_UNIT = 2.0  # factor of length that no camera is wrong by
+TURNED = 1e-3  # rad, accuracy of robot orientations: smaller rotations count as none
+APART = 0.5  # residual over spread above which two records are inconsistent
+ROUND = 0.5  # smallest ratio of singular values of a scaled rotation or mirror image
+SHAPED = 0.25  # relative difference of two different arrangements
+CLEAR = 5.0  # deviations of a significant difference
+OTHER_UNIT = 2.0  # scale error beyond that of any camera
 
 
 def fit_hand_eye_points(
@@ -73,21 +73,21 @@ def fit_hand_eye_points(
     robust: bool = False,
     limits: tuple[float, float] = LIMITS,
 ) -> Fit[HandEye]:
-    """Find where camera and marker are from poses of the robot and points of the marker seen at the same moments.
+    """Calibrate a camera (hand-eye) from robot poses and simultaneously observed marker points.
 
         eye_to_hand:  p_ik = T_base_cam^-1 T_base_tool s_k;   eye_in_hand:  p_ik = T_tool_cam^-1 T_base_tool^-1 s_k
 
     Parameters
     ----------
-    T_base_tool : (N, 4, 4) poses of the robot that turn the tool about at least two axes.
+    T_base_tool : (N, 4, 4) poses of the robot, rotated about at least two axes.
     p_cam : (N, K, 3) points in camera axes [m], K >= 1; NaN only where not visible.
-    marker : (K, 3) the points in marker axes [m], not in a line. None: their places on the tool are unknown, and found.
-    visible : (N, K) which points were seen; all when left out.
+    marker : (K, 3) points in marker axes [m], not on a line. None: unknown; their positions on the tool are estimated.
+    visible : (N, K) visibility of the points; default: all.
     setup : as in `fit_hand_eye`.
-    noise : deviation of each coordinate of a point [m], or covariance (3, 3) or (N, K, 3, 3). Estimated when left out.
-    noise_robot : of T_base_tool, as in `fit_hand_eye`: all points of a sample share it. Exact when left out or zero.
-    robust : find wrong samples; `Fit.outliers` marks them, and they do not count.
-    limits : largest standard deviation accepted along any direction: share of the spread of the points, and [rad].
+    noise : deviation of each coordinate of a point [m], or covariance (3, 3) or (N, K, 3, 3). Default: estimated.
+    noise_robot : noise of T_base_tool, as in `fit_hand_eye`, shared by all points of a sample. Default: exact.
+    robust : detect outliers; `Fit.outliers` marks them, and they are excluded.
+    limits : largest accepted standard deviation along any direction: share of the spread of the points, and [rad].
 
     Returns
     -------
@@ -96,16 +96,17 @@ def fit_hand_eye_points(
 
     Raises
     ------
-    ShapeError : another shape, NaN rows where visible, no rotations. UnknownName : another setup.
+    ShapeError : wrong shape, NaN rows where visible, invalid rotations.
+    UnknownName : unknown setup.
     NotExcited : too few poses or points; an unidentifiable direction, by name.
-    NotConverged : records that do not belong together: pairing, inverse poses, millimetres, a left-handed camera.
+    NotConverged : inconsistent records: pairing, inverse poses, millimetres, a left-handed camera.
     """
     if setup not in FRAMES:
         raise UnknownName.among("setup", setup, FRAMES)
     model, seen, notes = _point_model(T_base_tool, p_cam, visible, setup, noise, noise_robot)
     body = None if marker is None else marker_points(marker, model.K, "p_cam")
     names, carrier = FRAMES[setup], FRAMES[setup][0].split("_")[1]
-    require_samples(len(np.unique(model.sample)), 3 if model.K >= 3 else 5, "poses with points that were seen")
+    require_samples(len(np.unique(model.sample)), 3 if model.K >= 3 else 5, "poses with visible points")
     held = "the points" if body is None else names[0]
     require_two_axes(model.RA, max(TURNED, rotation_sd(model.noise_A)), carrier, (held, names[1]))
     require_agreement(model)
@@ -146,13 +147,13 @@ def fit_hand_eye_points(
 def _point_model(
     T_base_tool: ArrayLike, p_cam: ArrayLike, visible: ArrayLike | None, setup: str, noise: Any, noise_robot: Any
 ) -> tuple[PointModel, np.ndarray, list[str]]:
-    """Return what was seen, checked, which points were visible (N, K), and what must be reported of the poses."""
+    """Return the validated observations, their visibility (N, K), and remarks on the poses."""
     RA, tA, note = poses(T_base_tool, "T_base_tool")
     p, seen = _points(p_cam, visible)
     if len(RA) != len(p):
         raise ShapeError(
-            f"Expected as many poses of the robot as samples of points, got {len(RA)} and {len(p)}. Pair them by "
-            "their time first, and give points that are missing by visible=."
+            f"Expected equal numbers of robot poses and samples of points, got {len(RA)} and {len(p)}. First pair "
+            "them by time, and mark missing points with visible=."
         )
     RA, tA, of_robot = robot_side(RA, tA, pose_noise(noise_robot, len(RA), "noise_robot"), setup)
     cov = point_noise(noise, seen.shape)
@@ -163,12 +164,13 @@ def _point_model(
 
 
 def _points(p_cam: ArrayLike, visible: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points (N, K, 3) and which are visible (N, K), each of them somewhere."""
+    """Return the points (N, K, 3) and their visibility (N, K); each point is visible in at least one sample."""
     p, seen = sightings(p_cam, visible, "p_cam")
     never = np.flatnonzero(~seen.any(axis=0))
     if len(never):
         raise NotExcited(
-            f"Expected every point in some sample, got none of points {rows_text(never)}. Leave these points out.",
+            f"Expected every point to be visible in some sample, but points {rows_text(never)} never are. Remove "
+            "these points.",
             [f"translation of point{k}" for k in never],
             ["never visible"] * len(never),
         )
@@ -176,23 +178,23 @@ def _points(p_cam: ArrayLike, visible: ArrayLike | None) -> tuple[np.ndarray, np
 
 
 class Points(NamedTuple):
-    """Points (K, 3) in tool axes, and Y."""
+    """Points (K, 3) in tool axes and the pose Y."""
 
     s: np.ndarray
     RY: np.ndarray
     tY: np.ndarray
 
     def plus(self, x: np.ndarray) -> Points:
-        """Return them after a step x = (s, v_Y, w_Y)."""
+        """Return the points after a step x = (s, v_Y, w_Y)."""
         return Points(self.s + x[:-6].reshape(-1, 3), self.RY @ so3.exp(x[-3:]), self.tY + x[-6:-3])
 
     def parameters(self) -> np.ndarray:
-        """Return the points, and position and rotation vector of Y (3 K + 6,)."""
+        """Return the points and the position and rotation vector of Y (3 K + 6,)."""
         return np.concatenate([self.s.ravel(), self.tY, so3.log(self.RY)])
 
 
 class Linear(NamedTuple):
-    """Solution of A_i s_k = M p_ik + t_Y with any matrix M; misfit: RMS of what is left [m]."""
+    """Solution of A_i s_k = M p_ik + t_Y with an arbitrary matrix M; `misfit`: RMS residual [m]."""
 
     s: np.ndarray
     M: np.ndarray
@@ -201,16 +203,16 @@ class Linear(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PointModel:
-    """Measured points: one row per point that was visible in a sample."""
+    """Measured points, with one row per visible point of a sample."""
 
     RA: np.ndarray  # RA, tA: (N, 3, 3), (N, 3) of the samples
     tA: np.ndarray
     p: np.ndarray  # (m, 3) measured points in camera axes
-    sample: np.ndarray  # sample, point: (m,) which of them
+    sample: np.ndarray  # sample, point: (m,) indices
     point: np.ndarray
     K: int  # number of points
-    noise: np.ndarray | None  # variances (3,) or covariance (3, 3) or (m, 3, 3); None when it is to be estimated
-    # of the poses of the samples: variances (6,) or covariance (6, 6) or (N, 6, 6); None when they are exact
+    noise: np.ndarray | None  # variances (3,) or covariance (3, 3) or (m, 3, 3); None: estimate
+    # of the poses of the samples: variances (6,) or covariance (6, 6) or (N, 6, 6); None: exact
     noise_A: np.ndarray | None = None
 
     @cached_property
@@ -228,7 +230,7 @@ class PointModel:
         return self.linear(self.RA, self.tA)
 
     def linear(self, RA: np.ndarray, tA: np.ndarray) -> Linear:
-        """Return the linear solution with these poses of the robot, (N, 3, 3) and (N, 3)."""
+        """Return the linear solution for these robot poses, (N, 3, 3) and (N, 3)."""
         A, t = RA[self.sample], tA[self.sample]
         m, n = len(self.p), 3 * self.K
         rows = np.zeros((m, 3, n + 13))
@@ -245,7 +247,7 @@ class PointModel:
         return Linear(x[:n].reshape(-1, 3), x[n : n + 9].reshape(3, 3), misfit)
 
     def start(self) -> Points:
-        """Return Y with the rotation nearest to the linear solution, and points and position that go with it."""
+        """Return Y with the rotation nearest to the linear solution, and the matching points and position."""
         RY = so3.project(self.solution.M)[0]
         m, n = len(self.p), 3 * self.K
         rows = np.zeros((m, 3, n + 4))
@@ -257,7 +259,9 @@ class PointModel:
         return Points(x[:n].reshape(-1, 3), RY, x[n:])
 
     def seen(self, s: np.ndarray, RY: np.ndarray, tY: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return R_Y^T R_A (m, 3, 3), ph that should be seen (m, 3), and the derivative of p - ph by Y (m, 3, 6)."""
+        """Return R_Y^T R_A (m, 3, 3), expected points ph (m, 3), and the derivative of p - ph with respect to Y (m, 3,
+        6).
+        """
         C = (self.RA.transpose(0, 2, 1).reshape(-1, 3) @ RY).reshape(-1, 3, 3).transpose(0, 2, 1)[self.sample]
         ph = (C @ s[self.point][:, :, None])[:, :, 0] + ((self.tA - tY) @ RY)[self.sample]
         J = np.empty((len(ph), 3, 6))
@@ -268,7 +272,7 @@ class PointModel:
         return self.p - self.seen(np.asarray(value.points), value.Y[:3, :3], value.Y[:3, 3])[1]
 
     def free(self) -> NonlinearProblem[Points]:
-        """Return the problem of points of unknown place."""
+        """Return the problem with unknown points."""
 
         def evaluate(value: Points) -> list[Measurement]:
             C, ph, JY = self.seen(*value)
@@ -280,7 +284,7 @@ class PointModel:
         return NonlinearProblem(evaluate, Points.plus, what="hand-eye calibration from points")
 
     def marked(self, marker: np.ndarray) -> NonlinearProblem[Pair]:
-        """Return the problem of a marker whose points (K, 3) are known."""
+        """Return the problem with known marker points (K, 3)."""
         body = so3.hat(marker)
 
         def evaluate(value: Pair) -> list[Measurement]:
@@ -296,9 +300,11 @@ class PointModel:
     def _measured(
         self, ph: np.ndarray, J: np.ndarray, C: np.ndarray, s: np.ndarray, RY: np.ndarray
     ) -> list[Measurement]:
-        """Return measured minus expected points; by sample with noise of the robot, which the points of a sample share.
+        """Return measured minus expected points; with robot noise, which the points of a sample share, grouped by
+        sample.
 
-        ph (m, 3) are expected points, J (m, 3, d), C = R_Y^T R_A (m, 3, 3), s (K, 3) points in tool axes.
+        ph (m, 3) are the expected points, J is (m, 3, d), C = R_Y^T R_A (m, 3, 3), and s (K, 3) are points in tool
+        axes.
         """
         r = self.p - ph
         if self.noise_A is None:
@@ -317,13 +323,13 @@ class PointModel:
 
     @cached_property
     def _together(self) -> list[np.ndarray]:
-        """Rows (n, v) of the samples that have v points, for every such v."""
+        """Rows (n, v) of the samples with v visible points for every v."""
         counts = np.bincount(self.sample)
         first = np.cumsum(counts) - counts
         return [first[counts == v][:, None] + np.arange(v) for v in np.unique(counts[counts > 0])]
 
     def _apart(self, rows: np.ndarray) -> np.ndarray:
-        """Return the covariance (n, 3 v, 3 v) of noise that no two points share; rows (n, v)."""
+        """Return the covariance (n, 3 v, 3 v) of independent noise of the points; rows (n, v)."""
         noise = np.zeros(3) if self.noise is None else self.noise
         n, v = rows.shape
         cov = np.zeros((n, v, 3, v, 3))
@@ -333,32 +339,32 @@ class PointModel:
 
 
 def marked_start(free: Points, marker: np.ndarray) -> Pair:
-    """Return X that puts the marker onto the points, and Y."""
+    """Return X, found by fitting the marker to the points, and Y."""
     X = marker_pose(free.s[None], marker).T[0]
     return Pair(X[:3, :3], X[:3, 3], free.RY, free.tY)
 
 
 def require_agreement(model: PointModel, rms: float | None = None, left_out: float = 0.0) -> None:
-    """Refuse records that do not belong together, with the likely cause; `rms` is None before the fit."""
+    """Raise on inconsistent records, with the likely cause; `rms` is None before the fit."""
     found = model.solution
     if rms is None:
         cause = _unit_or_hand(model, found)
     else:
         bad = rms > APART * model.spread or left_out >= 0.5
         cause = _other_reading(model, found.misfit) if bad or rms > SUSPECT * model.spread else ""
-        cause = cause or ("Check that sample i of both is the same moment, and which frame each is in." if bad else "")
+        cause = cause or ("Check that sample i of both records is simultaneous, and the frame of each." if bad else "")
     if cause:
-        share = f", with {100 * left_out:.0f} % of the samples left out" if left_out else ""
+        share = f", with {100 * left_out:.0f} % of the samples excluded" if left_out else ""
         raise NotConverged(
-            f"Expected poses and points that belong together, got points {found.misfit:.3g} m from where one rigid "
-            f"arrangement has them (RMS of the linear solution{share}). {cause}",
+            f"Expected consistent poses and points, got points {found.misfit:.3g} m away from a rigid "
+            f"arrangement (RMS of the linear solution{share}). {cause}",
             best=found,
             reason="mismatch",
         )
 
 
 def require_marker(model: PointModel, s: np.ndarray, marker: np.ndarray) -> None:
-    """Refuse a marker whose points are not arranged as those that were seen."""
+    """Raise on a marker whose points are arranged differently from the observed ones."""
     a, b = s - s.mean(axis=0), marker - marker.mean(axis=0)
     U, sizes, V = np.linalg.svd(a.T @ b)
     hand = np.sign(np.linalg.det(U @ V))
@@ -370,42 +376,42 @@ def require_marker(model: PointModel, s: np.ndarray, marker: np.ndarray) -> None
     turned, times = float(sizes.sum()), seen / given
     cause = "Check the order of the points."
     if turned > (1.0 - SHAPED**2) * seen * given and abs(np.log(times)) > np.log(OTHER_UNIT):
-        cause = f"The marker times {times:.3g} would fit: perhaps millimetres were given as metres."
+        cause = f"The marker would fit if scaled by {times:.3g}; perhaps millimetres were given as metres."
     elif hand < 0 and turned > (1.0 - SHAPED**2) * seen * given:
-        cause = "Its mirror image would fit: one axis of the marker is reversed."
+        cause = "Its mirror image would fit, so one axis of the marker is reversed."
     raise NotConverged(
-        f"Expected a marker arranged as its points were seen, got {apart / np.sqrt(model.K):.3g} m between them (RMS) "
-        f"where they spread over {seen / np.sqrt(model.K):.3g} m. {cause}",
+        f"Expected a marker with the same arrangement as the observed points, got {apart / np.sqrt(model.K):.3g} m "
+        f"between them (RMS), although they spread over {seen / np.sqrt(model.K):.3g} m. {cause}",
         best=s,
         reason="mismatch",
     )
 
 
 def _unit_or_hand(model: PointModel, found: Linear) -> str:
-    """Return what is wrong with a linear solution whose matrix is not nearly a rotation though it fits."""
+    """Return the likely error if the matrix of a good linear solution is not a rotation."""
     size = np.linalg.svd(found.M, compute_uv=False)
     if size[2] < ROUND * size[0] or found.misfit > 0.1 * float(np.cbrt(np.prod(size))) * model.spread:
         return ""
     scale = float(np.cbrt(np.prod(size)))
     if np.linalg.det(found.M) < 0:
-        return "The axes of the camera are left-handed: one of them is reversed."
+        return "The axes of the camera are left-handed, so one of them is reversed."
     if abs(np.log(scale)) > np.log(OTHER_UNIT):
-        return f"Points times {scale:.3g} would fit: perhaps millimetres were given as metres."
+        return f"The points would fit if scaled by {scale:.3g}; perhaps millimetres were given as metres."
     return ""
 
 
 def _other_reading(model: PointModel, now: float) -> str:
-    """Return the reading of the poses that fits much better, "" where none does."""
+    """Return the interpretation of the poses that fits much better, or an empty string."""
     N = len(model.tA)
     inverse = model.RA.transpose(0, 2, 1)
     other = {
-        "The poses of the robot are the inverse of what was expected, or the setup is the other one.": model.linear(
+        "The robot poses are inverted, or the other setup applies.": model.linear(
             inverse, -(inverse @ model.tA[:, :, None])[:, :, 0]
         ).misfit,
         "One of the records is in reverse order.": model.linear(model.RA[::-1], model.tA[::-1]).misfit,
     }
     for k in (1, 2, 3):
-        text = f"The records are shifted by {k} samples against each other."
+        text = f"The records are shifted by {k} samples relative to each other."
         for move in (k, -k):
             keep = (model.sample + move >= 0) & (model.sample + move < N)
             misfit = model.only(keep).linear(np.roll(model.RA, -move, axis=0), np.roll(model.tA, -move, axis=0)).misfit
@@ -415,7 +421,7 @@ def _other_reading(model: PointModel, now: float) -> str:
 
 
 def require_order_of_robot(model: PointModel) -> None:
-    """Refuse poses that fit the points of a marker much better when orientations are read in another way."""
+    """Raise if the robot poses fit the points of a marker much better with another interpretation."""
     rms = model.solution.misfit
     if rms < SUSPECT * model.spread:
         return
@@ -423,8 +429,7 @@ def require_order_of_robot(model: PointModel) -> None:
         other = model.linear(one.R, one.t)
         if other.misfit < min(MUCH_BETTER * rms, FITS * model.spread):
             raise NotConverged(
-                f"Expected poses and points that belong together, got {rms:.3g} m between them (RMS). "
-                f"{one.text.format(ROBOT)}",
+                f"Expected consistent poses and points, got {rms:.3g} m between them (RMS). {one.text.format(ROBOT)}",
                 best=other,
                 reason="mismatch",
             )

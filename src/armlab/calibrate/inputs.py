@@ -1,4 +1,4 @@
-"""Arguments of calibrations: poses, points and their noise, checked once, in sentences."""
+"""Validation of calibration arguments: poses, points and their noise."""
 
 from __future__ import annotations
 
@@ -11,58 +11,55 @@ from armlab._numbers import numbers, rows_text
 from armlab.errors import ShapeError
 from armlab.lie import so3
 
-NO_ROTATION = 1e-5  # largest entry of |R^T R - I| that is projected, not refused
-ROUNDING = 1e-9  # what is below it is left as it is
-
 
 def finite(values: np.ndarray, name: str) -> None:
-    """Refuse NaN and infinity with their rows."""
+    """Raise on NaN and infinity, with their rows."""
     if not np.isfinite(values).all():
         bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1))
         raise ShapeError(
             f"Expected finite {name}, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. "
-            "Leave these samples out of all records."
+            "Remove these samples from all records."
         )
 
 
 def poses(value: ArrayLike, name: str) -> tuple[np.ndarray, np.ndarray, str]:
-    """Return rotations (N, 3, 3), positions (N, 3), and what must be reported of them."""
+    """Return the rotations (N, 3, 3) and positions (N, 3), and a remark on the poses."""
     T = numbers(value, name, ShapeError)
     if T.ndim != 3 or T.shape[1:] != (4, 4):
-        raise ShapeError(f"Expected {name} of shape (N, 4, 4), got {T.shape}. Give one pose per sample.")
+        raise ShapeError(f"Expected {name} of shape (N, 4, 4), got {T.shape}. Pass one pose per sample.")
     finite(T, name)
     if not (T[:, 3] == (0.0, 0.0, 0.0, 1.0)).all():
         bad = np.flatnonzero((T[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=1))
         raise ShapeError(
-            f"Expected (0, 0, 0, 1) as the last row of every pose of {name}, got others in rows {rows_text(bad)}. "
-            "Perhaps the matrices are transposed."
+            f"Expected (0, 0, 0, 1) as the last row of every pose in {name}, got other values in rows "
+            f"{rows_text(bad)}. Check whether the matrices are transposed."
         )
     R, note = _rotations(T[:, :3, :3].copy(), name)
     return R, T[:, :3, 3].copy(), note
 
 
 def orientations(value: ArrayLike, name: str) -> tuple[np.ndarray, str]:
-    """Return rotations (N, 3, 3) of poses (N, 4, 4) or of rotations (N, 3, 3), and what must be reported of them."""
+    """Return the rotations (N, 3, 3) of poses (N, 4, 4) or rotations (N, 3, 3), and a remark on them."""
     values = numbers(value, name, ShapeError)
     if values.ndim == 3 and values.shape[1:] == (4, 4):
         R, _, note = poses(values, name)
         return R, note
     if values.ndim != 3 or values.shape[1:] != (3, 3):
         raise ShapeError(
-            f"Expected {name} of shape (N, 4, 4) or (N, 3, 3), got {values.shape}. Give one orientation per sample."
+            f"Expected {name} of shape (N, 4, 4) or (N, 3, 3), got {values.shape}. Pass one orientation per sample."
         )
     return _rotations(values.copy(), name)
 
 
 def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
-    """Return R (N, 3, 3) projected where it is slightly off, and a note of that."""
+    """Return R (N, 3, 3), projected if slightly inexact, and a remark on that."""
     finite(R, name)
     off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).reshape(len(R), 9).max(axis=1, initial=0.0)
-    wrong = off > NO_ROTATION
+    wrong = off > so3.ROTATION_TOLERANCE
     if wrong.any():
         raise ShapeError(
             f"Expected rotations in {name}, got matrices off by up to {off.max():.2g} in rows "
-            f"{rows_text(np.flatnonzero(wrong))}. Project them (lie.so3.project) if that is what they should be."
+            f"{rows_text(np.flatnonzero(wrong))}. Project them (lie.so3.project) if they are intended as rotations."
         )
     mirrored = np.flatnonzero(np.linalg.det(R) < 0)
     if len(mirrored):
@@ -70,32 +67,32 @@ def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
             f"Expected rotations in {name}, got left-handed axes in rows {rows_text(mirrored)}. "
             "One axis of that frame is reversed."
         )
-    note, near = "", off > ROUNDING
+    note, near = "", off > so3.NEGLIGIBLE
     if near.any():
-        R[near] = so3.project(R[near])[0]
+        R = so3.orthonormalise(R)
         note = f"{np.count_nonzero(near)} rotations of {name} were projected, off by up to {off.max():.2g}"
     return R, note
 
 
 def gravity_of(gravity: Any) -> np.ndarray:
-    """Return gravity (3,), refusing what is none."""
+    """Return gravity (3,); raise if it is invalid."""
     g = numbers(gravity, "gravity", ShapeError)
     if g.shape != (3,) or not 0.0 < g @ g < np.inf:
         raise ShapeError(
-            f"Expected gravity as three finite numbers in base axes, not all zero [m/s^2], got {gravity!r}. "
-            "Give (0, 0, -9.80665) for a base that stands upright."
+            f"Expected gravity as three finite numbers [m/s^2] in base axes, not all zero, got {gravity!r}. "
+            "Pass (0, 0, -9.80665) for an upright base."
         )
     return g
 
 
 def pose_noise(noise: Any, N: int, name: str = "noise") -> np.ndarray | None:
-    """Return variances (6,) or covariance (6, 6) or (N, 6, 6) of poses; None for None. Zero is allowed."""
+    """Return variances (6,) or a covariance (6, 6) or (N, 6, 6) of poses; None for None. Zero is allowed."""
     wanted = "poses as (sd of position [m], sd of rotation [rad])"
-    return noise_of(noise, 2, (N,), name, wanted, "Metres and radians need a number each.", zero=True)
+    return noise_of(noise, 2, (N,), name, wanted, "Pass one number in metres and one in radians.", zero=True)
 
 
 def point_noise(noise: Any, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return variances (3,), or covariance (3, 3) or (*shape, 3, 3), of points; None for None."""
+    """Return variances (3,) or a covariance (3, 3) or (*shape, 3, 3) of points; None for None."""
     return noise_of(noise, 1, shape, "noise", "points as one standard deviation above zero [m]")
 
 
@@ -103,7 +100,7 @@ def noise_of(
     noise: Any, groups: int, batch: tuple[int, ...], name: str, wanted: str, advice: str = "Correct it.",
     zero: bool = False,
 ) -> np.ndarray | None:  # fmt: skip
-    """Return variances (k,), or covariance (k, k) or (*batch, k, k), of groups of three axes; None for None."""
+    """Return variances (k,) or a covariance (k, k) or (*batch, k, k) of groups of three axes; None for None."""
     if noise is None:
         return None
     values, k = numbers(noise, name, ShapeError), 3 * groups
@@ -120,11 +117,11 @@ def noise_of(
 
 
 def covariance(values: np.ndarray, name: str) -> np.ndarray:
-    """Refuse what is not symmetric or has a negative eigenvalue."""
+    """Raise unless the matrices are symmetric and positive semidefinite."""
     size = np.abs(values).max()
     even = np.abs(values - np.swapaxes(values, -1, -2)).max() <= 1e-9 * size
     if not even or np.linalg.eigvalsh(values).min() < -1e-12 * size:
         raise ShapeError(
-            f"Expected {name} as symmetric covariances without negative eigenvalues, got others. Correct it."
+            f"Expected symmetric covariances without negative eigenvalues in {name}, got other matrices. Correct it."
         )
     return values

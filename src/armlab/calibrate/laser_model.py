@@ -1,11 +1,11 @@
-"""A laser line on a plate: residuals in the laser plane with their Jacobian.
+"""Model of a laser line on flat plates: residuals in the laser plane with Jacobian.
 
 With g = R_i^T n, c = R_X^T g, h = d - n.t_i - g.t_X and k = hypot(c_x, c_y):
 
     e1 = (c_x p_x + c_y p_y - h) / k [m],        e2 = asin((c_x l_x + c_y l_y) / k) [rad]
 
-First values come from one linear system per plate, then rotations of a cube, then random ones. Refusals say which
-directions scans do not determine, or why scans do not fit.
+Initial guesses come first from one linear system per plate, then from the rotations of a cube, then from random
+rotations. Errors name the directions that the scans do not determine, or the likely cause of a misfit.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from armlab.estimation import Measurement, NonlinearProblem
 from armlab.lie import quaternion, so3
 
 TINY = 1e-12
-ENOUGH = 15  # scans of a plate that a linear start needs
+ENOUGH = 15  # scans of a plate needed for a linear start
 RESTARTS = 20
-PRODUCT = 0.3  # second singular value over the first beyond which what should be a product is none
-LIMITS = (0.2, 0.2)  # largest deviations accepted: share of the spread of the points, and [rad]
-FLAT = 0.05  # sine of the angle between plate and laser plane below which a scan is not one
-SHAKEN = 1e-3  # rad: orientations of robots are no better; a turn that they could make by that is none
-UNITS = 2.0  # factor between units of length from which it is reported
-FAR = 20.0  # factor from which nothing is tried
-ROUGH = 0.1  # residual over the spread of the points from which scans do not fit
-FAR_APART = 30.0  # m: no cell is as large, but one of 30 cm is in millimetres
-TURNED = 0.2  # rad between lines and plates from which they do not
+PRODUCT = 0.3  # ratio of the second to the first singular value beyond which a matrix is not a product
+LIMITS = (0.2, 0.2)  # largest accepted standard deviations: fraction of the spread of the points, and [rad]
+FLAT = 0.05  # sine of the angle between plate and laser plane below which a scan is unusable
+SHAKEN = 1e-3  # rad: accuracy of robot orientations; smaller rotations do not count
+UNITS = 2.0  # ratio of length units beyond which it is reported
+FAR = 20.0  # ratio beyond which no fit is tried
+ROUGH = 0.1  # residual over the spread of the points beyond which scans do not fit
+FAR_APART = 30.0  # m: larger than any cell; 30 cm given in millimetres exceed it
+TURNED = 0.2  # rad between lines and plates beyond which scans do not fit
 
 
 class Scene(NamedTuple):
@@ -54,16 +54,16 @@ class Scene(NamedTuple):
         return Scene(self.R @ so3.exp(x[3:6]), self.t + x[:3], n, self.d + tilts[:, 2])
 
     def oriented(self) -> Scene:
-        """Return it with normals that point away from the origin."""
+        """Return the scene with normals that point away from the origin."""
         sign = np.where(self.d < 0, -1.0, 1.0)
         return Scene(self.R, self.t, self.n * sign[:, None], self.d * sign)
 
 
 def tangents(n: np.ndarray) -> np.ndarray:
-    """Return bases (P, 3, 2) of the planes across unit normals (P, 3)."""
+    """Return bases (P, 3, 2) of the planes normal to n (P, 3)."""
     cross = so3.hat(n)
     B = np.empty((len(n), 3, 2))
-    first = -cross[np.arange(len(n)), :, np.argmin(np.abs(n), axis=1)]  # e x n, e the axis farthest from n
+    first = -cross[np.arange(len(n)), :, np.argmin(np.abs(n), axis=1)]  # e x n, with e the axis farthest from n
     B[:, :, 0] = first / np.sqrt(np.einsum("ji,ji->j", first, first))[:, None]
     B[:, :, 1:] = cross @ B[:, :, :1]
     return B
@@ -71,16 +71,16 @@ def tangents(n: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Scans:
-    """Scans of plates, as lines or as points."""
+    """Scans of plates as lines or points."""
 
     RA: np.ndarray  # RA, tA: (N, 3, 3), (N, 3) of T_base_tool
     tA: np.ndarray
-    plane: np.ndarray  # (N,) number of the plate
+    plane: np.ndarray  # (N,) index of the plate
     p: np.ndarray  # p, line: (N, 2) point and unit direction of the line in each scan
     line: np.ndarray
-    points: np.ndarray | None  # (M, 2) raw, or None; then lines are what was measured
+    points: np.ndarray | None  # (M, 2) raw points, or None if lines were measured
     owner: np.ndarray  # (M,) scan of each point
-    noise: np.ndarray | None  # (2,) variances of point and angle, (1,) of points; None when it is to be estimated
+    noise: np.ndarray | None  # (2,) variances of point and angle, (1,) of points; None: estimated
 
     @property
     def N(self) -> int:
@@ -109,11 +109,11 @@ class Scans:
         return g, g @ scene.R, scene.d[self.plane] - np.sum(n * self.tA, axis=1) - g @ scene.t
 
     def slant(self, scene: Scene) -> np.ndarray:
-        """Return k (N,): sine of the angle between plate and laser plane."""
+        """Return k (N,), the sine of the angle between plate and laser plane."""
         return np.hypot(*self.seen(scene)[1][:, :2].T)
 
     def evaluate(self, scene: Scene) -> list[Measurement]:
-        """Return the distance of points from the plate in the laser plane, and the angle of lines.
+        """Return the distances of points from the plate in the laser plane, and the angles of the lines.
 
         With a = p - e1 c / k and b = (-c_y, c_x) / k^2, in the laser plane: de1 = (a . dc - dh) / k, de2 = +- b . dc.
         """
@@ -122,7 +122,7 @@ class Scans:
         r = self._off(c, h, k)
         own, p = (slice(None), self.p) if self.points is None else (self.owner, self.points)
         c, k, classes = c[own], k[own, None], ("p", "l")[: r.shape[1]]
-        levers = np.empty((len(r), r.shape[1], 2))  # of dc in the laser plane
+        levers = np.empty((len(r), r.shape[1], 2))  # lever arms of dc in the laser plane
         levers[:, 0] = (p - r[:, :1] * c[:, :2] / k) / k
         if self.points is None:
             across = np.stack([-c[:, 1], c[:, 0]], axis=1)
@@ -143,7 +143,7 @@ class Scans:
         return [Measurement(r, J, self.noise, classes, np.arange(self.N) if self.points is None else self.owner)]
 
     def residuals(self, scene: Scene) -> np.ndarray:
-        """Return the residuals (N, 2), or (M, 1) of raw points, of `evaluate`."""
+        """Return the residuals (N, 2), or (M, 1) for raw points, of `evaluate`."""
         _, c, h = self.seen(scene)
         return self._off(c, h, np.maximum(np.hypot(c[:, 0], c[:, 1]), TINY))
 
@@ -166,7 +166,7 @@ class Scans:
 
 
 def starts(scans: Scans, ratio: float) -> Iterator[list[Scene]]:
-    """Yield groups of first values, the best of each first; `ratio` is the deviation of points over that of angles."""
+    """Yield groups of initial guesses, best first; `ratio` is the SD of points divided by that of angles."""
     linear = [R for found, _ in linear_rotations(scans, ratio) for R in found]
     if linear:
         yield _sorted(scans, linear, ratio)
@@ -176,7 +176,7 @@ def starts(scans: Scans, ratio: float) -> Iterator[list[Scene]]:
 
 
 def cube() -> Iterator[np.ndarray]:
-    """Yield the 24 rotations that turn the axes into each other."""
+    """Yield the 24 rotations of a cube."""
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             R = np.eye(3)[list(order)] * np.array(signs)
@@ -192,9 +192,10 @@ def _sorted(scans: Scans, rotations: list[np.ndarray], ratio: float) -> list[Sce
 
 
 def linear_rotations(scans: Scans, ratio: float) -> list[tuple[list[np.ndarray], float]]:
-    """Return rotations from the scans of each plate alone, and the unit of length of the scans over that of the poses.
+    """Return rotations from the scans of each plate separately, and the ratio of the scans' length unit to that of the
+    poses.
 
-    The unit is 1 where the scans do not determine it: it counts only if the products are products.
+    The ratio is 1 if the scans do not determine it; it is used only if the matrices are nearly products.
 
     p_x n.R_i r1 + p_y n.R_i r2 + n.R_i t + n.t_i - d = 0 and l_x n.R_i r1 + l_y n.R_i r2 = 0 are linear in
     [n (x) r1, n (x) r2, n (x) t, n, d], up to scale.
@@ -226,7 +227,7 @@ def _linear(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarray], float
 
 
 def scene_of(scans: Scans, R: np.ndarray) -> Scene:
-    """Return planes and position that go best with a rotation R of the sensor: lines give normals, points the rest."""
+    """Return the best planes and position for a sensor rotation R; lines determine the normals, points the rest."""
     lines = np.einsum("nij,nj->ni", scans.RA, scans.line @ R[:, :2].T)
     across = (lines[scans.plane == j] for j in range(scans.P))
     n = np.linalg.eigh(np.stack([one.T @ one for one in across]))[1][:, :, 0]
@@ -241,12 +242,12 @@ def scene_of(scans: Scans, R: np.ndarray) -> Scene:
 
 @dataclass(frozen=True, eq=False)
 class SceneUnknowns:
-    """Names, units and limits of the unknowns; puts a direction of them into words, see `check_spread`."""
+    """Names, units and limits of the unknowns; describes directions for `check_spread`."""
 
     scans: Scans  # scans, scene: of the fit
     scene: Scene
     planes: tuple[str, ...]  # labels
-    limits: tuple[float, float]  # share of the spread of the points, and [rad]
+    limits: tuple[float, float]  # fraction of the spread of the points, and [rad]
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -268,7 +269,7 @@ class SceneUnknowns:
         return np.array([self.limits[0] * self.spread if unit == "m" else self.limits[1] for unit in self.units])
 
     def __call__(self, step: np.ndarray) -> str:
-        """Return for example "translation of the sensor along tool axis z, 0.4 m"."""
+        """Return a description such as "translation of the sensor along tool axis z, 0.4 m"."""
         widths = self.widths
         sizes = np.linalg.norm((step / widths).reshape(-1, 3), axis=1)
         first = int(np.flatnonzero(sizes > 0.5 * sizes.max())[0])
@@ -291,7 +292,7 @@ class SceneUnknowns:
 
 
 def require_motion(scans: Scans, planes: tuple[str, ...]) -> None:
-    """Refuse too few scans, and orientations that leave a translation of the sensor open."""
+    """Raise on too few scans, and on orientations that leave a translation of the sensor undetermined."""
     needed = 7 + 3 * scans.P
     few = [str(planes[j]) for j in range(scans.P) if np.count_nonzero(scans.plane == j) < 2]
     if scans.numbers < needed or few:
@@ -309,32 +310,34 @@ def require_slant(scans: Scans, scene: Scene) -> None:
     bad = np.flatnonzero(scans.slant(scene) < FLAT)
     if len(bad):
         raise ShapeError(
-            f"Expected plates that cut the laser plane, got some parallel to it (sine below {FLAT}) in rows "
-            f"{rows_text(bad)}. Leave these scans out."
+            f"Expected plates that cut the laser plane, got parallel ones (sine below {FLAT}) in rows "
+            f"{rows_text(bad)}. Drop these scans."
         )
 
 
 def require_units(scans: Scans, ratio: float) -> None:
-    """Refuse scans and poses in units of length that are far apart, before a search for what cannot be found."""
+    """Raise early if the length units of scans and poses differ strongly."""
     size = _unit(scans, ratio)
     if not 1.0 / FAR < size < FAR:
-        raise misfit(scans, ratio, None, f"lengths that are {size:.2g} of those of the poses")
+        raise misfit(scans, ratio, None, f"lengths of {size:.2g} times those of the poses")
 
 
 def _unit(scans: Scans, ratio: float) -> float:
-    """Return the unit of the poses over that of the scans, 1 where plates do not agree on it."""
+    """Return the ratio of the poses' unit to that of the scans, or 1 if the plates disagree."""
     sizes = [size for _, size in linear_rotations(scans, ratio)]
     agreed = np.ptp(np.log(np.maximum(sizes, 1e-300))) < np.log(UNITS)
     return float(np.median(sizes)) if agreed else 1.0
 
 
 def misfit(scans: Scans, ratio: float, best: Scene | None, text: str) -> NotConverged:
-    """Return the refusal of scans that no start fits, with the cause where it can be identified."""
+    """Return the error, with the identified cause, for scans that no initial guess fits."""
     size = _unit(scans, ratio)
-    cause = "Check the labels of the plates and that scan i and pose i are of the same moment, or look for wrong scans "
+    cause = "Check the plate labels, check that scan i and pose i are simultaneous, or detect outliers "
     cause += "with robust=True."
     if not 1.0 / UNITS < size < UNITS:
-        cause = f"Lengths of the scans times {size:.2g} would fit."
+        cause = f"The scans would fit with lengths scaled by {size:.2g}."
         if not 1.0 / FAR < size < FAR:
-            cause = f"{cause[:-1]}: perhaps millimetres were given as metres."
-    return NotConverged(f"Expected scans of flat plates by one sensor, got {text}. {cause}", best=best, reason="misfit")
+            cause = f"{cause[:-1]}: perhaps millimetres instead of metres."
+    return NotConverged(
+        f"Expected scans of flat plates from one sensor, got {text}. {cause}", best=best, reason="misfit"
+    )

@@ -1,16 +1,16 @@
-"""Calibration of a laser line scanner on flat plates: where it sits on the tool, and where the plates are.
+"""Calibration of a laser line scanner from flat plates: its pose on the tool and the planes of the plates.
 
     e1 = (c_x p_x + c_y p_y - h) / k,        e2 = asin((c_x l_x + c_y l_y) / k)
 
-Maximum likelihood of lines or raw profiles in the laser plane; plates through the origin are plates like others, and no
-guess is needed. Bagge Carlson, Johansson and Robertsson (2015) posed the problem.
+Maximum-likelihood estimate from lines or raw profiles in the laser plane. No initial guess is needed, and plates may
+pass through the origin. The problem is that of Bagge Carlson, Johansson and Robertsson (2015).
 
-The search for the scene of a line scanner: short descents from many starts, the best of them to their end.
+Search: short descents from many initial guesses; the best ones are continued to convergence.
 
-The best start of each group is fitted at once. Where that does not agree with the noise, every start of the group makes
-a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` over whole scans, rho in deviations that the median of the
-residuals estimates, so that neither unknown noise nor wrong scans matter; the best few are fitted to the end.
-So many steps are all that scans cost which nothing fits.
+The best initial guess of each group is fitted first. If the fit disagrees with the noise, every initial guess of the
+group takes a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` over whole scans, with rho scaled by the median
+residual, so that unknown noise and outliers have little effect. The best few are then fitted to convergence. This
+bounds the cost for scans that cannot be fitted.
 """
 
 from __future__ import annotations
@@ -50,17 +50,17 @@ from armlab.lie import se3, so3
 from armlab.models import LaserSensor
 
 CLASSES = {"p": "point [m]", "l": "line [rad]"}
-FAT = 0.2  # width over length of a profile beyond which it is no line
+FAT = 0.2  # width over length of a profile beyond which it is not a line
 SCHEDULE = (100.0, 30.0, 10.0, 5.0)
-REFUSED = 1e-4  # probability of a chi^2 as large as that of a fit that is not taken
-MANY = 0.35  # share of outliers from which another start is tried
-STEPS, TUNING, SETTLED = 9, 5.0, 1e-2  # of a short descent: most steps, c, last step in deviations
-BEST, WORSE, SAME = 2, 5.0, 1e-3  # of a group: how many are fitted, how much worse than the best, how alike
-LOST = 1.5  # rad, left by angles and by points made an angle, from which nothing is fitted: wrong labels leave 2 to 8
-CLEAR = (2e-3, 0.03)  # residual over the spread of the points, and [rad], from which no other starts are tried
-HELD = 0.6  # of a scan's two numbers: the share of what they say that they say alone, from which it is doubted
+REFUSED = 1e-4  # p-value of chi^2 below which a fit is rejected
+MANY = 0.35  # fraction of outliers from which another start is tried
+STEPS, TUNING, SETTLED = 9, 5.0, 1e-2  # short descent: maximum steps, c, last step in standard deviations
+BEST, WORSE, SAME = 2, 5.0, 1e-3  # per group: number fitted, ratio to the best, similarity
+LOST = 1.5  # rad, residual of angles and scaled points beyond which no fit is tried; wrong labels leave 2 to 8
+CLEAR = (2e-3, 0.03)  # residual over the spread of the points, and [rad], below which no other starts are tried
+HELD = 0.6  # leverage of a scan's two numbers from which it is suspect
 TINY = 1e-12  # m, rad: rounding
-FAILED = (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError)  # ways in which a descent ends without a fit
+FAILED = (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError)  # failures of a descent
 
 
 def fit_laser_plane(
@@ -73,30 +73,30 @@ def fit_laser_plane(
     robust: bool = False,
     limits: tuple[float, float] = LIMITS,
 ) -> Fit[LaserSensor]:
-    """Find where a line scanner sits on the tool from scans of flat plates that are somewhere.
+    """Fit the pose of a line scanner on the tool from scans of flat plates at unknown positions.
 
     Parameters
     ----------
-    T_base_tool : (N, 4, 4) poses of the tool that turn it about at least two axes.
-    scans : lines (N, 4): a point and a unit direction, either way, in the laser plane (x, y) [m]; or N raw profiles of
-        a plate, each (K, 2).
-    plane : (N,) label of the plate of each scan. One plate is enough, three are better.
-    noise : of lines (sd of the point [m], of the angle [rad]); of raw points one sd [m]. Estimated when left out.
-    start : (4, 4) T_tool_sensor where it is roughly known; not needed.
-    robust : find wrong scans; `Fit.outliers` marks them, and they do not count.
-    limits : largest standard deviation accepted along any direction: share of the spread of the points, and [rad].
+    T_base_tool : (N, 4, 4) poses of the tool, rotated about at least two axes.
+    scans : lines (N, 4): a point and a unit direction of either sign, in the laser plane (x, y) [m]; or N raw profiles
+        of a plate, each (K, 2).
+    plane : (N,) label of the plate of each scan. One plate suffices, three are better.
+    noise : of lines (sd of the point [m], of the angle [rad]); of raw points one sd [m]. Default: estimated.
+    start : (4, 4) approximate T_tool_sensor; optional.
+    robust : detect and exclude outliers; `Fit.outliers` marks them.
+    limits : largest accepted standard deviation along any direction: fraction of the spread of the points, and [rad].
 
     Returns
     -------
     Fit of a `models.LaserSensor`. Parameters: position and rotation vector of T_tool_sensor (covariance of
-    (R Exp(w), t + v): v in tool axes, w in sensor axes), then of each plane two tilts [rad] from the normal found, and
-    its offset. Residuals (N, 2) in the laser plane: distance [m], angle [rad]; of raw profiles (M, 1).
+    (R Exp(w), t + v): v in tool axes, w in sensor axes), then of each plane two tilts [rad] from the fitted normal, and
+    its offset. Residuals (N, 2) in the laser plane: distance [m], angle [rad]; for raw profiles (M, 1).
 
     Raises
     ------
-    ShapeError : another shape, NaN rows, no rotations; a plate parallel to the laser plane.
-    NotExcited : too few scans; an unidentifiable direction, by name.
-    NotConverged : no start fits the noise: labels, pairing, millimetres, wrong scans.
+    ShapeError : wrong shapes, NaN rows, invalid rotations; a plate parallel to the laser plane.
+    NotExcited : too few scans, or an unidentifiable direction, by name.
+    NotConverged : no start fits the noise: wrong labels, matching, units or scans.
 
     References
     ----------
@@ -113,8 +113,14 @@ def fit_laser_plane(
 
     found_planes = (f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))
     chi2 = "" if data.noise is None else f"residuals {times(found):.3g} times the noise"
-    wide = f"points spread over {words.spread:.3g} m: millimetres given as metres?" * (words.spread > FAR_APART)
-    doubts, lines = doubts_of(found.check, [note, *found_planes, chi2, wide])
+    wide = f"points spread over {words.spread:.3g} m: millimetres instead of metres?" * (words.spread > FAR_APART)
+    rough = ""
+    if data.noise is None and not _is_clear(data, found):
+        angle = f" and {np.degrees(found.sigma[1]):.2g} deg" if len(found.sigma) > 1 else ""
+        rough = (
+            f"residuals of {1e3 * found.sigma[0]:.3g} mm{angle}, large for a line scanner: are the plate labels wrong?"
+        )
+    doubts, lines = doubts_of(found.check, [note, *found_planes, chi2, wide, rough])
     tilts = np.column_stack([np.zeros((len(planes), 2)), scene.d]).ravel()
     parameters = np.concatenate([scene.t, so3.log(scene.R), tilts])
     value = LaserSensor(se3.from_rp(scene.R, scene.t), scene.n, scene.d, planes)
@@ -127,14 +133,14 @@ def fit_laser_plane(
 
 
 def scans_of(T_base_tool: Any, scans: Any, plane: Any, noise: Any) -> tuple[Scans, tuple[str, ...], str]:
-    """Return the scans, the labels of the plates, and what must be reported of the poses."""
+    """Return the scans, the plate labels, and remarks on the poses."""
     RA, tA, note = poses(T_base_tool, "T_base_tool")
     N = len(RA)
     labels = np.asarray(plane)
     if labels.shape != (N,) or labels.dtype.kind not in "iuUS":
         raise ShapeError(
-            f"Expected one label per scan in plane, {N} whole numbers or texts, got {labels.dtype} of shape "
-            f"{labels.shape}. Say on which plate each scan lies."
+            f"Expected one label per scan in plane, {N} integers or strings, got {labels.dtype} of shape "
+            f"{labels.shape}. Pass the plate of each scan."
         )
     names, number = np.unique(labels, return_inverse=True)
     p, line, points, owner = _lines(scans, N)
@@ -143,7 +149,9 @@ def scans_of(T_base_tool: Any, scans: Any, plane: Any, noise: Any) -> tuple[Scan
 
 
 def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
-    """Return point and direction (N, 2) of each scan; raw points (M, 2) and their scans where these came."""
+    """Return the point and direction (N, 2) of each scan; for profiles also the raw points (M, 2) and their scan
+    indices.
+    """
     if getattr(scans, "ndim", None) == 2 or (len(scans) and np.ndim(scans[0]) == 1):
         values = numbers(scans, "scans", ShapeError)
         if values.shape != (N, 4):
@@ -153,8 +161,8 @@ def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | Non
         bad = np.flatnonzero(np.abs(lengths - 1.0) > 1e-6)
         if len(bad):
             raise ShapeError(
-                f"Expected unit directions in columns 3 and 4 of scans, got other lengths in rows {rows_text(bad)}. "
-                "Divide them by their length."
+                "Expected unit directions in columns 3 and 4 of scans, got directions of other lengths in rows "
+                f"{rows_text(bad)}. Normalise them."
             )
         return values[:, :2], values[:, 2:] / lengths[:, None], None, np.arange(N)
     profiles = [numbers(one, f"profile {i}", ShapeError) for i, one in enumerate(scans)]
@@ -163,19 +171,20 @@ def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | Non
     bad = np.array([i for i, one in enumerate(profiles) if not np.isfinite(one).all()], dtype=int)
     if len(bad):
         raise ShapeError(
-            f"Expected finite scans, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. Leave these points out."
+            f"Expected finite scans, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. Drop these points."
         )
     short = np.array([i for i, one in enumerate(profiles) if len(one) < 2 or not np.ptp(one, axis=0).any()], dtype=int)
     if len(short):
         raise ShapeError(
-            f"Expected profiles of two points or more, got fewer in rows {rows_text(short)}. Leave them out."
+            f"Expected profiles with at least two points, got fewer in rows {rows_text(short)}. Drop them."
         )
     p = np.array([one.mean(axis=0) for one in profiles])
     shapes = [np.linalg.svd(one - middle, full_matrices=False) for one, middle in zip(profiles, p)]
     fat = np.array([i for i, (_, s, _) in enumerate(shapes) if s[1] > FAT * s[0]], dtype=int)
     if len(fat):
         raise ShapeError(
-            f"Expected profiles of flat plates, got what is no line in rows {rows_text(fat)}. Cut them to the plate."
+            f"Expected profiles of flat plates, got profiles that are not lines in rows {rows_text(fat)}. Crop them "
+            "to the plate."
         )
     owner = np.repeat(np.arange(N), [len(one) for one in profiles])
     return p, np.array([V[0] for _, _, V in shapes]), np.concatenate(profiles), owner
@@ -184,7 +193,7 @@ def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | Non
 def _shape_text(N: int, got: Any) -> str:
     return (
         f"Expected {N} scans, one per pose: lines of shape ({N}, 4), point and unit direction in the laser plane, or "
-        f"profiles of shape (K, 2) each, got {got}. Pair them with the poses first."
+        f"profiles of shape (K, 2) each, got {got}. First match them with the poses."
     )
 
 
@@ -199,7 +208,7 @@ def _profile_noise(noise: Any, count: int) -> np.ndarray | None:
 
 
 def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearSolution[Scene]:
-    """Return the first fit that agrees with its noise, or the best of all where noise is not given."""
+    """Return the first fit consistent with its noise, or for unknown noise the best of all."""
     ratio = _ratio(scans)
     size = max(ratio, _spread(scans.p))
     require_units(scans, ratio)
@@ -212,12 +221,12 @@ def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearS
             if best is None or _rank(scans, found, size, robust) < _rank(scans, best, size, robust):
                 best = found
         if best is not None and len(group) > 1 and scans.noise is None and _is_clear(scans, best):
-            break  # one guess alone proves nothing
+            break  # a single guess proves nothing
     if best is None or scans.noise is not None:
-        text = "none that converge"
+        text = "no convergence"
         if best is not None:
             text = f"residuals {times(best):.3g} times the noise at best"
-            text += f" and {int(best.outliers.sum())} of {scans.N} scans left out" if robust else ""
+            text += f" and {int(best.outliers.sum())} of {scans.N} outliers" if robust else ""
         raise misfit(scans, ratio, None if best is None else best.value, text)
     if robust:
         best = nonlinear_least_squares(scans.problem(), best.value.oriented(), robust=True, majority=True)
@@ -226,7 +235,7 @@ def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearS
 
 
 def agrees(found: NonlinearSolution[Scene]) -> bool:
-    """Return whether residuals are as small as the noise that was given, and most scans count."""
+    """Return whether the residuals are consistent with the given noise and most scans are inliers."""
     from scipy.special import chdtri
 
     free = found.freedom
@@ -238,10 +247,7 @@ def times(found: NonlinearSolution[Scene]) -> float:
 
 
 def _ratio(scans: Scans) -> float:
-    """Return the deviation of points over that of angles [m/rad], of a typical scan where noise is not given.
-
-    A line through many points of a scan is as sure at its ends as these: the ratio is their spread along it.
-    """
+    """Return the SD of points divided by that of angles [m/rad], which is the spread of a scan along its line."""
     if scans.points is not None:
         off = scans.points - scans.p[scans.owner]
         return float(np.sqrt(np.median(np.bincount(scans.owner, np.sum(off * off, axis=1)) / np.bincount(scans.owner))))
@@ -256,7 +262,7 @@ def _spread(p: np.ndarray) -> float:
 
 
 def _fitted(scans: Scans, group: list[Scene], size: float, robust: bool) -> Iterator[NonlinearSolution[Scene]]:
-    """Yield the fit from the first start, then those from the ends of the best short descents."""
+    """Yield the fit from the first initial guess, then the fits from the best short descents."""
     first = _tried(scans, group[0], robust)
     if first is not None:
         yield first
@@ -274,7 +280,7 @@ def _fitted(scans: Scans, group: list[Scene], size: float, robust: bool) -> Iter
 
 
 def _approached(scans: Scans, scene: Scene) -> Scene:
-    """Return the scene after a short descent that neither the size of the noise nor wrong scans lead."""
+    """Return the scene after a short descent that is robust to unknown noise and outliers."""
     problem = replace(scans, noise=None).problem()
     names = ("p", "l")
     for _ in range(STEPS):
@@ -295,7 +301,7 @@ def _approached(scans: Scans, scene: Scene) -> Scene:
 
 
 def _left(scans: Scans, scene: Scene, size: float) -> float:
-    """Return what a scene leaves: the median residual of angles, and that of points made an angle."""
+    """Return the residual size of a scene from the medians of angles and of points scaled to angles."""
     r = np.median(np.abs(scans.residuals(scene)), axis=0)
     left = float(r[0] / size + np.sum(r[1:]))
     return left if np.isfinite(left) else np.inf
@@ -309,7 +315,7 @@ def _tried(scans: Scans, scene: Scene, robust: bool) -> NonlinearSolution[Scene]
 
 
 def _doubted(scans: Scans, found: NonlinearSolution[Scene], size: float) -> NonlinearSolution[Scene]:
-    """Return the fit, or a better one without a scan that holds it and has others left out in its place."""
+    """Return the fit, or a better fit without a high-leverage scan that caused other scans to be excluded."""
     held = np.einsum("ij,jk,ik->i", found.rows.J, found.cov, found.rows.J)
     numbers = np.bincount(found.rows.sample, minlength=scans.N)
     strong = np.bincount(found.rows.sample, held, minlength=scans.N) > HELD * np.minimum(numbers, 2)
@@ -332,14 +338,14 @@ def _oriented(scans: Scans, found: NonlinearSolution[Scene], robust: bool) -> No
 
 
 def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
-    """Return whether what is left is small beside the scene: points and angles."""
+    """Return whether the residuals of points and angles are small relative to the scene."""
     left = np.median(np.abs(scans.residuals(found.value)), axis=0)
     near = left[0] < CLEAR[0] * SceneUnknowns(scans, found.value, (), LIMITS).spread
     return bool(near and (len(left) == 1 or left[1] < CLEAR[1]) and np.mean(found.outliers) <= MANY)
 
 
 def _rank(scans: Scans, found: NonlinearSolution[Scene], size: float, robust: bool) -> float:
-    """Return what to make small: chi^2 of given noise, otherwise minus the logarithm of the likelihood per scan."""
+    """Return the criterion to minimise: chi^2 for given noise, otherwise the negative log likelihood per scan."""
     if scans.noise is not None:
         return float(found.outliers.sum()) + times(found) if robust else found.cost
     if robust:
@@ -348,7 +354,7 @@ def _rank(scans: Scans, found: NonlinearSolution[Scene], size: float, robust: bo
 
 
 def _require_fit(scans: Scans, ratio: float, found: NonlinearSolution[Scene]) -> None:
-    """Refuse what leaves more than any scanner errs, where noise is not given."""
+    """If the noise is unknown, raise on residuals larger than the errors of any scanner."""
     size, spread = float(found.sigma[0]), SceneUnknowns(scans, found.value, (), LIMITS).spread
     turn = float(found.sigma[1]) if len(found.sigma) > 1 else 0.0
     if size <= ROUGH * spread and turn <= TURNED and np.mean(found.outliers) <= MANY:
@@ -356,6 +362,6 @@ def _require_fit(scans: Scans, ratio: float, found: NonlinearSolution[Scene]) ->
     angles = f", {turn:.2g} rad between lines and plates" if turn else ""
     raise misfit(
         scans, ratio, found.value,
-        f"{size:.3g} m between points and plates (RMS) where they spread over {spread:.3g} m{angles}, "
-        f"{int(found.outliers.sum())} of {scans.N} scans left out",
+        f"{size:.3g} m between points and plates (RMS), which spread over {spread:.3g} m{angles}, "
+        f"{int(found.outliers.sum())} of {scans.N} outliers",
     )  # fmt: skip

@@ -1,8 +1,8 @@
-"""The command `armlab`: every job of the package, one verb each.
+"""The command `armlab`: one verb per task.
 
-Commands are named by import string, so that ``armlab --help`` loads none of them.
-Results go to standard output, messages to standard error. Exit codes: 0 done, 1 failed, 2 wrong use,
-3 done but doubtful: a result that is not good, inputs that were skipped, 130 interrupted.
+Commands are named by import string, so that ``armlab --help`` imports none of them.
+Results go to standard output, messages to standard error. Exit codes: 0 success, 1 failure, 2 usage error, 3 poor
+result or skipped inputs, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from armlab._interrupts import handling
@@ -31,35 +33,45 @@ FAILED, WRONG_USE, DOUBTFUL, INTERRUPTED = 1, 2, 3, 130
 
 _COMMANDS = {
     "demo": ("demo:demo", "Simulated YuMi, from excitation to the estimated force of a hand. No robot needed."),
-    "sim": ("sim:sim", "Simulated arms and a simulated controller that speaks EGM."),
-    "doctor": ("doctor:doctor", "Check computer, network and robot before a run. Sends nothing to a robot."),
+    "sim": ("sim:sim", "Simulated arms with their EGM controller."),
+    "doctor": (
+        "doctor:doctor",
+        "Check the computer, the network and the robot before a run. Sends nothing to a robot.",
+    ),
+    "abb": ("abb:abb", "Set up, start and stop an ABB controller via Robot Web Services."),
     "run": ("run:run", "Run your controller from a file against a robot; record a log."),
-    "record": ("record:record", "Record the packets of robots, also in lead-through. Sends nothing."),
+    "play": ("run:play", "Run a joint trajectory from a file on a robot, or replay a log."),
+    "record": ("record:record", "Record packets from robots, including during lead-through. Sends nothing."),
     "excite": ("excite:excite", "Design an excitation trajectory; run it and record a log."),
     "identify": ("identify:identify", "Identify gravity, inertia and friction from logs; save the model."),
-    "estimate": ("estimate:estimate", "Estimate the contact force in a log with a model."),
-    "payload": ("identify.payload:payload", "Identify a payload from motor torques: mass, centre, inertia."),
+    "estimate": ("estimate:estimate", "Estimate contact forces from a log and a torque model."),
+    "payload": ("identify.payload:payload", "Identify a payload (mass, centre of mass, inertia) from motor torques."),
     "calibrate": ("calibrate:calibrate", "Calibrate a camera, a force sensor, an arm or a line scanner from samples."),
-    "dmp": ("dmp:dmp", "Movement primitives: fit one to logs of a motion, play it on a robot."),
-    "plot": ("plot:plot", "Figures of logs, models, robots and movement primitives."),
-    "bridge": ("bridge:bridge", "Run a cell: robots, LabComm and other clients, parameters, one commander."),
+    "dmp": ("dmp:dmp", "Fit movement primitives to logs, and play them on a robot."),
+    "plot": ("plot:plot", "Plot logs, models, robots and movement primitives."),
+    "bridge": ("bridge:bridge", "Run a cell: robots, parameters, and servers for LabComm and other protocols."),
     "monitor": ("bridge:monitor", "Monitor a running bridge: rates, round trips, clamps, commander, events."),
-    "view": ("view:view", "Arms, forces and curves of logs or of a running bridge, in the browser."),
-    "fleet": ("fleet:fleet", "Many robots at once: a router, recordings of all, one list of them."),
-    "log": ("log:log", "Show, export, cut, merge, open and repair logs."),
-    "config": ("config:config", "Show settings: of files, of the environment, of a cell. Writes nothing."),
+    "view": ("view:view", "Show the arms, forces and curves of logs or of a running bridge in the browser."),
+    "fleet": ("fleet:fleet", "Manage many robots: router, recorder, status list, batch jobs."),
+    "log": ("log:log", "Show, export, cut, resample, merge, open and repair logs."),
+    "config": ("config:config", "Show the settings from files, the environment and the cell. Writes nothing."),
     "completion": ("config:completion", "Print the completion script for bash, zsh or fish."),
-    "robot": ("robot:robot", "List, show and convert robot descriptions."),
+    "robot": ("robot:robot", "List, show, convert and export robot descriptions."),
+    "model": (
+        "model:model",
+        "Show the poses and parameters of a result, optionally in the format of ROS, URDF or easy_handeye.",
+    ),
 }
 
 
-_EXAMPLES = {  # of the other commands beside their subcommands
+_EXAMPLES = {  # of commands without subcommands
     "demo": "armlab demo --fast -o first",
     "sim": "armlab sim yumi_left --to 127.0.0.1:6510 --seconds 60",
     "monitor": "armlab monitor yumi_left",
     "completion": "armlab completion bash",
     "doctor": "armlab doctor yumi_left yumi_right --port 6511,6512 --seconds 10",
     "run": "armlab run yumi_left sine.py:sine --link egm://0.0.0.0:6510 --speed 0.1 --seconds 10",
+    "play": "armlab play trajectory.json yumi_left --link egm://0.0.0.0:6510 --speed 0.3",
     "record": "armlab record yumi_left yumi_right --port 6511,6512 --lead-through -o run.mcap",
     "excite": "armlab excite yumi_left -o motion.csv --run sim://yumi_left --log excite.mcap",
     "identify": "armlab identify yumi_left excite.mcap -o model.toml --report model.html",
@@ -69,12 +81,13 @@ _EXAMPLES = {  # of the other commands beside their subcommands
 }
 
 
-def build_app(verb: str = "") -> App:
-    """Return the application with all commands, none of them imported yet.
+def build_app(verb: str = "", shown: WrappedHelp | None = None) -> App:
+    """Return the application with all commands, not yet imported.
 
     Parameters
     ----------
-    verb : command of the user: its help is its own, longer than its line in the list of all.
+    verb : command of the user, whose own help replaces its line in the list of all.
+    shown : formatter of the help.
     """
     from cyclopts import App, Parameter
 
@@ -84,9 +97,11 @@ def build_app(verb: str = "") -> App:
         name="armlab",
         version=__version__,
         help="A robotics laboratory for robot arms. First steps: armlab demo.",
-        help_epilogue="Every command takes --help. --debug shows the traceback of an error.",
+        help_epilogue="Every command takes --help. --debug shows the traceback of an error. A robot is a library "
+        "name, a description file (.toml or .urdf), or a name from robot_descriptions or example-robot-data (extra "
+        "`robots`). Every command that takes a URDF also takes --tip LINK, --base LINK and --lock JOINT=VALUE.",
         help_format="plaintext",
-        help_formatter=WrappedHelp(),
+        help_formatter=WrappedHelp() if shown is None else shown,
         default_parameter=Parameter(negative=()),
         result_action="return_value",
         suppress_keyboard_interrupt=False,
@@ -104,10 +119,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Parameters
     ----------
-    arguments : words after ``armlab``; those of the process when None.
+    arguments : words after ``armlab``; default: those of the process.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    nowhere = Path(os.devnull)  # for what the shell has closed: armlab robot list >&-
+    nowhere = Path(os.devnull)  # for streams closed by the shell: armlab robot list >&-
     sys.stdout, sys.stderr = sys.stdout or nowhere.open("w"), sys.stderr or nowhere.open("w")
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]
@@ -115,7 +130,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             return _run(words)
         except Exception as error:
-            if interrupts:  # compiled modules that are interrupted while they load raise something else
+            if interrupts:  # compiled modules raise other errors if interrupted on import
                 _say("interrupted.")
                 return INTERRUPTED
             if debug:
@@ -129,21 +144,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(words: list[str]) -> int:
     from cyclopts import CycloptsError
 
+    from armlab.cli.support.options import take_robot_options
+
+    shown = WrappedHelp()
     try:
-        result = build_app(words[0] if words else "")(words, exit_on_error=False, print_error=False)
+        words = take_robot_options(words)
+        result = build_app(words[0] if words else "", shown)(words, exit_on_error=False, print_error=False)
+        if shown.takes_robot:
+            sys.stdout.write(f"{fill(_OF_A_URDF, get_terminal_size().columns)}\n")
     except CycloptsError as error:
         _say(f"{' '.join(str(error).split())} (see {' '.join(['armlab', *(error.command_chain or ())])} --help)")
         return WRONG_USE
+    finally:
+        take_robot_options([])  # valid for one command
     sys.stdout.flush()
     return result if isinstance(result, int) else 0
 
 
 def _report(error: Exception) -> int:
-    """Say in one sentence what went wrong and return the exit code."""
+    """Print an error as one sentence and return the exit code."""
     from armlab.errors import ArmlabError, ConfigError, ModelMismatchError, UnknownName
 
     if isinstance(error, BrokenPipeError):
-        # The reader of our output (head, less) has enough; keep the interpreter from complaining about it at exit.
+        # The reader of our output (head, less) has closed it: suppress the interpreter's error at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     if isinstance(error, ArmlabError):
@@ -151,8 +174,8 @@ def _report(error: Exception) -> int:
     elif isinstance(error, OSError):
         _say(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}.")
     else:
-        _say(f"internal error, {type(error).__name__}: {error} (--debug shows where; please report it).")
-    # A name that does not exist, and a model of another kind or arm, are words to be put right, as a wrong option is.
+        _say(f"internal error, {type(error).__name__}: {error} (--debug shows the traceback; please report it).")
+    # Unknown names and models of another kind or arm are usage errors, like a wrong option.
     return WRONG_USE if isinstance(error, (ConfigError, ModelMismatchError, UnknownName)) else FAILED
 
 
@@ -162,7 +185,7 @@ def _say(message: str) -> None:
 
 @contextmanager
 def _short_warnings() -> Iterator[None]:
-    """Show warnings as one line, without the line of source."""
+    """Show warnings as one line, without the source line."""
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_args, **_kwargs: _say(f"note: {message}")
         yield
@@ -170,11 +193,14 @@ def _short_warnings() -> Iterator[None]:
 
 @contextmanager
 def _interruptible() -> Iterator[list[int]]:
-    """Treat SIGTERM and a closed terminal like Ctrl-C: logs are closed, simulators stopped. Yields what came."""
+    """Treat SIGTERM and a closed terminal like Ctrl-C, so that logs are closed and simulators stopped.
+
+    Yields the signals.
+    """
     came: list[int] = []
 
     def interrupt(number: int, _frame: object) -> None:
-        again = number == signal.SIGHUP and bool(came)  # a terminal that is closed sends it more than once
+        again = number == signal.SIGHUP and bool(came)  # a closed terminal sends it more than once
         came.append(number)
         if not again:
             raise KeyboardInterrupt
@@ -187,12 +213,21 @@ _BREAK_IN_PARAGRAPH = re.compile(r"(?<=\S)[ \t]*\n(?![\s*-])")
 
 
 def unwrapped(text: str) -> str:
-    """Return a text whose paragraphs are one line each; empty lines, lists and indented lines stay."""
+    """Join the lines of each paragraph; keep empty lines, lists and indented lines."""
     return _BREAK_IN_PARAGRAPH.sub(" ", text)
 
 
+_A_ROBOT = re.compile(r"\blibrary\b|\brobot file|file of the arm", re.IGNORECASE)  # in the text of a parameter
+_OF_A_URDF = "For a URDF, --tip LINK, --base LINK and --lock JOINT=VALUE select the arm."
+
+
 class WrappedHelp:
-    """The default look of cyclopts for texts that keep the line breaks of their docstring."""
+    """Default cyclopts formatter that removes the line breaks of docstrings.
+
+    `takes_robot`: whether the help shown has a robot parameter.
+    """
+
+    takes_robot = False
 
     def render_usage(self, console: Console, options: ConsoleOptions, usage: Any) -> None:
         _default().render_usage(console, options, usage)
@@ -204,6 +239,8 @@ class WrappedHelp:
         """Print a panel of commands or parameters."""
         from attrs import evolve
 
+        if panel.format == "parameter":
+            self.takes_robot |= any(_A_ROBOT.search(_plain(entry.description)) for entry in panel.entries)
         entries = [evolve(entry, description=_wrapped(entry.description)) for entry in panel.entries]
         _default()(console, options, panel.copy(entries=entries))
 
@@ -214,8 +251,12 @@ def _default() -> Any:
     return DefaultFormatter()
 
 
+def _plain(shown: Any) -> str:
+    return str(getattr(shown, "primary_renderable", shown))
+
+
 def _wrapped(shown: Any) -> Any:
-    """Unwrap the text of something that is shown; it is made anew for each print."""
+    """Unwrap the displayed text."""
     from rich.text import Text
 
     text = getattr(shown, "primary_renderable", None)

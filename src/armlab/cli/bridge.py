@@ -1,4 +1,4 @@
-"""``armlab bridge`` and ``armlab monitor``: run a cell, control and watch a running one, write its certificates."""
+"""``armlab bridge`` and ``armlab monitor``: run a cell, control and monitor a running cell, create certificates."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import os
 import re
 import secrets
+import ssl
 import subprocess
 import time
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
-from armlab._toml import TomlError, parsed
+from armlab._files import TomlError, parsed
 from armlab.cli import FAILED
 from armlab.cli.support.options import Cell, Seconds, require_seconds
 from armlab.cli.support.output import aligned, note, result
@@ -29,32 +30,31 @@ if TYPE_CHECKING:
 
 
 _WHOLE = re.compile(r"[-+]?[1-9][0-9]*(_[0-9]+)*")
-_PATIENCE = 10.0  # s for an answer: reports go on when a request was lost
+_PATIENCE = 10.0  # s, timeout of an answer
 
-bridge = App(
+bridge: App = App(
     name="bridge",
-    help="Run a cell: robots, LabComm and other clients, parameters, one commander.",
+    help="Run a cell: robots, clients by LabComm and other protocols, parameters.",
     help_epilogue="Example: armlab bridge --config cell.toml",
 )
 
 
 @bridge.default
 def start(*, config: Path | None = None, listen: list[str] | None = None, seconds: float | None = None) -> int:
-    """Run the bridge of a cell until Ctrl-C. The first line says what listens where, the last ones how it went.
+    """Run the bridge of a cell until Ctrl-C. Prints its addresses first, and a summary at the end.
 
     Parameters:
-        config: The cell: a TOML file of robots, sources, parameters and servers; the one of the settings when not
-            given.
-        listen: SERVER=ADDRESS or SERVER=INTERFACE: let a server be read beyond this computer. Such a server takes no
+        config: TOML file that describes the cell (robots, sources, parameters and servers); default: from the settings.
+        listen: SERVER=ADDRESS or SERVER=INTERFACE: let other computers read from a server. Such a server accepts no
             commands.
-        seconds: Robot time under guidance after which to end [s].
+        seconds: Stop after this much robot time under guidance [s].
     """
     from armlab.bridge.cell import parse_cell, run_cell
     from armlab.cli.support.settings import load_settings, read_text
 
     known = load_settings().settings.cell if config is None else config
     if known is None:
-        raise ConfigError("Expected a cell, got none. Name it: --config cell.toml, or `cell` in armlab.toml.")
+        raise ConfigError("Expected a cell file, got none. Add --config cell.toml, or set `cell` in armlab.toml.")
     cell = parse_cell(read_text(Path(known), "a cell"), str(known))
     run = run_cell(cell, listen or (), seconds, ready=note, ended=lambda run: result(run.report()))
     return FAILED if run.statistics["problems"] else 0  # as the report says
@@ -62,10 +62,10 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
 
 @bridge.command(name="set", help_epilogue="Example: armlab bridge set gain=2.5 force=[0,0,5]")
 def set_parameters(*setting: str, cell: Cell = "") -> None:
-    """Set parameters of a running bridge, all or none; show the values in force.
+    """Set parameters of a running bridge (all or none), and show the resulting values.
 
     Parameters:
-        setting: NAME=VALUE, for example gain=2.5, force=[0,0,5], gentle=true. None: show all parameters.
+        setting: NAME=VALUE, for example gain=2.5, force=[0,0,5], gentle=true. Without settings, show all parameters.
     """
     from armlab.bridge.servers.local import LocalFeed
     from armlab.bridge.servers.messages import SetRequest, Subscribe
@@ -77,7 +77,7 @@ def set_parameters(*setting: str, cell: Cell = "") -> None:
         if values:
             before = max((one["sequence"] for one in found), default=0)
             feed.ask(SetRequest(values=values))
-            # others may set other parameters meanwhile
+            # other clients may set parameters at the same time
             while not set(values) <= {one["name"] for one in found if one["sequence"] > before}:
                 found = _await(feed, "parameters")["parameters"]
     shown = [one for one in found if one["name"] in values or not values]
@@ -87,7 +87,7 @@ def set_parameters(*setting: str, cell: Cell = "") -> None:
 
 @bridge.command(help_epilogue="Example: armlab bridge stop")
 def stop(*, cell: Cell = "") -> None:
-    """Stop all arms and hold until resumed. Not an emergency stop."""
+    """Stop all arms and hold them until `resume`. This is not an emergency stop."""
     from armlab.bridge.servers.messages import Stop
 
     _operate(Stop(), cell)
@@ -103,7 +103,7 @@ def release(*, cell: Cell = "") -> None:
 
 @bridge.command(help_epilogue="Example: armlab bridge resume")
 def resume(*, cell: Cell = "") -> None:
-    """End a stop, so that an arm may be commanded again."""
+    """End a stop, so that arms can be commanded again."""
     from armlab.bridge.servers.messages import Resume
 
     _operate(Resume(), cell)
@@ -111,11 +111,11 @@ def resume(*, cell: Cell = "") -> None:
 
 @bridge.command(help_epilogue="Example: armlab bridge certificates lab/ --host 192.168.1.5")
 def certificates(folder: Path, *, host: list[str] | None = None) -> None:
-    """Write what a bridge needs to take commands over Zenoh from other computers: certificates, users, passwords.
+    """Create certificates, users and passwords for commanding a bridge over Zenoh from other computers.
 
     Parameters:
-        folder: Where to. What is secret in it is readable by you alone.
-        host: Names and addresses of the bridge's computer, as others call it; localhost always.
+        folder: Output folder. Secret files are readable only by you.
+        host: Host names and addresses under which clients reach the bridge; localhost is always included.
     """
     result("\n".join(str(path) for path in write_certificates(folder, host or ())))
 
@@ -129,7 +129,7 @@ def _operate(request: Request, cell: str) -> None:
 
 
 def _await(feed: Any, kind: str) -> dict[str, Any]:
-    """Return the next message of a kind; another answer meanwhile is a refusal."""
+    """Return the next message of a kind; raise on an error reply."""
     end = time.monotonic() + _PATIENCE
     while time.monotonic() < end:
         message = feed.receive()
@@ -144,15 +144,13 @@ def _await(feed: Any, kind: str) -> dict[str, Any]:
 def _setting(word: str) -> tuple[str, Any]:
     name, sign, value = word.partition("=")
     if not sign or not name:
-        raise ConfigError(f"Expected NAME=VALUE, got {word!r}. Write for example gain=2.5.")
+        raise ConfigError(f"Expected NAME=VALUE, got {word!r}. For example, write gain=2.5.")
     try:
         return name, parsed(f"x = {value}")["x"]
     except TomlError:
         if _WHOLE.fullmatch(value):
-            raise ConfigError(
-                f"Expected an integer of 64 bits, got {word[:80]!r}. Write 1e20 for a large one."
-            ) from None
-        return name, value  # a text without quotes
+            raise ConfigError(f"Expected a 64-bit integer, got {word[:80]!r}. Write larger numbers as 1e20.") from None
+        return name, value  # text without quotes
 
 
 _DAYS = "3650"
@@ -160,11 +158,11 @@ _CURVE = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
 
 
 def write_certificates(folder: Path, hosts: Sequence[str] = ()) -> list[Path]:
-    """Write a lab's authority, the certificate and key of a bridge, and users with their passwords.
+    """Write a lab's certificate authority, the certificate and key of a bridge, and users with their passwords.
 
-    ``lab.pem`` goes to everybody, ``bridge.pem``, ``bridge.key`` and ``users.txt`` stay with the bridge (and with a
-    router of the lab), ``USER.secret`` goes to whom it is for; ``lab.key`` signs more bridges and goes nowhere. Keys
-    and passwords are readable by their owner alone. An authority or users that are there are kept.
+    ``lab.pem`` may be given to everyone. ``bridge.pem``, ``bridge.key`` and ``users.txt`` stay with the bridge (and the
+    lab's router). ``USER.secret`` is for that user only. ``lab.key`` signs further bridges and stays private. Only the
+    owner can read the keys and passwords. An existing authority and existing users are kept.
     """
     names = ["localhost", "127.0.0.1", *hosts]
     for name in names:
@@ -186,6 +184,16 @@ def _authority(folder: Path) -> list[Path]:
     subject = ["-subj", "/CN=armlab lab", "-addext", "basicConstraints=critical,CA:TRUE"]
     _openssl("req", "-x509", *_CURVE, "-days", _DAYS, *subject, "-keyout", str(key), "-out", str(certificate))
     return [key, certificate]
+
+
+def self_signed(folder: Path) -> ssl.SSLContext:
+    """Return the context of a server on this computer with a new self-signed certificate."""
+    key, certificate = folder / "self.key", folder / "self.pem"
+    subject = ["-subj", "/CN=127.0.0.1", "-addext", "subjectAltName=IP:127.0.0.1,DNS:localhost"]
+    _openssl("req", "-x509", *_CURVE, "-days", _DAYS, *subject, "-keyout", str(key), "-out", str(certificate))
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key)
+    return context
 
 
 def _bridge(folder: Path, names: Sequence[str]) -> list[Path]:
@@ -232,23 +240,25 @@ def _openssl(*words: str) -> None:
     try:
         run = subprocess.run(["openssl", *words], capture_output=True, text=True, check=False, timeout=60.0)
     except FileNotFoundError:
-        raise ConfigError("Expected the program openssl to write certificates, got none. Install it.") from None
+        raise ConfigError(
+            "Expected the program openssl on the PATH to write certificates, but it is not installed. Install it."
+        ) from None
     if run.returncode:
         raise ConfigError(
-            f"Expected openssl to write a certificate, but it said: {' '.join(run.stderr.split())[:300]}."
+            f"Expected openssl to write a certificate, but it reported: {' '.join(run.stderr.split())[:300]}."
         )
 
 
 _RATE = 10.0  # Hz of the display
-_LINES = 1.0  # s between two lines where there is no terminal
+_LINES = 1.0  # s between two lines without a terminal
 
 
 def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", seconds: Seconds = None) -> None:
-    """Monitor a running bridge of this user, until Ctrl-C or its end.
+    """Monitor one of your running bridges until Ctrl-C or until it ends.
 
     Parameters:
-        robot: Show this arm only.
-        zenoh: A bridge on another computer, for example zenoh://192.168.1.5:7447/lab1.
+        robot: Show only this arm.
+        zenoh: Address of a bridge on another computer, for example zenoh://192.168.1.5:7447/lab1.
     """
     from rich.console import Console
 
@@ -301,17 +311,17 @@ def _hear(feed: Any, watch: Watch, seconds: float) -> None:
 
 
 def table(watch: Watch, now_ns: int) -> RenderableType:
-    """Return the state of the arms as a table, a column per arm, with recording and events below."""
+    """Return the state of the arms as a table, one column per arm, with recording and events below."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
 
     arms = watch.arms(now_ns)
     if not arms:
-        return Text("No row yet: no packet of a robot has come.")
+        return Text("No rows yet: waiting for robot packets.")
     shown = Table(title=f"Cell {watch.cell}")
     for k, arm in enumerate([{"arm": ""}, *arms]):
         shown.add_column(arm["arm"], no_wrap=k == 0)
     for key in list(arms[0])[1:]:
-        shown.add_row(Text(key), *[Text(arm[key]) for arm in arms])  # brackets would be styles
+        shown.add_row(Text(key), *[Text(arm[key]) for arm in arms])  # plain text: brackets are rich markup
     return Group(shown, Text("\n".join(watch.notes())))

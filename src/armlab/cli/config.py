@@ -1,4 +1,4 @@
-"""``armlab config``: the settings in force and their origins. ``armlab completion``: a script for the shell."""
+"""``armlab config``: effective settings and their origins. ``armlab completion``: shell completion script."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from cyclopts import App
 from armlab.cli import build_app
 from armlab.cli.support.output import aligned, print_json, result
 
-config = App(name="config", help="Show settings: of files, of the environment, of a cell. Writes nothing.")
+config: App = App(name="config", help="Show the settings from files, the environment and the cell. Writes nothing.")
 
 
 @config.command(help_epilogue="Example: armlab config show --config cell.toml --origin")
 def show(*, config: Path | None = None, origin: bool = False, json: bool = False) -> None:
-    """Show every setting, and of a cell every value.
+    """Show all settings, and all values of a cell.
 
-    A setting is taken from the first that has it: an option of a command, a variable of the environment such as
-    ARMLAB_SPEED, armlab.toml in this folder, armlab/armlab.toml in ~/.config (or in XDG_CONFIG_HOME), the default.
+    The first source with the setting wins: a command-line option, an environment variable such as ARMLAB_SPEED,
+    armlab.toml in this folder, armlab/armlab.toml in ~/.config (or in XDG_CONFIG_HOME), the default.
 
     Parameters:
-        config: The cell, a TOML file; the one of the settings when not given.
-        origin: Also show where each value came from.
+        config: TOML file of the cell; default: from the settings.
+        origin: Also show the source of each value.
         json: Print JSON for scripts: name, value, origin.
     """
     from armlab.bridge.cell import cell_values
@@ -47,7 +47,7 @@ def show(*, config: Path | None = None, origin: bool = False, json: bool = False
 
 
 def _written(value: Any) -> str:
-    """Return a value as it would stand in TOML; - for none."""
+    """Return a value in TOML notation; - for None."""
     if value is None:
         return "-"
     if isinstance(value, bool):
@@ -62,13 +62,13 @@ def _written(value: Any) -> str:
 
 
 def completion(shell: Literal["bash", "fish", "zsh"]) -> None:
-    """Print a script that lets a shell complete commands, options and their values; install it with one line.
+    """Print a shell's completion script for commands, options and values; one line installs it.
 
     - bash: armlab completion bash > ~/.local/share/bash-completion/completions/armlab
     - zsh: armlab completion zsh > DIR/_armlab, where DIR is a folder of $fpath
     - fish: armlab completion fish > ~/.config/fish/completions/armlab.fish
 
     Parameters:
-        shell: Which one.
+        shell: Name of the shell.
     """
     result(build_app().generate_completion(shell=shell))

@@ -1,9 +1,10 @@
-"""``armlab excite``: design an excitation trajectory and run it."""
+"""``armlab excite``: design and run an excitation trajectory."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,16 @@ from cyclopts import Parameter
 
 import armlab
 from armlab.cli import FAILED
-from armlab.cli.support.options import Force, Json, as_given, joints_in, links_to, require_positive
+from armlab.cli.support.options import (
+    Force,
+    Json,
+    as_given,
+    as_typed,
+    joints_in,
+    links_to,
+    load_robot,
+    require_positive,
+)
 from armlab.cli.support.output import FIGURES, aligned, check_output, note, print_json, progress, result, save_figure
 from armlab.errors import ConfigError
 
@@ -22,9 +32,10 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.robots import Robot
 
-SPEED = 0.6  # of the limits
-_ROUNDING = 1e-6  # rad or m that a saved motion may be beyond the limits
-ROUNDS = 300  # of the search for the motion that tells most
+SPEED = 0.6  # share of the speed limits
+_FOR = "designed for "  # robot and hash, in the source of a motion
+_ROUNDING = 1e-6  # rad or m, tolerance of a saved motion at the limits
+ROUNDS = 300  # rounds of the search for the most informative motion
 
 
 @Parameter(name="*")
@@ -35,11 +46,10 @@ class ExcitationOptions:
     Attributes:
         seconds: Length of the motion, at least 10 [s].
         f0: Base frequency [Hz]; the motion repeats after 1 / f0.
-        harmonics: Number of them: the motion holds frequencies up to harmonics times f0.
-        speed: Peak speed as a share of the robot's limits, in (0, 1]; 0.6, or the setting where that is less, when not
-            given.
+        harmonics: Number of harmonics: the motion contains frequencies up to harmonics times f0.
+        speed: Peak speed as a share of the robot's limits, in (0, 1]; default: 0.6, or the setting if that is lower.
         acceleration: Peak acceleration [rad/s^2].
-        seed: Another motion for each.
+        seed: Seed of the motion.
     """
 
     seconds: float = 60.0
@@ -65,46 +75,48 @@ def excite(
     json: Json = False,
     force: Force = False,
 ) -> int:
-    """Design an excitation trajectory of a robot; run it and record a log if asked.
+    """Design an excitation trajectory of a robot; optionally run it and record a log.
 
-    Prints the predicted uncertainty of each group of parameters. The motion stays within the limits of position,
-    speed and acceleration of the robot file; it knows nothing of obstacles: look at it before you run it.
+    Prints the predicted uncertainty of each group of parameters. The motion respects the position, speed and
+    acceleration limits in the robot file, but ignores obstacles: view it before you run it.
 
     Parameters:
         robot: Name in the library, or a robot file.
         output: Write the motion to this CSV file: t, q, qd, qdd at 250 Hz.
-        motion: What it shall be like.
-        joint: Instead, move this joint alone, by name or number from 1: ten constant speeds, both ways, to see its
-            friction.
-        saved: Take the motion of this file, as -o writes it, instead of designing one.
-        noise: Standard deviation of the robot's torque signal [N m]; the printed deviations are in proportion to it.
-        figure: Draw the motion into this PNG, SVG or PDF.
-        run: Link to run it on: egm://HOST:PORT for a robot, sim://yumi_left, or sim://FILE, for a simulated one.
-        log: Recording of the run; -2, -3 is added to a name that exists. excite.mcap in the folder of the settings when
-            not given.
-        approach: Seconds of the walk from where the arm stands to the start.
+        motion: Shape of the motion.
+        joint: Instead, move only this joint (name, or number from 1) at ten constant speeds in both directions, to
+            identify its friction.
+        saved: Use the motion in this file (written by -o) instead of designing one.
+        noise: Standard deviation of the robot's torque signal [N m]; the printed deviations scale with it.
+        figure: Draw the motion to this PNG, SVG or PDF.
+        run: Link on which to run the motion: egm://HOST:PORT for a real robot, sim://yumi_left or sim://FILE for a
+            simulated one.
+        log: Recording of the run; -2, -3 is appended if it exists. Default: excite.mcap in the folder of the settings.
+        approach: Duration of the motion to the start [s].
     """
     from armlab.cli.support.settings import load_settings, log_folder
 
     if output is None and run is None:
-        raise ConfigError("Expected a file for the motion (-o motion.csv) or a link to run it on (--run), got neither.")
+        raise ConfigError(
+            "Expected an output file (-o motion.csv) or a link to run the motion on (--run), got neither."
+        )
     require_positive("noise", noise, "N m")
     require_positive("approach", approach, "s")
     require_positive("acceleration", motion.acceleration, "rad/s^2")
     for path, endings in ((output, [".csv"]), (figure, FIGURES)):
         if path is not None:
             check_output(path, force, endings, [] if saved is None else [saved])
-    arm, asked = armlab.robots.load(robot), motion.speed
+    arm, asked = load_robot(robot), motion.speed
     speed = min(SPEED, load_settings().settings.speed) if asked is None else asked
     if run is not None:
-        links_to(robot, [arm], run)
+        _check_masses(arm, links_to(robot, [arm], run)[0])
     with progress("design") as tell:
         if saved is None:
             with as_given():
                 trajectory = _design(arm, motion, speed, joint, tell)
         else:
             tell(0, 2, f"reading {saved.name}")
-            trajectory = armlab.identify.Trajectory.from_table(armlab.log.read(saved))
+            trajectory = armlab.identify.Trajectory.from_table(_saved(saved, arm, force))
         tell(9, 10, "predicting parameter precision")
         expected = armlab.identify.predicted_uncertainty(trajectory, arm, noise) if joint is None else None
         tell(1, 1, "done")
@@ -120,13 +132,39 @@ def excite(
         _check_positions(arm, table)
         _check_speed(arm, table["qd"], asked)
     if output is not None:
-        note(f"motion: {armlab.log.write(table, output)}")
+        designed = replace(table, source=(*table.source, f"{_FOR}{arm.name} {arm.hash}"))
+        note(f"motion: {armlab.log.write(designed, output)}")
     if figure is not None:
         save_figure(armlab.plots.table(table, "q", "qd", "qdd"), figure)
         note(f"figure: {figure}")
     if run is not None:
-        return _run(arm, trajectory, run, log or log_folder() / "excite.mcap", approach)
+        (url,) = links_to(robot, [arm], run)
+        return _run(robot, arm, trajectory, url, log or log_folder() / "excite.mcap", approach)
     return 0
+
+
+def _saved(path: Path, robot: Robot, force: bool) -> Table:
+    """Return a motion of this robot; reject motions designed for or recorded with another robot."""
+    from armlab.cli.support.log_input import by_force, check_log
+    from armlab.robots.comparison import check_same
+
+    table = armlab.log.read(path)
+    check_log(path, robot, force)
+    with by_force(force):
+        for entry in table.source:
+            if entry.startswith(_FOR):
+                name, _, digest = entry.removeprefix(_FOR).rpartition(" ")
+                advice = "Design a motion of this robot, or override with --force."
+                check_same(robot, f"the motion {path}", name, digest, None, advice)
+    return table
+
+
+def _check_masses(robot: Robot, url: str) -> None:
+    """Reject the excitation of a simulated arm without torques."""
+    from armlab.sim.arm.truth import no_masses
+
+    if url.startswith("sim:") and (why := no_masses(robot)):
+        raise ConfigError(f"Expected a robot with masses to excite in simulation, but {why}.")
 
 
 def _design(
@@ -152,25 +190,25 @@ def _plain(expected: PredictedUncertainty) -> dict[str, Any]:
 
 
 def _check_positions(robot: Robot, table: Table) -> None:
-    """Refuse a motion that the limits of position would bend: it comes from a file that may be of another arm."""
+    """Reject a motion from a file that exceeds the position limits of this arm."""
     import numpy as np
 
     q = table["q"]
     if q.shape[1:] != (robot.n,):
-        raise ConfigError(f"Expected a motion of the {robot.n} joints of {robot.name}, got q of shape {q.shape}.")
+        raise ConfigError(f"Expected a motion for the {robot.n} joints of {robot.name}, got q of shape {q.shape}.")
     beyond = np.maximum(robot.q_min - q, q - robot.q_max)
     row, i = np.unravel_index(np.argmax(beyond), beyond.shape)
     if beyond[row, i] > _ROUNDING:
         unit = "m" if robot.prismatic[i] else "rad"
         raise ConfigError(
             f"Expected a motion within the limits of {robot.name}, got {q[row, i]:.4g} {unit} at {table.t[row]:.3f} s "
-            f"for joint {i + 1} ({robot.joint_names[i]}), which has {robot.q_min[i]:.4g} to {robot.q_max[i]:.4g} "
-            f"{unit}. Take a motion of this arm, in SI units."
+            f"for joint {i + 1} ({robot.joint_names[i]}), limits {robot.q_min[i]:.4g} to {robot.q_max[i]:.4g} "
+            f"{unit}. Use a motion for this arm, in SI units."
         )
 
 
 def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
-    """Refuse a motion that is faster than the settings allow and was not asked for: a limit would bend it."""
+    """Reject a motion faster than the settings allow, unless requested by --speed."""
     import numpy as np
 
     from armlab.cli.support.settings import load_settings
@@ -178,12 +216,12 @@ def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
     allowed, share = load_settings().settings.speed, float(np.max(np.abs(qd) / robot.qd_max))
     if asked is None and allowed < 1.0 and share > 1.01 * allowed:
         raise ConfigError(
-            f"Expected a motion within {allowed:g} of the limits of speed, as the setting speed has it, got one that "
-            f"reaches {share:.2f}. Take a slower one, or say with --speed 1 that this one is meant."
+            f"Expected a motion within {allowed:g} of the speed limits (the setting speed), got a motion that reaches "
+            f"{share:.2f}. Use a slower motion, or confirm this one with --speed 1."
         )
 
 
-def _run(robot: Robot, trajectory: Trajectory, url: str, log: Path, approach: float) -> int:
+def _run(typed: str, robot: Robot, trajectory: Trajectory, url: str, log: Path, approach: float) -> int:
     """Run the motion over a link and record it; return the exit code."""
     with progress("excite") as tell, armlab.bridge.connect(url, robot) as link:
         done = link.run(trajectory.controller(approach), approach + trajectory.seconds, record=log, progress=tell)
@@ -191,5 +229,6 @@ def _run(robot: Robot, trajectory: Trajectory, url: str, log: Path, approach: fl
     if done.statistics["problems"]:
         note(f"log: {done.path}")
         return FAILED
-    note(f"log: {done.path}; next: armlab identify {robot.name} {done.path} -o model.toml --report model.html")
+    words = ["armlab", "identify", *as_typed(typed), str(done.path), "-o", "model.toml", "--report", "model.html"]
+    note(f"log: {done.path}; next: {shlex.join(words)}")
     return 0

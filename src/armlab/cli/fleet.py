@@ -1,4 +1,4 @@
-"""``armlab fleet``: many robots and many logs at once: router, record, list; identify, estimate, export."""
+"""``armlab fleet``: router, recorder and list for many robots; identify, estimate and export for many logs."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from cyclopts import App, Parameter
 
 import armlab
 from armlab.cli import DOUBTFUL, FAILED
-from armlab.cli.support.options import ForceMethod, Json, Seconds, require_seconds
+from armlab.cli.support.options import Columns, ForceMethod, Json, Seconds, load_robot, require_seconds
 from armlab.cli.support.output import aligned, check_output, note, print_json, progress, result
-from armlab.cli.support.results import parameters
+from armlab.cli.support.results import Results, parameters
 from armlab.errors import ArmlabError, ConfigError
 
 if TYPE_CHECKING:
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 RouterAddress = Annotated[str, Parameter(help="HOST:PORT of the router.")]
 Ca = Annotated[Path | None, Parameter(help="CA certificate of the router: lab.pem of armlab bridge certificates.")]
-Secret = Annotated[Path | None, Parameter(help="Password file, where the router asks for one: viewer.secret.")]
+Secret = Annotated[Path | None, Parameter(help="Password file, if required by the router: viewer.secret.")]
 _ROUTER = "127.0.0.1:7447"
 _PORT = 7447
-_LOOK = 0.2  # s between two looks at the clock
+_LOOK = 0.2  # s between two checks of the clock
 
-fleet = App(name="fleet", help="Many robots and many logs: a router, recordings of all robots, one list of them.")
+fleet: App = App(name="fleet", help="Manage many robots: router, recorder, status list, batch jobs.")
 
 
 @fleet.command(help_epilogue="Example: armlab fleet router --listen 192.168.1.9 --users lab/users.txt")
@@ -49,12 +49,12 @@ def router(
     secret: Path | None = None,
     seconds: Seconds = None,
 ) -> None:
-    """Be the Zenoh router through which bridges and their readers find each other, until Ctrl-C.
+    """Run the Zenoh router that connects bridges and clients, until Ctrl-C.
 
     Parameters:
-        listen: Address of the network card; beyond this computer only with certificates and users.
+        listen: Address of the network interface; remote access requires certificates and users.
         port: TCP port.
-        connect: HOST:PORT of another router, whose robots are seen through this one too.
+        connect: HOST:PORT of another router, whose robots become visible through this one.
         ca: CA certificate of the lab: lab.pem of armlab bridge certificates.
         certificate: Certificate of this router: bridge.pem.
         key: Private key of the certificate: bridge.key.
@@ -82,11 +82,11 @@ def record(
     secret: Secret = None,
     seconds: Seconds = None,
 ) -> int:
-    """Record every robot whose rows come, each in a file of its own, until Ctrl-C.
+    """Record every robot that sends rows to a separate file, until Ctrl-C.
 
     Parameters:
-        output: Folder for the files, LAB-ROBOT.mcap; made if it is not there.
-        lab: Record this lab only.
+        output: Folder for the files, LAB-ROBOT.mcap; created if missing.
+        lab: Record only this lab.
     """
     from armlab.fleet import FleetRecorder
 
@@ -103,7 +103,7 @@ def record(
             rows = [["robot", "rows", "lost", "damaged", "refused"]]
             for name, one in sorted(robots.items()):
                 rows.append([name, *map(str, (one.rows, one.lost, one.damaged, one.refused))])
-            result(aligned(rows, (1, 2, 3, 4)) if robots else "No robot came.")
+            result(aligned(rows, (1, 2, 3, 4)) if robots else "No robots recorded.")
     return FAILED if any(one.failed for one in robots.values()) else 0
 
 
@@ -117,11 +117,11 @@ def list_fleet(
     seconds: float = 2.0,
     json: Json = False,
 ) -> None:
-    """List the robots whose bridges are there: rate, rows that did not come, age of the newest row, commander.
+    """List the robots with running bridges: rate, missing rows, age of the newest row, commanding client.
 
     Parameters:
-        lab: List this lab only.
-        seconds: Time to listen [s].
+        lab: List only this lab.
+        seconds: Listening time [s].
     """
     from armlab.fleet import list_robots
 
@@ -135,7 +135,7 @@ def list_fleet(
         age = f"{one.age:.3f}" if one.age == one.age else "no rows"
         counts = [f"{one.rate:.1f}", str(one.loss), str(one.damaged), age]
         rows.append([one.lab, one.robot, *counts, one.commander or "nobody"])
-    result(aligned(rows, (2, 3, 4, 5)) if found else "No robot is there.")
+    result(aligned(rows, (2, 3, 4, 5)) if found else "No robots found.")
 
 
 def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> LabAddress:
@@ -157,40 +157,41 @@ def _wait(seconds: float | None) -> None:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Job:
-    """What the commands over many logs have in common.
+    """Options common to the commands for many logs.
 
     Attributes:
-        robot: Name in the library, or a robot file; the one that the recordings name when not given.
+        robot: Library name or robot file; default: the robot named by the recordings.
         workers: Processes on this computer.
-        dask: Address of a Dask scheduler, tcp://HOST:PORT; its workers must see the files by the same paths.
+        dask: Address of a Dask scheduler, tcp://HOST:PORT; its workers need the files at the same paths.
         json: Print JSON for scripts.
-        force: Replace existing files.
+        force: Replace existing files, and save a poor model.
     """
 
     robot: str | None = None
+    columns: Columns = None
     workers: int = 1
     dask: str | None = None
     json: bool = False
     force: bool = False
 
     def arm(self, logs: tuple[Path, ...]) -> Robot:
-        """Return the arm that is named, or else the one that the first recording names."""
+        """Return the given arm, or the one named by the first recording."""
         from armlab.fleet.logs import named
 
         if self.robot is not None:
-            return armlab.robots.load(self.robot)
+            return load_robot(self.robot)
         for log in named(logs):
             if not log.endswith(".mcap"):
                 continue
             try:
-                return armlab.robots.load(armlab.log.inspect(log).metadata["armlab"]["robot"])
+                return load_robot(armlab.log.inspect(log).metadata["armlab"]["robot"])
             except (ArmlabError, OSError, KeyError):
                 continue
-        raise ConfigError("Expected recordings that name a robot of the library, got none. Name it with --robot.")
+        raise ConfigError("Expected recordings that name a library robot, got none. Give --robot.")
 
     @contextmanager
     def work(self, title: str) -> Iterator[tuple[Executor | None, Callable[[int, int, str], None]]]:
-        """Yield the executor of the block, and what shows its progress."""
+        """Yield the executor and its progress callback."""
         from armlab.fleet.mapping import workers
 
         with workers(self.workers, self.dask) as executor, progress(title) as tell:
@@ -203,31 +204,33 @@ def identify(
 ) -> int:
     """Identify gravity, inertia and friction from many logs of one arm; save the model.
 
-    The result has the same bits with any number of workers. Logs that cannot be used are named, and the command ends
-    with status 3. Sums of each log are kept, so that ten logs more cost ten logs.
+    The result is bit-identical for any number of workers. The sums of each log are cached, so that additional logs cost
+    only their own processing time. The command ends with status 3 if logs are unusable (they are listed) or if the
+    model is poor. A poor model is saved only with --force.
 
     Parameters:
-        logs: Recordings of free motion without contact, and folders of such.
-        output: Model file to write, ends in .toml.
-        no_cache: Keep no sums, and use none.
+        logs: Recordings of free motion without contact, or folders of them.
+        output: Output model file, .toml.
+        no_cache: Do not cache the sums.
         job: See `Job`.
     """
     from armlab import fleet
+    from armlab.cli.identify.report import judge, try_out
+    from armlab.cli.support.log_input import read_log
     from armlab.fleet.identification import default_folder
 
     check_output(output, job.force, [".toml"])
     arm = job.arm(logs)
     cache = None if no_cache else default_folder()
     with job.work("identify") as (executor, tell):
-        found = fleet.identify(logs, arm, executor, tell, cache)
-    if job.json:
-        told = {"parameters": parameters(found.fit), "used": found.used, "skipped": found.skipped}
-        print_json({"model": str(output), **told})
-    else:
-        result(found.report())
-    found.fit.save(output)
-    note(f"model: {output}")
-    return DOUBTFUL if found.skipped else 0
+        found = fleet.identify(logs, arm, executor, tell, cache, columns=job.columns)
+    first = read_log(Path(found.used[0]), arm, columns=job.columns)
+    verdict = judge(found.fit, arm, [first], try_out(found.fit.value, arm, first, unseen=False))
+    wanted = Results(json=job.json, force=job.force)
+    told = {"parameters": parameters(found.fit), "used": found.used, "skipped": found.skipped}
+    wanted.say({"model": str(output), **told}, found.report(), verdict)
+    code = wanted.keep(verdict, {output: found.fit.save})
+    return DOUBTFUL if found.skipped else code
 
 
 @fleet.command(help_epilogue="Example: armlab fleet estimate logs/ --model model.toml -o estimates/ --workers 4")
@@ -239,23 +242,23 @@ def estimate(
     csv: bool = False,
     job: Job = Job(),
 ) -> int:
-    """Estimate the contact force in many logs of one arm; write a file of it for each.
+    """Estimate the contact force in many logs of one arm; write one file per log.
 
-    Prints a line per log: its length, how often and how long there was contact, the largest force and the mean 2-sigma
-    band. Logs that cannot be used are named, and the command ends with status 3.
+    Prints a line per log: length, number and duration of contacts, largest force, mean 2-sigma band. Unusable logs are
+    listed, and the command then ends with status 3.
 
     Parameters:
-        logs: Recordings with positions, velocities and torques, and folders of such.
+        logs: Recordings with positions, velocities and torques, or folders of them.
         model: Model file of armlab identify.
         output: Folder for the estimates.
-        method: As of armlab estimate.
-        csv: Write text instead of recordings.
+        method: As in armlab estimate.
+        csv: Write CSV instead of MCAP.
         job: See `Job`.
     """
     from armlab import fleet
 
     arm, known = job.arm(logs), armlab.models.load(model, "torque_model")
-    about = {"method": method, "ending": ".csv" if csv else ".mcap", "force": job.force}
+    about = {"method": method, "ending": ".csv" if csv else ".mcap", "force": job.force, "columns": job.columns}
     with job.work("estimate") as (executor, tell):
         done = fleet.estimate(logs, known, arm, output, executor, tell, **about)
     if job.json:
@@ -280,21 +283,21 @@ def export(
     output: Annotated[Path, Parameter(alias="-o")],
     job: Job = Job(),
 ) -> int:
-    """Write many logs in another format.
+    """Convert many logs to another format.
 
-    Logs that cannot be read or written are named, and the command ends with status 3.
+    Unreadable logs are listed, and the command then ends with status 3.
 
     Parameters:
-        logs: Files of any format that armlab reads, and folders of such.
-        format: To write: csv, mat, parquet, h5, mcap or rosbag2.
+        logs: Files of any supported format, or folders of them.
+        format: Output format: csv, mat, parquet, h5, mcap or rosbag2.
         output: Folder for the files.
-        job: See `Job`; the robot is for recordings in mcap.
+        job: See `Job`; the robot is used for mcap.
     """
     from armlab import fleet
 
     arm = job.arm(logs) if format == "mcap" else None
     with job.work("export") as (executor, tell):
-        done = fleet.export(logs, output, f".{format}", executor, tell, robot=arm, force=job.force)
+        done = fleet.export(logs, output, f".{format}", executor, tell, robot=arm, force=job.force, columns=job.columns)
     if job.json:
         print_json({"files": {name: str(path) for name, path in done.results.items()}, "skipped": done.skipped})
     else:

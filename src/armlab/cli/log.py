@@ -1,11 +1,14 @@
-"""``armlab log``: show, export, cut, merge, open and repair logs."""
+"""``armlab log``: show, export, cut, resample, merge, open and repair logs."""
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from glob import escape
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,7 +17,7 @@ from cyclopts import App, Parameter
 
 import armlab
 from armlab.cli import FAILED
-from armlab.cli.support.options import Force, Json
+from armlab.cli.support.options import Columns, Force, Json, load_robot, require_positive
 from armlab.cli.support.output import aligned, check_output, note, print_json, progress, refuse_overwrite, result
 from armlab.errors import ConfigError, LogError, MissingExtra
 
@@ -26,19 +29,29 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 
-log = App(name="log", help="Show, export, cut, merge, open and repair logs.")
+log: App = App(name="log", help="Show, export, cut, resample, merge, open and repair logs.")
 
 
 @log.command(help_epilogue="Example: armlab log show run.mcap")
-def show(file: Path, *, json: Json = False, parameters: bool = False) -> None:
-    """Show what a log holds: rows, rate, columns with units and ranges; of a recording also metadata and events.
+def show(file: Path, *, columns: Columns = None, json: Json = False, parameters: bool = False) -> None:
+    """Show the content of a log: rows, rate, columns with units and ranges; for a recording also metadata and events.
 
-    Of a log of another program, an MCAP file or a bag, it shows each topic by itself.
+    For a foreign log (an MCAP file or a bag), topics are listed separately. The log name of a cell with several arms
+    selects the files of all its arms.
 
     Parameters:
-        file: A recording, finished or not, or a log in another format.
-        parameters: Show only the parameters of the run: who set what when, and what was in force at the end.
+        file: A finished or unfinished recording, or a log in another format.
+        parameters: Show only the parameters of the run: changes with their authors, and final values.
     """
+    told = [_held(one, columns, json, parameters) for one in _files_of(file)]
+    if json:
+        print_json(told[0] if len(told) == 1 else told)
+    else:
+        result("\n\n".join(told))
+
+
+def _held(file: Path, columns: str | None, json: bool, parameters: bool) -> Any:
+    """Return the content of one file to show: text, or data for scripts."""
     import warnings
 
     from armlab.cli.support.log_input import reading_bar
@@ -46,26 +59,37 @@ def show(file: Path, *, json: Json = False, parameters: bool = False) -> None:
     from armlab.log.topics.reader import is_foreign
 
     kind = format_at(file)
-    held = armlab.log.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
+    held = armlab.log.inspect(file) if kind in ("MCAP", "") else None  # raises for other files
     if held and not held.topics:
-        raise LogError(f"Expected messages in {file}, got none that can be read in {held.size} bytes.")
+        raise LogError(f"Expected messages in {file}, got no readable message in {held.size} bytes.")
+    if parameters and json:
+        return parameters_data(held) if held else {"parameters": [], "parameters_at_end": {}}
     if parameters:
-        if json:
-            print_json(parameters_data(held) if held else {"parameters": [], "parameters_at_end": {}})
-        else:
-            result(parameters_text(held) if held else "This log has no parameters.")
-        return
+        return parameters_text(held) if held else "This log has no parameters."
     robots = held.robots if held and len(held.robots) > 1 else (None,)
     with warnings.catch_warnings(), reading_bar(file) as tell:
-        warnings.simplefilter("ignore")  # the notes of the table say the same and are shown below
-        if is_foreign(file):
+        warnings.simplefilter("ignore")  # the notes of the table are shown below
+        if is_foreign(file) and columns is None:
             tables = armlab.log.read_topics(file, progress=tell)
         else:
-            tables = {name or "": armlab.log.read(file, robot=name, progress=tell) for name in robots}
+            tables = {name or "": armlab.log.read(file, columns, robot=name, progress=tell) for name in robots}
     if json:
-        print_json(_data(file, kind, held, tables))
-    else:
-        result(_text(held, tables) if held else _exchanged_text(file, kind, tables))
+        return _data(file, kind, held, tables)
+    return _text(held, tables) if held else _exchanged_text(file, kind, tables)
+
+
+def _files_of(file: Path) -> list[Path]:
+    """Return a file, or the recordings with this name from a cell of several arms, such as cellleft.mcap."""
+    if file.exists():
+        return [file]
+    found = []
+    for path in sorted(file.parent.glob(f"{escape(file.stem)}?*{file.suffix}")):
+        end = re.sub(r"-\d+$", "", path.stem.removeprefix(file.stem))  # suffix of a name that was taken
+        with suppress(LogError, OSError):
+            robot = armlab.log.inspect(path).metadata.get("armlab", {}).get("robot", "")
+            if end in ("left", "right", f"-{robot}"):
+                found.append(path)
+    return found or [file]
 
 
 @log.command(help_epilogue="Example: armlab log export run.mcap run.mat")
@@ -75,22 +99,23 @@ def export(
     *,
     robot: str | None = None,
     clock: str | None = None,
+    columns: Columns = None,
     storage: Literal["mcap", "sqlite3"] = "mcap",
     force: Force = False,
 ) -> None:
     """Convert a log; the output format follows the file extension.
 
     .csv for spreadsheets, .mat for MATLAB, .parquet for pandas and databases, .h5 for HDF5, .rosbag2 for ROS 2, .mcap
-    for a recording of armlab. armlab reads all of them back as they were.
+    for a recording of armlab. armlab reads all of them back losslessly.
 
     Parameters:
-        file: A log in any of these formats, finished or not.
-        output: The new file; of a rosbag2 the new folder.
-        robot: Which one, of a recording of several; of a log of another program the arm whose joints it has, or the
-            first part of its topics. For .mcap and .rosbag2 the arm of the log, by name or file, if the log does not
-            describe it.
-        clock: Of a log of another program, the topic whose stamps are the rows, as armlab log show lists them.
-        storage: Of a rosbag2: sqlite3 for releases of ROS 2 that are older than Iron.
+        file: A log in any of these formats, finished or unfinished.
+        output: The new file (for rosbag2, the new folder).
+        robot: Robot to select from a recording of several robots, or from a foreign log by its joints or the first part
+            of its topic names. For .mcap and .rosbag2: library name or file of the arm if the log has no robot
+            description.
+        clock: For a foreign log: the topic whose timestamps define the rows; see armlab log show.
+        storage: For rosbag2: sqlite3 for ROS 2 releases before Iron.
     """
     from armlab.log.file_formats.delimited import sidecar_path
     from armlab.log.file_formats.mat import matlab_names
@@ -106,6 +131,7 @@ def export(
         tell(0, 1, f"reading {file.name}")
         table = armlab.log.read(
             file,
+            columns,
             robot=(robot if arm is None else arm) if names_robots(file) else None,
             clock=clock,
             progress=lambda done, total, _: tell(done, total, f"reading {file.name}"),
@@ -120,15 +146,12 @@ def export(
     if ending == ".mat":
         changed = [f"{name} is {own}" for name, own in matlab_names(table.names).items() if own != name]
         if changed:
-            note(f"Names that MATLAB does not allow: {', '.join(changed)}. The struct names in the file has them, too.")
+            note(f"Renamed for MATLAB: {', '.join(changed)}. The struct `names` in the file lists them.")
     result(str(output))
 
 
 def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
-    """Return the arm whose joints a new file names: as a recording describes it, else the one that is named.
-
-    None for formats without names of joints, and for a bag that keeps the names of another program.
-    """
+    """Return the recorded or given arm for the joint names of a new file; None if the format has no joint names."""
     from armlab.log.file_formats.opening import format_at
     from armlab.log.recording.metadata import described
     from armlab.log.topics.reader import is_foreign
@@ -141,22 +164,22 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
         arm = described(held.attachments, names[0], str(file))
         if arm is not None:
             return arm
-    return None if robot is None else armlab.robots.load(robot)
+    return None if robot is None else load_robot(robot)
 
 
 @log.command(help_epilogue="Example: armlab log recover run.mcap")
 def recover(file: Path, *, output: Path | None = None) -> None:
-    """Write a repaired copy of a truncated or damaged log. The original stays as it is.
+    """Write a repaired copy of a truncated or corrupt log. The original is not modified.
 
     Parameters:
         file: The recording.
-        output: The copy; <name>.recovered.mcap beside the file when not given.
+        output: The copy; default: <name>.recovered.mcap in the same folder.
     """
     with progress("recover") as tell:
         done = armlab.log.recover(file, output, progress=tell)
     note(
         f"{done.messages} messages over {done.seconds:.3f} s; lost: {done.torn} bytes at the end, "
-        f"{done.lost_chunks} damaged chunks"
+        f"{done.lost_chunks} corrupt chunks"
     )
     result(str(done.path))
 
@@ -168,21 +191,22 @@ def cut(
     from_: Annotated[float | None, Parameter(name="--from")] = None,
     to: float | None = None,
     robot: str | None = None,
+    columns: Columns = None,
     output: Annotated[Path, Parameter(alias="-o")],
     force: Force = False,
 ) -> None:
-    """Write a segment of a log: the rows with --from <= t < --to. The original stays as it is.
+    """Write a segment of a log: the rows with --from <= t < --to. The original is not modified.
 
-    A recording stays a whole recording: metadata, attachments, the parameters so far, and the events of the stretch.
-    Its t is not shifted, so that 12.3 s is the same moment in both.
+    A recording keeps its metadata, its attachments, the parameters in force, and the events of the segment. Times t are
+    not shifted: 12.3 s is the same instant in both files.
 
     Parameters:
-        file: A recording, finished or not, or a log in another format.
-        from_: Seconds of the table, as armlab log show and the figures have them; from the beginning when not given.
-        to: Seconds of the table; to the end when not given.
-        robot: Which one, of a recording of several: all of them stay in .mcap when not given. Else as in armlab log
+        file: A finished or unfinished recording, or a log in another format.
+        from_: Start [s], as shown by armlab log show and in figures; default: the beginning.
+        to: End [s]; default: the end.
+        robot: Robot to select from a recording of several robots; default for .mcap: all. Otherwise as in armlab log
             export.
-        output: The new file: .mcap of a recording; else an ending that armlab log export knows.
+        output: The new file: .mcap for a recording, or an extension supported by armlab log export.
     """
     from armlab.log.file_formats.opening import format_at
     from armlab.log.reading import names_robots
@@ -191,32 +215,72 @@ def cut(
 
     start, stop = (-float("inf") if from_ is None else from_), (float("inf") if to is None else to)
     if not start < stop or (from_, to, robot) == (None, None, None):
-        raise ConfigError(f"Expected --from S, --to S or both, the first before the second, got {from_} and {to}.")
+        raise ConfigError(f"Expected --from S < --to S, or only one of them, got {from_} and {to}.")
     check_output(output, force, ENDINGS, [file])
     with progress("cut") as tell:
-        if output.suffix.lower() == ".mcap" and format_at(file) in ("MCAP", "") and not is_foreign(file):
+        recorded = format_at(file) in ("MCAP", "") and not is_foreign(file)
+        if output.suffix.lower() == ".mcap" and recorded and columns is None:
             armlab.log.cut(file, output, start, stop, robot=robot, progress=tell)
         else:
             arm = _arm_for(output.suffix.lower(), file, robot)
-            table = armlab.log.read(file, robot=robot if names_robots(file) else None)
+            table = armlab.log.read(file, columns, robot=robot if names_robots(file) else None)
             part = table.between(start, stop)
             if not len(part):
                 has = f"{table.t[0]:g} s to {table.t[-1]:g} s" if len(table) else "no rows at all"
-                raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {file}, got none; it has {has}.")
+                raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {file}, got none. It has {has}.")
             armlab.log.write(part, output, arm, progress=tell)
+    result(str(output))
+
+
+@log.command(help_epilogue="Example: armlab log resample run.mcap --rate 250 -o even.mcap")
+def resample(
+    file: Path,
+    *,
+    rate: float,
+    max_gap: float | None = None,
+    robot: str | None = None,
+    columns: Columns = None,
+    output: Annotated[Path, Parameter(alias="-o")],
+    force: Force = False,
+) -> None:
+    """Resample a log at a uniform rate. Numbers are interpolated linearly, poses and quaternions along geodesics;
+    counts, flags and texts are held.
+
+    Useful for logs with skipped cycles or jittered timestamps. The rate must not be lower than that of the log; to
+    downsample, filter first.
+
+    Parameters:
+        file: A finished or unfinished recording, or a log in another format.
+        rate: Rows per second [Hz].
+        max_gap: Longest gap between rows to interpolate [s]; larger gaps give missing values. Default: three periods.
+        robot: As in armlab log export.
+        output: The new file, with an extension supported by armlab log export.
+    """
+    from armlab.log.reading import names_robots
+    from armlab.log.writing import ENDINGS
+
+    require_positive("rate", rate, "Hz")
+    require_positive("max-gap", max_gap, "s")
+    check_output(output, force, ENDINGS, [file])
+    arm = _arm_for(output.suffix.lower(), file, robot)
+    with progress("resample") as tell:
+        tell(0, 1, f"reading {file.name}")
+        table = armlab.log.read(file, columns, robot=robot if names_robots(file) else None)
+        even = table.resample(rate, max_gap=max_gap)
+        armlab.log.write(even, output, arm, progress=tell)
+    note(f"{len(table)} rows became {len(even)}")
     result(str(output))
 
 
 @log.command(help_epilogue="Example: armlab log merge first.mcap second.mcap -o both.mcap")
 def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: Force = False) -> None:
-    """Write several recordings to one. The originals stay as they are.
+    """Merge several recordings into one. The originals are not modified.
 
-    Recordings of one robot are put one after another by their wall clocks, and the gaps between them stay. Recordings
-    of both arms of a bridge stand side by side: commands take the rows of the robot that they name, armlab log export
-    those of --robot, armlab plot those of --arm.
+    Recordings of one robot are joined according to their wall clocks; gaps between them remain. Recordings of both arms
+    of a bridge are stored side by side: select one with --robot (armlab log export) or --arm (armlab plot).
 
     Parameters:
-        file: Two recordings or more, in any order.
+        file: Two or more recordings, in any order.
         output: The new file, .mcap.
     """
     check_output(output, force, [".mcap"], file)
@@ -227,21 +291,21 @@ def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: Fo
 
 @log.command(name="open", help_epilogue="Example: armlab log open run.mcap --foxglove")
 def open_(file: Path, *, rerun: bool = False, foxglove: bool = False, plotjuggler: bool = False) -> int:
-    """Open a recording in another program, if it is installed: Foxglove, PlotJuggler or Rerun.
+    """Open a recording in another program: Foxglove, PlotJuggler or Rerun.
 
-    Without an option the first of these that is installed. armlab needs none of them: armlab plot and armlab view show
-    logs, too. Returns when the program ends.
+    Default: the first installed program. None of them is required: armlab plot and armlab view also show logs. The
+    command returns when the program ends.
 
     Parameters:
         file: A finished recording.
-        rerun: Open it there.
-        foxglove: Open it there.
-        plotjuggler: Open it there.
+        rerun: Use Rerun.
+        foxglove: Use Foxglove.
+        plotjuggler: Use PlotJuggler.
     """
     if not armlab.log.inspect(file).finished:
         raise LogError(
-            f"Expected a finished recording, got {file}, which was cut off, and which other programs do not open. Make "
-            f"it whole: armlab log recover {file}."
+            f"Expected a finished recording, got the truncated {file}, which other programs cannot open. "
+            f"Repair it: armlab log recover {file}."
         )
     wanted = [name for name, is_on in (("foxglove", foxglove), ("plotjuggler", plotjuggler), ("rerun", rerun)) if is_on]
     viewer, program = chosen(wanted)
@@ -253,7 +317,7 @@ _EVENTS_SHOWN = 20
 
 
 def _data(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> dict[str, Any]:
-    """Return what is shown of a log, for scripts."""
+    """Return the content of a log for scripts."""
     told = [_table_data(table) for table in tables.values()]
     several = "robots" if held and held.robots else "tables"
     rows = told[0] if list(tables) == [""] else {several: dict(zip(tables, told, strict=True))}
@@ -288,7 +352,7 @@ def parameters_data(held: Inspection) -> dict[str, Any]:
 
 
 def _table_data(table: Table) -> dict[str, Any]:
-    """Return what is shown of any log, for scripts."""
+    """Return the content of a table for scripts."""
     from armlab.log.table import component_names, statistics, timing
 
     holes = table.missing()
@@ -310,7 +374,7 @@ def _table_data(table: Table) -> dict[str, Any]:
 
 
 def _recording_data(held: Inspection) -> dict[str, Any]:
-    """Return what is shown of a recording besides, for scripts."""
+    """Return the additional content of a recording for scripts."""
     return {
         "format": "MCAP",
         "bytes": held.size,
@@ -333,9 +397,9 @@ def _exchanged_text(file: Path, kind: str, tables: Mapping[str, Table]) -> str:
 
 
 def _table_texts(tables: Mapping[str, Table]) -> list[str]:
-    """Return rows, notes and columns of each table, with its name where there are several."""
+    """Return the rows, notes and columns of each table, and its name if there are several tables."""
 
-    blocks = [] if tables else ["no topic with numbers"]
+    blocks = [] if tables else ["no topic with numeric data"]
     for name, table in tables.items():
         first, *rest = str(table).splitlines()
         first = f"{name}: {first}" if name else first
@@ -353,7 +417,7 @@ def _began(t0_ns: int) -> str:
 
 
 def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
-    state = "finished" if held.finished else f"not finished, {held.torn} bytes torn"
+    state = "finished" if held.finished else f"unfinished, {held.torn} bytes truncated"
     began = min((table.t0_ns for table in tables.values()), default=0)
     blocks = [f"{held.path}: {held.size / 1e6:.2f} MB, {state}, began {_began(began)}"]
     for about in held.metadata.values():
@@ -363,6 +427,11 @@ def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
             )
         )
     blocks += _table_texts(tables)
+    if skipped := held.summary.get("skipped"):
+        blocks.append(
+            f"According to its clock, the controller skipped {skipped} cycles: no packets were sent, so "
+            "these rows are missing."
+        )
     blocks.append(aligned([("attachment", "bytes"), *((n, str(len(d))) for n, d in held.attachments.items())], (1,)))
     lines = [f"{_when(event.stamp_ns, began):>12}  {event.text}" for event in held.events[:_EVENTS_SHOWN]]
     more = len(held.events) - len(lines)
@@ -371,7 +440,7 @@ def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
 
 
 def _when(stamp_ns: int, t0_ns: int) -> str:
-    """Return seconds since the first row; "-" where the stamp is on another clock, as in lockstep."""
+    """Return seconds since the first row; "-" for timestamps from another clock, as in lockstep."""
     seconds = (stamp_ns - t0_ns) / 1e9
     return f"{seconds:.3f} s" if abs(seconds) < 30 * 86_400 else "-"
 
@@ -397,30 +466,30 @@ def _column_rows(table: Table) -> list[tuple[str, ...]]:
 class Viewer:
     """A program that opens MCAP files."""
 
-    title: str  # title, program: its name, and that of its command
+    title: str  # title, program: display name and command
     program: str
-    arguments: tuple[str, ...]  # before the file
-    source: str  # how one gets it
-    remark: str = ""  # what one should know before it opens
+    arguments: tuple[str, ...]  # before the file name
+    source: str  # installation hint
+    remark: str = ""  # hint before opening
 
 
 VIEWERS = {
-    "foxglove": Viewer("Foxglove", "foxglove-studio", (), "its desktop program is at foxglove.dev/download"),
-    "plotjuggler": Viewer("PlotJuggler", "plotjuggler", ("-d",), "its packages are listed at plotjuggler.io"),
+    "foxglove": Viewer("Foxglove", "foxglove-studio", (), "download the desktop program from foxglove.dev/download"),
+    "plotjuggler": Viewer("PlotJuggler", "plotjuggler", ("-d",), "packages are listed at plotjuggler.io"),
     "rerun": Viewer(
         "Rerun",
         "rerun",
-        ("--bind", "127.0.0.1"),  # its default is every interface
-        "pip install rerun-sdk, in an environment of its own",
-        " It may call hosts outside; `rerun analytics disable` says no.",
+        ("--bind", "127.0.0.1"),  # default: all interfaces
+        "pip install rerun-sdk, into a separate environment",
+        " It may connect to external hosts; `rerun analytics disable` prevents that.",
     ),
 }
 
 
 def chosen(wanted: Sequence[str]) -> tuple[Viewer, str]:
-    """Return the program to open a recording with, and where it is."""
+    """Return the program to open a recording with, and its path."""
     if len(wanted) > 1:
-        raise ConfigError(f"Expected one program to open the log with, got {' and '.join(wanted)}. Leave one out.")
+        raise ConfigError(f"Expected one program to open the log with, got {' and '.join(wanted)}. Omit one.")
     places = {name: shutil.which(viewer.program) for name, viewer in VIEWERS.items()}
     for name in wanted or VIEWERS:
         place = places[name]
@@ -429,4 +498,4 @@ def chosen(wanted: Sequence[str]) -> tuple[Viewer, str]:
     there = ", ".join(VIEWERS[name].title for name, place in places.items() if place) or "none of these programs"
     missing = "; ".join(f"{VIEWERS[name].title}: {VIEWERS[name].source}" for name in wanted or VIEWERS)
     what = VIEWERS[wanted[0]].title if wanted else "Foxglove, PlotJuggler or Rerun"
-    raise MissingExtra(f"Expected {what} on the PATH, got {there}. How to get it: {missing}.")
+    raise MissingExtra(f"Expected {what} on the PATH, got {there}. Install it: {missing}.")

@@ -1,4 +1,4 @@
-"""``armlab record``: listen to one or more robots and write a log. Sends nothing, ever."""
+"""``armlab record``: record one or more robots. Sends nothing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import armlab
 from armlab.cli import FAILED
-from armlab.cli.support.options import Force, known_ports, ports_in, require_positive
+from armlab.cli.support.options import Force, known_ports, load_robot, ports_in, require_positive
 from armlab.cli.support.output import Narrator, check_output, note, result
 from armlab.errors import ConfigError, NoRobot, SessionEnded
 
@@ -26,24 +26,25 @@ def record(
     patience: float | None = None,
     force: Force = False,
 ) -> int:
-    """Record what robots send over EGM. Nothing is sent to them, so nothing here can move them.
+    """Record the EGM data of robots. Sends nothing, so it cannot move the robots.
 
-    Ends after --seconds of packets, after --patience without any, or on Ctrl-C: the log then holds every packet that
-    came. A process that is killed outright loses what it had not taken up yet, a packet or two; a loss of power costs
-    up to 0.8 s.
+    Ends after --seconds of packets, after --patience without packets, or on Ctrl-C. The log then contains every
+    received packet. Killing the process loses one or two packets; a power failure loses up to 0.8 s.
 
     Parameters:
         robot: Names in the library, or robot files; one log each.
-        port: UDP ports to listen on, one per robot, separated by commas; those of the settings when not given, else
-            6510 for one robot, 6511, 6512, ... for several.
-        output: The log, run.mcap; with several robots each has its side or name added: runleft.mcap, runright.mcap.
-        lead_through: The arm is led by hand: lists the steps first and says when it does not begin in its home posture.
-        seconds: Robot time after which to end [s], counted from the first packet.
-        patience: Give up when no packet comes for so long [s]; waits for ever when not given.
+        port: UDP ports to listen on, one per robot, separated by commas; default: those of the settings, else 6510 for
+            one robot, 6511, 6512, ... for several.
+        output: Log file, such as run.mcap; with several robots, the side or name is appended: runleft.mcap,
+            runright.mcap.
+        lead_through: For an arm led by hand: print the steps first, and warn if the arm does not start in its home
+            posture.
+        seconds: Stop after this much robot time [s], counted from the first packet.
+        patience: Give up after this time without packets [s]; default: wait indefinitely.
     """
     from armlab.bridge.control.recording import paths
 
-    arms = [armlab.robots.load(name) for name in robot]
+    arms = [load_robot(name) for name in robot]
     urls = _urls(port, arms)
     require_positive("seconds", seconds, "s")
     require_positive("patience", patience, "s")
@@ -71,11 +72,11 @@ def record(
     return _told(files)
 
 
-_STEPS = """Leading by hand, step by step:
-  1. Manual mode, motors off. RAPID from main: ArmlabStream.mod, which streams and moves nothing.
-  2. Start it at the home posture. This program says when packets come.
-  3. Stop RAPID and switch lead-through on: on the pendant, or by SetLeadThrough \\On. Whether packets go on after the
-     stop depends on the controller; if they end, switch lead-through on in RAPID before it streams.
+_STEPS = """Lead-through, step by step:
+  1. Manual mode, motors off. RAPID from main: ArmlabStream.mod, which only streams.
+  2. Start it at the home posture. This program reports the first packet.
+  3. Stop RAPID and switch lead-through on: on the pendant, or by SetLeadThrough \\On. Whether packets continue
+     after the stop depends on the controller; if they end, switch lead-through on in RAPID before it streams.
   4. Move the arm by hand. Ctrl-C here ends the log.
   5. Motors off before RAPID starts again."""
 
@@ -83,7 +84,7 @@ _STEPS = """Leading by hand, step by step:
 def _urls(port: str | None, arms: list[Robot]) -> list[str]:
     """Return one link per arm, on all network interfaces."""
     if not arms:
-        raise ConfigError("Expected the name of a robot, got none. Try `armlab record yumi_left -o run.mcap`.")
+        raise ConfigError("Expected the name of a robot, got none. For example: armlab record yumi_left -o run.mcap.")
     numbers = known_ports(arms) if port is None else ports_in(port)
     if len(numbers) != len(arms):
         raise ConfigError(f"Expected one port per robot, such as --port 6511,6512, got {port!r} for {len(arms)}.")
@@ -91,15 +92,15 @@ def _urls(port: str | None, arms: list[Robot]) -> list[str]:
 
 
 def _told(files: list[Path]) -> int:
-    """Say what the logs hold; a log without a row is removed. Return the exit code."""
+    """Report the content of the logs; remove logs without rows. Return the exit code."""
     kept = 0
     for path in files:
         table = armlab.log.read(path)
-        is_whole = bool(armlab.log.inspect(path).summary)  # one that was not finished misses what came last
+        is_whole = bool(armlab.log.inspect(path).summary)  # an unfinished one lacks its last rows
         if len(table) or not is_whole:
             kept += is_whole
             result(f"{path}: {len(table)} packets, {table.t[-1] - table.t[0] if len(table) else 0.0:.2f} s")
         else:
             path.unlink()
-            note(f"No packet came for {path}: no file was kept. Ask: armlab doctor")
+            note(f"No packets received for {path}: no file was kept. Try: armlab doctor")
     return 0 if kept == len(files) else FAILED

@@ -1,4 +1,4 @@
-"""``armlab robot``: the robots of the library and of the user."""
+"""``armlab robot``: library robots and user-defined robots."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING
 from cyclopts import App
 
 import armlab
-from armlab.cli.support.options import Force, Json
+from armlab.cli.support.options import Force, Json, is_arm_chosen, load_robot
 from armlab.cli.support.output import FIGURES, aligned, check_output, note, print_json, result, save_figure
+from armlab.errors import ConfigError, ModelMismatchError
 
 if TYPE_CHECKING:
+    from armlab.models import TorqueModel
     from armlab.robots import Robot
     from armlab.robots.urdf import Tree
 
-robot = App(name="robot", help="List, show and convert robot descriptions.")
+robot: App = App(name="robot", help="List, show, convert and export robot descriptions.")
 
 
 @robot.command(name="list", help_epilogue="Example: armlab robot list")
@@ -35,26 +37,26 @@ def list_robots(*, json: Json = False) -> None:
 def show(
     name: str,
     *,
-    base: str | None = None,
-    tip: str | None = None,
     figure: Path | None = None,
     json: Json = False,
     force: Force = False,
 ) -> None:
-    """Show one robot: joints, limits, gears, home pose; draw it if asked. Of a URDF, show the tree of links.
+    """Show a robot (joints, limits, gears, home posture), and optionally draw it. For a URDF, show the tree of links.
+
+    With --base, --tip or --lock, show this arm of a URDF instead.
 
     Parameters:
         name: Name in the library, or the path of a description, .toml or .urdf.
-        base: Link of a URDF that stands still: show the arm that begins there.
-        tip: Link of a URDF that moves last: show the arm that ends there.
-        figure: Draw the arm at home into this file; .png, .svg or .pdf.
+        figure: Draw the arm in its home posture to this file; .png, .svg or .pdf.
     """
+    from armlab.robots.files import description
+
     if figure is not None:
         check_output(figure, force, FIGURES)
-    elif Path(name).suffix == ".urdf" and base is None and tip is None:
-        _show_tree(armlab.robots.urdf.read(name), json)
+    elif not is_arm_chosen() and (path := description(name)) is not None and path.suffix == ".urdf":
+        _show_tree(armlab.robots.urdf.read(path), json)
         return
-    arm = armlab.robots.load(name, base=base, tip=tip)
+    arm = load_robot(name)
     if figure is not None:
         save_figure(armlab.plots.robot(arm), figure)
         note(f"figure: {figure}")
@@ -62,21 +64,105 @@ def show(
 
 
 @robot.command(help_epilogue="Example: armlab robot convert arm.urdf arm.toml --tip tool0")
-def convert(
-    source: str, target: Path, *, base: str | None = None, tip: str | None = None, force: Force = False
-) -> None:
-    """Write a robot as TOML, which holds all of it, or as URDF for other programs.
+def convert(source: str, target: Path, *, force: Force = False) -> None:
+    """Write a robot losslessly as TOML, or as URDF for other programs.
+
+    For a URDF, --base, --tip and --lock select the arm.
 
     Parameters:
         source: Name in the library, or the path of a description, .toml or .urdf.
         target: File to write, .toml or .urdf.
-        base: Link of a URDF that stands still; its root unless said.
-        tip: Link of a URDF that moves last; need not be said where only one branch moves.
     """
     check_output(target, force, (".toml", ".urdf"))
-    arm = armlab.robots.load(source, base=base, tip=tip)
+    arm = load_robot(source)
     armlab.robots.save(arm, target)
     note(f"robot: {target}, joints {', '.join(arm.joint_names)}")
+
+
+@robot.command(
+    help_epilogue="Example: armlab robot export yumi_left yumi.urdf --model model.toml --calibrated arm.toml"
+)
+def export(
+    name: str,
+    target: Path,
+    *,
+    calibrated: Path | None = None,
+    model: Path | None = None,
+    force: Force = False,
+) -> None:
+    """Write a robot with its calibrated and identified parameters for other programs.
+
+    Inertias become physically consistent <inertial> elements; unidentifiable parameters are chosen freely and do not
+    change the torques. Viscous and Coulomb friction become <dynamics>. Rotor inertias (armature in Pinocchio and
+    MuJoCo) and other friction terms, which URDF cannot express, are written as a comment at the top.
+
+    Parameters:
+        name: Name in the library, or the path of a description, .toml or .urdf.
+        target: File to write, .urdf or .toml (without friction).
+        calibrated: Result of armlab calibrate kinematics or dual-arm for this arm.
+        model: Model file of armlab identify.
+    """
+    from dataclasses import replace
+
+    from armlab._files import whole_file
+    from armlab.identify.consistency import bodies_of
+    from armlab.robots.urdf.writing import write_urdf
+
+    check_output(target, force, (".toml", ".urdf"))
+    if calibrated is None and model is None:
+        raise ConfigError("Expected --calibrated FILE, --model FILE or both, got none. See armlab robot convert.")
+    arm = load_robot(name)
+    found = arm if calibrated is None else _calibrated(arm, calibrated)
+    if model is None:
+        armlab.robots.save(found, target)
+    else:
+        known = armlab.models.load(model, "torque_model")
+        links, rotor, away = bodies_of(known, arm)
+        found, known = replace(found, inertias=links), replace(known, rotor=rotor)
+        if away > 0.0:
+            note(
+                "No physically consistent inertias reproduce the torques of this model: its base parameters change by "
+                f"{away:.2g} standard deviations in total. Richer motion in the log reduces their uncertainty."
+            )
+        if target.suffix == ".toml":
+            armlab.robots.save(found, target)
+        else:
+            friction = known.friction
+            dry = 0.5 * (friction.coulomb_pos + friction.coulomb_neg)
+            with whole_file(target) as part:
+                text = write_urdf(found, list(zip(friction.viscous.tolist(), dry.tolist())), _not_in_urdf(known))
+                part.write_text(text, encoding="utf-8")
+    note(f"robot: {target}, joints {', '.join(found.joint_names)}")
+
+
+def _calibrated(arm: Robot, path: Path) -> Robot:
+    """Return the arm with calibrated kinematics."""
+    found = armlab.models.load(path)
+    parts = [getattr(found, name) for name in ("arm_a", "arm_b") if hasattr(found, name)] or [found]
+    for part in parts:
+        if isinstance(part, armlab.models.KinematicCorrection) and (len(parts) == 1 or part.robot_hash == arm.hash):
+            part.check_robot(arm)
+            return part.robot
+    raise ModelMismatchError(
+        f"Expected a calibration of {arm.name!r} in {path}, got {type(found).__name__}. Create one with armlab "
+        "calibrate kinematics."
+    )
+
+
+def _not_in_urdf(model: TorqueModel) -> dict[str, str]:
+    """Return the parts of a model that URDF cannot express."""
+    friction = model.friction
+    told = {
+        "rotor inertia on the joint side [kg m^2]": model.rotor,
+        "ratio of measured to true torque": model.gains,
+        "Coulomb friction, positive motion [N m]": friction.coulomb_pos,
+        "Coulomb friction, negative motion [N m]": friction.coulomb_neg,
+        "constant torque [N m]": friction.offset,
+        "Stribeck torque [N m]": friction.stribeck,
+        "torque per square root of velocity [N m sqrt(s/rad)]": friction.root,
+        "friction torque per load torque": friction.load,
+    }
+    return {name: " ".join(f"{x:.9g}" for x in values) for name, values in told.items()}
 
 
 def _show_tree(tree: Tree, json: bool) -> None:
@@ -104,7 +190,7 @@ def _show_tree(tree: Tree, json: bool) -> None:
         waiting += [(below, depth + 1) for below in reversed(tree.child_joints[joint.child])]
     result(aligned(rows, right=(3, 4)))
     if tree.tips:
-        note(f"One arm of it: --tip {' or '.join(tree.tips)}.")
+        note(f"To show one arm, add --tip {' or '.join(tree.tips)}.")
 
 
 def _show_arm(arm: Robot, json: bool) -> None:

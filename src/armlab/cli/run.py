@@ -1,4 +1,4 @@
-"""``armlab run``: run your controller from a file."""
+"""``armlab run``: run your controller from a file. ``armlab play``: run a joint trajectory, or replay a log."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from cyclopts import Parameter
 
 import armlab
 from armlab.cli import FAILED
-from armlab.cli.support.options import links_to
-from armlab.cli.support.output import Narrator, check_output, note, result
+from armlab.cli.support.options import Columns, Force, Json, as_given, links_to, load_robot
+from armlab.cli.support.output import Narrator, check_output, note, print_json, progress, result
 from armlab.errors import ConfigError, ControllerFailed
 
 if TYPE_CHECKING:
     from armlab.bridge import Link, Run
+    from armlab.motion import JointTrajectory, TrajectoryController
+    from armlab.robots import Robot
+
 
 _NAME = "controller"
 
@@ -35,30 +38,29 @@ def run(
     wait: Literal["ahead", "block", "spin"] | None = None,
     interactive: Annotated[bool, Parameter(alias="-i")] = False,
 ) -> int:
-    """Run a controller from a file against a robot, record a log, and report how it went.
+    """Run a controller from a file on a robot, record a log, and print a report.
 
-    The file needs nothing of armlab's but a function State -> Command; None holds. A dictionary `extra` in the file
-    declares the columns of Command.record. The run ends after --seconds, by Command.stop(), or on Ctrl-C; the arm is
+    The file needs only a function State -> Command; returning None holds the position. A dictionary `extra` in the file
+    declares the columns of Command.record. The run ends after --seconds, on Command.stop(), or on Ctrl-C; the arm is
     brought to rest first.
 
     Parameters:
-        robot: Name in the library, or a robot file; yumi_left+yumi_right for two arms.
-        controller: FILE.py:NAME; FILE.py alone means the function `controller` in it. Without a file the arm holds
-            where it is.
-        link: egm://HOST:PORT for a robot, where HOST is an address of this computer, separated by commas for two arms;
-            the simulated robot when not given.
-        log: Beginning of the name of the log, to which the time is added; or a folder, where it is the robot's name. In
-            the folder of the settings when not given.
+        robot: Library name or robot file; yumi_left+yumi_right for two arms.
+        controller: FILE.py:NAME; FILE.py alone selects the function `controller`. Default: hold position.
+        link: egm://HOST:PORT for a real robot, where HOST is an address of this computer; separate two arms by a comma.
+            Default: a simulated robot.
+        log: Prefix of the log name, to which the time is appended; or a folder, in which the robot's name is the
+            prefix.
+            Default: in the folder of the settings.
         no_log: Record nothing.
-        seconds: Robot time under guidance after which to end [s].
-        speed: Share of the robot's speed and acceleration limits that is allowed, in (0, 1]; that of the settings, 1
-            without.
-        wait: How to wait for packets; as the settings say, ahead without. spin: a core does nothing else.
-        interactive: Afterwards, a Python prompt with `log` (the table), `run` and `robot`.
+        seconds: Stop after this much robot time under guidance [s].
+        speed: Fraction of the robot's speed and acceleration limits, in (0, 1]; default: that of the settings, else 1.
+        wait: How to wait for packets; default: from the settings, else ahead. spin: busy waiting on one core.
+        interactive: Open a Python prompt after the run, with `log` (the table), `run` and `robot`.
     """
     from armlab.cli.support.settings import load_settings
 
-    arms = [armlab.robots.load(name) for name in robot.split("+")]
+    arms = [load_robot(name) for name in robot.split("+")]
     step, extra = (_hold, None) if controller is None else load_controller(controller)
     urls = links_to(robot, arms, link)
     base = _base(log, no_log, robot)
@@ -66,7 +68,7 @@ def run(
     share = known.speed if speed is None else speed
     limits = [armlab.bridge.Limits.of(arm, speed=share) for arm in arms]
     if not all(url.startswith("sim:") for url in urls):
-        note(_CHECKS)
+        note(CHECKS)
     with armlab.bridge.connect(urls, arms) as end:
         options: dict[str, Any] = {"wait": wait or known.wait, "limits": limits, "extra": extra, "feeds": [Narrator()]}
         file = None if controller is None else _file_and_name(controller)[0]
@@ -82,29 +84,29 @@ def run(
             raise
         finally:
             for path in _files(end):
-                note(f"log: {path}; look at it: armlab log show {path}")
+                note(f"log: {path}; show it with armlab log show {path}")
     result(done.report())
     if interactive:
         _prompt(done, end)
     return FAILED if done.statistics["problems"] else 0  # as the report says
 
 
-_CHECKS = """A real arm moves now: nobody in its reach, a hand on the emergency stop, slow at first (--speed 0.1).
-In this order: automatic mode or manual with the enabling device; motors on; RAPID from main; then this program."""
+CHECKS = """A real arm will move now: keep clear, keep a hand on the emergency stop, and start slowly (--speed 0.1).
+Follow this order: automatic mode, or manual mode with the enabling device; motors on; RAPID from main; this program."""
 
 
 def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] | None]:
-    """Return the controller in a file, and the columns that the file declares as `extra`, None without them."""
+    """Return the controller in a file and the columns it declares as `extra`, or None."""
     from importlib.util import module_from_spec, spec_from_file_location
 
     path, name = _file_and_name(place)
     if path.suffix != ".py":
-        raise ConfigError(f"Expected a controller as FILE.py:NAME, got {place!r}. Name a file that ends in .py.")
+        raise ConfigError(f"Expected a controller as FILE.py:NAME, got {place!r}. Use a file name that ends in .py.")
     if not path.is_file():
-        raise ConfigError(f"Expected a controller as FILE.py:NAME, got {place!r}, and there is no file {path}.")
+        raise ConfigError(f"Expected a controller as FILE.py:NAME, got {place!r}, but there is no file {path}.")
     spec = spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
-        raise ConfigError(f"Expected a Python file, got {path}. Give it a name that ends in .py.")
+        raise ConfigError(f"Expected a Python file, got {path}. Rename it so that it ends in .py.")
     module = module_from_spec(spec)
     sys.path.insert(0, str(path.parent.resolve()))
     try:
@@ -115,23 +117,23 @@ def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] |
         sys.path.pop(0)
     found = getattr(module, name, None)
     if not callable(found):
-        got = f"got {found!r}" if hasattr(module, name) else "but there is no such name in it"
+        got = f"got {found!r}" if hasattr(module, name) else "but the name does not exist"
         named = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise ConfigError(
-            f"Expected a function {name!r} in {path}, {got}. It has {', '.join(named) or 'no function'}. "
-            "Say which: FILE.py:NAME."
+            f"Expected a function {name!r} in {path}, {got}. The file defines {', '.join(named) or 'no function'}. "
+            "Select one with FILE.py:NAME."
         )
     return found, getattr(module, "extra", None)
 
 
 def _file_and_name(place: str) -> tuple[Path, str]:
-    """Return what ``FILE.py:NAME`` or ``FILE.py`` names."""
+    """Split ``FILE.py:NAME`` or ``FILE.py``."""
     file, _, name = place.partition(".py:")
     return Path(f"{file}.py" if name else place), name or _NAME
 
 
 def _raised_at(error: Exception) -> str:
-    """Return the lines of the user's own files that led to what a controller raised, the last one last."""
+    """Return the lines in the user's files that led to a controller's error, innermost last."""
     from traceback import extract_tb
 
     own = Path(__file__).parents[1]
@@ -141,16 +143,16 @@ def _raised_at(error: Exception) -> str:
 
 
 def _hold(state: object) -> None:
-    """Hold where the arm is."""
+    """Hold the position."""
 
 
 def _base(log: str | None, no_log: bool, robot: str) -> Path | None:
-    """Return the name of the log, with the time: one file per arm and start."""
+    """Return the log name including the time: one file per arm and run."""
     from armlab.cli.support.settings import log_folder
 
     if no_log:
         if log is not None:
-            raise ConfigError(f"Expected either --log or --no-log, got both (--log {log}). Leave one out.")
+            raise ConfigError(f"Expected either --log or --no-log, got both (--log {log}). Omit one.")
         return None
     name = Path(robot).stem
     if log is not None and (log.endswith(os.sep) or Path(log).is_dir()):
@@ -158,12 +160,12 @@ def _base(log: str | None, no_log: bool, robot: str) -> Path | None:
     else:
         start = str(log_folder() / name if log is None else log).removesuffix(".mcap")
     path = Path(f"{start}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.mcap")
-    check_output(path, force=True, endings=[".mcap"])  # a second start in this second gets -2 from the recorder
+    check_output(path, force=True, endings=[".mcap"])  # the recorder appends -2 to a second start in this second
     return path
 
 
 def _files(link: Link) -> list[Path]:
-    """Return the logs of the last run; one that met another of its name has a number in its own."""
+    """Return the logs of the last run, including numbers appended to their names."""
     last = link.last
     runs = () if last is None else last.arms or (last,)
     return [one.path for one in runs if one.path is not None and one.path.exists()]
@@ -175,4 +177,108 @@ def _prompt(done: Run, link: Link) -> None:
     import numpy as np
 
     names = {"run": done, "log": done.table, "robot": link.robot, "np": np}
-    code.interact("log: the table, run: its report, robot, np. Ctrl-D ends.", local=names, exitmsg="")
+    code.interact("Available: log (table), run (report), robot, np. Ctrl-D ends.", local=names, exitmsg="")
+
+
+_REST = 1e-3  # rad/s or m/s of the last row
+_LONGEST = 3.0  # s after the last point and the wait for the goal
+
+
+def play(
+    file: Path,
+    robot: str,
+    *,
+    link: str | None = None,
+    speed: float | None = None,
+    columns: Columns = None,
+    log: Path | None = None,
+    json: Json = False,
+    force: Force = False,
+) -> int:
+    """Run a joint trajectory on a robot, or replay the motion in a log.
+
+    Moves the robot to the start at moderate speed, runs the trajectory, records a log, and prints the distance from the
+    goal. The path between points is linear for positions only, cubic with velocities, quintic with accelerations. A
+    trajectory outside the limits is refused. To replay at another speed, fit a primitive: armlab dmp fit.
+
+    Parameters:
+        file: JSON of a trajectory_msgs/JointTrajectory or of a FollowJointTrajectory goal; or a log or CSV file. From a
+        log, the references sent (q_sent) are replayed, otherwise the columns q, qd and qdd.
+        robot: Library name or robot file.
+        link: egm://HOST:PORT for a real robot; default: a simulated robot.
+        speed: Allowed fraction of the robot's speed limits, in (0, 1]; default: from the settings, else 1.
+        log: Recording of the motion; -2, -3 is appended if it exists. Default: play.mcap in the folder of the settings.
+        force: Also replay a log of another robot.
+    """
+    from armlab.cli.dmp.playing import Walk
+    from armlab.cli.support.settings import load_settings, log_folder
+
+    arm = load_robot(robot)
+    limits = armlab.bridge.Limits.of(arm, speed=load_settings().settings.speed if speed is None else speed)
+    with as_given():
+        trajectory = read_motion(file, arm, columns, force)
+        controller = trajectory.controller(arm, limits=limits)
+    urls = links_to(robot, [arm], link)
+    if not all(url.startswith("sim:") for url in urls):
+        note(CHECKS)
+    with armlab.bridge.connect(urls, arm) as end, progress("trajectory") as tell:
+        end.run(Walk(trajectory.ordered(arm.ros_joint_names).q[0], limits.qd_max), limits=limits)
+        whole = trajectory.duration + _LONGEST
+        done = end.run(controller, whole, limits=limits, record=log or log_folder() / "play.mcap", progress=tell)
+    return _report(controller, trajectory.duration, done, json)
+
+
+def _report(controller: TrajectoryController, seconds: float, done: armlab.bridge.Run, json: bool) -> int:
+    """Print how the motion ended, and return the exit code."""
+    import numpy as np
+
+    off = float(np.abs(done.table["q"][-1] - controller.goal).max())
+    reason = "arrived" if controller.done else controller.reason or done.reason
+    if json:
+        print_json({"seconds": seconds, "goal_error": off, "reason": reason, "log": str(done.path)})
+    else:
+        result(f"{seconds:.2f} s of motion, ended {off:.2g} rad from the goal: {reason}")
+    for problem in done.statistics["problems"]:
+        note(problem)
+    note(f"log: {done.path}")
+    return 0 if controller.done and not done.statistics["problems"] else FAILED
+
+
+def read_motion(file: Path, robot: Robot, columns: str | None, force: bool) -> JointTrajectory:
+    """Return the trajectory in a file: a message in JSON, or the motion in a table."""
+    import numpy as np
+
+    from armlab.motion import JointTrajectory
+
+    if file.suffix == ".json":
+        return _message(file)
+    table = armlab.log.read_arm(file, robot, force=force, columns=columns, needed=("q",))
+    names = ["q_sent", "qd_sent"] if "q_sent" in table.names else ["q", "qd", "qdd"]
+    names = [name for name in names if name in table.names]
+    table = table.dropna(*names)
+    if len(table) < 2:
+        raise ConfigError(f"Expected a motion in {file}, got {len(table)} rows with {', '.join(names)}.")
+    if len(names) > 1 and np.abs(table[names[1]][-1]).max() > _REST:
+        note(f"{', '.join(names[1:])}: ignored, because the last row is not at rest")
+        names = names[:1]
+    q, qd, qdd = [*(np.asarray(table[name]) for name in names), None, None][:3]
+    return JointTrajectory(table.t - table.t[0], q, qd, qdd)
+
+
+def _message(file: Path) -> JointTrajectory:
+    import msgspec
+
+    from armlab.bridge.servers.ros.actions import read_trajectory
+    from armlab.errors import CommandRefused, UnknownName
+
+    try:
+        message = msgspec.json.decode(file.read_bytes())
+        message = message if isinstance(message, dict) else {}
+        unused = [name for name in message if "tolerance" in name and message[name]]
+        if unused:
+            note(f"{', '.join(unused)}: ignored; the defaults of armlab play apply")
+        return read_trajectory(message.get("trajectory", message))
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ConfigError(f"Expected JSON in {file}, got {str(error).rstrip('.')}.") from None
+    except (CommandRefused, UnknownName) as error:
+        raise ConfigError(f"Expected a joint trajectory in {file}, but it is invalid: {error}") from None

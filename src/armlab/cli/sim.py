@@ -1,12 +1,13 @@
-"""``armlab sim``: simulated arms and their EGM controller, its options, and the files it reads and writes."""
+"""``armlab sim``: simulate arms and their EGM controllers; options, input and output files."""
 
 from __future__ import annotations
 
 import json as json_format
 import math
 import os
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from armlab.sim.arm.arm import LaggingArm, SimulatedArm
     from armlab.sim.controller.channel import UdpClient
     from armlab.sim.controller.controller import SimulatedController
+    from armlab.sim.controller.rws import VirtualController
     from armlab.sim.controller.statistics import ControllerEvent
     from armlab.sim.events import AppliedWrench, HandPath, Surroundings
 
@@ -37,7 +39,7 @@ _AXES = {"6": "irb1200", "7": "yumi_right", "scara": "scara"}
 
 @dataclass(frozen=True)
 class FaultOptions:
-    """What goes wrong: `FaultRates`, with pairs as text."""
+    """`FaultRates` as options, with pairs given as text."""
 
     loss: float = FaultRates.loss
     duplicate: float = FaultRates.duplicate
@@ -53,24 +55,25 @@ class FaultOptions:
         return FaultRates(**{**given, "delay": pair("delay", self.delay), "pause": pair("pause", self.pause)})
 
 
-_, _, _attributes = (FaultRates.__doc__ or "").partition("    Attributes\n")  # the help is written once, there
+_attributes = (FaultRates.__doc__ or "").partition("    Attributes\n")[2]  # single source of the help texts
 FaultOptions.__doc__ = f"{FaultOptions.__doc__}\n\n    Attributes\n{_attributes.partition('    Raises')[0]}"
 
 
 @dataclass(frozen=True)
 class PacketOptions:
-    """What the packets hold.
+    """Packet contents.
 
     Attributes:
-        robotware: Flavour: 6.06 sends radians and no time, 6.07 time, 6.10 the utilization, 7 what came later.
-        axes: A robot without a name: 6 for irb1200, 7 for yumi_right, scara for an invented robot of four axes.
-        external: External axes beyond those of the robot.
-        rapid_data: How many of the numbers that RAPID hears it sends back, with the digital value (RobotWare 7).
-        fields: Fields of EgmRobot to leave out, with commas between: tm, planned, cartesian, time, motorState,
+        robotware: RobotWare version: 6.06 sends radians and no time; 6.07 adds the time, 6.10 the utilisation, 7 later
+        fields.
+        axes: Number of axes, instead of a robot name: 6 for irb1200, 7 for yumi_right, scara for a generic SCARA robot.
+        external: Number of external axes in addition to the robot axes.
+        rapid_data: Number of RAPID data values sent back, in addition to the digital value (RobotWare 7).
+        fields: Optional fields of EgmRobot to omit, separated by commas: tm, planned, cartesian, time, motorState,
             mciState, rapidExecState, mciConvergenceMet, utilizationRate.
-        force: Send the wrench on the tool as measuredForce, in the layout of the RobotWare.
-        lagging: No masses: the arm follows its reference through a dead time of two cycles and a lag of 8 ms, without
-            torques. So do all robots of which no masses are assumed.
+        force: Send the wrench on the tool as measuredForce, in the layout of the RobotWare version.
+        lagging: Simulate only the kinematics: the arm follows its reference with a dead time of two cycles and a lag of
+            8 ms, without torques. Always used for robots without masses.
     """
 
     robotware: Literal["6.06", "6.07", "6.10", "7"] = "6.10"
@@ -84,29 +87,29 @@ class PacketOptions:
     def __post_init__(self) -> None:
         if not 0 <= self.rapid_data <= 40 or (self.rapid_data and self.robotware != "7"):
             raise ConfigError(
-                f"Expected --rapid-data from 0 to 40, with --robotware 7 only, got {self.rapid_data} and RobotWare "
+                f"Expected --rapid-data from 0 to 40, and only with --robotware 7, got {self.rapid_data} and RobotWare "
                 f"{self.robotware}."
             )
 
     def names(self, robots: Sequence[str], count: int) -> tuple[str, ...]:
         if self.axes and robots:
-            raise ConfigError(f"Expected names of robots or --axes, got both: {', '.join(robots)} and {self.axes}.")
+            raise ConfigError(f"Expected robot names or --axes, got both: {', '.join(robots)} and {self.axes}.")
         return (_AXES[self.axes],) * count if self.axes else tuple(robots)
 
 
 @dataclass(frozen=True)
 class SurroundingOptions:
-    """What happens around the arms.
+    """External events.
 
     Attributes:
-        operator: CSV file of the wrench that a hand exerts on the first robot, t,fx,fy,fz,mx,my,mz: seconds since
-            guidance began, N and N m in base axes at the tool point, linear between rows.
-        hand: CSV file of the posture to which a hand leads the first robot with --program lead-through, t,q1,q2,... in
-            rad; without it the path is random and smooth.
-        grip: START,END [s] of guidance time: a hand takes the tool of the first robot, holds it where it is, and lets
-            go.
-        motors: State of the motors over robot time, as on, or 0:on,2.5:off,4:on. Also: undefined.
-        rapid: State of RAPID over robot time: running, stopped or undefined (stuck, as after a restart).
+        operator: CSV file of a wrench on the first robot with columns t,fx,fy,fz,mx,my,mz: seconds since the start of
+            guidance, then N and N m in base axes at the tool point. Rows are interpolated linearly.
+        hand: With --program lead-through: CSV file of the path along which a hand leads the first robot, t,q1,q2,... in
+            rad; default: a random smooth path.
+        grip: START,END in guidance time [s], between which a hand grips the tool of the first robot and holds it in
+            place.
+        motors: Motor state over robot time, such as on, or 0:on,2.5:off,4:on; undefined is also allowed.
+        rapid: RAPID state over robot time: running, stopped, or undefined (stuck, as after a restart).
     """
 
     operator: Path | None = None
@@ -126,17 +129,67 @@ class SurroundingOptions:
         )
 
 
+@dataclass(frozen=True)
+class RwsOptions:
+    """Robot Web Services of the controller.
+
+    Attributes:
+        rws: TCP port on 127.0.0.1 for Robot Web Services: RWS 1.0 for RobotWare 6, 2.0 over TLS for RobotWare 7; 0
+            selects a free port. The controller then starts with motors off and no program, and sends packets once RAPID
+            runs. User and password are read from ARMLAB_RWS_USER and ARMLAB_RWS_PASSWORD, else ABB's "Default User" and
+            "robotics".
+        rws_fault: Faults of the controller, separated by commas: version, password, option, manual,
+            emergency-stop, guard-stop, motors, mastership, busy, main, module, file, semantic, device, address,
+            interface.
+    """
+
+    rws: int | None = None
+    rws_fault: str = ""
+
+    def controller(
+        self, names: Sequence[str], to: Sequence[tuple[str, int]], robotware: str, lockstep: bool
+    ) -> VirtualController | None:
+        faults = [word.strip() for word in self.rws_fault.split(",") if word.strip()]
+        if self.rws is None:
+            if faults:
+                raise ConfigError(f"Expected --rws PORT together with --rws-fault, got {self.rws_fault} alone.")
+            return None
+        if not 0 <= self.rws < 65536 or lockstep:
+            raise ConfigError(f"Expected --rws with a port from 0 to 65535 and without --lockstep, got {self.rws}.")
+        from armlab.sim.controller.rws import VirtualController
+
+        return VirtualController(names, to, robotware, faults)
+
+    @contextmanager
+    def serving(self, box: VirtualController | None) -> Iterator[None]:
+        """Serve during the block with a self-signed certificate, like OmniCore controllers."""
+        if box is None or self.rws is None:
+            yield
+            return
+        from armlab.cli.bridge import self_signed
+        from armlab.sim.controller.rws import RwsServer
+
+        tls = None
+        if box.is_rws2:
+            with tempfile.TemporaryDirectory() as folder:
+                tls = self_signed(Path(folder))
+        user, password = os.environ.get("ARMLAB_RWS_USER"), os.environ.get("ARMLAB_RWS_PASSWORD")
+        with closing(RwsServer(box, self.rws, user or "Default User", password or "robotics", tls)) as server:
+            note(f"Robot Web Services: http{'s' if tls else ''}://127.0.0.1:{server.port}")
+            yield
+
+
 def pair(name: str, text: str) -> tuple[float, float]:
     words = text.split(",")
     try:
         first, second = (float(word) for word in words)
     except ValueError:
-        raise ConfigError(f"Expected two numbers with a comma between for --{name}, got {text!r}.") from None
+        raise ConfigError(f"Expected two numbers separated by a comma for --{name}, got {text!r}.") from None
     return first, second
 
 
 _OPERATOR = ("t", "fx", "fy", "fz", "mx", "my", "mz")
-_SHOWN = 80  # characters of a wrong line that a message quotes
+_SHOWN = 80  # characters of a wrong line quoted in an error
 
 
 def read_operator(path: Path) -> AppliedWrench:
@@ -158,7 +211,7 @@ def read_hand(path: Path, n: int) -> HandPath:
 
 
 def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
-    """Return the numbers of a CSV file whose first column is a time that increases."""
+    """Return the numbers of a CSV file whose first column is increasing time."""
     import numpy as np
 
     from armlab.cli.support.settings import read_text
@@ -178,14 +231,14 @@ def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
             raise ConfigError(f"Expected {len(names)} numbers in line {number} of {path}, got {line[:_SHOWN]!r}.")
         if rows and row[0] <= rows[-1][0]:
             raise ConfigError(
-                f"Expected times that increase in line {number} of {path}, got {row[0]:g} s after {rows[-1][0]:g} s."
+                f"Expected increasing times in line {number} of {path}, got {row[0]:g} s after {rows[-1][0]:g} s."
             )
         rows.append(row)
     return np.array(rows).reshape(len(rows), len(names))
 
 
 class TextFile:
-    """A text file that is written from its beginning; what goes wrong names it."""
+    """New text file; errors name the file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -202,12 +255,12 @@ class TextFile:
             return work()
         except OSError as error:
             raise LogError(
-                f"Expected to write {self._path}, got: {error.strerror}. Make room there or choose another file."
+                f"Expected to write {self._path}, got: {error.strerror}. Free some space there or choose another file."
             ) from None
 
 
 def truth_writer(file: TextFile, controller: SimulatedController) -> Callable[[UdpClient], None]:
-    """Write the header of the truth file and return what writes a row per packet."""
+    """Write the header of the truth file; return the function that writes a row per packet."""
     import numpy as np
 
     joints = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m", "tau_friction": "N m"}
@@ -244,6 +297,7 @@ def sim(
     abb_defaults: bool = False,
     content: Annotated[PacketOptions, _flat] = PacketOptions(),
     around: Annotated[SurroundingOptions, _flat] = SurroundingOptions(),
+    services: Annotated[RwsOptions, _flat] = RwsOptions(),
     settings: Annotated[ControllerSettings, _flat] = ControllerSettings(),  # noqa: B008 - frozen
     faults: Annotated[FaultOptions, _flat] = FaultOptions(),
     outgoing: FaultOptions | None = None,
@@ -251,61 +305,68 @@ def sim(
     mismatch: Mismatch = Mismatch(),  # noqa: B008 - frozen
     parent: Annotated[int | None, Parameter(show=False)] = None,
 ) -> int:
-    """Simulate arms and their EGM controller. Masses, friction and noise are invented; see the documentation.
+    """Simulate arms and their EGM controllers.
+
+    Masses are taken from the robot's description; friction and noise are synthetic. See the documentation.
 
     Parameters:
-        robot: Names in the library, or robot files, one motion task each; or none together with --axes.
-        to: HOST:PORT of the bridge; with several robots one each, separated by commas.
-        lockstep: Wait for each reply and run as fast as the peer; the same seed gives the same bytes.
-        seed: Seed of noise, faults and the random hand; with several robots also one each, separated by commas.
-        seconds: Robot time after which to end [s]; without it until Ctrl-C.
-        extension: Send velocities and torques too (research extension, field 101), and obey torques and gains.
-        phase: With several robots: how long after the one before each sends [s].
-        truth: CSV file to write with the exact state, friction and wrench of every packet (one robot only).
-        stats: JSON file to write with counters and round-trip times, per robot; a name given twice gets a number.
+        robot: Library names or robot files, one motion task each; none with --axes.
+        to: HOST:PORT of the bridge; for several robots, one address each, separated by commas.
+        lockstep: Wait for each reply and run as fast as the peer; equal seeds produce identical bytes.
+        seed: Seed of the noise, the faults and the random hand; for several robots, optionally one seed each, separated
+            by commas.
+        seconds: Stop after this much robot time [s]; default: run until Ctrl-C.
+        extension: Also send velocities and torques (research extension, field 101), and accept torque and gain
+            commands.
+        phase: With several robots: delay of each robot's packets after those of the previous one [s].
+        truth: CSV output file for the exact state, friction and wrench of every packet (one robot only).
+        stats: JSON output file for counters and round-trip times of each robot; repeated names are numbered.
         json: Print events as JSON, one object per line.
-        patience: How long lockstep waits for one reply before the session times out [s].
-        abb_defaults: Speed deviation 1 deg/s and convergence after 1 s within 0.5 deg, as on a robot set up without
-            care. What is given as an option of its own keeps its value.
-        content: Of the packets.
-        around: The arms.
-        settings: Of the controller.
-        faults: In both directions.
-        outgoing: Of the robot's packets instead, for example --outgoing.loss 0.1.
-        incoming: Of the replies instead.
-        mismatch: How the arms differ from what is believed of them, for example --mismatch.torque-constant 0.05.
-        parent: Process with which to end; the one that started this one by default.
+        patience: Timeout of one reply in lockstep [s].
+        abb_defaults: Use ABB's default settings: speed deviation 1 deg/s, convergence after 1 s within 0.5 deg.
+            Explicit options take precedence.
+        content: Content of the packets.
+        around: Environment of the arms.
+        services: Robot Web Services of the controller.
+        settings: Settings of the controller.
+        faults: Network faults in both directions.
+        outgoing: Faults of the robot's packets only, for example --outgoing.loss 0.1.
+        incoming: Faults of the replies only.
+        mismatch: Differences between the arms and their description, for example --mismatch.torque-constant 0.05.
+        parent: Exit when this process ends; default: the parent process.
     """
     from armlab.sim.controller.cycles import Timing, run
 
-    os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn: MuJoCo need not load what opens windows
-    parent = os.getppid() if parent is None else parent  # now, before anything takes time in which it could end
+    parent = os.getppid() if parent is None else parent  # first, before the parent can end
     pace = Timing(lockstep, seconds, patience)
     if not 0.0 <= phase < math.inf:
         raise ConfigError(f"Expected a phase of at least 0 s, got {phase:g}.")
     if abb_defaults:
         settings = _with_abb_defaults(settings)
     tell = (lambda event: note(json_format.dumps(event._asdict()))) if json else (lambda event: note(str(event)))
-    cell = _SharedOptions(
-        content, around, settings, (outgoing or faults, incoming or faults), mismatch, extension, phase, tell
-    )
     addresses = _addresses(to)
     names = content.names(robot, len(addresses))
     if not names or len(addresses) != len(names):
-        raise ConfigError(f"Expected robots and as many addresses in --to, got {len(names)} and {len(addresses)}.")
+        raise ConfigError(
+            f"Expected one address in --to per robot, got {len(names)} robots and {len(addresses)} addresses."
+        )
     if truth is not None and len(names) > 1:
         raise ConfigError(f"Expected one robot together with --truth, got {len(names)}. Start one simulator per robot.")
     seeds = _seeds(seed, len(names))
+    box = services.controller(names, addresses, content.robotware, lockstep)
+    both = (outgoing or faults, incoming or faults)
+    cell = _SharedOptions(content, around, settings, both, mismatch, extension, phase, tell, box)
     with ExitStack() as opened:
         channels: list[UdpClient] = []
         for i, (name, address) in enumerate(zip(names, addresses)):
-            with deferred():  # MuJoCo loads here
+            with deferred():  # SciPy loads here
                 channels.append(cell.channel(name, address, i, [seeds[i], i]))
             opened.callback(channels[-1].close)
         summary, exact = (path and opened.enter_context(closing(TextFile(path))) for path in (stats, truth))
         observe = truth_writer(exact, channels[0].controller) if exact else None
+        opened.enter_context(services.serving(box))
         try:
-            # never outlive the program that started us
+            # never outlive the parent
             reason = run(channels, pace, alive=lambda: os.getppid() == parent, observe=observe)
             code = FAILED if any(channel.controller.dead for channel in channels) else 0
         except KeyboardInterrupt:
@@ -321,7 +382,7 @@ def sim(
 
 
 def _with_abb_defaults(settings: ControllerSettings) -> ControllerSettings:
-    """Return the settings with ABB's defaults where the user gave nothing."""
+    """Return the settings with ABB's defaults for all options that the user did not give."""
     ours, careless = ControllerSettings(), ControllerSettings.abb_defaults()
     names = [field.name for field in fields(ControllerSettings)]
     return replace(
@@ -349,7 +410,7 @@ def _addresses(to: str) -> list[tuple[str, int]]:
 
 @dataclass(frozen=True)
 class _SharedOptions:
-    """All that is the same for every robot of one command."""
+    """Options common to all robots of one command."""
 
     content: PacketOptions
     around: SurroundingOptions
@@ -359,11 +420,11 @@ class _SharedOptions:
     extension: bool
     phase: float
     tell: Callable[[ControllerEvent], None]
+    box: VirtualController | None
 
     def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> UdpClient:
         from armlab.sim.controller.channel import Faults, UdpClient
-        from armlab.sim.controller.controller import SimulatedController
-        from armlab.sim.controller.packets import PacketBuilder
+        from armlab.sim.controller.controller import PacketBuilder, SimulatedController
         from armlab.wire.egm.robot_side import RobotSideCodec
 
         content, settings = self.content, self.settings
@@ -386,17 +447,36 @@ class _SharedOptions:
             torque_reference=is_rw7 and settings.level == 0 and not settings.only_streams,
             data=content.rapid_data,
         )
+        if self.around.hand and not index and settings.program != "lead-through":
+            raise ConfigError(
+                f"Expected --program lead-through with --hand, got {settings.program}. For a pushing hand, use "
+                "--operator."
+            )
         scene = self.around.scene(robot, index, [*seed, 3], content.external)
-        controller = SimulatedController(self._arm(robot, seed), packets, settings, scene, self.tell)
+        if self.box is not None:
+            scene = replace(scene, **self.box.scene(index))
+        controller = SimulatedController(self._arm(robot, seed, index), packets, settings, scene, self.tell)
         both = [options.rates() for options in self.faults]
         ways = [Faults(rates, [*seed, i], settings.period) if rates.any else None for i, rates in enumerate(both, 1)]
         return UdpClient(controller, *address, *ways, phase=index * self.phase)
 
-    def _arm(self, robot: Robot, seed: list[int]) -> SimulatedArm | LaggingArm:
+    def _arm(self, robot: Robot, seed: list[int], index: int) -> SimulatedArm | LaggingArm:
         from armlab.sim.arm.arm import LaggingArm, SimulatedArm
-        from armlab.sim.arm.truth import synthetic_truth, truth_names
+        from armlab.sim.arm.truth import no_masses, synthetic_truth
 
         period = self.settings.period
-        if self.content.lagging or robot.name not in truth_names():
-            return LaggingArm(robot, period)
-        return SimulatedArm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)
+        why = "--lagging simulates only the kinematics, without torques" if self.content.lagging else no_masses(robot)
+        if not why:
+            if robot.inertias is not None and math.inf in robot.tau_max:
+                note(
+                    f"note: {robot.name} has joints without an effort limit. Their drives are scaled from the torque "
+                    "that holds the outstretched arm"
+                )
+            return SimulatedArm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)
+        useless = {"operator": self.around.operator and not index, "grip": self.around.grip and not index}
+        useless["mismatch"] = self.mismatch != Mismatch(seed=self.mismatch.seed)
+        for option, given in useless.items():
+            if given:
+                raise ConfigError(f"Expected an arm with masses for --{option}, but {why}. Omit --{option}.")
+        note(f"note: {why}. It follows references and ignores torques and hands")
+        return LaggingArm(robot, period)

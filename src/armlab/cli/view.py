@@ -1,4 +1,4 @@
-"""``armlab view``: a log or a running bridge, in the browser."""
+"""``armlab view``: show a log or a running bridge in the browser."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from typing import IO, TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import armlab
+from armlab.cli.support.options import Columns, load_robot, mesh_option
 from armlab.cli.support.output import note, result
 from armlab.errors import ConfigError, LinkError
 
 if TYPE_CHECKING:
     from armlab.models import TorqueModel
 
-_START = 30.0  # s for a view to begin
-_END = 5.0  # s for it to end
+_START = 30.0  # s, timeout of the start of a view
+_END = 5.0  # s, timeout of its end
+ABOVE = 5  # parent folders searched for a mesh package
 
 
 def view(
@@ -30,53 +32,59 @@ def view(
     zenoh: str = "",
     robot: list[str] | None = None,
     model: list[Path] | None = None,
+    columns: Columns = None,
     cell: str = "",
     port: int | None = None,
+    package_path: list[Path] | None = None,
+    force: bool = False,
 ) -> None:
-    """Show logs in the browser, with --live a running bridge, with --fleet all robots at a router; until Ctrl-C.
+    """Show logs in the browser until Ctrl-C; with --live a running bridge, with --fleet all robots at a router.
 
-    Prints the address to open. The page comes from this computer and is for this computer only: to look from another
-    one, forward the port by ssh -L. A view of a bridge only reads: it can neither delay it nor command it, waits for
-    one that has not begun, and goes on when it starts again.
+    Prints the address of the page. Only this computer can open the page; for remote viewing, forward the port with ssh
+    -L. A view is read-only: it cannot delay or command the bridge. It waits for the bridge to start, and reconnects
+    after a restart.
 
     Parameters:
-        what: Log files, of one arm or of several; with --live the name of the arm to show, all when left out.
-        live: Show a running bridge of this user, or with --zenoh one elsewhere.
-        fleet: Show all robots side by side that armlab fleet list would list; with --zenoh those of another router or
-            of one lab. One that comes is added, one that goes is shown as gone.
-        zenoh: Where bridge or router are, for example zenoh://192.168.1.5:7447/lab1; zenoh://127.0.0.1:7447 with
-            --fleet.
-        robot: Name in the library, or a robot file, for logs without an embedded robot description; one per log. Its
-            mesh files are searched beside it and up to two folders above.
-        model: Model file of `armlab identify` that estimates the force where neither log nor bridge holds an estimate;
-            one per arm.
-        cell: With --live, name of the cell; needed when several run.
-        port: Port of the page; from 8080 on the first that is free when left out.
+        what: Log files of one or several arms; with --live, the name of an arm (default: all arms).
+        live: Show one of your running bridges, or a remote bridge with --zenoh.
+        fleet: Show all robots listed by armlab fleet list; --zenoh selects another router or one lab.
+            Robots are added as they appear and marked when they disappear.
+        zenoh: Address of the bridge or router, such as zenoh://192.168.1.5:7447/lab1; with --fleet
+            zenoh://127.0.0.1:7447.
+        robot: Name in the library, or a robot file, for logs without an embedded robot description, one per log, and
+            for meshes, which neither a recording nor a bridge contains. Mesh files are searched for in its folder and
+            in the parent folders. A recording or bridge of another robot is rejected.
+        model: Model file of `armlab identify`, used to estimate the force if the log or bridge has no estimate; one per
+            arm.
+        cell: With --live: name of the cell; required if several cells are running.
+        port: Port of the page; default: the first free port from 8080.
+        package_path: Folder with mesh packages (package://NAME/... in a URDF); may be repeated.
+            ROS_PACKAGE_PATH and AMENT_PREFIX_PATH are also searched.
+        force: Show a recording even if its description of the arm (tool, mount, limits) differs.
     """
     if fleet:
-        if what or live or robot or model or cell:
-            raise ConfigError("Expected at most --zenoh and --port with --fleet, got more. Leave it out.")
+        if what or live or robot or model or cell or package_path:
+            raise ConfigError("Expected at most --zenoh and --port with --fleet, got more options. Omit them.")
         _watch_fleet(zenoh, port)
         return
     known = [armlab.models.load(path, "torque_model") for path in model or ()]
     if not live:
         for option, value in (("--cell", cell), ("--zenoh", zenoh)):
             if value:
-                raise ConfigError(f"Expected {option} {value} together with --live, got logs. Leave one of them out.")
-        _play(what, robot or (), known, port)
+                raise ConfigError(f"Expected {option} {value} together with --live, got logs. Omit one of them.")
+        _play(what, robot or (), known, port, package_path, force, columns)
         return
-    if robot:
-        raise ConfigError("Expected --robot with logs only, since a bridge tells its robots. Leave it out.")
     if cell and zenoh:
-        raise ConfigError(
-            f"Expected --cell of this computer or --zenoh, got {cell} and {zenoh}. Leave one of them out."
-        )
+        raise ConfigError(f"Expected --cell of this computer or --zenoh, got {cell} and {zenoh}. Omit one of them.")
     if len(what) > 1:
-        raise ConfigError(f"Expected one arm with --live, got {', '.join(what)}. Leave them out to see all arms.")
+        raise ConfigError(f"Expected one arm with --live, got {', '.join(what)}. Omit the names to see all arms.")
     from armlab.live.live_bridge import watch
 
-    arm = what[0] if what else None
-    watch(arm, cell=cell, zenoh=zenoh, models=known, port=port, opened=_open, tell=note)
+    arm, names = what[0] if what else None, robot or ()
+    meshes = _mesh_folders(names, package_path)
+    described = [load_robot(name) for name in names]
+    options: dict[str, Any] = {"models": known, "described": described, "meshes": meshes, "port": port}
+    watch(arm, cell=cell, zenoh=zenoh, **options, opened=_open, tell=note)
 
 
 def _watch_fleet(url: str, port: int | None) -> None:
@@ -89,39 +97,56 @@ def _watch_fleet(url: str, port: int | None) -> None:
     watch_fleet(place if has_lab else place._replace(lab=EVERY), port=port, opened=_open, tell=note)
 
 
-def _play(paths: Sequence[str], names: Sequence[str], models: Sequence[TorqueModel], port: int | None) -> None:
+def _play(
+    paths: Sequence[str],
+    names: Sequence[str],
+    models: Sequence[TorqueModel],
+    port: int | None,
+    packages: Sequence[Path] | None,
+    force: bool,
+    columns: str | None,
+) -> None:
     if not paths:
-        raise ConfigError("Expected at least one log to show, got none. Name a file, or give --live for a bridge.")
+        raise ConfigError("Expected at least one log to show, got none. Pass a file, or --live for a bridge.")
     note(f"reading {', '.join(paths)}")
-    arms = armlab.live.read_arms(paths, [armlab.robots.load(name) for name in names], models)
+    known = [load_robot(name) for name in names]
+    arms = armlab.live.read_arms(paths, known, models, force=force, columns=columns)
     server = armlab.live.start(port, label=" ".join(Path(path).name for path in paths))
     try:
-        player = armlab.live.Player(server, arms, meshes=_folders(names))
+        player = armlab.live.Player(server, arms, meshes=_mesh_folders(names, packages))
         _open(armlab.live.address(server))
         player.run()
     finally:
         armlab.live.stop(server)
 
 
-def _folders(robots: Sequence[str]) -> list[Path]:
-    """Return where meshes are looked for: beside each robot file and up to two folders above, as packages have them."""
-    files = [Path(name).resolve() for name in robots if Path(name).is_file()]
-    return [*(folder for file in files for folder in file.parents[:3]), Path()]
+def _mesh_folders(robots: Sequence[str], packages: Sequence[Path] | None) -> list[Path]:
+    """Return the search path for meshes: the given folders, then the folder of each robot file and its parents."""
+    from armlab.robots.files import description
+
+    for folder in packages or ():
+        if not folder.is_dir():
+            raise ConfigError(f"Expected --package-path with a folder, got {folder}. Give the folder of the packages.")
+    files = [path.resolve() for path in map(description, robots) if path is not None and path.is_file()]
+    return [*(packages or ()), *(folder for file in files for folder in file.parents[:ABOVE]), Path()]
 
 
 def _open(url: str) -> None:
-    """Print the address at once, also for a program that reads it."""
+    """Print the address immediately, flushed for programs that read it."""
     result(f"View: {url}")
     sys.stdout.flush()
 
 
 @contextmanager
-def beside(cell: str) -> Iterator[str]:
-    """Show a bridge in the browser while the block runs, from a process of its own; yields the address."""
-    words = [sys.executable, "-m", "armlab", "view", "--live", "--cell", cell]
+def beside(cell: str, robot: str | None = None) -> Iterator[str]:
+    """Show a bridge in the browser during the block, from a separate process; yields the address.
+
+    `robot`: the arm of the bridge as typed, for its meshes.
+    """
+    words = [sys.executable, "-m", "armlab", "view", "--live", "--cell", cell, *(mesh_option(robot) if robot else ())]
     with TemporaryFile("w+") as said:
         options: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": said}
-        # a session of its own: Ctrl-C reaches the caller, which brings the arm to rest first
+        # separate session: Ctrl-C reaches only the caller, which first brings the arm to rest
         process = subprocess.Popen(words, text=True, start_new_session=True, **options)
         try:
             yield _first_line(process, said)
@@ -135,12 +160,12 @@ def beside(cell: str) -> Iterator[str]:
 
 
 def _first_line(process: subprocess.Popen[str], said: IO[str]) -> str:
-    """Return what a view prints when it can be opened."""
+    """Return the first line that a view prints once the page can be opened."""
     out = process.stdout
     came = out is not None and select.select([out], [], [], _START)[0]
     line = out.readline().strip() if out is not None and came else ""
     if not line:
         said.seek(0)
         why = said.read().strip().removeprefix("armlab: ")
-        raise LinkError(why or f"Expected the view to begin within {_START:g} s, but it did not. Leave it out.")
+        raise LinkError(why or f"Expected the view to start within {_START:g} s, but it did not. Omit it.")
     return line

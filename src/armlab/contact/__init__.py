@@ -1,4 +1,4 @@
-"""Contact: the wrench of the environment on the robot, estimated from joint torques."""
+"""Contact wrench estimation: the wrench exerted by the environment on the robot, from joint torques."""
 
 from armlab.contact.contacts import Comparison, Contact, Hypotheses, compare, contacts, hypotheses
 from armlab.contact.estimator import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Estimator, Wrench

@@ -1,15 +1,15 @@
-"""Contacts in an estimated log: where they are, when, and how large; comparison with a measured wrench.
+"""Contacts in an estimated log: location, time and size; comparison with a measured wrench.
 
-Hypotheses about where a contact is:
+Hypotheses about the contact location:
 
     none     no contact
     point    a force at a known point of the tool: 3 unknowns
     segment  a force at an unknown point of a line on the tool: 3 + 1
     wrench   force and moment at the tool: 6
-    link k   a force somewhere on link k: torques of the joints beyond are silent
+    link k   a force somewhere on link k: the torques of distal joints are zero
 
-The score of each over a window is the log evidence ``sum log N(tau_e; 0, J_h^T C_h J_h + C_tau)`` over as many samples
-as are independent of each other. Theory: docs/theory/contact_force.md.
+The score of each over a window is the log evidence ``sum log N(tau_e; 0, J_h^T C_h J_h + C_tau)``, scaled to the
+effective sample size. Theory: docs/theory/contact_force.md.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown
 from armlab._numbers import make_read_only, number, numbers
 from armlab.contact.estimator import check_distance, contact_point
 from armlab.errors import RobotError, ShapeError, UnknownName
@@ -28,16 +29,16 @@ from armlab.models.torque import PRIOR
 from armlab.robots import Robot
 
 DECISIVE = 3.0  # log Bayes factor
-EXCLUDED = 6.0  # log Bayes factor against links, 400 to 1: who trusts a force at the tool stands beside the link
+EXCLUDED = 6.0  # log Bayes factor against links, 400 to 1: a person who trusts the tool force stands next to the link
 GRID = 50  # places along a segment
-ROWS_PER_MEMORY = 2  # of a window that are used
-SLOW = 0.02  # rad/s; slower than that in all joints friction errs by one and the same amount: one sample
-CHUNK = 64  # windows at once
+ROWS_PER_MEMORY = 2  # rows used per correlation time
+SLOW = 0.02  # rad/s; below this speed in all joints the friction error is constant: one sample
+CHUNK = 64  # windows per batch
 UNDECIDED = "undecided"
 
 
-@dataclass(frozen=True, eq=False)
-class Hypotheses:
+@dataclass(frozen=True, eq=False, repr=False)
+class Hypotheses(Shown):
     """Posterior probabilities of contact hypotheses per window.
 
     Attributes
@@ -53,8 +54,8 @@ class Hypotheses:
     decision : tuple of str, length K
         Most likely hypothesis; "undecided" where it is less than 20 times as likely as the second.
     link : bool array, shape (K,)
-        True where there is a contact and some hypothesis "link k" is not excluded, 400 to 1: a force reported at the
-        tool may then be a force on a link.
+        True in contact while some hypothesis "link k" is not excluded at odds of 400 to 1; a force reported at the tool
+        may then act on a link.
     place : array, shape (K,), m
         Most likely contact point on the segment, from its start; NaN without a segment.
     samples : array, shape (K,)
@@ -74,9 +75,9 @@ class Hypotheses:
         make_read_only(self, "t", "log_evidence", "posterior", "link", "place", "samples")
 
     def during(self, start: float, end: float) -> str:
-        """Return what is believed of the contact from `start` to `end` [s], in words.
+        """Describe the decision for a contact from `start` to `end` [s].
 
-        `start`, `end`: of the contact; the windows inside count, or the nearest one.
+        It uses the windows inside the contact, or the nearest window.
         """
         inside = (self.t >= start) & (self.t <= end)
         if not inside.any():
@@ -90,14 +91,14 @@ class Hypotheses:
         name = self.names[best[0]] if sure else UNDECIDED
         place = f", {1e3 * np.median(self.place[inside]):.0f} mm along" if name == "segment" else ""
         doubt = (
-            "; maybe on a link" if self.link[inside].any() and not name.startswith("link") and name != "none" else ""
+            "; possibly on a link" if self.link[inside].any() and not name.startswith("link") and name != "none" else ""
         )
         first, *others = said if sure else (f"{UNDECIDED}: {', '.join(said)}",)
         beside = f" ({', '.join(others)})" if others else ""
         return f"{first}{place}{beside}{doubt}"
 
     def text(self) -> str:
-        """Return one line per stretch of time with one decision, but for those without contact."""
+        """Return one line per segment with a constant decision, except for segments without contact."""
         lines, at = [], 0
         for decision, group in groupby(self.decision):
             start, at = at, at + len(list(group))
@@ -117,25 +118,25 @@ def hypotheses(
     window: float = 1.0,
     memory: float = 0.1,
 ) -> Hypotheses:
-    """Weigh where the contact is, in windows that overlap by half.
+    """Compare hypotheses about the contact location in windows that overlap by half.
 
     Parameters
     ----------
     table : with q, qd, tau_error and tau_variance (N, n), from `Estimator.run` of a static method.
     robot : the arm.
-    point : (3,) of the hypothesis "point", tool axes [m]; when left out the tool point, unless there is a segment.
-    segment : (M, 3) corners of a line on the tool, tool axes [m]; without it the hypothesis is not weighed.
-    prior : (6,) standard deviations of the wrench [N, N m], at the tool and on links; 20 N and 2 N m when left out.
-    window : [s]; a shorter contact is diluted.
-    memory : correlation time of the torque error [s], see `correlation_time`: of window / (2 memory) samples
-        the window counts as many. The residual of an identified YuMi model behind the 10 Hz filter has 0.02 to 0.06 s
-        in motion. 0.1 s gives up a few decisions for false ones; more than 0.2 s leaves free motion undecided.
+    point : (3,) of the hypothesis "point", tool axes [m]; default: the tool point, unless there is a segment.
+    segment : (M, 3) corners of a line on the tool, tool axes [m]; default: no such hypothesis.
+    prior : (6,) standard deviations of the wrench [N, N m], at the tool and on links; default: 20 N and 2 N m.
+    window : length [s]; shorter contacts are diluted.
+    memory : correlation time of the torque error [s], see `correlation_time`. A window counts as window / (2 memory)
+        independent samples. An identified YuMi model behind the 10 Hz filter has 0.02 to 0.06 s in motion. The default
+        of 0.1 s is conservative; above 0.2 s, free motion remains undecided.
 
     Raises
     ------
-    UnknownName : the table was not estimated. ShapeError : another joint count, a point, segment, prior or time of
-    wrong shape or value, places further away than the arm is long, a table shorter than a window, no window without
-    missing rows.
+    UnknownName : the table has no estimate.
+    ShapeError : another joint count; a point, segment, prior or time of wrong shape or value; a place further away than
+        the arm is long; a table shorter than a window; no window without missing rows.
 
     References
     ----------
@@ -173,7 +174,7 @@ def _columns(table: Table, robot: Robot) -> list[np.ndarray]:
     if any(values.shape != (len(table), robot.n) for values in columns):
         raise ShapeError(
             f"Expected columns of shape ({len(table)}, {robot.n}) for {robot.name!r}, got {columns[0].shape}. "
-            "Name the robot that was logged."
+            "Pass the robot that was logged."
         )
     return columns
 
@@ -181,7 +182,7 @@ def _columns(table: Table, robot: Robot) -> list[np.ndarray]:
 def _places(
     point: ArrayLike | None, segment: ArrayLike | None, prior: ArrayLike | None, robot: Robot
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the point (1 or 0, 3), the places on the segment (GRID or 0, 3), and the deviations (6,)."""
+    """Return the point (1 or 0, 3), the places on the segment (GRID or 0, 3), and the standard deviations (6,)."""
     at = np.zeros(3) if point is None else contact_point(point, robot)
     sd = numbers(PRIOR if prior is None else prior, "the prior", ShapeError)
     corners = np.zeros((0, 3)) if segment is None else numbers(segment, "the segment", ShapeError)
@@ -203,7 +204,7 @@ def _length(corners: ArrayLike | None) -> float:
 
 
 def _windows(table: Table, error: np.ndarray, window: float, memory: float) -> np.ndarray:
-    """Return the rows (K, m) that each window uses, evenly over it; windows with missing rows are left out."""
+    """Return the rows (K, m) used by each window, evenly spaced; windows with missing rows are skipped."""
     step = float(np.median(np.diff(table.t))) if len(table) > 1 else np.inf
     width = round(window / step)
     if not 1 <= width <= len(table):
@@ -213,14 +214,14 @@ def _windows(table: Table, error: np.ndarray, window: float, memory: float) -> n
     rows = np.arange(0, len(table) - width + 1, max(1, width // 2))[:, None] + inside
     whole = np.isfinite(error[rows]).all(axis=(1, 2)) & (np.ptp(table.t[rows], axis=1) <= 1.1 * window)
     if not whole.any():
-        raise ShapeError(f"Expected windows of {window} s without missing rows, got none. Give a whole record.")
+        raise ShapeError(f"Expected windows of {window} s without missing rows, got none. Pass a complete log.")
     return rows[whole]
 
 
 def _scores(
     robot: Robot, q: np.ndarray, error: np.ndarray, variance: np.ndarray, places: np.ndarray, sd: np.ndarray
 ) -> np.ndarray:
-    """Return log N of every row (K, m, 1 + places + 1 + links): none, each place, wrench, links."""
+    """Return log N of every row (K, m, 1 + places + 1 + links): no contact, each place, wrench, links."""
     T_base_tool, J = robot.chain.forward_jacobian(q)
     linear, angular = np.swapaxes(J[..., :3, :], -1, -2), np.swapaxes(J[..., 3:, :], -1, -2)  # (..., n, 3)
     arms = np.einsum("...ab,pb->...pa", T_base_tool[..., :3, :3], places)
@@ -242,7 +243,7 @@ def _scores(
 
 
 def _peak(score: np.ndarray) -> np.ndarray:
-    """Return where on the grid (K,) the score (K, GRID) is largest, by a parabola through three points."""
+    """Return the position on the grid (K,) of the largest score (K, GRID), by a parabola through three points."""
     k = np.clip(np.argmax(score, axis=1), 1, score.shape[1] - 2)
     left, middle, right = (np.take_along_axis(score, (k + i)[:, None], 1)[:, 0] for i in (-1, 0, 1))
     bend = left - 2.0 * middle + right
@@ -266,26 +267,26 @@ def _decided(
 
 
 CHI2_95 = 7.81  # 95 % of a chi-squared variable with three degrees of freedom
-FALSE_ALARMS = 600.0  # s of free motion to one false alarm, were the errors normal and the rows independent
-INDEPENDENT = 0.1  # s; further apart the errors of a force are independent
-SHORTEST = 0.05  # s; friction that errs at a reversal is gone before
-HOLE = 0.1  # s; shorter returns do not end a contact
+FALSE_ALARMS = 600.0  # s of free motion per false alarm, for normal errors and independent rows
+INDEPENDENT = 0.1  # s; force errors further apart are independent
+SHORTEST = 0.05  # s; friction errors at a reversal are shorter
+HOLE = 0.1  # s; shorter gaps do not end a contact
 
 
-@dataclass(frozen=True)
-class Contact:
+@dataclass(frozen=True, repr=False)
+class Contact(Shown):
     """Interval of contact.
 
     Attributes
     ----------
     start : float, s
-        First time of the contact, on the clock of the table.
+        First time of the contact on the clock of the table.
     end : float, s
-        Last time of the contact, on the same clock.
+        Last time of the contact on the same clock.
     force : tuple of 3 floats, N
         Mean force (fx, fy, fz) in base axes.
     band : float, N
-        Mean 2-sigma of the least certain axis.
+        Mean 2-sigma band of the least certain axis.
     """
 
     start: float
@@ -295,11 +296,11 @@ class Contact:
 
 
 def contacts(table: Table) -> list[Contact]:
-    """Return the intervals that free motion would show less than once in ten minutes.
+    """Detect contacts, which are intervals that free motion would produce less than once in ten minutes.
 
-    Of an interval with ``d = f^T Sigma^-1 f`` beyond 7.81, its 95 % quantile without contact, the sum of d over the
-    samples that are independent is compared with the chi-squared distribution; one that is never beyond it for 0.05 s
-    on end is none.
+    In an interval, ``d = f^T Sigma^-1 f`` exceeds 7.81, the 95 % quantile without contact. The sum of d over its
+    independent samples is tested against the chi-squared distribution. Intervals that never stay above 7.81 for 0.05 s
+    are ignored.
 
     Parameters
     ----------
@@ -307,7 +308,8 @@ def contacts(table: Table) -> list[Contact]:
 
     Raises
     ------
-    ShapeError : something else than a table. UnknownName : it was not estimated.
+    ShapeError : `table` is not a table.
+    UnknownName : the table has no estimate.
     """
     from scipy.special import chdtrc
 
@@ -343,8 +345,8 @@ def _contact(table: Table, start: float, end: float) -> Contact:
 SOURCES = {"wrench_true": "the true wrench", "wrench": "the force sensor"}
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Shown):
     """Error of an estimated wrench against a reference.
 
     Attributes
@@ -356,7 +358,7 @@ class Comparison:
     rms : array, shape (6,), N and N m
         RMS error per axis.
     inside : array, shape (6,)
-        Share of the errors inside 2 sigma.
+        Share of the errors within 2 sigma.
     """
 
     against: str
@@ -365,17 +367,17 @@ class Comparison:
     inside: np.ndarray
 
     def text(self) -> str:
-        """Return the forces in one line."""
+        """Return the force errors as one line."""
         rms = " ".join(f"{value:.2f}" for value in self.rms[:3])
         share = 100 * float(np.mean(self.inside[:3]))
         return f"force x y z against {self.against}: {rms} N RMS, {share:.0f} % inside 2 sigma"
 
 
 def compare(table: Table) -> Comparison:
-    """Compare an estimate with the true wrench where the table has it, else with a force sensor.
+    """Compare an estimate with the true wrench if the table contains it, otherwise with a force sensor.
 
-    Errors are ``wrench_hat - wrench_true`` (or the column `wrench`); a true covariance holds 95.4 % of them inside two
-    sigma.
+    Errors are ``wrench_hat - wrench_true`` (or the column `wrench`); with a correct covariance, 95.4 % of them are
+    within two sigma.
 
     Parameters
     ----------
@@ -383,7 +385,8 @@ def compare(table: Table) -> Comparison:
 
     Raises
     ------
-    UnknownName : a column is missing, or no row has both. ShapeError : something else than a table.
+    UnknownName : a column is missing, or no row has both.
+    ShapeError : `table` is not a table.
     """
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)

@@ -1,31 +1,36 @@
-"""Contact wrench from joint motion and torque, causal, at the rate of the loop.
+"""Causal estimation of the contact wrench from joint motion and torque at the rate of the loop.
 
 Static methods take ``tau_e = model - measured = J^T F + error``, low-passed at the model's cut-off, and its covariance
 C_tau(qd) over velocity.
 
-"map"       most probable F for F ~ N(0, C_F): ``S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e``. It works at
-            singular poses, where the prior remains. The prior shrinks: the bias is ``(I - K J^T) F``.
-"bounded"   near rest friction is bounded instead of random: the least ``sum max(|tau_e - J^T F| - D, 0)^2 / s^2 + F^T
-            C_F^-1 F`` by semismooth Newton (after Linderoth, Stolt, Robertsson and Johansson, IROS 2013). No contact
-            unless proven; no drift at rest. Joints inside their bound tell nothing.
-"interval"  bounded, and the guaranteed interval of every axis while |friction error| <= D, |noise| <= 3 s and gains of
-            the torques within 3 deviations, by linear programmes.
-"clip"      bounded, by the iteration that is easy to audit and needs thousands of rounds. To compare.
-"ls"        weighted least squares without a prior. To compare; near singular poses its forces are huge.
-"lund"      ``(J C_tau J^T + C_F^-1)^-1 J C_tau tau_e`` as TFRT-7651, eq. (2), prints it. To compare: with a covariance
-            in place of a weight the noisiest joint speaks loudest. Our sign; the report's F_ext is -F.
+"map"       maximum a posteriori F for F ~ N(0, C_F): ``S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e``. It is
+defined at singular poses, where it returns the prior. Shrinkage causes the bias ``(I - K J^T) F``. "bounded"   near
+rest, friction is bounded rather than random: minimises ``sum max(|tau_e - J^T F| - D, 0)^2 / s^2 +
+            F^T C_F^-1 F`` by semismooth Newton (after Linderoth, Stolt, Robertsson and Johansson, IROS 2013). It
+            reports no contact unless proven, and does not drift at rest. Joints inside their bound contribute nothing.
+"interval" like "bounded", plus the guaranteed interval of every axis for |friction error| <= D, |noise| <= 3 s and
+torque
+            gains within 3 deviations, by linear programming.
+"clip" like "bounded", by an iteration that is easy to audit but needs thousands of rounds. For comparison.
+"ls"        weighted least squares without a prior. For comparison only; forces are huge near singular poses.
+"ols"       the same without weights, ``(J J^T)^-1 J tau_e``: TFRT-7651, eq. (1). For comparison.
+"lund"      ``(J C_tau J^T + C_F^-1)^-1 J C_tau tau_e`` as printed in TFRT-7651, eq. (2). For comparison only; using a
+covariance instead of a weight gives the noisiest joint the largest weight. The sign is armlab's; the report's F_ext is
+-F.
 
 Momentum methods need no acceleration: ``p = M qd``, ``dp/dt = u + J^T F``, ``u = tau + C^T qd - G - friction``.
 
-"observer"  ``r <- r + (1 - e^(-K h)) (dp/h - u - r)`` is J^T F through a low-pass; then F as by "map" (De Luca and
+"observer"  ``r <- r + (1 - e^(-K h)) (dp/h - u - r)`` is J^T F, low-pass filtered; then F is computed as in "map" (De
+Luca and
             Mattone 2003).
 "kf"        Kalman filter of momentum and wrench; the wrench is a random walk with leak (Wahrburg et al. 2015, 2018).
-            With ``bias`` the friction that is unknown after a rest is a state too, and `tare` can tell it from contact.
+            With ``bias``, the unknown friction after a stop is also a state, and `tare` separates it from contact.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -35,8 +40,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown, brief
 from armlab._numbers import number, numbers
 from armlab.errors import ConcurrentUse, ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
+from armlab.estimation.fit import Fit, value_of
 from armlab.log import Table
 from armlab.log.units_check import check_known
 from armlab.models import TorqueModel, velocity_covariance
@@ -49,33 +56,34 @@ from armlab.state import State
 INVALID = 1
 """The sample was not finite; the estimate is NaN."""
 WEAK = 2
-"""Some axis has observability below 0.5: there the prior speaks louder than the torques."""
+"""At least one axis has an observability below 0.5, so the prior outweighs the torques."""
 STUCK = 4
-"""Every joint is inside its friction bound: nothing is known but the interval."""
+"""Every joint torque is within its friction bound, so only the interval is known."""
 INFEASIBLE = 8
-"""No wrench explains the torques inside their bounds: another contact, or a wrong model."""
+"""No wrench explains the torques within their bounds; the contact point or the model is wrong."""
 SINGULAR = 16
-"""Without a prior this pose does not determine the wrench; the estimate is NaN."""
+"""Without a prior, this pose does not determine the wrench; the estimate is NaN."""
 TARED = 32
-"""Friction was separated from contact by `Estimator.tare`, and no joint has moved away since."""
+"""`Estimator.tare` separated friction from contact, and no joint has moved away since then."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Wrench:
-    """Wrench [f; m] by the environment on the robot, base axes, at the tool point.
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Wrench(Shown):
+    """Wrench [f; m] exerted by the environment on the robot, in base axes at the tool point.
 
     Attributes
     ----------
-    wrench : (6,) [N, N m]. cov : (6, 6) posterior covariance, with what unknown gains of the torques add to it.
-    observability : (6,) 1 - posterior variance / prior variance, in [0, 1], as if the gains were known.
-    torque_error : (n,) filtered model minus measured torque [N m]; of "kf", what of it the
-        estimate explains. torque_variance : (n,) its variance.
-    prior : (6,) prior variances of the unknowns: the wrench, or a force at a known point (then the last three idle).
+    wrench : (6,) estimate [N, N m].
+    cov : (6, 6) posterior covariance, including the uncertainty of the torque gains.
+    observability : (6,) 1 - posterior variance / prior variance, in [0, 1], for known gains.
+    torque_error : (n,) filtered model minus measured torque [N m]; of "kf", the part explained by the estimate.
+    torque_variance : (n,) variance of `torque_error`.
+    prior : (6,) prior variances of the unknowns: the wrench, or a force at a known point (the last three unused).
     flags : bits INVALID, WEAK, STUCK, INFEASIBLE, SINGULAR, TARED.
-    active : (n,) joints that tell something; when INFEASIBLE, those that contradict each other.
+    active : (n,) joints that contribute; when INFEASIBLE, those that contradict each other.
     interval : (6, 2) guaranteed smallest and largest value per axis, of the method "interval".
-    at_point : the contact is at a known point: three unknowns instead of six.
-    tared_at : time of the tare that holds [s], or None.
+    at_point : True for a contact at a known point: three unknowns instead of six.
+    tared_at : time of the active tare [s], or None.
     """
 
     wrench: np.ndarray
@@ -97,7 +105,7 @@ class Wrench:
 
     @property
     def cond(self) -> float:
-        """Condition of C_tau^-1/2 J^T C_F^1/2: how unevenly this pose sees the wrench; inf when singular."""
+        """Condition number of C_tau^-1/2 J^T C_F^1/2, which is the anisotropy of the observability; inf if singular."""
         shares = self._spectrum()[0]
         if not np.isfinite(shares).all():
             return float("nan")
@@ -106,20 +114,21 @@ class Wrench:
 
     @property
     def directions(self) -> tuple[np.ndarray, np.ndarray]:
-        """Observability (k,) of k orthogonal directions, worst first, and the directions as columns (k, k).
+        """Observability (k,) of k orthogonal directions (worst first), and the directions as columns (k, k).
 
-        Directions are in prior-scaled axes, the eigenvectors of ``C_F^-1/2 P C_F^-1/2``; k is 6, or 3 at a known point.
+        Directions are in prior-scaled axes and are the eigenvectors of ``C_F^-1/2 P C_F^-1/2``; k is 6, or 3 at a known
+        point.
         """
         shares, vectors = self._spectrum()
         return np.maximum(1.0 - shares[::-1], 0.0), vectors[:, ::-1]
 
     @property
     def hidden(self) -> np.ndarray:
-        """Unit direction (k,) in prior-scaled axes that the torques tell least about; NaN for an invalid sample."""
+        """Unit direction (k,) with the lowest observability in prior-scaled axes; NaN for an invalid sample."""
         return self._spectrum()[1][:, -1]
 
     def _spectrum(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return posterior over prior variance (k,), ascending, and its directions as columns."""
+        """Return the ratios of posterior to prior variance (k,), ascending, and their directions as columns."""
         k = 3 if self.at_point else 6
         cov, scale = self.cov[:k, :k], np.sqrt(self.prior[:k])
         if not np.isfinite(cov).all():
@@ -129,7 +138,7 @@ class Wrench:
 
 
 def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:
-    """Return the point (3,) as an array of its own."""
+    """Return a copy of the point (3,)."""
     place = np.array(numbers(point, "the contact point", ShapeError))
     if place.shape != (3,) or not np.all(np.isfinite(place)):
         raise ShapeError(f"Expected the contact point as three finite numbers [m], tool axes, got {point!r}.")
@@ -138,70 +147,71 @@ def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:
 
 
 def check_distance(places: np.ndarray, robot: Robot) -> None:
-    """Refuse places further from the tool than the arm is long: millimetres, as a rule."""
+    """Reject points further from the tool than the length of the arm, which are usually in millimetres."""
     far, length = float(np.linalg.norm(places, axis=1).max(initial=0.0)), arm_length(robot)
     if far > length:
         raise ShapeError(
-            f"Expected a place of contact within {length:.3g} m of the tool, the length of {robot.name!r}, got one "
-            f"{far:.4g} m away. Give metres, in tool axes; divide millimetres by 1000."
+            f"Expected a contact point within {length:.3g} m of the tool, the length of {robot.name!r}, got one "
+            f"{far:.4g} m away. Pass metres in tool axes; divide millimetres by 1000."
         )
 
 
-Method = Literal["map", "bounded", "clip", "interval", "ls", "lund", "observer", "kf"]
+Method = Literal["map", "bounded", "clip", "interval", "ls", "lund", "ols", "observer", "kf"]
 METHODS = get_args(Method)
 STATIC = METHODS[: METHODS.index("observer")]  # in the order of the kernel's `WrenchMethod`
-GAIN = 30.0  # 1/s, of the observer
-PARTS = 100  # of a log whose progress is reported
-TARE, MEMORY = 0.5, 0.1  # s: the shortest tare; errors further apart are independent
-STAYS = 0.5  # of the deviation at rest: with all of it, bands of a tared Panda were twice too wide
+GAIN = 30.0  # 1/s, gain of the observer
+PARTS = 100  # parts per log between progress reports
+TARE, MEMORY = 0.5, 0.1  # s: shortest tare; correlation time of errors
+STAYS = 0.5  # share of the deviation at rest: all of it made the bands of a tared Panda twice too wide
 
 
 class Estimator:
-    """Contact wrench, sample by sample or for a whole log.
+    """Estimator of the contact wrench, sample by sample or for a whole log.
 
-    `step` and `run` call the same kernel: for the same rows their results are equal bit for bit. Causal: static methods
-    have a residual filter of second order at the model's cut-off (10 Hz: 22 ms delay), the observer one of first order
-    (33 ms), the Kalman filter the one that the covariances ask for.
+    `step` and `run` call the same kernel and return bitwise equal results for equal rows. All methods are causal.
+    Static methods use a second-order residual filter at the model's cut-off (10 Hz: 22 ms delay), the observer uses a
+    first-order filter (33 ms), and the delay of the Kalman filter follows from the covariances.
 
-    One estimator belongs to one thread at a time: its filter mixes the samples of two, and the error of the force
-    reaches tens of newtons. Another thread may take over; from then on `step` raises `ConcurrentUse` when one of the
-    earlier threads returns, until `reset`. Make one estimator for each thread.
+    An estimator belongs to one thread at a time, because its filter would mix the samples of two. Another thread may
+    take over; then `step` raises `ConcurrentUse` in the earlier threads until `reset`. Create one estimator per thread.
+    A copy has the same state; a pickle starts fresh.
 
     Parameters
     ----------
-    model : TorqueModel
-        Identified torque model.
+    model : TorqueModel or Fit
+        Identified torque model or its fit.
     robot : Robot
-        The arm that the model belongs to.
+        Arm that the model belongs to.
     method : str
-        See the module; "map" and "kf" are for motion, "bounded" and "interval" for an arm that may rest.
+        Method, see the module; "map" and "kf" are for motion, "bounded" and "interval" for an arm that may stop.
     prior : array_like, shape (6,), optional
-        Standard deviations of the wrench before any measurement [N, N m]. Default: 20 N and 2 N m. At a known point the
-        first three are those of the force.
+        Standard deviations of the wrench before any measurement [N, N m]. Default: 20 N and 2 N m. At a known point,
+        only the first three (force) are used.
     point : array_like, shape (3,), optional
-        Known point of contact in tool axes [m]: three unknowns instead of six. It halves the error; a wrong point
-        doubles it.
+        Known contact point in tool axes [m]; there are then three unknowns instead of six. A correct point halves the
+        error; a wrong point doubles it.
     force_rate : {"smooth", "normal", "fast"} or array_like, shape (6,), optional
-        Of "kf": random walk of the wrench [N/sqrt(s), N m/sqrt(s)]; "smooth" is 2 and 0.2, "normal" (default) 5 and
-        0.5, "fast" 20 and 2.
+        Random-walk intensity of the wrench for "kf" [N/sqrt(s), N m/sqrt(s)]: "smooth" is 2 and 0.2, "normal"
+        (default) is 5 and 0.5, "fast" is 20 and 2.
     leak : float or array_like, shape (6,), optional
-        Of "kf": rate at which a wrench is forgotten [1/s]. Default: unobserved directions keep the prior's uncertainty.
+        For "kf": decay rate of the wrench [1/s]. Default: unobserved directions keep the prior's uncertainty.
         0: a random walk.
     gain : float, optional
         Of "observer" [1/s]. Default: 30.
     bias : bool
-        Of "kf": a friction error per joint as a state, constant while the joint rests.
+        For "kf": add a friction error per joint as a state, which is constant while the joint rests.
 
     Raises
     ------
     ModelMismatchError
-        The model belongs to another robot, or lacks the noise that momentum methods need.
+        The model belongs to another robot, or lacks the noise model that momentum methods need.
     UnknownName
-        Another method or name of a rate.
+        The method or the name of a rate is unknown.
     ShapeError
-        Prior, rate, leak or gain not positive, or a point not finite or farther away than the length of the arm.
+        The prior, rate, leak or gain is not positive, or the point is not finite or further away than the length of the
+        arm.
     ConfigError
-        An option of another method.
+        An option belongs to another method.
 
     Examples
     --------
@@ -211,7 +221,7 @@ class Estimator:
 
     def __init__(
         self,
-        model: TorqueModel,
+        model: TorqueModel | Fit[TorqueModel],
         robot: Robot,
         method: Method = "map",
         prior: ArrayLike | None = None,
@@ -222,6 +232,7 @@ class Estimator:
         gain: float | None = None,
         bias: bool = False,
     ) -> None:
+        model = value_of(model)
         if not isinstance(model, TorqueModel):
             raise ModelMismatchError.no_model(model)
         model.check_robot(robot)
@@ -251,6 +262,25 @@ class Estimator:
         self._running = False
         self._forget()
 
+    def __repr__(self) -> str:
+        return f"Estimator({self._model.robot_name!r}, method={self._method!r}, prior={brief(np.sqrt(self._prior))})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle only the model and options; the unpickled estimator starts fresh."""
+        return self._with, (self._model,)
+
+    def __copy__(self) -> Estimator:
+        """Return an estimator with the same state, for another thread."""
+        self._refuse_running()
+        made = self._with(self._model)
+        made._kernel = copy(self._kernel)
+        made._tare = self._tare and getattr(made._kernel, "tare", None)
+        made._t, made._missed, made._tared_at = self._t, self._missed, self._tared_at
+        return made
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Estimator:
+        return copy(self)
+
     @property
     def prior(self) -> np.ndarray:
         """Prior variances (6,) [N^2, (N m)^2]."""
@@ -258,11 +288,11 @@ class Estimator:
 
     @property
     def method(self) -> str:
-        """The method that was chosen."""
+        """Estimation method."""
         return self._method
 
     def reset(self) -> None:
-        """Forget the past: filter, presliding state and how well it is known, a tare, and the threads.
+        """Reset all state: filter, presliding, tare and thread ownership.
 
         Raises
         ------
@@ -275,8 +305,8 @@ class Estimator:
     def step(self, state: State) -> Wrench:
         """Advance by one state and return the wrench.
 
-        A sample that is not finite, or so large that its torque is not, gives NaN and changes nothing; the next one
-        counts its time from the last that was.
+        A sample that is not finite or whose torque overflows yields NaN and changes nothing; the time of the next
+        sample counts from the last valid one.
 
         Parameters
         ----------
@@ -284,7 +314,7 @@ class Estimator:
 
         Raises
         ------
-        ConcurrentUse : another thread has taken over since this one's last sample, or is in `run`.
+        ConcurrentUse : another thread has taken over, or is in `run`.
         """
         if get_ident() != self._thread:
             self._take_over()
@@ -303,25 +333,28 @@ class Estimator:
         )
 
     def tare(self) -> None:
-        """Say that there is no contact now: what the torques show is friction.
+        """Declare that there is no contact now, so that the torque error is friction.
 
-        The state is conditioned on a wrench of zero. It holds while every joint stays where it is: after more than its
-        presliding distance a joint's friction is another, the friction error is forgotten and the flag TARED is gone.
+        This conditions the state on a zero wrench. The tare is valid while every joint stays in place. Once a joint
+        moves by more than its presliding distance, its friction changes, so the friction error is discarded and the
+        flag TARED is cleared.
 
         Raises
         ------
-        ConfigError : when the estimator is not ``method="kf"`` with ``bias=True``. NotExcited : when a joint moves or
-        rests for less than 0.4 s. ConcurrentUse : another thread is in `run`.
+        ConfigError : the estimator was not made with ``method="kf"`` and ``bias=True``.
+        NotExcited : a joint moves or has rested for less than 0.4 s.
+        ConcurrentUse : another thread is in `run`.
         """
         if self._tare is None:
             raise ConfigError(
                 f"Expected an estimator with method='kf' and bias=True to tare, got method={self._method!r} without a "
-                "friction error to set. Make one with these options."
+                "friction error to set. Create one with these options."
             )
         self._refuse_running()
         if not self._tare():
             raise NotExcited(
-                "Expected every joint at rest for 0.4 s to tare, got motion or no sample. Stop the arm, wait, tare.",
+                "Expected every joint at rest for 0.4 s to tare, got motion or no sample. Stop the arm, wait, and "
+                "tare.",
                 ["friction at rest"],
             )
         self._tared_at = self._t
@@ -341,17 +374,19 @@ class Estimator:
         Parameters
         ----------
         table : log with columns q, qd, tau (N, n).
-        tare : seconds from the beginning, or rows, in which the arm rests without contact. What the torques show there
-            is friction while no joint is away from its place by more than its presliding distance, and their deviation
-            half of what it was; these rows have the flag TARED.
+        tare : seconds from the start, or rows, in which the arm rests without contact. The torque error there is
+            friction,
+            as long as every joint stays within its presliding distance, and its standard deviation is halved; these
+            rows have the flag TARED.
         progress : called with (done, total, what), in rows.
 
         Raises
         ------
-        ShapeError : when the joint count is not the model's, positions are in degrees or of the motors, or something
-            else came than a table.
-        NotExcited : joints moved, and no torque ever changed: none was measured; the arm moves during the tare, or
-            rests for less than 0.5 s.
+        ShapeError : `table` is not a table, has another joint count than the model, or positions in degrees or of the
+            motors.
+        NotExcited : joints move while no torque changes (torque not measured); or the arm moves during the tare, or
+            rests
+            for less than 0.5 s.
         ConcurrentUse : another thread is in `run`.
         """
         if tare is not None:
@@ -362,12 +397,12 @@ class Estimator:
         if q.shape != (len(table), self._robot.n):
             raise ShapeError(
                 f"Expected q of shape ({len(table)}, {self._robot.n}), got {q.shape}. "
-                "Give the log of the robot that the model belongs to."
+                "Pass the log of the robot that the model belongs to."
             )
         check_known(q, tau, self._robot)
         found = self._run(q, qd, tau, np.ascontiguousarray(table.dt), progress)
         missed = (found[5] & INVALID) > 0
-        if missed.any():  # the row after takes its time from the last that counted, as in `step`
+        if missed.any():  # the next row counts its time from the last valid one, as in `step`
             found = self._run(q, qd, tau, _bridged(table, missed), progress)
         F, cov, observability, error, variance, flags, active, interval = found
         table = (
@@ -382,7 +417,7 @@ class Estimator:
         return table if interval is None else table.with_column("wrench_interval", interval)
 
     def _tared(self, table: Table, tare: float | slice, tell: Callable[[int, int, str], None] | None) -> Table:
-        """Return the estimates of `run`, tared while every joint is in its place."""
+        """Return the estimates of `run`, tared while every joint is in place."""
         plain = self.run(table, progress=tell)
         model, shift, rows = tared(self._model, self._robot, table, tare)
         rested = self._with(model).run(table.with_column("tau", table["tau"] + shift), progress=tell)
@@ -403,10 +438,10 @@ class Estimator:
         dt: np.ndarray,
         tell: Callable[[int, int, str], None] | None,
     ) -> tuple[Any, ...]:
-        """Return what the kernel makes of all rows; in parts when progress is reported."""
+        """Run the kernel over all rows, in parts if progress is reported."""
         self.reset()
         self._take_over()
-        self._running = True  # the kernel lets other threads run meanwhile
+        self._running = True  # the kernel releases the GIL
         try:
             rows, parts = len(dt), []
             if tell is None or rows < PARTS:
@@ -426,32 +461,32 @@ class Estimator:
     def _refuse_running(self) -> None:
         if self._running:
             raise ConcurrentUse(
-                "Expected one thread at a time to use an Estimator, got another one in its run(). Make one for each "
-                "thread."
+                "Expected one thread at a time to use an Estimator, but another thread is in run(). Create one for "
+                "each thread."
             )
 
     def _take_over(self) -> None:
-        """Make this thread the owner. One that owned it before returns only while two use it by turns."""
+        """Make this thread the owner; a previous owner may not return before a reset."""
         self._refuse_running()
         self._earlier.add(self._thread)
-        self._thread = 0  # until a reset each of the threads is refused, for the state is mixed
+        self._thread = 0  # the state is mixed: reject every thread until a reset
         if get_ident() in self._earlier:
             raise ConcurrentUse(
-                "Expected one thread at a time to use an Estimator, got samples from two by turns. Make one for each "
-                "thread; where one thread hands it back to another, call reset() in between."
+                "Expected one thread at a time to use an Estimator, got samples from two alternating threads. Create "
+                "one per thread; to hand it over to another thread, call reset() in between."
             )
         self._thread = get_ident()
 
 
 def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -> tuple[TorqueModel, np.ndarray, slice]:
-    """Return a model for an arm that rests where it was tared, what to add to its torques (n,), and in which rows."""
+    """Return a model for an arm at rest after a tare, its torque correction (n,), and the rows in which it is valid."""
     if isinstance(tare, slice):
         span = slice(*tare.indices(len(table))[:2])
     else:
         seconds = number(tare, "the seconds of a tare", ShapeError)
         span = slice(0, int(np.searchsorted(table.t, table.t[0] + seconds)))
     free = replace(Friction.none(model.n), delta=model.friction.delta, resolution=model.friction.resolution)
-    rested = replace(model, friction=free, friction_map=None, warm_up=None)  # it rests: all of it is one number
+    rested = replace(model, friction=free, friction_map=None, warm_up=None)  # at rest friction is one number
     error = Estimator(rested, robot).run(table)["tau_error"][span]
     t, q = table.t[span], table["q"][span]
     error, steps = error[np.isfinite(error).all(axis=1)], np.ptp(q, axis=0) if len(q) else np.full(model.n, np.inf)
@@ -461,11 +496,11 @@ def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -
         raise NotExcited(
             f"Expected an arm at rest for at least {TARE} s to tare, got {seconds:.2g} s"
             + (f" in which joints {', '.join(map(str, moved))} move" if len(moved) else "")
-            + ". Name a stretch in which the arm rests without contact.",
+            + ". Pass a segment in which the arm rests without contact.",
             ["friction at rest"],
         )
     samples = (t[-1] - t[0]) / MEMORY
-    spread = np.var(error, axis=0) * (1.0 + 1.0 / samples) * (samples - 1.0) / (samples - 3.0)  # as Student's t
+    spread = np.var(error, axis=0) * (1.0 + 1.0 / samples) * (samples - 1.0) / (samples - 3.0)  # Student's t
     spread = np.maximum(spread, STAYS**2 * model.covariance.variance(np.zeros(model.n)))
     away = np.any(np.abs(table["q"] - np.median(q, axis=0)) > slack, axis=1)
     before, after = np.flatnonzero(away[: span.start]), np.flatnonzero(away[span.stop :])
@@ -479,13 +514,13 @@ def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -
 
 
 def _refuse_idle(method: str, options: dict[str, dict[str, object]]) -> None:
-    """Refuse options of another method: they would do nothing."""
+    """Reject options of another method, which would have no effect."""
     for owner, values in options.items():
         given = [name for name, value in values.items() if value is not None]
         if given and method != owner:
             raise ConfigError(
-                f"Expected {', '.join(given)} with method={owner!r} only, got method={method!r}. Leave out what does "
-                "nothing, or choose that method."
+                f"Expected {', '.join(given)} with method={owner!r} only, got method={method!r}. Omit it, or choose "
+                "that method."
             )
 
 
@@ -493,12 +528,12 @@ def _positive(values: ArrayLike, what: str, shape: tuple[int, ...] = (6,)) -> np
     found = numbers(values, what, ShapeError)
     if found.shape != shape or not np.all(np.isfinite(found)) or not np.all(found > 0):
         count = "six positive" if shape else "a positive"
-        raise ShapeError(f"Expected {count} {what}, got {values!r}. Give the size that you expect.")
+        raise ShapeError(f"Expected {count} {what}, got {values!r}. Pass the expected size.")
     return found
 
 
 def _walk(force_rate: ArrayLike | str | None, leak: ArrayLike | None) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return intensity [N^2/s, (N m)^2/s] and leak [1/s] of the wrench's random walk, each (6,)."""
+    """Return the intensity [N^2/s, (N m)^2/s] and leak [1/s] of the wrench's random walk, each (6,)."""
     if force_rate is None or isinstance(force_rate, str):
         name = force_rate or "normal"
         if name not in FORCE_RATES:
@@ -509,12 +544,12 @@ def _walk(force_rate: ArrayLike | str | None, leak: ArrayLike | None) -> tuple[n
         return rate, None
     leaks = numbers(leak, "the leak [1/s]", ShapeError)
     if leaks.shape not in ((), (6,)) or not np.all(np.isfinite(leaks)) or not np.all(leaks >= 0):
-        raise ShapeError(f"Expected a leak of one number or six [1/s], none below zero, got {leak!r}. Correct it.")
+        raise ShapeError(f"Expected a leak of one or six numbers of at least 0 [1/s], got {leak!r}. Correct it.")
     return rate, np.array(np.broadcast_to(leaks, 6))
 
 
 def _bridged(table: Table, missed: np.ndarray) -> np.ndarray:
-    """Return the time (N,) of each row since the last one that was not missed."""
+    """Return the time (N,) of each row since the last valid row."""
     rows, dt = np.arange(len(table)), np.array(table.dt)
     last = np.concatenate([[-1], np.maximum.accumulate(np.where(missed, -1, rows))[:-1]])
     after = ~missed & (last >= 0) & (last < rows - 1) & (dt > 0)

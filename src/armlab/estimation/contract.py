@@ -1,10 +1,10 @@
-"""The statistical contract: ten properties that every `fit_*` of the package must have, tested by one function.
+"""Statistical contract of estimators: ten properties required of every `fit_*`, tested by one function.
 
-A fit is run on many experiments of known truth. What it says of its own errors is then held to the errors that it made:
+A fit runs on many experiments with known truth. Its stated uncertainty is compared with its actual errors:
 
-    NEES = e^T C^-1 e,    mean over runs = number of parameters, when the covariance C is honest
+        NEES = e^T C^-1 e,    mean over runs = number of parameters, if the covariance C is consistent
 
-(Bar-Shalom, Li and Kirubarajan 2001). The other properties are laws: order, units, refusals, files, clean hands.
+(Bar-Shalom, Li and Kirubarajan 2001). The other properties concern sample order, units, errors, files and side effects.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from armlab import models
+from armlab._display import Shown
 from armlab._numbers import flag, number
 from armlab.errors import ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation.fit import Fit
@@ -25,14 +26,14 @@ from armlab.estimation.fit import Fit
 Verdict = tuple[bool | None, str]
 
 NORMAL_95 = 1.959963984540054
-ENOUGH = 1000  # runs from which coverage and efficiency are judged
+ENOUGH = 1000  # runs needed to judge coverage and efficiency
 STANDARD_ERRORS = 3.0
-GAUGE = 1e-6  # component of an unidentifiable direction from which it moves a parameter
+GAUGE = 1e-6  # component of an unidentifiable direction beyond which a parameter depends on the gauge
 
 
 @dataclass(frozen=True, eq=False)
 class ContractTrial:
-    """What is checked, and on what: the arguments of `check_estimator`; `done` keeps runs that several judges need."""
+    """Arguments of `check_estimator`; `done` caches runs shared by several checks."""
 
     fit: Callable[..., Fit[Any]]
     experiment: Callable[[int, int], Experiment]
@@ -50,7 +51,7 @@ class ContractTrial:
 
 @dataclass(frozen=True, eq=False)
 class FitRun:
-    """Error of one run with its stated covariance; both in the same coordinates."""
+    """Error of one run with its stated covariance in the same coordinates."""
 
     e: np.ndarray
     C: np.ndarray
@@ -59,7 +60,7 @@ class FitRun:
 
     @property
     def nees(self) -> float:
-        """Squared error over the stated covariance, of as many directions as its rank."""
+        """Squared error in the metric of the stated covariance, within its rank."""
         sd = _sd(self.C)
         values, vectors = np.linalg.eigh(self.C / np.outer(sd, sd))
         along = vectors.T @ (self.e / sd)
@@ -68,7 +69,7 @@ class FitRun:
 
 
 def _sd(C: np.ndarray) -> np.ndarray:
-    """Return the deviations of a covariance, 1 where there is none."""
+    """Return the standard deviations of a covariance; 1 for zero variances."""
     sd = np.sqrt(np.diag(C))
     return np.where(sd > 0, sd, 1.0)
 
@@ -84,7 +85,7 @@ def _run(trial: ContractTrial, case: Experiment, fit: Fit[Any]) -> FitRun:
 
 
 def _runs(trial: ContractTrial, times: int) -> list[FitRun]:
-    """Return the runs with n times as many samples, made once."""
+    """Return the runs with n times as many samples, computed once."""
     key = f"runs {times}"
     if key not in trial.done:
         seeds = range(trial.seed, trial.seed + trial.runs)
@@ -94,7 +95,7 @@ def _runs(trial: ContractTrial, times: int) -> list[FitRun]:
 
 
 def _weight(runs: list[FitRun]) -> np.ndarray:
-    """Return the inverse of the mean stated covariance: it makes errors of many units one number."""
+    """Return the inverse of the mean stated covariance, which makes errors of different units comparable."""
     C = np.mean([r.C for r in runs], axis=0)
     sd = _sd(C)
     return np.linalg.pinv(C / np.outer(sd, sd), rcond=1e-9, hermitian=True) / np.outer(sd, sd)
@@ -114,7 +115,7 @@ def _se(runs: list[FitRun]) -> float:
 
 
 def consistent(trial: ContractTrial) -> Verdict:
-    """Four times the samples must halve the error; of experiments drawn at random, as far as it halves the bound."""
+    """The error halves with four times as many samples (relative to the bound for random experiments)."""
     few, many = _runs(trial, 1), _runs(trial, 4)
     W = _weight(few)
     ratio, found = _rms(many, W) / _rms(few, W), ""
@@ -124,12 +125,12 @@ def consistent(trial: ContractTrial) -> Verdict:
     low, high = trial.limits.consistent
     slack = STANDARD_ERRORS * np.sqrt(2.0) * _se(few) * 0.5
     low, high = min(low, 0.5 - slack), max(high, 0.5 + slack)
-    text = f"error of 4 N over that of N: {ratio:.3f}{found}, accepted {low:.2f} to {high:.2f}"
+    text = f"ratio of the error with 4 N samples to that with N: {ratio:.3f}{found}, accepted {low:.2f} to {high:.2f}"
     return bool(low <= ratio <= high), text
 
 
 def honest(trial: ContractTrial) -> Verdict:
-    """The mean NEES must be its dimension; intervals of 95 % must hold 95 %."""
+    """The mean NEES equals its dimension, and 95 % intervals cover 95 %."""
     runs = _runs(trial, 1)
     dim = runs[0].rank
     nees = float(np.mean([r.nees / r.rank for r in runs]))
@@ -147,11 +148,11 @@ def honest(trial: ContractTrial) -> Verdict:
 
 
 def efficient(trial: ContractTrial) -> Verdict:
-    """The error must be that of the Cramer-Rao bound."""
+    """The error reaches the Cramer-Rao bound."""
     runs = _runs(trial, 1)
     bounds = [r.bound for r in runs if r.bound is not None]
     if len(bounds) < len(runs):
-        return False, "no Cramer-Rao bound: give Experiment.bound, or skip with the reason"
+        return False, "no Cramer-Rao bound: set Experiment.bound, or skip with a reason"
     e = np.array([r.e for r in runs])
     variance = np.array([np.diag(bound) for bound in bounds])
     blocks = trial.blocks or {"all": range(e.shape[1])}
@@ -164,13 +165,13 @@ def efficient(trial: ContractTrial) -> Verdict:
         passed &= ratio <= limit
         parts.append(f"{name} {ratio:.3f} (accepted {limit:.3f})")
     text = "error over the Cramer-Rao bound: " + ", ".join(parts)
-    return (bool(passed), text) if len(runs) >= ENOUGH else (None, text + f"; judged from {ENOUGH} runs on")
+    return (bool(passed), text) if len(runs) >= ENOUGH else (None, text + f"; judged with {ENOUGH} runs or more")
 
 
 def robust(trial: ContractTrial) -> Verdict:
-    """Five per cent of gross outliers must be flagged and do little harm."""
+    """Five per cent of gross outliers are flagged and have little effect."""
     if trial.spoil is None:
-        return False, "no outliers to test with: give spoil, or skip with the reason"
+        return False, "no outliers for the test: pass spoil, or skip with a reason"
     clean = _runs(trial, 1)
     W = _weight(clean)
     spoilt, missed, false, good, share = [], 0, 0, 0, 0.0
@@ -188,21 +189,21 @@ def robust(trial: ContractTrial) -> Verdict:
             share += float(np.mean(bad)) / trial.runs
     ratio = _rms(spoilt, W) / _rms(clean, W) * np.sqrt(1.0 - share)
     limit = trial.limits.robust + STANDARD_ERRORS * _se(clean)
-    text = f"error over that without outliers {ratio:.3f}, accepted {limit:.2f}"
+    text = f"error relative to the fit without outliers {ratio:.3f}, accepted {limit:.2f}"
     if not good:
         return bool(ratio <= limit), text
     found = missed == 0 and false <= trial.limits.false * good
-    text += f"; {missed} outliers missed, {100 * false / good:.2f} % of the good flagged"
+    text += f"; {missed} outliers missed, {100 * false / good:.2f} % of good samples flagged"
     return bool(ratio <= limit and found), text
 
 
-SAME = 1e-9  # deviations of the estimate, or relative
+SAME = 1e-9  # standard deviations of the estimate, or relative
 SEEDS = 3
 EXACT = ("parameters", "cov", "sigma", "outliers")
 
 
 def order_free(trial: ContractTrial) -> Verdict:
-    """Samples in another order must give the same answer and flags."""
+    """Permuted samples give the same estimate and flags."""
     worst = 0.0
     for seed in range(trial.seed, trial.seed + SEEDS):
         case = trial.experiment(seed, trial.n)
@@ -213,13 +214,16 @@ def order_free(trial: ContractTrial) -> Verdict:
                 mixed[name] = value[order]
                 changed += 1
         if not changed:
-            return False, "no array with samples along axis 0: skip with the reason"
+            return False, "no array with samples along axis 0: skip with a reason"
         first, second = trial.fit(**case.data), trial.fit(**mixed)
         (a, C), (b, _) = error_of(trial, first, case.truth), error_of(trial, second, case.truth)
         worst = max(worst, _length(b - a, C))
         if not np.array_equal(first.outliers[order] if first.outliers.size else first.outliers, second.outliers):
-            return False, "other flags in another order of the samples"
-    return worst <= SAME, f"permuted samples move the answer by {worst:.1e} deviations, accepted {SAME:.0e}"
+            return False, "flags depend on the order of the samples"
+    return (
+        worst <= SAME,
+        f"permuting the samples changes the estimate by {worst:.1e} standard deviations, accepted {SAME:.0e}",
+    )
 
 
 def _length(e: np.ndarray, C: np.ndarray) -> float:
@@ -229,9 +233,9 @@ def _length(e: np.ndarray, C: np.ndarray) -> float:
 
 
 def gauge_free(trial: ContractTrial) -> Verdict:
-    """Another frame or unit must change the answer as it must."""
+    """A change of frame or unit transforms the estimate accordingly."""
     if not trial.gauges:
-        return False, "no change of frame or unit to test with: give gauges, or skip with the reason"
+        return False, "no change of frame or unit for the test: pass gauges, or skip with a reason"
     parts, passed = [], True
     for gauge in trial.gauges:
         worst = 0.0
@@ -242,20 +246,20 @@ def gauge_free(trial: ContractTrial) -> Verdict:
             worst = max(worst, min(_length(e, C), _relative(e, there)))
         passed &= worst <= SAME
         parts.append(f"{gauge.name} {worst:.1e}")
-    return bool(passed), f"change of the answer beyond what must be: {', '.join(parts)}, accepted {SAME:.0e}"
+    return bool(passed), f"deviation from the expected transformation: {', '.join(parts)}, accepted {SAME:.0e}"
 
 
 def _relative(e: np.ndarray, fit: Fit[Any]) -> float:
-    """Return the largest error relative to its parameter; infinite where errors are not those of the parameters."""
+    """Return the largest error relative to its parameter; infinite if the errors are in other coordinates."""
     if e.shape != fit.parameters.shape:
         return np.inf
     return float(np.max(np.abs(e) / np.maximum(np.abs(fit.parameters), fit.sd)))
 
 
 def refuses(trial: ContractTrial) -> Verdict:
-    """Data that do not tell a direction must be refused with its name."""
+    """Data that leave a direction undetermined raise NotExcited, which names the direction."""
     if not trial.refusals:
-        return False, "nothing that must be refused: give refusals, or skip with the reason"
+        return False, "no data without excitation: pass refusals, or skip with a reason"
     wrong = []
     for words, data in trial.refusals.items():
         try:
@@ -263,14 +267,14 @@ def refuses(trial: ContractTrial) -> Verdict:
             wrong.append(f"{words!r} was accepted")
         except NotExcited as error:
             if not any(words in direction for direction in error.directions):
-                wrong.append(f"{words!r} was called {'; '.join(error.directions)}")
-        except Exception as error:  # the wrong refusal is a finding
+                wrong.append(f"{words!r} was named {'; '.join(error.directions)}")
+        except Exception as error:  # a wrong error is a finding
             wrong.append(f"{words!r} raised {type(error).__name__}")
-    return not wrong, "; ".join(wrong) or f"{len(trial.refusals)} cases refused by name"
+    return not wrong, "; ".join(wrong) or f"{len(trial.refusals)} cases raise NotExcited naming the direction"
 
 
 def saves(trial: ContractTrial) -> Verdict:
-    """A saved fit must come back bit-equal, and not as something else."""
+    """A saved fit reads back bit-identically and does not load as another kind."""
     fit = trial.fit(**trial.experiment(trial.seed, trial.n).data)
     with tempfile.TemporaryDirectory() as folder:
         path = fit.save(Path(folder) / "fit.toml")
@@ -279,43 +283,47 @@ def saves(trial: ContractTrial) -> Verdict:
         pairs = zip(_arrays(fit.value), _arrays(again.value), strict=True)
         changed += [f"value{a}" for (a, x), (_, y) in pairs if x.tobytes() != y.tobytes() or x.shape != y.shape]
         if changed:
-            return False, f"not bit-equal after a file: {', '.join(changed)}"
+            return False, f"not bit-equal after save and load: {', '.join(changed)}"
         try:
             models.load(path, kind="another kind")
         except ModelMismatchError:
-            return True, "bit-equal after a file; another kind is refused"
+            return True, "bit-equal after save and load; another kind raises an error"
     return False, "a file of another kind was accepted"
 
 
 def explains(trial: ContractTrial) -> Verdict:
-    """The report must have unit and deviation of every value."""
+    """The report has the unit and standard deviation of every value."""
     fit = trial.fit(**trial.experiment(trial.seed, trial.n).data)
     text = fit.report()
-    null = fit.excitation.null_space  # values that depend on the gauge say nothing
+    null = fit.excitation.null_space  # values that depend on the gauge are meaningless
     told = ~np.any(np.abs(null) > GAUGE, axis=1) if null.size else np.ones(len(fit.names), dtype=bool)
     missing = [name for name, needed in zip(fit.names, told) if needed and name not in text]
     missing += [unit for unit, needed in zip(fit.units, told) if needed and unit not in text]
     if missing:
         return False, f"not in the report: {', '.join(missing[:5])}"
     deviations = text.count("+-") + text.count("\N{PLUS-MINUS SIGN}")
-    return deviations >= told.sum(), f"{deviations} deviations for {told.sum()} values in the report"
+    return deviations >= told.sum(), f"{deviations} standard deviations for {told.sum()} values in the report"
 
 
 def clean(trial: ContractTrial) -> Verdict:
-    """Inputs stay, outputs are read-only, the same input gives the same bits, NaN is refused with its row."""
+    """Inputs stay unchanged, outputs are read-only, results are reproducible, and NaN raises an error that states its
+    row.
+    """
     data = dict(trial.experiment(trial.seed, trial.n).data)
     before = [(name, array.tobytes()) for name, array in _arrays(data)]
     fit = trial.fit(**data)
     faults = [f"input {name} changed" for (name, bits), (_, now) in zip(before, _arrays(data)) if bits != now.tobytes()]
-    faults += [f"output {name} can be written to" for name, array in _arrays(fit) if array.flags.writeable]
+    faults += [f"output {name} is writeable" for name, array in _arrays(fit) if array.flags.writeable]
     again = trial.fit(**trial.experiment(trial.seed, trial.n).data)
-    faults += [f"other bits of {n} twice" for n in EXACT if getattr(fit, n).tobytes() != getattr(again, n).tobytes()]
+    faults += [f"{n} is not reproducible" for n in EXACT if getattr(fit, n).tobytes() != getattr(again, n).tobytes()]
     faults += _nan_faults(trial)
-    return not faults, "; ".join(faults) or "inputs unchanged, outputs read-only, same bits twice, NaN refused by row"
+    return not faults, "; ".join(
+        faults
+    ) or "inputs unchanged, outputs read-only, reproducible to the bit, NaN raises an error with its row"
 
 
 def _nan_faults(trial: ContractTrial) -> list[str]:
-    """Return what is wrong with the refusal of NaN in any array of samples."""
+    """Return the faults of the error raised for NaN in any array of samples."""
     row, faults, tried = trial.n // 2, [], 0
     for name, data in _with_nan(dict(trial.experiment(trial.seed, trial.n).data), trial.n, row):
         tried += 1
@@ -324,14 +332,14 @@ def _nan_faults(trial: ContractTrial) -> list[str]:
             faults.append(f"NaN in {name} accepted")
         except ShapeError as error:
             if str(row) not in str(error):
-                faults.append(f"NaN in {name} refused without its row")
-        except Exception as error:  # the wrong refusal is a finding
+                faults.append(f"NaN in {name} raised without its row")
+        except Exception as error:  # a wrong error is a finding
             faults.append(f"NaN in {name} raised {type(error).__name__}")
-    return faults if tried else ["no array of samples to put NaN into"]
+    return faults if tried else ["no array of samples for NaN"]
 
 
 def _with_nan(data: dict[str, Any], n: int, row: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    from armlab.log import Table  # fits need no logs: half the time of their import
+    from armlab.log import Table  # imported here because it doubles the import time of estimation
 
     for name, value in data.items():
         if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape[:1] == (n,):
@@ -347,7 +355,7 @@ def _with_nan(data: dict[str, Any], n: int, row: int) -> Iterator[tuple[str, dic
 
 
 def _arrays(item: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
-    """Yield all arrays inside data or a result, with names."""
+    """Yield all arrays in data or a result with their names."""
     from armlab.log import Table
 
     if isinstance(item, np.ndarray):
@@ -371,21 +379,21 @@ JUDGES = {
     "clean": clean,
 }  # fmt: skip
 PROPERTIES = tuple(JUDGES)
-BENCHMARK = 1000  # runs from which the limits of the benchmark hold
+BENCHMARK = 1000  # runs needed for the limits of the benchmark
 
 Error = Callable[[Fit[Any], Any], Any]
 Spoil = Callable[[dict[str, Any], np.random.Generator], tuple[dict[str, Any], np.ndarray | None]]
 
 
-@dataclass(frozen=True, eq=False)
-class Experiment:
-    """One experiment of known truth.
+@dataclass(frozen=True, eq=False, repr=False)
+class Experiment(Shown):
+    """Experiment with known truth.
 
     Attributes
     ----------
-    data : keyword arguments of the fit: arrays with samples along axis 0, Tables, noise, whatever it takes.
-    truth : what the fit should find; the (d,) parameters unless `error` knows better.
-    bound : (d, d) Cramer-Rao bound of the errors; without it the fit cannot be called efficient.
+    data : keyword arguments of the fit: arrays with samples along axis 0, Tables, noise and others.
+    truth : expected result of the fit: the (d,) parameters, unless `error` interprets it.
+    bound : (d, d) Cramer-Rao bound of the errors; needed to judge efficiency.
     """
 
     data: Mapping[str, Any]
@@ -393,14 +401,15 @@ class Experiment:
     bound: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
-class Gauge:
-    """A change of frame or unit that must change the answer in a known way.
+@dataclass(frozen=True, repr=False)
+class Gauge(Shown):
+    """Change of frame or unit with a known effect on the estimate.
 
     Attributes
     ----------
-    name : in words. change : data -> data of the same experiment in other frames or units.
-    expect : fit of the data as they were -> truth that the fit of the changed data should find.
+    name : description.
+    change : data -> the same data in other frames or units.
+    expect : fit of the original data -> expected result with the changed data.
     """
 
     name: str
@@ -408,17 +417,20 @@ class Gauge:
     expect: Callable[[Fit[Any]], Any]
 
 
-@dataclass(frozen=True)
-class ContractLimits:
-    """What is accepted.
+@dataclass(frozen=True, repr=False)
+class ContractLimits(Shown):
+    """Acceptance limits of the contract.
 
-    Two-sided limits give way to three standard errors where few runs make these wider; one-sided ones grow by them.
+    Two-sided limits widen to three standard errors for few runs; one-sided limits grow by three standard errors.
 
     Attributes
     ----------
-    consistent : error of 4 N samples over that of N. honest : NEES over its dimension. covered : by stated 95 %.
-    efficient : error over the Cramer-Rao bound. robust : error with 5 % outliers over that of the rest.
-    false : share of good samples that may be flagged.
+    consistent : error of 4 N samples over that of N.
+    honest : NEES over its dimension.
+    covered : coverage of stated 95 % intervals.
+    efficient : error over the Cramer-Rao bound.
+    robust : error with 5 % outliers over that of the rest.
+    false : largest fraction of good samples flagged.
     """
 
     consistent: tuple[float, float] = (0.40, 0.60)
@@ -430,11 +442,12 @@ class ContractLimits:
 
     @classmethod
     def of(cls, runs: int, noise_given: bool) -> ContractLimits:
-        """Return the limits of the test suite, or those of the benchmark from 1000 runs on.
+        """Return the limits of the test suite or, from 1000 runs on, of the benchmark.
 
         Parameters
         ----------
-        runs : their number. noise_given : False where the fit estimates it, which widens the NEES.
+        runs : number of runs.
+        noise_given : False if the fit estimates the noise, which widens the NEES.
         """
         noise_given = flag(noise_given, "noise_given")
         if number(runs, "the number of runs") < BENCHMARK:
@@ -444,20 +457,21 @@ class ContractLimits:
 
 @dataclass(frozen=True)
 class Property:
-    """One property of the contract; `passed` is None where it was not judged."""
+    """Property of the contract; `passed` is None if it was not checked."""
 
     name: str
     passed: bool | None
     text: str
 
 
-@dataclass(frozen=True)
-class Contract:
-    """What `check_estimator` found.
+@dataclass(frozen=True, repr=False)
+class Contract(Shown):
+    """Result of `check_estimator`.
 
     Attributes
     ----------
-    properties : all ten, in the order of PROPERTIES. runs : number of experiments.
+    properties : all ten, in the order of PROPERTIES.
+    runs : number of experiments.
     """
 
     properties: tuple[Property, ...]
@@ -465,7 +479,7 @@ class Contract:
 
     @property
     def passed(self) -> bool:
-        """True when no property failed."""
+        """Whether no property failed."""
         return all(one.passed is not False for one in self.properties)
 
     @property
@@ -480,14 +494,14 @@ class Contract:
         raise UnknownName.among("property", name, PROPERTIES)
 
     def text(self) -> str:
-        """Return one line per property: verdict, name, and what was measured."""
+        """Return one line per property: verdict, name and measured values."""
         verdicts = {True: "passed", False: "FAILED", None: "-"}
         lines = [f"{verdicts[one.passed]:7s}{one.name:11s} {one.text}" for one in self.properties]
         return "\n".join([*lines, f"{self.runs} runs"])
 
 
 def difference(fit: Fit[Any], truth: Any) -> np.ndarray:
-    """Return the error (d,) of the parameters of a fit against a truth of the same shape."""
+    """Return the error (d,) of the parameters of a fit relative to a truth of the same shape."""
     return fit.parameters - np.asarray(truth)
 
 
@@ -507,38 +521,38 @@ def check_estimator(
     skip: Mapping[str, str] | None = None,
     seed: int = 0,
 ) -> Contract:
-    """Test a fit for the ten properties of the statistical contract; what fails is in the result, nothing is raised.
+    """Test a fit for the ten properties of the statistical contract; failures are reported in the result and not
+    raised.
 
     Parameters
     ----------
     fit : takes `Experiment.data` as keyword arguments, returns a `Fit`.
     experiment : (seed, n) -> `Experiment` of n samples; the same seed gives the same experiment.
-    runs : experiments; from 1000 on the narrower limits of the benchmark hold, and efficiency is judged.
+    runs : number of experiments; from 1000, the narrower limits of the benchmark apply and efficiency is judged.
     n : samples of an experiment; consistency also needs experiments of 4 n.
-    error : (fit, truth) -> (d,) error in the coordinates of `fit.cov`, or that and its covariance (m, m), for example
-        errors of validation poses where `fit.cov` has not full rank.
-    blocks : parts of the error whose efficiency is judged apart, name -> indices; the whole when left out.
+    error : (fit, truth) -> (d,) error in the coordinates of `fit.cov`, or the error and its covariance (m, m), for
+        example errors of validation poses if `fit.cov` is rank-deficient.
+    blocks : parts of the error with separate efficiency, name -> indices; default: the whole error.
     gauges : changes of frame or unit.
-    refusals : words -> data that must be refused by `NotExcited` with a direction that contains the words.
-    spoil : (data, rng) -> data with 5 % gross outliers, with what makes the fit look for them, and which samples (N,)
-        they are, None where the fit has no flags.
-    noise_given : False where the fit estimates the noise: NEES then exceeds 1 by about 2 / (degrees of freedom).
-    limits : what is accepted, where a specification says another thing.
-    skip : property -> why this fit cannot have it.
+    refusals : words -> data that must raise `NotExcited` with a direction that contains the words.
+    spoil : (data, rng) -> data with 5 % gross outliers and the option that enables their detection, and the outlier
+        samples (N,), or None if the fit has no flags.
+    noise_given : False if the fit estimates the noise: NEES then exceeds 1 by about 2 / (degrees of freedom).
+    limits : acceptance limits; default: those of the specification for this number of runs.
+    skip : property -> reason for skipping it.
     seed : of the first experiment.
 
     Raises
     ------
-    UnknownName : `skip` names a property that does not exist. ConfigError : without a reason.
+    UnknownName : `skip` names an unknown property.
+    ConfigError : missing reason.
     """
     reasons = dict(skip or {})
     for name, reason in reasons.items():
         if name not in PROPERTIES:
             raise UnknownName.among("property", name, PROPERTIES)
         if not reason.strip():
-            raise ConfigError(
-                f"Expected the reason why {name!r} is skipped, got none. Say why this fit cannot have it."
-            )
+            raise ConfigError(f"Expected a reason for skipping {name!r}, got an empty text. Give the reason.")
     accepted = limits or ContractLimits.of(runs, noise_given)
     trial = ContractTrial(fit, experiment, runs, n, seed, error, blocks or {}, gauges, refusals or {}, spoil, accepted)
     return Contract(tuple(_properties(trial, reasons)), runs)
@@ -551,5 +565,5 @@ def _properties(trial: ContractTrial, reasons: dict[str, str]) -> Iterator[Prope
             continue
         try:
             yield Property(name, *judge(trial))
-        except Exception as error:  # whatever a fit does wrong is a finding
+        except Exception as error:  # any exception of a fit is a finding
             yield Property(name, False, f"raised {type(error).__name__}: {error}")

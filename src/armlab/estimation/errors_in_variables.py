@@ -1,10 +1,11 @@
-"""Total least squares: errors in the regressor as well as in the measurement.
+"""Total least squares, with errors in the regressor and the measurement.
 
-    (A - E_A) x = y - e_y,    the rows of [E_A e_y] independent of each other with covariance C_i
+    (A - E_A) x = y - e_y,    the rows of [E_A e_y] are independent with covariance C_i
 
-With z = [a y] a row, w = [x; -1] and ``s_i = w^T C_i w`` the most likely x minimises ``sum_i (z_i . w)^2 / s_i``; the
-row is corrected by ``C_i w (z_i . w) / s_i``, and the covariance of x is ``(sum_i a_i a_i^T / s_i)^-1`` of the
-corrected rows. With one covariance ``sigma^2 I`` that is a singular value problem; exact columns are eliminated first.
+With z = [a y] a row, w = [x; -1] and ``s_i = w^T C_i w``, the maximum-likelihood x minimises
+``sum_i (z_i . w)^2 / s_i``. The row is corrected by ``C_i w (z_i . w) / s_i``, and the covariance of x is ``(sum_i a_i
+a_i^T / s_i)^-1``, computed from the corrected rows. With a common covariance ``sigma^2 I``, the problem is solved by
+singular value decomposition after elimination of the exact columns.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ WHAT = "total least squares"
 
 @dataclass(frozen=True, eq=False)
 class TotalSolution:
-    """Parameters of a linear problem whose regressor has errors too.
+    """Parameters of a linear problem with an uncertain regressor.
 
-    `x`: (p,) parameters. `cov`: (p, p) their covariance, to first order in the errors. `sigma`: deviation of the errors
-    that was found, 1 when their covariance was given and right. `corrections`: (N, p + 1) errors of [A y] that were
-    found; taken away, the rows agree with x. `outliers`: (N,) rows that were left out.
+    `x`: (p,) parameters. `cov`: (p, p) covariance of the parameters, to first order in the errors. `sigma`: estimated
+    standard deviation of the errors; 1 if the given covariance is correct. `corrections`: (N, p + 1) estimated errors
+    of [A y]; subtracting them makes the rows consistent with x. `outliers`: (N,) excluded rows.
     """
 
     x: np.ndarray
@@ -52,23 +53,24 @@ def total_least_squares(
     robust: bool = False,
     names: Sequence[str] | None = None,
 ) -> TotalSolution:
-    """Solve ``A x = y`` where both sides have errors.
+    """Solve ``A x = y`` with errors on both sides.
 
     Parameters
     ----------
-    A : (N, p) regressor, N > p. y : (N,) measurements.
-    cov : (p + 1, p + 1) covariance of the errors of a row [a y], or (N, p + 1, p + 1) one for each: weighted total
-        least squares. Zero rows and columns belong to what is exact; y alone may not be. When left out all errors have
-        one deviation, which is estimated.
-    exact : columns of A without errors, for example that of an offset; with `cov`, its zeros say so.
-    robust : find rows that do not fit the others, where `cov` is given; `outliers` marks them.
+    A : (N, p) regressor, N > p.
+    y : (N,) measurements.
+    cov : (p + 1, p + 1) covariance of the errors of a row [a y], or (N, p + 1, p + 1) one per row: weighted total least
+        squares. Zero rows and columns mark exact columns, but y must not be the only exact one. Default: the standard
+        deviation is the same for all errors and is estimated.
+    exact : columns of A without errors, for example of an offset; with `cov`, use zeros instead.
+    robust : detect outliers, if `cov` is given; `outliers` marks them.
     names : of the p parameters, for messages.
 
     Raises
     ------
-    ShapeError : shapes, values that are not finite with their rows, a covariance that is none.
-    NotExcited : too few rows, or columns that the rows do not tell apart.
-    NotConverged : the weighted iteration did not.
+    ShapeError : wrong shapes, values that are not finite with their rows, an invalid covariance.
+    NotExcited : too few rows, or indistinguishable columns.
+    NotConverged : the weighted iteration did not converge.
 
     References
     ----------
@@ -80,22 +82,22 @@ def total_least_squares(
     labels = tuple(names) if names is not None else tuple(f"x{k}" for k in range(p))
     free = _free(exact, p)
     if len(labels) != p:
-        raise ShapeError(f"Expected {p} names for {p} columns, got {len(labels)}. Name every column once.")
+        raise ShapeError(f"Expected {p} names for {p} columns, got {len(labels)}. Name every column exactly once.")
     if len(A) <= p:
         raise NotExcited(
             f"Expected more than {p} rows for {p} parameters, got {len(A)}. Measure more.", labels, [f"{len(A)} rows"]
         )
     if cov is not None:
         if len(free) < p:
-            raise ShapeError("Expected exact= or cov=, got both. Zeros in cov say which columns are exact.")
+            raise ShapeError("Expected exact= or cov=, got both. Use zeros in cov for exact columns.")
         return _weighted(A, y, _covariance(cov, len(A), p + 1), robust, labels)
     if robust:
-        raise ShapeError("Expected cov= with robust=True, got none. Say how large the errors of good rows are.")
+        raise ShapeError("Expected cov= with robust=True, got no cov. Pass the covariance of good rows.")
     return _plain(A, y, free, labels)
 
 
 def _plain(A: np.ndarray, y: np.ndarray, free: np.ndarray, names: tuple[str, ...]) -> TotalSolution:
-    """Return the solution for errors of one deviation, by the singular value decomposition."""
+    """Return the solution for errors of equal standard deviation, by singular value decomposition."""
     N, p = A.shape
     exact = np.setdiff1d(np.arange(p), free)
     Z = np.column_stack([A[:, free], y])
@@ -106,8 +108,8 @@ def _plain(A: np.ndarray, y: np.ndarray, free: np.ndarray, names: tuple[str, ...
     last = rows[-1]
     if not abs(last[-1]) > 1e-9:
         raise NotExcited(
-            f"Expected columns that explain y, got a combination of {', '.join(names[k] for k in free)} that their own "
-            "errors explain. Measure with more variation.",
+            f"Expected columns that explain y, got a combination of {', '.join(names[k] for k in free)} within their "
+            "own errors. Measure with more variation.",
             [names[k] for k in free],
             ["no solution"],
         )
@@ -155,7 +157,7 @@ def _weighted(A: np.ndarray, y: np.ndarray, cov: np.ndarray, robust: bool, names
 def _checked(A: ArrayLike, y: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     A, y = numbers(A, "A", ShapeError), numbers(y, "y", ShapeError)
     if A.ndim != 2 or not A.shape[1] or y.shape != A.shape[:1]:
-        raise ShapeError(f"Expected A (N, p) and y (N,), got {A.shape} and {y.shape}. Give one row per measurement.")
+        raise ShapeError(f"Expected A (N, p) and y (N,), got {A.shape} and {y.shape}. Pass one row per measurement.")
     bad = np.flatnonzero(~(np.isfinite(A).all(axis=1) & np.isfinite(y)))
     if len(bad):
         shown = ", ".join(str(i) for i in bad[:10]) + (" and more" if len(bad) > 10 else "")
@@ -180,7 +182,7 @@ def _covariance(cov: ArrayLike, N: int, k: int) -> np.ndarray:
     skew = np.abs(C - np.swapaxes(C, -1, -2)).max(axis=(-1, -2)) > 1e-9 * np.abs(C).max(axis=(-1, -2))
     if np.any(low < tolerance) or np.any(skew) or np.any(each[:, -1, -1] <= 0):
         raise ShapeError(
-            "Expected symmetric covariances that are not negative, with a variance of y above zero, got another one. "
-            "Deviations go squared on the diagonal."
+            "Expected symmetric, positive semidefinite covariances with a positive variance of y, got an invalid "
+            "covariance. The diagonal must contain squared standard deviations."
         )
     return each

@@ -1,4 +1,4 @@
-"""The result of every `fit_*`: a value that never comes without its covariance."""
+"""Result of every `fit_*`: a value together with its covariance."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
 
 from armlab import models
+from armlab._display import Shown, brief, html_table
 from armlab._numbers import rows_text
 from armlab.errors import ConfigError, ShapeError
 from armlab.estimation.linear_problem import Excitation
@@ -24,7 +25,7 @@ EXCITATION = ("expected", "singular_values", "weakest", "held", "null_names")
 
 
 def _frozen(values: Any, kind: type = float) -> np.ndarray:
-    """Return a read-only array; a copy unless it owns read-only data."""
+    """Return a read-only array, which is a copy unless the array owns read-only data."""
     if type(values) is np.ndarray and values.dtype == kind and values.flags.owndata and not values.flags.writeable:
         return values
     values = np.array(values, dtype=kind)
@@ -32,42 +33,42 @@ def _frozen(values: Any, kind: type = float) -> np.ndarray:
     return values
 
 
-@dataclass(frozen=True, eq=False)
-class Fit(Generic[Value]):
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Shown, Generic[Value]):
     """A fitted value with its covariance, residuals and excitation.
 
     Attributes
     ----------
     value : Value
-        What was fitted; a robot loads it.
+        The fitted value.
     names, units : tuple of str
-        Of the d parameters.
+        Names of the d parameters.
     parameters : ndarray, shape (d,)
         Values of the parameters.
     cov : ndarray, shape (d, d)
-        Their covariance, of rank `rank`: zero along unidentified directions.
+        Covariance of the parameters with rank `rank`; zero along unidentified directions.
     sigma : ndarray
-        Noise found per class of measurement, in its unit.
+        Noise estimated per class of measurement, in its unit.
     residuals : ndarray, shape (N, ...)
-        In SI units, not whitened; empty when the fit was read from a file.
+        Residuals in SI units, not whitened; empty if the fit was read from a file.
     n : int
         Number of samples used.
     excitation : Excitation
-        Which directions the data identify, and how well.
+        Directions that the data identify, and how well.
     summary : callable, optional
-        Makes the text of `report`.
+        Function that creates the text of `report`.
     outliers : ndarray of bool, shape (N,)
-        Samples left out; empty for fits that look for none.
+        Excluded samples; empty for fits without outlier detection.
     classes : tuple of str
-        Names of the classes of measurement with their units: "position [m]".
+        Names of the classes of measurement with their units, such as "position [m]".
     formal_cov : ndarray, shape (d, d), optional
-        Where `cov` accounts for residuals that are correlated in time: the covariance for white residuals, far too
-        small then. None where `cov` is formal itself, and when the fit was read from a file.
+        Covariance for white residuals, given if `cov` accounts for time-correlated residuals; it is then far too small.
+        None if `cov` is itself formal, or if the fit was read from a file.
     doubts : tuple of str
-        Why the fit is not good, one sentence each: failed tests of the residuals, suspicious units. Empty for a good
-        fit.
+        Why the fit may be unreliable, one sentence per reason: failed residual tests, suspicious units. Empty for a
+        good fit.
     notes : tuple of str
-        Lines of the report: what was repaired or held; empty when the fit was read from a file.
+        Lines of the report on repaired data and held directions; empty if the fit was read from a file.
     """
 
     value: Value
@@ -91,17 +92,17 @@ class Fit(Generic[Value]):
         if len(self.units) != d or np.shape(self.parameters) != (d,):
             raise ShapeError(
                 f"Expected {d} units and parameters of shape ({d},) for {d} names, got {len(self.units)} and "
-                f"{np.shape(self.parameters)}. This is a fault of the fit."
+                f"{np.shape(self.parameters)}. This is a bug in the fit."
             )
         cov = _frozen(self.cov)
         if cov.shape != (d, d):
             raise ShapeError(
-                f"Expected cov of shape ({d}, {d}) for {d} names, got {cov.shape}. This is a fault of the fit."
+                f"Expected cov of shape ({d}, {d}) for {d} names, got {cov.shape}. This is a bug in the fit."
             )
         if not np.isfinite(cov).all() or (d and cov.diagonal().min() < 0):
             raise ShapeError(
-                "Expected a finite covariance with a diagonal that is not negative, got another one. "
-                "This is a fault of the fit."
+                "Expected a finite covariance with a non-negative diagonal, got another matrix. "
+                "This is a bug in the fit."
             )
         object.__setattr__(self, "cov", cov)
         object.__setattr__(self, "names", tuple(self.names))
@@ -113,7 +114,7 @@ class Fit(Generic[Value]):
             object.__setattr__(self, name, _frozen(getattr(self, name), bool if name == "outliers" else float))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy and pickle the report as its text."""
+        """Copy and pickle the report as text."""
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
         if self.summary is not None:
             kept["summary"] = partial(_said, self.report())
@@ -126,26 +127,32 @@ class Fit(Generic[Value]):
 
     @property
     def good(self) -> bool:
-        """Whether the fit can be relied on; `doubts` says why not."""
+        """Whether the fit can be relied on; if not, `doubts` lists the reasons."""
         return not self.doubts
 
     @property
     def rank(self) -> int:
-        """Rank of the covariance scaled to a unit diagonal: how many directions are identified."""
+        """Rank of the covariance scaled to a unit diagonal, which is the number of identified directions."""
         sd = np.where(self.sd > 0, self.sd, 1.0)
         return int(np.linalg.matrix_rank(self.cov / np.outer(sd, sd), tol=1e-9, hermitian=True)) if len(sd) else 0
 
+    def _repr_html_(self) -> str:
+        columns = zip(self.names, self.parameters, self.sd, self.units)
+        rows = [(name, f"{value:.6g}", f"{sd:.2g}", unit) for name, value, sd, unit in columns]
+        after = [f"{self.n} samples", self.excitation.text(), *(f"not good: {doubt}" for doubt in self.doubts)]
+        return html_table(f"Fit of {brief(self.value)}", ("parameter", "value", "sd", "unit"), rows, after)
+
     def report(self) -> str:
-        """Return the fit in words and tables."""
+        """Return a report of the fit with text and tables."""
         return self.table() if self.summary is None else self.summary(self)
 
     def table(self, shown: np.ndarray | None = None) -> str:
-        """Return one line per parameter with unit and deviation, then noise, outliers, excitation and doubts.
+        """Return one line per parameter with unit and standard deviation, then noise, outliers, excitation and doubts.
 
         Parameters
         ----------
         shown : ndarray of bool, shape (d,), optional
-            Parameters that get a line; default: all.
+            Parameters to list; default: all.
         """
         rows = zip(self.names, self.parameters, self.sd, self.units)
         columns = [row for k, row in enumerate(rows) if shown is None or shown[k]]
@@ -154,12 +161,12 @@ class Fit(Generic[Value]):
         lines += [f"noise of {label}: {sigma:.3g}" for label, sigma in zip(labels, self.sigma.ravel())]
         left_out = np.flatnonzero(self.outliers)
         if len(left_out):
-            lines.append(f"{len(left_out)} outliers left out: {rows_text(left_out)}")
+            lines.append(f"{len(left_out)} outliers excluded: {rows_text(left_out)}")
         excitation = self.excitation.text() if self.good else self.excitation.text().replace(" good:", " sufficient:")
         return "\n".join([*lines, f"{self.n} samples", excitation, *(f"not good: {doubt}" for doubt in self.doubts)])
 
     def save(self, path: str | Path, sources: Sequence[str] = ()) -> Path:
-        """Write value, covariance, noise and flags to a model file and return its path; see `armlab.models.save`.
+        """Write the value, covariance, noise and flags to a model file, and return its path; see `armlab.models.save`.
 
         Parameters
         ----------
@@ -172,7 +179,7 @@ class Fit(Generic[Value]):
 
     @classmethod
     def load(cls, path: str | Path, kind: str | None = None) -> Fit[Any]:
-        """Read what `save` wrote: everything but the residuals.
+        """Read a fit written by `save`, which contains everything except the residuals.
 
         Parameters
         ----------
@@ -191,9 +198,19 @@ class Fit(Generic[Value]):
             parts = {name: known[name] for name in SAVED if name != "rank"}
         except KeyError as error:
             raise ConfigError(
-                f"Expected the fit of a value in {path}, got no {error}. It was saved without: use armlab.models.load."
+                f"Expected the fit of a value in {path}, got no {error}. The value was saved without a fit: use "
+                "armlab.models.load."
             ) from None
         return cls(value=value, residuals=np.zeros(0), excitation=excitation, **parts)
+
+
+@overload
+def value_of(given: Fit[Value]) -> Value: ...
+@overload
+def value_of(given: Fit[Value] | Value) -> Value: ...
+def value_of(given: Any) -> Any:
+    """Return the value of a fit; other values are returned unchanged."""
+    return given.value if isinstance(given, Fit) else given
 
 
 def _said(text: str, fit: Fit[Any]) -> str:

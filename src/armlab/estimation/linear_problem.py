@@ -1,4 +1,4 @@
-"""The solution of a linear problem from its triangular factors: weights per class, bounds, priors, covariance."""
+"""Linear least squares from triangular factors, with class weights, bounds, priors and covariance."""
 
 from __future__ import annotations
 
@@ -7,23 +7,24 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from armlab._display import Shown
 from armlab._numbers import make_read_only, numbers, still
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.tsqr import Factors, triangle
 
-MAX_CONDITION = 1e4  # beyond it a direction is called not excited
+MAX_CONDITION = 1e4  # beyond it, a direction counts as not excited
 WARN_CONDITION = 300.0
-NULL = 1e-9  # relative singular value below which a direction is not weak but unseen
-NAMED = 0.3  # share of the largest component above which a component is named
+NULL = 1e-9  # relative singular value below which a direction is unobservable, not weak
+NAMED = 0.3  # fraction of the largest component above which a component is named
 
 Describe = Callable[[np.ndarray], str]
 
 
-UNSEEN = 1e-3  # noise that a deviation of the prior makes, all rows together: below, the data say nothing of it
+UNOBSERVABLE = 1e-3  # effect of a prior SD on all rows, in noise SDs, below which the data carry no information
 
 
-@dataclass(frozen=True, eq=False)
-class Prior:
+@dataclass(frozen=True, eq=False, repr=False)
+class Prior(Shown):
     """Independent prior knowledge of parameters.
 
     Attributes
@@ -38,22 +39,21 @@ class Prior:
     sd: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class Excitation:
-    """What the data could tell.
+@dataclass(frozen=True, eq=False, repr=False)
+class Excitation(Shown):
+    """Excitation of the parameters by the data.
 
     Attributes
     ----------
-    rank, expected : rank found and rank needed.
+    rank, expected : numerical rank and number of parameters.
     singular_values : of the column-scaled, whitened design matrix, descending.
-    weakest : the least excited direction in words.
+    weakest : description of the least excited direction.
     scale : (p,) norms of the columns; 1 where a column is zero.
     vectors : (p, p) right singular vectors of the scaled matrix as columns, strongest first.
-    held : directions that the data do not tell and a prior holds, in words.
-    null_space : (p, m) orthonormal directions, in units of the limits, that the data do not see.
-    null_names : of them, in words; those that no data could tell begin with "gauge: ".
-    spread : (p,) standard deviations, in units of the limits, along the directions `vectors`; empty where there are no
-        limits.
+    held : descriptions of directions determined by the prior instead of the data.
+    null_space : (p, m) orthonormal unobservable directions, in units of the limits.
+    null_names : their descriptions; directions unobservable with any data begin with "gauge: ".
+    spread : (p,) standard deviations, in units of the limits, along the directions `vectors`; empty without limits.
     """
 
     rank: int
@@ -74,18 +74,19 @@ class Excitation:
 
     @classmethod
     def of(cls, A: np.ndarray, names: Sequence[str], max_condition: float = MAX_CONDITION) -> Excitation:
-        """Measure the excitation of a design matrix without judging it.
+        """Return the excitation of a design matrix without checking it.
 
         Parameters
         ----------
         A : (m, p) whitened design matrix, or its triangle R (p, p).
         names : of the p parameters.
-        max_condition : a direction weaker than the strongest by more than this does not count in the rank.
+        max_condition : weaker directions, relative to the strongest, do not count in the rank.
         """
         A = numbers(A, "a design matrix", ShapeError)
         if A.ndim != 2 or A.shape[1] != len(names) or not np.isfinite(A).all():
             raise ShapeError(
-                f"Expected a finite design matrix with {len(names)} columns, got shape {A.shape}. Name every column."
+                f"Expected a finite design matrix with {len(names)} columns, got shape {A.shape}. Pass one name per "
+                "column."
             )
         norms = np.linalg.norm(A, axis=0)
         scale = np.where(norms > 0, norms, 1.0)
@@ -96,59 +97,60 @@ class Excitation:
         singular = np.zeros(len(names))
         singular[: len(found)] = found
         rank = int(np.count_nonzero((singular >= singular[0] / max_condition) & (singular > 0)))
-        return cls(rank, len(names), singular, _in_words(rows[-1], names), scale, rows.T)
+        return cls(rank, len(names), singular, _describe(rows[-1], names), scale, rows.T)
 
     @classmethod
     def of_covariance(cls, cov: np.ndarray, names: Sequence[str]) -> Excitation:
-        """Measure the excitation behind an estimate that comes with its covariance and no design matrix.
+        """Return the excitation of an estimate that has a covariance but no design matrix.
 
         Parameters
         ----------
-        cov : (p, p) of full rank. names : of the p parameters; there may be none.
+        cov : (p, p) of full rank.
+        names : of the p parameters, possibly none.
         """
         cov = numbers(cov, "a covariance", ShapeError)
         if cov.shape != (len(names), len(names)):
             raise ShapeError(f"Expected a covariance of {len(names)} parameters, got shape {cov.shape}.")
         if not len(names):
-            return cls(0, 0, np.zeros(0), "nothing was fitted")
+            return cls(0, 0, np.zeros(0), "no fitted parameters")
         sd = np.sqrt(np.diag(cov))
         return cls.of(np.linalg.inv(np.linalg.cholesky(cov / np.outer(sd, sd))) / sd, names)
 
     @property
     def condition(self) -> float:
-        """Largest over smallest singular value; 1 where there are no parameters."""
+        """Ratio of the largest to the smallest singular value; 1 without parameters."""
         if not self.singular_values.size:
             return 1.0
         smallest = self.singular_values[-1]
         return float(self.singular_values[0] / smallest) if smallest > 0 else float("inf")
 
     def text(self) -> str:
-        """Return one line for a report, and one for each direction that a prior holds."""
+        """Return one line for a report, plus one for each direction held by a prior."""
         good = self.spread.max() < 1.0 if self.spread.size else self.condition < WARN_CONDITION
-        verdict = "good" if good else "weak: log a longer or richer motion"
+        verdict = "good" if good else "weak: record a longer or richer motion"
         found = f"rank {self.rank} of {self.expected}, condition {self.condition:.0f}"
         lines = [f"excitation {verdict}: {found}; weakest: {self.weakest}"]
-        lines += [f"not seen: {direction}" for direction in self.null_names]
+        lines += [f"not observable: {direction}" for direction in self.null_names]
         return "\n".join([*lines, *(f"held by the prior: {direction}" for direction in self.held)])
 
 
 def check_excitation(
     A: np.ndarray, names: Sequence[str], what: str, prior: Prior | None = None, max_condition: float = MAX_CONDITION
 ) -> Excitation:
-    """Judge whether data determine all parameters.
+    """Check whether the data determine all parameters.
 
-    `A`: (m, p) whitened design matrix, or its triangle R (p, p). `prior`: when given, directions that the data do not
-    tell keep its values, and are listed in `held`; without one they are refused. `max_condition`: strongest over
-    weakest singular value of the column-scaled A that is accepted; infinite refuses nothing. Returns: Excitation with
-    the singular values of the column-scaled A.
+    `A`: (m, p) whitened design matrix, or its triangle R (p, p). `prior`: if given, undetermined directions keep the
+    prior values and are listed in `held`; otherwise they raise NotExcited. `max_condition`: largest accepted ratio of
+    the strongest to the weakest singular value of the column-scaled A; infinity accepts everything. Returns: Excitation
+    with the singular values of the column-scaled A.
     """
     A = numbers(A, "a design matrix", ShapeError)
     if prior is not None:
         _check_prior(prior, len(names))
-        A = A * (np.linalg.norm(A, axis=0) * prior.sd > UNSEEN)
+        A = A * (np.linalg.norm(A, axis=0) * prior.sd > UNOBSERVABLE)
     found = Excitation.of(A, names, max_condition)
     weak = range(found.expected - 1, found.rank - 1, -1)  # the weakest first
-    directions = tuple(_in_words(found.vectors[:, i], names) for i in weak)
+    directions = tuple(_describe(found.vectors[:, i], names) for i in weak)
     if prior is not None:
         known = (found.scale, found.vectors, directions)
         return Excitation(found.rank, found.expected, found.singular_values, found.weakest, *known)
@@ -157,8 +159,8 @@ def check_excitation(
     dead = [name for name, column in zip(names, A.T) if not column.any()]
     if dead:
         raise NotExcited(
-            f"Expected motion that excites every parameter of the {what}, got none at all for: {', '.join(dead)}. "
-            "Record a log in which these joints move.",
+            f"Expected motion that excites every parameter of the {what}, but the data do not excite: "
+            f"{', '.join(dead)}. Record a log in which these joints move.",
             dead,
             ["no signal"] * len(dead),
         )
@@ -166,7 +168,7 @@ def check_excitation(
         strongest = found.singular_values[0]
         raise NotExcited(
             f"Expected motion that excites every direction of the {what} (condition below {max_condition:.0e}), got "
-            f"{len(directions)} that it does not tell apart: {'; '.join(directions)}. "
+            f"{len(directions)} undetermined: {'; '.join(directions)}. "
             "Record a log that moves these joints together and apart, at several speeds and poses.",
             directions,
             [f"{found.singular_values[i] / strongest:.1e} of the strongest direction" for i in weak],
@@ -182,20 +184,20 @@ def check_spread(
     what: str,
     describe: Describe | None = None,
 ) -> Excitation:
-    """Judge whether data determine every direction better than a limit.
+    """Check whether the data determine every direction within a limit.
 
-    The standard deviation along the direction v (in units of the limits) is ``1 / |J diag(limits) v|``: a rank test
-    alone fails as soon as the data are noisy.
+    The standard deviation along the direction v (in units of the limits) is ``1 / |J diag(limits) v|``; a rank test
+    alone is unreliable with noisy data.
 
-    `J`: (m, p) whitened Jacobian of the data without priors, or its triangle. `limits`: (p,) standard deviation of each
-    parameter that is the most accepted. `describe`: puts a direction (p,) of the parameters into words: one standard
-    deviation long, or as long as the limits where nothing is seen. The names of the largest components otherwise.
+    `J`: (m, p) whitened Jacobian of the data without priors, or its triangle. `limits`: (p,) largest accepted standard
+    deviation of each parameter. `describe`: describes a direction (p,) of the parameters, whose length is one standard
+    deviation, or the limits if unobservable. Default: the names of the largest components.
     """
     p, J, limits = len(names), numbers(J, "a Jacobian", ShapeError), numbers(limits, "limits", ShapeError)
     if J.ndim != 2 or J.shape[1] != p or limits.shape != (p,) or not np.all(limits > 0) or not np.isfinite(J).all():
         raise ShapeError(
             f"Expected a finite Jacobian (m, {p}) and {p} limits above zero, got shapes {J.shape} and {limits.shape}."
-            " Give one name, unit and limit per parameter."
+            " Pass one name, unit and limit per parameter."
         )
     scaled = (triangle(J) if len(J) > p else J) * limits
     _, found, rows = np.linalg.svd(scaled, full_matrices=True)
@@ -209,16 +211,16 @@ def check_spread(
         if describe is not None:
             return describe(reach)
         k = int(np.argmax(np.abs(vectors[:, i])))
-        return _in_words(vectors[:, i], names) + ("" if unseen[i] else f" ({abs(reach[k]):.2g} {units[k]})")
+        return _describe(vectors[:, i], names) + ("" if unseen[i] else f" ({abs(reach[k]):.2g} {units[k]})")
 
     weak = np.flatnonzero(spread > 1.0)[::-1]
     if len(weak):
         directions = [words(int(i)) for i in weak]
         raise NotExcited(
-            f"Expected data that determine every direction of the {what}, got {len(weak)} whose standard deviation "
+            f"Expected data that determine every direction of the {what}, but the standard deviation of {len(weak)} "
             f"exceeds its limit: {'; '.join(directions)}. Measure at poses that differ more along these directions.",
             directions,
-            ["unseen" if not np.isfinite(s) else f"{s:.2g} times the limit" for s in spread[weak]],
+            ["unobservable" if not np.isfinite(s) else f"{s:.2g} times the limit" for s in spread[weak]],
         )
     empty = np.zeros((p, 0))
     return Excitation(p, p, singular, words(p - 1), 1.0 / limits, vectors, null_space=empty, spread=spread)
@@ -228,30 +230,31 @@ def _check_prior(prior: Prior, size: int) -> None:
     values, sd = np.asarray(prior.values), np.asarray(prior.sd)
     if values.shape != (size,) or sd.shape != (size,) or not np.isfinite(values).all() or not np.all(sd > 0):
         raise ShapeError(
-            f"Expected a prior of {size} finite values with positive deviations, got shapes {values.shape} and "
-            f"{sd.shape}. Give one of each for every parameter."
+            f"Expected a prior of {size} finite values with positive standard deviations, got shapes {values.shape} "
+            f"and {sd.shape}. Pass one value and one standard deviation per parameter."
         )
 
 
-def _in_words(vector: np.ndarray, names: Sequence[str]) -> str:
-    """Name the parameters that carry most of a direction."""
+def _describe(vector: np.ndarray, names: Sequence[str]) -> str:
+    """Name the parameters with the largest components of a direction."""
     order = np.argsort(-np.abs(vector))[:3]
     kept = [i for i in order if abs(vector[i]) > NAMED * abs(vector[order[0]])]
     return " and ".join(str(names[int(i)]) for i in kept)
 
 
-BLOCK_ROUNDS = 10  # rounds without fewer faults after which one fault at a time is mended
+BLOCK_ROUNDS = 10  # rounds without progress before single-constraint pivoting
 
 
 def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return the nearest point to x in the box, ``min (z - x)^T cov^-1 (z - x)`` over ``lower <= z <= upper``.
+    """Return the point of the box nearest to x, ``min (z - x)^T cov^-1 (z - x)`` over ``lower <= z <= upper``.
 
-    With A the bounds that hold, ``z = x + cov[:, A] m`` and ``m = cov[A, A]^-1 (bound - x)[A]``: the other parameters
-    follow their correlations. A is right when every free z is inside and every m pushes inwards; block principal
-    pivoting mends all faults at once, and after ten rounds without progress the first one only, which always ends.
+    With A the active bounds, ``z = x + cov[:, A] m`` and ``m = cov[A, A]^-1 (bound - x)[A]``: the other parameters
+    follow their correlations. A is optimal if every free z is inside and every m points inwards. Block principal
+    pivoting exchanges all violations at once. After ten rounds without progress, it exchanges only the first, which
+    always terminates.
 
-    `x`: (p,) solution without bounds. `cov`: (p, p) its covariance, up to a factor. `lower`, `upper`: (p,) bounds,
-    lower < upper. Returns: (p,) solution within the bounds; exactly at those that hold. After Portugal, Judice and
+    `x`: (p,) solution without bounds. `cov`: (p, p) covariance of x, up to a factor. `lower`, `upper`: (p,) bounds,
+    lower < upper. Returns: (p,) solution within the bounds, and exactly at active bounds. After Portugal, Judice and
     Vicente (1994), A comparison of block pivoting and interior-point algorithms.
     """
     if np.all((x >= lower) & (x <= upper)):
@@ -282,13 +285,13 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
 
 
 ROUNDS = 20
-TOLERANCE = 1e-6  # relative change of the deviations of the classes
-EXACT = 1e-12  # residuals below this share of the measurements are rounding
+TOLERANCE = 1e-6  # relative change of the class standard deviations
+EXACT = 1e-12  # residuals below this fraction of the measurements are rounding
 
 
 @dataclass(frozen=True, eq=False)
 class LinearProblem:
-    """What is asked of the data; bounds (p,) are infinite where there is none."""
+    """Linear problem; bounds (p,) are infinite where unconstrained."""
 
     names: tuple[str, ...]
     what: str
@@ -307,7 +310,7 @@ class LinearProblem:
         prior: Prior | None = None,
         max_condition: float = MAX_CONDITION,
     ) -> LinearProblem:
-        """Check the bounds (p,) and fill in those that are left out."""
+        """Validate the bounds (p,); omitted bounds are infinite."""
         p = len(names)
         low = np.full(p, -np.inf) if lower is None else numbers(lower, "lower bounds", ShapeError)
         high = np.full(p, np.inf) if upper is None else numbers(upper, "upper bounds", ShapeError)
@@ -321,7 +324,7 @@ class LinearProblem:
 
 @dataclass(frozen=True)
 class ActiveBound:
-    """A bound that holds a parameter: its name, the bound, and where the data alone would put it, with deviation."""
+    """Active bound: parameter name, bound, and the unconstrained estimate with its standard deviation."""
 
     name: str
     bound: float
@@ -329,19 +332,19 @@ class ActiveBound:
     free_sd: float
 
     def text(self) -> str:
-        return f"{self.name} held at its bound {self.bound:g}; without it {self.free:.4g} +- {self.free_sd:.2g}"
+        return f"{self.name} held at its bound {self.bound:g}; without the bound {self.free:.4g} +- {self.free_sd:.2g}"
 
 
 @dataclass(frozen=True, eq=False)
 class LinearSolution:
-    """Parameters of a linear problem with what is needed to judge and to resample them.
+    """Parameters of a linear problem with the quantities needed for validation and resampling.
 
-    `x`: (p,) parameters. `cov`: (p, p) formal covariance: right only for white residuals; bounds do not narrow it.
-    `weights`: (G,) of the classes, 1 / sd. `sigma`: (G,) deviation of their residuals, degrees of freedom subtracted.
-    `scale`: deviation of the weighted residuals; 1 when the weights are right. `R`: (p, p) triangle of the weighted
-    regressor. `basis`: (p, r) directions that the data tell, ``R @ basis`` orthonormal. `kept`: (B,) blocks of time
-    that count. `stretch`: how much further than the weighted solution a robust one moves, 1 without reweighting.
-    `row_weights`: (M,) weights of the rows in the order they came in; empty without reweighting.
+    `x`: (p,) parameters. `cov`: (p, p) formal covariance, valid for white residuals; bounds do not narrow it.
+    `weights`: (G,) weights of the classes, 1 / sd. `sigma`: (G,) standard deviation of the class residuals, corrected
+    for degrees of freedom. `scale`: standard deviation of the weighted residuals; 1 for correct weights. `R`: (p, p)
+    triangle of the weighted regressor. `basis`: (p, r) determined directions, ``R @ basis`` orthonormal. `kept`: (B,)
+    time blocks used. `stretch`: ratio of the variation of a robust solution to that of the weighted solution; 1 without
+    reweighting. `row_weights`: (M,) weights of the rows in input order; empty without reweighting.
     """
 
     problem: LinearProblem
@@ -373,33 +376,33 @@ class LinearSolution:
 
     @property
     def held_cov(self) -> np.ndarray:
-        """Covariance (p, p) of the prior along the directions that it holds; zero without a prior."""
+        """Covariance (p, p) of the prior along the directions it holds; zero without a prior."""
         return _held_covariance(self.excitation, self.problem.prior)
 
 
-MANY = 30.0  # degrees of freedom from which classes are counted as one
-POINTS, GOLDEN = 4096, 1.32471795724  # of a quasi-random sequence (Roberts)
-NOTHING = 1e-6  # parameters: a class that says less does not count
+MANY = 30.0  # degrees of freedom beyond which classes are pooled
+POINTS, GOLDEN = 4096, 1.32471795724  # quasi-random sequence of Roberts
+NEGLIGIBLE = 1e-6  # effective parameters below which a class is ignored
 
 
 def student_factor(d: np.ndarray, nu: np.ndarray) -> float:
-    """Return the factor on a covariance for which its 95 % region of chi^2 covers 95 %.
+    """Return the covariance factor for which the 95 % region of chi^2 has a coverage of 95 %.
 
-    The squared error over the stated covariance is ``sum_c d_c F(d_c, nu_c)`` where class c has estimated its noise
-    with nu_c degrees of freedom, and says d_c of the d parameters; d F(d, nu) for one class.
+    In the metric of the stated covariance, the squared error is ``sum_c d_c F(d_c, nu_c)`` if class c estimates its
+    noise with nu_c degrees of freedom and determines d_c of the d parameters; d F(d, nu) for one class.
 
-    `d`, `nu`: (C,), nu infinite where noise was given.
+    `d`, `nu`: (C,); nu is infinite for given noise.
     """
     from scipy.special import chdtri, fdtri
 
     total = float(d.sum())
-    unsure = np.isfinite(nu) & (d > NOTHING)
-    if not unsure.any() or total < NOTHING:
+    unsure = np.isfinite(nu) & (d > NEGLIGIBLE)
+    if not unsure.any() or total < NEGLIGIBLE:
         return 1.0
     usual = float(chdtri(total, 0.05))
-    d, nu = d[d > NOTHING], np.maximum(nu[d > NOTHING], 0.5)
+    d, nu = d[d > NEGLIGIBLE], np.maximum(nu[d > NEGLIGIBLE], 0.5)
     if len(d) == 1 or nu.min() > MANY:
-        share = d / total  # between the degrees of freedom with the right mean and those with the right variance
+        share = d / total  # interpolates between matching the mean and matching the variance
         one = 1.0 / np.sqrt(float(np.sum(share / nu)) * float(np.sum(share**2 / nu)))
         return total * float(fdtri(total, one, 0.95)) / usual
     u = np.outer(np.arange(1, POINTS + 1), 1.0 / GOLDEN ** np.arange(1, len(d) + 1)) % 1.0
@@ -412,7 +415,9 @@ def student_factor(d: np.ndarray, nu: np.ndarray) -> float:
 def solve(
     problem: LinearProblem, factors: Factors, weights: np.ndarray | None = None, kept: np.ndarray | None = None
 ) -> LinearSolution:
-    """Solve by factors, with weights (G,) of the classes, found in rounds when None, on the blocks `kept` (B,)."""
+    """Solve using the factors of the blocks `kept` (B,) and class weights (G,), which are estimated iteratively if
+    None.
+    """
     kept = np.ones(len(factors.rows), dtype=bool) if kept is None else kept
     groups = factors.of_groups(kept)
     if weights is not None:
@@ -420,15 +425,15 @@ def solve(
     spread = np.array([np.linalg.norm(R[:, -1]) for R in groups]) / np.sqrt(np.maximum(factors.rows[kept].sum(0), 1))
     weights = _inverse(spread, spread)
     for _ in range(ROUNDS):
-        sigma = _solve_once(problem, factors, groups, kept, weights).sigma
-        before, weights = weights, _inverse(sigma, spread)
+        solution = _solve_once(problem, factors, groups, kept, weights)
+        before, weights = weights, _inverse(solution.sigma, spread)
         if np.allclose(weights, before, rtol=TOLERANCE, atol=0.0):
-            break
+            return solution
     return _solve_once(problem, factors, groups, kept, weights)
 
 
 def _inverse(sigma: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Return 1 / sigma, bounded for classes without noise and 1 for those without measurements."""
+    """Return 1 / sigma, which is bounded for noise-free classes and 1 for classes without measurements."""
     floor = np.maximum(sigma, EXACT * spread)
     return np.divide(1.0, floor, out=np.ones_like(floor), where=floor > 0)
 
@@ -470,20 +475,20 @@ def _solve_once(
 def _free_solution(
     R: np.ndarray, y: np.ndarray, basis: np.ndarray, excitation: Excitation, prior: Prior | None
 ) -> np.ndarray:
-    """Return the solution without bounds; the prior alone determines the held directions."""
+    """Return the solution without bounds; the prior alone determines held directions."""
     if prior is None or excitation.rank == excitation.expected:
         told = excitation.singular_values > np.finfo(float).eps * len(R) * excitation.singular_values[0]
         basis = basis[:, told[: basis.shape[1]]]
         orthonormal = R @ basis
         x = basis @ (orthonormal.T @ y)
-        return x + basis @ (orthonormal.T @ (y - R @ x))  # what R @ basis lacks in orthogonality
+        return x + basis @ (orthonormal.T @ (y - R @ x))  # corrects the orthogonality of R @ basis
     held = excitation.vectors[:, excitation.rank :]
     known = held @ (held.T @ (excitation.scale * prior.values)) / excitation.scale
     return known + basis @ ((R @ basis).T @ y)
 
 
 def _held_covariance(excitation: Excitation, prior: Prior | None) -> np.ndarray:
-    """Return the covariance (p, p) of the prior along the directions that it holds."""
+    """Return the covariance (p, p) of the prior along the directions it holds."""
     held = excitation.vectors[:, excitation.rank :]
     if prior is None or not held.size:
         return np.zeros((excitation.expected,) * 2)

@@ -1,12 +1,12 @@
-"""Maximum likelihood on manifolds with unknown noise and outliers: what `fit_*` of calibrations call.
+"""Maximum-likelihood estimation on manifolds with unknown noise and outliers; the solver of the calibration fits.
 
-Noise that is not given is estimated per class c of measurement, in whitened quantities,
+Unknown noise is estimated per measurement class c, in whitened quantities,
 
     sigma_c^2 <- sigma_c^2 r_c^T r_c / (n_c - trace(J_c P J_c^T))
 
-until it stays. With `robust` a graduated Geman-McClure loss over whole samples comes first, weight
-``(c^2 / (c^2 + rho^2))^2`` with c shrinking; then samples with rho^2 beyond the 99.9 % quantile are flagged and left
-out, and the rest is fitted by plain maximum likelihood, whose covariance is the one returned.
+until convergence. With `robust`, a graduated Geman-McClure loss over whole samples comes first, with weight
+``(c^2 / (c^2 + rho^2))^2`` and decreasing c. Samples with rho^2 beyond the 99.9 % quantile are then flagged and
+excluded. The remaining samples are fitted by plain maximum likelihood, which gives the returned covariance.
 """
 
 from __future__ import annotations
@@ -18,35 +18,31 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from armlab._display import Shown
 from armlab._numbers import make_read_only
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation.linear_problem import student_factor
-from armlab.estimation.residual_tests import (
-    ResidualCheck,
-    Series,
-    check_residuals,
-    correlated_information,
-)
+from armlab.estimation.residual_tests import ResidualCheck, Series, check_residuals, correlated_information
 from armlab.estimation.robust import majority_step
 from armlab.estimation.tsqr import triangle
 
 
-@dataclass(frozen=True, eq=False)
-class Measurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class Measurement(Shown):
     """Residuals of one kind of measurement at one value of the unknowns.
 
     Attributes
     ----------
-    r : (m, k) residuals in SI, k numbers for each of m measurements.
+    r : (m, k) residuals in SI units, k numbers for each of m measurements.
     J : (m, k, d) their derivatives with respect to a step of `retract`.
-    cov : (k,) variances, or (k, k) or (m, k, k) covariance of r; None when the noise is to be estimated, a deviation
-        per class.
+    cov : (k,) variances, or (k, k) or (m, k, k) covariance of r; None to estimate the noise, one standard deviation per
+        class.
     classes : name of the noise class of each of the k numbers, for example ("t", "t", "t", "R", "R", "R").
-    sample : (m,) number of the sample (pose, scan, point) that each measurement belongs to; 0 to m - 1 when left out.
-        Outliers are found by samples.
-    prior : True for what was known before: it is no sample, cannot be an outlier and does not enter the noise estimate.
-    added : (k, k) or (m, k, k) covariance of a part of the noise that is known, beside the part that is to be
-        estimated; None for none.
+    sample : (m,) index of the sample (pose, scan, point) of each measurement; default: 0 to m - 1. Outliers are
+        detected per sample.
+    prior : True for prior knowledge, which cannot be an outlier and does not enter the noise estimate.
+    added : (k, k) or (m, k, k) known part of the noise covariance, in addition to the estimated part; None: no such
+        part.
     """
 
     r: np.ndarray
@@ -60,7 +56,7 @@ class Measurement:
     def __post_init__(self) -> None:
         for name in ("r", "J", "sample", *(("cov",) if self.cov is not None else ())):
             if not isinstance(getattr(self, name), np.ndarray):
-                raise ShapeError(f"Expected {name} of a measurement as a NumPy array. This is a fault of the residual.")
+                raise ShapeError(f"Expected a NumPy array as {name} of a measurement. This is a bug in the residual.")
         m, k = self.r.shape if self.r.ndim == 2 else (0, 0)
         given = None if self.cov is None else self.cov.shape
         if not self.sample.size:
@@ -70,25 +66,25 @@ class Measurement:
             raise ShapeError(
                 "Expected r (m, k), J (m, k, d), cov (k,), (k, k) or (m, k, k), k classes and sample (m,), got "
                 f"{self.r.shape}, {self.J.shape}, {given}, {len(self.classes)} and {self.sample.shape}. "
-                "This is a fault of the residual."
+                "This is a bug in the residual."
             )
         beside = None if self.added is None else self.added.shape
         if beside not in (None, (k, k), (m, k, k)) or (beside is not None and self.cov is not None):
             raise ShapeError(
-                f"Expected added ({k}, {k}) or ({m}, {k}, {k}) beside noise that is estimated, got {beside}. "
-                "This is a fault of the residual."
+                f"Expected added ({k}, {k}) or ({m}, {k}, {k}) in addition to estimated noise, got {beside}. "
+                "This is a bug in the residual."
             )
         if self.prior and self.cov is None:
-            raise ShapeError("Expected the covariance of a prior, got None. Say how surely it is known.")
+            raise ShapeError("Expected the covariance of a prior, got None. Give its covariance.")
 
     def roots(self, sigma: dict[str, float]) -> np.ndarray:
-        """Return the whitening factor: the inverse of the Cholesky factor of the covariance.
+        """Return the whitening factor, which is the inverse of the Cholesky factor of the covariance.
 
-        (k, k) or (m, k, k); (k,), its diagonal, where the numbers are independent.
+        Its shape is (k, k) or (m, k, k), or only the diagonal (k,) for independent components.
 
         Parameters
         ----------
-        sigma : deviation of each class whose noise is estimated.
+        sigma : standard deviation of each class with estimated noise.
         """
         if self.cov is None and self.added is None:
             return np.array([1.0 / sigma[name] for name in self.classes])
@@ -100,18 +96,18 @@ class Measurement:
             return np.linalg.inv(np.linalg.cholesky(np.diag(self.cov) if self.cov.ndim == 1 else self.cov))
         except np.linalg.LinAlgError:
             raise ShapeError(
-                "Expected noise with a positive definite covariance, got one that is not. Give standard deviations "
-                "above zero."
+                "Expected noise with a positive definite covariance, got an indefinite covariance. Pass standard "
+                "deviations above zero."
             ) from None
 
     def whitened(self, root: np.ndarray) -> np.ndarray:
-        """Return the residuals (m, k) times their whitening factor, from `roots`."""
+        """Return the residuals (m, k) times the whitening factor from `roots`."""
         return self.r * root if root.ndim == 1 else (root @ self.r[:, :, None])[:, :, 0]
 
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """Whitened rows of all measurements: r (M,), J (M, d); `kept` marks those that were not left out, None for all."""
+    """Whitened rows of all measurements: r (M,), J (M, d); `kept` marks the included rows (None: all)."""
 
     r: np.ndarray
     J: np.ndarray
@@ -129,13 +125,13 @@ class Whitened:
 
     @cached_property
     def label(self) -> np.ndarray:
-        """Number (M,) of the noise class of each row, -1 for priors."""
+        """Index (M,) of the noise class of each row, -1 for priors."""
         number = {name: i for i, name in enumerate(self.names)}
         return self._rows(lambda one: np.tile([-1 if one.prior else number[n] for n in one.classes], len(one.r)))
 
     @cached_property
     def channel(self) -> np.ndarray:
-        """Number (M,) of the series of each row: a component of a measurement, and which of several in its sample."""
+        """Index (M,) of the series of each row: component of the measurement and position within its sample."""
         found, first = [], 0
         for one in self.measurements:
             (m, k), rank = one.r.shape, np.zeros(len(one.r), dtype=int)
@@ -158,14 +154,14 @@ class Whitened:
 
     def squares(self, count: int) -> np.ndarray:
         """Return the squared whitened residual (count,) of each sample."""
-        return np.bincount(self.sample + 1, self.r**2, minlength=count + 1)[1:]  # priors are sample -1
+        return np.bincount(self.sample + 1, self.r**2, minlength=count + 1)[1:]  # priors have sample -1
 
     def numbers(self, count: int) -> np.ndarray:
-        """Return how many numbers (count,) each sample has."""
+        """Return the number of components (count,) of each sample."""
         return np.bincount(self.sample + 1, minlength=count + 1)[1:]
 
     def times(self, weight: np.ndarray) -> Whitened:
-        """Return rows times the root of the weight (N,) of their sample, without those of weight 0; priors as is."""
+        """Return rows scaled by the root of their sample's weight (N,), without rows of weight 0; priors unscaled."""
         if np.all(weight == 1.0):
             return self
         root = np.sqrt(np.append(weight, 1.0))[self.sample]
@@ -175,7 +171,7 @@ class Whitened:
 
 
 def whiten(measurements: Sequence[Measurement], roots: Sequence[np.ndarray]) -> Whitened:
-    """Put all measurements below each other, whitened by their factors from `Measurement.roots`."""
+    """Stack all measurements, whitened by their factors from `Measurement.roots`."""
     r, J = [], []
     for one, root in zip(measurements, roots):
         r.append(one.whitened(root).ravel())
@@ -184,7 +180,7 @@ def whiten(measurements: Sequence[Measurement], roots: Sequence[np.ndarray]) -> 
 
 
 def cost(measurements: Sequence[Measurement], roots: Sequence[np.ndarray], weight: np.ndarray) -> float:
-    """Return ``1/2 sum_i w_i r_i^T S_i^-1 r_i`` with weights (N,) of the samples, 1 for priors."""
+    """Return ``1/2 sum_i w_i r_i^T S_i^-1 r_i`` with sample weights (N,) and weight 1 for priors."""
     total = 0.0
     for one, root in zip(measurements, roots):
         r = one.whitened(root)
@@ -194,7 +190,7 @@ def cost(measurements: Sequence[Measurement], roots: Sequence[np.ndarray], weigh
 
 
 def median_norm(dimension: int) -> float:
-    """Return the median length of a standard normal vector; 1.5382 in three dimensions."""
+    """Return the median norm of a standard normal vector (1.5382 in three dimensions)."""
     from scipy.special import gammaincinv
 
     return float(np.sqrt(2.0 * gammaincinv(0.5 * dimension, 0.5)))
@@ -203,29 +199,28 @@ def median_norm(dimension: int) -> float:
 Value = TypeVar("Value")
 
 ITERATIONS = 100
-STEP = 1e-9  # in deviations of the estimate
-ROUNDING = 1e-13  # relative change of the cost that is rounding
-IDLE, PATIENCE = 1e-3, 5  # steps so short that get no shorter, or lower nothing, are rounding too: exact data
-EXACT = 1e-3  # and all steps are where residuals are a share so small of their deviation
+STEP = 1e-9  # in standard deviations of the estimate
+ROUNDING = 1e-13  # relative rounding error of the cost
+IDLE, PATIENCE = 1e-3, 5  # short steps without progress are rounding, as with noise-free data
+EXACT = 1e-3  # residual over standard deviation below which all steps are rounding
 MAX_DAMPING = 1e15
-ROUNDED = 1e-9  # RMS of residuals in SI below which nothing was measured: they have the patterns of rounding
-WELL = 1e7  # condition of a triangle below which its inverse serves
-NULL = 1e-9  # relative singular value of the scaled Jacobian below which data see nothing
+ROUNDED = 1e-9  # RMS of residuals in SI units below which they are rounding, not noise
+WELL_CONDITIONED = 1e7  # condition of a triangle below which its inverse is accurate
+NULL = 1e-9  # relative singular value of the scaled Jacobian below which a direction is unobservable
 DAMPING = 1e-3  # first damping, relative to the largest singular value squared
 
 
-@dataclass(frozen=True, eq=False)
-class NonlinearProblem(Generic[Value]):
-    """A fit on a manifold.
+@dataclass(frozen=True, eq=False, repr=False)
+class NonlinearProblem(Shown, Generic[Value]):
+    """Fit problem on a manifold.
 
     Attributes
     ----------
     evaluate : value -> residuals with their Jacobian at zero step.
     retract : (value, x (d,)) -> value [+] x.
-    scale : (d,) unit of each component of x, in which the smallest of equal steps is taken; the inverse norm of the
-        columns when None.
-    what : what is fitted, for messages.
-    residue : deviation in SI below which residuals are rounding.
+    scale : (d,) unit of each component of x, for the minimum-norm step; default: the inverse norm of the columns.
+    what : name of the fitted quantity, for messages.
+    residue : standard deviation in SI units below which residuals are rounding.
     """
 
     evaluate: Callable[[Value], Sequence[Measurement]]
@@ -237,11 +232,11 @@ class NonlinearProblem(Generic[Value]):
 
 @dataclass(frozen=True, eq=False)
 class Descent(Generic[Value]):
-    """Where a descent ended.
+    """Result of a descent.
 
-    `rows`: whitened residuals and Jacobian there, weights of samples included. `basis`: (d, r) directions that the rows
-    tell, ``J @ basis`` orthonormal; ``basis @ basis.T`` is the covariance. `null`: (d, d - r) orthonormal directions,
-    in units of the scale, that they do not. `step`: length of the last step in deviations of the estimate.
+    `rows`: whitened residuals and Jacobian, including sample weights. `basis`: (d, r) determined directions,
+    ``J @ basis`` orthonormal; ``basis @ basis.T`` is the covariance. `null`: (d, d - r) orthonormal undetermined
+    directions, in units of the scale. `step`: length of the last step in standard deviations of the estimate.
     """
 
     value: Value
@@ -253,12 +248,12 @@ class Descent(Generic[Value]):
 
     @cached_property
     def U(self) -> np.ndarray:
-        """Orthonormal columns (M, r): what the fit takes out of white residuals."""
+        """Orthonormal columns (M, r) that span the part of white residuals removed by the fit."""
         return self.rows.J @ self.basis
 
     @cached_property
     def freedom(self) -> np.ndarray:
-        """Degrees of freedom (1 + classes,) that priors, then each class, have left."""
+        """Remaining degrees of freedom (1 + classes,) of the priors and of each class."""
         label, count = self.rows.label + 1, 1 + len(self.rows.names)
         held = np.einsum("ij,ij->i", self.U, self.U)
         return np.bincount(label, minlength=count) - np.bincount(label, held, count)
@@ -274,11 +269,12 @@ def descend(
 ) -> Descent[Value]:
     """Minimise the whitened cost from a start.
 
-    The covariance of the residuals is that at the start of each step: a step is judged by the cost it promised to
-    lower. Converged when the step is below 1e-9 deviations of the estimate, or the cost at its rounding floor.
+    The covariance of the residuals is fixed at the start of each step, so that a step is judged by the predicted
+    decrease of the cost. The descent has converged when the step is below 1e-9 standard deviations of the estimate, or
+    when the cost has reached its rounding floor.
 
-    `sigma`: deviation of each noise class that is estimated. `weight`: (N,) weight of each sample, 0 to leave it out.
-    `strict`: raise when that many did not converge; otherwise rows and basis are those before the last step. After
+    `sigma`: standard deviation of each noise class. `weight`: (N,) weight of each sample; 0 excludes it.
+    `strict`: raise without convergence; otherwise rows and basis are those before the last step. After
     Madsen, Nielsen and Tingleff (2004), Methods for non-linear least squares problems, algorithm 3.16.
     """
     value, now = start, problem.evaluate(start)
@@ -290,14 +286,14 @@ def descend(
         rows = whiten(now, roots).times(weight)
         height = 0.5 * float(rows.r @ rows.r)
         history.append(height)
-        slope = _Slope.of(problem, rows)
+        slope = _Linearised.of(problem, rows)
         here = Descent(value, rows, slope.basis, slope.null, float(np.sqrt(slope.along @ slope.along)), tuple(history))
         waited = waited + 1 if here.step > 0.5 * shortest else 0
         shortest = min(shortest, here.step)
         idle = here.step < IDLE or 2.0 * height < EXACT**2 * len(rows.r)
         if here.step < STEP or (idle and waited > PATIENCE):
             return here
-        rounding = 0.5 * here.step**2 < ROUNDING * height  # the cost cannot tell; the steps do, by their length
+        rounding = 0.5 * here.step**2 < ROUNDING * height  # the cost no longer resolves progress; step lengths do
         while True:
             x, promise = slope.step(damping)
             trial = problem.retract(value, x)
@@ -309,51 +305,51 @@ def descend(
                 return here
             damping, growth = max(damping * growth, DAMPING), 2.0 * growth
             if damping > MAX_DAMPING:
-                raise _stuck(problem, value, history)
+                raise _not_converged(problem, value, history)
         gain = fall / promise if fall > 0 else 1.0
         damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
         damping = damping if damping > 1e-12 else 0.0
         value, now = trial, then
     if strict or here is None:
-        raise _stuck(problem, value, history)
+        raise _not_converged(problem, value, history)
     return replace(here, value=value)
 
 
-def _stuck(problem: NonlinearProblem[Any], value: Any, history: list[float]) -> NotConverged:
+def _not_converged(problem: NonlinearProblem[Any], value: Any, history: list[float]) -> NotConverged:
     return NotConverged(
         f"Expected the fit of the {problem.what} to converge, got a cost of {history[-1]:.6g} after {len(history)} "
-        "iterations. Give a better start, or look for wrong samples with robust=True.",
+        "iterations. Provide a better initial guess, or detect outliers with robust=True.",
         best=value,
         history=history,
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Slope:
-    """The linear problem at one value; singular values, which are slow, only where nearly singular or damped."""
+class _Linearised:
+    """Linearised problem at one value; singular values (slow) are computed only if it is nearly singular or damped."""
 
     R: np.ndarray
     scale: np.ndarray
 
     @classmethod
-    def of(cls, problem: NonlinearProblem[Any], rows: Whitened) -> _Slope:
+    def of(cls, problem: NonlinearProblem[Any], rows: Whitened) -> _Linearised:
         R = triangle(rows.J, rows.r)
         norms = np.sqrt(np.einsum("ij,ij->j", R[:, :-1], R[:, :-1]))
         return cls(R, problem.scale if problem.scale is not None else 1.0 / np.where(norms > 0, norms, 1.0))
 
     @cached_property
     def _inverse(self) -> np.ndarray | None:
-        """Inverse of the scaled triangle, or None where it is nearly singular."""
+        """Inverse of the scaled triangle, or None if nearly singular."""
         from scipy.linalg import lapack
 
         scaled = self.R[:-1, :-1] * self.scale
         inverse, fault = lapack.dtrtri(scaled)  # pyright: ignore
         size = np.vdot(scaled, scaled) * np.vdot(inverse, inverse)
-        return inverse if not fault and size < WELL**2 else None
+        return inverse if not fault and size < WELL_CONDITIONED**2 else None
 
     @cached_property
     def _singular(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Basis (d, r), singular values (r,), null space (d, d - r), and slope (r,) of the cost along the basis."""
+        """Basis (d, r), singular values (r,), null space (d, d - r), and gradient (r,) of the cost along the basis."""
         U, singular, V = np.linalg.svd(self.R[:-1, :-1] * self.scale)
         rank = int(np.count_nonzero(singular > NULL * singular[0]))
         basis = (self.scale * V[:rank]).T / singular[:rank]
@@ -361,21 +357,21 @@ class _Slope:
 
     @cached_property
     def basis(self) -> np.ndarray:
-        """Directions (d, r) that the rows tell: J times them is orthonormal."""
+        """Determined directions (d, r), scaled such that J times them is orthonormal."""
         return self._singular[0] if self._inverse is None else self.scale[:, None] * self._inverse
 
     @property
     def null(self) -> np.ndarray:
-        """Directions (d, d - r), in units of the scale, that they do not."""
+        """Undetermined directions (d, d - r), in units of the scale."""
         return self._singular[2] if self._inverse is None else np.zeros((len(self.scale), 0))
 
     @property
     def along(self) -> np.ndarray:
-        """Slope (r,) of the cost along the basis."""
+        """Gradient (r,) of the cost along the basis."""
         return self._singular[3] if self._inverse is None else self.R[:-1, -1]
 
     def step(self, damping: float) -> tuple[np.ndarray, float]:
-        """Return the step (d,), damped by a share of the largest singular value squared, and the promised fall."""
+        """Return the step (d,), damped relative to the largest singular value squared, and the predicted decrease."""
         if damping == 0.0:
             return -self.basis @ self.along, 0.5 * float(self.along @ self.along)
         basis, singular, _, slope = self._singular
@@ -385,33 +381,34 @@ class _Slope:
 
 SCHEDULE = (200.0, 60.0, 20.0, 10.0)
 UNKNOWN_NOISE = (1000.0, 10.0, 5.0, 5.0)
-NARROW = 3  # last values of c that are left of a start that is near
+NARROW = 3  # last values of c used from a nearby start
 REWEIGHTED = 20  # iterations per c
-NEXT = 1e-2  # step in deviations below which c shrinks
+NEXT = 1e-2  # step in standard deviations below which c decreases
 SETTLED = 1e-6  # relative change of sigma
 NOISE_ROUNDS = 20
-MIXED_ROUNDS = 100  # it converges the slower, the larger the part that is known
+MIXED_ROUNDS = 100  # convergence slows down as the known part of the noise grows
 FLAGGED = 0.999  # quantile of chi^2 beyond which a sample is an outlier
 FLAG_ROUNDS = 3
-CLEARLY = 1.3  # times less noise that another answer must leave
+MIN_IMPROVEMENT = 1.3  # factor by which an alternative solution must reduce the noise
 
 
 @dataclass(frozen=True, eq=False)
 class NonlinearSolution(Generic[Value]):
-    """A fitted value with its uncertainty.
+    """Fitted value with its uncertainty, which is computed on first access.
 
-    `cov`: (d, d) covariance of a step away from it, zero along unidentified directions, with Student's factor where
-    noise is estimated, and the correlation of residuals where `check` finds it; `formal_cov`: without the latter, None
-    where it is the same. `sigma`: deviation of the classes, degrees of freedom subtracted. `outliers`: (N,) samples
-    that were left out. `squares`: (N,) whitened squared residual of every sample. `null`: (d, m) orthonormal
-    directions, in units of the scale, that neither data nor prior tell. `history`: cost after each iteration of the
-    last descent.
+    `cov`: (d, d) covariance of a step from the value, zero along unidentified directions, with Student's factor for
+    estimated noise and the residual correlation if `check` detects it. `formal_cov`: covariance without the residual
+    correlation; None if equal. `basis`: (d, r) with orthonormal ``rows.J @ basis``. `estimated`: classes with estimated
+    noise. `robust`: whether outliers were detected. `sigma`: standard deviation of the classes, corrected for degrees
+    of freedom. `outliers`: (N,) excluded samples. `squares`: (N,) whitened squared residual of every sample. `null`:
+    (d, m) orthonormal directions, in units of the scale, determined by neither data nor prior. `history`: cost after
+    each iteration.
     """
 
     value: Value
-    cov: np.ndarray
-    formal_cov: np.ndarray | None
-    check: ResidualCheck
+    basis: np.ndarray
+    estimated: frozenset[str]
+    robust: bool
     classes: tuple[str, ...]
     sigma: np.ndarray
     outliers: np.ndarray
@@ -423,7 +420,23 @@ class NonlinearSolution(Generic[Value]):
     history: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        make_read_only(self, "cov", "sigma", "outliers", "squares", "null")
+        make_read_only(self, "sigma", "outliers", "squares", "null")
+
+    @cached_property
+    def _uncertainty(self) -> tuple[np.ndarray, np.ndarray | None, ResidualCheck]:
+        return covariance_of(self.rows, self.basis, self.rows.J @ self.basis, self.estimated, self.robust)
+
+    @property
+    def cov(self) -> np.ndarray:
+        return self._uncertainty[0]
+
+    @property
+    def formal_cov(self) -> np.ndarray | None:
+        return self._uncertainty[1]
+
+    @property
+    def check(self) -> ResidualCheck:
+        return self._uncertainty[2]
 
 
 def nonlinear_least_squares(
@@ -439,23 +452,24 @@ def nonlinear_least_squares(
 
     Parameters
     ----------
-    problem : residuals with Jacobian, and retraction. Measurements without covariance have their noise estimated.
-    start : first value.
-    robust : find outliers among the samples; `outliers` marks them.
-    schedule : values of c of the graduated loss, in deviations, for given noise.
-    near : the start is that of the good samples: the loss begins narrow, where outliers cannot lead away from it.
-    majority : with robust and unknown noise, look beside for what most samples agree on, near the solution: where a
-        third of them is wrong in the same way, they lead the loss and the scale.
+    problem : residuals with Jacobian, and retraction. Noise of measurements without covariance is estimated.
+    start : initial value.
+    robust : detect outliers among the samples; `outliers` marks them.
+    schedule : values of c of the graduated loss, in standard deviations, for given noise.
+    near : the start fits the good samples: the loss begins narrow, so that outliers cannot attract it.
+    majority : with robust and unknown noise, also search near the solution for the fit of most samples. Needed if a
+        third of the samples share the same error, because they attract the loss and the scale.
 
     Raises
     ------
-    NotConverged : the descent did not. NotExcited : fewer numbers than unknowns, outliers left out.
+    NotConverged : the descent did not converge.
+    NotExcited : fewer numbers than unknowns after exclusion of outliers.
 
     References
     ----------
     Geman and McClure (1987); Yang, Antonante, Tzoumas and Carlone (2020), Graduated non-convexity.
     """
-    problem = replace(problem, evaluate=_remembering(problem.evaluate))
+    problem = replace(problem, evaluate=_cached(problem.evaluate))
     now = problem.evaluate(start)
     count = 1 + max(int(one.sample.max(initial=-1)) for one in now if not one.prior)
     sigma = _first_noise(now, problem.residue)
@@ -463,22 +477,22 @@ def nonlinear_least_squares(
     if robust:
         steps = UNKNOWN_NOISE if sigma else schedule
         start, sigma, weight = _graduate(problem, start, sigma, weight, steps[-NARROW:] if near else steps)
-    ends = [_flagged(problem, start, sigma, weight, robust)]
+    ends = [_fit_and_flag(problem, start, sigma, weight, robust)]
     if robust and sigma and majority:
         found, sigma, _ = ends[0]
         rows = _rows(problem, found.value, sigma)
         start = problem.retract(found.value, majority_step(rows.J, rows.r, rows.sample, rows.label, count))
         sigma = _median_noise(_rows(problem, start, sigma), sigma, problem.residue)
-        ends.append(_flagged(problem, start, sigma, _fits(problem, start, sigma, count), robust))
+        ends.append(_fit_and_flag(problem, start, sigma, _fits(problem, start, sigma, count), robust))
     sizes = [sum(np.log(size) for size in end[1].values()) for end in ends]
-    found, sigma, weight = ends[-1 if sizes[-1] < sizes[0] - np.log(CLEARLY) else 0]
+    found, sigma, weight = ends[-1 if sizes[-1] < sizes[0] - np.log(MIN_IMPROVEMENT) else 0]
     return _solution(problem, found, sigma, weight, robust)
 
 
-def _flagged(
+def _fit_and_flag(
     problem: NonlinearProblem[Value], start: Value, sigma: dict[str, float], weight: np.ndarray, robust: bool
 ) -> tuple[Descent[Value], dict[str, float], np.ndarray]:
-    """Fit the samples with weight, flag all again, and so on; return the descent, the noise, the weights (N,)."""
+    """Alternate between fitting and flagging; return the descent, the noise and the weights (N,)."""
     found, sigma = _with_noise(problem, start, sigma, weight)
     for _ in range(FLAG_ROUNDS if robust else 0):
         fresh = _fits(problem, found.value, sigma, len(weight))
@@ -489,20 +503,20 @@ def _flagged(
     return found, sigma, weight
 
 
-def _remembering(evaluate: Callable[[Value], Sequence[Measurement]]) -> Callable[[Value], Sequence[Measurement]]:
-    """Return `evaluate` that does not work twice in a row for the same object."""
+def _cached(evaluate: Callable[[Value], Sequence[Measurement]]) -> Callable[[Value], Sequence[Measurement]]:
+    """Return `evaluate` with a cache for the last value."""
     last: list[tuple[Value, Sequence[Measurement]]] = []
 
-    def remembered(value: Value) -> Sequence[Measurement]:
+    def cached(value: Value) -> Sequence[Measurement]:
         if not last or last[0][0] is not value:
             last[:] = [(value, evaluate(value))]
         return last[0][1]
 
-    return remembered
+    return cached
 
 
 def _first_noise(now: Sequence[Measurement], residue: float) -> dict[str, float]:
-    """Return the root mean square of each class whose noise is not given."""
+    """Return the root mean square of each class with unknown noise."""
     found: dict[str, list[np.ndarray]] = {}
     for one in now:
         for column, name in enumerate(one.classes if one.cov is None else ()):
@@ -518,7 +532,7 @@ def _graduate(
     weight: np.ndarray,
     schedule: Sequence[float],
 ) -> tuple[Value, dict[str, float], np.ndarray]:
-    """Shrink the loss; return value, noise, and which samples (N,) fit at the end, as 0 or 1."""
+    """Tighten the loss; return the value, the noise, and the inliers (N,) as 0 or 1."""
     count = len(weight)
     for c in schedule:
         for _ in range(REWEIGHTED):
@@ -540,7 +554,7 @@ def _rows(problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float
 
 
 def _median_noise(rows: Whitened, sigma: dict[str, float], residue: float) -> dict[str, float]:
-    """Return the deviation of each class from the median length of its residual, which outliers do not move."""
+    """Return the robust standard deviation of each class from the median norm of its residuals."""
     found = {}
     for name in sigma:
         mine = rows.label == rows.names.index(name)
@@ -562,15 +576,15 @@ def _fits(problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float
 def _with_noise(
     problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float], weight: np.ndarray
 ) -> tuple[Descent[Value], dict[str, float]]:
-    """Alternate between the value and the noise of its classes.
+    """Alternate between estimating the value and the noise of its classes.
 
-    Where one class alone would be fitted exactly, its noise would vanish: then classes keep the ratio they start with.
+    If one class would be fitted exactly, its noise would vanish; classes then keep their initial ratio.
     """
     found = descend(problem, value, sigma, weight)
     mixed, pooled, first = _is_mixed(found), False, sigma
     for _ in range((MIXED_ROUNDS if mixed else NOISE_ROUNDS) if sigma else 0):
         before = sigma
-        if not mixed and not pooled and _starved(found, sigma):
+        if not mixed and not pooled and _without_freedom(found, sigma):
             pooled, sigma = True, first
             found = descend(problem, value, sigma, weight)
         if pooled:
@@ -585,15 +599,15 @@ def _with_noise(
     return found, sigma
 
 
-def _starved(found: Descent[Any], sigma: dict[str, float]) -> bool:
-    """Return whether some of several classes of unknown noise has less than one degree of freedom left."""
+def _without_freedom(found: Descent[Any], sigma: dict[str, float]) -> bool:
+    """Return whether one of several classes of unknown noise has less than one remaining degree of freedom."""
     if len(sigma) < 2:
         return False
     return bool(found.freedom[1:][[name in sigma for name in found.rows.names]].min() < 1.0)
 
 
 def _class_sigma(found: Descent[Any]) -> np.ndarray:
-    """Return the deviation (classes,) of the residuals in SI, each class with the degrees of freedom it has left."""
+    """Return the standard deviation (classes,) of the residuals in SI units, using the degrees of freedom per class."""
     left = np.maximum(found.freedom, np.finfo(float).eps)
     return np.sqrt(np.bincount(found.rows.label + 1, found.rows.raw**2, len(left)) / left)[1:]
 
@@ -603,9 +617,10 @@ def _is_mixed(found: Descent[Any]) -> bool:
 
 
 def _mixed_sigma(found: Descent[Any], sigma: dict[str, float]) -> np.ndarray:
-    """Return the next deviation (classes,) where another part of the noise, S_i - diag(sigma^2), is known.
+    """Return the next standard deviation (classes,) with a known part of the noise, S_i - diag(sigma^2).
 
-    ``sigma_c^2 <- sigma_c^2 sum_c (S^-1 r)^2 / (sum_c diag(S^-1) - |S^-1 J basis|^2)``, sums over the rows of class c.
+    ``sigma_c^2 <- sigma_c^2 sum_c (S^-1 r)^2 / (sum_c diag(S^-1) - |S^-1 J basis|^2)``, with sums over the rows of
+    class c.
     """
     rows, start = found.rows, 0
     kept = slice(None) if rows.kept is None else rows.kept
@@ -639,14 +654,13 @@ def _solution(
     if freedom < 0 or (sigma and freedom < 1):
         raise NotExcited(
             f"Expected at least {rank + bool(sigma)} numbers to fit the {problem.what}, got {len(rows.r)} "
-            f"({int(np.sum(weight == 0))} samples left out). Measure more samples.",
+            f"({int(np.sum(weight == 0))} samples excluded). Measure more samples.",
             ["everything"],
             [f"{len(rows.r)} numbers"],
         )
-    by_rounds = _is_mixed(found) or _starved(found, sigma)
-    cov, formal, check = covariance_of(rows, found.basis, found.U, frozenset(sigma), robust)
+    by_rounds = _is_mixed(found) or _without_freedom(found, sigma)
     return NonlinearSolution(
-        value=found.value, cov=cov, formal_cov=formal, check=check, classes=rows.names,
+        value=found.value, basis=found.basis, estimated=frozenset(sigma), robust=robust, classes=rows.names,
         sigma=np.array([sigma.get(n, np.nan) for n in rows.names]) if by_rounds else _class_sigma(found),
         outliers=weight == 0,
         squares=(rows if np.all(weight == 1.0) else _rows(problem, found.value, sigma)).squares(len(weight)), rows=rows,
@@ -657,10 +671,10 @@ def _solution(
 def covariance_of(
     rows: Whitened, basis: np.ndarray, U: np.ndarray, estimated: frozenset[str], robust: bool
 ) -> tuple[np.ndarray, np.ndarray | None, ResidualCheck]:
-    """Return the covariance, that of white residuals where it is another one, and what the residuals say.
+    """Return the covariance, the covariance for white residuals if different, and the residual check.
 
-    `basis`: (d, r) with U = J basis orthonormal. `estimated`: classes whose noise is estimated. `robust`: whether
-    outliers were looked for.
+    `basis`: (d, r) with U = J basis orthonormal. `estimated`: classes with estimated noise. `robust`: whether outliers
+    were detected.
     """
     sizes = np.bincount(rows.label + 1, rows.raw**2) / np.maximum(np.bincount(rows.label + 1), 1)
     r = np.where(sizes[rows.label + 1] > ROUNDED**2, rows.r, 0.0)

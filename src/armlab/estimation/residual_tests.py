@@ -1,9 +1,10 @@
-"""Tests of residuals in the order given, and the covariance that holds where they are correlated in time.
+"""Tests of residuals in time order, and the covariance for time-correlated residuals.
 
-White residuals have the covariance M = 1 - U U^T, U = J basis. Lag-1 products, runs of sign, halves and tails are held
-to what M lets them be, so that few samples and many parameters raise no alarm. Where neighbours are correlated, the
-noise of each class is AR(1) plus white noise, whose correlation time and share are averaged over their restricted
-likelihood (Harville 1977), and the covariance is that of least squares under this noise, basis U^T Omega U basis^T.
+White residuals have the covariance M = 1 - U U^T, U = J basis. Lag-1 products, runs of sign, halves and tails are
+compared with their distribution under M, so that few samples or many parameters raise no false alarm. If neighbours are
+correlated, the noise of each class is modelled as AR(1) plus white noise, averaged over the restricted likelihood
+(Harville 1977) of correlation time and white fraction. The returned covariance is that of least squares under this
+noise, basis U^T Omega U basis^T.
 """
 
 from __future__ import annotations
@@ -13,39 +14,39 @@ from dataclasses import dataclass
 
 import numpy as np
 
-ALARM = 3.5  # standard deviations from which a test fails
-RARE = 4.7e-4  # the same of a chi^2
-ENOUGH = 8  # degrees of freedom and pairs of neighbours that a test needs
-OPEN = 1e-6  # a direction of which a half knows less than this share, or all but it, is not compared
+ALARM = 3.5  # standard deviations beyond which a test fails
+RARE = 4.7e-4  # the same probability for a chi^2
+ENOUGH = 8  # degrees of freedom and neighbour pairs needed for a test
+OPEN = 1e-6  # directions with a smaller, or nearly full, share of their information in one half are not compared
 WHITE_SHARES = (0.0, 0.1, 0.3, 0.6)
 SHORTEST, TIMES_PER_DECADE = 0.3, 4  # correlation times, in samples
-REACH = 3.0  # longest correlation time, in records
-SHORTER = 0.4  # prior tau^-0.4 of correlation times: with REACH chosen by the coverage of 30 to 300 samples
-LIKELY = 1e-3  # of the likelihood below which a model does not count
-AT_ONCE = 256  # samples whose filtered rows are held in memory
+REACH = 3.0  # longest correlation time, in record lengths
+SHORTER = 0.4  # prior tau^-0.4 of correlation times; chosen with REACH for the coverage at 30 to 300 samples
+LIKELY = 1e-3  # relative likelihood below which a model is ignored
+CHUNK = 256  # samples whose filtered rows are held in memory
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualCheck:
-    """What the residuals of a fit say about its noise.
+    """Residual diagnostics of a fit.
 
     Attributes
     ----------
     classes : tuple of str
-        Noise classes, C of them.
+        The C noise classes.
     lag1 : ndarray, shape (C,)
-        Correlation of neighbours in the order given, of which white noise would have 0.
+        Correlation of neighbours in time order; 0 for white noise.
     lag1_z, runs_z, tails_z : ndarray, shape (C,)
-        Standard deviations by which lag-1 products, runs of equal sign and the fourth moment exceed white Gaussian
-        noise; 0 where there are too few samples.
+        Number of standard deviations by which lag-1 products, runs of equal sign and the fourth moment exceed those of
+        white Gaussian noise; 0 with too few samples.
     halves, halves_p : float
-        NEES per parameter between the first and the second half, and how rarely white noise makes it as large.
+        NEES per parameter between the first and the second half, and its p-value for white noise.
     size, size_p : float
-        RMS of the whitened residuals, 1 where noise is estimated, and how rarely noise as given makes it as large.
+        RMS of the whitened residuals (1 for estimated noise), and its p-value for the given noise.
     growth : float
-        Largest factor by which correlation makes standard deviations grow; 1 for white residuals.
+        Largest factor on standard deviations due to correlation; 1 for white residuals.
     robust : bool
-        Whether outliers were looked for.
+        Whether outliers were detected.
     """
 
     classes: tuple[str, ...]
@@ -62,12 +63,12 @@ class ResidualCheck:
 
     @property
     def correlated(self) -> np.ndarray:
-        """Classes (C,) whose neighbours are alike."""
+        """Classes (C,) with correlated neighbours."""
         return (self.lag1_z > ALARM) | (self.runs_z > ALARM)
 
     @property
     def suspicious(self) -> np.ndarray:
-        """Classes (C,) that may be correlated: where the halves disagree, all with enough samples."""
+        """Classes (C,) that may be correlated; if the halves disagree, all classes with enough samples."""
         return self.correlated | ((self.halves_p < RARE) & (self.lag1_z != 0.0))
 
     @property
@@ -83,19 +84,19 @@ class ResidualCheck:
             )
         if self.halves_p < RARE:
             found.append(
-                f"The first and the second half of the samples disagree (NEES per parameter {self.halves:.2g}, 1 "
-                "expected of independent samples). Something changed while they were taken."
+                f"The first and the second half of the samples disagree (NEES per parameter {self.halves:.2g}; 1 for "
+                "independent samples). The setup may have changed during the recording."
             )
         if self.size_p < RARE:
-            found.append(f"Residuals are {self.size:.3g} times the noise that was given. Check it, and the samples.")
+            found.append(f"Residuals are {self.size:.3g} times the given noise. Check the noise and the samples.")
         if self.tails_z.max(initial=0.0) > ALARM and not self.robust:
-            found.append("Residuals have heavy tails: some samples may be wrong. Try robust=True.")
+            found.append("Residuals have heavy tails: some samples may be outliers. Try robust=True.")
         return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Whitened residuals r (M,) and U (M, d) with their place: class, channel and sample (M,); class -1 of priors."""
+    """Whitened residuals r (M,) and U (M, d) with class, channel and sample (M,); class -1 for priors."""
 
     r: np.ndarray
     U: np.ndarray
@@ -106,7 +107,7 @@ class Series:
 
 
 def check_residuals(series: Series, robust: bool, given: bool) -> ResidualCheck:
-    """Test residuals; `robust`: outliers were looked for, `given`: the deviations of all classes were given."""
+    """Test residuals; `robust`: outliers were detected; `given`: the noise of all classes is given."""
     from scipy.special import chdtrc
 
     order = np.lexsort((series.sample, series.channel))
@@ -127,28 +128,28 @@ def check_residuals(series: Series, robust: bool, given: bool) -> ResidualCheck:
 def _neighbours(
     series: Series, diagonal: np.ndarray, mine: np.ndarray, i: np.ndarray, j: np.ndarray
 ) -> tuple[float, float, float, float]:
-    """Return lag-1 correlation, and the z of lag-1 products, of runs and of the fourth moment of one class."""
+    """Return the lag-1 correlation, and the z-scores of lag-1 products, runs and fourth moment of one class."""
     r, U, free = series.r, series.U, float(diagonal[mine].sum())
     power = float(r[mine] @ r[mine])
     if free < ENOUGH or len(i) < ENOUGH or power <= 0.0:
         return 0.0, 0.0, 0.0, 0.0
-    neighbours = np.zeros_like(U)
-    neighbours[i] += 0.5 * U[j]
-    neighbours[j] += 0.5 * U[i]
-    usual = -float(np.vdot(U[i], U[j]))
+    neighbours, Ui, Uj = np.zeros_like(U), U[i], U[j]
+    neighbours[i] += 0.5 * Uj
+    neighbours[j] += 0.5 * Ui
+    usual = -float(np.vdot(Ui, Uj))
     inner = U[mine].T @ neighbours[mine]
     square = 0.5 * len(i) - 2.0 * float(np.vdot(neighbours, neighbours)) + float(np.vdot(inner, inner))
     spread = np.sqrt(max(2.0 * (square - usual**2 / free) * free / (free + 2.0), np.finfo(float).tiny))
     excess = float(r[i] @ r[j]) * free / power - usual
     sd = np.sqrt(np.maximum(diagonal, OPEN))
-    chance = -np.einsum("ij,ij->i", U[i], U[j]) / (sd[i] * sd[j])
+    chance = -np.einsum("ij,ij->i", Ui, Uj) / (sd[i] * sd[j])
     agree = np.sign(r[i] * r[j]) - 2.0 / np.pi * np.arcsin(np.clip(chance, -1.0, 1.0))
     scaled = r[mine & (diagonal > OPEN)] / sd[mine & (diagonal > OPEN)]
     return excess / len(i), excess / spread, float(agree.sum()) / np.sqrt(len(i)), _kurtosis_z(scaled)
 
 
 def _kurtosis_z(x: np.ndarray) -> float:
-    """Return by how many deviations the kurtosis of x exceeds that of a Gaussian (Anscombe and Glynn 1983)."""
+    """Return the z-score of the kurtosis of x relative to a Gaussian (Anscombe and Glynn 1983)."""
     n = float(len(x))
     if n < 2 * ENOUGH:
         return 0.0
@@ -163,7 +164,7 @@ def _kurtosis_z(x: np.ndarray) -> float:
 
 
 def _halves(series: Series) -> tuple[float, float]:
-    """Return the NEES per parameter between fits to the first and to the second half, and its probability."""
+    """Return the NEES per parameter between fits to the first and the second half, and its p-value."""
     from scipy.special import fdtrc
 
     of_data = series.label >= 0
@@ -183,7 +184,7 @@ def _halves(series: Series) -> tuple[float, float]:
 
 
 def correlated_information(series: Series, which: Sequence[int]) -> np.ndarray:
-    """Return ``U^T Omega U`` (d, d), which is 1 for white noise, with the noise of some classes correlated in time."""
+    """Return ``U^T Omega U`` (d, d) for time-correlated noise in some classes; the identity for white noise."""
     total = series.U.T @ series.U
     for c in which:
         mine = series.label == c
@@ -194,7 +195,7 @@ def correlated_information(series: Series, which: Sequence[int]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """Rows [U, r] (N, channels, d + 1) of one class over its samples, zero where `there` (N, channels) is False."""
+    """Rows [U, r] (N, channels, d + 1) of one class over its samples; zero for missing rows (`there` is False)."""
 
     rows: np.ndarray
     there: np.ndarray
@@ -211,7 +212,7 @@ class _Table:
         return cls(rows, there, series.U.shape[1])
 
     def information(self) -> np.ndarray:
-        """Return the mean of U^T Omega U over the models of the noise, weighted by their restricted likelihood."""
+        """Return the mean of U^T Omega U over the noise models, weighted by their restricted likelihood."""
         longest = REACH * len(self.rows)
         times = np.geomspace(SHORTEST, longest, 1 + int(TIMES_PER_DECADE * np.log10(longest / SHORTEST)))
         tau, white = (a.ravel() for a in np.meshgrid(times, WHITE_SHARES))
@@ -224,7 +225,7 @@ class _Table:
         return np.einsum("g,gij->ij", weight, found)
 
     def _likelihood(self, phi: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the restricted log likelihood (G,) of each model, and the variance (G,) that goes with it."""
+        """Return the restricted log likelihood (G,) and the variance (G,) of each model."""
         gram, logs = self._filtered(phi, white)
         n, d = int(self.there.sum()), self.width
         U = self.rows[..., :-1].reshape(-1, d)
@@ -242,8 +243,8 @@ class _Table:
         slow, decay = (1.0 - white)[:, None], phi[:, None]
         gram, logs = np.zeros((G, size, size)), np.zeros(G)
         state, variance = np.zeros((G, C, size)), np.tile(slow, (1, C))
-        for start in range(0, len(self.rows), AT_ONCE):
-            rows, there = self.rows[start : start + AT_ONCE], self.there[start : start + AT_ONCE]
+        for start in range(0, len(self.rows), CHUNK):
+            rows, there = self.rows[start : start + CHUNK], self.there[start : start + CHUNK]
             whitened = np.empty((len(rows), G, C, size))
             for k, (y, now) in enumerate(zip(rows, there)):
                 S = np.where(now, variance + white[:, None], 1.0)
@@ -258,7 +259,7 @@ class _Table:
         return gram, logs
 
     def _summed(self, phi: np.ndarray, white: np.ndarray) -> np.ndarray:
-        """Return U^T Omega U (G, d, d) of each model, of variance 1."""
+        """Return U^T Omega U (G, d, d) of each model for unit variance."""
         d, U = self.width, self.rows[..., :-1]
         C = U.shape[1]
         decay, memory = phi[:, None, None], np.zeros((len(phi), C, d))

@@ -1,11 +1,11 @@
-"""Linear least squares that outliers do not move: Huber's loss by reweighting, and trimmed blocks.
+"""Robust linear least squares: Huber's loss by reweighting, and trimmed least squares over blocks.
 
-Huber: minimise ``sum rho(r / s)`` with rho quadratic up to k = 1.345 and linear beyond; every row has the weight
-``min(1, k s / |r|)`` and the scale s of each class is the median absolute residual over 0.6745. 95 % efficient for
-Gaussian residuals. For rows that are wrong here and there.
+Huber: minimise ``sum rho(r / s)`` with rho quadratic up to k = 1.345 and linear beyond. Every row has the weight
+``min(1, k s / |r|)``; the scale s of each class is the median absolute residual divided by 0.6745. The estimator is 95
+% efficient for Gaussian residuals. For isolated outliers.
 
-Trimmed: keep the 75 % of the blocks of time that fit best together, then every block whose residual fits these. For
-stretches of time that are wrong: contact, a collision.
+Trimmed: keep the 75 % of the time blocks that fit best together, then add every block consistent with them. This
+handles outlier segments such as contacts and collisions.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from armlab._display import Shown
 from armlab._numbers import generator, number, numbers
 from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation.linear_problem import (
@@ -29,11 +30,12 @@ from armlab.estimation.linear_problem import (
 from armlab.estimation.tsqr import Rows, factorise
 
 SHORTEST = 0.5  # s
-MEMORIES = 4.0
+CORRELATION_TIMES = 4.0  # correlation times per block
 
 
 def correlation_time(x: np.ndarray, dt: float) -> float:
-    """Return ``dt (1/2 + sum rho_k)`` [s] of an evenly sampled record (N,), over positive pairs of rho (Geyer).
+    """Return ``dt (1/2 + sum rho_k)`` [s] of a uniformly sampled record (N,), summed over positive pairs of rho
+    (Geyer).
 
     The variance of a mean over T >> correlation_time is ``2 s^2 correlation_time / T``.
     """
@@ -56,32 +58,34 @@ def correlation_time(x: np.ndarray, dt: float) -> float:
 
 
 def effective_samples(x: np.ndarray) -> float:
-    """Return the number of independent samples that tell as much about the mean as the record x (N,), N > 1."""
+    """Return the effective sample size of the record x (N,), N > 1, for its mean."""
     return len(x) / max(2.0 * correlation_time(x, 1.0), 1.0)
 
 
 def block_seconds(residuals: np.ndarray, dt: float) -> float:
-    """Return how long independent blocks of residuals (N, k) last: ``max(0.5 s, 4 t_int)`` of the worst column."""
+    """Return the length of independent blocks of residuals (N, k) [s]: ``max(0.5 s, 4 t_int)`` of the worst column."""
     residuals, dt = numbers(residuals, "residuals", ShapeError), number(dt, "the time between samples [s]")
-    return max([SHORTEST, *(MEMORIES * correlation_time(column, dt) for column in np.transpose(residuals))])
+    return max([SHORTEST, *(CORRELATION_TIMES * correlation_time(column, dt) for column in np.transpose(residuals))])
 
 
 MIN_BLOCKS = 8
-SMALLEST = 1e-8  # eigenvalue of a drawn normal matrix below which a parameter is lost
-AT_ONCE = 64  # draws whose normal matrices are held in memory
+MIN_EIGENVALUE = 1e-8  # eigenvalue of a resampled normal matrix below which a parameter is undetermined
+CHUNK = 64  # resampled normal matrices held in memory
 
 
-@dataclass(frozen=True, eq=False)
-class BlockSums:
-    """Sums of the rows of every block of time, in the coordinates z of ``x = solution.x + solution.basis @ z``.
+@dataclass(frozen=True, eq=False, repr=False)
+class BlockSums(Shown):
+    """Sums of the rows per time block, in the coordinates z of ``x = solution.x + solution.basis @ z``.
 
-    In these coordinates the whole problem is orthonormal: nothing is lost by squaring the condition number.
+    In these coordinates the whole problem is orthonormal, so squaring the condition number loses no accuracy.
 
     Attributes
     ----------
     solution : of all blocks.
-    gram : (B, r, r) U^T U. moment : (B, r) U^T r. power : (B,) r^T r. rows : (B,) number of rows; zero for those that
-        the solution leaves out.
+    gram : (B, r, r) U^T U.
+    moment : (B, r) U^T r.
+    power : (B,) r^T r.
+    rows : (B,) number of rows; zero for blocks excluded from the solution.
     """
 
     solution: LinearSolution
@@ -92,11 +96,11 @@ class BlockSums:
 
     @classmethod
     def of(cls, solution: LinearSolution) -> BlockSums:
-        """Sum the rows behind a solution per block.
+        """Sum the rows of a solution per block.
 
         Parameters
         ----------
-        solution : from `least_squares`; its weights and the blocks that it keeps are used.
+        solution : from `least_squares`, which gives the weights and the included blocks.
         """
         factors, basis = solution.factors, solution.basis
         r = basis.shape[1]
@@ -112,30 +116,31 @@ class BlockSums:
         return cls(solution, gram, moment, power, factors.rows.sum(axis=1) * solution.kept)
 
     def solve(self, weights: np.ndarray) -> np.ndarray:
-        """Return the solutions (..., p) with a weight per block (..., B), within the bounds.
+        """Return the solutions (..., p) with block weights (..., B), within the bounds.
 
         Parameters
         ----------
-        weights : (..., B) not negative; 0 leaves a block out.
+        weights : (..., B) non-negative; 0 excludes a block.
 
         Raises
         ------
-        NotExcited : when the blocks with weight do not determine every parameter.
+        NotExcited : the blocks with weight do not determine every parameter.
         """
         flat = np.asarray(weights, dtype=float).reshape(-1, len(self.rows))
-        parts = [flat[i : i + AT_ONCE] for i in range(0, len(flat), AT_ONCE)]
+        parts = [flat[i : i + CHUNK] for i in range(0, len(flat), CHUNK)]
         solved = np.concatenate([self._solve(part) for part in parts])
         return solved.reshape(*np.shape(weights)[:-1], -1)
 
     def spread(self, length: int = 1) -> np.ndarray:
-        """Return over how many stretches of blocks the knowledge of each parameter (p,) is spread, 1 / sum_s h_s^2.
+        """Return the effective number of segments that determine each parameter (p,), 1 / sum_s h_s^2.
 
-        h_s is the share of a stretch in the information on the parameter, b^T G_s b / b^T b with b its row of basis:
-        1 where one stretch alone identifies it, their number where all contribute alike; inf for a held parameter.
+        h_s is the fraction of the information on the parameter in segment s, b^T G_s b / b^T b with b its row of basis.
+        The result is 1 if a single segment identifies the parameter, the number of segments for equal shares, and inf
+        for a held parameter.
 
         Parameters
         ----------
-        length : blocks in a stretch.
+        length : blocks per segment.
         """
         b = self.solution.basis
         shares = np.einsum("pi,kij,pj->kp", b, self.gram, b, optimize=True)
@@ -150,12 +155,12 @@ class BlockSums:
             pivots = np.diagonal(np.linalg.cholesky(gram), axis1=1, axis2=2) ** 2
         except np.linalg.LinAlgError:
             pivots = np.zeros((1, 1))
-        if not np.all(pivots.min(axis=1, initial=np.inf) > SMALLEST * weights.max(axis=1)):
+        if not np.all(pivots.min(axis=1, initial=np.inf) > MIN_EIGENVALUE * weights.max(axis=1)):
             raise NotExcited(
-                f"Expected parameters of the {found.problem.what} that many blocks of time determine, got one that "
-                f"some part of the {np.count_nonzero(self.rows)} blocks does not. Let every joint move for the whole "
-                "record.",
-                ["a parameter that few blocks see"],
+                f"Expected parameters of the {found.problem.what} determined by many time blocks, got a parameter "
+                f"left undetermined by a resample of the {np.count_nonzero(self.rows)} blocks. Move every joint "
+                "during the whole record.",
+                ["a parameter determined by few blocks"],
                 [f"{np.count_nonzero(self.rows)} blocks"],
             )
         z = np.linalg.solve(gram, (weights @ self.moment)[:, :, None])[:, :, 0]
@@ -167,8 +172,8 @@ class BlockSums:
         return x
 
 
-@dataclass(frozen=True, eq=False)
-class Bootstrap:
+@dataclass(frozen=True, eq=False, repr=False)
+class Bootstrap(Shown):
     """Bootstrap solutions.
 
     Attributes
@@ -193,46 +198,46 @@ class Bootstrap:
 
 
 def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, length: int = 1) -> Bootstrap:
-    """Draw circular stretches of whole blocks with replacement and solve again.
+    """Resample circular segments of whole blocks with replacement and solve again.
 
-    The covariance S of the draws has the right size, but hardly more directions than there are stretches: its inverse
-    would be far too large. In coordinates in which the formal covariance is 1 it is therefore shrunk,
-    ``(1 - d) S + d trace(S) / p``, with d from the scatter of the stretches (Ledoit and Wolf).
+    The covariance S of the draws has the correct size, but its rank is limited by the number of segments, so its
+    inverse would be far too large. In coordinates with unit formal covariance it is therefore shrunk, ``(1 - d) S + d
+    trace(S) / p``, with d from the scatter of the segments (Ledoit and Wolf).
 
     Parameters
     ----------
-    sums : at least 8 stretches of blocks.
-    draws : their number; the larger of 200 and 4 p when left out.
+    sums : at least 8 segments of blocks.
+    draws : number of draws; default: the larger of 200 and 4 p.
     seed : of the random generator.
-    length : blocks in a stretch; a stretch is to last max(0.5 s, 4 correlation times), see `block_seconds`.
+    length : blocks per segment; a segment should last max(0.5 s, 4 correlation times), see `block_seconds`.
 
     Raises
     ------
-    ShapeError : fewer than 8 stretches or 2 draws. NotExcited : a draw does not determine every parameter.
+    ShapeError : fewer than 8 segments or 2 draws.
+    NotExcited : a draw does not determine every parameter.
 
     References
     ----------
-    Politis and Romano (1992), A circular block-resampling procedure; Kunsch (1989). Robust weights are held, and the
-    deviations stretched: Salibian-Barrera and Zamar (2002), Bootstrapping robust estimates of regression. Ledoit and
-    Wolf (2004), A well-conditioned estimator for large-dimensional covariance matrices.
+    Politis and Romano (1992), A circular block-resampling procedure; Kunsch (1989). Robust weights stay fixed, and the
+    standard deviations are scaled: Salibian-Barrera and Zamar (2002), Bootstrapping robust estimates of regression.
+    Ledoit and Wolf (2004), A well-conditioned estimator for large-dimensional covariance matrices.
     """
     blocks = np.flatnonzero(sums.rows)
     count = len(blocks)
     if length < 1 or count < MIN_BLOCKS * length:
         raise ShapeError(
-            f"Expected at least {MIN_BLOCKS} stretches of {length} blocks to draw from, got {count} blocks. "
-            "Record a longer log."
+            f"Expected at least {MIN_BLOCKS} segments of {length} blocks, got {count} blocks. Record a longer log."
         )
     found = sums.solution
     number = max(200, 4 * len(found.x)) if draws is None else draws
     if number < 2:
-        raise ShapeError(f"Expected at least 2 draws for a covariance, got {number}. Leave draws out for enough.")
+        raise ShapeError(f"Expected at least 2 draws for a covariance, got {number}. Omit draws to use the default.")
     starts = generator(seed).integers(count, size=(number, -(-count // length)))
     chosen = (starts[:, :, None] + np.arange(length)).reshape(number, -1)[:, :count] % count
     weights = np.zeros((number, len(sums.rows)))
     np.add.at(weights, (np.arange(number)[:, None], blocks[chosen]), 1.0)
     solved = found.x + found.stretch * (sums.solve(weights) - found.x)
-    coordinates = (solved - solved.mean(axis=0)) @ np.linalg.pinv(found.basis).T  # of basis
+    coordinates = (solved - solved.mean(axis=0)) @ np.linalg.pinv(found.basis).T  # in the coordinates of basis
     whole, S = count // length * length, coordinates.T @ coordinates / (number - 1)
     share = shrinkage(np.add.reduceat(sums.moment[blocks[:whole]], np.arange(0, whole, length), 0))
     S = (1.0 - share) * S + share * np.trace(S) / len(S) * np.eye(len(S))
@@ -241,11 +246,12 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
 
 
 def shrinkage(scores: np.ndarray) -> float:
-    """Return how much of the scatter of a covariance ``S = scores^T scores`` of few stretches is chance, from 0 to 1.
+    """Return the fraction (0 to 1) of the scatter of a covariance ``S = scores^T scores`` that is due to chance.
 
-    ``(1 - d) S + d trace(S) / p`` is then nearer to the truth than S (Ledoit and Wolf 2004, lemma 3.2).
+    With this fraction d, ``(1 - d) S + d trace(S) / p`` is nearer to the truth than S (Ledoit and Wolf 2004, lemma
+    3.2).
 
-    `scores`: (B, p) gradients of B independent stretches, in coordinates in which the formal covariance is 1.
+    `scores`: (B, p) gradients of B independent segments, in coordinates with unit formal covariance.
     """
     S, count = scores.T @ scores, len(scores)
     away = S - np.trace(S) / len(S) * np.eye(len(S))
@@ -254,16 +260,16 @@ def shrinkage(scores: np.ndarray) -> float:
     return min(1.0, fourth / spread) if spread > 0 else 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class CrossValidation:
-    """Errors on blocks that a solution was not fitted to.
+@dataclass(frozen=True, eq=False, repr=False)
+class CrossValidation(Shown):
+    """Held-out errors of block cross-validation.
 
     Attributes
     ----------
     fold : int array, shape (B,)
         Fold of each block; -1 for blocks outside the fit.
     solutions : array, shape (k, p), units of the parameters
-        Solution fitted without each fold.
+        Leave-one-fold-out solutions.
     rms : array, shape (k, G), units of the measurements
         Held-out RMS residual of each fold and class of measurement.
     """
@@ -274,22 +280,26 @@ class CrossValidation:
 
 
 def block_cv(sums: BlockSums, folds: int = 7, mode: str = "contiguous") -> CrossValidation:
-    """Cross-validate over blocks of time.
+    """Cross-validate over time blocks.
 
     Parameters
     ----------
     sums : of the whole problem.
-    folds : their number.
-    mode : "contiguous": each fold is one stretch of time, the honest way. "alternate": blocks go to the folds in turn,
-        as in published numbers, which are lower because neighbours are alike.
+    folds : number of folds.
+    mode : "contiguous": each fold is one segment of time, an unbiased test. "alternate": blocks are assigned to folds
+        cyclically, as in published results; this is optimistic because neighbours are correlated.
 
     Raises
     ------
-    ShapeError : fewer blocks than folds. UnknownName : another mode. NotExcited : the rest does not determine all.
+    ShapeError : fewer blocks than folds.
+    UnknownName : unknown mode.
+    NotExcited : a training set does not determine all parameters.
     """
     blocks = np.flatnonzero(sums.rows)
     if not 2 <= folds <= len(blocks):
-        raise ShapeError(f"Expected 2 to {len(blocks)} folds for as many blocks, got {folds}. Record a longer log.")
+        raise ShapeError(
+            f"Expected 2 to {len(blocks)} folds for {len(blocks)} blocks, got {folds}. Record a longer log."
+        )
     numbers = {"contiguous": np.arange(len(blocks)) * folds // len(blocks), "alternate": np.arange(len(blocks)) % folds}
     if mode not in numbers:
         raise UnknownName.among("mode of cross-validation", mode, numbers)
@@ -309,16 +319,16 @@ HUBER_ROUNDS, HUBER_STEP = 30, 1e-8  # step in deviations of the estimate
 NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 SHARE, STARTS = 0.75, 50
 FIRST_STEPS, BEST, LAST_STEPS = 2, 10, 100
-CUT = 3.0  # robust deviations of log RMS beyond which a block is left out
+CUT = 3.0  # robust standard deviations of log RMS beyond which a block is excluded
 
 
 def mad(x: np.ndarray) -> float:
-    """Return the standard deviation of zero-mean Gaussian x as its outliers do not spoil it: median |x| / 0.6745."""
+    """Return the robust standard deviation of zero-mean Gaussian x: median |x| / 0.6745."""
     return float(np.median(np.abs(x)) / NORMAL_MAD)
 
 
 def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:
-    """Reweight rows by Huber's loss until the solution stays (Huber and Ronchetti 2009, eq. 7.8 and 7.84)."""
+    """Reweight rows by Huber's loss until convergence (Huber and Ronchetti 2009, eq. 7.8 and 7.84)."""
     found, x, sigma, used, step = start, start.x, start.sigma, start.sigma, np.inf
     residuals: dict[int, list[np.ndarray]] = {}
     weights: list[np.ndarray] = []
@@ -333,7 +343,7 @@ def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:
         step = np.linalg.norm(found.R @ (found.x - x)) / (max(found.scale, 1e-300) * np.sqrt(len(x)))
         sigma = np.array([mad(np.concatenate(residuals[g])) if g in residuals else s for g, s in enumerate(used)])
         sigma = np.maximum(sigma, EXACT * start.sigma)
-    # Blocks of time are kept apart only now: a triangle for each costs more than its rows.
+    # Only the final pass factorises blocks separately, because a triangle per block costs more than its rows.
     found = solve(start.problem, factorise(_reweighted(rows, x, used, {}, []), len(x)), 1.0 / used)
     scaled = np.concatenate([np.concatenate(r) / used[g] for g, r in residuals.items()])
     return _finish(start, found, scaled, used, np.concatenate(weights), rounds, bool(step <= HUBER_STEP))
@@ -346,7 +356,7 @@ def _reweighted(
     residuals: dict[int, list[np.ndarray]],
     weights: list[np.ndarray],
 ) -> Iterator[Rows]:
-    """Yield rows times the root of their Huber weight; collect residuals per class and weights in order."""
+    """Yield rows scaled by the root of their Huber weight; collect residuals per class and weights in order."""
     for piece in rows:
         e = piece.y - piece.A @ (x if piece.columns is None else x[piece.columns])
         residuals.setdefault(piece.group, []).append(e)
@@ -386,17 +396,17 @@ def _finish(
 
 
 def least_trimmed_squares(start: LinearSolution, seed: int = 0) -> LinearSolution:
-    """Fit to the blocks of time that agree (FAST-LTS, Rousseeuw and van Driessen 2006), then one reweighted step."""
+    """Fit to the consistent time blocks (FAST-LTS, Rousseeuw and van Driessen 2006), then one reweighted step."""
     kept = start.kept
-    for _ in range(2):  # the second time with weights of the classes that the outliers did not make
+    for _ in range(2):  # the second pass has class weights free of outliers
         current = start if kept.all() else solve(start.problem, start.factors, kept=kept)
         whole = replace(current, kept=start.kept)
-        kept = _agreeing(BlockSums.of(whole), generator(seed))
+        kept = _consistent_blocks(BlockSums.of(whole), generator(seed))
     return solve(start.problem, start.factors, kept=kept)
 
 
-def _agreeing(sums: BlockSums, rng: np.random.Generator) -> np.ndarray:
-    """Return which blocks (B,) fit the best trimmed solution."""
+def _consistent_blocks(sums: BlockSums, rng: np.random.Generator) -> np.ndarray:
+    """Return the blocks (B,) consistent with the best trimmed solution."""
     blocks = np.flatnonzero(sums.rows)
     size = int(np.ceil(SHARE * len(blocks)))
     starts = [_concentrate(sums, _random_start(sums, blocks, rng), size, FIRST_STEPS) for _ in range(STARTS)]
@@ -410,7 +420,7 @@ def _agreeing(sums: BlockSums, rng: np.random.Generator) -> np.ndarray:
 
 
 def _random_start(sums: BlockSums, blocks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return the coordinates (r,) fitted to as few random blocks as determine them."""
+    """Return the coordinates (r,) fitted to a minimal random set of blocks."""
     order = rng.permutation(blocks)
     r = sums.gram.shape[1]
     count = 1 + int(np.searchsorted(np.cumsum(sums.rows[order]), 2 * r))
@@ -420,15 +430,15 @@ def _random_start(sums: BlockSums, blocks: np.ndarray, rng: np.random.Generator)
             return np.linalg.solve(gram, sums.moment[order[:count]].sum(axis=0))
         count += 1 + count // 4
     raise NotExcited(
-        f"Expected blocks of time that determine the {sums.solution.problem.what} together, got {len(order)} that do "
-        "not. Let every joint move for the whole record.",
+        f"Expected time blocks that together determine the {sums.solution.problem.what}, got {len(order)} blocks "
+        "without enough excitation. Move every joint during the whole record.",
         ["blocks"],
         [f"{len(order)} blocks"],
     )
 
 
 def _concentrate(sums: BlockSums, z: np.ndarray, size: int, steps: int) -> tuple[float, np.ndarray]:
-    """Refit to the `size` blocks with the smallest mean square until they stay the same; return their sum and z."""
+    """Refit to the `size` blocks with the smallest mean square until convergence; return their sum and z."""
     cost, before = np.inf, None
     for _ in range(steps):
         level = _mean_square(sums, z)
@@ -443,36 +453,36 @@ def _concentrate(sums: BlockSums, z: np.ndarray, size: int, steps: int) -> tuple
 
 
 def _mean_square(sums: BlockSums, z: np.ndarray) -> np.ndarray:
-    """Return the mean square (B,) of the weighted residuals per block; inf for blocks that are left out."""
+    """Return the mean square (B,) of the weighted residuals per block; inf for excluded blocks."""
     power = sums.power - 2.0 * sums.moment @ z + (sums.gram @ z) @ z
     level = np.full(len(power), np.inf)
     return np.divide(np.maximum(power, 0.0), sums.rows, out=level, where=sums.rows > 0)
 
 
-AGREEING, SUBSETS, IMPROVED_ONES, IMPROVED = (
+INLIERS, SUBSETS, REFINED_SETS, IMPROVED = (
     0.6,
     300,
     5,
     10,
-)  # share of samples that agree; fits to few samples, to most
-UNSEEN = 1e-9  # relative singular value
+)  # fraction of inliers; fits to minimal sets; refined fits
+UNOBSERVABLE = 1e-9  # relative singular value
 
 
 def majority_step(J: np.ndarray, r: np.ndarray, sample: np.ndarray, label: np.ndarray, count: int) -> np.ndarray:
-    """Return the step (d,) that most samples agree on, in the linear problem at a value that wrong ones may lead.
+    """Return the step (d,) supported by most samples in the linear problem at a value that outliers attract.
 
-    Least trimmed squares with an unknown scale per class: fits to few random samples, each improved on the samples
-    nearest to it, and the best by the median residual of every class (Rousseeuw and van Driessen 2006). `J`, `r`: (M,)
-    whitened rows, with the sample, of `count`, and the class of each.
+    Uses least trimmed squares with an unknown scale per class. Fits to minimal random sets are refined on their nearest
+    samples and selected by the median residual of every class (Rousseeuw and van Driessen 2006). `J`, `r`: (M,)
+    whitened rows, with the sample (of `count`) and the class of each row.
     """
     d, rng = J.shape[1], np.random.default_rng(0)
-    most, numbers = int(np.ceil(AGREEING * count)), max(1, len(r) // count)
+    most, numbers = int(np.ceil(INLIERS * count)), max(1, len(r) // count)
     few = min(most, -(-(d + 1) // numbers))
 
     def refitted(kept: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the score of the fit to some samples, its step, the samples nearest to it, and scales (M,)."""
+        """Return the score of the fit to a set of samples, its step, the nearest samples, and the scales (M,)."""
         chosen = np.isin(sample, kept)
-        x = np.linalg.lstsq(J[chosen] / scale[chosen, None], -r[chosen] / scale[chosen], rcond=UNSEEN)[0]
+        x = np.linalg.lstsq(J[chosen] / scale[chosen, None], -r[chosen] / scale[chosen], rcond=UNOBSERVABLE)[0]
         left = np.abs(r + J @ x)
         sizes = np.array([max(np.median(left[label == c]), 1e-300) for c in range(int(label.max()) + 1)])
         away = np.bincount(sample, (left / sizes[label]) ** 2, minlength=count)
@@ -482,7 +492,7 @@ def majority_step(J: np.ndarray, r: np.ndarray, sample: np.ndarray, label: np.nd
     for _ in range(SUBSETS):
         one = refitted(rng.choice(count, few, replace=False), np.ones(len(r)))
         found.append(min((one, refitted(*one[2:])), key=lambda each: each[0]))
-    best = sorted(found, key=lambda each: each[0])[:IMPROVED_ONES]
+    best = sorted(found, key=lambda each: each[0])[:REFINED_SETS]
     for _ in range(IMPROVED):
         best = [min((one, refitted(*one[2:])), key=lambda each: each[0]) for one in best]
     return min(best, key=lambda each: each[0])[1]
@@ -503,24 +513,25 @@ def least_squares(
     max_condition: float = MAX_CONDITION,
     seed: int = 0,
 ) -> LinearSolution:
-    """Minimise ``sum_i w_i ||A_i x - y_i||^2`` over classes i of measurement by streaming QR.
+    """Minimise ``sum_i w_i ||A_i x - y_i||^2`` over measurement classes i by streaming QR.
 
     Parameters
     ----------
-    rows : of all classes, block by block; may be made on the fly. Memory is O(p^2) per block of time and class.
+    rows : of all classes, block by block; may be generated lazily. Memory is O(p^2) per block of time and class.
     names : of the p parameters.
-    what : what is fitted, for messages.
-    method : "ols": w = 1. "wls": w = 1 / sd^2 of the residuals of each class, found in rounds. "irls": the same with
-        Huber's loss; reads the rows once per round. "lts": wls on the blocks of time that agree.
-    lower, upper : (p,) bounds; the result says which hold and how much the residual grows by them.
-    prior : when given, directions that the data do not tell keep its values and are listed in `excitation.held`.
+    what : name of the fitted quantity, for messages.
+    method : "ols": w = 1. "wls": w = 1 / sd^2 of the residuals of each class, iterated. "irls": the same with Huber's
+        loss; reads the rows once per iteration. "lts": wls on the consistent time blocks.
+    lower, upper : (p,) bounds; the result lists active bounds and the growth of the residual.
+    prior : if given, undetermined directions keep its values and are listed in `excitation.held`.
     max_condition : of the column-scaled, weighted regressor.
     seed : of the random starts of "lts".
 
     Raises
     ------
-    ShapeError : rows or bounds do not fit together or are not finite. UnknownName : another method.
-    NotExcited : fewer rows than parameters, or directions that the data do not tell, by name.
+    ShapeError : rows or bounds with inconsistent shapes or values that are not finite.
+    UnknownName : unknown method.
+    NotExcited : fewer rows than parameters, or undetermined directions, by name.
 
     References
     ----------
@@ -529,7 +540,7 @@ def least_squares(
     if method not in METHODS:
         raise UnknownName.among("method of least squares", method, METHODS)
     if method == "irls" and iter(rows) is rows:
-        raise ShapeError("Expected rows that can be read again in every round, got a generator. Give a list of Rows.")
+        raise ShapeError("Expected rows that can be iterated repeatedly, got a generator. Pass a list of Rows.")
     problem = LinearProblem.of(names, what, lower, upper, prior, max_condition)
     factors = factorise(rows, len(names))
     found = solve(problem, factors, np.ones(len(factors.columns)) if method == "ols" else None)

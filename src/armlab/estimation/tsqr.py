@@ -1,7 +1,7 @@
-"""Triangular factors of a linear problem, made row by row: memory O(p^2) per block of time, whatever the length.
+"""Triangular factors of a linear problem, computed row by row with memory O(p^2) per time block.
 
-Of the rows ``[A y]`` of one class of measurement in one block of time only the triangle R of ``[A y] = Q R`` is kept,
-from which ``||A x - y|| = ||R [x; -1]||`` follows for every x. Theory: docs/theory/estimation.md.
+For the rows ``[A y]`` of one measurement class in one time block, only the triangle R of ``[A y] = Q R`` is kept, which
+gives ``||A x - y|| = ||R [x; -1]||`` for every x. Theory: docs/theory/estimation.md.
 """
 
 from __future__ import annotations
@@ -17,23 +17,24 @@ from typing import Any
 
 import numpy as np
 
+from armlab._display import Shown
 from armlab.errors import ShapeError
 
-PANEL = 8  # columns that LAPACK reflects at once; fastest for 20 to 100 columns
-CHUNK = 1024  # rows reflected at once: they stay in the cache
+PANEL = 8  # columns reflected together by LAPACK; fastest for 20 to 100 columns
+CHUNK = 1024  # rows reflected together; they fit in the cache
 
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Rows of one class of measurement: a joint, or a sensor.
+@dataclass(frozen=True, eq=False, repr=False)
+class Rows(Shown):
+    """Rows of one measurement class, such as a joint or a sensor.
 
     Attributes
     ----------
-    A : (m, w) rows of the regressor, only the columns that this class has.
+    A : (m, w) rows of the regressor, with the columns of this class only.
     y : (m,) measurements.
-    block : (m,) number of the block of time of each row, ascending; residuals of one block may depend on each other.
-    group : number of the class, from 0; classes have a weight each.
-    columns : (w,) which of the p parameters the columns belong to; all of them when left out.
+    block : (m,) index of the block of time of each row, ascending; residuals within a block may be correlated.
+    group : index of the class, from 0; each class has one weight.
+    columns : (w,) parameter indices of the columns; default: all.
     """
 
     A: np.ndarray
@@ -44,18 +45,18 @@ class Rows:
 
     @staticmethod
     def of(A: np.ndarray, y: np.ndarray, block: np.ndarray) -> Iterator[Rows]:
-        """Yield one `Rows` for each of the k rows of every sample; their classes are 0 to k - 1.
+        """Yield one `Rows` for each of the k rows of every sample, as classes 0 to k - 1.
 
         Parameters
         ----------
-        A : (N, k, p) regressor of N samples with k rows each. Columns that are zero in a class are left out of it.
+        A : (N, k, p) regressor of N samples with k rows each. Zero columns of a class are omitted.
         y : (N, k) measurements.
-        block : (N,) number of the block of time of each sample, ascending.
+        block : (N,) index of the block of time of each sample, ascending.
         """
         if A.ndim != 3 or y.shape != A.shape[:2] or block.shape != A.shape[:1]:
             raise ShapeError(
                 f"Expected A (N, k, p), y (N, k) and block (N,), got {A.shape}, {y.shape} and {block.shape}. "
-                "Give one row of y and one block number per sample."
+                "Pass one row of y and one block number per sample."
             )
         for i in range(A.shape[1]):
             columns = np.flatnonzero(A[:, i].any(axis=0))
@@ -64,10 +65,10 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Factors:
-    """Triangular factors of every class of measurement in every block of time.
+    """Triangular factors of every measurement class in every time block.
 
-    `columns`: of each class, (w,) the parameters that it has. `R`: of each class, (B, w + 1, w + 1) factors of its rows
-    ``[A y]`` per block. `rows`: (B, G) number of rows per block and class.
+    `columns`: (w,) parameter indices of each class. `R`: for each class, (B, w + 1, w + 1) factors of its rows ``[A
+    y]`` per block. `rows`: (B, G) number of rows per block and class.
     """
 
     size: int
@@ -76,12 +77,12 @@ class Factors:
     rows: np.ndarray
 
     def of_groups(self, kept: np.ndarray | None = None) -> list[np.ndarray]:
-        """Return the factor (w + 1, w + 1) of each class over all blocks, or those with `kept` (B,) true."""
+        """Return the factor (w + 1, w + 1) of each class over all blocks, or over those in the mask `kept` (B,)."""
         blocks = range(len(self.rows)) if kept is None else np.flatnonzero(kept)
         return [stack(R[b] for b in blocks) for R in self.R]
 
     def merge(self, groups: list[np.ndarray], weights: np.ndarray) -> np.ndarray:
-        """Return the factor (p + 1, p + 1) of all classes, the rows of each times its weight (G,), 1 / sd."""
+        """Return the factor (p + 1, p + 1) of all classes, with rows scaled by the class weight (G,), 1 / sd."""
         p = self.size
         wide = []
         for R, columns, weight in zip(groups, self.columns, weights):
@@ -97,7 +98,7 @@ class Factors:
 
 
 def factorise(rows: Iterable[Rows], size: int) -> Factors:
-    """Reduce rows of all classes, in any order and pieces, to triangular factors in one pass (Demmel et al. 2012)."""
+    """Reduce the rows of all classes (in any order) to triangular factors in one pass (Demmel et al. 2012)."""
     columns: dict[int, np.ndarray] = {}
     found: dict[tuple[int, int], np.ndarray] = {}
     count: dict[tuple[int, int], int] = {}
@@ -109,7 +110,7 @@ def factorise(rows: Iterable[Rows], size: int) -> Factors:
             found[key] = _append(found.get(key), piece, a, b)
             count[key] = count.get(key, 0) + b - a
     if not found:
-        raise ShapeError("Expected rows to fit, got none. Give at least one sample.")
+        raise ShapeError("Expected rows to fit, got an empty sequence. Pass at least one sample.")
     groups, blocks = max(columns) + 1, 1 + max(b for _, b in found)
     totals = np.zeros((blocks, groups), dtype=int)
     for (g, b), number in count.items():
@@ -121,7 +122,7 @@ def factorise(rows: Iterable[Rows], size: int) -> Factors:
 
 
 def stack(parts: Iterable[np.ndarray]) -> np.ndarray:
-    """Return the triangle R (w, w) of parts (m, w) below each other."""
+    """Return the triangle R (w, w) of vertically stacked parts (m, w)."""
     R = np.zeros((0, 0))
     for part in parts:
         R = R if R.size else np.zeros((part.shape[1], part.shape[1]), order="F")
@@ -130,7 +131,7 @@ def stack(parts: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def triangle(A: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
-    """Return the triangle R (w, w) of A (m, p), or of ``[A y]``, in pieces that stay in the cache."""
+    """Return the triangle R (w, w) of A (m, p) or ``[A y]``, computed in pieces that fit into the cache."""
     w = A.shape[1]
     wide = w + (y is not None)
     R = np.zeros((wide, wide), order="F")
@@ -144,7 +145,7 @@ def triangle(A: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
 
 
 def _append(R: np.ndarray | None, piece: Rows, start: int, stop: int) -> np.ndarray:
-    """Return the factor of R and some more rows below it."""
+    """Return the factor of R stacked on further rows."""
     w = piece.A.shape[1]
     R = np.zeros((w + 1, w + 1), order="F") if R is None else R
     for a in range(start, stop, CHUNK):
@@ -156,13 +157,13 @@ def _append(R: np.ndarray | None, piece: Rows, start: int, stop: int) -> np.ndar
         bad = start + np.flatnonzero(~np.isfinite(piece.A[start:stop]).all(axis=1) | ~np.isfinite(piece.y[start:stop]))
         raise ShapeError(
             f"Expected finite rows, got NaN or Inf in {len(bad)} rows of class {piece.group}, first {bad[:5].tolist()}"
-            ": they would spread over the whole fit. Drop these samples."
+            ". Drop these samples."
         )
     return R
 
 
 def _reflect(R: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """Return the triangle of R and rows below it; both are overwritten."""
+    """Return the triangle of R stacked on rows; both arrays are overwritten."""
     from scipy.linalg import lapack
 
     return lapack.dtpqrt(0, min(PANEL, len(R)), R, below, overwrite_a=1, overwrite_b=1)[0]  # pyright: ignore
@@ -180,15 +181,15 @@ def _check(piece: Rows, size: int, known: dict[int, np.ndarray]) -> None:
     if not fits or len(np.unique(columns)) != len(columns) or (len(y) and block[0] < 0):
         raise ShapeError(
             f"Expected {A.shape[1]} different columns from 0 to {size - 1} and blocks from 0, got {columns.tolist()} "
-            f"in class {piece.group}. Name each column once."
+            f"in class {piece.group}. Name each column exactly once."
         )
     if not np.array_equal(known.setdefault(piece.group, columns), columns):
         raise ShapeError(
-            f"Expected the same columns in all rows of class {piece.group}, got others. Use another class."
+            f"Expected the same columns in all rows of class {piece.group}, got {columns.tolist()}. Use another class."
         )
 
 
-# Fits run on one thread of BLAS: the same bits on every machine. On tall, thin matrices threads wait for each other.
+# Fits run on one BLAS thread for reproducible bits on every machine; threads do not speed up tall, thin matrices.
 
 
 _lock = Lock()
@@ -198,7 +199,7 @@ _limits = ExitStack()
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Give BLAS one thread in a `with` block; of blocks that overlap the last gives the others back."""
+    """Limit BLAS to one thread in a `with` block; the last of several overlapping blocks restores the thread count."""
     global _inside
     with _lock:
         if not _inside:
@@ -215,8 +216,8 @@ def one_thread() -> Iterator[None]:
 
 @cache
 def _libraries() -> Any:
-    """Return what limits the threads of the libraries of this process; to look for them takes milliseconds."""
+    """Return the thread limiter of the loaded libraries, which is cached because the search takes milliseconds."""
     from threadpoolctl import ThreadpoolController
 
-    import_module("scipy.linalg")  # only libraries that are loaded can be limited
+    import_module("scipy.linalg")  # only loaded libraries can be limited
     return ThreadpoolController()

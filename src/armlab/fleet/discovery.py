@@ -1,4 +1,4 @@
-"""`Router`, where bridges and their clients find each other, and `list_robots`, the robots that are there."""
+"""`Router` connects bridges and clients; `list_robots` lists the robots with a running bridge."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from armlab.errors import ArmlabError, ConfigError
 
 
 class FleetRobot(NamedTuple):
-    """What was seen of a robot.
+    """Observed state of a robot.
 
     Attributes
     ----------
     lab, robot : names.
-    rate : rows that came per second [Hz].
-    loss : rows that did not come, by the robot's ticks.
-    damaged : rows whose checksum was another one; they count as lost as well, once a later one came.
-    age : of the newest row by both computers' clocks [s], NaN without any.
-    commander : who moves it, "" for nobody.
+    rate : received rows per second [Hz].
+    loss : fraction of missing rows, by the robot's ticks.
+    damaged : rows with a wrong checksum; they count as lost, once a later row arrives.
+    age : of the newest row by the clocks of both computers [s], NaN without rows.
+    commander : the commanding client, "" for none.
     """
 
     lab: str
@@ -41,16 +41,17 @@ class FleetRobot(NamedTuple):
 
 
 def list_robots(place: LabAddress, seconds: float = 2.0) -> list[FleetRobot]:
-    """Return the robots whose bridges are alive, after listening to all their rows for a while.
+    """Return the robots with running bridges after listening to their rows.
 
     Parameters
     ----------
-    place : of the router; its `lab` may be `EVERY`.
-    seconds : to listen.
+    place : address of the router; its `lab` may be `EVERY`.
+    seconds : listening time.
 
     Raises
     ------
-    LinkError : no router. MissingExtra : no Zenoh.
+    LinkError : no router.
+    MissingExtra : no Zenoh.
     """
     session = place.open_behind()
     try:
@@ -75,7 +76,7 @@ def list_robots(place: LabAddress, seconds: float = 2.0) -> list[FleetRobot]:
 
 
 class _Seen:
-    """The rows of one robot."""
+    """Rows of one robot."""
 
     def __init__(self, lab: str, robot: str) -> None:
         self._lab, self._robot = lab, robot
@@ -116,23 +117,24 @@ class _Seen:
 
 
 class Router:
-    """A Zenoh router in this process; a context manager.
+    """Zenoh router in this process; a context manager.
 
     Parameters
     ----------
-    host, port : where it listens; port 0 lets the system choose.
-    connect : "HOST:PORT" of other routers, whose robots are seen through this one; they are tried for ever.
+    host, port : listening address; port 0: any free port.
+    connect : "HOST:PORT" of other routers, whose robots become visible through this one; retried forever.
     security : certificates and users; see `servers.zenoh.security.Security`.
 
     Attributes
     ----------
-    where : address in words.
+    where : printable address.
 
     Raises
     ------
-    ConfigError : not on this computer alone, or connected to a router elsewhere, and without certificates and users:
-        whoever comes could command.
-    LinkError : the port is taken. MissingExtra : no Zenoh.
+    ConfigError : a router that is not local, or connected to a remote router, without certificates and users: any
+        client could send commands.
+    LinkError : port in use.
+    MissingExtra : no Zenoh.
     """
 
     def __init__(
@@ -142,16 +144,16 @@ class Router:
         try:
             is_near = ipaddress.ip_address(host).is_loopback
         except ValueError:
-            raise ConfigError(f"Expected the address of a network card to listen at, got {host!r}.") from None
+            raise ConfigError(f"Expected the address of a network interface, got {host!r}.") from None
         far = [f"at {host}"] if not is_near else [f"connected to {other}" for other in connect if not is_here(other)]
         if far and not safe.is_safe:
             raise ConfigError(
-                f"Expected certificates and users for a router {far[0]}, since commands to robots pass through it. "
-                "Write them: armlab bridge certificates; then give ca, certificate, key and users."
+                f"Expected certificates and users for a router {far[0]}, because it forwards commands to robots, got "
+                "none. Create them with armlab bridge certificates, then pass ca, certificate, key and users."
             )
         place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         self._session = open_session("router", [place], list(connect), safe)
-        self.where = f"{'tls' if safe.ca is not None else 'tcp'}/{place}"
+        self.where: str = f"{'tls' if safe.ca is not None else 'tcp'}/{place}"
 
     def __enter__(self) -> Router:
         return self
@@ -160,5 +162,5 @@ class Router:
         self.close()
 
     def close(self) -> None:
-        """End it: those who were connected try to come again."""
+        """Close the router; connected clients try to reconnect."""
         close_session(self._session)

@@ -1,8 +1,9 @@
-"""`identify`: one torque model from many logs, with the same bits on any executor; `SumCache` keeps their sums on disk.
+"""`identify`: fit one torque model to many logs, bit-identical on any executor; `SumCache` stores their sums on disk.
 
-With a cache ten more logs cost ten logs, and an interrupted run goes on. A cache file is named by what its sums depend
-on: the bytes of the log, the pattern (which holds the robot), the version of armlab and that of the sums. It holds
-plain arrays in the .npz format, never objects; a file that cannot be read is written anew.
+With a cache, ten additional logs cost the time of ten logs, and an interrupted run can continue. The name of a cache
+file is a hash of everything that determines its sums: the bytes of the log, its column names, the pattern (which
+includes the robot), the armlab version and the version of the sums. It contains plain arrays in the .npz format, never
+objects; an unreadable file is rewritten.
 """
 
 from __future__ import annotations
@@ -42,12 +43,12 @@ AT_ONCE = 4  # logs that are tried at once, at most
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """What many logs gave.
+    """Result of the identification from many logs.
 
     Attributes
     ----------
     fit : of the model; `fit.value.sources` names the logs and, with the reason, those that were skipped.
-    used : names of the logs behind it, in order.
+    used : names of the logs used for the fit, in order.
     skipped : the reason by name.
     """
 
@@ -56,7 +57,7 @@ class Identified:
     skipped: Mapping[str, str]
 
     def report(self) -> str:
-        """Return the report of the fit, then how many logs were used and which were not."""
+        """Return the report of the fit, the number of logs used, and the skipped logs."""
         lines = [self.fit.report(), "", f"{len(self.used)} logs used, {len(self.skipped)} skipped"]
         return "\n".join([*lines, *(f"skipped {name}: {reason}" for name, reason in self.skipped.items())])
 
@@ -67,25 +68,28 @@ def identify(
     executor: Executor | None = None,
     progress: Progress | None = None,
     cache: Path | None = None,
+    *,
+    columns: str | None = None,
 ) -> Identified:
     """Identify the torque model of an arm from many logs of free motion.
 
-    The first few minutes are fitted as `identify.fit_dynamics` does; then every log is reduced to sums by a worker,
-    and the sums are added here in the order of the logs: the result has the same bits on any executor.
+    The first few minutes are fitted as in `identify.fit_dynamics`. Workers then reduce every log to sums, which are
+    added here in the order of the logs, so the result is bit-identical on any executor.
 
     Parameters
     ----------
     logs : tables, files or folders of one arm, without contact.
-    robot : the arm. Files that are recordings of another are skipped.
+    robot : the arm. Recordings of other arms are skipped.
     executor : any `concurrent.futures.Executor`, also ``Client.get_executor(pure=False)`` of Dask; none: here.
-        Its workers read the files by their paths.
+        Its workers read the files by path.
     progress : called with (done, total, what).
-    cache : folder that keeps the sums of files, so that ten logs more cost ten logs; none: nothing is kept.
+    cache : folder that keeps the sums of files, so that adding ten logs costs only ten logs; None: nothing is kept.
+    columns : column names in files of other programs, see `log.read`.
 
     Returns
     -------
-    Identified. A log that cannot be used, that ended its worker twice, or that has the rows of one before it, which
-    says nothing new, is skipped and named.
+    Identified. A log is skipped and listed if it is unusable, crashes its worker twice, or repeats the rows of an
+    earlier log.
 
     Raises
     ------
@@ -98,12 +102,12 @@ def identify(
     """
     jobs = named(logs)
     tell = progress or (lambda done, total, what: None)
-    draft, pattern, first, refused = _draft(jobs, robot, executor, tell)
+    draft, pattern, first, refused = _draft(jobs, robot, executor, tell, columns)
     rest = {name: log for name, log in jobs.items() if name not in refused}
-    done = map_logs(_work, rest, pattern, cache, executor=executor, progress=tell, rows=lambda sums: sums.n)
+    done = map_logs(_work, rest, pattern, cache, columns, executor=executor, progress=tell, rows=lambda sums: sums.n)
     lost = [name for name in first if name not in done.results]
     if lost:
-        raise LogError(f"Expected {lost[0]} to read as before, but: {done.skipped[lost[0]]}")
+        raise LogError(f"Expected {lost[0]} to be readable as before, but: {done.skipped[lost[0]]}")
     copies = _copies({}, {name: sums.source.rpartition(":")[2] for name, sums in done.results.items()})
     used = [name for name in done.results if name not in copies]
     fit = fit_sums(draft, pattern, [done.results[name] for name in used], [used.index(name) for name in first])
@@ -115,22 +119,22 @@ def identify(
 
 
 def _draft(
-    jobs: Mapping[str, Log], robot: Robot, executor: Executor | None, tell: Progress
+    jobs: Mapping[str, Log], robot: Robot, executor: Executor | None, tell: Progress, columns: str | None
 ) -> tuple[FitProblem, Pattern, list[str], Mapping[str, str]]:
-    """Fit the first logs that can be used, more of them while they do not tell enough.
+    """Fit the first usable logs, adding more until the model is determined.
 
-    Returns the names of these, and the reason by name of those before and between them that cannot be used. Logs are
-    tried by the workers before they are read here: one that ends its reader does not end this process.
+    Also returns the names of these logs, and the reason for each unusable log before and between them. Workers test
+    each log before it is read here, so that a log that crashes its reader does not crash this process.
     """
-    tried = _Tried(jobs, robot, executor, lambda: tell(0, 5, "reading the first logs"))
+    tried = _Tried(jobs, (robot, columns), executor, lambda: tell(0, 5, "reading the first logs"))
     wanted = DRAFT_SECONDS
     while True:
         names = tried.of(wanted)
         if not names:
             reasons = [f"{name}: {reason}" for name, reason in tried.refused.items()]
-            raise LogError(f"Expected a log that can be used among {len(jobs)}, got none. {reasons[0]}")
+            raise LogError(f"Expected a usable log among {len(jobs)}, got none. {reasons[0]}")
         try:
-            tables = [_table(name, jobs[name], robot) for name in names]
+            tables = [_table(name, jobs[name], robot, columns) for name in names]
             draft, pattern = fit_draft(tables, robot, len(jobs), tell, _chooser(executor, tell))
         except NotExcited:
             if tried.all and names == tried.of(math.inf):  # workers try more of them than a fit may need
@@ -141,12 +145,16 @@ def _draft(
 
 
 class _Tried:
-    """Rates and lengths of the first logs, or why they cannot be used."""
+    """Rates and lengths of the first logs, or why they are unusable."""
 
     def __init__(
-        self, jobs: Mapping[str, Log], robot: Robot, executor: Executor | None, tell: Callable[[], None]
+        self,
+        jobs: Mapping[str, Log],
+        arm: tuple[Robot, str | None],
+        executor: Executor | None,
+        tell: Callable[[], None],
     ) -> None:
-        self._jobs, self._robot, self._executor, self._tell = jobs, robot, executor, tell
+        self._jobs, self._arm, self._executor, self._tell = jobs, arm, executor, tell
         self._waiting = list(jobs)[::-1]
         self._at_once = 1 if executor is None else min(getattr(executor, "_max_workers", AT_ONCE), AT_ONCE)
         self._known: dict[str, tuple[float, float]] = {}
@@ -155,15 +163,15 @@ class _Tried:
 
     @property
     def all(self) -> bool:
-        """Whether there are no others."""
+        """Whether these are all the logs."""
         return not self._waiting
 
     def seconds(self, names: Iterable[str]) -> float:
-        """Return how long logs last together."""
+        """Return the total duration of logs [s]."""
         return sum(self._known[name][1] for name in names)
 
     def of(self, wanted: float) -> list[str]:
-        """Return names of the first logs of one rate that last so many seconds together, or all."""
+        """Return the names of the first logs with equal rates that last this many seconds in total, or all of them."""
         while True:
             names, seconds = [], 0.0
             rates = [rate for rate, _ in self._known.values()]
@@ -175,7 +183,7 @@ class _Tried:
                 return names
             some = [self._waiting.pop() for _ in range(min(self._at_once, len(self._waiting)))]
             done = map_logs(
-                _try, {name: self._jobs[name] for name in some}, self._robot,
+                _try, {name: self._jobs[name] for name in some}, *self._arm,
                 executor=self._executor, progress=lambda done, total, what: self._tell(),
             )  # fmt: skip
             copies = _copies(self._rows, {name: sha256 for name, (*_, sha256) in done.results.items()})
@@ -183,55 +191,55 @@ class _Tried:
             self.refused |= {**done.skipped, **copies}
 
 
-def _table(name: str, log: Log, robot: Robot) -> Table:
-    """Return a log that could be read before."""
+def _table(name: str, log: Log, robot: Robot, columns: str | None) -> Table:
+    """Return a log that has been readable before."""
     try:
-        return as_table(log, robot)
+        return as_table(log, robot, columns)
     except OSError as error:
-        raise LogError(f"Expected {name} to read here as it did before, but: {error}") from None
+        raise LogError(f"Expected {name} to be readable as before, but: {error}") from None
 
 
 def _copies(known: dict[str, str], rows: Mapping[str, str]) -> dict[str, str]:
-    """Return why logs are left out that have the rows of another, by name; `known` has the names by rows (SHA-256)."""
+    """Return, by name, why logs that repeat the rows of another log are skipped; `known` maps row hashes to names."""
     return {
-        name: f"its rows are those of {known[sha256]}: counted twice, they would seem to tell more than they do"
+        name: f"it repeats the rows of {known[sha256]}, which would overstate the information"
         for name, sha256 in rows.items()
         if known.setdefault(sha256, name) != name
     }
 
 
-def _try(log: Log, robot: Robot) -> tuple[float, float, str]:
-    """Return the rate [Hz] of a log that can be used, its last time [s], and the SHA-256 of its rows."""
-    table = as_table(log, robot)
+def _try(log: Log, robot: Robot, columns: str | None) -> tuple[float, float, str]:
+    """Return the rate [Hz] of a usable log, its last time [s], and the SHA-256 of its rows."""
+    table = as_table(log, robot, columns)
     return prepare_share(table, robot).rate, float(table.t[-1]), table.sha256
 
 
 def _chooser(executor: Executor | None, tell: Progress) -> Chooser:
-    """Return what chooses the structure of friction of the joints on an executor."""
+    """Return the function that selects the friction structure of the joints on an executor."""
 
     def choose_all(choices: Iterable[StructureChoice]) -> list[FrictionStructure]:
         joints = {f"joint {number + 1}": choice for number, choice in enumerate(choices)}
         done = map_logs(
             choose, joints, executor=executor, kind="joint",
-            progress=lambda done, total, what: tell(2, 5, f"structure of friction, {done} of {total} joints"),
+            progress=lambda done, total, what: tell(2, 5, f"friction structure, {done} of {total} joints"),
         )  # fmt: skip
         if done.skipped:
             name, reason = next(iter(done.skipped.items()))
-            raise LogError(f"Expected the structure of friction of {name}, but: {reason}")
+            raise LogError(f"Expected to select the friction structure of {name}, but: {reason}")
         return list(done.results.values())
 
     return choose_all
 
 
-def _work(log: Log, pattern: Pattern, cache: Path | None) -> LogSums:
-    """Return the sums of one log, kept ones where there are."""
+def _work(log: Log, pattern: Pattern, cache: Path | None, columns: str | None) -> LogSums:
+    """Return the sums of one log, from the cache if available."""
     if cache is None or isinstance(log, Table) or not log.is_file():
-        return log_sums(as_table(log, pattern.robot), pattern)
-    known = SumCache(cache, pattern)
+        return log_sums(as_table(log, pattern.robot, columns), pattern)
+    known = SumCache(cache, pattern, columns)
     path = known.path(log)
     sums = known.load(path)
     if sums is None:
-        sums = log_sums(as_table(log, pattern.robot), pattern)
+        sums = log_sums(as_table(log, pattern.robot, columns), pattern)
         known.save(path, sums)
     return sums
 
@@ -242,18 +250,18 @@ _TRAINING = ("q_min", "q_max", "qd_peak", "speed_share", "rest_share", "longest_
 
 
 def default_folder() -> Path:
-    """Return where the sums of this user are kept."""
+    """Return the folder of this user's cached sums."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "armlab" / "sums"
 
 
 class SumCache:
-    """Cached sums of logs in a folder, which is made when it is missing."""
+    """Cache of sums in a folder, which is created if missing."""
 
-    def __init__(self, folder: Path, pattern: Pattern) -> None:
-        self._folder, self._pattern = folder, pattern.sha256
+    def __init__(self, folder: Path, pattern: Pattern, columns: str | None = None) -> None:
+        self._folder, self._pattern = folder, f"{pattern.sha256} {columns or ''}"
 
     def path(self, log: Path) -> Path:
-        """Return the file that keeps the sums of a log."""
+        """Return the cache file for the sums of a log."""
         digest = hashlib.sha256(f"{__version__} {VERSION} {self._pattern} ".encode())
         with log.open("rb") as file:
             while part := file.read(_PIECE):
@@ -261,7 +269,7 @@ class SumCache:
         return self._folder / f"{digest.hexdigest()}.npz"
 
     def load(self, path: Path) -> LogSums | None:
-        """Return the sums in a file, None when it is missing or damaged."""
+        """Return the sums in a file, or None if it is missing or damaged."""
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
                 return _sums(kept)
@@ -269,7 +277,7 @@ class SumCache:
             return None
 
     def save(self, path: Path, sums: LogSums) -> None:
-        """Write sums, whole or not at all; where the disk refuses they are computed again the next time."""
+        """Write sums atomically; if this fails, they are recomputed the next time."""
         groups = {
             f"{name}{g}": part[g]
             for name in ("R", "columns")

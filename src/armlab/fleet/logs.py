@@ -1,4 +1,4 @@
-"""Many logs as one argument, and a file of each: `export` to another format, `estimate` of the contact force."""
+"""Batch processing of logs: `export` to another format, and `estimate` of contact forces."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 from armlab.contact import Estimator, contacts
 from armlab.contact.estimator import Method
 from armlab.errors import ConfigError, LogError, ShapeError
+from armlab.estimation.fit import Fit, value_of
 from armlab.fleet.mapping import Done, Progress, map_logs
 from armlab.identify import with_velocity
 from armlab.log import Table, read, read_arm, write
@@ -23,17 +24,17 @@ from armlab.robots import Robot
 
 @dataclass(frozen=True)
 class Estimated:
-    """What one log said of the force.
+    """Summary of the force estimate of one log.
 
     Attributes
     ----------
-    path : file with the columns of the estimate, a row for each of the log.
+    path : file with the columns of the estimate, one row per row of the log.
     rows, seconds : of the log.
     left_out : rows without an estimate.
     contacts : intervals of contact.
     contact_seconds : their sum.
-    peak : largest estimated force while in contact [N], NaN without any.
-    band : mean 2-sigma of the worst axis [N].
+    peak : largest estimated force in contact [N], NaN without contact.
+    band : mean two-sigma band of the worst axis [N].
     """
 
     path: Path
@@ -48,7 +49,7 @@ class Estimated:
 
 def estimate(
     logs: Iterable[str | Path] | str | Path,
-    model: TorqueModel,
+    model: TorqueModel | Fit[TorqueModel],
     robot: Robot,
     folder: Path,
     executor: Executor | None = None,
@@ -57,44 +58,53 @@ def estimate(
     method: Method = "map",
     ending: str = ".mcap",
     force: bool = False,
+    columns: str | None = None,
 ) -> Done[Estimated]:
-    """Estimate the contact force in many logs of one arm, each as ``armlab estimate`` does.
+    """Estimate the contact force in many logs of one arm, as ``armlab estimate`` does for one.
 
     Parameters
     ----------
     logs : files or folders.
-    model : of the arm.
+    model : of the arm, or its fit.
     robot : the arm.
-    folder : where the files of the estimates go, each whole or not at all.
-    executor, progress : see `identify`.
-    method : of `contact.Estimator`.
-    ending : format of the files.
-    force : replace files that exist.
+    folder : output folder; each file is written completely or not at all.
+    executor, progress : as in `identify`.
+    method : as in `contact.Estimator`.
+    ending : file extension of the output.
+    force : replace existing files.
+    columns : column names in files of other programs, see `log.read`.
 
     Returns
     -------
-    Done: `Estimated` by name of the log; logs that cannot be used are skipped with a sentence.
+    `Done` with `Estimated` by name of the log; unusable logs are skipped with a reason.
 
     Raises
     ------
-    LogError : there are no logs, or all were skipped. ConfigError : a file exists.
-    ModelMismatchError : a model of another arm. UnknownName : another method.
+    LogError : no logs, or all skipped.
+    ConfigError : a file exists.
+    ModelMismatchError : a model of another arm.
+    UnknownName : unknown method.
     """
-    Estimator(model, robot, method)  # a mistake shows before any work
+    model = value_of(model)
+    Estimator(model, robot, method)  # raises before any work
     jobs = named(logs)
     paths = targets(jobs, Path(folder), ending, "_estimate", force)
     work = {name: (log, paths[name]) for name, log in jobs.items()}
-    shared = model, robot, method
+    shared = model, robot, method, columns
     return map_logs(_estimate, work, *shared, executor=executor, progress=progress, rows=lambda one: one.rows).some()
 
 
-def _estimate(job: tuple[Log, Path], model: TorqueModel, robot: Robot, method: Method) -> Estimated:
+def _estimate(
+    job: tuple[Log, Path], model: TorqueModel, robot: Robot, method: Method, columns: str | None
+) -> Estimated:
     log, path = job
-    given = with_velocity(as_table(log, robot))
+    given = with_velocity(as_table(log, robot, columns))
     table = Estimator(model, robot, method).run(given)
     known = np.isfinite(table["wrench_hat"]).all(axis=1)
     if not known.any():
-        raise LogError(f"Expected rows with finite q, qd, tau in {log}, got none among {len(table)}.")
+        raise LogError(
+            f"Expected rows with finite q, qd and tau in {log}, got none in {len(table)} rows. Give another log."
+        )
     found = contacts(table)
     inside = np.zeros(len(table), dtype=bool)
     for one in found:
@@ -102,7 +112,7 @@ def _estimate(job: tuple[Log, Path], model: TorqueModel, robot: Robot, method: M
     size = np.linalg.norm(table["wrench_hat"][:, :3], axis=1)
     sigma = np.sqrt(np.diagonal(table["wrench_hat_cov"][known, :3, :3], axis1=1, axis2=2))
     path.parent.mkdir(parents=True, exist_ok=True)
-    write(table.select(*(name for name in table.names if name not in given.names)), path, robot)
+    write(table.select(*(name for name in table.names if name not in given.names or name in _MOTION)), path, robot)
     return Estimated(
         path=path,
         rows=len(table),
@@ -117,11 +127,12 @@ def _estimate(job: tuple[Log, Path], model: TorqueModel, robot: Robot, method: M
 
 Log = Table | Path
 
+_MOTION = ("q", "qd", "tau")  # of a log, kept beside the estimate so that it can be viewed
 _ENDINGS = {".mcap", ".csv", ".parquet", ".h5", ".hdf5", ".mat", ".db3", ".bag"}
 
 
 def named(logs: Iterable[Table | str | Path] | str | Path) -> Mapping[str, Log]:
-    """Return logs by name; a folder stands for all log files in it and below, sorted by name."""
+    """Return logs by name; a folder represents all log files in it and its subfolders, sorted by name."""
     found: dict[str, Log] = {}
     files: set[Path] = set()
     given = [logs] if isinstance(logs, str | Path) else list(logs)
@@ -129,17 +140,17 @@ def named(logs: Iterable[Table | str | Path] | str | Path) -> Mapping[str, Log]:
         for name, log in _expanded(one, number):
             if isinstance(log, Path):
                 if (file := log.resolve()) in files:
-                    raise ShapeError(f"Expected each log once, got {name} twice. Leave one out.")
+                    raise ShapeError(f"Expected each log only once, got {name} twice. Remove one.")
                 files.add(file)
             found[name] = log
     if not found:
-        raise LogError("Expected at least one log, got none. Give files, or a folder of recordings.")
+        raise LogError("Expected at least one log, got an empty list. Pass files, or a folder of recordings.")
     return found
 
 
-def as_table(log: Log, robot: Robot) -> Table:
-    """Return a log as a table; a file is read with the robot's joints in their order."""
-    return log if isinstance(log, Table) else read_arm(log, robot)
+def as_table(log: Log, robot: Robot, columns: str | None = None) -> Table:
+    """Return a log as a table; a file is read with the joint order of the robot."""
+    return log if isinstance(log, Table) else read_arm(log, robot, columns=columns)
 
 
 def _expanded(one: Table | str | Path, number: int) -> list[tuple[str, Log]]:
@@ -148,23 +159,23 @@ def _expanded(one: Table | str | Path, number: int) -> list[tuple[str, Log]]:
     if not isinstance(one, str | Path):
         raise ShapeError.no_table(one)
     path = Path(one)
-    if path.is_dir() and not (path / "metadata.yaml").exists():  # that is a log of rosbag2 by itself
+    if path.is_dir() and not (path / "metadata.yaml").exists():  # a rosbag2 folder is a log itself
         files = sorted(file for file in path.rglob("*") if file.suffix in _ENDINGS and file.is_file())
         if not files:
-            raise LogError(f"Expected logs in {path}, got none ({', '.join(sorted(_ENDINGS))}).")
+            raise LogError(f"Expected logs in {path}, got no {', '.join(sorted(_ENDINGS))}. Give another folder.")
         return [(str(file), file) for file in files]
     if not path.exists():
-        raise LogError(f"Expected a log or a folder of logs, got {path}, which does not exist.")
+        raise LogError(f"Expected a log or a folder of logs, got the missing path {path}. Correct it.")
     return [(str(path), path)]
 
 
 def targets(jobs: Mapping[str, Log], folder: Path, ending: str, mark: str = "", force: bool = False) -> dict[str, Path]:
-    """Return the new file of each log: below `folder` as the logs below what they share; existing ones need `force`."""
+    """Return the output file of each log, with the folder structure of the logs; existing files need `force`."""
     if ending not in ENDINGS:
-        raise ConfigError(f"Expected a format among {', '.join(ENDINGS)}, got {ending!r}.")
+        raise ConfigError(f"Expected a file extension among {', '.join(ENDINGS)}, got {ending!r}.")
     paths = {name: log for name, log in jobs.items() if isinstance(log, Path)}
     if len(paths) < len(jobs):
-        raise ShapeError("Expected files of logs, got a table, which has no name for what it becomes. Write it first.")
+        raise ShapeError("Expected log files, got a table without a file name. Write it first.")
     common = Path(os.path.commonpath([log.absolute().parent for log in paths.values()]))
     found: dict[str, Path] = {}
     owners: dict[Path, str] = {}
@@ -172,18 +183,18 @@ def targets(jobs: Mapping[str, Log], folder: Path, ending: str, mark: str = "", 
         path = folder / log.absolute().relative_to(common).with_name(f"{log.stem}{mark}{ending}")
         if path in owners:
             both = f"{owners[path]} and {name}"
-            raise ShapeError(f"Expected logs of different names, got {both}, which would both be {path}. Rename one.")
+            raise ShapeError(f"Expected distinct output files, got {path} for {both}. Rename one.")
         found[name], owners[path] = path, name
     read = {log.resolve() for log in paths.values()}
     if over := [path for path in found.values() if path.resolve() in read]:
         raise ConfigError(
-            f"Expected new files, got {len(over)} that are read, first {over[0]}. Name another folder or format."
+            f"Expected new output files, but {len(over)} are inputs, first {over[0]}. Choose another folder or format."
         )
     there = [path for path in found.values() if path.exists()]
     if there and not force:
         raise ConfigError(
-            f"Expected new files, got {len(there)} that exist, first {there[0]}. Name another folder, or replace them "
-            "by force (--force)."
+            f"Expected new output files, but {len(there)} already exist, first {there[0]}. Choose another folder, or "
+            "replace them (--force)."
         )
     return found
 
@@ -197,39 +208,41 @@ def export(
     *,
     robot: Robot | None = None,
     force: bool = False,
+    columns: str | None = None,
 ) -> Done[Path]:
-    """Write many logs in another format, each as ``armlab log export`` does.
+    """Write many logs in another format, as ``armlab log export`` does for one.
 
     Parameters
     ----------
     logs : files or folders.
-    folder : where the files go, each whole or not at all.
-    ending : of the format, see `log.write`.
-    executor, progress : see `identify`.
+    folder : output folder; each file is written completely or not at all.
+    ending : file extension of the format, see `log.write`.
+    executor, progress : as in `identify`.
     robot : the arm, for MCAP.
-    force : replace files that exist.
+    force : replace existing files.
+    columns : column names in files of other programs, see `log.read`.
 
     Returns
     -------
-    Done: path by name of the log; logs that cannot be read or written are skipped with a sentence.
+    `Done` with the path by name of the log; unreadable logs are skipped with a reason.
 
     Raises
     ------
-    LogError : there are no logs, or all were skipped.
-    ConfigError : another format, no robot for MCAP, or a file exists.
+    LogError : no logs, or all skipped.
+    ConfigError : unknown format, no robot for MCAP, or a file exists.
     """
     if ending == ".mcap" and robot is None:
-        raise ConfigError("Expected the robot of recordings in MCAP, got none. Name it with robot= (--robot).")
+        raise ConfigError("Expected a robot for MCAP recordings, got none. Give robot= (--robot).")
     jobs = named(logs)
     paths = targets(jobs, Path(folder), ending, force=force)
     work = {name: (log, paths[name]) for name, log in jobs.items()}
-    done = map_logs(_export, work, robot, executor=executor, progress=progress, rows=lambda one: one[1]).some()
+    done = map_logs(_export, work, robot, columns, executor=executor, progress=progress, rows=lambda one: one[1]).some()
     return Done({name: path for name, (path, _) in done.results.items()}, done.skipped)
 
 
-def _export(job: tuple[Log, Path], robot: Robot | None) -> tuple[Path, int]:
-    """Return the file that was written, and its rows."""
+def _export(job: tuple[Log, Path], robot: Robot | None, columns: str | None) -> tuple[Path, int]:
+    """Return the written file and its number of rows."""
     log, path = job
-    table = log if isinstance(log, Table) else read(log)
+    table = log if isinstance(log, Table) else read(log, columns=columns)
     path.parent.mkdir(parents=True, exist_ok=True)
     return write(table, path, robot), len(table)

@@ -1,11 +1,10 @@
-"""`map_logs`: one piece of work per log on any executor, with results in order, failures by name, and no log lost.
+"""`map_logs`: run one job per log on any executor, with ordered results, named failures and crash recovery.
 
-A killed worker of a process pool breaks the pool and every job in it. What was finished is kept, the rest starts again
-in a new pool; then the jobs that were under way are tried one by one, and one that ends its worker again is skipped.
-Dask starts its workers anew by itself, and blames every job that waited at workers that died: those are tried one by
-one in the same way.
+A killed worker breaks its process pool and every job in it. Finished results are kept, and the rest restarts in a new
+pool. Then the interrupted jobs run one by one, and a job that crashes its worker again is skipped. Dask restarts its
+workers itself but blames every job queued at crashed workers; these jobs also run one by one.
 
-`workers`: processes of this computer or a Dask cluster to run it on.
+`workers`: processes on this computer or a Dask cluster.
 """
 
 from __future__ import annotations
@@ -24,33 +23,33 @@ from armlab.errors import ArmlabError, ConfigError, LinkError, LogError, Missing
 Progress = Callable[[int, int, str], None]
 Result = TypeVar("Result")
 
-_AHEAD = 4  # jobs that wait per worker: thousands of pickled jobs are memory for nothing
-_WORKERS = 64  # assumed of executors that do not tell
-_REPORT_PERIOD = 0.5  # s between two reports without a job that ends
-_SENTENCE_PERIOD = 1.0  # s between two sentences: a line each where nobody watches
+_AHEAD = 4  # queued jobs per worker, because every pickled job takes memory
+_WORKERS = 64  # assumed for executors without a worker count
+_REPORT_PERIOD = 0.5  # s between two progress reports while no job ends
+_SENTENCE_PERIOD = 1.0  # s between two progress lines, for output to a file
 MAX_CRASHES = 2  # worker crashes before a job is skipped
-_KILLED = "Expected a worker to survive this {}, but it was killed again. Look at the memory it takes, and at its logs."
-_KILLED_BY_DASK = "KilledWorker"  # its name, since Dask need not be there: it has tried several workers by then
+_KILLED = "Expected a worker to survive this {}, but it crashed again. Check its memory use and its logs."
+_KILLED_BY_DASK = "KilledWorker"  # by name, because Dask is optional; raised after several workers
 
 
 @dataclass(frozen=True)
 class Done(Generic[Result]):
-    """What became of all jobs.
+    """Results of all jobs.
 
     Attributes
     ----------
-    results : by name, in the order of the jobs, of those that gave one.
-    skipped : sentence by name of the others.
+    results : by name, in the order of the jobs, of the successful jobs.
+    skipped : reason by name of the other jobs.
     """
 
     results: Mapping[str, Result]
     skipped: Mapping[str, str]
 
     def some(self) -> Done[Result]:
-        """Return self; raise LogError with the first reason when every log was skipped."""
+        """Return self; raise LogError with the first reason if every log was skipped."""
         if not self.results:
             count, reasons = len(self.skipped), list(self.skipped.values())
-            raise LogError(f"Expected a log that can be used among {count}, got none. {' '.join(reasons[:1])}".rstrip())
+            raise LogError(f"Expected a usable log among {count}, got none. {' '.join(reasons[:1])}".rstrip())
         return self
 
 
@@ -63,11 +62,11 @@ def map_logs(
     rows: Callable[[Result], int] | None = None,
     kind: str = "log",
 ) -> Done[Result]:
-    """Call ``work(job, *shared)`` for every job; skip one that raises an `ArmlabError` or ends its worker.
+    """Call ``work(job, *shared)`` for every job; skip jobs that raise an `ArmlabError` or crash their worker.
 
-    `work` is a function of a module, so that it can be pickled. Without an executor jobs run here, one after the other.
-    `progress` is called with (done, total, what) as jobs end; `rows` counts the rows of a result; `kind` names a job in
-    sentences.
+    `work` is a module-level function, so that it can be pickled. Without an executor, jobs run in this process, one
+    after the other. `progress` is called with (done, total, what) as jobs end; `rows` counts the rows of a result;
+    `kind` names a job in messages.
     """
     run = _JobRun(work, jobs, shared, progress or (lambda done, total, what: None), rows, kind)
     run.report()
@@ -84,7 +83,7 @@ def map_logs(
 
 
 class _JobRun:
-    """What is done so far."""
+    """Progress of all jobs."""
 
     def __init__(
         self,
@@ -104,16 +103,16 @@ class _JobRun:
         self.skipped: dict[str, str] = {}
 
     def keep(self, name: str, outcome: tuple[bool, Any]) -> None:
-        """Keep what a job gave, or why it gave nothing."""
+        """Store the result of a job or the reason for its failure."""
         worked, value = outcome
         (self.results if worked else self.skipped)[name] = value
         self._rows += self._count(value) if worked and self._count else 0
         self.report()
 
     def on(self, executor: Executor) -> None:
-        """Run all jobs on an executor, on new ones after a worker was killed; each round settles a suspect."""
+        """Run all jobs on an executor, with a new one after each crash; each round settles at least one suspect."""
         suspects: list[str] = []
-        if not getattr(executor, "_broken", False):  # what it was given before has ended its workers
+        if not getattr(executor, "_broken", False):  # broken by earlier jobs of the caller
             ahead = _AHEAD * getattr(executor, "_max_workers", _WORKERS)
             suspects = self._pass(executor, list(self._jobs), ahead)
         if self._blamed and not suspects:
@@ -123,14 +122,14 @@ class _JobRun:
                 self.keep(name, (False, self._killed))
         while left := self._left(self._jobs):
             if not isinstance(executor, ProcessPoolExecutor):
-                raise ConfigError("Expected an executor that goes on, but it broke. Start it anew and call again.")
+                raise ConfigError("Expected a working executor, got a broken executor. Restart it and try again.")
             self._alone(executor, suspects)
             if left := self._left(left):
                 with _another(executor, None) as again:
                     suspects = self._pass(again, left, ahead=_AHEAD * again._max_workers)  # pyright: ignore
 
     def _alone(self, executor: ProcessPoolExecutor, suspects: Sequence[str]) -> None:
-        """Run jobs one after the other, so that nobody else can be blamed; skip one that ends its worker twice."""
+        """Run jobs one by one, so that crashes are attributable; skip a job that crashes its worker twice."""
         killed: Counter[str] = Counter()
         while suspects := self._left(suspects):
             with _another(executor, 1) as alone:
@@ -143,7 +142,7 @@ class _JobRun:
         return [name for name in names if name not in self.results and name not in self.skipped]
 
     def _pass(self, executor: Executor, names: Sequence[str], ahead: int) -> list[str]:
-        """Run jobs until they are done or the executor breaks; return those that were under way then, at least one."""
+        """Run jobs until they are done or the executor breaks; return the interrupted ones, at least one."""
         waiting = list(reversed(names))
         running: dict[Future[tuple[bool, Any]], str] = {}
         try:
@@ -170,7 +169,7 @@ class _JobRun:
         return []
 
     def _saved(self, running: Mapping[Future[tuple[bool, Any]], str]) -> list[str]:
-        """Keep what was finished before the executor broke; return the names of the rest."""
+        """Store results finished before the executor broke; return the names of the rest."""
         lost = []
         for future, name in running.items():
             if future.done() and not future.cancelled() and future.exception() is None:
@@ -180,7 +179,7 @@ class _JobRun:
         return lost
 
     def report(self) -> None:
-        """Tell how far it is; the sentence once a second."""
+        """Report the progress, with a line once a second."""
         done, total = len(self.results) + len(self.skipped), len(self._jobs)
         passed = time.monotonic() - self._began
         if done == total or passed - self._said >= _SENTENCE_PERIOD:
@@ -196,7 +195,7 @@ class _JobRun:
 
 
 def _another(executor: ProcessPoolExecutor, workers: int | None) -> ProcessPoolExecutor:
-    """Return a new pool like one that broke."""
+    """Return a new pool with the settings of a broken one."""
     about: Any = executor
     return ProcessPoolExecutor(
         workers or about._max_workers,
@@ -208,26 +207,26 @@ def _another(executor: ProcessPoolExecutor, workers: int | None) -> ProcessPoolE
 
 
 def _guarded(work: Callable[..., Result], job: Any, *shared: Any) -> tuple[bool, Result | str]:
-    """Return (True, result), or (False, sentence) of a job whose log cannot be used."""
+    """Return (True, result), or (False, reason) for a job with an unusable log."""
     try:
         return True, work(job, *shared)
     except (ArmlabError, OSError, MemoryError) as error:
         return False, str(error) or type(error).__name__
 
 
-_PATIENCE = "10s"  # for a scheduler that is there
+_PATIENCE = "10s"  # connection timeout of the scheduler
 
 
 @contextmanager
 def workers(count: int = 1, dask: str | None = None) -> Iterator[Executor | None]:
-    """Yield an executor: `count` processes of this computer, None for one, or the Dask scheduler at an address."""
+    """Yield an executor: `count` processes on this computer (None for one), or the Dask scheduler at an address."""
     if count < 1:
         raise ConfigError(f"Expected at least one worker, got {count}.")
     if dask is None:
         if count == 1:
             yield None
             return
-        # Not forked: threads of this process, of BLAS and of others, are not in a copy, but their locks are.
+        # Not forked: a fork copies the locks of other threads, such as those of BLAS, but not the threads.
         with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
             yield pool
         return
@@ -235,14 +234,14 @@ def workers(count: int = 1, dask: str | None = None) -> Iterator[Executor | None
         from distributed import Client
     except ImportError:
         raise MissingExtra(
-            "Expected Dask for workers on several computers, got no package distributed. "
-            "Run pip install 'armlab[cluster]'."
+            "Expected the package distributed (Dask) for workers on several computers, but it is not installed. "
+            "Install it: pip install 'armlab[cluster]'."
         ) from None
     try:
         client = Client(dask, timeout=_PATIENCE)
     except (OSError, ValueError) as error:
         raise LinkError(
-            f"Expected a Dask scheduler at {dask}, got: {error}. Start it by dask scheduler "
+            f"Expected a Dask scheduler at {dask}, got: {error}. Start it with dask scheduler "
             "--host 127.0.0.1 --dashboard-address 127.0.0.1:8787."
         ) from None
     with client:

@@ -1,4 +1,4 @@
-"""`FleetRecorder`: the rows of many robots over Zenoh, in files of their own: one per robot and run of its bridge."""
+"""`FleetRecorder`: records rows of many robots over Zenoh, in one file per robot and run of its bridge."""
 
 from __future__ import annotations
 
@@ -22,44 +22,46 @@ from armlab.log.recording.file import RecordingFile
 from armlab.log.recording.recorder import FLUSH_PERIOD, WRITE_PERIOD, Syncing
 from armlab.log.recording.rows import SELDOM, RowLayout, Slot
 
-_INBOX = 50_000  # messages: 20 s of ten robots; what does not fit is a hole in the ticks
+_INBOX = 50_000  # messages: 20 s of ten robots; overflow leaves gaps in the ticks
 _ROBOTS = 1000
-_ROOM = 2**28  # bytes of rows that wait for descriptions, of all robots: ten seconds of fifty
-_NAME = re.compile(r"[\w+-][\w.+-]{0,99}")  # what can be the name of a file
+_ROOM = 2**28  # bytes of rows waiting for descriptions, of all robots: ten seconds of fifty
+_NAME = re.compile(r"[\w+-][\w.+-]{0,99}")  # valid file names
 _WALL = slice(32, 40)  # of the head of a row
 _PAIR = struct.Struct("<qq")
-_NAMES = 220  # bytes of lab and robot together: a letter may take four, and systems allow 255 with number and ending
+_NAMES = 220  # bytes of lab and robot; file systems allow 255 with number and extension
 
 
 class FleetRecorder:
-    """Records every robot whose rows come, from now until it is closed; a context manager.
+    """Recorder of every robot that sends rows, until closed; a context manager.
 
-    A robot may come, go, and come again with other rows. One MCAP file per run of its bridge: ``lab1-yumi_left.mcap``,
-    then ``-2``. Rows that did not come show as holes in the robot's ticks: an event and the summary of the file name
-    them. A file that cannot be written is given up, with a sentence, and the recording of a robot in which something
-    else goes wrong has ended; the other robots go on.
+    A robot may disappear and return with other rows. Each run of its bridge gets its own MCAP file:
+    ``lab1-yumi_left.mcap``, then ``-2``. Missing rows are gaps in the robot's ticks; they are listed in an event and in
+    the summary of the file. A file that cannot be written is abandoned with a message. Any other error ends only the
+    recording of that robot; the other robots continue.
 
     Parameters
     ----------
-    place : of the router; its `lab` may be `EVERY`.
+    place : address of the router; its `lab` may be `EVERY`.
     folder : for the files.
-    tell : told what a person should know, in
-        a thread of the recorder's.
+    tell : callback for messages to the user, called in a thread of the recorder.
 
     Attributes
     ----------
     robots : by "lab/robot": rows, lost, damaged, refused, late, paths, failed.
-    strangers : messages under keys of no robot.
+    strangers : messages under keys of unknown robots.
 
     Raises
     ------
-    LinkError : no router. MissingExtra : no Zenoh.
+    LinkError : no router.
+    MissingExtra : no Zenoh.
     """
+
+    strangers: int
 
     def __init__(self, place: LabAddress, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
         self._folder, self._tell = Path(folder), tell
         self._robots: dict[str, RobotRecord] = {}
-        self._ended: set[str] = set()  # robots of whom nothing more is recorded
+        self._ended: set[str] = set()  # robots with ended recordings
         self.strangers = 0
         self._inbox: Inbox[tuple[Callable[[RobotRecord], None], str]] = Inbox(_INBOX)
         self._room = _ROOM
@@ -80,11 +82,11 @@ class FleetRecorder:
 
     @property
     def robots(self) -> Mapping[str, RobotRecord]:
-        """What is known of each robot."""
+        """Record of each robot."""
         return dict(self._robots)
 
     def close(self) -> None:
-        """Write what has come, and finish all files."""
+        """Write all received rows, and finish all files."""
         if self._closed:
             return
         close_session(self._session)
@@ -101,14 +103,14 @@ class FleetRecorder:
         self._inbox.put((partial(self._live, has_come=has_come), str(sample.key_expr)))
 
     def _row(self, robot: RobotRecord, data: bytes | None) -> None:
-        """Take a row; one that finds no room is lost, as its tick will show."""
+        """Store a row; if there is no room, it is lost, and its tick leaves a gap."""
         size = len(data or b"")
         if size <= self._room:
             self._room -= size
             robot.take(data)
 
     def _live(self, robot: RobotRecord, has_come: bool) -> None:
-        text = "its bridge is there" if has_come else "its bridge has gone, or the way to it"
+        text = "its bridge is connected" if has_come else "its bridge is disconnected"
         if not has_come:
             robot.doubt()
         robot.event(text)
@@ -118,7 +120,7 @@ class FleetRecorder:
         due, is_last = time.monotonic() + FLUSH_PERIOD, False
         while not is_last:
             self._wake.wait(WRITE_PERIOD)
-            is_last = self._closed  # looked at before the inbox is emptied: what came until then is in it
+            is_last = self._closed  # read before the inbox is drained, so that earlier messages are included
             for _ in range(len(self._inbox)):
                 message = self._inbox.get()
                 if message is None:
@@ -143,14 +145,14 @@ class FleetRecorder:
             self._do(robot, RobotRecord.close)
 
     def _do(self, robot: RobotRecord, work: Callable[[RobotRecord], None]) -> None:
-        """Do something for a robot; what goes wrong there ends its recording, and not the others'."""
+        """Run a step for a robot; an error ends only the recording of this robot."""
         if robot.name in self._ended:
             return
         try:
             work(robot)
         except Exception as error:
             self._ended.add(robot.name)
-            with contextlib.suppress(OSError):  # of the file that is given up
+            with contextlib.suppress(OSError):  # of the abandoned file
                 robot.end(f"{type(error).__name__}: {error}")
 
     def _robot(self, where: str) -> RobotRecord | None:
@@ -167,28 +169,37 @@ class FleetRecorder:
         self._inbox.put((partial(RobotRecord.describe, about=about), key(lab, name, "about")), len(about))
 
 
-_WAITING = 2500  # rows that wait for their description: 10 s
-_STRANGE = 64  # schemas of wrong rows that are remembered
-_UNANSWERED = 5.0  # s after which rows that nobody describes are given up
-_AGAIN = 10.0  # s after a failed file until the next one
-_SILENT = 60.0  # s without a row after which a file is finished
+_WAITING = 2500  # rows waiting for their description: 10 s
+_STRANGE = 64  # remembered schemas of invalid rows
+_UNANSWERED = 5.0  # s before rows without a description are abandoned
+_AGAIN = 10.0  # s between a failed file and the next one
+_SILENT = 60.0  # s without a row before a file is finished
 _MOST_HOLES = 10_000  # listed in a file; all are counted
 
 
 class RobotRecord:
-    """The recordings of one robot; all methods belong to one thread.
+    """Recordings of one robot; all methods belong to one thread.
 
     Attributes
     ----------
-    rows, lost : rows written, and rows that never came or could not be written, by the ticks of the robot.
-    damaged : rows whose checksum was another one; they are dropped and leave holes.
-    refused : messages that were no rows of this robot.
-    late : rows that had come before.
+    rows, lost : rows written, and rows missing or not written, by the ticks of the robot.
+    damaged : rows with a wrong checksum; they are dropped and leave gaps.
+    refused : messages that are not rows of this robot.
+    late : rows received before.
     last : newest tick, -1 before the first row.
     paths : files so far.
     failed : why the last one stopped, or None.
-    wants : rows wait for a description.
+    wants : whether rows wait for a description.
     """
+
+    name: str
+    rows: int
+    lost: int
+    damaged: int
+    refused: int
+    late: int
+    last: int
+    wants: bool
 
     def __init__(self, name: str, path: Path, tell: Callable[[str], None]) -> None:
         self.name, self._path, self._tell = name, path, tell
@@ -199,37 +210,37 @@ class RobotRecord:
         self.wants = self._is_unsure = False
         self._waiting: deque[bytes] = deque()
         self._strange: deque[bytes] = deque(maxlen=_STRANGE)
-        self._since: float | None = None  # rows wait for a description
+        self._since: float | None = None  # time since rows wait for a description
         self._run: _BridgeRun | None = None
         self._file: _RobotFile | None = None
         self._heard = self._retry = 0.0
 
     @property
     def waiting(self) -> int:
-        """Bytes of the rows that wait to be written."""
+        """Bytes of the rows waiting to be written."""
         return sum(map(len, self._waiting))
 
     def take(self, data: bytes | None) -> None:
-        """Take a row; when too many wait it is lost, as its tick will show."""
+        """Store a row; if too many rows are waiting, it is lost, and its tick leaves a gap."""
         if data is None:
             self._damage()
         elif len(self._waiting) < _WAITING:
             self._waiting.append(data)
 
     def doubt(self) -> None:
-        """The bridge has gone, or the way to it: what comes next may be another run of it."""
+        """Handle a disconnected bridge; the next rows may belong to another run."""
         self.write()
         self._is_unsure = self._run is not None
 
     def describe(self, about: bytes) -> None:
-        """Take what a bridge says of itself and its robots; the rows that wait for it are of a new run."""
+        """Process the description of a bridge and its robots; the waiting rows belong to a new run."""
         if not self.wants:
             return
         self.wants, self._since = False, None
         try:
             run = _BridgeRun(self.name.rpartition("/")[2], about)
         except (ArmlabError, KeyError) as error:
-            self._refuse(f"its bridge says what cannot be understood: {error}")
+            self._refuse(f"its bridge sent an invalid description: {error}")
             return
         if self._waiting and self._waiting[0][8:16] != run.schema.id:
             self._strange.append(self._waiting[0][8:16])
@@ -243,18 +254,18 @@ class RobotRecord:
         self._run = run
 
     def write(self) -> None:
-        """Write what has come."""
+        """Write the received rows."""
         now = time.monotonic()
         packed: list[bytes] = []
         self._heard = now if self._waiting else self._heard
-        for _ in range(len(self._waiting) + 1):  # a run that ends is looked at twice
+        for _ in range(len(self._waiting) + 1):  # the end of a run takes a second pass
             if not self._waiting:
                 break
             data = self._waiting[0]
             if self._run is None or self._is_unsure or data[8:16] != self._run.schema.id:
                 if data[:4] != MAGIC or data[8:16] in self._strange:
                     self._waiting.popleft()
-                    self._refuse("rows of a schema that its bridge does not know")
+                    self._refuse("rows with a schema unknown to its bridge")
                     continue
                 self.wants, self._since = True, self._since or now
                 break
@@ -264,7 +275,7 @@ class RobotRecord:
                 self._waiting.popleft()
                 self._refuse(str(error))
                 continue
-            if self._run.has_begun_again(row):
+            if self._run.has_restarted(row):
                 packed = self._end_run(packed)
                 continue
             self._waiting.popleft()
@@ -276,47 +287,47 @@ class RobotRecord:
             self._finish()
 
     def flush(self) -> None:
-        """Bring to the disk what was written."""
+        """Flush written data to disk."""
         if self._file is not None:
             self._guarded(self._file.flush)
 
     def event(self, text: str) -> None:
-        """Write a sentence into the file, if one is open."""
+        """Write an event to the open file, if any."""
         if self._file is not None:
             self._guarded(self._file.file.event, text, time.time_ns())
 
     def close(self) -> None:
-        """Write what waits, and finish the file."""
+        """Write waiting rows, and finish the file."""
         self._is_unsure = False
         self.write()
         self._finish()
 
     def end(self, why: str) -> None:
-        """Give the recording up; nothing more may be asked of it."""
+        """End the recording; no method may be called afterwards."""
         file, self._file, self.wants, self.failed = self._file, None, False, why
-        self._tell(f"{self.name}: its recording has ended: {why}")
+        self._tell(f"{self.name}: recording ended: {why}")
         if file is not None:
             file.abandon()
 
     def _give_up(self) -> None:
-        """Nobody said what is in the rows; those whose schema is known are taken for the same run."""
+        """Abandon rows without a description; those with a known schema count as the same run."""
         self.wants, self._since = False, None
         if self._is_unsure:
             self._is_unsure = False
             return
-        self._refuse("nobody says what is in its rows", len(self._waiting))
+        self._refuse("rows without a description", len(self._waiting))
         self._waiting.clear()
 
     def _damage(self) -> None:
         self.damaged += 1
         if self.damaged == 1:
-            self._tell(f"{self.name}: rows come damaged; they are dropped and leave holes")
+            self._tell(f"{self.name}: damaged rows are dropped and leave gaps")
         if self._file is not None:
             self._file.damaged += 1
-        self.event("a row came damaged and was dropped")
+        self.event("a damaged row was dropped")
 
     def _end_run(self, packed: list[bytes]) -> list[bytes]:
-        """The ticks of the robot begin again: its bridge was started anew, and may have another description."""
+        """End the run, because the ticks restarted: the bridge was restarted and may have another description."""
         self._put(packed)
         self._finish()
         self._run = None
@@ -324,7 +335,7 @@ class RobotRecord:
         return []
 
     def _sorted(self, run: _BridgeRun, row: bytes, packed: list[bytes]) -> list[bytes]:
-        """Return the rows to be written next: a hole comes between rows."""
+        """Return the rows to write next; a gap is recorded between rows."""
         tick = tick_of(row)
         if run.last is not None and tick <= run.last:
             self.late += 1
@@ -340,7 +351,7 @@ class RobotRecord:
 
     def _hole(self, first: int, last: int, stamp_ns: int) -> None:
         self.lost += last - first + 1
-        text = f"{last - first + 1} rows did not come, ticks {first} to {last}"
+        text = f"{last - first + 1} rows missing, ticks {first} to {last}"
         self._tell(f"{self.name}: {text}")
         if self._open():
             file = self._file
@@ -356,7 +367,7 @@ class RobotRecord:
             self.lost += len(packed)
 
     def _open(self) -> bool:
-        """Whether there is a file; after one that failed there is none for a while."""
+        """Return whether a file is open; after a failure, the next attempt is delayed."""
         run = self._run
         if self._file is None and run is not None and time.monotonic() >= self._retry:
             try:
@@ -372,7 +383,7 @@ class RobotRecord:
     def _guarded(self, work: Callable[..., Any], *values: Any) -> bool:
         try:
             work(*values)
-        except Exception as error:  # whatever it is: the other robots go on
+        except Exception as error:  # any error: the other robots continue
             reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
             file, self._file = self._file, None
             if file is not None:
@@ -383,7 +394,7 @@ class RobotRecord:
 
     def _fail(self, why: str) -> None:
         if why != self.failed:
-            self._tell(f"{self.name}: {why} The next file is tried in {_AGAIN:g} s.")
+            self._tell(f"{self.name}: {why} The next attempt is in {_AGAIN:g} s.")
         self.failed, self._retry = why, time.monotonic() + _AGAIN
 
     def _finish(self) -> None:
@@ -393,21 +404,21 @@ class RobotRecord:
 
     def _refuse(self, why: str, count: int = 1) -> None:
         if self.refused == 0 and count:
-            self._tell(f"{self.name}: messages are refused: {why}")
+            self._tell(f"{self.name}: invalid messages: {why}")
         self.refused += count
 
 
 class RowColumns:
-    """Positions of the columns of a robot's recording in the rows of its bridge, which may lack some."""
+    """Positions of a recording's columns in the rows of the bridge, which may lack some columns."""
 
     def __init__(self, schema: RowSchema, robot: str, layout: RowLayout) -> None:
         if f"{robot}.tick" not in schema.fields:
-            raise LinkError(f"Expected rows with the ticks of {robot}, got those of {', '.join(schema.robots)}.")
+            raise LinkError(f"Expected rows with the ticks of {robot}, got ticks of {', '.join(schema.robots)}.")
         self._id, self._size = schema.id, schema.size
         self._places: list[slice | bytes] = []
         for name, slot in layout.slots.items():
             if name == SELDOM[0]:
-                break  # from here on a row may end
+                break  # rows may end from here on
             field = schema.fields.get(f"{robot}.{name}")
             if name == "stamp_ns":
                 self._places.append(_WALL)
@@ -415,7 +426,7 @@ class RowColumns:
                 self._places.append(slot.nothing if field is None else _place(field, slot))
 
     def packed(self, data: bytes) -> bytes:
-        """Return the recording's row for a row of the bridge; raise LinkError for another schema."""
+        """Convert a row of the bridge to a row of the recording; raise LinkError for another schema."""
         if len(data) != self._size or data[:4] != MAGIC or data[8:16] != self._id:
             raise LinkError(f"Expected a row of {self._size} bytes and schema {self._id.hex()}, got {len(data)} bytes.")
         return b"".join([place if isinstance(place, bytes) else data[place] for place in self._places])
@@ -432,7 +443,7 @@ def tick_of(packed: bytes) -> int:
 
 
 def _place(field: RowField, slot: Slot) -> slice:
-    """Return where the values are; of a flag the lowest byte, -1 being the 255 that means missing."""
+    """Return the byte range of the values; for a flag, the lowest byte, in which -1 becomes 255 (missing)."""
     if field.shape != slot.column.shape or field.type == "text":
         raise LinkError(f"Expected {field.name} of shape {slot.column.shape} in the rows, got {field.shape}.")
     stop = field.offset + 8 * math.prod(field.shape)
@@ -440,7 +451,7 @@ def _place(field: RowField, slot: Slot) -> slice:
 
 
 class _BridgeRun:
-    """What the rows of a bridge hold, from its start to its end."""
+    """Run of a bridge: its description and its clocks."""
 
     def __init__(self, robot: str, about: bytes) -> None:
         said = read_about(about)
@@ -450,13 +461,13 @@ class _BridgeRun:
         self.last: int | None = None  # tick
         self.stamp_ns = 0
 
-    def has_begun_again(self, row: bytes) -> bool:
-        """Whether ticks went back while time went on: its bridge has another run."""
+    def has_restarted(self, row: bytes) -> bool:
+        """Return whether ticks went back while time advanced, after a restart of the bridge."""
         return self.last is not None and tick_of(row) <= self.last and stamp_of(row) > self.stamp_ns
 
 
 class _RobotFile:
-    """One file, and what is kept of it."""
+    """File and its state."""
 
     def __init__(self, path: Path, run: _BridgeRun) -> None:
         self.file = RecordingFile(path, run.robot, run.layout, {}, "")
@@ -475,5 +486,5 @@ class _RobotFile:
 
     def abandon(self) -> None:
         self.file.abandon()
-        with contextlib.suppress(OSError):  # it is told already
+        with contextlib.suppress(OSError):  # already reported
             self._syncing.close()

@@ -1,4 +1,6 @@
-"""Geometry of measured points: planes, lines, circles and spheres with covariance, frames built from them."""
+"""Geometry of measured points: planes, lines, circles and spheres with covariance, and frames built from these
+features.
+"""
 
 from armlab.frames.circle_sphere import fit_circle, fit_sphere
 from armlab.frames.construction import BuiltFrame, build, distance, intersect, project

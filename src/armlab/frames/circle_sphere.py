@@ -1,9 +1,9 @@
-"""Maximum-likelihood circles and spheres through measured points: the sum of squared geometric distances is least.
+"""Maximum-likelihood circles and spheres through measured points, by least squares on geometric distances.
 
     sphere: e = |p - c| - r                          circle: e = (|q| - r, z),  z = n . (p - c),  q = p - c - n z
 
-A start comes from the linear equation ``|p|^2 = 2 c . p + (r^2 - |c|^2)``; Gauss-Newton does the rest. Short arcs and
-flat caps, which do not determine the centre, raise an error naming the direction.
+The initial guess solves the linear equation ``|p|^2 = 2 c . p + (r^2 - |c|^2)``; Gauss-Newton steps follow. Short arcs
+and flat caps, which do not determine the centre, raise an error naming the direction.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from armlab.frames.feature_fit import LIMIT, Cloud, circles, principal, result, 
 from armlab.frames.features import Circle, Sphere
 from armlab.lie import so3
 
-SCALE = 0.3  # of the radius: the largest deviation of centre and radius that is accepted
-Round = TypeVar("Round", Circle, Sphere)
+MAX_RELATIVE_SD = 0.3  # of the radius: largest accepted standard deviation of centre and radius
+CircleOrSphere = TypeVar("CircleOrSphere", Circle, Sphere)
 
 
 def fit_circle(
@@ -38,36 +38,36 @@ def fit_circle(
 ) -> Fit[Circle]:
     """Fit a circle in space to points.
 
-    Its normal points away from the origin of the frame of the points, unless `toward` or `normal` says otherwise.
+    The normal points away from the origin of the points' frame, unless `toward` or `normal` specifies the side.
 
     Parameters
     ----------
-    p : (N, 3) points [m], N >= 4; 3 are enough where the noise is known, 5 are needed to find an outlier.
-    noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; one
-        deviation for all is estimated when left out.
-    robust : find points that do not belong to the circle; `outliers` marks them.
-    toward, normal : (3,) hints for the side of the normal, as those of `fit_plane`.
+    p : (N, 3) points [m], N >= 4; 3 if the noise is known, 5 for outlier detection.
+    noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; default:
+        estimated, and equal for all points.
+    robust : detect points that do not belong to the circle; `outliers` marks them.
+    toward, normal : (3,) hints for the side of the normal, as in `fit_plane`.
 
     Returns
     -------
-    Fit of a `Circle`: `residuals` (N, 2) are distances in its plane from it and from its plane, `cov` (6, 6) that of
-    `Circle.names`.
+    Fit of a `Circle`: `residuals` (N, 2) are the distances from the circle within its plane, and the distances from the
+    plane; `cov` (6, 6) belongs to `Circle.names`.
 
     Raises
     ------
-    ShapeError : points are no (N, 3) or not finite, with their rows; hints that do not decide the side.
-    NotExcited : too few points; points on a short arc, or in a line; a plane through the origin without a hint.
+    ShapeError : points of the wrong shape or not finite, with their rows; hints that do not determine the side.
+    NotExcited : too few points; points on a short arc or a line; a plane through the origin without a hint.
     """
     cloud = Cloud(p, noise, 3, "circle")
 
     def fit(which: np.ndarray) -> NonlinearSolution[Circle]:
-        return _descend(cloud, which, _circle_start(cloud.p[which]), _circle_residuals, _circle_step)
+        return _refine(cloud, which, _circle_start(cloud.p[which]), _circle_residuals, _circle_step)
 
     if robust:
         cloud.choose(3, 2, circles, lambda which: _refit(cloud, 4, fit, _circle_residuals, which))
     found = fit(cloud.kept)
     value = found.value
-    excitation = _judge(found, value)
+    excitation = _check_excitation(found, value)
     slope = np.concatenate([value.n, np.cross(value.axes, value.n) @ value.centre, [0.0]])
     n = upward(value.n, value.centre, float(np.sqrt(slope @ found.cov @ slope)), toward, normal, "circle")
     value = Circle(value.centre, n, value.radius, value.axes, found.cov)
@@ -81,53 +81,54 @@ def fit_sphere(p: ArrayLike, *, noise: ArrayLike | None = None, robust: bool = F
 
     Parameters
     ----------
-    p : (N, 3) points [m], N >= 5; 4 are enough where the noise is known, 6 are needed to find an outlier.
-    noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; one
-        deviation for all is estimated when left out.
-    robust : find points that do not belong to the sphere; `outliers` marks them.
+    p : (N, 3) points [m], N >= 5; 4 if the noise is known, 6 for outlier detection.
+    noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; default:
+        estimated, and equal for all points.
+    robust : detect points that do not belong to the sphere; `outliers` marks them.
 
     Returns
     -------
-    Fit of a `Sphere`: `residuals` (N, 1) are signed distances, positive outside, `cov` (4, 4) that of `Sphere.names`.
+    Fit of a `Sphere`: `residuals` (N, 1) are signed distances, positive outside; `cov` (4, 4) belongs to
+    `Sphere.names`.
 
     Raises
     ------
-    ShapeError : points are no (N, 3) or not finite, with their rows.
+    ShapeError : points of the wrong shape or not finite, with their rows.
     NotExcited : too few points; points in a plane or on a small cap.
     """
     cloud = Cloud(p, noise, 4, "sphere")
 
     def fit(which: np.ndarray) -> NonlinearSolution[Sphere]:
-        start = Sphere(*_ball(cloud.p[which], np.eye(3)))
-        return _descend(cloud, which, start, _sphere_residuals, _sphere_step)
+        start = Sphere(*_linear_fit(cloud.p[which], np.eye(3)))
+        return _refine(cloud, which, start, _sphere_residuals, _sphere_step)
 
     if robust:
         cloud.choose(4, 1, spheres, lambda which: _refit(cloud, 5, fit, _sphere_residuals, which))
     found = fit(cloud.kept)
-    excitation = _judge(found, found.value)
+    excitation = _check_excitation(found, found.value)
     value = Sphere(found.value.centre, found.value.radius, found.cov)
     parameters = np.array([*value.centre, value.radius])
     residuals = _sphere_residuals(value, cloud.p)[0]
     return result(value, parameters, found.cov, found.sigma, residuals, cloud.kept, excitation, _report)
 
 
-def _descend(
+def _refine(
     cloud: Cloud,
     which: np.ndarray,
-    start: Round,
-    residuals: Callable[[Round, np.ndarray], tuple[np.ndarray, np.ndarray]],
-    step: Callable[[Round, np.ndarray], Round],
-) -> NonlinearSolution[Round]:
-    """Return the most likely circle or sphere of some of the points, with covariances when they have their own."""
+    start: CircleOrSphere,
+    residuals: Callable[[CircleOrSphere, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    step: Callable[[CircleOrSphere, np.ndarray], CircleOrSphere],
+) -> NonlinearSolution[CircleOrSphere]:
+    """Return the maximum-likelihood circle or sphere of the selected points."""
     what, p = type(start).__name__.lower(), cloud.p[which]
     each = None if cloud.each is None else cloud.each[which]
     k = residuals(start, p)[0].shape[1]
     cov = None if cloud.sigma is None else np.eye(k) * cloud.sigma**2
 
-    def evaluate(value: Round) -> list[Measurement]:
+    def evaluate(value: CircleOrSphere) -> list[Measurement]:
         r, J = residuals(value, p)
         if each is not None:
-            D = J[:, :, :3]  # a point moves a distance as the centre does, the other way
+            D = J[:, :, :3]  # moving a point equals moving the centre the other way
             return [Measurement(r, J, D @ each @ np.swapaxes(D, 1, 2), ("distance",) * k)]
         return [Measurement(r, J, cov, ("distance",) * k)]
 
@@ -135,15 +136,16 @@ def _descend(
         return solve(NonlinearProblem(evaluate, step, what=what), start)
     except NotConverged:
         raise NotExcited(
-            f"Expected points that tell where the {what} is, got a descent without end. They cover too little of it.",
+            f"Expected points that determine the {what}, but the fit did not converge because they cover too little "
+            "of it. Measure more of it.",
             ["centre and radius"],
             ["no minimum"],
         ) from None
 
 
-def _judge(found: NonlinearSolution[Any], value: Circle | Sphere) -> Excitation:
-    """Return the excitation; refuse centres, radii and tilts beyond their limits, in words."""
-    limits = np.array([LIMIT if unit == "rad" else SCALE * value.radius for unit in value.units])
+def _check_excitation(found: NonlinearSolution[Any], value: Circle | Sphere) -> Excitation:
+    """Return the excitation; raise if the uncertainty of the centre, radius or tilt exceeds its limit."""
+    limits = np.array([LIMIT if unit == "rad" else MAX_RELATIVE_SD * value.radius for unit in value.units])
     what = type(value).__name__.lower()
 
     def describe(reach: np.ndarray) -> str:
@@ -159,12 +161,12 @@ def _judge(found: NonlinearSolution[Any], value: Circle | Sphere) -> Excitation:
 def _refit(
     cloud: Cloud,
     least: int,
-    fit: Callable[[np.ndarray], NonlinearSolution[Round]],
-    residuals: Callable[[Round, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    fit: Callable[[np.ndarray], NonlinearSolution[CircleOrSphere]],
+    residuals: Callable[[CircleOrSphere, np.ndarray], tuple[np.ndarray, np.ndarray]],
     which: np.ndarray,
 ) -> tuple[float, np.ndarray]:
-    """Return the noise of some of the points, and squared distances (N,) of all from their feature."""
-    inputs.enough(int(which.sum()), least, "circle or sphere")
+    """Return the noise of the selected points, and squared distances (N,) of all points from their feature."""
+    inputs.check_count(int(which.sum()), least, "circle or sphere")
     found = fit(which)
     return float(found.sigma[0]), np.sum(residuals(found.value, cloud.p)[0] ** 2, axis=1)
 
@@ -176,7 +178,7 @@ def _circle_residuals(value: Circle, p: np.ndarray) -> tuple[np.ndarray, np.ndar
     q = away - np.outer(z, value.n)
     rho = np.linalg.norm(q, axis=1)
     rho = np.maximum(rho, 1e-300)
-    lift = away @ np.cross(value.axes, value.n).T  # of a point out of the plane, per tilt
+    lift = away @ np.cross(value.axes, value.n).T  # displacement of a point out of the plane per tilt
     J = np.zeros((len(p), 2, 6))
     J[:, 0, :3], J[:, 1, :3] = -q / rho[:, None], -value.n
     J[:, 0, 3:5], J[:, 1, 3:5] = -(z / rho)[:, None] * lift, lift
@@ -201,8 +203,10 @@ def _sphere_step(value: Sphere, x: np.ndarray) -> Sphere:
     return Sphere(value.centre + x[:3], max(value.radius + x[3], 1e-3 * value.radius))
 
 
-def _ball(p: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return centre and radius of the linear fit, the centre within the span of the axes (k, 3) through the mean."""
+def _linear_fit(p: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the centre and radius of the linear fit, with the centre within the span of the axes (k, 3) through the
+    mean.
+    """
     middle = p.mean(axis=0)
     q = (p - middle) @ axes.T
     size = max(float(np.sqrt(np.mean(np.sum(q**2, axis=1)))), 1e-300)
@@ -216,11 +220,11 @@ def _circle_start(p: np.ndarray) -> Circle:
     _, axes, squares = principal(p)
     if not squares[1] > max(1e-18 * squares[0], rounding(p) ** 2):
         raise NotExcited(
-            "Expected points around a circle, got points in a line or in one place. Measure more of the circle.",
-            ["centre and radius: the points are in a line"],
+            "Expected points around a circle, got collinear or coincident points. Measure more of the circle.",
+            ["centre and radius: the points are collinear"],
             ["no spread"],
         )
-    centre, radius = _ball(p, axes[:2])
+    centre, radius = _linear_fit(p, axes[:2])
     return Circle(centre, axes[2], radius, axes[:2])
 
 

@@ -1,4 +1,4 @@
-"""Geometry from fitted features, with first-order covariance: frames, projections, intersections and distances."""
+"""Constructions with features and first-order covariance: frames, projections, intersections and distances."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown
 from armlab._numbers import numbers
 from armlab.errors import FrameError, ShapeError
 from armlab.estimation import Fit
@@ -19,16 +20,17 @@ LEAST_ANGLE = 1e-6  # rad between the features
 PARALLEL = 1e-9  # sine of the angle below which directions are parallel
 
 
-@dataclass(frozen=True, eq=False)
-class BuiltFrame:
-    """A frame that was built from features.
+@dataclass(frozen=True, eq=False, repr=False)
+class BuiltFrame(Shown):
+    """Frame built from features.
 
     Attributes
     ----------
-    T : (4, 4) its pose in the frame of the features.
-    angle : between the two features [rad]. deviation : of it from a right angle [rad].
-    cov : (6, 6) covariance of its pose error [v; w], v along the axes of the features' frame, w along its own; None
-        when all features are exact.
+    T : (4, 4) pose in the frame of the features.
+    angle : between the two features [rad].
+    deviation : of the angle from a right angle [rad].
+    cov : (6, 6) covariance of the pose error [v; w], v along the axes of the features' frame, w along its own axes;
+        Covariance of the frame; None if all features are exact.
     """
 
     T: np.ndarray
@@ -43,34 +45,36 @@ def build(
     origin_cov: ArrayLike | None = None,
     **axes: Line | Plane | Circle | ArrayLike,
 ) -> BuiltFrame:
-    """Build a frame from two features and its origin.
+    """Build a frame from two features and an origin.
 
-    The feature given first is an axis exactly, the second is made orthogonal to it, the third axis is their product:
-    a right-handed frame, whatever the features. ``build(z=line, y=-plane, origin=p)``: z along the line, y against the
-    normal of the plane.
+    The first feature defines an axis exactly, the second is orthogonalised against it, and the third axis is their
+    cross product. The frame is always right-handed. ``build(z=line, y=-plane, origin=p)``: z points along the line, and
+    y opposite to the normal of the plane.
 
-    With w_1 and w_2 the small turns of the features (axes of the frame: 1, 2, and 3 = 1 x 2) and a their angle, the
-    frame turns by ``(w_2 . e_1 + cot(a) (w_1 - w_2) . e_2,  w_1 . e_2,  w_1 . e_3)``.
+    Let w_1 and w_2 be the small rotations of the features, a the angle between them, and 1, 2 and 3 = 1 x 2 the axes of
+    the frame. Then the frame rotates by ``(w_2 . e_1 + cot(a) (w_1 - w_2) . e_2,  w_1 . e_2,  w_1 . e_3)``.
 
     Parameters
     ----------
     origin : (3,) point [m], or a `Sphere` or a `Circle` for its centre.
     origin_cov : (3, 3) covariance of a point [m^2].
     **axes : two of x, y and z, each a `Line` (its direction), a `Plane` or a `Circle` (its normal), or a vector (3,).
-        A minus turns a feature round.
+        A minus sign reverses a feature.
 
     Raises
     ------
-    ShapeError : not two of x, y, z; features that are none of these, or less than 1e-6 rad from parallel.
+    ShapeError : not two of x, y, z; unknown types of features, or features less than 1e-6 rad from parallel.
     FrameError : letters other than x, y and z.
 
     Notes
     -----
-    The errors of the features and of the origin count as independent of each other.
+    Errors of the features and of the origin are assumed independent.
     """
     unknown = [name for name in axes if name not in LETTERS]
     if unknown:
-        raise FrameError(f"Expected axes named x, y or z, got {', '.join(map(repr, unknown))}. A minus reverses one.")
+        raise FrameError(
+            f"Expected axes named x, y or z, got {', '.join(map(repr, unknown))}. Use a minus sign to reverse an axis."
+        )
     if len(axes) != 2:
         raise ShapeError(f"Expected exactly two of x, y and z, got {', '.join(axes) or 'none'}. The third follows.")
     (i, first), (j, second) = ((LETTERS.index(name), _direction(item, name)) for name, item in axes.items())
@@ -80,7 +84,7 @@ def build(
     angle = float(np.arctan2(sine, cosine))
     if min(angle, np.pi - angle) < LEAST_ANGLE:
         raise ShapeError(
-            f"Expected two features that are not parallel, got an angle of {angle:.2g} rad between "
+            f"Expected two non-parallel features, got an angle of {angle:.2g} rad between "
             f"{' and '.join(axes)}. Measure another feature."
         )
     e2 = across / sine
@@ -89,7 +93,7 @@ def build(
     T = np.eye(4)
     T[:3, i], T[:3, j], T[:3, k] = f, e2, sign * e3
     T[:3, 3], place = _origin(origin, origin_cov)
-    turns = np.zeros((3, 6))  # of the frame about its axes, from those of the features about the parent's
+    turns = np.zeros((3, 6))  # rotation of the frame about its axes, from feature rotations about the parent's axes
     slope = cosine / sine
     turns[i] = np.concatenate([slope * e2, f - slope * e2])
     turns[j, :3], turns[k, :3] = e2, sign * e3
@@ -104,7 +108,7 @@ def build(
 def _covariance(
     turns: np.ndarray, first: np.ndarray | None, second: np.ndarray | None, place: np.ndarray | None
 ) -> np.ndarray:
-    """Return the covariance (6, 6) of the pose error; what is None is exact."""
+    """Return the covariance (6, 6) of the pose error, or None if it is exact."""
     errors, cov = np.zeros((6, 6)), np.zeros((6, 6))
     errors[:3, :3] = 0.0 if first is None else first
     errors[3:, 3:] = 0.0 if second is None else second
@@ -115,9 +119,9 @@ def _covariance(
 
 
 def _direction(item: Any, name: str) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the unit direction (3,) of a feature and the covariance (3, 3) of its turn, in the axes of its frame."""
+    """Return the unit direction (3,) of a feature and the covariance (3, 3) of its rotation, in the features' frame."""
     if isinstance(item, Fit):
-        raise ShapeError(f"Expected a feature or a vector for {name}, got a Fit. Give its value.")
+        raise ShapeError(f"Expected a feature or a vector for {name}, got a Fit. Use its value.")
     if isinstance(item, Circle):
         item = item.plane
     if isinstance(item, (Plane, Line)):
@@ -129,7 +133,9 @@ def _direction(item: Any, name: str) -> tuple[np.ndarray, np.ndarray | None]:
 def _origin(origin: Any, cov: ArrayLike | None) -> tuple[np.ndarray, np.ndarray | None]:
     if isinstance(origin, (Sphere, Circle)):
         if cov is not None:
-            raise ShapeError("Expected origin_cov for a point, got it beside a feature that has its own. Leave it out.")
+            raise ShapeError(
+                "Expected origin_cov for a point, got origin_cov for a feature with its own covariance. Omit it."
+            )
         return origin.centre, None if origin.cov is None else origin.cov[:3, :3]
     return inputs.vector(origin, "origin"), inputs.covariance(cov, 3, "origin_cov")
 
@@ -141,35 +147,39 @@ def project(item: ArrayLike, onto: Plane | Line) -> np.ndarray: ...
 
 
 def project(item: ArrayLike | Line, onto: Plane | Line) -> np.ndarray | Line:
-    """Return the nearest points of a plane or a line, or the shadow of a line on a plane.
+    """Return the nearest points on a plane or a line, or the projection of a line onto a plane.
 
     Point on plane ``x - n (n . x - d)``; point on line ``c + v (v . (x - c))``; line on plane: direction
-    ``v - n (n . v)``, made unit, through the projected points.
+    ``v - n (n . v)``, normalised, through the projected points.
 
     Parameters
     ----------
-    item : points (..., 3) [m], or a `Line`. onto : `Plane`, or `Line` for points.
+    item : points (..., 3) [m], or a `Line`.
+    onto : `Plane`, or `Line` for points.
 
     Returns
     -------
-    (..., 3) points [m], or a `Line` with the covariance that those of line and plane give it.
+    (..., 3) points [m], or a `Line` with the covariance propagated from the line and the plane.
 
     Raises
     ------
-    ShapeError : shapes; a line across the plane has no shadow; a line on a line.
+    ShapeError : wrong shapes; a line normal to the plane; a line onto a line.
     """
     if isinstance(item, Line):
         if not isinstance(onto, Plane):
-            raise ShapeError(f"Expected a Plane to project a line onto, got {type(onto).__name__}. Project its points.")
-        return _shadow(item, onto)
+            raise ShapeError(
+                f"Expected a Plane to project a line onto, got {type(onto).__name__}. Project points on the line "
+                "instead."
+            )
+        return _projection(item, onto)
     p = numbers(item, "points", ShapeError)
     if p.shape[-1:] != (3,) or not np.isfinite(p).all():
-        raise ShapeError(f"Expected finite points (..., 3) [m], got shape {p.shape}. Drop what is missing.")
+        raise ShapeError(f"Expected finite points (..., 3) [m], got shape {p.shape}. Drop missing points.")
     if isinstance(onto, Plane):
         return p - ((p - onto.centroid) @ onto.n)[..., None] * onto.n
     if isinstance(onto, Line):
         return onto.centroid + ((p - onto.centroid) @ onto.v)[..., None] * onto.v
-    raise ShapeError(f"Expected a Plane or a Line to project onto, got {type(onto).__name__}. Take the value of a fit.")
+    raise ShapeError(f"Expected a Plane or a Line to project onto, got {type(onto).__name__}. Use the value of a fit.")
 
 
 @overload
@@ -181,9 +191,9 @@ def intersect(first: Line, second: Plane) -> np.ndarray: ...
 
 
 def intersect(first: Plane | Line, second: Plane | Line) -> Line | np.ndarray:
-    """Return the line that two planes share, or the point that a line and a plane share.
+    """Return the intersection line of two planes, or the intersection point of a line and a plane.
 
-    The line of two planes has the direction ``n_1 x n_2`` and, as its centroid, its point nearest to that of the first.
+    The line has the direction ``n_1 x n_2``; its centroid is its point nearest to the centroid of the first plane.
 
     Parameters
     ----------
@@ -191,37 +201,37 @@ def intersect(first: Plane | Line, second: Plane | Line) -> Line | np.ndarray:
 
     Returns
     -------
-    `Line` with the covariance that those of the planes give it, or point (3,) [m].
+    `Line` with the covariance propagated from the planes, or a point (3,) [m].
 
     Raises
     ------
-    ShapeError : they are parallel within 1e-9, or two lines, which need not meet.
+    ShapeError : features parallel within 1e-9, or two lines.
     """
     if isinstance(first, Plane) and isinstance(second, Plane):
-        return _edge(first, second)
+        return _intersection(first, second)
     if isinstance(first, Line) and isinstance(second, Plane):
         first, second = second, first
     if not isinstance(first, Plane) or not isinstance(second, Line):
         raise ShapeError(
             f"Expected two planes, or a plane and a line, got {type(first).__name__} and {type(second).__name__}. "
-            "Two lines have a distance() instead."
+            "Use distance() for two lines."
         )
     across = float(first.n @ second.v)
     if abs(across) <= PARALLEL:
-        raise ShapeError(f"Expected a line that meets the plane, got one parallel to it (sine {across:.2g}).")
+        raise ShapeError(f"Expected a line that intersects the plane, got a parallel line (sine {across:.2g}).")
     return second.centroid - second.v * (first.n @ (second.centroid - first.centroid)) / across
 
 
 def distance(first: Line, second: Line) -> float:
-    """Return the least distance between two lines [m]: ``abs((c_2 - c_1) . (v_1 x v_2)) / abs(v_1 x v_2)``.
+    """Return the smallest distance between two lines [m]: ``abs((c_2 - c_1) . (v_1 x v_2)) / abs(v_1 x v_2)``.
 
     Parameters
     ----------
-    first, second : the lines; parallel ones too.
+    first, second : the lines, possibly parallel.
     """
     for one in (first, second):
         if not isinstance(one, Line):
-            raise ShapeError(f"Expected two lines, got {type(one).__name__}. A plane has its own distance().")
+            raise ShapeError(f"Expected two lines, got {type(one).__name__}. Use Plane.distance for points.")
     between, normal = second.centroid - first.centroid, np.cross(first.v, second.v)
     sine = float(np.linalg.norm(normal))
     if sine <= PARALLEL:
@@ -229,12 +239,14 @@ def distance(first: Line, second: Line) -> float:
     return float(abs(between @ normal) / sine)
 
 
-def _shadow(line: Line, plane: Plane) -> Line:
-    """Return the projection of a line on a plane with its covariance."""
+def _projection(line: Line, plane: Plane) -> Line:
+    """Return the projection of a line onto a plane with its covariance."""
     n, v = plane.n, line.v
     along = v - n * (n @ v)
     if np.linalg.norm(along) <= PARALLEL:
-        raise ShapeError("Expected a line with a shadow on the plane, got one along its normal. A point is its shadow.")
+        raise ShapeError(
+            "Expected a line that is not normal to the plane, got a normal line. Project a point on the line instead."
+        )
     away = line.centroid - plane.centroid
     height = float(n @ away)
     dv, dc = _errors(line)
@@ -244,13 +256,11 @@ def _shadow(line: Line, plane: Plane) -> Line:
     return _line(along, line.centroid - n * height, turn, shift, _joint(line.cov, plane.cov, 4, 3))
 
 
-def _edge(first: Plane, second: Plane) -> Line:
-    """Return the line that two planes share with its covariance."""
+def _intersection(first: Plane, second: Plane) -> Line:
+    """Return the intersection line of two planes with its covariance."""
     along = np.cross(first.n, second.n)
     if np.linalg.norm(along) <= PARALLEL:
-        raise ShapeError(
-            "Expected planes that meet, got parallel ones (within 1e-9 rad). Their distance is all there is."
-        )
+        raise ShapeError("Expected intersecting planes, got parallel planes (within 1e-9 rad). Use their distance.")
     rows = np.stack([first.n, second.n, along / np.linalg.norm(along)])
     step = np.linalg.solve(rows, np.array([0.0, float(second.n @ (second.centroid - first.centroid)), 0.0]))
     point = first.centroid + step
@@ -268,7 +278,7 @@ def _edge(first: Plane, second: Plane) -> Line:
 
 
 def _errors(item: Plane | Line) -> tuple[np.ndarray, np.ndarray]:
-    """Return how direction (3, m) and place (a centroid (3, m), or an offset (m,)) move with the m errors."""
+    """Return the derivatives of direction (3, m) and position (a centroid (3, m), or an offset (m,))."""
     if isinstance(item, Plane):
         return np.column_stack([np.cross(item.axes, item.n).T, np.zeros(3)]), np.array([0.0, 0.0, 1.0])
     tilts = np.cross(item.axes, item.v).T
@@ -276,19 +286,21 @@ def _errors(item: Plane | Line) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _line(along: np.ndarray, point: np.ndarray, turn: np.ndarray, shift: np.ndarray, cov: np.ndarray | None) -> Line:
-    """Return a line whose direction and point move by `turn` and `shift` (3, m) with errors of covariance (m, m)."""
+    """Return a line whose direction and point change by `turn` and `shift` (3, m) with errors of covariance (m, m)."""
     plain = Line.of(along, point)
     if cov is None:
         return plain
     across = plain.axes
-    tilts = np.stack([-across[1], across[0]]) @ turn / np.linalg.norm(along)  # about axis 1: v moves against axis 2
+    tilts = (
+        np.stack([-across[1], across[0]]) @ turn / np.linalg.norm(along)
+    )  # a tilt about axis 1 moves v against axis 2
     J = np.vstack([tilts, across @ shift])
     C = J @ cov @ J.T
     return Line(plain.v, plain.r, plain.centroid, across, 0.5 * (C + C.T))
 
 
 def _joint(a: np.ndarray | None, b: np.ndarray | None, m: int, k: int) -> np.ndarray | None:
-    """Return the covariance of the errors of two features, independent of each other; None when both are exact."""
+    """Return the covariance of the errors of two independent features, or None if both are exact."""
     if a is None and b is None:
         return None
     C = np.zeros((m + k, m + k))

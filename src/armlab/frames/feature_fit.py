@@ -1,7 +1,8 @@
-"""Fits of features to points: checked points and noise, outliers by minimal sets, the sign of a normal, the result.
+"""Shared steps of feature fits: validation of points and noise, outlier detection, sign of a normal, result.
 
-Of minimal sets the feature with the least median of squares wins (Rousseeuw 1984), its half of the points is refitted,
-and flags follow the refit. Sets that make no feature, as three points in a line, give NaN or infinite distances.
+Outliers are found by least median of squares over minimal sets (Rousseeuw 1984): the feature is refitted to the best
+half of the points, and outliers are flagged relative to the refit. Degenerate sets, such as three collinear points,
+yield NaN or infinite distances.
 """
 
 from __future__ import annotations
@@ -23,34 +24,38 @@ from armlab.frames.features import Circle, Line, Plane, Sphere
 
 Feature = TypeVar("Feature", Plane, Line, Circle, Sphere)
 
-LIMIT = 0.2  # rad, the largest standard deviation of a tilt that is accepted
-SURE = 3.0  # deviations from which a side is sure
+LIMIT = 0.2  # rad, largest accepted standard deviation of a tilt
+SIDE_DEVIATIONS = 3.0  # standard deviations from which a side is determined
 
-ALL_SETS = comb(60, 3)  # up to here every set is tried
+ALL_SETS = comb(60, 3)  # up to this number, every set is tried
 SOME_SETS = 500
 FLAGGED = 0.999  # quantile of chi^2 beyond which a point is an outlier
-ROUNDS = 3
-JURY = 1000  # points that judge the sets, where there are more
-ROOM = 2.0  # for points at first: the half that was refitted leans towards its own noise
-AT_ONCE = 200_000  # distances that are held at once
+MAX_ITERATIONS = 3
+MAX_SCORING_POINTS = 1000  # points that score the sets, at most
+INITIAL_TOLERANCE = 2.0  # initial tolerance factor: the refitted half underestimates the noise
+CHUNK = 200_000  # distances held in memory at once
 
 Squares = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Refit = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 
 class Cloud:
-    """Points (N, 3) with their noise, checked: enough of them to fit a feature, and its noise where it is not given."""
+    """Validated points (N, 3) with their noise, which is given or to be estimated."""
+
+    sigma: float | None
+    each: np.ndarray | None
+    kept: np.ndarray
 
     def __init__(self, p: ArrayLike, noise: Any, least: int, what: str) -> None:
-        self.p = inputs.points(p)
+        self.p: np.ndarray = inputs.points(p)
         self.sigma, self.each = inputs.noises_of(noise, len(self.p))
         self.kept = np.ones(len(self.p), dtype=bool)
         self._needed, self._what = least + (self.sigma is None), what
-        inputs.enough(len(self.p), self._needed, what)
+        inputs.check_count(len(self.p), self._needed, what)
 
     def choose(self, size: int, numbers: int, through: Squares, refit: Refit) -> None:
         self.kept = inliers(self.p, size, numbers, through, refit, self.sigma, self._what)
-        inputs.enough(int(self.kept.sum()), self._needed, self._what)
+        inputs.check_count(int(self.kept.sum()), self._needed, self._what)
 
 
 def result(
@@ -63,7 +68,7 @@ def result(
     excitation: Excitation,
     summary: Callable[[Fit[Any]], str],
 ) -> Fit[Feature]:
-    """Return the fit of a feature, its residuals in metres, what is not kept as its outliers."""
+    """Return the fit of a feature with residuals in metres; points that are not kept are its outliers."""
     return Fit(
         value, value.names, value.units, parameters, cov, sigma, residuals, int(kept.sum()), excitation, summary,
         ~kept, ("distance [m]",),
@@ -73,49 +78,53 @@ def result(
 def upward(
     n: np.ndarray, c: np.ndarray, reach: float, toward: ArrayLike | None, normal: ArrayLike | None, what: str
 ) -> np.ndarray:
-    """Return a normal with the sign of the rule or the hints; `reach` is the deviation of the plane's distance [m]."""
+    """Return a normal with the sign given by the default rule or the hints; `reach` is the SD of the plane's distance
+    [m].
+    """
     if toward is not None and normal is not None:
-        raise ShapeError("Expected toward= or normal=, got both. Either says on which side the normal is.")
+        raise ShapeError("Expected toward= or normal=, got both. Omit one.")
     if normal is not None:
         side, least = float(n @ inputs.direction(normal, "normal")), 1e-6
     elif toward is not None:
-        side, least = float(n @ (inputs.vector(toward, "toward") - c)), SURE * reach
+        side, least = float(n @ (inputs.vector(toward, "toward") - c)), SIDE_DEVIATIONS * reach
     else:
-        side, least = float(n @ c), SURE * reach
+        side, least = float(n @ c), SIDE_DEVIATIONS * reach
         if not abs(side) > least:
             raise NotExcited(
-                f"Expected the {what} away from the origin to tell its side, got it at {abs(side):.2g} m, uncertain by "
-                f"{reach:.2g} m. Say the side by toward=, a point on it, or by normal=.",
+                f"Expected the {what} to be far enough from the origin to determine its side, got a distance of "
+                f"{abs(side):.2g} m, uncertain by {reach:.2g} m. Pass toward= (a point on the desired side) or "
+                "normal=.",
                 [f"side of the {what}"],
                 [f"{abs(side):.2g} m from the origin"],
             )
     if not abs(side) > least:
         raise ShapeError(
-            f"Expected a hint that tells the side of the {what}, got one that lies in it. Give another point or normal."
+            f"Expected a hint that determines the side of the {what}, got a hint within it. Pass another point or "
+            "normal."
         )
     return n if side > 0 else -n
 
 
 def text(v: np.ndarray) -> str:
-    """Return a vector (3,) as a report shows it."""
+    """Format a vector (3,) for a report."""
     return "(" + ", ".join(f"{x:.4f}" for x in v) + ")"
 
 
 def inliers(
     p: np.ndarray, size: int, numbers: int, through: Squares, refit: Refit, sigma: float | None, what: str
 ) -> np.ndarray:
-    """Return which points (N,) belong to the feature, from sets of `size` points with `numbers` residuals each."""
+    """Return the mask (N,) of inliers, found from minimal sets of `size` points with `numbers` residuals each."""
     from scipy.special import chdtri
 
     if len(p) < size + 2:
         raise NotExcited(
-            f"Expected at least {size + 2} points to find outliers of a {what}, got {len(p)}. Measure more points.",
+            f"Expected at least {size + 2} points to detect outliers of a {what}, got {len(p)}. Measure more points.",
             ["outliers"],
             [f"{len(p)} points"],
         )
     jury = np.arange(len(p))
-    if len(p) > JURY:
-        jury = np.sort(np.random.default_rng([len(p), size]).choice(len(p), JURY, replace=False))
+    if len(p) > MAX_SCORING_POINTS:
+        jury = np.sort(np.random.default_rng([len(p), size]).choice(len(p), MAX_SCORING_POINTS, replace=False))
     height = (len(jury) + size + 1) // 2
     scale, squares = _best(p[jury], size, height, through)
     limit = float(chdtri(numbers, 1.0 - FLAGGED))
@@ -124,8 +133,8 @@ def inliers(
     half[jury[np.argsort(squares, kind="stable")[:height]]] = True
     kept = half
     with suppress(NotExcited):  # half of the points may be too few
-        kept = refit(half)[1] <= limit * (ROOM * max(sigma or spread, rounding(p))) ** 2
-    for _ in range(ROUNDS):
+        kept = refit(half)[1] <= limit * (INITIAL_TOLERANCE * max(sigma or spread, rounding(p))) ** 2
+    for _ in range(MAX_ITERATIONS):
         noise, squares = refit(kept)
         fresh = squares <= limit * max(sigma or noise, rounding(p)) ** 2
         if np.array_equal(fresh, kept):
@@ -138,7 +147,7 @@ def _best(p: np.ndarray, size: int, height: int, through: Squares) -> tuple[floa
     """Return the scale of the best feature through a minimal set, and squared distances (N,) from it."""
     scale, squares = np.inf, np.zeros(len(p))
     sets = _sets(len(p), size)
-    some = 1 + AT_ONCE // len(p)
+    some = 1 + CHUNK // len(p)
     for a in range(0, len(sets), some):
         found = np.nan_to_num(through(p[sets[a : a + some]], p), nan=np.inf)
         level = np.partition(found, height - 1, axis=1)[:, height - 1]
@@ -149,7 +158,7 @@ def _best(p: np.ndarray, size: int, height: int, through: Squares) -> tuple[floa
 
 
 def _sets(count: int, size: int) -> np.ndarray:
-    """Return all sets (S, size) of numbers below count, or 500 seeded ones where there are too many."""
+    """Return all sets (S, size) of indices below count, or 500 seeded ones if there are too many."""
     if comb(count, size) <= ALL_SETS:
         return np.array(list(combinations(range(count), size)))
     rng = np.random.default_rng([count, size])
@@ -200,13 +209,13 @@ def spheres(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def rounding(p: np.ndarray) -> float:
-    """Return the size of rounding in points (N, 3): no deviation is known to be smaller."""
+    """Return the rounding error in points (N, 3), which is the floor of every standard deviation."""
     return 1e-14 * max(float(np.abs(p).max(initial=0.0)), 1e-300)
 
 
 def principal(p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return centroid, principal directions (3, 3) as rows, strongest first, and sums of squares (3,)."""
+    """Return the centroid, the principal directions (3, 3) as rows (strongest first), and the sums of squares (3,)."""
     c = p.mean(axis=0)
-    R = np.linalg.qr(p - c, mode="r")  # a million points have the directions of three
+    R = np.linalg.qr(p - c, mode="r")  # QR first: R has the principal directions of all points
     _, singular, axes = np.linalg.svd(np.vstack([R, np.zeros((3 - len(R), 3))]))
     return c, axes * np.where(axes[np.arange(3), np.abs(axes).argmax(axis=1)] < 0, -1.0, 1.0)[:, None], singular**2

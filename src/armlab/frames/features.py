@@ -1,7 +1,7 @@
-"""Planes, lines, circles and spheres as values: unit directions, invariants that survive a move, what is known of them.
+"""Planes, lines, circles and spheres as values with unit directions.
 
-A feature that was fitted carries the covariance of its small errors, in the order of its `names`; a feature that was
-typed in carries none and counts as exact.
+A fitted feature carries the covariance of its small errors, in the order of its `names`; a constructed feature has no
+covariance and is exact.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown
 from armlab._numbers import number
 from armlab.errors import ShapeError
 from armlab.frames import inputs
@@ -22,17 +23,18 @@ __all__ = ["Circle", "Line", "Plane", "Sphere"]
 TILTS, CENTRE = ("tilt about axis 1", "tilt about axis 2"), ("centre x", "centre y", "centre z")
 
 
-@dataclass(frozen=True, eq=False)
-class Plane:
-    """A plane with a side: ``n . x = d``.
+@dataclass(frozen=True, eq=False, repr=False)
+class Plane(Shown):
+    """Oriented plane: ``n . x = d``.
 
     Attributes
     ----------
-    n : (3,) unit normal. d : distance from the origin along n [m], negative where n points at the origin.
-    centroid : (3,) a point of it [m]: that of the measured points, otherwise the one closest to the origin.
-    axes : (2, 3) unit vectors in it, the measured points reaching furthest along the first.
-    cov : (3, 3) covariance of the `names`: tilt about each of the axes [rad], offset at the centroid along n [m]; None
-        when the plane is exact.
+    n : (3,) unit normal.
+    d : distance from the origin along n [m], negative if n points towards the origin.
+    centroid : (3,) point on the plane [m]: that of the measured points, otherwise the point closest to the origin.
+    axes : (2, 3) unit vectors in the plane, the first along the largest extent of the measured points.
+    cov : (3, 3) covariance of the `names`: tilt about each axis [rad], offset at the centroid along n [m]; None if the
+        plane is exact.
     """
 
     n: np.ndarray
@@ -49,8 +51,8 @@ class Plane:
         d = number(self.d, "the distance of a plane [m]")
         if not abs(n @ c - d) <= inputs.UNIT * (1.0 + np.linalg.norm(c)):
             raise ShapeError(
-                f"Expected a centroid in the plane, got one {n @ c - d:.2g} m away. Plane.of makes a plane from any "
-                "normal and a point."
+                f"Expected a centroid in the plane, got a distance of {n @ c - d:.2g} m. Use Plane.of for any normal "
+                "and point."
             )
         _freeze(self, n=n, d=d, centroid=c, axes=_axes(self.axes, n), cov=inputs.covariance(self.cov, 3, "cov"))
 
@@ -60,18 +62,19 @@ class Plane:
 
         Parameters
         ----------
-        normal : (3,) of any length above zero. point : (3,) of the plane [m]; its centroid.
+        normal : (3,) of any non-zero length.
+        point : (3,) point on the plane [m]; its centroid.
         """
         n, p = inputs.direction(normal, "normal"), inputs.vector(point, "point")
         return cls(n, float(n @ p), p, inputs.across(n))
 
     def __neg__(self) -> Plane:
-        """Return the same plane with the normal on its other side."""
+        """Return the same plane with the normal reversed."""
         cov = None if self.cov is None else self.cov * np.outer([1, 1, -1], [1, 1, -1])
         return replace(self, n=-self.n, d=-self.d, cov=cov)
 
     def moved(self, T_a_b: ArrayLike) -> Plane:
-        """Return the plane in the axes of frame a, given in those of frame b.
+        """Transform the plane from frame b to frame a.
 
         Parameters
         ----------
@@ -91,17 +94,18 @@ class Plane:
         return (inputs.points(p) - self.centroid) @ self.n
 
 
-@dataclass(frozen=True, eq=False)
-class Line:
-    """A line with a direction: ``x = r + s v``.
+@dataclass(frozen=True, eq=False, repr=False)
+class Line(Shown):
+    """Directed line: ``x = r + s v``.
 
     Attributes
     ----------
-    v : (3,) unit direction. r : (3,) foot: its point closest to the origin [m].
-    centroid : (3,) a point of it [m]: that of the measured points, otherwise the foot.
-    axes : (2, 3) unit vectors across it; axis 1, axis 2 and v are right-handed.
-    cov : (4, 4) covariance of the `names`: tilt about each of the axes [rad], offset of the centroid along each [m];
-        None when the line is exact.
+    v : (3,) unit direction.
+    r : (3,) foot: the point closest to the origin [m].
+    centroid : (3,) point on the line [m]: that of the measured points, otherwise the foot.
+    axes : (2, 3) unit vectors normal to the line; axis 1, axis 2 and v are right-handed.
+    cov : (4, 4) covariance of the `names`: tilt about each axis [rad], offset of the centroid along each [m]; None if
+        the line is exact.
     """
 
     v: np.ndarray
@@ -119,8 +123,8 @@ class Line:
         off = np.linalg.norm(np.cross(v, c - r))
         if not off + abs(r @ v) <= inputs.UNIT * (1.0 + np.linalg.norm(c)):
             raise ShapeError(
-                f"Expected the foot of a line on it and closest to the origin, got one {off:.2g} m off and "
-                f"{r @ v:.2g} m along it. Line.of makes a line from any direction and a point."
+                f"Expected the foot of a line to be the point of the line closest to the origin, got {off:.2g} m off "
+                f"and {r @ v:.2g} m along it. Use Line.of for any direction and point."
             )
         _freeze(self, v=v, r=r, centroid=c, axes=_axes(self.axes, v), cov=inputs.covariance(self.cov, 4, "cov"))
 
@@ -130,20 +134,21 @@ class Line:
 
         Parameters
         ----------
-        direction : (3,) of any length above zero. point : (3,) of the line [m]; its centroid.
+        direction : (3,) of any non-zero length.
+        point : (3,) point on the line [m]; its centroid.
         """
         v, p = inputs.direction(direction, "direction"), inputs.vector(point, "point")
         return cls(v, _foot(v, p), p, inputs.across(v))
 
     def __neg__(self) -> Line:
-        """Return the same line in the other direction."""
+        """Return the same line with the direction reversed."""
         flip = np.array([-1.0, 1.0])
-        signs = np.array([-1.0, 1.0, -1.0, 1.0])  # axis 1 turns over, so that the three stay right-handed
+        signs = np.array([-1.0, 1.0, -1.0, 1.0])  # reversing axis 1 keeps the axes right-handed
         cov = None if self.cov is None else self.cov * np.outer(signs, signs)
         return replace(self, v=-self.v, axes=self.axes * flip[:, None], cov=cov)
 
     def moved(self, T_a_b: ArrayLike) -> Line:
-        """Return the line in the axes of frame a, given in those of frame b; its foot is found again.
+        """Transform the line from frame b to frame a, and recompute its foot point.
 
         Parameters
         ----------
@@ -154,7 +159,7 @@ class Line:
         return Line(v, _foot(v, c), c, axes, self.cov)
 
     def offset(self, p: ArrayLike) -> np.ndarray:
-        """Return the vectors (N, 3) from the line to points (N, 3), across it [m].
+        """Return the vectors (N, 3) from the line to points (N, 3), normal to the line [m].
 
         Parameters
         ----------
@@ -164,15 +169,17 @@ class Line:
         return away - np.outer(away @ self.v, self.v)
 
 
-@dataclass(frozen=True, eq=False)
-class Circle:
-    """A circle in space: the points at distance `radius` from `centre` in the plane across `n`.
+@dataclass(frozen=True, eq=False, repr=False)
+class Circle(Shown):
+    """Circle in space: the points at distance `radius` from `centre` in the plane normal to `n`.
 
     Attributes
     ----------
-    centre : (3,) [m]. n : (3,) unit normal. radius : [m].
+    centre : (3,) [m].
+    n : (3,) unit normal.
+    radius : [m].
     axes : (2, 3) unit vectors in its plane.
-    cov : (6, 6) covariance of the `names`; None when the circle is exact.
+    cov : (6, 6) covariance of the `names`; None if the circle is exact.
     """
 
     centre: np.ndarray
@@ -193,7 +200,7 @@ class Circle:
 
     @property
     def plane(self) -> Plane:
-        """The plane that it lies in, with the covariance of its tilt and of its offset at the centre."""
+        """Plane of the circle, with the covariance of its tilt and its offset at the centre."""
         n, cov = self.n, self.cov
         if cov is not None:
             S = np.zeros((3, 6))
@@ -204,14 +211,15 @@ class Circle:
         return Plane(n, float(n @ self.centre), self.centre, self.axes, cov)
 
 
-@dataclass(frozen=True, eq=False)
-class Sphere:
-    """A sphere: the points at distance `radius` from `centre`.
+@dataclass(frozen=True, eq=False, repr=False)
+class Sphere(Shown):
+    """Sphere: the points at distance `radius` from `centre`.
 
     Attributes
     ----------
-    centre : (3,) [m]. radius : [m].
-    cov : (4, 4) covariance of the `names`; None when the sphere is exact.
+    centre : (3,) [m].
+    radius : [m].
+    cov : (4, 4) covariance of the `names`; None if the sphere is exact.
     """
 
     centre: np.ndarray
@@ -240,24 +248,24 @@ def _positive(radius: object, what: str) -> float:
 
 
 def _axes(axes: np.ndarray, third: np.ndarray) -> np.ndarray:
-    """Return two unit vectors (2, 3) across the third, read-only."""
+    """Return two read-only unit vectors (2, 3) normal to the third."""
     axes = np.array(axes, dtype=float)
     whole = np.vstack([axes, third]) if axes.shape == (2, 3) else np.zeros((3, 3))
     if not np.allclose(whole @ whole.T, np.eye(3), rtol=0.0, atol=inputs.UNIT):
         raise ShapeError(
-            f"Expected axes of a feature to be two unit vectors (2, 3) across its direction, got shape {axes.shape}. "
-            "of() makes a feature that fits together."
+            f"Expected axes of a feature as two unit vectors (2, 3) normal to its direction, got shape {axes.shape}. "
+            "Use of() to create a consistent feature."
         )
     axes.flags.writeable = False
     return axes
 
 
 def _moved(T_a_b: ArrayLike, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rotation of a pose, which may be off by 1e-6, as one that keeps lengths, and a point in frame a."""
+    """Return the rotation of a pose, orthonormalised, and a point transformed to frame a."""
     T = inputs.pose(T_a_b, "T_a_b")
     return so3.project(T[:3, :3])[0], T[:3, :3] @ p + T[:3, 3]
 
 
 def _foot(v: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return the point closest to the origin of the line along v through p."""
+    """Return the point closest to the origin on the line along v through p."""
     return p - v * (v @ p)

@@ -1,4 +1,4 @@
-"""Points, vectors and poses as the functions of frames take them."""
+"""Argument checks for frames: points, vectors and poses."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from armlab._numbers import number, numbers, rows_text
 from armlab.errors import NotExcited, ShapeError
 from armlab.lie import se3
 
-UNIT = 1e-9  # deviation of a length from 1 that is rounding
+UNIT = 1e-9  # deviation of a norm from 1 that counts as rounding
 
 
 def points(p: ArrayLike, what: str = "points") -> np.ndarray:
-    """Return points (N, 3), refusing other shapes and rows that are not finite."""
+    """Return points (N, 3); raise on other shapes and non-finite rows."""
     array = numbers(p, what, ShapeError)
     if array.ndim != 2 or array.shape[1] != 3:
         hint = " Transpose them." if array.ndim == 2 and array.shape[0] == 3 else ""
@@ -27,74 +27,75 @@ def points(p: ArrayLike, what: str = "points") -> np.ndarray:
 
 
 def sightings(p: ArrayLike, visible: ArrayLike | None, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (N, K, 3) seen in N frames and which are visible (N, K), refusing NaN where they are."""
+    """Return points (N, K, 3) in N frames and their visibility (N, K); raise on NaN in visible points."""
     array = numbers(p, what, ShapeError)
     if array.ndim != 3 or array.shape[2] != 3 or not array.shape[1]:
-        raise ShapeError(f"Expected {what} of shape (N, K, 3), got {array.shape}. Give every point in every frame.")
+        raise ShapeError(f"Expected {what} of shape (N, K, 3), got {array.shape}. Pass every point in every frame.")
     seen = np.ones(array.shape[:2], dtype=bool) if visible is None else np.asarray(visible)
     if seen.shape != array.shape[:2] or seen.dtype != bool:
         raise ShapeError(
-            f"Expected visible as truth values of shape {array.shape[:2]}, got {seen.dtype} of shape {seen.shape}. "
-            "Say of every point in every frame whether it was seen."
+            f"Expected visible as booleans of shape {array.shape[:2]}, got {seen.dtype} of shape {seen.shape}. "
+            "Pass one value per point and frame."
         )
     bad = np.flatnonzero((seen & ~np.isfinite(array).all(axis=2)).any(axis=1))
     if len(bad):
         raise ShapeError(
             f"Expected finite {what} where points are visible, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. "
-            f"Say which points are missing: visible=np.isfinite({what}).all(axis=2)."
+            f"Mark missing points: visible=np.isfinite({what}).all(axis=2)."
         )
     return array, seen
 
 
 def marker_points(marker: ArrayLike, K: int, what: str) -> np.ndarray:
-    """Return the points (K, 3) of a marker of which K points were seen."""
+    """Return the points (K, 3) of a marker with K measured points."""
     array = numbers(marker, "marker", ShapeError)
     if array.shape != (K, 3) or not np.isfinite(array).all():
         raise ShapeError(
-            f"Expected the marker as ({K}, 3) finite numbers, as {what} has {K} points, got {array.shape}. "
-            "Give the points in the order of the records."
+            f"Expected the marker to be ({K}, 3) finite numbers, because {what} has {K} points, got {array.shape}. "
+            "Pass the points in the order of the recording."
         )
     return array
 
 
-def enough(count: int, needed: int, what: str) -> None:
+def check_count(count: int, needed: int, what: str) -> None:
     if count < needed:
         raise NotExcited(
             f"Expected at least {needed} points to fit a {what} and its noise, got {count}. Measure more points, or "
-            "give noise= where it is known.",
+            "pass noise= if it is known.",
             ["everything"],
             [f"{count} points"],
         )
 
 
 def noise_of(noise: Any) -> float | None:
-    """Return the deviation of one coordinate [m], or None where it is to be estimated."""
+    """Return the standard deviation of one coordinate [m], or None if it is to be estimated."""
     if noise is None:
         return None
     sigma = number(noise, "noise [m]")
     if not 0.0 < sigma < np.inf:
-        raise ShapeError(
-            f"Expected noise to be a deviation above zero [m], got {sigma:g}. Leave it out to estimate it."
-        )
+        raise ShapeError(f"Expected noise as a standard deviation > 0 m, got {sigma:g}. Omit it to estimate it.")
     return sigma
 
 
 def noises_of(noise: Any, count: int) -> tuple[float | None, np.ndarray | None]:
-    """Return the deviation of a coordinate [m] and, where directions or points differ, covariances (N, 3, 3)."""
+    """Return the standard deviation of a coordinate [m], and covariances (N, 3, 3) if they differ between directions or
+    points.
+    """
     if noise is None or np.ndim(noise) == 0:
         return noise_of(noise), None
     C = numbers(noise, "noise", ShapeError)
     if C.shape not in ((3, 3), (count, 3, 3)) or not np.isfinite(C).all():
         raise ShapeError(
-            f"Expected noise as a deviation [m] or a covariance (3, 3) or ({count}, 3, 3) [m^2], got shape {C.shape}."
+            f"Expected noise as a standard deviation [m] or a covariance (3, 3) or ({count}, 3, 3) [m^2], got shape "
+            f"{C.shape}."
         )
     each = np.broadcast_to(C, (count, 3, 3))
     skew = np.abs(each - np.swapaxes(each, 1, 2)).max(axis=(1, 2)) > 1e-9 * np.abs(each).max(axis=(1, 2))
     bad = np.flatnonzero(skew | (np.linalg.eigvalsh(each)[:, 0] <= 0))
     if len(bad):
         raise ShapeError(
-            f"Expected noise with symmetric, positive definite covariances, got another one at point {bad[0]}. "
-            "Deviations go squared on the diagonal."
+            "Expected noise with symmetric, positive definite covariances, got an invalid covariance at point "
+            f"{bad[0]}. The diagonal must contain squared standard deviations."
         )
     return float(np.sqrt(np.trace(each, axis1=1, axis2=2).mean() / 3.0)), each
 
@@ -102,7 +103,7 @@ def noises_of(noise: Any, count: int) -> tuple[float | None, np.ndarray | None]:
 def limit_of(limit: Any) -> float:
     value = number(limit, "limit [rad]")
     if not value > 0.0:
-        raise ShapeError(f"Expected limit to be a deviation above zero [rad], got {value:g}. 0.2 is the usual one.")
+        raise ShapeError(f"Expected limit as a standard deviation > 0 rad, got {value:g}. The default is 0.2.")
     return value
 
 
@@ -127,38 +128,40 @@ def unit(v: ArrayLike, what: str) -> np.ndarray:
     off = abs(float(np.linalg.norm(array)) - 1.0)
     if off > UNIT:
         raise ShapeError(
-            f"Expected {what} to have length 1, got one off by {off:.2g}. Make it from any vector by of()."
+            f"Expected {what} to have length 1, got an error of {off:.2g}. Use of() for a vector of any length."
         )
     return array
 
 
 def pose(T: ArrayLike, what: str) -> np.ndarray:
     array = numbers(T, what, ShapeError)
+    if array.shape == (4, 4):
+        array = se3.orthonormalise(array)
     if array.shape != (4, 4) or not se3.is_pose(array):
         raise ShapeError(
-            f"Expected {what} to be a pose (4, 4), got shape {array.shape} or a matrix that is none. "
-            "Project it first if its rotation is nearly one (lie.se3.project)."
+            f"Expected {what} as a pose (4, 4), got shape {array.shape} or a matrix that is not a pose. Use "
+            "lie.se3.project for a rounded rotation."
         )
     return array
 
 
 def covariance(cov: ArrayLike | None, size: int, what: str) -> np.ndarray | None:
-    """Return a symmetric covariance (size, size) that is not negative as a read-only copy, or None."""
+    """Return a symmetric, positive semidefinite covariance (size, size) as a read-only copy, or None."""
     if cov is None:
         return None
     C = np.array(numbers(cov, what, ShapeError))
     fits = C.shape == (size, size) and np.isfinite(C).all() and np.allclose(C, C.T, rtol=1e-9, atol=0.0)
     if not fits or np.linalg.eigvalsh(C)[0] < -1e-9 * np.trace(C):
         raise ShapeError(
-            f"Expected {what} to be a symmetric covariance ({size}, {size}) that is not negative, got shape {C.shape}. "
-            "Deviations go squared on its diagonal."
+            f"Expected {what} as a symmetric, positive semidefinite covariance ({size}, {size}), got shape {C.shape}. "
+            "The diagonal must contain squared standard deviations."
         )
     C.flags.writeable = False
     return C
 
 
 def across(v: np.ndarray) -> np.ndarray:
-    """Return two unit vectors (2, 3) that make a right-handed frame with v (3,) as the third."""
+    """Return two unit vectors (2, 3) that form a right-handed frame with v (3,) as the third axis."""
     e = np.eye(3)[np.argmin(np.abs(v))]
     first = np.cross(e, v)
     first /= np.linalg.norm(first)
@@ -166,7 +169,7 @@ def across(v: np.ndarray) -> np.ndarray:
 
 
 def turned(R: np.ndarray, third: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a unit direction (3,) and the axes (2, 3) across it, turned; rounding does not add up over many turns."""
+    """Return a unit direction (3,) and normal axes (2, 3), rotated; re-normalised against rounding."""
     v = R @ third
     v = v / np.linalg.norm(v)
     first = R @ axes[0]

@@ -1,8 +1,9 @@
-"""Poses of a marker from its points, for example LEDs: rigid least squares for every frame of a tracker.
+"""Poses of a marker from its points (for example LEDs) by rigid least squares per tracker frame.
 
     T_i = argmin sum_k |p_ik - T l_k|^2  over the visible points
 
-by the singular vectors of ``sum (p - mean p)(l - mean l)^T`` (Kabsch 1976; Umeyama 1991), never a reflection.
+by singular value decomposition of ``sum (p - mean p)(l - mean l)^T`` (Kabsch 1976; Umeyama 1991), which never returns a
+reflection.
 """
 
 from __future__ import annotations
@@ -12,27 +13,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown
 from armlab._numbers import make_read_only, number
 from armlab.errors import NotExcited, ShapeError
 from armlab.frames.inputs import marker_points, sightings
 from armlab.lie import so3
 
-LINE = 1e-6  # breadth over length below which points lie in a line
-FEWEST = 3
+LINE = 1e-6  # breadth over length below which points are collinear
+MIN_POINTS = 3
 
 
-@dataclass(frozen=True, eq=False)
-class MarkerPoses:
-    """Poses of a marker, one per frame of the tracker, in its order.
+@dataclass(frozen=True, eq=False, repr=False)
+class MarkerPoses(Shown):
+    """Poses of a marker, one per tracker frame, in order.
 
     Attributes
     ----------
-    T : (N, 4, 4) T_cam_marker; NaN where too few points were visible.
-    valid : (N,) where there is a pose.
-    rms : (N,) root mean square distance of the visible points from the marker's [m]; NaN where there is no pose.
-    cov : (N, 6, 6) of [v; w], v in camera axes, w in marker axes; NaN where there is no pose.
-    noise : deviation of each coordinate of a point [m], given or found; NaN where it cannot be estimated.
-    marker : (K, 3) the points in marker axes [m], given or found.
+    T : (N, 4, 4) T_cam_marker; NaN with too few visible points.
+    valid : (N,) whether the pose exists.
+    rms : (N,) root mean square distance of the visible points from the marker's [m]; NaN without a pose.
+    cov : (N, 6, 6) of [v; w], v in camera axes, w in marker axes; NaN without a pose.
+    noise : standard deviation of each coordinate of a point [m], given or estimated; NaN if not estimable.
+    marker : (K, 3) points in marker axes [m], given or estimated.
     """
 
     T: np.ndarray
@@ -49,19 +51,19 @@ class MarkerPoses:
 def marker_pose(
     p: ArrayLike, marker: ArrayLike | None = None, *, visible: ArrayLike | None = None, noise: float | None = None
 ) -> MarkerPoses:
-    """Find the pose of a marker in every frame from the points that are visible in it.
+    """Compute the pose of a marker in every frame from its visible points.
 
-    As many poses come out as frames go in, so that they stay paired with the poses of a robot. An LED that is off by
-    3 mm shows in `rms`.
+    The result has one pose per input frame, so it remains paired with the robot poses. An LED misplaced by 3 mm shows
+    in `rms`.
 
     Parameters
     ----------
-    p : (N, K, 3) points in camera axes [m]; NaN only where not visible.
-    marker : (K, 3) the same points in marker axes [m]. None, for three points: from the medians of their distances;
-        origin at point 0, x towards point 1, point 2 on the side of positive y.
-    visible : (N, K) which points were seen; all when left out.
-    noise : deviation of each coordinate of a point [m]; found from what the points of a frame do not agree on when left
-        out.
+    p : (N, K, 3) points in camera axes [m]; NaN only for invisible points.
+    marker : (K, 3) the same points in marker axes [m]. Default, for three points: from their median distances; origin
+        at point 0, x towards point 1, point 2 on the side of positive y.
+    visible : (N, K) whether a point is visible; default: all.
+    noise : standard deviation of each coordinate of a point [m]; default: estimated from the inconsistency of the
+        points in a frame.
 
     Returns
     -------
@@ -69,8 +71,8 @@ def marker_pose(
 
     Raises
     ------
-    ShapeError : another shape, NaN where visible, with its rows.
-    NotExcited : a marker of fewer than three points, or with all of them in a line.
+    ShapeError : wrong shapes, NaN in visible points, with their rows.
+    NotExcited : a marker of fewer than three points, or of collinear points.
 
     References
     ----------
@@ -82,7 +84,7 @@ def marker_pose(
     _require_breadth(shape)
     sd = np.nan if noise is None else number(noise, "noise [m]")
     if noise is not None and not 0.0 < sd < np.inf:
-        raise ShapeError(f"Expected noise above zero [m], got {sd:g}. Leave it out to have it found.")
+        raise ShapeError(f"Expected noise above zero [m], got {sd:g}. Omit it to estimate it.")
     count = seen.sum(axis=1)
     share = seen / np.maximum(count, 1)[:, None]
     there, here = share[:, None, :] @ p, share @ shape  # centres (N, 1, 3) and (N, 3)
@@ -91,7 +93,7 @@ def marker_pose(
     R, sigma = so3.nearest(np.swapaxes(weighted, 1, 2) @ body)
     turned = seen[:, :, None] * (body @ np.swapaxes(R, 1, 2))
     spread = np.einsum("nki,nki->n", seen[:, :, None] * body, body)
-    valid = (count >= FEWEST) & (sigma[:, 1] + sigma[:, 2] > LINE * np.maximum(spread, np.finfo(float).tiny))
+    valid = (count >= MIN_POINTS) & (sigma[:, 1] + sigma[:, 2] > LINE * np.maximum(spread, np.finfo(float).tiny))
     left = np.einsum("nki,nki->n", weighted - turned, weighted - turned)
     T = np.full((len(p), 4, 4), np.nan)
     T[valid, :3, :3], T[valid, 3] = R[valid], (0.0, 0.0, 0.0, 1.0)
@@ -116,10 +118,10 @@ def _information(R: np.ndarray, marker: np.ndarray, seen: np.ndarray) -> np.ndar
 
 
 def _template(p: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return three points (3, 3) with the median distances of those measured."""
-    if p.shape[1] != FEWEST:
+    """Return three points (3, 3) with the median of the measured distances."""
+    if p.shape[1] != MIN_POINTS:
         raise NotExcited(
-            f"Expected three points where the marker is not given, got {p.shape[1]}. Give the marker's points.",
+            f"Expected three points without marker=, got {p.shape[1]}. Pass the marker's points.",
             ["marker"],
             [f"{p.shape[1]} points"],
         )
@@ -128,7 +130,8 @@ def _template(p: np.ndarray, seen: np.ndarray) -> np.ndarray:
         both = seen[:, i] & seen[:, k]
         if not both.any():
             raise NotExcited(
-                f"Expected frames in which points {i} and {k} are both visible, got none. Give the marker's points.",
+                f"Expected frames in which points {i} and {k} are both visible, got no such frame. Pass the marker's "
+                "points.",
                 [f"distance of points {i} and {k}"],
                 ["0 frames"],
             )
@@ -140,12 +143,12 @@ def _template(p: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def _require_breadth(marker: np.ndarray) -> None:
-    """Refuse fewer than three points, and points in a line."""
+    """Raise on fewer than three points, and on collinear points."""
     size = np.linalg.svd(marker - marker.mean(axis=0), compute_uv=False)
-    if len(marker) < FEWEST or not size[1] > LINE * size[0]:
+    if len(marker) < MIN_POINTS or not size[1] > LINE * size[0]:
         raise NotExcited(
-            f"Expected a marker of at least three points that are not in a line, got {len(marker)} whose breadth is "
-            f"{size[1] if len(size) > 1 else 0.0:.2g} m. A pose needs a point beside the line of the others.",
+            f"Expected a marker with at least three non-collinear points, got {len(marker)} with a breadth of "
+            f"{size[1] if len(size) > 1 else 0.0:.2g} m. Add a point away from the line through the others.",
             ["rotation about the line of the points"],
             ["unseen"],
         )

@@ -1,16 +1,16 @@
-"""Maximum-likelihood planes and lines through measured points, with covariance and a rule for their direction.
+"""Maximum-likelihood planes and lines through measured points, with covariance and oriented direction.
 
-The noise of a point is the same in all directions, so the most likely plane is across the weakest principal direction
-of the centred points, the most likely line along the strongest. With lambda_k the sum of squares along principal
-direction k of N points and sigma the noise of a coordinate,
+With isotropic noise, the most likely plane is normal to the weakest principal direction of the centred points, and the
+most likely line is parallel to the strongest. With lambda_k the sum of squares of N points along principal direction k,
+and sigma the noise of a coordinate,
 
     plane: tilt about axis 1  sigma^2 / lambda_2,  about axis 2  sigma^2 / lambda_1,  offset at centroid  sigma^2 / N
     line:  tilt about each axis  sigma^2 / lambda_1,  offset of the centroid along each axis  sigma^2 / N
 
-and no two of them are correlated. A direction whose spread is no larger than the noise is refused. Where noise differs
-between directions or points, with e the distances of a point, D their directions (k, 3) and C its covariance, the cost
-is the sum of ``e^T S^-1 e``, ``S = D C D^T``. Its gradient is that of plain residuals when the lever of a tilt is taken
-at the most likely place ``p - C D^T S^-1 e``, not at p.
+and the errors are uncorrelated. A direction whose spread does not exceed the noise raises NotExcited. If the noise
+differs between directions or points, the cost is the sum of ``e^T S^-1 e``, ``S = D C D^T``, with e the distances of a
+point, D their directions (k, 3) and C its covariance. Its gradient is that of the residuals, where the lever arm of a
+tilt is taken at the most likely point ``p - C D^T S^-1 e`` instead of p.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
 from armlab.estimation.linear_problem import check_spread
@@ -29,7 +30,7 @@ from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.frames import inputs
 from armlab.frames.feature_fit import (
     LIMIT,
-    SURE,
+    SIDE_DEVIATIONS,
     Cloud,
     inliers,
     lines,
@@ -43,10 +44,10 @@ from armlab.frames.feature_fit import (
 from armlab.frames.features import Line, Plane
 from armlab.lie import so3
 
-Flat = TypeVar("Flat", Plane, Line)
+PlaneOrLine = TypeVar("PlaneOrLine", Plane, Line)
 
-CHANCE = 1e-3  # of a spread that noise alone would show
-JUDGED = 10  # points from which the spread is held against that chance; fewer cannot decide
+P_VALUE = 1e-3  # probability of a spread from noise alone
+JUDGED = 10  # points needed for the test of the spread
 
 
 def fit_plane(
@@ -60,27 +61,27 @@ def fit_plane(
 ) -> Fit[Plane]:
     """Fit a plane ``n . x = d`` to points.
 
-    The normal points away from the origin of the frame of the points, unless `toward` or `normal` says otherwise.
+    The normal points away from the origin of the points' frame, unless `toward` or `normal` says otherwise.
 
     Parameters
     ----------
-    p : (N, 3) points [m], N >= 4; 3 are enough where the noise is known, 5 are needed to find an outlier.
-    noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; one
-        deviation for all is estimated when left out.
-    robust : find points that do not belong to the plane; `outliers` marks them.
-    toward : (3,) a point on the side that the normal points to [m].
-    normal : (3,) roughly the normal.
-    limit : largest standard deviation of a tilt that is accepted [rad].
+    p : (N, 3) points [m], N >= 4; 3 if the noise is known, 5 for outlier detection.
+    noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; default:
+        estimated, equal for all.
+    robust : detect points that do not belong to the plane; `outliers` marks them.
+    toward : (3,) point on the side of the normal [m].
+    normal : (3,) approximate normal.
+    limit : largest accepted standard deviation of a tilt [rad].
 
     Returns
     -------
-    Fit of a `Plane`: `residuals` (N,) are signed distances, `cov` (3, 3) that of `Plane.names`.
+    Fit of a `Plane`: `residuals` (N,) are signed distances; `cov` (3, 3) belongs to `Plane.names`.
 
     Raises
     ------
-    ShapeError : points are no (N, 3) or not finite, with their rows; both hints are given, or one that does not decide
+    ShapeError : points of the wrong shape or not finite, with their rows; both hints, or a hint that does not determine
         the side.
-    NotExcited : too few points; points along a line, with its direction; a plane through the origin without a hint.
+    NotExcited : too few points; collinear points, with their direction; a plane through the origin without a hint.
     """
     limit, cloud = inputs.limit_of(limit), Cloud(p, noise, 3, "plane")
     p, sigma = cloud.p, cloud.sigma
@@ -96,7 +97,7 @@ def fit_plane(
     spare = int(kept.sum()) - 3
     precision = _precision(squares[1], squares[2], used, spare), _precision(squares[0], squares[2], used, 0)
     names = (f"tilt about the long axis of the points, {text(axes[0])}", f"tilt about {text(axes[1])}")
-    excitation = _judge(precision, used, kept.sum(), squares, limit, Plane, names)
+    excitation = _check_excitation(precision, used, kept.sum(), squares, limit, Plane, names)
     reach = float(np.sqrt(cov[2, 2] + (axes[1] @ c) ** 2 * cov[0, 0] + (axes[0] @ c) ** 2 * cov[1, 1]))
     n = upward(n, c, reach, toward, normal, "plane")
     value = Plane(n, float(n @ c), c, axes[:2], cov)
@@ -114,25 +115,25 @@ def fit_line(
 ) -> Fit[Line]:
     """Fit a line ``x = r + s v`` to points.
 
-    It points from the first to the last point (that is no outlier), unless `along` says otherwise.
+    The direction is from the first to the last inlier, unless `along` specifies it.
 
     Parameters
     ----------
-    p : (N, 3) points [m], N >= 3; 2 are enough where the noise is known, 4 are needed to find an outlier.
-    noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; one
-        deviation for all is estimated when left out.
-    robust : find points that do not belong to the line; `outliers` marks them.
-    along : (3,) roughly its direction.
-    limit : largest standard deviation of a tilt that is accepted [rad].
+    p : (N, 3) points [m], N >= 3; 2 if the noise is known, 4 for outlier detection.
+    noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; default:
+        estimated, equal for all.
+    robust : detect points that do not belong to the line; `outliers` marks them.
+    along : (3,) approximate direction.
+    limit : largest accepted standard deviation of a tilt [rad].
 
     Returns
     -------
-    Fit of a `Line`: `residuals` (N, 3) are vectors from the line to the points, `cov` (4, 4) that of `Line.names`.
+    Fit of a `Line`: `residuals` (N, 3) are vectors from the line to the points; `cov` (4, 4) belongs to `Line.names`.
 
     Raises
     ------
-    ShapeError : points are no (N, 3) or not finite, with their rows; `along` is across the line.
-    NotExcited : too few points; points in one place; a first and a last point in one place without a hint.
+    ShapeError : points of the wrong shape or not finite, with their rows; `along` normal to the line.
+    NotExcited : too few points; coincident points; coincident first and last points without a hint.
     """
     limit, cloud = inputs.limit_of(limit), Cloud(p, noise, 2, "line")
     if robust:
@@ -144,9 +145,9 @@ def fit_line(
     used = max(sigma or found, rounding(cloud.p))
     tilt, offset = used**2 / max(squares[0], 1e-300), used**2 / len(p)
     precision = _precision(squares[0], squares[1], used, len(p) - 2)
-    names = ("direction of the line: its points are in one place, tilt about axis 1", "tilt about axis 2")
-    excitation = _judge((precision, precision), used, len(p), squares, limit, Line, names)
-    v = _forward(axes[0], p[-1] - p[0], float(np.sqrt(2.0)) * used, along)
+    names = ("direction of the line: its points coincide, tilt about axis 1", "tilt about axis 2")
+    excitation = _check_excitation((precision, precision), used, len(p), squares, limit, Line, names)
+    v = _oriented(axes[0], p[-1] - p[0], float(np.sqrt(2.0)) * used, along)
     cov = np.diag([tilt, tilt, offset, offset])
     value = Line(v, c - v * (v @ c), c, inputs.across(v), cov)
     away = value.offset(cloud.p)
@@ -154,35 +155,36 @@ def fit_line(
     return fit if cloud.each is None else _reweighted(fit, cloud.p, cloud.each, robust, limit)
 
 
-def _forward(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | None) -> np.ndarray:
+def _oriented(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | None) -> np.ndarray:
     if along is not None:
         side = float(v @ inputs.direction(along, "along"))
         if abs(side) <= 1e-6:
-            raise ShapeError("Expected along= roughly along the line, got a direction across it. Give another one.")
-    elif abs(side := float(v @ step)) <= SURE * sigma:
+            raise ShapeError("Expected along= roughly along the line, got a direction normal to it. Give another one.")
+    elif abs(side := float(v @ step)) <= SIDE_DEVIATIONS * sigma:
         raise NotExcited(
-            f"Expected the last point away from the first to tell the direction of the line, got them {abs(side):.2g} "
-            "m apart along it. Say the direction by along=.",
-            ["sense of the line"],
+            "Expected the last point to be far enough from the first to determine the direction of the line, got "
+            f"{abs(side):.2g} m along it. Pass the direction with along=.",
+            ["direction of the line"],
             [f"{abs(side):.2g} m"],
         )
     return v if side > 0 else -v
 
 
 def _precision(strong: float, weak: float, sigma: float, points: int) -> float:
-    """Return 1 over the standard deviation of the direction of the larger of two sums of squares.
+    """Return the inverse standard deviation of the principal direction with the larger of two sums of squares.
 
-    The deviation is ``sigma sqrt(strong) / (strong - weak)``, which is ``sigma / sqrt(strong)`` for a clear one. Noise
-    alone shows a ratio q with the chance ``(2 sqrt(q) / (1 + q))^points``, the test of sphericity in two dimensions.
+    The standard deviation is ``sigma sqrt(strong) / (strong - weak)``, or ``sigma / sqrt(strong)`` if well separated.
+    Noise alone yields a ratio q with probability ``(2 sqrt(q) / (1 + q))^points``, which is the test of sphericity in
+    two dimensions.
     """
     gap = strong - weak
     if points + 3 >= JUDGED:
         chance = (2.0 * np.sqrt(strong * weak) / max(strong + weak, 1e-300)) ** points
-        gap = gap if chance < CHANCE else 0.0
+        gap = gap if chance < P_VALUE else 0.0
     return float(gap / (sigma * np.sqrt(max(strong, 1e-300))))
 
 
-def _judge(
+def _check_excitation(
     precision: tuple[float, float],
     sigma: float,
     count: int,
@@ -191,7 +193,7 @@ def _judge(
     kind: type[Plane] | type[Line],
     words: Sequence[str],
 ) -> Any:
-    """Return the excitation, refusing tilts beyond the limit by name."""
+    """Return the excitation; raise an error naming the tilts beyond the limit."""
     names, tilts = kind.names, len(precision)
     offsets = len(names) - tilts
     size = 0.2 * max(float(np.sqrt(squares.sum() / count)), 1e-300)
@@ -221,8 +223,8 @@ def _parameters(value: Plane | Line) -> np.ndarray:
     return np.array([0.0, 0.0, *offsets])
 
 
-def _reweighted(fit: Fit[Flat], p: np.ndarray, cov: np.ndarray, robust: bool, limit: float) -> Fit[Flat]:
-    """Return the fit of points with covariances (N, 3, 3), starting at one that takes them for equal."""
+def _reweighted(fit: Fit[PlaneOrLine], p: np.ndarray, cov: np.ndarray, robust: bool, limit: float) -> Fit[PlaneOrLine]:
+    """Return the fit of points with covariances (N, 3, 3), starting from a fit with equal covariances."""
     solve: Any = weighted_plane if isinstance(fit.value, Plane) else weighted_line
     found = solve(p, cov, fit.value, robust)
     value = replace(found.value, cov=found.cov)
@@ -235,7 +237,7 @@ def _reweighted(fit: Fit[Flat], p: np.ndarray, cov: np.ndarray, robust: bool, li
         value=value,
         parameters=_parameters(value),
         cov=found.cov,
-        sigma=found.sigma * typical,  # what was found, in deviations, times the typical one
+        sigma=found.sigma * typical,  # found in units of the noise, times the typical noise
         residuals=value.distance(p) if isinstance(value, Plane) else value.offset(p),
         n=int(kept.sum()),
         excitation=check_spread(found.rows.J, value.names, value.units, limits, type(value).__name__.lower()),
@@ -254,7 +256,7 @@ def _report(fit: Fit[Any]) -> str:
 
 
 def weighted_plane(p: np.ndarray, cov: np.ndarray, start: Plane, robust: bool) -> NonlinearSolution[Plane]:
-    """Return the most likely plane of points (N, 3) with covariances (N, 3, 3), near a start."""
+    """Return the most likely plane of points (N, 3) with covariances (N, 3, 3), from a start."""
 
     def evaluate(value: Plane) -> list[Measurement]:
         e, root, away = _likely(p - value.centroid, value.n[None], cov)
@@ -271,7 +273,7 @@ def weighted_plane(p: np.ndarray, cov: np.ndarray, start: Plane, robust: bool) -
 
 
 def weighted_line(p: np.ndarray, cov: np.ndarray, start: Line, robust: bool) -> NonlinearSolution[Line]:
-    """Return the most likely line of points (N, 3) with covariances (N, 3, 3), near a start."""
+    """Return the most likely line of points (N, 3) with covariances (N, 3, 3), from a start."""
 
     def evaluate(value: Line) -> list[Measurement]:
         e, root, away = _likely(p - value.centroid, value.axes, cov)
@@ -290,29 +292,31 @@ def weighted_line(p: np.ndarray, cov: np.ndarray, start: Line, robust: bool) -> 
 
 
 def _likely(away: np.ndarray, D: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return distances (N, k), the root of their covariance (N, k, k), and where the points (N, 3) most likely are."""
+    """Return distances (N, k), the root of their covariance (N, k, k), and the most likely points (N, 3)."""
     e, CD = away @ D.T, cov @ D.T
     S = D @ CD
     return e, np.linalg.cholesky(S), away - (CD @ np.linalg.solve(S, e[..., None]))[..., 0]
 
 
 def _whitened(e: np.ndarray, J: np.ndarray, root: np.ndarray) -> Measurement:
-    """Return distances (N, k) in deviations: the descent then judges its steps by the whole cost."""
+    """Return distances (N, k) in standard deviations, so that the descent judges its steps by the total cost."""
     k = e.shape[1]
     return Measurement(
         np.linalg.solve(root, e[..., None])[..., 0], np.linalg.solve(root, J), np.eye(k), ("distance",) * k
     )
 
 
-@dataclass(frozen=True, eq=False)
-class OffsetCheck:
-    """Distances of points from a known plane, up to one constant.
+@dataclass(frozen=True, eq=False, repr=False)
+class OffsetCheck(Shown):
+    """Distances of points from a known plane, up to a common constant.
 
     Attributes
     ----------
-    offset : the constant, mean of the points that agree [m]. sd : its standard deviation [m].
+    offset : the constant, mean of the consistent points [m].
+    sd : its standard deviation [m].
     sigma : noise of a distance [m].
-    distances : (N,) signed, from the plane [m]. outliers : (N,) points that are not at the common distance.
+    distances : (N,) signed, from the plane [m].
+    outliers : (N,) points that are not at the common distance.
     """
 
     offset: float
@@ -322,28 +326,30 @@ class OffsetCheck:
     outliers: np.ndarray
 
     def text(self) -> str:
-        """Return a line on the constant, and one per outlier."""
+        """Return one line for the constant, and one line per outlier."""
         lines = [f"offset {self.offset:.6g} +- {self.sd:.2g} m, noise {self.sigma:.2g} m"]
         lines += [f"point {i}: {self.distances[i] - self.offset:+.6g} m off" for i in np.flatnonzero(self.outliers)]
         return "\n".join(lines)
 
 
 def check_offset(plane: Plane, p: ArrayLike, *, noise: float | None = None) -> OffsetCheck:
-    """Check that points lie at one distance from a known plane, whatever that distance is.
+    """Check that points lie at a common, unknown distance from a known plane.
 
-    Half of the points but one may be anywhere. The constant is that of the probe's tip: its radius, or its length.
+    Fewer than half of the points may be outliers. The constant is due to the tip of the probe (its radius or length).
 
     Parameters
     ----------
-    plane : known, as from a file of a tracker. p : (N, 3) points, N >= 3 [m].
-    noise : standard deviation of each distance [m]; estimated when left out.
+    plane : known plane, for example from a tracker's file.
+    p : (N, 3) points, N >= 3 [m].
+    noise : standard deviation of each distance [m]; default: estimated.
 
     Raises
     ------
-    ShapeError : points are no (N, 3) or not finite. NotExcited : fewer than three points.
+    ShapeError : points of the wrong shape or not finite.
+    NotExcited : fewer than three points.
     """
     if not isinstance(plane, Plane):
-        raise ShapeError(f"Expected a Plane, got {type(plane).__name__}. Plane.of makes one from a normal and a point.")
+        raise ShapeError(f"Expected a Plane, got {type(plane).__name__}. Use Plane.of for a normal and a point.")
     p, sigma = inputs.points(p), inputs.noise_of(noise)
     heights = plane.distance(p)
 
@@ -357,7 +363,7 @@ def check_offset(plane: Plane, p: ArrayLike, *, noise: float | None = None) -> O
     kept = inliers(p, 1, 1, through, refit, sigma, "distance")
     if kept.sum() < 2:
         raise NotExcited(
-            f"Expected at least 2 points that agree on a distance, got {int(kept.sum())}. Measure more points.",
+            f"Expected at least 2 points at a common distance, got {int(kept.sum())}. Measure more points.",
             ["offset"],
             [f"{int(kept.sum())} points"],
         )

@@ -1,6 +1,6 @@
-"""Pose graph: named frames joined by measured poses, the error of every loop, and the most likely set of poses.
+"""Pose graph: named frames connected by measured poses, loop closure errors, and maximum-likelihood poses.
 
-An error [v; w] of a pose E in a loop turns and shifts its closure by ``Ad(S^-1) [R_E^T v; w]``, S the product behind E.
+An error [v; w] of a pose E in a loop changes its closure by ``Ad(S^-1) [R_E^T v; w]``, with S the product behind E.
 The pose E measured between frames a and b has the residuals ``p_E - R_a^T (p_b - p_a)`` along the axes of a and
 ``Log(R_b^T R_a R_E)`` along those of b. Theory: docs/theory/frames.md.
 """
@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown
 from armlab._numbers import still
 from armlab.errors import FrameError
 from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
@@ -22,28 +23,28 @@ from armlab.estimation.linear_problem import check_spread
 from armlab.frames import inputs
 from armlab.lie import se3, so3
 
-CHANCE = 1e-3  # of a closure error below which a loop is reported
+P_VALUE = 1e-3  # p-value of a closure error below which a loop is reported
 
 Steps = list[tuple[int, int]]
 CLASSES = ("position",) * 3 + ("rotation",) * 3
-LIMIT = 0.2  # rad, and share of the size of the set [m]
+LIMIT = 0.2  # rad, and fraction of the size of the set [m]
 PARTS = (("x", "m"), ("y", "m"), ("z", "m"), ("turn x", "rad"), ("turn y", "rad"), ("turn z", "rad"))
 
 
 class Graph:
-    """Named frames and the poses between them; several between the same two frames are welcome."""
+    """Named frames and measured poses between them, possibly several between the same two frames."""
 
     def __init__(self) -> None:
         self._edges: list[Edge] = []
 
     @property
     def edges(self) -> tuple[Edge, ...]:
-        """All poses, in the order in which they were added."""
+        """All poses in the order in which they were added."""
         return tuple(self._edges)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All frames, in the order in which they were first named."""
+        """All frames in the order of first use."""
         return tuple(dict.fromkeys(name for edge in self._edges for name in (edge.a, edge.b)))
 
     def add(self, a: str, b: str, T_a_b: ArrayLike, cov: ArrayLike | None = None, source: str = "") -> None:
@@ -51,38 +52,40 @@ class Graph:
 
         Parameters
         ----------
-        a, b : names of two frames, words without an underscore, as in ``T_a_b``. New ones become known.
+        a, b : names of two frames without an underscore, as in ``T_a_b``. New names are added.
         T_a_b : (4, 4) pose of b in a [m].
         cov : (6, 6) covariance of its error [v; w], v along the axes of a, w along those of b.
-        source : where it comes from, for reports.
+        source : origin of the pose, for reports.
 
         Raises
         ------
-        FrameError : a name that is none, or the same twice. ShapeError : no pose, or no covariance.
+        FrameError : an invalid name, or the same name twice.
+        ShapeError : an invalid pose or covariance.
         """
         for name in (a, b):
             if not isinstance(name, str) or not name.isalnum():
                 raise FrameError(
-                    f"Expected the name of a frame, letters and digits without an underscore, got {name!r}. "
+                    f"Expected a frame name of letters and digits without an underscore, got {name!r}. "
                     "T_base_tool is the pose of tool in base."
                 )
         if a == b:
-            raise FrameError(f"Expected two frames, got {a!r} twice. A frame has no pose in itself.")
+            raise FrameError(f"Expected two frames, got {a!r} twice. Give two names.")
         T = np.array(inputs.pose(T_a_b, f"T_{a}_{b}"))
         T.flags.writeable = False
         self._edges.append(Edge(a, b, T, inputs.covariance(cov, 6, f"the covariance of T_{a}_{b}"), str(source)))
 
     def get(self, a: str, b: str, via: Sequence[str] = ()) -> np.ndarray:
-        """Return the pose (4, 4) of b in a, composed along the way with the fewest poses, the earliest added first.
+        """Return the pose (4, 4) of b in a, composed along the shortest path; ties are resolved in favour of the
+        earliest poses.
 
         Parameters
         ----------
         a, b : names of frames.
-        via : frames on the way, in order; each must be joined to the next by a pose of its own.
+        via : frames on the path, in order; consecutive frames need a direct pose.
 
         Raises
         ------
-        FrameError : an unknown name, with those that are known; frames that no pose joins, with both names.
+        FrameError : an unknown name, with the known ones; frames without a path, with both names.
         """
         for name in (a, *via, b):
             if name not in self.names:
@@ -93,7 +96,7 @@ class Graph:
             steps = path(self._edges, a, b)
             if steps is None:
                 raise FrameError(
-                    f"Expected poses that join {a!r} and {b!r}, got none on any way. Add the missing pose."
+                    f"Expected poses that connect {a!r} and {b!r}, but there is no path. Add the missing pose."
                 )
             return composed(self._edges, steps)
         ways: Steps = []
@@ -101,31 +104,32 @@ class Graph:
             direct = [edge for edge in self._edges if {edge.a, edge.b} == {here, there}]
             if not direct:
                 raise FrameError(
-                    f"Expected a pose between {here!r} and {there!r}, got none. Joined to {here!r}: "
+                    f"Expected a pose between {here!r} and {there!r}, but there is no direct pose. Poses of {here!r}: "
                     f"{', '.join(self._neighbours(here))}."
                 )
             ways.append((self._edges.index(direct[0]), 1 if direct[0].a == here else -1))
         return composed(self._edges, ways)
 
     def check(self) -> LoopCheck:
-        """Return every independent loop with its closure error and, where covariances are known, its chance."""
+        """Return every independent loop with its closure error and, with known covariances, its p-value."""
         return check_loops(self._edges)
 
     def solve(self, robust: bool = False) -> Fit[FrameSet]:
-        """Return the most likely poses of all frames, given all measured poses at once.
+        """Return the maximum-likelihood poses of all frames, given all measured poses.
 
-        Each pose has a residual of position, in the axes of its first frame, and of rotation, in those of its second,
-        weighted by its covariance. Without any covariance all poses count alike and the noise is estimated.
+        Each pose has a position residual in the axes of its first frame and a rotation residual in the axes of its
+        second frame, weighted by its covariance. Without covariances, all poses have equal weight and the noise is
+        estimated.
 
         Parameters
         ----------
-        robust : find poses that do not fit the others; `outliers` marks them.
+        robust : detect poses inconsistent with the others; `outliers` marks them.
 
         Raises
         ------
-        FrameError : no poses, frames that nothing joins, or covariances of some poses only.
-        NotExcited : too few poses to estimate the noise; outliers left a frame without a pose.
-        NotConverged : the iteration did not.
+        FrameError : no poses, disconnected frames, or covariances of only some poses.
+        NotExcited : too few poses to estimate the noise, or a frame disconnected by outliers.
+        NotConverged : the iteration did not converge.
         """
         return solve_poses(self._edges, self.names, robust)
 
@@ -135,14 +139,15 @@ class Graph:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """A measured pose between two frames.
+    """Measured pose between two frames.
 
     Attributes
     ----------
-    a, b : names of the frames. T : (4, 4) pose of b in a [m].
-    cov : (6, 6) covariance of its error [v; w], v along the axes of a [m], w along those of b [rad]; zero when the pose
-        is exact, None when unknown.
-    source : where it comes from, in words.
+    a, b : names of the frames.
+    T : (4, 4) pose of b in a [m].
+    cov : (6, 6) covariance of its error [v; w], v along the axes of a [m], w along those of b [rad]; zero if the pose
+        is exact; None if unknown.
+    source : origin of the pose.
     """
 
     a: str
@@ -155,16 +160,19 @@ class Edge:
         return f"{self.a} to {self.b}" + (f" ({self.source})" if self.source else "")
 
 
-@dataclass(frozen=True)
-class Loop:
-    """A loop of poses.
+@dataclass(frozen=True, repr=False)
+class Loop(Shown):
+    """Loop of poses.
 
     Attributes
     ----------
-    frames : names along it; the last is joined to the first. edges : numbers of its poses, as they were added.
-    position : closure error [m]. angle : closure error [rad].
-    chi2, p : of the closure error given the covariances, and the chance of a larger one; NaN where one is not known.
-    words : of each pose.
+    frames : names along the loop; the last is joined to the first.
+    edges : indices of its poses, in order of addition.
+    position : closure error [m].
+    angle : closure error [rad].
+    chi2 : of the closure error, given the covariances; NaN if one is unknown.
+    p : p-value of chi2; NaN if a covariance is unknown.
+    words : description of each pose.
     """
 
     frames: tuple[str, ...]
@@ -177,31 +185,31 @@ class Loop:
 
     @property
     def beyond(self) -> bool:
-        """True when noise alone would show so large an error once in a thousand loops."""
-        return self.p < CHANCE
+        """Whether the p-value of the closure error is below 0.001."""
+        return self.p < P_VALUE
 
     def text(self) -> str:
         """Return one line."""
         chance = "" if np.isnan(self.p) else f", chi2 {self.chi2:.3g} of 6, p {self.p:.2g}"
-        verdict = f"; does not close: look at {', '.join(self.words)}" if self.beyond else ""
+        verdict = f"; does not close: check {', '.join(self.words)}" if self.beyond else ""
         way = " - ".join([*self.frames, self.frames[0]])
         return f"{way}: {1e3 * self.position:.3g} mm, {1e3 * self.angle:.3g} mrad{chance}{verdict}"
 
 
-@dataclass(frozen=True)
-class LoopCheck:
+@dataclass(frozen=True, repr=False)
+class LoopCheck(Shown):
     """All independent loops of a graph.
 
     Attributes
     ----------
-    loops : in the order in which the poses that close them were added.
+    loops : in the order of the poses that close them.
     """
 
     loops: tuple[Loop, ...]
 
     @property
     def passed(self) -> bool:
-        """True when no loop is beyond what its covariances allow."""
+        """Whether the covariances explain every closure error."""
         return not any(loop.beyond for loop in self.loops)
 
     def text(self) -> str:
@@ -210,7 +218,7 @@ class LoopCheck:
 
 
 def check_loops(edges: Sequence[Edge]) -> LoopCheck:
-    """Return the closure of every independent loop: one per pose that the spanning tree does not need."""
+    """Return the closure of every independent loop, one per pose outside the spanning tree."""
     tree = spanning(edges)
     found = []
     for k, edge in enumerate(edges):
@@ -222,7 +230,7 @@ def check_loops(edges: Sequence[Edge]) -> LoopCheck:
 
 
 def spanning(edges: Sequence[Edge]) -> list[int]:
-    """Return the numbers of the poses of a spanning tree, or of one per part: the earliest that join something new."""
+    """Return the indices of the poses of a spanning forest, earliest first."""
     part: dict[str, str] = {}
 
     def root(name: str) -> str:
@@ -240,7 +248,7 @@ def spanning(edges: Sequence[Edge]) -> list[int]:
 
 
 def path(edges: Sequence[Edge], a: str, b: str) -> Steps | None:
-    """Return the fewest poses from a to b as (number, 1 or -1 against its direction); None when there is no way."""
+    """Return the shortest path from a to b as pairs (index, 1, or -1 if backwards), or None if there is no path."""
     came: dict[str, tuple[str, int, int]] = {a: (a, -1, 1)}
     waiting = deque([a])
     while waiting and b not in came:
@@ -262,7 +270,7 @@ def path(edges: Sequence[Edge], a: str, b: str) -> Steps | None:
 
 
 def composed(edges: Sequence[Edge], steps: Steps) -> np.ndarray:
-    """Return the pose (4, 4) along a way."""
+    """Return the pose (4, 4) along a path."""
     T = np.eye(4)
     for k, sign in steps:
         T = T @ (edges[k].T if sign > 0 else se3.inv(edges[k].T))
@@ -293,20 +301,21 @@ def _closure(edges: Sequence[Edge], steps: Steps) -> Loop:
 
 
 def _squared(e: np.ndarray, C: np.ndarray) -> float:
-    """Return ``e^T C^-1 e``; NaN where the covariance is not positive definite, as around a loop of exact poses."""
+    """Return ``e^T C^-1 e``, or NaN if the covariance is not positive definite, as for a loop of exact poses."""
     try:
         return float(np.sum(np.linalg.solve(np.linalg.cholesky(C), e) ** 2))
     except np.linalg.LinAlgError:
         return float("nan")
 
 
-@dataclass(frozen=True, eq=False)
-class FrameSet:
-    """Poses of named frames that agree with each other.
+@dataclass(frozen=True, eq=False, repr=False)
+class FrameSet(Shown):
+    """Consistent poses of named frames.
 
     Attributes
     ----------
-    names : of the frames. T : (F, 4, 4) their poses in the first of them [m].
+    names : of the frames.
+    T : (F, 4, 4) their poses in the first of them [m].
     """
 
     names: tuple[str, ...]
@@ -326,7 +335,7 @@ class FrameSet:
 
         Raises
         ------
-        FrameError : an unknown name, with those that are known.
+        FrameError : an unknown name, with the known ones.
         """
         for name in (a, b):
             if name not in self.names:
@@ -339,7 +348,9 @@ def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = Fals
     given = [edge.cov is not None for edge in edges]
     if any(given) and not all(given):
         missing = ", ".join(edge.text() for edge, known in zip(edges, given) if not known)
-        raise FrameError(f"Expected covariances of all poses or of none, got none of {missing}. Say how sure they are.")
+        raise FrameError(
+            f"Expected covariances of all poses or of none, but {missing} has no covariance. Pass cov= for each pose."
+        )
     problem = _problem(edges, names)
     found = nonlinear_least_squares(problem, start, robust=robust)
     size = float(np.linalg.norm(found.value[:, :3, 3].std(axis=0)))
@@ -359,12 +370,14 @@ def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = Fals
 
 def _start(edges: Sequence[Edge], names: Sequence[str]) -> np.ndarray:
     if not edges:
-        raise FrameError("Expected poses between frames, got none. Graph.add takes them.")
+        raise FrameError("Expected poses between frames, got an empty graph. Use Graph.add.")
     start = np.zeros((len(names), 4, 4))
     for k, name in enumerate(names):
         steps = path(edges, names[0], name)
         if steps is None:
-            raise FrameError(f"Expected poses that join {names[0]!r} and {name!r}, got none. Add the missing pose.")
+            raise FrameError(
+                f"Expected poses that connect {names[0]!r} and {name!r}, but there is no path. Add the missing pose."
+            )
         start[k] = se3.project(composed(edges, steps))[0]
     return start
 
@@ -405,7 +418,7 @@ def _problem(edges: Sequence[Edge], names: Sequence[str]) -> NonlinearProblem[np
 
 
 def _report(fit: Fit[FrameSet], words: Sequence[str]) -> str:
-    """Return the table with the poses that were left out by name."""
+    """Return the table of the fit with the names of the excluded poses."""
     lines = [fit.table()]
-    lines += [f"left out: {words[k]}" for k in np.flatnonzero(fit.outliers).tolist()]
+    lines += [f"excluded: {words[k]}" for k in np.flatnonzero(fit.outliers).tolist()]
     return "\n".join(lines)

@@ -17,7 +17,6 @@ from armlab.identify.excite import (
 from armlab.identify.payload import fit_payload
 from armlab.identify.prediction import Extrapolation, extrapolation, predict
 from armlab.identify.record import prepare, with_velocity
-from armlab.identify.regression import base_parameters
 from armlab.identify.validation import fit_velocity_covariance
 
 __all__ = [
@@ -25,7 +24,6 @@ __all__ = [
     "PhysicallyConsistent",
     "PredictedUncertainty",
     "Trajectory",
-    "base_parameters",
     "design_excitation",
     "dither",
     "extrapolation",

@@ -1,12 +1,14 @@
-"""Clocks of a log: stamps on the clock of its rows, lost rows bridged, and columns that are late.
+"""Clocks of a log: uniform time of the rows, interpolation of lost rows, and delays of columns.
 
-Controllers sample evenly, networks and loggers stamp unevenly. The clock of the rows is a monotone fit of stamp over
-row number: medians of the stamps in blocks of two seconds, straight lines between them. A row is lost where all later
-stamps stay behind by a period; a row that is merely late is caught up with by the rows after it.
+Controllers sample at even intervals, but networks and loggers add uneven timestamps. The clock of the rows is a
+monotone fit of stamp against row number: piecewise linear through medians of the stamps in blocks of two seconds. A row
+is lost if all later stamps are delayed by a period; if a row is merely late, later rows are not delayed.
 
-A column that is late by T is the motion of T before. The delay maximises the likelihood over shifts of the column,
-``sum_i n_i / 2 log R_i(T)`` with R_i the power that the regression of joint i leaves and n_i its independent samples;
-its variance is the inverse of the second derivative there, or what the joints' own delays scatter by.
+A column with delay T shows the motion from T earlier. The estimate minimises ``sum_i w_i log R_i(T)`` over shifts of
+the column, with R_i the residual power of the regression of joint i. The weight w_i is the second derivative of log R_i
+divided by the variance of its first derivative, which is estimated from the scatter between blocks of half a second;
+slow torque errors therefore hardly affect the delay. The variance of the delay is the inverse of the weighted second
+derivative, or the scatter of the joints' delays if that is larger, with the factor of Student's t for few joints.
 """
 
 from __future__ import annotations
@@ -16,29 +18,27 @@ from itertools import pairwise
 
 import numpy as np
 
-from armlab.estimation.robust import effective_samples
-
-BRIDGED = 4  # lost rows between two that are interpolated; more of them end a segment
-WINDOW = 50  # rows in which a late row is caught up with
-CAUGHT_UP = 0.25  # periods: jitter of the earliest of so many rows
+BRIDGED = 4  # consecutive lost rows that are interpolated; longer gaps end a segment
+WINDOW = 50  # rows within which a late row is caught up
+CAUGHT_UP = 0.25  # periods: jitter of the earliest row in the window
 BLOCK = 2.0  # s, of the medians
-JITTER = 0.01  # of the period: less is rounding of the stamps
-EARLIEST, LATEST = -0.06, 0.32  # s, of the delays that are searched
-STEP = 0.004  # s, between the shifts of the first search
-LEAST, SURE = 0.5, 4.0  # periods and deviations: a smaller delay stays as it is
-DOUBT = 1e-3  # s: friction lags in ways that no regression has
-FEWEST = 100  # rows that tell a delay
-EXACT = 1e-6  # share of power that is rounding
-VAGUE = 0.01  # s: a larger deviation is no knowledge
+JITTER = 0.01  # of the period: smaller jitter is rounding of the stamps
+EARLIEST, LATEST = -0.06, 0.32  # s, range of the searched delays
+STEP = 0.004  # s, between the shifts of the coarse search
+LEAST, SURE = 0.5, 4.0  # periods and standard deviations: smaller delays are not corrected
+DOUBT = 1e-3  # s: unmodelled lag of friction
+FEWEST, SCATTER = 100, 0.5  # rows needed for a delay; s, blocks whose scatter gives its variance
+EXACT = 1e-6  # fraction of power that is rounding
+VAGUE = 0.01  # s: a delay with a larger standard deviation is unknown
 
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """The rows of one log in time.
+    """Time of the rows of one log.
 
-    `t`: (N,) time of each row [s]. `index`: (N,) number of its period. `period`: [s]. `jitter`: deviation of the stamps
-    from it [s]. `drift`: largest slow deviation of the stamps from even periods [s]. `retimed`: whether t differs from
-    the stamps.
+    `t`: (N,) time of each row [s]. `index`: (N,) number of its period. `period`: [s]. `jitter`: standard deviation of
+    the stamps [s]. `drift`: largest slow deviation of the stamps from uniform periods [s]. `retimed`: whether t differs
+    from the stamps.
     """
 
     t: np.ndarray
@@ -52,7 +52,7 @@ class Clock:
     def of(cls, t: np.ndarray, q: np.ndarray | None = None, qd: np.ndarray | None = None) -> Clock:
         """Return the clock of rows with stamps t (N,).
 
-        Where position and velocity (N, n) agree better with the stamps, rows were sampled when they were stamped.
+        If position and velocity (N, n) agree better with the stamps, the rows were sampled at their stamps.
         """
         period = _period(np.diff(t))
         index = np.arange(len(t)) + np.cumsum(_lost(t, period))
@@ -64,17 +64,17 @@ class Clock:
 
     @property
     def pieces(self) -> list[int]:
-        """First row of each piece without a gap of more than `BRIDGED` rows, and the number of rows."""
+        """First row of each segment without a gap of more than `BRIDGED` rows, followed by the number of rows."""
         return _pieces(self.index)
 
     @property
     def lost(self) -> int:
-        """Number of rows that are missing in gaps that are bridged."""
+        """Number of rows missing in interpolated gaps."""
         missing = np.diff(self.index) - 1
         return int(missing[missing <= BRIDGED].sum())
 
     def bridged(self, columns: list[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, list[int]]:
-        """Return time, columns (N', n), which rows were measured (N',), and the edges of the pieces among them."""
+        """Return time, columns (N', n), the mask of measured rows (N',), and the edges of the segments."""
         pieces = self.pieces
         if not self.lost:
             return self.t, columns, np.ones(len(self.t), dtype=bool), pieces
@@ -85,21 +85,21 @@ class Clock:
         return np.interp(index, self.index, self.t), wide, np.isin(index, self.index), edges
 
     def text(self) -> str:
-        """Return jitter, drift and lost rows in words; nothing where there are none."""
+        """Return a sentence about jitter, drift and lost rows, or an empty text if there are none."""
         said = []
         if self.retimed:
             said.append(
-                f"stamps jitter by {1e3 * self.jitter:.2g} ms and drift by {1e3 * self.drift:.2g} ms: rows are put on "
-                f"an even clock of {1e3 * self.period:.4g} ms"
+                f"stamps jitter by {1e3 * self.jitter:.2g} ms and drift by {1e3 * self.drift:.2g} ms: rows are moved "
+                f"to a uniform clock of {1e3 * self.period:.4g} ms"
             )
         if self.lost:
             share = 100 * self.lost / (self.lost + len(self.t))
-            said.append(f"{self.lost} rows are lost ({share:.2g} %): bridged, not counted")
+            said.append(f"{self.lost} rows are lost ({share:.2g} %): they are interpolated, with weight 0")
         return "; ".join(said)
 
 
 def _period(step: np.ndarray) -> float:
-    """Return the period [s] of rows with steps (N - 1,); where they jitter by more than a fifth, of fifty rows."""
+    """Return the period [s] of rows with steps (N - 1,); averaged over fifty rows if they jitter strongly."""
     period = float(np.median(step))
     if np.median(np.abs(step - period)) < 0.2 * period or len(step) < 2 * WINDOW:
         near = step[np.abs(step - period) < 0.5 * period]
@@ -109,9 +109,9 @@ def _period(step: np.ndarray) -> float:
 
 
 def _lost(t: np.ndarray, period: float) -> np.ndarray:
-    """Return how many rows are missing before each row (N,): the earliest rows around a gap tell.
+    """Return the number of missing rows before each row (N,), from the earliest rows around a gap.
 
-    As many rows after it as before count jitter out; more of them tell a row that is late alone.
+    Comparing equally many rows before and after eliminates jitter; a longer window identifies single late rows.
     """
     N, last = len(t), 0
     lead, lost = t / period - np.arange(N), np.zeros(N, dtype=int)
@@ -129,7 +129,7 @@ def _pieces(index: np.ndarray) -> list[int]:
 
 
 def _even(t: np.ndarray, index: np.ndarray, period: float) -> tuple[np.ndarray, float, float]:
-    """Return the even clock (N,) of stamps t (N,), its period, and the drift of the stamps."""
+    """Return the uniform clock (N,) of stamps t (N,), its period, and the drift of the stamps."""
     clock, drift, longest, found = np.empty(len(t)), 0.0, 0, period
     for a, b in pairwise(_pieces(index)):
         blocks = np.array_split(np.arange(a, b), min(b - a, max(1, round(float(t[b - 1] - t[a]) / BLOCK))))
@@ -145,7 +145,7 @@ def _even(t: np.ndarray, index: np.ndarray, period: float) -> tuple[np.ndarray, 
 
 
 def _agree(t: np.ndarray, clock: np.ndarray, q: np.ndarray, qd: np.ndarray) -> bool:
-    """Return whether steps of position follow the stamps t (N,) better than the even clock (N,)."""
+    """Return whether the position steps match the stamps t (N,) better than the uniform clock (N,)."""
     step, speed = np.diff(q, axis=0), 0.5 * (qd[1:] + qd[:-1])
     near = np.diff(clock) < 1.5 * np.median(np.diff(clock))
     left = [np.abs(step - speed * np.diff(x)[:, None])[near].mean(axis=0) for x in (t, clock)]
@@ -154,21 +154,21 @@ def _agree(t: np.ndarray, clock: np.ndarray, q: np.ndarray, qd: np.ndarray) -> b
 
 @dataclass(frozen=True)
 class Delay:
-    """How late a column is against the positions, and its deviation [s]."""
+    """Delay of a column relative to the positions, and its standard deviation [s]."""
 
     seconds: float
     sd: float
 
     def matters(self, period: float) -> bool:
-        """Return whether it is known, and more than half a period [s]."""
+        """Return whether the delay is known and exceeds half a period [s]."""
         return abs(self.seconds) > max(SURE * self.sd, LEAST * period)
 
 
 def delay_of(y: np.ndarray, bases: list[np.ndarray], rows: np.ndarray, rate: float, used: np.ndarray) -> Delay | None:
-    """Return how late the columns y (N, n) of a record are; None where nothing tells.
+    """Return the delay of the columns y (N, n) of a record, or None if undetermined.
 
-    `bases`: of each joint, orthonormal columns (M, k) that explain y when it is on time. `rows`: (M,) of the record, so
-    far inside its segments that shifts stay there. `used`: (n,) joints that count.
+    `bases`: for each joint, orthonormal columns (M, k) that explain y without delay. `rows`: (M,) rows of the record,
+    far enough inside its segments for every shift. `used`: (n,) joints to use.
     """
     joints = np.flatnonzero(used)
     if not len(joints) or len(rows) < FEWEST:
@@ -180,29 +180,27 @@ def delay_of(y: np.ndarray, bases: list[np.ndarray], rows: np.ndarray, rate: flo
         return None
     best = int(coarse[np.argmin(score)])
     near = np.arange(max(first, best - 2 * step), min(last, best + 2 * step) + 1)
-    shares, weights = _shares(y, bases, rows, joints, near), []
-    for i in joints:
-        left = y[rows + best, i]
-        weights.append(0.5 * effective_samples(left - bases[i] @ (bases[i].T @ left)))
-    parts = np.polyfit((near - best) / rate, (weights / shares.min(axis=1) * shares.T), 2)[:2]
+    shares = _shares(y, bases, rows, joints, near)
+    parts = np.polyfit((near - best) / rate, (shares.T / shares.min(axis=1)), 2)[:2]
+    parts = parts * np.maximum(parts[0], 0.0) / _scatter(y, bases, rows, joints, best, rate)
     a, b = parts.sum(axis=1)
     if a <= 0.5 / VAGUE**2:
         return None
     push = parts[1] - b / a * parts[0]  # of each joint, at the common delay
-    scatter = len(joints) / max(len(joints) - 1, 1) * np.sum(push**2)
+    scatter = len(joints) / max(len(joints) - 3, 1) * np.sum(push**2)  # variance of Student's t: few joints
     sd = np.sqrt(DOUBT**2 + max(2.0 * a, scatter) / (2.0 * a) ** 2)
     return Delay(float(best / rate - 0.5 * b / a), float(sd))
 
 
 def shifts_of(rate: float) -> tuple[int, int]:
-    """Return the first and the last shift in rows that is searched."""
+    """Return the first and the last shift of the search in rows."""
     return int(np.floor(EARLIEST * rate)), int(np.ceil(LATEST * rate))
 
 
 def _shares(
     y: np.ndarray, bases: list[np.ndarray], rows: np.ndarray, joints: np.ndarray, shifts: np.ndarray
 ) -> np.ndarray:
-    """Return the share of power (J, S) that is left at each shift."""
+    """Return the remaining fraction of power (J, S) at each shift."""
     found = []
     for i in joints:
         at = y[rows[:, None] + shifts, i]
@@ -212,7 +210,22 @@ def _shares(
     return np.array(found)
 
 
+def _scatter(
+    y: np.ndarray, bases: list[np.ndarray], rows: np.ndarray, joints: np.ndarray, best: int, rate: float
+) -> np.ndarray:
+    """Return half the variance (J,) of the derivative of log R over the delay, from its scatter between blocks."""
+    step, block = max(1, round(STEP * rate)), np.unique(rows // max(1, round(SCATTER * rate)), return_inverse=True)[1]
+    found = []
+    for i in joints:
+        at = y[rows[:, None] + best + np.array([-step, 0, step]), i]
+        before, here, after = ((at - bases[i] @ (bases[i].T @ at)) ** 2).T
+        slope = np.bincount(block, after - before) * rate / (2 * step)
+        power = max(float(here.sum()), EXACT * float(np.sum((at[:, 1] - at[:, 1].mean()) ** 2)), 1e-300)
+        found.append(0.5 * len(slope) * np.var(slope) / power**2)
+    return np.maximum(found, 1e-12)
+
+
 def earlier(x: np.ndarray, rows: float) -> np.ndarray:
-    """Return columns (N, n) of one segment as they are `rows` later; beyond the end the last row stays."""
+    """Return columns (N, n) of one segment shifted forward by `rows`; the last row is repeated at the end."""
     at = np.arange(len(x))
     return np.stack([np.interp(at + rows, at, column) for column in x.T], axis=1)

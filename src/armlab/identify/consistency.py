@@ -1,11 +1,12 @@
-"""Links that are real bodies: the nearest to an identified model whose masses are positive everywhere.
+"""Physically consistent inertial parameters: the parameters with positive masses that are nearest to an identified
+model.
 
-A link is a body exactly when its pseudo-inertia P is positive definite (Wensing, Kim and Slotine 2018). With Lambda the
-information of the fit on its base parameters,
+A link is physically consistent if its pseudo-inertia P is positive definite (Wensing, Kim and Slotine 2018). With the
+information Lambda of the fit on its base parameters,
 
     minimise  (B pi - base)^T Lambda (B pi - base) + strength d(P, P_0)   over P_i >= 1e-6, rotor >= 0
 
-which grows the squared residual by exactly the first term, friction held. Theory: docs/theory/identification.md.
+With fixed friction, the squared residual increases by exactly the first term. Theory: docs/theory/identification.md.
 """
 
 from __future__ import annotations
@@ -17,40 +18,41 @@ from typing import Any
 
 import numpy as np
 
+from armlab._display import Shown
 from armlab._numbers import numbers
+from armlab.dynamics import BaseParameters, base_parameters
 from armlab.errors import ConfigError, MissingExtra, ModelMismatchError, NotConverged, ShapeError, UnknownName
 from armlab.estimation import Fit
-from armlab.identify.regression import BaseParameters, base_parameters
 from armlab.models import Payload, TorqueModel
 from armlab.robots import Robot, inertia
 
 LEAST = 1e-6  # eigenvalue of a pseudo-inertia [kg, kg m^2]
 PULLS = ("log-det", "euclidean")
-# The cost is flat about the bodies: its root is their error. How far rounding lets the solver come depends on the
-# processor; a gap of 1e-8, its default, is enough where it comes no farther.
+# The cost is flat near the optimum: the error of the parameters is its root. The reachable gap depends on the
+# processor; the default of 1e-8 is enough if no smaller one is reached.
 SOLVER = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11}
 SOLVER |= {"reduced_tol_gap_abs": 1e-8, "reduced_tol_gap_rel": 1e-8, "reduced_tol_feas": 1e-6}
 WIDTH = 0.05  # radius of gyration of a default prior, as a share of the reach
 
 
-@dataclass(frozen=True, eq=False)
-class PhysicallyConsistent:
+@dataclass(frozen=True, eq=False, repr=False)
+class PhysicallyConsistent(Shown):
     """Torque model with physically consistent links.
 
     Attributes
     ----------
     model : TorqueModel
-        Torque model with the parameters of these links.
+        Torque model with these parameters.
     links : array, shape (n, 10), kg, kg m, kg m^2
-        m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz in link frames, about their origins, as MuJoCo, URDF and
-        `Robot.inertias` take them. Along unidentified directions they are those of the prior.
+        m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz in link frames, about their origins, as in MuJoCo, URDF and
+        `Robot.inertias`. Unidentified directions follow the prior.
     rotor : array, shape (n,), kg m^2
         Rotor inertias.
     growth : float
         Relative growth of the weighted RMS residual.
     distance : float
-        Distance of the base parameters from the fit, in standard deviations of white noise: the root of the first term
-        of the cost.
+        Distance of the base parameters from the fit, in standard deviations of white noise: the square root of the
+        first term of the cost.
     """
 
     model: TorqueModel
@@ -66,7 +68,7 @@ class PhysicallyConsistent:
             object.__setattr__(self, name, values)
 
     def text(self) -> str:
-        """Return mass, centre and principal moments of each link, and what it cost."""
+        """Return a table of mass, centre of mass and principal moments of each link, and the residual growth."""
         body, moments = inertia.to_body(self.links), inertia.principal_moments(self.links)
         lines = ["link  mass [kg]  centre of mass [m]        principal moments [kg m^2]     rotor [kg m^2]"]
         for i in range(len(self.links)):
@@ -77,7 +79,7 @@ class PhysicallyConsistent:
 
 
 def pseudo_inertia(pi: np.ndarray) -> np.ndarray:
-    """Return the pseudo-inertia (..., 4, 4): second, first and zeroth moments of the mass about the frame's origin."""
+    """Return the pseudo-inertia (..., 4, 4): second, first and zeroth mass moments about the frame's origin."""
     pi = numbers(pi, "inertial parameters", ShapeError)
     if pi.shape[-1:] != (10,):
         raise ShapeError(f"Expected inertial parameters of shape (..., 10), got {pi.shape}. See robots.inertia.")
@@ -96,23 +98,26 @@ def pseudo_inertia(pi: np.ndarray) -> np.ndarray:
 def physically_consistent(
     fit: Fit[TorqueModel], robot: Robot, prior: np.ndarray | None = None, pull: str = "log-det", strength: float = 1.0
 ) -> PhysicallyConsistent:
-    """Return the nearest model whose links are bodies, with how much the residual grows.
+    """Return the nearest physically consistent model and the growth of the residual.
 
     Parameters
     ----------
-    fit : of `fit_dynamics`, as it was returned: a file does not keep what the log could tell.
+    fit : result of `fit_dynamics` in this process: a file does not store the information of the log.
     robot : the arm.
-    prior : (n, 10) link parameters to pull to, for example of CAD; must be bodies. When left out `robot.inertias`, or
-        balls between the joints where there are none.
-    pull : "log-det" or "euclidean".
-    strength : of the pull; 1 is as much as one deviation of white noise for a divergence of 1.
+    prior : (n, 10) link parameters to regularise towards, for example from CAD; must be physically consistent. Default:
+        `robot.inertias`, or spheres between the joints.
+    pull : regularisation: "log-det" or "euclidean".
+    strength : weight of the regularisation; 1 makes a divergence of 1 cost as much as one standard deviation of white
+    noise.
 
     Raises
     ------
-    MissingExtra : cvxpy is not installed. ModelMismatchError : a model of another robot.
-    ConfigError : a fit from a file, or of something else than all base parameters.
-    ShapeError : a prior of another shape or that is no body, a strength that is not positive. UnknownName : another
-    pull. NotConverged : the solver did not find a solution.
+    MissingExtra : cvxpy is not installed.
+    ModelMismatchError : a model of another robot.
+    ConfigError : a fit from a file, or not of all base parameters.
+    ShapeError : an inconsistent prior or one of wrong shape, or a strength that is not positive.
+    UnknownName : unknown `pull`.
+    NotConverged : the solver found no solution.
 
     References
     ----------
@@ -124,9 +129,9 @@ def physically_consistent(
     model = fit.value
     model.check_robot(robot)
     if pull not in PULLS:
-        raise UnknownName.among("pull to the prior", pull, PULLS)
+        raise UnknownName.among("regularisation", pull, PULLS)
     if not 0 < strength < np.inf:
-        raise ShapeError(f"Expected a strength above 0, got {strength}. Leave it out for 1.")
+        raise ShapeError(f"Expected a strength above 0, got {strength}. Omit it to use 1.")
     base = base_parameters(robot)
     root = _information_root(fit, base)
     target = fit.parameters[: len(base.names)]
@@ -135,29 +140,73 @@ def physically_consistent(
     distance = float(np.linalg.norm(root @ (values - target)))
     squares = float(np.sum((fit.residuals / fit.sigma) ** 2))
     growth = float(np.sqrt(1.0 + distance**2 / squares) - 1.0)
-    constant = base.D @ np.concatenate([links.ravel(), rotor])  # torque of bodies that the fit took for an offset
+    constant = base.D @ np.concatenate([links.ravel(), rotor])  # torque of the links that the fit assigns to the offset
     friction = replace(model.friction, offset=model.friction.offset - constant)
     better = replace(model, link_parameters=links, rotor=rotor, base_values=values, friction=friction)
     return PhysicallyConsistent(better, links, rotor, growth, distance)
 
 
-def physically_consistent_load(fit: Fit[Payload]) -> Fit[Payload]:
-    """Return the nearest load that is a body, in deviations of the fit.
+def bodies_of(model: TorqueModel, robot: Robot) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return consistent links (n, 10) and rotors (n,) that reproduce the torques of a model, and the remaining
+    deviation.
 
-    ``minimise (pi - pi_fit)^T cov^-1 (pi - pi_fit)`` over pseudo-inertias that are not negative.
+    Unidentifiable parameters follow the prior under ``B pi = base``. If that is infeasible, the nearest base parameters
+    are used, and their distance in standard deviations of the model is returned.
+    """
+    model.check_robot(robot)
+    if model.quasi_static:
+        raise ConfigError(
+            "Expected a model with inertia, got a model with only gravity and friction. Identify from a log of fast "
+            "motion."
+        )
+    links, rotor, n = model.link_parameters, model.rotor, robot.n
+    if np.linalg.eigvalsh(pseudo_inertia(links)).min() > LEAST and rotor.min() >= 0.0:
+        return np.array(links), np.array(rotor), 0.0
+    base, cvxpy, prior = base_parameters(robot), _cvxpy(), _prior(None, robot, model)
+    target = base.B @ np.concatenate([links.ravel(), rotor])
+    moments = pseudo_inertia(prior).sum(axis=0)
+    scale = np.diag([*[np.sqrt(np.trace(moments[:3, :3]) / moments[3, 3])] * 3, 1.0])
+    expand, back = _parameters_of(scale), np.linalg.inv(scale)
+    bodies = [cvxpy.Variable((4, 4), symmetric=True) for _ in range(n)]
+    turning = cvxpy.Variable(n, nonneg=True)
+    pi = cvxpy.hstack([*(expand @ cvxpy.vec(S, order="C") for S in bodies), turning])
+    starts = [back @ pseudo_inertia(one) @ back for one in prior]
+    far = sum(cvxpy.trace(np.linalg.inv(S0) @ S) - cvxpy.log_det(S) for S, S0 in zip(bodies, starts))
+    floors = [S >> 10.0 * LEAST * back @ back for S in bodies]
+    size = np.abs(base.B).max(axis=1)
+    try:
+        exact = [*floors, (base.B / size[:, None]) @ pi == target / size]
+        _solve(cvxpy, cvxpy.Problem(cvxpy.Minimize(far), exact))
+        found = np.asarray(pi.value)
+        found = found + np.linalg.pinv(base.B) @ (target - base.B @ found)  # more exact than the solver
+        away = 0.0
+    except NotConverged:
+        values, vectors = np.linalg.eigh(model.base_cov)
+        root = (vectors / np.sqrt(np.maximum(values, 1e-12 * values.max()))).T
+        _solve(cvxpy, cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares((root @ base.B) @ pi - root @ target)), floors))
+        found = np.asarray(pi.value)
+        away = float(np.linalg.norm(root @ (base.B @ found - target)))
+    return found[: 10 * n].reshape(n, 10), np.maximum(found[10 * n :], 0.0), away
+
+
+def physically_consistent_load(fit: Fit[Payload]) -> Fit[Payload]:
+    """Return the nearest physically consistent payload, measured in standard deviations of the fit.
+
+    ``minimise (pi - pi_fit)^T cov^-1 (pi - pi_fit)`` over positive semidefinite pseudo-inertias.
 
     Parameters
     ----------
-    fit : of `fit_payload` in mode "dynamic". The covariance stays that of the fit.
+    fit : result of `fit_payload` in mode "dynamic"; its covariance is kept.
 
     Raises
     ------
-    MissingExtra : cvxpy is not installed. ConfigError : a fit of mass and centre only, which is a body as it is.
-    NotConverged : the solver did not find a solution.
+    MissingExtra : cvxpy is not installed.
+    ConfigError : a fit of mass and centre only, which is always consistent.
+    NotConverged : the solver found no solution.
     """
     if len(fit.parameters) != 10:
         raise ConfigError(
-            f"Expected a load with inertia, got {len(fit.parameters)} parameters. Fit it with mode='dynamic'."
+            f"Expected a load with inertia, got {len(fit.parameters)} parameters. Identify it with mode='dynamic'."
         )
     cvxpy, far = _cvxpy(), float(np.linalg.norm(fit.value.centre)) or 1.0
     scale = np.diag([far, far, far, 1.0])
@@ -171,27 +220,29 @@ def physically_consistent_load(fit: Fit[Payload]) -> Fit[Payload]:
     text = fit.report()
 
     def summary(moved: Fit[Payload]) -> str:
-        return f"{moved.table()}\nmoved by {distance:.2g} deviations to a body; before:\n{text}"
+        return f"{moved.table()}\nmoved by {distance:.2g} deviations to become physically consistent; before:\n{text}"
 
     return replace(fit, value=replace(fit.value, pi=pi), parameters=pi, summary=summary)
 
 
 def _information_root(fit: Fit[TorqueModel], base: BaseParameters) -> np.ndarray:
-    """Return R (p, p) with ``R^T R`` the information on the base parameters, friction held."""
+    """Return R (p, p) with ``R^T R`` the information on the base parameters for fixed friction."""
     p, known = len(base.names), fit.excitation
     if tuple(fit.value.base_names) != base.names or fit.names[:p] != base.names:
-        raise ConfigError("Expected a fit of all base parameters of the robot, got another. Use identify.fit_dynamics.")
+        raise ConfigError(
+            "Expected a fit of all base parameters of the robot, got other parameters. Use identify.fit_dynamics."
+        )
     if known.vectors.shape != (len(fit.names),) * 2:
         raise ConfigError(
-            "Expected the fit as fit_dynamics returned it, got one without the information of the log, as files are. "
-            "Identify again from the log."
+            "Expected the fit returned by fit_dynamics, got a fit without the information from the log, for example "
+            "from a file. Repeat the identification from the log."
         )
     whole = known.singular_values[:, None] * known.vectors.T * known.scale
     return np.linalg.qr(whole[:, :p])[1]
 
 
 def _prior(prior: np.ndarray | None, robot: Robot, model: TorqueModel) -> np.ndarray:
-    """Return the link parameters (n, 10) to pull to."""
+    """Return the prior link parameters (n, 10)."""
     if prior is None and robot.inertias is not None:
         links = np.array(robot.inertias)
         bodies = np.linalg.eigvalsh(pseudo_inertia(links)).min(axis=1) > LEAST
@@ -200,16 +251,18 @@ def _prior(prior: np.ndarray | None, robot: Robot, model: TorqueModel) -> np.nda
         return _balls(robot, model)
     links = np.asarray(prior, dtype=float)
     if links.shape != (robot.n, 10) or not np.isfinite(links).all():
-        raise ShapeError(f"Expected a prior of shape ({robot.n}, 10), got {links.shape}. Give ten numbers per link.")
+        raise ShapeError(f"Expected a prior of shape ({robot.n}, 10), got {links.shape}. Pass ten numbers per link.")
     least = np.linalg.eigvalsh(pseudo_inertia(links)).min(axis=1)
     if np.any(least <= 0):
         listed = ", ".join(f"link {i + 1}" for i in np.flatnonzero(least <= 0))
-        raise ShapeError(f"Expected bodies as prior, got none for {listed}. See robots.inertia.from_body.")
+        raise ShapeError(
+            f"Expected a consistent prior, but it is inconsistent for {listed}. See robots.inertia.from_body."
+        )
     return links
 
 
 def _balls(robot: Robot, model: TorqueModel) -> np.ndarray:
-    """Return balls half-way to the next joint; together as heavy as the torques of the log let expect."""
+    """Return spheres halfway to the next joint, with a total mass that matches the torques of the log."""
     way = robot.frames[1:, :3, 3]
     length = np.linalg.norm(way, axis=1)
     reach = length.sum()
@@ -221,11 +274,11 @@ def _balls(robot: Robot, model: TorqueModel) -> np.ndarray:
 def _nearest(
     root: np.ndarray, target: np.ndarray, base: BaseParameters, prior: np.ndarray, pull: str, strength: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solve the semidefinite programme; return links (n, 10) and rotors (n,)."""
+    """Solve the semidefinite program; return links (n, 10) and rotors (n,)."""
     cvxpy = _cvxpy()
     n = len(prior)
     moments = pseudo_inertia(prior).sum(axis=0)
-    scale = np.diag([*[np.sqrt(np.trace(moments[:3, :3]) / moments[3, 3])] * 3, 1.0])  # entries of one size
+    scale = np.diag([*[np.sqrt(np.trace(moments[:3, :3]) / moments[3, 3])] * 3, 1.0])  # entries of equal size
     expand = _parameters_of(scale)
     back = np.linalg.inv(scale)
     bodies = [cvxpy.Variable((4, 4), symmetric=True) for _ in range(n)]
@@ -247,19 +300,21 @@ def _nearest(
 
 
 def _solve(cvxpy: Any, problem: Any) -> None:
-    """Solve, or say that there is no solution."""
+    """Solve the program; raise if there is no solution."""
     try:
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)  # see SOLVER for how much
+            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)  # see SOLVER for the accuracy
             problem.solve(solver="CLARABEL", **SOLVER)
     except cvxpy.SolverError as error:
-        raise NotConverged(f"Expected bodies near the fit, got no solution: {error}. Try another strength.") from None
+        raise NotConverged(
+            f"Expected parameters near the fit, got no solution: {error}. Try another strength."
+        ) from None
     if problem.status not in ("optimal", "optimal_inaccurate"):
-        raise NotConverged(f"Expected bodies near the fit, got solver status {problem.status!r}. Try another strength.")
+        raise NotConverged(f"Expected a solution near the fit, got status {problem.status!r}. Try another strength.")
 
 
 def _at_least(P: np.ndarray, scale: np.ndarray, least: float) -> np.ndarray:
-    """Return the scaled pseudo-inertia (16,) with eigenvalues of at least `least`, which solvers meet to rounding."""
+    """Return the scaled pseudo-inertia (16,) with eigenvalues of at least `least`, with a margin for the solver."""
     values, vectors = np.linalg.eigh(P)
     back = np.linalg.inv(scale)
     return (back @ (vectors * np.maximum(values, least)) @ vectors.T @ back).ravel()
@@ -276,10 +331,11 @@ def _parameters_of(scale: np.ndarray) -> np.ndarray:
 
 
 def _cvxpy() -> Any:
-    """Return cvxpy, or say how to get it."""
+    """Import cvxpy, or raise with the installation command."""
     try:
         return import_module("cvxpy")
     except ImportError:
         raise MissingExtra(
-            "Expected cvxpy for links that are bodies, got none. Install it: pip install 'armlab[sdp]'."
+            "Expected the package cvxpy for physically consistent links, but it is not installed. Install it: pip "
+            "install 'armlab[sdp]'."
         ) from None

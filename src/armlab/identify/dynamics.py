@@ -1,24 +1,25 @@
-"""Rigid-body base parameters, friction and ripple of all joints from a log, by robust least squares with covariance.
+"""Rigid-body base parameters, friction and ripple of all joints from a log, identified by robust least squares with
+covariance.
 
     tau_i = Y_i(q, qd, qdd) base + F_f,i(qd_i, s_i) + ripple_i(q_i) + e_i
 
 Five stages, in this order:
 
-1. Record: the logs are checked and cut at gaps (`identify.record`).
-2. Regression: one zero-phase filter runs over torque and every regressor column, then every few samples are kept
-   (`identify.regression`). Joints may read their torque by a few percent too large or small: gains, by which it is
-   divided, are fitted before and after the next stage.
-3. Friction structure: per joint, kind and width of the sign, Stribeck speed and the terms of friction are chosen on
-   held-out blocks, with the rigid part held (`identify.friction_structure`).
-4. Solution: all linear parameters by least squares, joints weighted by 1 / their residual deviation, within physical
-   bounds (`identify.solve`). Their covariance comes from a block bootstrap: residuals are coloured, and the formal
-   covariance is far too small. Drift of friction and the doubt between its structures are added
+1. Record: the logs are validated and cut at gaps (`identify.record`).
+2. Regression: one zero-phase filter for torque and every regressor column, then decimation (`identify.regression`).
+   Torque gains, which differ from 1 by a few percent per joint and divide the torque, are fitted before and after stage
+   3.
+3. Friction structure: for each joint, the kind and width of the sign, the Stribeck speed and the friction terms are
+selected on held-out blocks with a fixed rigid part (`identify.friction_structure`). 4. Solution: all linear parameters
+are fitted by least squares within physical bounds, with joints weighted by 1 / their residual standard deviation
+(`identify.solve`). Their covariance comes from a block bootstrap, because the formal covariance is far too small for
+coloured residuals. Friction drift and the uncertainty of the friction structure are added
    (`identify.solve`).
 5. Validation: models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal
-   filter; to them the torque covariance over velocity is fitted and its scale calibrated to 95.4 % inside 2 sigma
+   filter. The torque covariance over velocity is fitted to these and scaled to 95.4 % coverage of 2 sigma
    (`identify.validation`).
 
-`fit_gravity` fits gravity, friction and offsets alone, from slow motion; `identify.many` runs the same stages over any
+`fit_gravity` fits only gravity, friction and offsets from slow motion; `identify.many` runs the same stages over any
 number of logs.
 """
 
@@ -30,25 +31,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armlab._numbers import check_name, positive
+from armlab.dynamics import BaseParameters, base_parameters
+from armlab.dynamics.base_parameters import measured_joints
 from armlab.errors import ModelMismatchError, ShapeError
 from armlab.estimation import BlockSums, Fit, Prior, least_squares
 from armlab.estimation.linear_problem import LinearSolution
 from armlab.estimation.robust import METHODS, block_seconds
 from armlab.estimation.tsqr import one_thread
+from armlab.identify.drives.ripple import highest_seen, strongest_line
 from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.plausibility import check_gains, check_torques
 from armlab.identify.record import (
     Record,
     check_blocks,
     delay_text,
-    measured_joints,
     prepare,
     prepare_share,
     resting,
     torque_outliers,
     without_outliers,
 )
-from armlab.identify.regression import BaseParameters, Design, base_parameters
+from armlab.identify.regression import MIN_CYCLES, Design
 from armlab.identify.solve import (
     ROBUST,
     alternate,
@@ -66,11 +69,11 @@ from armlab.models.friction import FrictionBound
 from armlab.models.torque import Quality
 from armlab.robots import Robot
 
-CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
-FEWEST = 8.0  # independent segments that identify a number of the friction structure
-NO_LOAD = 0.02  # deviation of the load friction of a joint whose log shows none
-UNKNOWN = 1e3  # deviation of a parameter that the prior does not contain
-BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # Hz; rad/s^2, m/s^2: a log for `fit_gravity` stays below it, in this share
+CUTOFF = 10.0  # Hz, cut-off of the estimator's causal filter
+FEWEST = 8.0  # independent segments needed to identify a nonlinear friction parameter
+NO_LOAD = 0.02  # deviation of the load friction of a joint without that term
+UNKNOWN = 1e3  # deviation of a parameter that is not in the prior
+BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # Hz; rad/s^2, m/s^2: largest acceleration for `fit_gravity`, as this quantile
 
 Progress = Callable[[int, int, str], None]
 
@@ -93,46 +96,47 @@ def fit_dynamics(
     Parameters
     ----------
     table : Table or sequence of Table
-        Logs with columns q, qd, tau (N, n) over the robot's clock, without contact.
+        Logs with columns q, qd, tau (N, n) on the robot's clock, without contact.
     robot : Robot
-        The arm that was logged.
+        The arm that was recorded.
     method : {"irls", "lts", "wls", "ols"}
-        "irls": joints weighted by 1 / their deviation, rows by Huber's loss, single torque outliers replaced. "lts":
-        the same, but least trimmed squares over blocks of a quarter of a second. "wls", "ols": every sample as it is,
-        with weights per joint or without.
+        "irls": joints weighted by 1 / their standard deviation, rows by Huber's loss; isolated torque outliers are
+        replaced. "lts": the same with least trimmed squares over blocks of a quarter of a second. "wls", "ols": not
+        robust, with or without weights per joint.
     seed : int
-        Of the block bootstrap and of the random starts of "lts".
+        Seed of the block bootstrap and of the random starts of "lts".
     progress : callable, optional
         Called with (done, total, what).
     prior : Fit of TorqueModel, optional
-        Earlier fit of the same robot: its values are kept along directions the log does not excite, and the report
-        lists these. Default: such a log is refused.
+        Earlier fit of the same robot: its values are kept along directions that the log does not excite, and the report
+        lists these directions. Default: such logs raise an error.
     joints : sequence of int, optional
         Numbers, from 0, of the joints whose torque is measured; all joints may move. Default: all. Estimators ignore
         the other joints; momentum methods are unavailable for such a model.
     cutoff : float, optional, Hz
-        Corner of the low-pass over torque and regressor. Default: chosen on held-out stretches of time among a tenth
-        of the sampling rate (25 Hz at most), 12 and 6 Hz; the report says why. The model's own filter has this corner
-        where it is below 10 Hz.
+        Cut-off of the low-pass filter for torque and regressor. Default: selected by cross-validation from a tenth of
+        the sampling rate (at most 25 Hz), 12 Hz and 6 Hz; the report states the reason. If it is below 10 Hz, the
+        model's own filter has the same cut-off.
     force : bool
-        Fit torques that are not plausible, and report the reasons as doubts. Default: refuse them.
+        Fit implausible torques anyway, and report the reasons as doubts. Default: implausible torques raise an error.
 
     Returns
     -------
     Fit of TorqueModel
-        Parameters: the base parameters, then per joint viscous and Coulomb friction (one number, or one for each
-        direction), offset, and stribeck, root, load and two ripple amplitudes where the joint has them. Rotor inertia,
-        viscous, Coulomb and load friction are not negative.
+        Parameters: the base parameters, then per joint viscous and Coulomb friction (one number, or one per direction),
+        offset, and if selected stribeck, root, load and two ripple amplitudes. Rotor inertia and viscous, Coulomb and
+        load friction are non-negative.
 
     Raises
     ------
     ShapeError
-        NaN rows, wrong joint count, velocity that is not the derivative of position. Torques with a wrong sign, or more
-        than 3 times off what the masses of the robot file need or the other joints imply, by joint.
+        NaN rows, a wrong number of joints, or a velocity that is not the derivative of the position. Torques with a
+        wrong sign, or wrong by more than a factor of 3 according to the masses in the robot file or the other joints;
+        the message lists the joints.
     NotExcited
-        Joints or directions that the log does not determine, by name.
+        Joints or directions that the log does not determine; the message names them.
     UnknownName
-        Another method.
+        Unknown method.
     ModelMismatchError
         A prior of another robot.
 
@@ -163,18 +167,19 @@ def fit_gravity(
 
     Parameters
     ----------
-    table : logs with columns q, tau (N, n), and qd where it was measured, without contact.
-    robot : the arm that was logged; its gravity counts.
+    table : logs with columns q, tau (N, n), and qd if measured, without contact.
+    robot : the arm that was recorded, with its gravity.
     method, seed, progress, prior, cutoff, force : as in `fit_dynamics`.
 
     Returns
     -------
-    Fit of a `models.TorqueModel` that is quasi-static: no torque comes with acceleration or velocity of its links.
+    Fit of a quasi-static `models.TorqueModel`, without torques from link accelerations or velocities.
 
     Raises
     ------
-    ShapeError : logs that `fit_dynamics` refuses, or motion so fast that inertia would count as gravity.
-    NotExcited : joints or directions that the log does not determine, by name. UnknownName : another method.
+    ShapeError : logs that `fit_dynamics` rejects, or motion so fast that inertia would be fitted as gravity.
+    NotExcited : joints or directions that the log does not determine, by name.
+    UnknownName : unknown method.
 
     References
     ----------
@@ -188,15 +193,15 @@ def fit_gravity(
 
 
 def _check_slow(data: Record, robot: Robot) -> None:
-    """Refuse motion whose inertia cannot be neglected."""
+    """Raise if the inertial torques of the motion are not negligible."""
     band = min(BAND, data.rate / 10.0)
     acceleration = np.quantile(np.abs(data.filter(data.differentiate(data.qd), band)), QUANTILE, axis=0)
     fast = np.flatnonzero(acceleration > SLOW)
     if len(fast):
         listed = ", ".join(f"{robot.joint_names[i]} ({acceleration[i]:.2g})" for i in fast)
         raise ShapeError(
-            f"Expected slow motion, accelerations below {SLOW:g} rad/s^2 or m/s^2, got more for {listed}: inertia "
-            "would count as gravity. Use fit_dynamics for this log, or record a slower one."
+            f"Expected slow motion with accelerations below {SLOW:g} rad/s^2 or m/s^2, got more for {listed}; inertia "
+            "would be fitted as gravity. Use fit_dynamics for this log, or record a slower motion."
         )
 
 
@@ -207,19 +212,19 @@ def fit_model(
     settings: FitSettings,
     check: Callable[[Record], None] = lambda data: None,
 ) -> Fit[TorqueModel]:
-    """Run the five stages for `fit_dynamics` and `fit_gravity`; `check` refuses records that do not suit the fit."""
+    """Run the five stages for `fit_dynamics` and `fit_gravity`; `check` raises on unsuitable records."""
     settings.check(robot)
     settings.tell(0, 5, "checking the log")
     record, settings, rest = _moving(table, robot, settings)
     check(record)
     problem = make_problem(record, robot, base, settings)
     design, sums, solution = problem.design, problem.sums, problem.sums.solution
-    cov = covariance(design, solution, problem.length, settings.seed)
+    cov, drift = covariance(design, solution, problem.length, settings.seed)
     settings.tell(4, 5, "held-out residuals")
     model = model_of(design, solution.x, cov, problem.gain_cov)
     folds = fold_models(model, design, sums, problem.block, problem.length)
     before = None if settings.prior is None else settings.prior.value
-    model = assess(model, folds, design.data, design.joints, before=before)
+    model = assess(model, folds, design.data, design.joints, before=before, drift=drift)
     settings.tell(5, 5, "done")
     cov = cov + gain_share(solution, problem.gain_cov)
     fit = fit_of(model, design, solution, cov, record.measured, problem.band, problem.doubts)
@@ -229,7 +234,7 @@ def fit_model(
 def _moving(
     table: Table | Sequence[Table], robot: Robot, settings: FitSettings
 ) -> tuple[Record, FitSettings, np.ndarray]:
-    """Return the record, settings for the joints that move in it, and which joints (n,) a prior holds at rest."""
+    """Return the record, the settings for its moving joints, and a mask (n,) of resting joints covered by a prior."""
     none = np.zeros(len(robot.joint_names), dtype=bool)
     if settings.prior is None:
         return prepare(table, robot, settings.joints), settings, none
@@ -240,12 +245,12 @@ def _moving(
         return record, settings, none
     moved = [i for i in measured_joints(robot, settings.joints) if not rest[i]]
     if not moved:
-        return prepare(table, robot, settings.joints), settings, none  # which refuses
+        return prepare(table, robot, settings.joints), settings, none  # raises
     return record, replace(settings, joints=tuple(moved)), rest
 
 
 def _with_resting(fit: Fit[TorqueModel], prior: Fit[TorqueModel], rest: np.ndarray) -> Fit[TorqueModel]:
-    """Return the fit with the prior's parameters of joints (n,) that rested, and named."""
+    """Return the fit with the prior's parameters for joints (n,) at rest, and a note."""
     own, known, n = places_of_joints(fit), places_of_joints(prior), len(rest)
     if len(known) != n or len(own) != n - np.count_nonzero(rest):
         return fit
@@ -268,17 +273,17 @@ def _with_resting(fit: Fit[TorqueModel], prior: Fit[TorqueModel], rest: np.ndarr
         parameters=np.concatenate([fit.parameters, prior.parameters])[order],
         cov=cov[np.ix_(order, order)],
         formal_cov=formal[np.ix_(order, order)],
-        notes=(*fit.notes, f"at rest, friction held by the prior: joint{'s' * int(rest.sum() > 1)} {listed}"),
+        notes=(*fit.notes, f"at rest, friction from the prior: joint{'s' * int(rest.sum() > 1)} {listed}"),
     )
 
 
 @dataclass(frozen=True, eq=False)
 class FitSettings:
-    """How to fit.
+    """Options of a fit.
 
-    `tell`: called with (done, total, what). `joints`: whose torque is measured; None for all. `chooser`: of the
-    structure of friction, see `Design.choose_structure`. `cutoff`: corner of the regression [Hz]; None to choose it.
-    `force`: fit torques that are not plausible.
+    `tell`: progress callback (done, total, what). `joints`: joints with measured torque; None for all. `chooser`:
+    selects the friction structure, see `Design.choose_structure`. `cutoff`: cut-off of the regression [Hz]; None:
+    select. `force`: fit implausible torques.
     """
 
     what: str
@@ -292,19 +297,19 @@ class FitSettings:
     force: bool = False
 
     def corner(self, data: Record) -> float | None:
-        """Return the corner of the regression [Hz] where it is given; refuse one that the rate does not carry."""
+        """Return the given cut-off of the regression [Hz], if any; raise if it exceeds a quarter of the rate."""
         if self.cutoff is None:
             return None
         corner, most = positive(self.cutoff, "cut-off [Hz]"), data.rate / 4.0
         if corner > most:
             raise ShapeError(
                 f"Expected a cut-off of at most {most:.4g} Hz, a quarter of the sampling rate, got {corner:g} Hz. "
-                "Lower it, or leave it out for one chosen on held-out data."
+                "Lower it, or omit it to select one by cross-validation."
             )
         return corner
 
     def check(self, robot: Robot) -> None:
-        """Refuse another method, and a prior that is no fit or of another robot."""
+        """Raise on an unknown method, or a prior that is not a fit of this robot."""
         if self.prior is not None:
             if not isinstance(getattr(self.prior, "value", None), TorqueModel):
                 found = type(self.prior).__name__
@@ -313,7 +318,7 @@ class FitSettings:
         check_name(self.method, "method of identification", METHODS)
 
     def solve(self, design: Design, block: np.ndarray) -> LinearSolution:
-        """Solve for the linear parameters; `block` (M,) is the block of time of each kept row."""
+        """Solve for the linear parameters; `block` (M,) is the time block of each kept row."""
         limits = {
             "lower": design.layout.lower,
             "upper": design.layout.upper,
@@ -333,11 +338,11 @@ class FitSettings:
 
 @dataclass(frozen=True, eq=False)
 class FitProblem:
-    """A regression whose nonlinear parameters are fixed, and the sums of its blocks.
+    """Regression with fixed nonlinear parameters, and the sums of its blocks.
 
-    `gain_cov`: (J, J) of the gains. `block`: (N,) number of the block of each sample, `length` of them in an
-    independent segment. `theta`: (p,) parameters without slopes at which the slopes were taken. `band`: why the
-    regression has its corner. `doubts`: about the torques, in words.
+    `gain_cov`: (J, J) covariance of the gains. `block`: (N,) block number of each sample; `length` blocks make an
+    independent segment. `theta`: (p,) parameters of the linearisation without slopes. `band`: reason for the cut-off.
+    `doubts`: sentences about the torques.
     """
 
     design: Design
@@ -351,9 +356,9 @@ class FitProblem:
 
 
 def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: FitSettings) -> FitProblem:
-    """Run stages 2 to 4: build the regression, choose the friction structure, solve.
+    """Run stages 2 to 4: build the regression, select the friction structure, solve.
 
-    Torque outliers are replaced twice: the second time by the torque of the first fit.
+    Torque outliers are replaced twice, the second time by the torque of the first fit.
     """
     method, prior = settings.method, settings.prior
     known = None if prior is None else (prior.value.gains, prior.value.gain_cov)
@@ -368,11 +373,16 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     if settings.cutoff is None:
         corner, band = best_cutoff(design, method)
         if corner < design.decimation.cutoff:
-            design = Design.build(first, robot, base, joints=settings.joints, cutoff=corner, geared=design.geared)
+            design = Design.build(first, robot, base, joints=settings.joints, cutoff=corner, lines=design.lines)
     design = calibrated(design, method, known)[0]
 
-    settings.tell(2, 5, "choosing the structure of friction")
+    settings.tell(2, 5, "selecting the friction structure")
     design, theta = alternate(design, method, settings.seed, chooser=settings.chooser)
+    lines = _searched_lines(design, theta)
+    if len(lines):
+        kept = {"cutoff": design.decimation.cutoff, "structure": design.structure, "lines": lines}
+        design = Design.build(design.data, robot, base, joints=settings.joints, **kept).with_gains(design.gains)
+        design, theta = alternate(design, method, settings.seed, chooser=settings.chooser, again=True)
     if outliers.any():
         model = model_of(design, theta, np.zeros((len(theta), len(theta))))
         design = design.with_torque(without_outliers(record, outliers, model))
@@ -380,16 +390,44 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     design, theta, gain_cov = calibrated(design, method, known)
     doubts = doubts or check_gains(design, method, settings.force)
 
-    settings.tell(3, 5, "covariance from blocks")
+    settings.tell(3, 5, "covariance by block bootstrap")
     block, length = _blocks(design, theta, method)
     design, sums = _solved(design, theta, settings, block, length)
     return FitProblem(design, gain_cov, sums, block, length, theta, band, doubts)
 
 
+LOWEST, HIGHEST, WAVES = 20.0, 500.0, 6.0  # rad/rad; minimum periods within the range of a joint, more than gravity has
+HIGHEST_SLIDING = 3000.0  # rad/m
+WORTH = 0.1  # smallest share of a line in the residual power
+AT_MOST = 20_000  # samples per search
+
+
+def _searched_lines(design: Design, theta: np.ndarray) -> np.ndarray:
+    """Return the strongest ripple line (J,) of joints with unknown gears, or (0,) if no line was found."""
+    data, joints = design.data, design.joints
+    if design.geared or not np.any(design.cycles < MIN_CYCLES):
+        return np.zeros(0)
+    model = model_of(design, theta, np.zeros((len(theta), len(theta))))
+    qdd, left = data.filter(data.differentiate(data.qd), data.rate / 10.0), np.empty_like(data.q)
+    for a, b in data.segments:
+        left[a:b] = data.tau[a:b] - model.torque(data.q[a:b], data.qd[a:b], qdd[a:b], data.dt[a:b])
+    some = slice(None, None, -(-len(left) // AT_MOST))
+    lines, found = np.empty(len(joints)), False
+    for i, joint in enumerate(joints):
+        q, qd, y = data.q[some, joint], data.qd[some, joint], left[some, joint]
+        most = HIGHEST_SLIDING if design.robot.prismatic[joint] else HIGHEST
+        most = min(most, highest_seen(qd, data.rate))
+        least = max(LOWEST, 2 * np.pi * WAVES / max(float(np.ptp(q)), 1e-9))
+        line, share = strongest_line(q, qd, y, data.rate, least, most)
+        lines[i] = line if share >= WORTH else most
+        found |= share >= WORTH
+    return lines if found else np.zeros(0)
+
+
 def _solved(
     design: Design, theta: np.ndarray, settings: FitSettings, block: np.ndarray, length: int
 ) -> tuple[Design, BlockSums]:
-    """Return the design with its slopes and the sums of its blocks; numbers that few reversals identify stay."""
+    """Return the design with slopes, and the sums of its blocks; poorly identified nonlinear parameters are fixed."""
     sloped = linearised(design, theta, settings.method)
     sums = BlockSums.of(settings.solve(sloped, block[design.rows]))
     spread = sums.spread(length)[sloped.layout.slopes] >= FEWEST
@@ -402,7 +440,7 @@ def _solved(
 
 
 def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray, int]:
-    """Return the block number (N,) of each sample, and how many blocks make a segment; with "lts" they are several."""
+    """Return the block number (N,) of each sample, and the number of blocks per segment (several for "lts")."""
     data = design.data
     step = float(np.median(np.diff(data.t[design.rows])))
     seconds = min(block_seconds(design.residuals(theta), step), data.seconds / 20.0)
@@ -414,7 +452,7 @@ def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray,
 
 
 def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.ndarray | None = None) -> TorqueModel:
-    """Turn linear parameters and the structure of friction into a model; covariance and quality are provisional."""
+    """Convert linear parameters and the friction structure to a model; its covariance and quality are provisional."""
     data, robot, base = design.data, design.robot, design.base
     n, p = len(robot.joint_names), len(base.names)
     unknown = np.full(n, np.nan)
@@ -456,8 +494,8 @@ def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.nd
 def fold_models(
     model: TorqueModel, design: Design, sums: BlockSums, block: np.ndarray, length: int
 ) -> list[tuple[TorqueModel, np.ndarray]]:
-    """Return, for each fifth of the stretches, the model fitted without them and a mask (N,) of their samples."""
-    folds, block = [], np.minimum(block, len(sums.rows) - 1)  # no row is kept of the last where ends are left out
+    """Return, for each fifth of the segments, the model fitted without it and a mask (N,) of its samples."""
+    folds, block = [], np.minimum(block, len(sums.rows) - 1)  # the last block may have no kept rows
     for k in range(FIFTHS):
         kept = np.arange(len(sums.rows)) // length % FIFTHS != k
         theta = sums.solve(kept.astype(float))
@@ -474,7 +512,7 @@ def fit_of(
     band: str,
     doubts: tuple[str, ...],
 ) -> Fit[TorqueModel]:
-    """Return the fit behind a model, its parameters in their units, with what was repaired and what is doubted."""
+    """Return the fit of a model: parameters in their units, repairs, and doubts."""
     late = tuple(delay_text(name, delay) for name, delay in design.data.delays.items())
     corner = f"regression below {design.decimation.cutoff:g} Hz ({band})"
     parameters, in_units, formal = design.in_units(solution.x, cov, solution.cov)

@@ -1,11 +1,11 @@
-"""Excitation: trajectories that make parameters identifiable, friction runs, and the precision to expect.
+"""Excitation trajectories, friction runs, and the predicted parameter uncertainty.
 
     q_i(t) = centre_i + sum_k a_ik / (2 pi f0 k) sin(2 pi f0 k t) - b_ik / (2 pi f0 k) cos(2 pi f0 k t)
 
-(Swevers et al. 1997). The record starts and ends at rest: a quintic window blends the motion in and out. Among seeded
-candidates, each scaled to the limits, the one with the largest log det of the information of the base regressor is kept
-(D-optimal; the units of the parameters do not change the order). Candidates that collide or that the motors cannot
-drive are left out; those that are slow too seldom, or turn round too seldom for friction, come last.
+(Swevers et al. 1997). The motion starts and ends at rest, because a quintic window blends it in and out. Seeded
+candidates are scaled to the limits. The candidate with the largest log det of the information of the base regressor is
+selected (D-optimality, which is independent of the parameter units). Candidates that collide or exceed the motor
+torques are discarded; those with too little slow motion or too few reversals to identify friction are ranked last.
 """
 
 from __future__ import annotations
@@ -16,27 +16,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab._display import Shown
 from armlab._numbers import generator, number, numbers
+from armlab.dynamics import BaseParameters, base_parameters, base_regressor
 from armlab.errors import NotConverged, RobotError, ShapeError, UnknownName
 from armlab.estimation import Excitation
-from armlab.identify.regression import BaseParameters, base_parameters
 from armlab.log import Table
 from armlab.models.friction import FRICTION_TERMS
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-LONGEST_STEP = 0.006  # s that a controller's clock moves at once: 1.5 periods, what the bridge lets a reference move
-REST = 1e-3  # rad/s or m/s at an end of a saved motion
+LONGEST_STEP = 0.006  # largest step of a controller's clock [s]: 1.5 periods, as in the bridge
+REST = 1e-3  # largest speed at an end of a saved motion, rad/s or m/s
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """A joint motion that can be sampled at any time.
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(Shown):
+    """Joint motion that can be sampled at any time.
 
     Attributes
     ----------
-    seconds : length.
-    sample : gives q, qd, qdd (..., n) at times (...,); constant outside [0, seconds].
+    seconds : duration [s].
+    sample : function of times (...,) that returns q, qd, qdd (..., n); constant outside [0, seconds].
     """
 
     seconds: float
@@ -44,7 +45,7 @@ class Trajectory:
 
     @property
     def q_first(self) -> np.ndarray:
-        """Position (n,) at the start."""
+        """Start position (n,)."""
         return self.sample(np.array(0.0))[0]
 
     def table(self, rate: float = 250.0) -> Table:
@@ -56,21 +57,21 @@ class Trajectory:
 
         Raises
         ------
-        ShapeError : for a rate that is not above 0.
+        ShapeError : a rate that is not above 0.
         """
         if not 0 < rate < np.inf:
-            raise ShapeError(f"Expected a rate above 0 Hz, got {rate:g} Hz. Give the rate of the controller.")
+            raise ShapeError(f"Expected a rate above 0 Hz, got {rate:g} Hz. Pass the rate of the controller.")
         t = np.append(np.arange(0.0, self.seconds - 0.5 / rate, 1.0 / rate), self.seconds)
         q, qd, qdd = self.sample(t)
         return Table(t, {"q": q, "qd": qd, "qdd": qdd}, source=("Trajectory.table",))
 
     @classmethod
     def from_table(cls, table: Table) -> Trajectory:
-        """Return the motion that a table holds, to be run again: cubic between rows, with the slopes qd.
+        """Return a saved motion, interpolated cubically between rows with the slopes qd.
 
         Parameters
         ----------
-        table : q and qd (N, n), at rest in the first and the last row.
+        table : log with q and qd (N, n), at rest in the first and the last row.
 
         Raises
         ------
@@ -81,13 +82,13 @@ class Trajectory:
         t, q, qd = table.t, table["q"], table["qd"]
         if len(t) < 2 or q.shape != qd.shape or not (np.isfinite(q).all() and np.isfinite(qd).all()):
             raise ShapeError(
-                f"Expected q and qd of one shape (N, n) without missing values, got {q.shape} and {qd.shape}. "
+                f"Expected q and qd of equal shape (N, n) without missing values, got {q.shape} and {qd.shape}. "
                 "Save the motion again with Trajectory.table."
             )
         if np.abs(qd[[0, -1]]).max() > REST:
             raise ShapeError(
                 f"Expected a motion at rest at both ends, got {np.abs(qd[[0, -1]]).max():.3g} rad/s. "
-                "Blend it in and out; a robot cannot jump to a speed."
+                "Blend the motion in and out, because a robot cannot start at speed."
             )
         spline = CubicHermiteSpline(t, q, qd)
         first, second, begin, end = spline.derivative(), spline.derivative(2), t[0], t[-1]
@@ -99,14 +100,14 @@ class Trajectory:
         return cls(float(end - begin), sample)
 
     def controller(self, approach: float = 4.0) -> Callable[[State], Command]:
-        """Return a controller that walks from where the arm stands to the start, then runs the motion.
+        """Return a controller that moves from the present posture to the start, then runs the motion.
 
-        Its clock follows the robot's, but never by more than 6 ms at once: after lost packets the motion goes on
-        where it was, without a jump. It starts again in each session.
+        Its clock advances with the robot's clock by at most 6 ms per cycle, so that the motion continues without a jump
+        after lost packets. It restarts in each session.
 
         Parameters
         ----------
-        approach : seconds of the walk (quintic, at rest at both ends).
+        approach : duration of the motion to the start [s] (quintic, at rest at both ends).
         """
         clock, session = 0.0, 0
 
@@ -131,21 +132,20 @@ def quintic_step(x: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def sequence(parts: Sequence[Trajectory], walk: float = 2.0) -> Trajectory:
-    """Join motions that start and end at rest, with a quintic walk of `walk` seconds between them.
+    """Join motions that start and end at rest, connected by quintic motions of `walk` seconds.
 
     Parameters
     ----------
-    parts : at least one motion. walk : seconds of each walk, above 0.
+    parts : at least one motion.
+    walk : duration of each connecting motion [s], above 0.
 
     Raises
     ------
-    ShapeError : for no parts, parts that are no motions, or no time to walk.
+    ShapeError : no parts, parts that are not motions, or an invalid duration.
     """
     walk = number(walk, "the walk [s]")
     if not isinstance(parts, list | tuple) or not all(isinstance(part, Trajectory) for part in parts):
-        raise ShapeError(
-            f"Expected a list of motions, got {type(parts).__name__}. identify.design_excitation gives one."
-        )
+        raise ShapeError(f"Expected a list of motions, got {type(parts).__name__}. Use identify.design_excitation.")
     if not parts or not 0 < walk < np.inf:
         raise ShapeError(f"Expected at least one motion and a walk above 0 s, got {len(parts)} and {walk:g} s.")
     starts = np.cumsum([0.0, *(part.seconds + walk for part in parts[:-1])])
@@ -173,10 +173,10 @@ def sequence(parts: Sequence[Trajectory], walk: float = 2.0) -> Trajectory:
 
 RAMP = 2.0  # s, blend at each end
 CANDIDATES = 60
-WIDTH, WIDER, NARROWER = 0.5, 1.2, 0.97  # of the search: about one step in seven wins
-SLOW, SLOW_SHARE = 0.1, 0.15  # of the speed limit, and the least share of samples below it
+WIDTH, WIDER, NARROWER = 0.5, 1.2, 0.97  # search widths: about one step in seven is accepted
+SLOW, SLOW_SHARE = 0.1, 0.15  # share of the speed limit, and required share of samples below it
 TURNS_PER_SECOND = 10.0 / 60.0
-MARGIN = 0.05  # rad or m, kept from the position limits; a tenth of the range where that is less
+MARGIN = 0.05  # rad or m, distance to the position limits; a tenth of the range if that is less
 
 
 def design_excitation(
@@ -194,40 +194,43 @@ def design_excitation(
     *,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Trajectory:
-    """Design an excitation motion.
+    """Design an excitation trajectory.
 
-    Every joint is slower than a tenth of its limit in at least 15 % of the samples, and turns round at least ten times
-    a minute, wherever a candidate does. With torque limits and masses in the robot file the motion stays within them.
+    Every joint is slower than a tenth of its limit in at least 15 % of the samples, and reverses at least ten times per
+    minute, if any candidate achieves this. With torque limits and masses in the robot file, the motion respects the
+    limits.
 
     Parameters
     ----------
-    robot : limits and dynamics.
-    seconds : length, at least 10.
+    robot : robot with limits and dynamics.
+    seconds : duration [s], at least 10.
     f0 : base frequency [Hz].
-    harmonics : number of them.
+    harmonics : number of harmonics.
     speed : peak speed as a share of the robot's limits, in (0, 1].
     acceleration : peak acceleration [rad/s^2].
-    centre : (n,) centre of the motion, inside the limits; it is moved 0.1 rad away from them. When left out, the
-        robot's home, moved from the limits until every joint has 70 degrees to both sides (or half its range, where
-        that is less).
-    seed : of the candidates.
-    sigma : (n,) deviation of the torque noise [N m], that weighs the joints; all alike when left out.
-    collides : whether a pose (n,) must be avoided; asked ten times a second along each candidate.
-    rounds : of a search around the best candidate, 5 ms each; 300 make the expected deviations about a fifth smaller.
+    centre : (n,) centre of the motion, inside the limits; it is moved 0.1 rad away from them. Default: the robot's
+        home, moved away from the limits until every joint has 70 degrees on both sides (or half its range, if that is
+        smaller).
+    seed : seed of the candidates.
+    sigma : (n,) standard deviation of the torque noise [N m], which weights the joints; default: equal.
+    collides : collision check of a posture (n,), called ten times per second along each candidate.
+    rounds : steps of a search around the best candidate, 5 ms each; 300 reduce the predicted standard deviations by
+    about 20 %.
     progress : called with (done, total, what).
 
     Returns
     -------
-    Trajectory that stays 0.05 rad (or a tenth of the range) inside the position limits and below the other limits.
+    Trajectory that stays 0.05 rad (or a tenth of the range) inside the position limits and below the other limits; with
+    coupled motors, inside the limits of both the joints and the controller's axes.
 
     Raises
     ------
-    ShapeError : for a share outside (0, 1], a record that is too short, no harmonics, a centre outside the limits,
-        noise that is not above 0, a seed below 0, or something else than numbers.
-    NotConverged : when every candidate collides or is beyond the torque limits.
+    ShapeError : a share outside (0, 1], a duration that is too short, no harmonics, a centre outside the limits,
+        noise that is not above 0, a negative seed, or non-numeric values.
+    NotConverged : if every candidate collides or exceeds the torque limits.
     """
     seconds, f0 = number(seconds, "seconds"), number(f0, "f0 [Hz]")
-    speed, acceleration = number(speed, "the share of the speed"), number(acceleration, "acceleration [rad/s^2]")
+    speed, acceleration = number(speed, "the speed share"), number(acceleration, "acceleration [rad/s^2]")
     waves, tries = number(harmonics, "harmonics"), number(rounds, "rounds")
     if not 0 < speed <= 1 or not 10 <= seconds < np.inf:
         raise ShapeError(
@@ -237,8 +240,8 @@ def design_excitation(
     counts = 1 <= waves < np.inf and 0 <= tries < np.inf and waves % 1 == tries % 1 == 0
     if not 0 < f0 < np.inf or not acceleration > 0 or not counts:
         raise ShapeError(
-            f"Expected f0 and acceleration above 0, at least one harmonic and rounds from 0, got {f0:g} Hz, "
-            f"{acceleration:g}, {waves:g} and {tries:g}. Leave them out for the defaults."
+            f"Expected f0 and acceleration above 0, at least one harmonic and rounds of at least 0, got {f0:g} Hz, "
+            f"{acceleration:g}, {waves:g} and {tries:g}. Omit them to use the defaults."
         )
     rng = generator(seed)
     base = base_parameters(robot)
@@ -258,7 +261,7 @@ def design_excitation(
     best = _search(judged, draws, int(rounds), rng, progress or (lambda done, total, what: None))
     if best is None:
         raise NotConverged(
-            f"Expected a motion without collision and within the torque limits of {robot.name!r}, got none among "
+            f"Expected a collision-free motion within the torque limits of {robot.name!r}, got none among "
             f"{CANDIDATES} candidates. Move the centre, or lower speed and acceleration."
         )
     return best
@@ -271,7 +274,7 @@ def _search(
     rng: np.random.Generator,
     tell: Callable[[int, int, str], None],
 ) -> Trajectory | None:
-    """Return the best of some candidates and of steps around it (1 + 1 evolution strategy); None without a good one."""
+    """Return the best candidate, improved by a (1 + 1) evolution strategy, or None if no candidate is valid."""
     total, found = len(draws) + rounds, []
     for k, draw in enumerate(draws):
         tell(k, total, "choosing among candidates")
@@ -293,30 +296,37 @@ def _search(
     return best
 
 
-def dither(
-    centre: np.ndarray, seconds: float, amplitude: float = np.deg2rad(2.0), frequency: float = 0.5
-) -> Trajectory:
-    """Sway every joint gently about a pose, so that static friction cannot hide a small force.
+SWAY = float(np.deg2rad(2.0))  # rad or m
 
-    Joints have different phases: they do not all reverse at once.
+
+def dither(
+    centre: np.ndarray, seconds: float, amplitude: float | np.ndarray = SWAY, frequency: float = 0.5
+) -> Trajectory:
+    """Return a small oscillation of every joint about a posture, which keeps static friction from hiding a small force.
+
+    Joints have different phases, so that they do not reverse simultaneously.
 
     Parameters
     ----------
-    centre : (n,) [rad]. seconds : length, above 0. amplitude : [rad]. frequency : [Hz].
+    centre : (n,) centre of the oscillation [rad or m].
+    seconds : duration [s], above 0.
+    amplitude : amplitude of all joints, or of each (n,) [rad or m].
+    frequency : frequency [Hz].
 
     Raises
     ------
-    ShapeError : for a length that is not above 0, or a pose, amplitude or frequency that is none.
+    ShapeError : a duration that is not above 0, or an invalid posture, amplitude or frequency.
     """
-    seconds, amplitude = number(seconds, "seconds"), number(amplitude, "the amplitude [rad]")
+    seconds, width = number(seconds, "seconds"), numbers(amplitude, "the amplitude [rad]", ShapeError)
     frequency = number(frequency, "the frequency [Hz]")
     if not 0 < seconds < np.inf:
-        raise ShapeError(f"Expected a length above 0 s, got {seconds:g} s. Give the seconds of the motion.")
+        raise ShapeError(f"Expected a length above 0 s, got {seconds:g} s. Pass the duration of the motion.")
     centre = np.array(numbers(centre, "the pose", ShapeError))
-    if centre.ndim != 1 or not np.isfinite(centre).all() or not np.isfinite(amplitude) or not 0 < frequency < np.inf:
+    fits = centre.ndim == 1 and width.shape in ((), centre.shape)
+    if not fits or not np.isfinite(centre).all() or not np.isfinite(width).all() or not 0 < frequency < np.inf:
         raise ShapeError(
-            f"Expected a finite pose (n,) and amplitude and a frequency above 0 Hz, got shape {centre.shape}, "
-            f"{amplitude:g} rad and {frequency:g} Hz. Give one position per joint [rad]."
+            f"Expected a finite pose (n,), a finite amplitude and a frequency above 0 Hz, got shape {centre.shape}, "
+            f"{width} rad and {frequency:g} Hz. Pass one position per joint [rad]."
         )
     omega = 2 * np.pi * frequency
     phase = np.arange(len(centre)) * 2 * np.pi / len(centre)
@@ -325,19 +335,19 @@ def dither(
         t = np.clip(np.asarray(t, dtype=float), 0.0, seconds)
         w, wd, wdd = (v[..., None] for v in _window(t, seconds))
         angle = omega * t[..., None] + phase
-        x, xd = amplitude * np.sin(angle), amplitude * omega * np.cos(angle)
+        x, xd = width * np.sin(angle), width * omega * np.cos(angle)
         return centre + w * x, w * xd + wd * x, -w * omega**2 * x + 2 * wd * xd + wdd * x
 
     return Trajectory(seconds, sample)
 
 
 def _inside(robot: Robot, centre: np.ndarray) -> np.ndarray:
-    """Return a centre (n,) moved away from the limits by twice the margin; refuse one outside them."""
+    """Return a centre (n,) moved away from the limits by twice the margin; raise if it is outside the limits."""
     given = np.array(numbers(centre, "the centre", ShapeError))
     if given.shape != (robot.n,) or not np.all((given >= robot.q_min) & (given <= robot.q_max)):
         raise ShapeError(
             f"Expected a centre of shape ({robot.n},) inside the limits of {robot.name!r}, got {given.tolist()}. "
-            "Give one position per joint [rad]."
+            "Pass one position per joint [rad]."
         )
     margin = _margin(robot)
     return np.clip(given, robot.q_min + 2 * margin, robot.q_max - 2 * margin)
@@ -350,7 +360,7 @@ def _margin(robot: Robot) -> np.ndarray:
 def _scaled(
     robot: Robot, centre: np.ndarray, a: np.ndarray, b: np.ndarray, f0: float, seconds: float, speed: float, peak: float
 ) -> Trajectory:
-    """Scale each joint of a candidate as far as speed, acceleration and position limits allow."""
+    """Scale each joint of a candidate as far as the speed, acceleration and position limits allow."""
     t = np.linspace(0, seconds, int(seconds * 100))
     q, qd, qdd = _fourier(centre, a, b, f0, seconds)(t)
     margin = _margin(robot)
@@ -364,6 +374,20 @@ def _scaled(
         ]
     )
     scale = shares.min(axis=0)
+    coupled = robot.coupling / np.diag(robot.coupling)
+    if np.any(coupled - np.eye(robot.n)):  # the controller limits its axes, on the joints' side of the gears
+        axes = np.linalg.inv(coupled)
+        way, rate, middle = (q - centre) * scale @ axes.T, qd * scale @ axes.T, axes @ centre
+        up, down = robot.q_max - margin - middle, middle - robot.q_min - margin
+        shares = np.stack(
+            [
+                robot.qd_max / np.maximum(np.abs(rate).max(axis=0), 1e-9),
+                up / np.maximum(way.max(axis=0), 1e-9),
+                down / np.maximum(-way.min(axis=0), 1e-9),
+            ]
+        ).min(axis=0)
+        for axis in np.flatnonzero(shares < 1.0):
+            scale[axes[axis] != 0.0] *= max(shares[axis], 0.0)
     return Trajectory(seconds, _fourier(centre, a * scale, b * scale, f0, seconds))
 
 
@@ -387,7 +411,7 @@ def _fourier(
 
 
 def _window(t: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the quintic window that is 0 at both ends and 1 between the ramps, with two derivatives."""
+    """Return the quintic window, which is 0 at both ends and 1 between the ramps, with two derivatives."""
     ramp = min(RAMP, seconds / 2)
     rising = t < seconds / 2
     w, wd, wdd = quintic_step(np.where(rising, t, seconds - t) / ramp)
@@ -397,22 +421,14 @@ def _window(t: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray, np.n
 def _information(robot: Robot, base: BaseParameters, trajectory: Trajectory, f0: float, weights: np.ndarray) -> float:
     """Return log det of the information of the base parameters over one period."""
     t = np.linspace(RAMP, min(RAMP + 1.0 / f0, trajectory.seconds - RAMP), 100)
-    A = _regressor(robot, base, *trajectory.sample(t)) * weights[:, None]
+    A = base_regressor(robot, *trajectory.sample(t), base) * weights[:, None]
     A = A.reshape(-1, A.shape[2])
     sign, logdet = np.linalg.slogdet(A.T @ A)
     return float(logdet) if sign > 0 else -np.inf
 
 
-def _regressor(robot: Robot, base: BaseParameters, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-    """Return the columns (N, n, p) of the base parameters."""
-    n = robot.n
-    rotor = np.zeros((len(q), n, n))
-    rotor[:, range(n), range(n)] = qdd
-    return np.concatenate([robot.chain.rigid_regressor(q, qd, qdd, robot.gravity), rotor], axis=2)[:, :, base.kept]
-
-
 def _possible(robot: Robot, motion: Trajectory, collides: Callable[[np.ndarray], bool] | None) -> bool:
-    """Tell whether the motors can drive a motion and it meets nothing."""
+    """Return whether a motion respects the motor torque limits and is free of collisions."""
     q, qd, qdd = motion.sample(np.arange(0.0, motion.seconds, 0.1))
     if collides is not None and any(collides(pose) for pose in q):
         return False
@@ -422,7 +438,7 @@ def _possible(robot: Robot, motion: Trajectory, collides: Callable[[np.ndarray],
 
 
 def _varied(robot: Robot, motion: Trajectory) -> bool:
-    """Tell whether every joint is slow, and turns round, as often as friction needs."""
+    """Return whether every joint has enough slow motion and reversals to identify friction."""
     qd = motion.sample(np.arange(0.0, motion.seconds, 0.01))[1]
     slow = np.mean(np.abs(qd) < SLOW * robot.qd_max, axis=0)
     turns = np.sum(np.diff(np.sign(qd[1:-1]), axis=0) != 0, axis=0)
@@ -433,7 +449,7 @@ def _deviation(robot: Robot, sigma: np.ndarray) -> np.ndarray:
     values = numbers(sigma, "sigma", ShapeError)
     if values.shape != (robot.n,) or not np.all((values > 0) & np.isfinite(values)):
         raise ShapeError(
-            f"Expected sigma of shape ({robot.n},) above 0 N m, got {values.tolist()}. Give one per joint."
+            f"Expected sigma of shape ({robot.n},) above 0 N m, got {values.tolist()}. Pass one per joint."
         )
     return values
 
@@ -441,24 +457,24 @@ def _deviation(robot: Robot, sigma: np.ndarray) -> np.ndarray:
 SPEEDS = 10
 SLOWEST, FASTEST = 0.005, 0.8  # rad/s or m/s, share of the limit
 HOLD = 2.0  # s
-PERIODS = 10  # of torque ripple at least, at each speed
-STROKE, SLIDE = 0.3, 0.05  # rad, m at least, and where the gears are not known
+PERIODS = 10  # minimum periods of torque ripple at each speed
+STROKE, SLIDE = 0.3, 0.05  # rad, m; minimum, and default for unknown gears
 STEEPEST = 1.875  # largest slope of the quintic step
-SHORTEST = 0.1  # s, of a change of speed
+SHORTEST = 0.1  # s, shortest change of speed
 
 
 def friction_run(robot: Robot, joint: int | str, at: np.ndarray | None = None) -> Trajectory:
-    """Design a motion of one joint at ten constant speeds, both ways; the others stay.
+    """Design a motion of one joint at ten constant speeds in both directions; the others hold.
 
-    Speeds are spaced evenly in logarithm from 0.005 rad/s to 80 % of the limit. At each the joint runs at constant
-    speed over ten ripple periods, ``2 pi / (2 gear)``, and at least 0.3 rad (50 mm); it stands for 2 s between runs.
-    The fifth speed comes again at the end: if friction differs there, it has warmed up.
+    Speeds are logarithmically spaced from 0.005 rad/s to 80 % of the limit. Each run has constant speed over ten ripple
+    periods ``2 pi / (2 gear)`` and over at least 0.3 rad (50 mm). The joint rests for 2 s between runs. The fifth speed
+    is repeated at the end: a different friction there indicates warm-up.
 
     Parameters
     ----------
-    robot : limits and gears.
-    joint : its name, or its number from 0.
-    at : (n,) pose of the other joints, inside the limits; the robot's home when left out. The joint itself sways about
+    robot : robot with limits and gears.
+    joint : name of the joint, or its number from 0.
+    at : (n,) posture of the other joints, inside the limits; default: the robot's home. The joint itself moves about
         the middle of its range.
 
     Returns
@@ -467,8 +483,8 @@ def friction_run(robot: Robot, joint: int | str, at: np.ndarray | None = None) -
 
     Raises
     ------
-    UnknownName : no such joint. ShapeError : a pose outside the limits, a joint without speed limit, or a range too
-        short for the run.
+    UnknownName : the joint does not exist.
+    ShapeError : a posture outside the limits, a joint without speed limit, or a range that is too short.
 
     References
     ----------
@@ -479,7 +495,7 @@ def friction_run(robot: Robot, joint: int | str, at: np.ndarray | None = None) -
     if pose.shape != (robot.n,) or not np.all((pose >= robot.q_min) & (pose <= robot.q_max)):
         raise ShapeError(
             f"Expected a pose of shape ({robot.n},) inside the limits of {robot.name!r}, got {pose.tolist()}. "
-            "Give one position per joint [rad]."
+            "Pass one position per joint [rad]."
         )
     speeds, stroke = _speeds(robot, i)
     bounds = np.array([robot.q_min[i], robot.q_max[i]])
@@ -512,40 +528,40 @@ def _number(robot: Robot, joint: int | str) -> int:
             raise UnknownName.among("joint", joint, names)
         return names.index(joint)
     if not isinstance(joint, int | np.integer) or isinstance(joint, bool) or not 0 <= joint < robot.n:
-        raise UnknownName(f"Expected the number of a joint from 0 to {robot.n - 1}, got {joint!r}. Count from 0.")
+        raise UnknownName(f"Expected a joint number from 0 to {robot.n - 1}, got {joint!r}. Count from 0.")
     return int(joint)
 
 
 def _speeds(robot: Robot, i: int) -> tuple[np.ndarray, float]:
-    """Return the speeds (10,) and the way at constant speed."""
+    """Return the speeds (10,) and the distance at constant speed."""
     name, top = robot.joint_names[i], FASTEST * robot.qd_max[i]
     if not SLOWEST < top < np.inf or not 0 < robot.qdd_max[i] < np.inf:
         raise ShapeError(
-            f"Expected limits of speed and acceleration of {name}, got {robot.qd_max[i]:g} and {robot.qdd_max[i]:g}. "
-            "Put them into the robot file."
+            f"Expected speed and acceleration limits for {name}, got {robot.qd_max[i]:g} and {robot.qdd_max[i]:g}. "
+            "Add them to the robot file."
         )
     gear = abs(1.0 / robot.coupling[i, i])
     least = SLIDE if robot.prismatic[i] else STROKE
     stroke = max(least, PERIODS * np.pi / gear) if gear > 1 else least
     room = 0.9 * float(robot.q_max[i] - robot.q_min[i])
-    ways = top * max(SHORTEST, STEEPEST * top / robot.qdd_max[i])  # to reach the speed and to lose it
+    ways = top * max(SHORTEST, STEEPEST * top / robot.qdd_max[i])  # distance to accelerate and decelerate
     if stroke + ways > room:
         top = min(top, _largest(room - stroke, float(robot.qdd_max[i])))
     if top <= 2 * SLOWEST:
         raise ShapeError(
             f"Expected room for a run of {stroke:.3g} rad (m) at constant speed, got {name} with "
-            f"{room:.3g} rad (m) inside its limits. Use identify.design_excitation for such a joint."
+            f"{room:.3g} rad (m) inside its limits. Use identify.design_excitation for this joint."
         )
     return np.geomspace(SLOWEST, top, SPEEDS), stroke
 
 
 def _largest(ways: float, acceleration: float) -> float:
-    """Return the speed that is reached and lost within `ways`; 0 where there is no room."""
+    """Return the speed that can be reached and stopped within `ways`, or 0 if there is no room."""
     return max(0.0, min(ways / SHORTEST, np.sqrt(max(ways, 0.0) * acceleration / STEEPEST)))
 
 
 def _phases(speeds: list[float], stroke: float, acceleration: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the borders in time (k + 1,) and rows (3, k): speeds at start and end, position at start, about 0."""
+    """Return the time boundaries (k + 1,) and rows (3, k): speeds at start and end, and start position about 0."""
     parts: list[tuple[float, float, float]] = []
     for v in speeds:
         ramp = max(SHORTEST, STEEPEST * v / acceleration)
@@ -559,16 +575,16 @@ def _phases(speeds: list[float], stroke: float, acceleration: float) -> tuple[np
     return times, np.stack([v0, v1, moved[:-1] - 0.5 * moved.max()])
 
 
-# How well a motion will tell the parameters, before the robot has moved.
+# Predicted parameter uncertainty of an excitation trajectory.
 
 
-RATE = 250.0  # Hz, of the log that will be
+RATE = 250.0  # Hz, rate of the predicted log
 THINNED = 50.0  # Hz, at which the regressor is evaluated
 GROUPS = {"first moments": "kg m", "inertias": "kg m^2", "viscous": "N m s/rad", "Coulomb": "N m", "offset": "N m"}
 
 
-@dataclass(frozen=True, eq=False)
-class PredictedUncertainty:
+@dataclass(frozen=True, eq=False, repr=False)
+class PredictedUncertainty(Shown):
     """Predicted parameter uncertainty of an excitation trajectory.
 
     Attributes
@@ -582,7 +598,7 @@ class PredictedUncertainty:
     sd : array, shape (d,), units of the parameters
         Expected standard deviations for white torque noise.
     excitation : Excitation
-        Rank, singular values and the weakest direction of the regressor.
+        Rank, singular values and weakest direction of the regressor.
     """
 
     names: tuple[str, ...]
@@ -592,7 +608,7 @@ class PredictedUncertainty:
     excitation: Excitation
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Return per group: parameters, median and largest expected deviation, the worst by name; the head first."""
+        """Return rows per group: parameters, median and largest expected SD, name of the worst; header first."""
         rows = [("group", "unit", "parameters", "median sd", "largest sd", "of")]
         for group, unit in GROUPS.items():
             places = [i for i, name in enumerate(self.groups) if name == group]
@@ -607,8 +623,9 @@ class PredictedUncertainty:
 def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0.1) -> PredictedUncertainty:
     """Predict the uncertainty of the torque model's parameters from a motion.
 
-    The covariance is ``s^2 (A^T A)^-1`` with the regressor A of base parameters and friction along the motion,
-    logged at 250 Hz. Real residuals are coloured: expect standard deviations a few times larger, in the same order.
+    The covariance is ``s^2 (A^T A)^-1`` with the regressor A of base parameters and friction along the motion sampled
+    at 250 Hz. Real residuals are coloured, so expect standard deviations that are a few times larger but in the same
+    order.
 
     Parameters
     ----------
@@ -633,19 +650,19 @@ def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0
         raise RobotError.no_robot(robot)
     if not isinstance(trajectory, Trajectory):
         raise ShapeError(
-            f"Expected a Trajectory, got {type(trajectory).__name__}. identify.design_excitation gives one."
+            f"Expected a Trajectory, got {type(trajectory).__name__}. Create one with identify.design_excitation."
         )
     n, noise = robot.n, number(noise, "the torque noise [N m]")
     if not 0 < noise < np.inf or trajectory.q_first.shape != (n,):
         raise ShapeError(
             f"Expected a torque noise above 0 N m and a motion of {n} joints, got {noise:g} and "
-            f"{trajectory.q_first.shape}. Give the deviation of the torque signal at rest."
+            f"{trajectory.q_first.shape}. Pass the standard deviation of the torque signal at rest."
         )
     q, qd, qdd = trajectory.sample(np.arange(0.0, trajectory.seconds, 1.0 / THINNED))
     base = base_parameters(robot)
     p, terms = len(base.names), [FRICTION_TERMS[name] for name in ("viscous", "coulomb+", "coulomb-", "offset")]
     A = np.zeros((len(q), n, p + len(terms) * n))
-    A[:, :, :p] = _regressor(robot, base, q, qd, qdd)
+    A[:, :, :p] = base_regressor(robot, q, qd, qdd, base)
     for i in range(n):
         own = [term.column(qd[:, i], np.sign(qd[:, i])) for term in terms if term.column]
         A[:, i, p + len(terms) * i : p + len(terms) * (i + 1)] = np.stack(own, axis=1)

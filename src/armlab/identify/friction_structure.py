@@ -1,10 +1,10 @@
-"""The structure of friction: what is not linear in it, and which terms each joint has, chosen on held-out blocks.
+"""Friction structure: nonlinear parameters and terms of each joint, selected on held-out blocks.
 
     F_f = viscous qd + coulomb s + offset [+ asymmetry |s|] [+ stribeck s exp(-(qd / v_s)^2)] [+ root s sqrt(|qd|)]
           [+ load s |x|]
 
-s is the presliding state z of distance delta, or tanh(qd / v_t), and x the torque that the joint passes to the links.
-Terms in brackets are there where they win; asymmetry is reported as two Coulomb torques, one for each direction.
+s is the presliding state z with distance delta, or tanh(qd / v_t); x is the torque transmitted to the links.
+Terms in brackets are included only if selected; asymmetry is reported as two Coulomb torques, one per direction.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from armlab.identify.record import Decimation
 from armlab.kernels import presliding
 from armlab.models.friction import FRICTION_TERMS
 
-# Columns without structure; the last two where gears are known.
+# Linear columns, made in `RegressionColumns.plain`; the last two with known gears.
 FIXED = ("viscous", "offset", "ripple cos", "ripple sin")
-SIGNED = ("coulomb+", "coulomb-", "root", "load")  # columns of the sign, the load and no number
+SIGNED = ("coulomb+", "coulomb-", "root", "load")  # columns of the sign and the load, without nonlinear parameter
 SHAPED = (*SIGNED, "stribeck")
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionColumns:
-    """Makes the columns of friction of J joints from their motion.
+    """Computes the friction columns of J joints from their motion.
 
-    `decimation`: filter of the record, with the (M,) rows that are kept. `q`, `qd`: (N, J) positions and velocities.
-    `resolution`: (J,) half the smallest step of the encoder [rad]. `load`: (N, J) torque |x| that goes to the links.
+    `decimation`: filter of the record and its (M,) kept rows. `q`, `qd`: (N, J) positions and velocities.
+    `resolution`: (J,) half the smallest encoder step [rad]. `load`: (N, J) torque |x| transmitted to the links.
     """
 
     decimation: Decimation
@@ -47,7 +47,7 @@ class FrictionColumns:
         return FrictionColumns(self.decimation, q, qd, self.resolution[one], self.load[:, one])
 
     def sign(self, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
-        """Return s (N, J) along the record for `FrictionStructure`'s delta and smooth (J,)."""
+        """Return s (N, J) along the record for `delta` and `smooth` (J,) of `FrictionStructure`."""
         soft = smooth > 0
         z = np.empty(self.q.shape)
         if not soft.all():
@@ -58,12 +58,13 @@ class FrictionColumns:
         return z
 
     def columns(self, s: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the columns (M, J, 4 + S) of a sign s (N, J): SIGNED, then Stribeck of each of S speeds (S, J)."""
+        """Return the columns (M, J, 4 + S) of a sign s (N, J): SIGNED, then Stribeck for each of S speeds (S, J)."""
         made_of = [FRICTION_TERMS[name].column for name in SIGNED]
 
         def made(a: int, b: int) -> np.ndarray:
             own = [column(self.qd[a:b], s[a:b]) for column in made_of if column]
-            own[-1] = own[-1] * self.load[a:b]
+            load = SIGNED.index("load")
+            own[load] = own[load] * self.load[a:b]
             bells = (np.exp(-((self.qd[a:b] / speed) ** 2)) for speed in speeds)
             return np.concatenate([*own, *(s[a:b] * bell for bell in bells)], axis=1)
 
@@ -74,26 +75,26 @@ class FrictionColumns:
 DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad
 SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s
 STRIBECK_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # rad/s
-REFINEMENTS = (1.5, 1.25, 1.12, 1.06, 1.03, 1.015)  # factors tried both ways after the grid
-FEWER = REFINEMENTS[::2]  # once the terms are chosen: Gauss-Newton steps follow
+REFINEMENTS = (1.5, 1.25, 1.12, 1.06, 1.03, 1.015)  # factors tried in both directions after the grid
+FEWER = REFINEMENTS[::2]  # after the selection of terms, because Gauss-Newton steps follow
 FOLDS = 4
-GAIN = 0.01  # of the squared held-out error: a term that wins less is left out
+GAIN = 0.01  # of the squared held-out error: terms with a smaller improvement are dropped
 DEFAULT_SPEED = 2  # of STRIBECK_SPEEDS, for joints without that term
-IDENTIFIED = 1e-6  # smallest eigenvalue of each fold's scaled Gram matrix: no term rests on one event
+IDENTIFIED = 1e-6  # smallest eigenvalue of each fold's scaled Gram matrix: no term may depend on a single event
 EXACT = 1e-12  # squared error, relative to the torque, that is rounding
-# All columns of a joint, in their order: terms of FRICTION_TERMS, then ripple where the gears are known.
+# All columns of a joint, in order: terms of FRICTION_TERMS, then ripple with known gears.
 FRICTION = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root", "load")
 COLUMNS = (*FRICTION, "ripple cos", "ripple sin")
-# Which of asymmetry, Stribeck, root and load a joint may have, fewest first.
+# Combinations of asymmetry, Stribeck, root and load, fewest terms first.
 TERMS = np.array(sorted(product([False, True], repeat=4), key=lambda terms: (sum(terms), [not x for x in terms])))
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionStructure:
-    """Structure of the friction of all joints; vectors are (n,).
+    """Friction structure of all joints; vectors are (n,).
 
-    `delta`: presliding distance [rad]. `smooth`: v_t [rad/s], 0 where the sign is the presliding state. `speed`: v_s of
-    Stribeck's term [rad/s]. `terms`: (n, 4) bool: asymmetry, Stribeck, root, load.
+    `delta`: presliding distance [rad]. `smooth`: v_t [rad/s], 0 if the sign is the presliding state. `speed`: v_s of
+    the Stribeck term [rad/s]. `terms`: (n, 4) bool: asymmetry, Stribeck, root, load.
     """
 
     delta: np.ndarray
@@ -103,12 +104,12 @@ class FrictionStructure:
 
     @classmethod
     def start(cls, n: int) -> FrictionStructure:
-        """Return presliding over 1e-3 rad with all terms but root and load, for n joints."""
+        """Return a structure with presliding over 1e-3 rad and all terms except root and load, for n joints."""
         return cls(np.full(n, 1e-3), np.zeros(n), np.full(n, 0.1), np.tile([True, True, False, False], (n, 1)))
 
     @classmethod
     def joined(cls, parts: Iterable[FrictionStructure]) -> FrictionStructure:
-        """Return the structures of some joints as one, in their order."""
+        """Combine the structures of several joints in order."""
         listed = list(parts)
         return cls(*(np.concatenate([getattr(part, field.name) for part in listed]) for field in fields(cls)))
 
@@ -117,7 +118,7 @@ class FrictionStructure:
 
     @property
     def numbers(self) -> np.ndarray:
-        """What is not linear in the torque (n, 2): delta or v_t, whichever the sign has, and v_s."""
+        """Nonlinear parameters (n, 2): delta or v_t, depending on the sign, and v_s."""
         return np.stack([np.where(self.smooth > 0, self.smooth, self.delta), self.speed], axis=1)
 
     @property
@@ -126,7 +127,7 @@ class FrictionStructure:
         return [("tanh-speed" if soft else "delta", "stribeck-speed") for soft in self.smooth > 0]
 
     def moved(self, steps: np.ndarray) -> FrictionStructure:
-        """Return it with `numbers` times exp(steps) (n, 2), within the range that is searched."""
+        """Return the structure with `numbers` times exp(steps) (n, 2), within the search range."""
         (sign, bump), soft = np.exp(steps).T, self.smooth > 0
         return replace(
             self,
@@ -136,14 +137,14 @@ class FrictionStructure:
         )
 
     def same(self, other: FrictionStructure) -> bool:
-        """Return whether the other differs by less than 10 %, in the same terms."""
+        """Return whether the other has the same terms and differs by less than 10 %."""
         kinds = np.array_equal(self.terms, other.terms) and np.array_equal(self.smooth > 0, other.smooth > 0)
         mine, others = (np.stack([s.delta, s.smooth, s.speed]) for s in (self, other))
         return bool(kinds and np.allclose(mine, others, rtol=0.1))
 
 
 def term_names(terms: np.ndarray, ripple: bool) -> tuple[str, ...]:
-    """Return the names of the columns that a joint with these terms (4,) has; `ripple` where the gears are known."""
+    """Return the column names of a joint with these terms (4,); `ripple` with known gears."""
     asymmetric, stribeck, root, load = terms
     present = {"coulomb-": asymmetric, "stribeck": stribeck, "root": root, "load": load}
     one = {} if asymmetric else {"coulomb+": "coulomb"}  # for both directions
@@ -152,7 +153,7 @@ def term_names(terms: np.ndarray, ripple: bool) -> tuple[str, ...]:
 
 
 def mixing(terms: np.ndarray, width: int) -> np.ndarray:
-    """Return the matrix (width, k) from all columns of a joint to those that it has with its terms (4,)."""
+    """Return the matrix (width, k) that maps all columns of a joint to those of its terms (4,)."""
     fields = [{*FRICTION_TERMS[name].fields} for name in term_names(terms, ripple=False)]
     own = [[{*FRICTION_TERMS[column].fields} <= of for of in fields] for column in FRICTION]
     rest = width - len(FRICTION)
@@ -162,11 +163,11 @@ def mixing(terms: np.ndarray, width: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class StructureChoice:
-    """Data for the choice of one joint's friction structure; it may travel to a worker.
+    """Data for the selection of one joint's friction structure; picklable for a worker.
 
-    `fixed`: (M, 2 or more) columns independent of the structure: viscous, offset and others. `target`: (M,) torque that
-    friction has to explain. `fold`: (M,) number of the fold of each row, 0 to FOLDS - 1. `trust`: (M,) weights of the
-    rows, 0 to leave one out. `start`: the structure to begin with, in place of the grid.
+    `fixed`: (M, 2 or more) columns that do not depend on the structure: viscous, offset and others. `target`: (M,)
+    torque to be explained by friction. `fold`: (M,) fold of each row, 0 to FOLDS - 1. `trust`: (M,) weights of the
+    rows; 0 excludes a row. `start`: initial structure, used instead of the grid.
     """
 
     motion: FrictionColumns
@@ -178,7 +179,7 @@ class StructureChoice:
 
 
 class _StructureSearch:
-    """Held-out errors of structure of one joint, tried one after the other."""
+    """Held-out errors of successive structures of one joint."""
 
     def __init__(self, choice: StructureChoice) -> None:
         self.motion = choice.motion
@@ -190,25 +191,25 @@ class _StructureSearch:
         self._target = choice.target[self._order] * self._trust[:, 0]
 
     def scores(self, columns: np.ndarray, speeds: np.ndarray, kinds: slice) -> np.ndarray:
-        """Return the held-out error (S, k), relative to the torque, of columns (M, 1, 4 + S) with bells of S speeds."""
+        """Return the relative held-out error (S, k) of columns (M, 1, 4 + S) with Stribeck curves of S speeds."""
         A = np.column_stack([columns[:, 0][self._order] * self._trust, self._fixed])
         folds = ((A[a:b], self._target[a:b]) for a, b in pairwise(self._edges))
         sums = [(rows.T @ rows, rows.T @ y, float(y @ y)) for rows, y in folds]
         fixed = columns.shape[2]
         at = dict(zip((*SIGNED, *FIXED), (*range(len(SIGNED)), *range(fixed, A.shape[1]))))
-        rest = range(fixed + 2, A.shape[1])  # neither viscous nor offset
+        rest = range(fixed + FIXED.index("ripple cos"), A.shape[1])  # what is in every choice of terms
         kinds_of = ({**at, "stribeck": len(SIGNED) + s} for s in range(len(speeds)))
         picks = np.array([[*(place[name] for name in FRICTION), *rest] for place in kinds_of])
         out = _held_out(sums, picks, _mixings(picks.shape[1])[kinds])
-        wide = speeds > self._fastest  # beyond the log's speeds it is one more viscous term
+        wide = speeds > self._fastest  # beyond the log's speeds, Stribeck is another viscous term
         out[np.ix_(wide, TERMS[kinds, 1])] = np.inf
         return out
 
 
 def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Return the squared error (S, k) of each fold by the parameters of the others, over that of the torque.
+    """Return the squared error (S, k) of each fold with the parameters of the other folds, relative to the torque.
 
-    `sums`: A^T A, A^T y and y^T y of each of F folds. `picks`: (S, w) columns of A that each speed of Stribeck has.
+    `sums`: A^T A, A^T y and y^T y for each of F folds. `picks`: (S, w) columns of A for each Stribeck speed.
     """
     grams, moments, power = (np.array(part) for part in zip(*sums))
     H = np.ascontiguousarray(grams[:, picks[:, :, None], picks[:, None, :]])[:, :, None]  # (F, S, 1, w, w)
@@ -225,7 +226,7 @@ def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarra
 
 @cache
 def _mixings(width: int) -> np.ndarray:
-    """Return `mixing` of all TERMS (16, width, width): absent columns are zero and keep parameters of zero."""
+    """Return `mixing` of all TERMS (16, width, width); absent columns and their parameters are zero."""
     T = np.zeros((len(TERMS), width, width))
     for k, terms in enumerate(TERMS):
         mixed = mixing(terms, width)
@@ -246,18 +247,18 @@ def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @one_thread()
 def choose(choice: StructureChoice) -> FrictionStructure:
-    """Choose one joint's structure by cross-validation: the simplest within 1 % of the best, its numbers refined."""
+    """Select one joint's structure by cross-validation: the simplest within 1 % of the best, refined."""
     search, motion = _StructureSearch(choice), choice.motion
     structure = _of_grid(search) if choice.start is None else choice.start
     errors = search.scores(_columns(motion, structure), structure.speed, slice(None))[0]
     simplest = int(np.argmax(errors <= (1.0 + GAIN) * errors.min()))
-    # on the grid a term may stand in for a width between two points
+    # on the grid, a term may compensate a width between two points
     structure = replace(structure, terms=TERMS[[simplest]])
     return _refine(search, structure, errors[simplest], FEWER)
 
 
 def _of_grid(search: _StructureSearch) -> FrictionStructure:
-    """Return the structure of the best point of the grid, refined."""
+    """Return the refined structure of the best grid point."""
     motion = search.motion
     trials = [(delta, 0.0) for delta in DELTAS] + [(DELTAS[3], smooth) for smooth in SMOOTH_SPEEDS]
     scores = []
@@ -278,7 +279,7 @@ def choose_here(choices: Iterable[StructureChoice]) -> list[FrictionStructure]:
 
 
 def _pick(scores: np.ndarray) -> tuple[int, int, int]:
-    """Return (trial, speed, terms) of the simplest structure of one joint within 1 % of the smallest squared error."""
+    """Return (trial, speed, terms) of the simplest structure within 1 % of the smallest squared error."""
     kinds = np.arange(len(scores)) < len(DELTAS)
     choices = []
     for k, terms in enumerate(TERMS):
@@ -293,7 +294,7 @@ def _pick(scores: np.ndarray) -> tuple[int, int, int]:
 def _refine(
     search: _StructureSearch, structure: FrictionStructure, best: float, factors: tuple[float, ...]
 ) -> FrictionStructure:
-    """Try factors on distance or speed of the sign and on Stribeck's speed; keep what lowers the held-out error."""
+    """Try factors on the sign parameter and the Stribeck speed; keep those that reduce the held-out error."""
     motion, kind = search.motion, int(np.flatnonzero((structure.terms == TERMS).all(axis=1))[0])
     ways = ((1.0, 0.0), (0.0, 1.0)) if structure.terms[0, 1] else ((1.0, 0.0),)
     for step in (sign * np.log(factor) for factor in factors for sign in (1.0, -1.0)):

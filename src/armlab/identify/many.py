@@ -1,11 +1,11 @@
-"""One model from any number of logs: a draft from the first minutes, sums of each log, and the fit to their sum.
+"""One model from any number of logs: a draft from the first minutes, sums for each log, and a fit to the total.
 
-1. `fit_draft` fits the first few minutes as `fit_dynamics` does: that fixes what is not linear.
-2. `log_sums` reduces one log to triangular factors of its rows, weighted by their residuals to the draft. It needs
-   nothing of the other logs, so that sums can be made anywhere, in any order, and kept.
-3. `fit_sums` solves for the sum of all, in the order of the logs: the same bits whoever made the sums.
+1. `fit_draft` fits the first few minutes like `fit_dynamics`, which determines the nonlinear parameters.
+2. `log_sums` reduces one log to triangular factors of its rows, weighted according to their residuals from the draft.
+It is independent of the other logs, so the sums can be computed anywhere, in any order, and cached. 3. `fit_sums` adds
+the sums in the order of the logs and solves; the result is bit-identical wherever the sums were computed.
 
-One step of reweighting from a robust draft is as good as many (Bickel 1975, One-step Huber estimates).
+One reweighting step from a robust draft is as good as many (Bickel 1975, One-step Huber estimates).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from armlab.dynamics import BaseParameters, base_parameters
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import BlockSums, Fit
 from armlab.estimation.linear_problem import LinearProblem, LinearSolution, solve
@@ -24,7 +25,7 @@ from armlab.estimation.tsqr import Factors, factorise, one_thread
 from armlab.identify.dynamics import FitProblem, FitSettings, Progress, fit_of, fold_models, make_problem, model_of
 from armlab.identify.friction_structure import Chooser, FrictionStructure, choose_here
 from armlab.identify.record import Record, prepare, prepare_share, torque_outliers, without_outliers
-from armlab.identify.regression import BaseParameters, Design, base_parameters
+from armlab.identify.regression import Design
 from armlab.identify.solve import covariance, gain_share
 from armlab.identify.validation import assess, training
 from armlab.log import Table
@@ -33,24 +34,24 @@ from armlab.models.torque import Training
 from armlab.robots import Robot
 
 SAME_RATE = 1.1
-FEWEST_BLOCKS = 60  # in all, for a covariance
+FEWEST_BLOCKS = 60  # in total, for a covariance
 BIN = 1e-9  # share of a sample
 
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """What the sums of a log need to know of the draft. It travels to workers.
+    """Properties of the draft that the sums of a log depend on; sent to workers.
 
-    `free`: (J, 2) bool, numbers with a slope. `geared`: whether there are columns of ripple, also in logs that alone
-    would have none, or some. `gains`: (J,) of the torques. `theta`, `x`: parameters of the draft without and with
-    slopes. `limit`: (J,) residual from which a row counts less [N m]. `rate`, `cutoff`: of the draft [Hz].
+    `free`: (J, 2) bool, nonlinear parameters with a slope. `lines`: ripple lines, fixed for all logs. `gains`: (J,)
+    torque gains. `theta`, `x`: parameters of the draft without and with slopes. `limit`: (J,) residual above which a
+    row is downweighted [N m]. `rate`, `cutoff`: sampling rate and cut-off of the draft [Hz].
     """
 
     robot: Robot
     base: BaseParameters
     structure: FrictionStructure
     free: np.ndarray
-    geared: bool
+    lines: np.ndarray
     gains: np.ndarray
     theta: np.ndarray
     x: np.ndarray
@@ -62,12 +63,12 @@ class Pattern:
 
     @property
     def sha256(self) -> str:
-        """Hash of all that the sums of a log depend on besides the log."""
+        """Hash of everything that determines the sums of a log, except the log itself."""
         parts = [np.asarray(getattr(self.structure, field.name)) for field in fields(self.structure)]
         peak = self.model.training.qd_peak
         numbers = (
             self.free,
-            self.geared,
+            self.lines,
             self.gains,
             self.theta,
             self.x,
@@ -84,16 +85,16 @@ class Pattern:
 
     def design(self, data: Record) -> Design:
         """Return the regression problem of a record, with the draft's gains, structure and slopes."""
-        kept = {"structure": self.structure, "geared": self.geared, "cutoff": self.cutoff}
+        kept = {"structure": self.structure, "lines": self.lines, "cutoff": self.cutoff}
         built = Design.build(data, self.robot, self.base, **kept)
         return built.with_load(self.theta).with_gains(self.gains).with_slopes(self.theta, self.free)
 
 
 @dataclass(frozen=True, eq=False)
 class LogSums:
-    """What one log says of the parameters.
+    """Sums of one log.
 
-    `weight`, `inside`: sum of the weights of its rows, and how many have 1.
+    `weight`: sum of the weights of its rows; `inside`: number of rows with weight 1.
     """
 
     factors: Factors
@@ -113,7 +114,7 @@ def fit_draft(
     progress: Progress = lambda done, total, what: None,
     chooser: Chooser = choose_here,
 ) -> tuple[FitProblem, Pattern]:
-    """Fit the first logs, which fix what is not linear."""
+    """Fit the first logs, which determine the nonlinear parameters."""
     job = FitSettings("torque model", "irls", 0, progress, chooser=chooser)
     base = base_parameters(robot)
     draft = make_problem(prepare(tables, robot), robot, base, job)
@@ -123,7 +124,7 @@ def fit_draft(
         base=base,
         structure=design.structure,
         free=design.free,
-        geared=design.geared,
+        lines=design.lines,
         gains=design.gains,
         theta=draft.theta,
         x=solution.x,
@@ -138,7 +139,7 @@ def fit_draft(
 
 @one_thread()
 def log_sums(table: Table, pattern: Pattern) -> LogSums:
-    """Reduce one log to sums; joints may rest in it."""
+    """Reduce one log to sums; joints may rest in this log."""
     data = prepare_share(table, pattern.robot)
     spikes = torque_outliers(data)
     if spikes.any():
@@ -154,7 +155,7 @@ def log_sums(table: Table, pattern: Pattern) -> LogSums:
     block = _block(data, pattern.blocks)[design.rows]
     factors = factorise(design.stream(block, np.sqrt(weights)), len(pattern.x))
     return LogSums(
-        # As arrays come back from a worker or a file: another order in memory would add in another order.
+        # The memory order of arrays from a worker or a file, so that sums are added in the same order.
         factors=replace(factors, R=tuple(map(np.ascontiguousarray, factors.R))),
         weight=float(weights.sum()),
         inside=int(np.count_nonzero(away <= pattern.limit)),
@@ -170,10 +171,10 @@ def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first
     """Fit the model to the sum of all logs."""
     solution, block_sums = _solved(draft.design, sums)
     design = draft.design
-    cov = covariance(design, solution, 1)
+    cov, drift = covariance(design, solution, 1)
     model = model_of(design, solution.x, cov, draft.gain_cov)
     block = _blocks_of_draft(design.data, pattern.blocks, sums, first)
-    model = assess(model, fold_models(model, design, block_sums, block, 1), design.data, design.joints)
+    model = assess(model, fold_models(model, design, block_sums, block, 1), design.data, design.joints, drift=drift)
     model = replace(
         model,
         training=_trained([one.training for one in sums], np.array([one.n for one in sums], dtype=float)),
@@ -185,7 +186,7 @@ def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first
 
 
 def same_rate(one: float, other: float) -> bool:
-    """Return whether one filter serves logs of two rates [Hz]."""
+    """Return whether one filter is suitable for two sampling rates [Hz]."""
     return 1.0 / SAME_RATE < one / other < SAME_RATE
 
 
@@ -195,9 +196,9 @@ def _solved(design: Design, sums: Sequence[LogSums]) -> tuple[LinearSolution, Bl
     factors = Factors(parts[0].size, parts[0].columns, R, np.concatenate([one.rows for one in parts]))
     if len(factors.rows) < 8:
         raise NotExcited(
-            f"Expected logs of at least 8 stretches of time for a covariance, got {len(factors.rows)}. Record more.",
+            f"Expected logs of at least 8 segments for a covariance, got {len(factors.rows)}. Record more.",
             ["covariance"],
-            [f"{len(factors.rows)} stretches"],
+            [f"{len(factors.rows)} segments"],
         )
     found = solve(
         LinearProblem.of(design.layout.heads, "torque model", lower=design.layout.lower, upper=design.layout.upper),
@@ -209,12 +210,12 @@ def _solved(design: Design, sums: Sequence[LogSums]) -> tuple[LinearSolution, Bl
 
 
 def _block(data: Record, count: int) -> np.ndarray:
-    """Return the number (N,) of the stretch of each sample, about `count` of them in a log."""
+    """Return the segment number (N,) of each sample, about `count` segments per log."""
     return data.blocks(data.seconds / count * (1.0 + BIN))
 
 
 def _blocks_of_draft(data: Record, count: int, sums: Sequence[LogSums], first: Sequence[int]) -> np.ndarray:
-    """Return the number (N,) of the stretch, among those of all logs, of each sample of the draft."""
+    """Return the segment number (N,), among those of all logs, of each sample of the draft."""
     starts = np.cumsum([0, *(len(one.factors.rows) for one in sums)])
     numbers, row = [], 0
     for k in first:
@@ -227,7 +228,7 @@ def _blocks_of_draft(data: Record, count: int, sums: Sequence[LogSums], first: S
 
 
 def _trained(parts: Sequence[Training], n: np.ndarray) -> Training:
-    """Return the ranges of all logs; shares are means over their samples, on the scale of the draft's speeds."""
+    """Return the ranges of all logs; shares are averaged over their samples, using the speed bins of the draft."""
     share = n / n.sum()
     return Training(
         q_min=np.min([one.q_min for one in parts], axis=0),

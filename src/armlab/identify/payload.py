@@ -1,27 +1,28 @@
-"""A load at the flange from a log of an arm whose torque model is known.
+"""Payload identification at the flange from a log of an arm with a known torque model.
 
     tau - tau_model = (1 + g_i) Y_i(q, qd, qdd) pi + e_i,      g_i ~ N(0, 5 %)
 
-Y are the columns of the last link, moved to the flange, with the friction that comes with their torque; pi is mass,
-first moment and, in mode "dynamic", inertia. Huber's least squares for pi alone gives the weights of rows and joints,
-Gauss-Newton then pi and the gains g_i; both run twice, as weights that know nothing of the gains take them for
-outliers. Theory: docs/theory/payload.md.
+Y contains the columns of the last link, moved to the flange, including load friction. pi contains the mass, the first
+moment and, in mode "dynamic", the inertia. Huber's least squares for pi alone gives the weights of rows and joints;
+Gauss-Newton steps then give pi and the gains g_i. Both run twice, because weights computed without gains treat gain
+errors as outliers. Theory: docs/theory/payload.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from armlab._numbers import number
+from armlab.dynamics import BaseParameters, base_parameters
+from armlab.dynamics.base_parameters import LINK_SYMBOLS
 from armlab.errors import ModelMismatchError, ShapeError, UnknownName
 from armlab.estimation import Fit, Rows, least_squares
 from armlab.estimation.linear_problem import LinearSolution, check_spread
 from armlab.estimation.robust import block_seconds
 from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Record, check_blocks, check_once, log_name
-from armlab.identify.regression import LINK_SYMBOLS, BaseParameters, base_parameters
 from armlab.identify.residuals import friction_signs, load_torque, model_residuals
 from armlab.identify.solve import GainProblem
 from armlab.kernels import presliding
@@ -30,21 +31,20 @@ from armlab.models import Payload, TorqueModel
 from armlab.models.friction import FRICTION_TERMS, Friction
 from armlab.robots import Robot, inertia
 
-# Where the residual ``y = tau - tau_model`` is fitted by ``y = A x + e``, an error d of the model's parameters adds
+# If the residual ``y = tau - tau_model`` is fitted by ``y = A x + e``, an error d of the model's parameters adds
 # ``-C d`` to e, with C = d tau_model / d parameters. All rows share one d: no number of rows averages it out.
 
 
-CHUNK = 4096  # rows whose whole regressor is held at once
-STEP = 1e-3  # of the logarithm of what the torque is not linear in
-RIPPLE = {"ripple cos": np.cos, "ripple sin": np.sin}
+CHUNK = 4096  # rows of the full regressor in memory
+STEP = 1e-3  # logarithmic step of nonlinear parameters
+RIPPLE: dict[str, Callable[..., np.ndarray]] = {"ripple cos": np.cos, "ripple sin": np.sin}
 
 
 @dataclass(frozen=True, eq=False)
 class ModelError:
-    """The uncertain parameters of a model.
+    """Uncertain parameters of a model.
 
-    `base`: its base parameters, or None for those of an arm of which some joints were left out. `cov`: (P, P) their
-    covariance.
+    `base`: its base parameters, or None for a model of some joints only. `cov`: (P, P) covariance of the parameters.
     """
 
     model: TorqueModel
@@ -56,7 +56,7 @@ class ModelError:
 
     @classmethod
     def of(cls, known: TorqueModel | Fit[TorqueModel], robot: Robot) -> ModelError:
-        """Return what is uncertain in a model: rigid body and friction of a fit, the rigid body alone of a model."""
+        """Return the uncertainty of a model: rigid body and friction for a fit, only the rigid body for a model."""
         model = known.value if isinstance(known, Fit) else known
         names, cov = (known.names, _apart(known)) if isinstance(known, Fit) else (model.base_names, model.base_cov)
         bases = base_parameters(robot), base_parameters(robot, quasi_static=True)
@@ -68,7 +68,7 @@ class ModelError:
         return cls(model, robot, base, tuple(names[k] for k in index), cov[np.ix_(index, index)], left_out)
 
     def against(self, A: np.ndarray, data: Record, rows: np.ndarray, joints: np.ndarray) -> np.ndarray:
-        """Return the sums (J, w, P) of A_i^T C_i per joint: how columns take up what is wrong with the model."""
+        """Return the sums (J, w, P) of A_i^T C_i per joint, which give the response of the columns to model errors."""
         total = np.zeros((len(joints), A.shape[2], len(self.names)))
         at = {name: k for k, name in enumerate(self.names)}
         if self.base is not None:
@@ -106,10 +106,7 @@ class ModelError:
 
 
 def _apart(fit: Fit[TorqueModel]) -> np.ndarray:
-    """Return the covariance of a fit without what its gains have in common.
-
-    Gains that are all c too large leave parameters that are all c too small, and the torque that is read the same.
-    """
+    """Return the covariance of a fit without the common gain error, which its parameters compensate."""
     gain_cov = fit.value.gain_cov
     measured = np.flatnonzero(np.diag(gain_cov) > 0)
     if not len(measured):
@@ -122,13 +119,13 @@ def _apart(fit: Fit[TorqueModel]) -> np.ndarray:
 
 
 def _own_names(robot: Robot, base: BaseParameters | None) -> dict[str, tuple[str, ...]]:
-    """Return the names (n,) of each term that joints have of their own."""
+    """Return the names (n,) of each joint-specific term."""
     names = {term: tuple(f"{term} {joint}" for joint in robot.joint_names) for term in (*FRICTION_TERMS, *RIPPLE)}
     return names if base is None else {**names, "offset": tuple(base.offset_names)}
 
 
 def _friction(friction: Friction, data: Record) -> np.ndarray:
-    """Return the torque (N, n) of friction along a record, each segment from rest."""
+    """Return the friction torque (N, n) along a record, each segment starting at rest."""
     torque = np.empty_like(data.q)
     for a, b in data.segments:
         z = presliding(data.q[a:b], friction.delta, friction.resolution)
@@ -151,19 +148,19 @@ def _rigid(
     return total
 
 
-EXPLAINED, CHANGED = 0.5, 3.0  # share of the torque; times the held-out residual of the arm alone
-EVERY = 4  # rows apart that are kept; the filter's corner is at a tenth of the rate
-APART = 0.02  # rad or m, RMS; records further apart are not of one motion
+EXPLAINED, CHANGED = 0.5, 3.0  # required share of the torque; largest ratio to the held-out residual of the arm alone
+EVERY = 4  # decimation; the filter's cut-off is at a tenth of the rate
+APART = 0.02  # rad or m, RMS; records further apart are different motions
 
 
 @dataclass(frozen=True, eq=False)
 class LoadRecord:
-    """Regression ``y = A pi + e`` of the torque that a load adds.
+    """Regression ``y = A pi + e`` of the torque added by a load.
 
-    `rows`: (M,) rows of it that are kept. `joints`: (j,) those that move; what friction does at rest is not known, and
-    the others are left out. `A`: (M, j, 10) filtered columns of the load, at the flange. `y`: (M, j) filtered residual
-    of the model [N m]. `against`: (j, 10, P) sums of A_i^T C_i per joint, C the slopes of its torque over these
-    parameters: how the load takes up what is wrong with them. `sources`: name and SHA-256 of each log.
+    `rows`: (M,) kept rows. `joints`: (j,) moving joints; the others are excluded because friction at rest is unknown.
+    `A`: (M, j, 10) filtered columns of the load at the flange. `y`: (M, j) filtered residual of the model [N m].
+    `against`: (j, 10, P) sums of A_i^T C_i per joint, with C the derivatives of its torque with respect to the model
+    parameters; gives the response of the load to model errors. `sources`: name and SHA-256 of each log.
     """
 
     data: Record
@@ -207,14 +204,14 @@ class LoadRecord:
         return cls(data, rows, joints, A, y, error, shared, (*sources, *other.data.sources))
 
     def blocks(self, seconds: float) -> np.ndarray:
-        """Return the block number (M,) of each row, from 0, for blocks of about `seconds`."""
+        """Return the block number (M,) of each row (from 0) for blocks of about `seconds`."""
         return np.unique(self.data.blocks(seconds)[self.rows], return_inverse=True)[1]
 
 
 def moving_joints(tables: Sequence[Table], robot: Robot) -> np.ndarray:
-    """Return the numbers, from 0, of joints that move enough for their friction to be known; all where none does."""
+    """Return the indices of joints that move enough for their friction to be known; all joints if none does."""
     if not tables or any(not isinstance(one, Table) or one["q"].shape[1:] != (robot.n,) for one in tables):
-        return np.arange(robot.n)  # `prepare` says what is wrong
+        return np.arange(robot.n)  # `prepare` raises
     ends = np.array([(np.nanmin(one["q"], axis=0), np.nanmax(one["q"], axis=0)) for one in tables if len(one)])
     least = np.where(robot.prismatic, MIN_SLIDE, MIN_TURN)
     moving = np.flatnonzero(ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0) >= least) if len(ends) else []
@@ -231,12 +228,12 @@ def _at_flange(data: Record, robot: Robot) -> np.ndarray:
 
 
 def _shift(data: Record, other: Record) -> int:
-    """Return by how many rows the record with the load began earlier in the motion; refuse two different motions."""
+    """Return the lag (rows) of the record without the load behind the record with it; raise if the motions differ."""
     if len(data.segments) > 1 or len(other.segments) > 1 or abs(data.rate / other.rate - 1.0) > 1e-3:
         raise ShapeError(
-            f"Expected one log with and one without the load, of one rate and without gaps, got "
-            f"{len(data.segments)} and {len(other.segments)} pieces at {data.rate:.4g} and {other.rate:.4g} Hz. "
-            "Record both again, or leave the log without the load out."
+            f"Expected one log with the load and one without it, with equal rates and without gaps, got "
+            f"{len(data.segments)} and {len(other.segments)} segments at {data.rate:.4g} and {other.rate:.4g} Hz. "
+            "Record both logs again, or omit the log without the load."
         )
     size = len(data.t) + len(other.t)
     weight = 1.0 / np.maximum(np.std(data.qd, axis=0), 1e-3 * np.std(data.qd))
@@ -250,14 +247,14 @@ def _shift(data: Record, other: Record) -> int:
         raise ShapeError(
             f"Expected the same motion with and without the load for at least {MIN_SECONDS:g} s, got "
             f"{(last - first) / data.rate:.1f} s in which joint {int(apart.argmax()) + 1} is {apart.max():.2g} apart "
-            f"(RMS). Run the same motion twice, or leave the log without the load out."
+            f"(RMS). Run the same motion twice, or omit the log without the load."
         )
     return shift
 
 
 SIZES = {"static": 4, "dynamic": 10}
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
-FARTHEST = 0.5  # m, of the centre of mass
+FARTHEST = 0.5  # m, largest distance of the centre of mass
 
 
 def fit_payload(
@@ -269,40 +266,40 @@ def fit_payload(
     *,
     gain_sd: float = 0.05,
 ) -> Fit[Payload]:
-    """Estimate mass, centre and, in mode "dynamic", inertia of a load at the flange.
+    """Identify the mass, centre of mass and, in mode "dynamic", inertia of a payload at the flange.
 
     Parameters
     ----------
     table : Table or sequence of Table
         Logs with the load, columns q, qd, tau (N, n), without contact.
     model : TorqueModel or Fit of TorqueModel
-        Model of the arm without the load. Of a fit, the uncertainty of masses and friction enters the covariance; of a
-        model alone, only that of its masses.
+        Model of the arm without the load. With a fit, the covariance includes the uncertainty of masses and friction;
+        with a model, only that of the masses.
     robot : Robot
         The arm.
     mode : {"static", "dynamic"}
         "static": mass and first moment. "dynamic": all ten parameters, which needs fast motion of the wrist.
     without : Table, optional
-        Log of the same motion without the load; errors of the model cancel in the difference.
+        Log of the same motion without the load; model errors cancel in the difference.
     gain_sd : float
-        Standard deviation of the torque constants as a share; 0 where they are known exactly.
+        Relative standard deviation of the torque constants; 0 if they are known exactly.
 
     Returns
     -------
     Fit of Payload
         Parameters m [kg], m c [kg m] and I [kg m^2] about the flange's origin, in flange axes. Bounds: m >= 0 and a
-        centre within 0.5 m; the covariance is the one without these bounds.
+        centre of mass within 0.5 m; the covariance ignores these bounds.
 
     Raises
     ------
     ModelMismatchError
         A model of another robot.
     UnknownName
-        Another mode.
+        Unknown mode.
     NotExcited
-        Motion that does not determine the parameters, by name; too short a log.
+        Motion that does not determine the parameters (the message names them), or a log that is too short.
     ShapeError
-        NaN rows, wrong joint count, another motion without the load, `gain_sd` out of range.
+        NaN rows, a wrong number of joints, a different motion without the load, or `gain_sd` out of range.
     """
     value = model.value if isinstance(model, Fit) else model
     if not isinstance(value, TorqueModel):
@@ -311,7 +308,7 @@ def fit_payload(
     if mode not in SIZES:
         raise UnknownName.among("mode of a payload fit", mode, SIZES)
     if not 0 <= number(gain_sd, "the deviation of the gains") < 1:
-        raise ShapeError(f"Expected a standard deviation of the gains in [0, 1), got {gain_sd}. 0.05 is 5 %.")
+        raise ShapeError(f"Expected a gain standard deviation in [0, 1), got {gain_sd}. 0.05 is 5 %.")
     record, p = LoadRecord.of(table, model, robot, without), SIZES[mode]
     seconds = record.data.seconds / 20.0
     gains, rest = np.zeros(len(record.joints)), np.zeros(10)
@@ -332,7 +329,7 @@ def fit_payload(
     notes = _notes(x, theta, value, np.sqrt(np.diag(cov)), gains, gain_sd)
     if len(record.joints) < robot.n:
         rest_names = [robot.joint_names[i] for i in range(robot.n) if i not in record.joints]
-        notes.append(f"left out, at rest: {', '.join(rest_names)}")
+        notes.append(f"excluded because at rest: {', '.join(rest_names)}")
     notes += _unknown(record.error, isinstance(model, Fit))
     residuals = record.y - (1.0 + gains) * (record.A @ pi)
     share, doubts = _explained(record, residuals, robot)
@@ -354,7 +351,7 @@ def fit_payload(
 
 
 def _robust(record: LoadRecord, p: int, gains: np.ndarray, rest: np.ndarray, seconds: float) -> LinearSolution:
-    """Return Huber's solution for the first p parameters; the gains less 1 (n,) and the rest (10,) are held."""
+    """Return Huber's solution for the first p parameters; gains minus 1 (n,) and other parameters (10,) are fixed."""
     block = record.blocks(seconds)
     check_blocks(block[-1] + 1, seconds, record.data)
     A = (1.0 + gains)[:, None] * record.A
@@ -363,7 +360,7 @@ def _robust(record: LoadRecord, p: int, gains: np.ndarray, rest: np.ndarray, sec
 
 
 def _limits(record: LoadRecord, robot: Robot) -> np.ndarray:
-    """Return the deviations (10,) that are the most accepted: loads that would double the largest torque of the log."""
+    """Return the largest accepted deviations (10,): loads that would double the largest torque of the log."""
     torque, gravity = np.sqrt(np.mean(record.data.tau[:, record.joints] ** 2, axis=0)).max(), 9.81
     reach = np.linalg.norm(robot.frames[1:, :3, 3], axis=1).sum()
     return torque / gravity * np.array([1.0 / reach, *[1.0] * 3, *[reach] * 6])
@@ -382,7 +379,7 @@ def _point(theta: np.ndarray) -> np.ndarray:
 
 
 def _possible(theta: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    """Return the nearest parameters with ``m >= 0, |m c| <= 0.5 m``, in deviations of `cov`; no load at the tip."""
+    """Return the nearest parameters (in the metric of `cov`) with ``m >= 0, |m c| <= 0.5 m``; m = 0 at the apex."""
     m, h = theta[0], theta[1:4]
     if m >= 0 and np.linalg.norm(h) <= FARTHEST * m:
         return theta
@@ -405,7 +402,7 @@ def _possible(theta: np.ndarray, cov: np.ndarray) -> np.ndarray:
 
 
 def _table(fit: Fit[Payload]) -> str:
-    """Return mass, centre and inertia with deviations, then what was fitted."""
+    """Return text with the mass, centre of mass and inertia with standard deviations, followed by the fit."""
     load, theta = fit.value, fit.parameters
     lines = [f"{name:6s} {x: .5g} +- {sd:.2g} {unit}" for name, x, sd, unit in zip(fit.names, theta, fit.sd, fit.units)]
     for axis in range(3):
@@ -414,51 +411,56 @@ def _table(fit: Fit[Payload]) -> str:
             slope[[0, 1 + axis]] = -load.centre[axis] / load.mass, 1.0 / load.mass
         sd = np.sqrt(slope @ fit.cov @ slope)
         lines.append(f"centre {'xyz'[axis]} {1e3 * load.centre[axis]:.1f} +- {1e3 * sd:.1f} mm")
-    return "\n".join([*lines, "flange axes; deviations of one sigma"])
+    return "\n".join([*lines, "flange axes; standard deviations"])
 
 
 def _unknown(error: ModelError, fitted: bool) -> list[str]:
-    """Return what of the model's own uncertainty the deviations leave out."""
+    """Return notes about model uncertainty that the standard deviations do not include."""
     notes = []
     if error.base is None:
-        notes.append("the model was identified from some joints only: what is uncertain in its masses is not in")
+        notes.append(
+            "not included in the standard deviations: uncertainty of the model's masses, which were "
+            "identified from only some joints"
+        )
     if not fitted:
-        notes.append("what is uncertain in the model's friction is not in: give the fit of the model, not its value")
+        notes.append(
+            "not included in the standard deviations: uncertainty of the model's friction; pass the fit "
+            "instead of the model"
+        )
     elif error.base is not None and error.left_out:
-        notes.append(f"not in the deviations: what is uncertain in {', '.join(error.left_out)}")
+        notes.append(f"not included in the standard deviations: {', '.join(error.left_out)}")
     return notes
 
 
 def _explained(record: LoadRecord, residuals: np.ndarray, robot: Robot) -> tuple[str, tuple[str, ...]]:
-    """Return what share of the torque that the arm's model leaves the load explains; a doubt where it is small."""
+    """Return a sentence on the share of the arm model's residual explained by the load, as a doubt if it is small."""
     power = np.mean(record.y**2, axis=0)
     share = 1.0 - np.mean(residuals**2) / np.mean(power)
     left = f"{np.sqrt(np.mean(power)):.3g} N m RMS"
-    said = f"the load explains {100 * share:.0f} % of what the model of the arm leaves, {left}"
+    said = f"the load explains {100 * share:.0f} % of the residual of the arm's model, {left}"
     more = np.sqrt(power) / record.error.model.quality.rms_cv[record.joints]
     worst = int(np.argmax(np.nan_to_num(more)))
     if share > EXPLAINED or more[worst] < CHANGED:
         return said, ()
     return said, (
-        f"{robot.joint_names[record.joints[worst]]} leaves {more[worst]:.1f} times what it left without a load, "
-        f"and the load explains {100 * share:.0f} % of all: it is not, or not only, at the flange, or a contact is in "
-        "the log",
+        f"{robot.joint_names[record.joints[worst]]} has {more[worst]:.1f} times its residual without a load, "
+        f"and the load explains only {100 * share:.0f} % of all: there may be a load elsewhere or a contact in the log",
     )
 
 
 def _notes(
     free: np.ndarray, theta: np.ndarray, load: Payload, sd: np.ndarray, gains: np.ndarray, gain_sd: float
 ) -> list[str]:
-    """Return what the reader of a report must know beside the numbers."""
+    """Return the notes of a report."""
     notes = []
     if not np.array_equal(free, theta):
-        notes.append(f"held at a bound (m >= 0, centre within {FARTHEST} m); without it m = {free[0]:.4g} kg")
+        notes.append(f"at a bound (m >= 0, centre within {FARTHEST} m); without the bound m = {free[0]:.4g} kg")
     if len(theta) == 10 and inertia.principal_moments(load.pi).min() < -3.0 * sd[4:].max():
         notes.append(
-            "the inertia is not that of a body; identify.physically_consistent_load gives the nearest, "
-            "or use mode static"
+            "the inertia is not physically consistent; identify.physically_consistent_load returns the nearest "
+            "consistent load; or use mode static"
         )
     if gain_sd:
         percent = "  ".join(f"{100 * g:+.1f}" for g in gains)
-        notes.append(f"gains of the joints, of which {100 * gain_sd:g} % is expected [%]: {percent}")
+        notes.append(f"joint gains, prior standard deviation {100 * gain_sd:g} % [%]: {percent}")
     return notes

@@ -1,9 +1,9 @@
-"""Torques that cannot be: another unit, another sign, half of what they should be; each named by its joint.
+"""Plausibility of torques: detects a wrong unit, sign or scale per joint.
 
-Friction takes power: where the coarse regression of a joint finds that it gives some, the sign of its torque is
-reversed. With masses in the robot file, the torque of a joint is compared with what they need, ``tau_i = k_i r_i(q, qd,
-qdd) + rotor qdd + friction + offset``. Without them, joints are compared with each other: each reads k_i of the torque
-of links that they share (`identify.solve.GainProblem`, with an almost flat prior).
+Friction dissipates power: if the coarse regression of a joint finds that friction supplies power, the sign of the
+torque is reversed. With masses in the robot file, the torque of a joint is compared with the torque that these masses
+require, ``tau_i = k_i r_i(q, qd, qdd) + rotor qdd + friction + offset``. Otherwise the joints are compared with each
+other: each one measures k_i times the torque of shared links (`identify.solve.GainProblem`, with an almost flat prior).
 """
 
 from __future__ import annotations
@@ -18,31 +18,34 @@ from armlab.identify.solve import GAIN_SD, GainProblem, as_read, solved
 from armlab.log.units_check import GEARED, gears
 from armlab.robots import Robot
 
-DOUBTED, REFUSED = 1.3, 3.0  # factors between torque and what it should be
-SURE, CERTAIN = 3.0, 5.0  # deviations: of a factor, of a sign
-KNOWN = 0.15  # deviation of the logarithm of a factor that is judged
-SMALL = 0.01  # of the torque: friction that tells no sign
-LOOSE, ROUNDS = 1.0, 4  # deviation of gains that may be anything; weights of the joints follow them
-SUSPECT = 1.5  # deviations of the prior of a gain that is looked at again
+DOUBTED, REFUSED = 1.3, 3.0  # ratios of measured and expected torque
+SURE, CERTAIN = 3.0, 5.0  # deviations for a factor and for a sign
+KNOWN = 0.15  # largest deviation of the logarithm of a factor
+SMALL = 0.01  # share of the torque: smaller friction does not determine the sign
+LOOSE, ROUNDS = 1.0, 4  # deviation of unconstrained gains; iterations of the joint weights
+SUSPECT = 1.5  # deviations of the prior beyond which a gain is checked again
 
 
 def check_signs(survey: Survey, used: np.ndarray) -> list[str]:
-    """Return a sentence where friction of joints (n,) that count gives power."""
+    """Return a sentence about the selected joints (n,) whose friction supplies power."""
     found = [str(i + 1) for i in np.flatnonzero(used) if _gives_power(survey, int(i))]
     if not found:
         return []
-    return [f"joint{'s' * (len(found) > 1)} {', '.join(found)}: sign reversed (friction would drive the motion)"]
+    return [
+        f"joint{'s' * (len(found) > 1)} {', '.join(found)}: the sign is reversed, because friction would drive "
+        "the motion"
+    ]
 
 
 def _gives_power(survey: Survey, i: int) -> bool:
-    """Return whether the friction of joint i drives it, beyond doubt."""
+    """Return whether the friction of joint i significantly drives the joint."""
     F, y, qd = survey.friction(i), survey.tau[survey.rows, i], survey.qd[:, i]
     slope, sd = _slope(F, y, survey.columns(i), F.T @ qd / max(float(np.abs(qd).sum()), 1e-12))
     return slope < -max(CERTAIN * sd, SMALL * float(np.std(y)))
 
 
 def _slope(X: np.ndarray, y: np.ndarray, others: np.ndarray, of: np.ndarray) -> tuple[float, float]:
-    """Return ``of @ b`` and its deviation for y ~ X b + others c, coloured residuals accounted for."""
+    """Return ``of @ b`` and its standard deviation for y ~ X b + others c with coloured residuals."""
     scale = np.maximum(np.sqrt(np.sum(X * X, axis=0)), 1e-12)
     A = np.hstack([X / scale, others / np.maximum(np.sqrt(np.sum(others * others, axis=0)), 1e-12)])
     inverse = np.linalg.pinv(A.T @ A, rcond=1e-9, hermitian=True)
@@ -53,7 +56,7 @@ def _slope(X: np.ndarray, y: np.ndarray, others: np.ndarray, of: np.ndarray) -> 
 
 
 def mass_factors(survey: Survey, robot: Robot, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return torque over what the masses of the robot file need (n,), and its deviation; NaN where that is unknown."""
+    """Return the ratio (n,) of measured torque to that of the robot file's masses, and its SD; NaN if unknown."""
     factors = np.full((2, len(used)), np.nan)
     if robot.inertias is None:
         return factors[0], factors[1]
@@ -65,7 +68,7 @@ def mass_factors(survey: Survey, robot: Robot, used: np.ndarray) -> tuple[np.nda
 
 
 def loose_gains(design: Design, method: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the gains (n,) that joints have against each other, and their deviations; NaN where that is unknown."""
+    """Return the relative gains (n,) of the joints and their standard deviations; NaN if unknown."""
     found = np.full((2, len(design.robot.joint_names)), np.nan)
     if np.all(np.abs(design.gains - 1.0) < SUSPECT * GAIN_SD):
         return found[0], found[1]
@@ -79,13 +82,13 @@ def loose_gains(design: Design, method: str) -> tuple[np.ndarray, np.ndarray]:
             return found[0], found[1]
         design, cov = design.with_gains(1.0 + g), problem.gain_covariance(x, g)
     gains = design.gains
-    apart = (np.eye(len(gains)) - 1.0 / len(gains)) / gains  # of the logarithms, without what all have in common
+    apart = (np.eye(len(gains)) - 1.0 / len(gains)) / gains  # logarithms without the common factor
     found[:, design.joints] = gains, gains * np.sqrt(np.diag(apart @ cov @ apart.T))
     return found[0], found[1]
 
 
 def check_factors(factors: np.ndarray, sd: np.ndarray, robot: Robot, masses: bool) -> tuple[list[str], bool]:
-    """Return what is wrong with factors (n,), in words, and whether it is more than a doubt."""
+    """Return sentences about wrong factors (n,), and whether these are errors rather than doubts."""
     known = np.isfinite(factors) & (sd < KNOWN * np.abs(factors))
     if not known.any():
         return [], False
@@ -94,49 +97,49 @@ def check_factors(factors: np.ndarray, sd: np.ndarray, robot: Robot, masses: boo
     reference = common if shared or not masses else 1.0
     said, worst = [], common if shared else 1.0
     if shared:
-        said.append(f"torques are {common:.2g} of what these masses need: {_unit(common, robot, known)}")
+        said.append(f"torques are {common:.2g} of the torque that these masses require: {_unit(common, robot, known)}")
     for i in np.flatnonzero(known):
         own = float(factors[i]) / reference
         off = own < 0 or abs(np.log(own)) > np.log(DOUBTED) + SURE * sd[i] / abs(factors[i])
         if off:
-            said.append(_named(i, own, robot, "these masses need" if masses else "the other joints imply"))
+            said.append(_named(i, own, robot, "these masses require" if masses else "the other joints imply"))
             worst = max((worst, own), key=lambda x: np.inf if x <= 0 else abs(np.log(x)))
     return said, worst <= 0 or abs(np.log(worst)) > np.log(REFUSED)
 
 
 def _named(i: int | np.intp, own: float, robot: Robot, what: str) -> str:
-    """Return what is wrong with joint i, whose torque is `own` times what it should be."""
+    """Return a sentence about joint i, whose torque is `own` times the expected one."""
     for factor, word in ((0.5, "half"), (2.0, "double")):
         if abs(np.log(abs(own) / factor)) < 0.15 and own > 0:
-            return f"joint {i + 1} reads {word} of what {what}"
+            return f"joint {i + 1} reads {word} the torque that {what}"
     hint = "" if 1.0 / REFUSED < own < REFUSED else f": {_unit(own, robot, np.arange(len(robot.joint_names)) == i)}"
-    return f"joint {i + 1} reads {own:.2g} of what {what}{hint}"
+    return f"joint {i + 1} reads {own:.2g} of the torque that {what}{hint}"
 
 
 def _unit(factor: float, robot: Robot, joints: np.ndarray) -> str:
-    """Return what torques that are `factor` times too large may be."""
+    """Return the likely cause of torques that are `factor` times too large."""
     gear = float(np.median(gears(robot)[joints]))
     if factor < 0:
         return "sign reversed"
     if gear >= GEARED and abs(np.log(factor * gear)) < np.log(DOUBTED):
-        return f"of the motors, gear ratio {gear:g}? Use robots.couplings.motor_torque_to_joint"
+        return f"possibly motor torques, gear ratio {gear:g}? Use robots.couplings.motor_torque_to_joint"
     if factor < 1.0 / REFUSED:
         return "currents in ampere?"
-    return "a load, other masses or another unit?"
+    return "possibly a load, other masses or another unit"
 
 
 def raise_unless(force: bool, said: list[str], fault: bool) -> tuple[str, ...]:
-    """Return doubts as they are; refuse faults unless they are forced."""
+    """Return doubts; raise on errors unless forced."""
     if fault and not force:
         raise ShapeError(
-            f"Expected torque on the joint side in N m, got: {'; '.join(said)}. Correct the columns, or the masses of "
-            "the robot file; --force (force=True) fits them as they are."
+            f"Expected torque on the joint side in N m, got: {'; '.join(said)}. Correct the columns or the masses in "
+            "the robot file; --force (force=True) fits them unchanged."
         )
     return tuple(said)
 
 
 def check_torques(data: Record, robot: Robot, used: np.ndarray, force: bool) -> tuple[str, ...]:
-    """Return doubts about the torques of joints (n,) that count; refuse a wrong sign or unit, by joint."""
+    """Return doubts about the torques of the selected joints (n,); raise on a wrong sign or unit."""
     survey = Survey.of(data, robot)
     signs = check_signs(survey, used)
     if signs:
@@ -146,6 +149,6 @@ def check_torques(data: Record, robot: Robot, used: np.ndarray, force: bool) -> 
 
 
 def check_gains(design: Design, method: str, force: bool) -> tuple[str, ...]:
-    """Return doubts about gains that the joints have against each other; refuse factors beyond three."""
+    """Return doubts about the relative gains of the joints; raise on factors above three."""
     said, fault = check_factors(*loose_gains(design, method), design.robot, masses=False)
     return raise_unless(force, said, fault)

@@ -1,4 +1,4 @@
-"""What an identified model predicts for a log, how surely, and whether the log asks for more than was trained."""
+"""Predictions of an identified model for a log with uncertainty, and checks for extrapolation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from armlab._display import Shown
 from armlab.errors import ModelMismatchError, ShapeError
+from armlab.estimation.fit import Fit, value_of
 from armlab.identify.record import check_finite, pieces, with_velocity
 from armlab.identify.validation import rests, speed_shares
 from armlab.log import Table
@@ -15,31 +17,31 @@ from armlab.models import TorqueModel
 from armlab.models.torque import Training
 from armlab.signals import central_diff, lowpass_offline
 
-# Whether a log asks a model for what it was never shown: positions, speeds and rest outside the training data.
+# Extrapolation: positions, speeds and rest outside the training data.
 #
-# A held-out error belongs to data like the training data. Per joint it is counted how often a log leaves the trained
-# range of position and the trained speeds; and, for the arm as a whole, how much it rests: friction at rest is anything
-# within its bounds, and a model trained in motion says nothing about it.
+# Held-out errors hold only for data like the training data. Per joint, the samples outside the trained range of
+# position and the trained speeds are counted; for the arm as a whole, the share of rest, because friction at rest is
+# only bounded and a model trained in motion does not predict it.
 
 
-BESIDE = 0.02  # of the trained range, that position may go beyond it
-RARE = 0.005  # share of training below which a bin of speed was not trained
-ALLOWED = 0.05  # share of samples outside that need no warning
-MORE, LONGER = 3.0, 2.0  # times the share, and the length, of rest in training
+BESIDE = 0.02  # tolerance of the trained position range, relative to it
+RARE = 0.005  # share of training data below which a speed bin is untrained
+ALLOWED = 0.05  # share of samples outside without a warning
+MORE, LONGER = 3.0, 2.0  # ratios of the share and the length of rest to those in training
 
 
-@dataclass(frozen=True, eq=False)
-class Extrapolation:
-    """Differences between a log and the data that a model was fitted to.
+@dataclass(frozen=True, eq=False, repr=False)
+class Extrapolation(Shown):
+    """Differences between a log and the training data of a model.
 
     Attributes
     ----------
     joint_names : tuple of str, length n
-        Names of the joints.
+        Joint names.
     outside : array, shape (n,)
-        Share of samples outside the trained range of position by more than 2 % of it.
+        Share of samples outside the trained position range by more than 2 % of that range.
     unseen_speed : array, shape (n,)
-        Share of samples at speeds that hold less than 0.5 % of the training data.
+        Share of samples at speeds with less than 0.5 % of the training data.
     rest_share : float
         Share of rest in this log.
     longest_rest : float, s
@@ -49,7 +51,7 @@ class Extrapolation:
     trained_longest_rest : float, s
         Longest rest in the training data.
     warnings : tuple of str
-        Sentences; empty when the model may be used on this log.
+        Warnings as sentences; empty if the model is valid for this log.
     """
 
     joint_names: tuple[str, ...]
@@ -64,7 +66,7 @@ class Extrapolation:
     def text(self) -> str:
         """Return a table per joint, a line about rest, and the warnings."""
         width = max(map(len, self.joint_names))
-        lines = [f"{'joint':>{width}}  position outside  speed not trained"]
+        lines = [f"{'joint':>{width}}  position outside  untrained speed"]
         for name, outside, unseen in zip(self.joint_names, self.outside, self.unseen_speed):
             lines.append(f"{name:>{width}}  {100 * outside:14.1f} %  {100 * unseen:15.1f} %")
         lines.append(
@@ -74,21 +76,22 @@ class Extrapolation:
         return "\n".join([*lines, *(f"warning: {sentence}" for sentence in self.warnings)])
 
 
-def extrapolation(model: TorqueModel, table: Table) -> Extrapolation:
-    """Compare a log with the data that `model` was fitted to.
+def extrapolation(model: TorqueModel | Fit[TorqueModel], table: Table) -> Extrapolation:
+    """Compare a log with the training data of `model`.
 
-    Warned is of joints with more than 5 % of the samples outside the trained positions or speeds, and of a log that
-    rests three times the share of training with a stretch twice as long as any in it.
+    Warns about joints with more than 5 % of the samples outside the trained positions or speeds. Also warns if the
+    share of rest is three times that of the training data and the longest rest is twice as long.
 
     Parameters
     ----------
-    model : identified torque model.
-    table : log with q (N, n), and qd where it was measured.
+    model : identified torque model, or its fit.
+    table : log with q (N, n), and qd if measured.
 
     Raises
     ------
-    ShapeError : another number of joints, NaN rows, fewer than two rows.
+    ShapeError : wrong number of joints, NaN rows, fewer than two rows.
     """
+    model = value_of(model)
     if not isinstance(model, TorqueModel):
         raise ModelMismatchError.no_model(model)
     table = with_velocity(table)
@@ -96,9 +99,9 @@ def extrapolation(model: TorqueModel, table: Table) -> Extrapolation:
     if q.shape[1:] != (model.n,) or qd.shape != q.shape or len(t) < 2:
         raise ShapeError(
             f"Expected q and qd of {model.n} joints in at least two rows, got {q.shape} and {qd.shape}. "
-            "Give a log of the robot that the model belongs to."
+            "Pass a log of the model's robot."
         )
-    advice = "Drop them with table.dropna; without qd it takes 100 rows without a gap to compute it."
+    advice = "Drop them with table.dropna; computing qd requires 100 rows without a gap."
     check_finite("q and qd", q, qd, advice=advice)
     margin = BESIDE * (known.q_max - known.q_min)
     outside = np.mean((q < known.q_min - margin) | (q > known.q_max + margin), axis=0)
@@ -115,39 +118,42 @@ def _warnings(
     names: tuple[str, ...], outside: np.ndarray, unseen: np.ndarray, rest: tuple[float, float], known: Training
 ) -> tuple[str, ...]:
     found = []
-    for shares, what in ((outside, "outside the trained positions"), (unseen, "at speeds that were not trained")):
+    for shares, what in ((outside, "outside the trained positions"), (unseen, "at untrained speeds")):
         far = np.flatnonzero(shares > ALLOWED)
         if len(far):
             listed = ", ".join(f"{names[i]} ({100 * shares[i]:.0f} %)" for i in far)
             found.append(
-                f"Expected motion like that of training, got samples {what}: {listed}. Train with such motion."
+                f"Expected motion like that in the training data, got samples {what}: {listed}. Include such motion "
+                "in the training data."
             )
     if rest[0] > MORE * known.rest_share and rest[1] > LONGER * known.longest_rest:
         found.append(
             f"Expected as little rest as in training ({100 * known.rest_share:.0f} %, longest "
-            f"{known.longest_rest:.2f} s), got {100 * rest[0]:.0f} %, longest {rest[1]:.2f} s: friction at rest is "
-            "only known to lie inside bounds. Judge the model by the rows in motion, or train with rest."
+            f"{known.longest_rest:.2f} s), got {100 * rest[0]:.0f} %, longest {rest[1]:.2f} s: at rest, friction is "
+            "only bounded. Assess the model only in motion, or include rest in the training data."
         )
     return tuple(found)
 
 
-def predict(model: TorqueModel, table: Table) -> Table:
-    """Return the log with tau, tau_model and tau_sigma (N, n) [N m]: measured, modelled, and how surely.
+def predict(model: TorqueModel | Fit[TorqueModel], table: Table) -> Table:
+    """Return the log with tau, tau_model and tau_sigma (N, n) [N m]: measured torque, modelled torque and standard
+    deviation.
 
-    Measured and modelled torque pass a zero-phase low-pass at the model's cut-off: to that band its covariance belongs.
-    Where the arm has rested, tau_sigma holds what static friction may do, as in the estimator. The notes of the result
-    say where the log leaves the training data.
+    Measured and modelled torque are low-passed with zero phase at the model's cut-off, for which its covariance holds.
+    After a stop, tau_sigma includes the possible static friction, as in the estimator. Extrapolation is reported in the
+    notes of the result.
 
     Parameters
     ----------
-    model : identified torque model.
-    table : log with columns q, tau (N, n), and qd where it was measured. Pieces between gaps are filtered each by
-        itself; in pieces of fewer than 100 rows tau and tau_model are missing (NaN).
+    model : identified torque model, or its fit.
+    table : log with columns q, tau (N, n), and qd if measured. Segments between gaps are filtered separately; in
+        segments of fewer than 100 rows, tau and tau_model are missing (NaN).
 
     Raises
     ------
-    ShapeError : no piece of 100 rows without a gap, NaN rows, wrong joint count.
+    ShapeError : no segment of 100 rows without a gap, NaN rows, wrong joint count.
     """
+    model = value_of(model)
     if not isinstance(model, TorqueModel):
         raise ModelMismatchError.no_model(model)
     if not isinstance(table, Table):

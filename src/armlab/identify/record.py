@@ -1,4 +1,4 @@
-"""From logs to arrays that can be fitted: checks, segments without gaps, and a filter that keeps every few rows."""
+"""Records for identification: validated logs, segments without gaps, and a decimation filter."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from armlab._numbers import members
-from armlab.errors import NotExcited, RobotError, ShapeError, UnknownName
+from armlab.dynamics.base_parameters import measured_joints
+from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.robust import NORMAL_MAD
 from armlab.identify.clocks import BRIDGED, Clock, Delay, delay_of, earlier, shifts_of
 from armlab.kernels import presliding
@@ -21,43 +21,43 @@ from armlab.models import TorqueModel
 from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline
 
-MIN_RATE = 40.0  # Hz: four samples in a period of the 10 Hz that models and estimators keep
-SLOW_SHARE = 0.25  # of the sampling rate: a faster ripple line folds back
+MIN_RATE = 40.0  # Hz: four samples per period of the 10 Hz band of models and estimators
+SLOW_SHARE = 0.25  # of the sampling rate: a faster ripple line aliases
 
 
 def check_rate(period: float) -> None:
-    """Refuse a log whose sampling is too slow for friction: below `MIN_RATE`."""
+    """Raise on a sampling rate too low for friction, below `MIN_RATE`."""
     rate = 1.0 / period
     if rate < MIN_RATE * (1.0 - 1e-6):
         hint = " If t is in milliseconds, divide it by 1000." if rate < 10.0 else ""
         raise ShapeError(
-            f"Expected a log of at least {MIN_RATE:g} Hz, got {rate:.4g} Hz: friction changes within one sample when a "
-            f"joint turns round.{hint} Record faster; resampling does not bring it back."
+            f"Expected a log of at least {MIN_RATE:g} Hz, got {rate:.4g} Hz: at a joint reversal, friction changes "
+            f"within one sample.{hint} Record faster; resampling does not help."
         )
 
 
 def slow_enough(qd: np.ndarray, rate: float, cycles: np.ndarray) -> np.ndarray:
-    """Return where (N, n) a ripple line (n,) [rad/rad] passes below a quarter of the rate; a faster one folds back."""
+    """Return the mask (N, n) of samples in which a ripple line (n,) [rad/rad] does not alias."""
     return np.abs(qd) * cycles < 2 * np.pi * SLOW_SHARE * rate
 
 
 MIN_SECONDS, MIN_BLOCKS = 5.0, 8
-MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: range of a joint that is said to move
-MIN_SEGMENT = 100  # samples; shorter pieces between gaps are left out
-BAND = 5.0  # Hz, in which velocity is compared with the slope of position
-ORDER = 4  # of the low-pass, forward and backward
-KEPT, MARGIN = 0.99, 10.0  # share of the power of motion, and how far above its frequency a velocity is kept
+MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: minimum range of a moving joint
+MIN_SEGMENT = 100  # samples; shorter segments between gaps are dropped
+BAND = 5.0  # Hz, band for the comparison of velocity with the derivative of position
+ORDER = 4  # of the low-pass, run forward and backward
+KEPT, MARGIN = 0.99, 10.0  # fraction of the motion's power, and ratio of the velocity cut-off to its frequency
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One or several logs as one record of segments without gaps.
+    """One or several logs combined into one record of gap-free segments.
 
-    `t`: (N,) time [s], increasing inside a segment. `q`, `qd`, `tau`: (N, n). `dt`: (N,) step to the previous sample
-    [s]; the period at the start of a segment. `segments`: (start, stop) rows of each piece without a gap. `rate`: [Hz].
-    `resolution`: (n,) half the smallest step of the encoder [rad]. `sources`: name and SHA-256 of each log. `bridged`:
-    (B,) rows that were lost and are interpolated. `delays`: of torque and velocity where they were corrected. `notes`:
-    what was repaired, in words.
+    `t`: (N,) time [s], increasing within a segment. `q`, `qd`, `tau`: (N, n). `dt`: (N,) step to the previous sample
+    [s]; the period at the start of a segment. `segments`: (start, stop) rows of each segment. `rate`: [Hz].
+    `resolution`: (n,) half the smallest encoder step [rad]. `sources`: name and SHA-256 of each log. `bridged`: (B,)
+    interpolated rows that replace lost rows. `delays`: corrected delays of torque and velocity. `notes`: repairs as
+    sentences.
     """
 
     t: np.ndarray
@@ -75,16 +75,16 @@ class Record:
 
     @property
     def measured(self) -> int:
-        """Number of rows that were measured."""
+        """Number of measured rows."""
         return len(self.t) - len(self.bridged)
 
     @property
     def seconds(self) -> float:
-        """Length of all segments [s]."""
+        """Total length of the segments [s]."""
         return float(sum(self.t[b - 1] - self.t[a] for a, b in self.segments))
 
     def filter(self, x: np.ndarray, cutoff: float) -> np.ndarray:
-        """Filter (N, ...) with zero phase inside each segment; the same filter serves torque and regressor."""
+        """Filter (N, ...) with zero phase within each segment; torque and regressor share the filter."""
         from scipy.signal import butter, sosfiltfilt
 
         out, sections = np.empty_like(x), butter(ORDER, cutoff / (self.rate / 2), output="sos")
@@ -93,14 +93,14 @@ class Record:
         return out
 
     def differentiate(self, x: np.ndarray) -> np.ndarray:
-        """Differentiate (N, ...) by central differences inside each segment."""
+        """Differentiate (N, ...) by central differences within each segment."""
         out = np.empty_like(x)
         for a, b in self.segments:
             out[a:b] = np.gradient(x[a:b], self.t[a:b], axis=0, edge_order=2)
         return out
 
     def blocks(self, seconds: float) -> np.ndarray:
-        """Return the block number (N,) of each sample: blocks of `seconds` that never cross a gap."""
+        """Return the block number (N,) of each sample for blocks of `seconds` that do not cross gaps."""
         number = np.empty(len(self.t), dtype=int)
         first = 0
         for a, b in self.segments:
@@ -110,56 +110,40 @@ class Record:
         return number
 
 
-def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[int]:
-    """Return the numbers, from 0, of the joints that are meant, ascending; all when left out."""
-    if not isinstance(robot, Robot):
-        raise RobotError.no_robot(robot)
-    n = len(robot.joint_names)
-    given = range(n) if joints is None else members(joints, f"numbers of joints from 0 to {n - 1}", UnknownName)
-    found = sorted({int(one) for one in given if isinstance(one, int | np.integer)} & {*range(n)})
-    if not found or len(found) != len(given):
-        raise UnknownName(
-            f"Expected numbers of joints from 0 to {n - 1}, each once, got {[*given]}. "
-            "Count from 0, or leave them out for all."
-        )
-    return found
-
-
 def check_blocks(count: int, seconds: float, data: Record) -> None:
-    """Refuse a record of fewer than eight independent blocks: their scatter is the covariance."""
+    """Raise if there are fewer than eight independent blocks, because their scatter gives the covariance."""
     if count < MIN_BLOCKS:
         raise NotExcited(
-            f"Expected at least {MIN_BLOCKS} blocks of {seconds:.2g} s for a covariance, got {count}. "
-            "Record for longer.",
+            f"Expected at least {MIN_BLOCKS} blocks of {seconds:.2g} s for the covariance, got {count}. Record longer.",
             ["covariance"],
             [f"{data.seconds:.1f} s"],
         )
 
 
 def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] | None = None) -> Record:
-    """Check logs and cut them into segments without gaps.
+    """Validate logs and cut them into gap-free segments.
 
     Parameters
     ----------
-    table : one log or several, each with columns q, tau of `robot`; qd, where it is left out, is the slope of q.
-    robot : the arm that was logged.
-    joints : numbers, from 0, of those whose torque will be fitted; only these must move and must have a torque that
-        is one. All when left out.
+    table : one log or several, each with columns q, tau of `robot`; without qd, the derivative of q is used.
+    robot : the recorded arm.
+    joints : joints whose torque will be fitted, from 0; only these must move and have a valid torque. Default: all.
 
     Raises
     ------
-    RobotError : something else than a robot. UnknownName : no such joint.
-    ShapeError : something else than a log, one log twice, wrong joint count, NaN rows by number, logs of different
-        rates or below 40 Hz, gaps everywhere, positions in degrees or of the motors, velocity that is not the
-        derivative of position, torque of the motors.
-    NotExcited : too short, joints at rest by name, constant torque.
+    RobotError : not a Robot.
+    UnknownName : no such joint.
+    ShapeError : not a Table, a repeated log, wrong joint count, NaN rows by number, logs of different rates or below 40
+        Hz, gaps throughout, positions in degrees or on the motor side, velocities inconsistent with positions, or motor
+        torques.
+    NotExcited : a short log, joints at rest by name, constant torque.
     """
     used = np.bincount(measured_joints(robot, joints), minlength=len(robot.joint_names)) > 0
     return _checked(_tables(table), robot, used, used)
 
 
 def prepare_share(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] | None = None) -> Record:
-    """Check and cut logs as `prepare` does; joints may rest in them: others move them, or a prior knows them."""
+    """Validate and cut logs as `prepare` does; joints may rest if other logs move them or a prior covers them."""
     used = np.bincount(measured_joints(robot, joints), minlength=len(robot.joint_names)) > 0
     return _checked(_tables(table), robot, used, np.zeros_like(used))
 
@@ -170,12 +154,12 @@ def resting(q: np.ndarray, prismatic: np.ndarray) -> np.ndarray:
 
 
 def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.ndarray) -> Record:
-    """Return the record of logs whose joints `moving` (n,) must move, and `used` (n,) have a torque."""
+    """Return the record of logs; joints in `moving` (n,) must move, joints in `used` (n,) need a torque."""
     prepared = _joined(tables, robot)
     check_position(prepared.q, robot)
     moved = ~resting(prepared.q, robot.prismatic)
     _check_motion(prepared.q, robot, moving & ~moved)
-    turned = ~np.all([resting(prepared.q[a:b], robot.prismatic) for a, b in prepared.segments], axis=0)  # inside a log
+    turned = ~np.all([resting(prepared.q[a:b], robot.prismatic) for a, b in prepared.segments], axis=0)  # within a log
     given = all("qd" in one.values for one in tables)
     prepared, slope = _velocity_on_time(prepared, moved & turned) if given else (prepared, prepared.qd)
     if given:
@@ -189,7 +173,7 @@ def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.nda
 
 
 def _joined(tables: list[Table], robot: Robot) -> Record:
-    """Return the segments of some logs as one record, each on the clock of its rows."""
+    """Return the segments of several logs as one record, each on the clock of its rows."""
     parts = [_segments(one, robot) for one in tables]
     rate = _common_rate([1.0 / part.clock.period for part in parts])
     pieces = [(part, a, b) for part in parts for a, b in part.segments]
@@ -211,10 +195,10 @@ def _joined(tables: list[Table], robot: Robot) -> Record:
 
 
 def _tables(table: Table | Sequence[Table]) -> list[Table]:
-    """Return one log or several as a list; refuse what is none."""
+    """Return one or several logs as a list; raise for other types."""
     tables: list[Any] = list(table) if isinstance(table, (list, tuple)) else [table]
     if not tables:
-        raise ShapeError("Expected at least one log, got none. Give the file of a recorded excitation.")
+        raise ShapeError("Expected at least one log, got an empty list. Pass the log of an excitation trajectory.")
     for one in tables:
         if not isinstance(one, Table):
             raise ShapeError.no_table(one)
@@ -223,27 +207,27 @@ def _tables(table: Table | Sequence[Table]) -> list[Table]:
 
 
 def check_once(logs: Iterable[tuple[str, str]]) -> None:
-    """Refuse logs, given by name and SHA-256, of which one comes twice: the second time it says nothing new."""
+    """Raise if a log (name and SHA-256) is repeated, because repeated data pretend to be additional information."""
     known: dict[str, str] = {}
     for name, sha256 in logs:
         if sha256 in known:
             raise ShapeError(
-                f"Expected each log once, got the rows of {known[sha256]} again as {name}. Leave one out: counted "
-                "twice, they would seem to tell more than they do."
+                f"Expected distinct logs, but {name} repeats the rows of {known[sha256]}. Remove one of them, because "
+                "repeated rows would reduce the stated uncertainty without new information."
             )
         known[sha256] = name
 
 
 def log_name(table: Table, number: int) -> str:
-    """Return the file that a log was read from; "log 2" where it was not read from one and is the second."""
+    """Return the file name of a log, or for example "log 2" for the second log without a file."""
     return table.source[0].partition(" sha256 ")[0] if table.source else f"log {number}"
 
 
 def with_velocity(table: Table) -> Table:
-    """Return the log with qd: its own, or else the slope of q behind a zero-phase low-pass.
+    """Return the log with qd, either measured or computed as the derivative of q after a zero-phase low-pass filter.
 
-    The corner is ten times the frequency below which 99 % of the power of motion lies, a tenth of the rate at most.
-    Pieces between gaps are filtered each by itself; in pieces of fewer than 100 rows qd is missing (NaN).
+    The cut-off is ten times the frequency below which the motion has 99 % of its power, but at most a tenth of the
+    rate. Segments between gaps are filtered separately; in segments of fewer than 100 rows, qd is missing (NaN).
 
     Parameters
     ----------
@@ -267,7 +251,7 @@ def with_velocity(table: Table) -> Table:
 
 
 def _corner(q: np.ndarray, rate: float) -> float:
-    """Return the corner [Hz] of the low-pass before a derivative."""
+    """Return the cut-off [Hz] of the low-pass before the derivative."""
     speed = np.diff(q, axis=0) * np.hanning(len(q) - 1)[:, None]
     power = np.abs(np.fft.rfft(speed, axis=0)) ** 2
     share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
@@ -276,7 +260,7 @@ def _corner(q: np.ndarray, rate: float) -> float:
 
 
 def pieces(t: np.ndarray) -> list[tuple[int, int]]:
-    """Return (start, stop) of the stretches of a log without a gap that have at least 100 rows; refuse to find none."""
+    """Return (start, stop) of the segments of at least 100 rows without a gap; raise if there is none."""
     found = _pieces(t)
     if not found:
         raise _in_pieces(_edges(t))
@@ -284,27 +268,27 @@ def pieces(t: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _pieces(t: np.ndarray) -> list[tuple[int, int]]:
-    """Return (start, stop) of the stretches without a gap that have at least `MIN_SEGMENT` rows."""
+    """Return (start, stop) of the segments of at least `MIN_SEGMENT` rows without a gap."""
     return [(a, b) for a, b in pairwise(_edges(t)) if b - a >= MIN_SEGMENT]
 
 
 def _edges(t: np.ndarray) -> list[int]:
-    """Return the first row of each piece without a gap, and the number of rows."""
+    """Return the first row of each segment, followed by the number of rows."""
     return Clock.of(t).pieces if len(t) > 1 else [0, len(t)]
 
 
 def _in_pieces(edges: list[int]) -> ShapeError:
-    """Return the refusal of a log whose pieces are all short."""
+    """Return the error for a log with only short segments."""
     return ShapeError(
-        f"Expected pieces of at least {MIN_SEGMENT} samples without a gap of {BRIDGED + 1} rows, got "
-        f"{len(edges) - 2} gaps in {edges[-1]} rows, the longest piece with {int(np.diff(edges).max())} samples. "
+        f"Expected segments of at least {MIN_SEGMENT} samples without a gap of {BRIDGED + 1} rows, got "
+        f"{len(edges) - 2} gaps in {edges[-1]} rows, the longest segment with {int(np.diff(edges).max())} samples. "
         "Record again."
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One log: time (N,), [q, qd, tau], which rows were measured (N,), the pieces without a gap, and its clock."""
+    """One log: time (N,), [q, qd, tau], mask of measured rows (N,), segments without a gap, and its clock."""
 
     t: np.ndarray
     columns: list[np.ndarray]
@@ -314,7 +298,7 @@ class _Part:
 
 
 def _segments(table: Table, robot: Robot) -> _Part:
-    """Return one log with its clock repaired, lost rows bridged, and cut at longer gaps."""
+    """Return one log with a repaired clock, interpolated lost rows, and cuts at longer gaps."""
     known = table.values
     names = [name for name in ("q", "qd", "tau") if name != "qd" or "qd" in known]
     columns = [np.asarray(known[name] if name in known else table[name], dtype=float) for name in names]
@@ -323,7 +307,7 @@ def _segments(table: Table, robot: Robot) -> _Part:
         if values.shape != wanted:
             raise ShapeError(
                 f"Expected {name} of shape {wanted} for robot {robot.name!r}, got {values.shape}. "
-                "Name the robot that was logged."
+                "Pass the recorded robot."
             )
     t = np.asarray(table.t, dtype=float)
     present = np.any(~np.isnan(np.concatenate(columns, axis=1)), axis=1)
@@ -333,7 +317,7 @@ def _segments(table: Table, robot: Robot) -> _Part:
     if len(t) < MIN_SEGMENT or t[-1] - t[0] < MIN_SECONDS:
         length = t[-1] - t[0] if len(t) else 0.0
         raise NotExcited(
-            f"Expected a log of at least {MIN_SECONDS:g} s, got {length:.2f} s in {len(t)} rows. Record for longer.",
+            f"Expected a log of at least {MIN_SECONDS:g} s, got {length:.2f} s in {len(t)} rows. Record longer.",
             ["everything"],
             ["too short"],
         )
@@ -351,9 +335,10 @@ def _segments(table: Table, robot: Robot) -> _Part:
 def check_finite(
     what: str,
     *columns: np.ndarray,
-    advice: str = "Drop them with table.dropna, or record with the research extension when torque is missing.",
+    advice: str = "Drop them with table.dropna. If torques are missing, record with the research extension; a "
+    "simulated arm sends torques if its description has masses.",
 ) -> None:
-    """Refuse columns (N, n) with missing values, by row."""
+    """Raise on missing values in columns (N, n), stating their rows."""
     bad = np.flatnonzero(~np.all([np.isfinite(values).all(axis=1) for values in columns], axis=0))
     if len(bad):
         raise ShapeError(
@@ -362,22 +347,24 @@ def check_finite(
 
 
 def _common_rate(rates: list[float]) -> float:
-    """Return the sampling rate [Hz] of all logs; one filter serves them all, so they must agree."""
+    """Return the common sampling rate [Hz] of all logs, because they share one filter."""
     if max(rates) > 1.1 * min(rates):
         listed = ", ".join(f"{rate:.4g} Hz" for rate in rates)
-        raise ShapeError(f"Expected logs of one sampling rate, got {listed}. Resample them to the slowest first.")
+        raise ShapeError(
+            f"Expected logs with equal sampling rates, got {listed}. Resample them to the slowest rate first."
+        )
     return float(np.median(rates))
 
 
 def _resolution(q: np.ndarray) -> np.ndarray:
-    """Return half the smallest non-zero step of each joint (n,) [rad]: the play of the presliding state."""
+    """Return half the smallest non-zero step of each joint (n,) [rad], which is the play of the presliding state."""
     steps = np.abs(np.diff(q, axis=0))
     smallest = np.where(steps > 1e-12, steps, np.inf).min(axis=0)
     return np.where(np.isfinite(smallest), 0.5 * smallest, 0.0)
 
 
 def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
-    """Refuse joints (n,) that are to be fitted but hardly move."""
+    """Raise on fitted joints (n,) with little motion."""
     if not still.any():
         return
     names = [robot.joint_names[i] for i in np.flatnonzero(still)]
@@ -388,26 +375,27 @@ def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
     ]
     listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
     raise NotExcited(
-        f"Expected every joint to move by at least 5 deg (20 mm), got less for {listed}: their inertia, "
-        "gravity and friction look alike. Record a motion of all joints, as of identify.design_excitation.",
+        f"Expected every joint to move by at least 5 deg (20 mm), got less for {listed}, so their inertia, gravity "
+        "and friction are indistinguishable. Record a motion of all joints, such as "
+        "identify.design_excitation.",
         names,
         spread,
     )
 
 
-# A coarse regression of the torque of each joint by itself, on rigid body and friction of low-passed motion, a few rows
-# a second: it tells delays, signs and units before anything is fitted.
+# A coarse regression of each joint's torque on rigid body and friction of the low-passed motion, a few rows a second:
+# it identifies delays, signs and units before the fit.
 
 
-SURVEY_BAND, SURVEY_RATE, SURVEY_ROWS = 8.0, 25.0, 2000  # Hz, rows a second, and rows at most
-DELTAS = (1e-4, 1e-3, 1e-2)  # rad, of presliding: friction lags by itself, and reverses with a peak
-BELLS = (0.03, 0.1)  # rad/s, of Stribeck's term on a presliding in between
+SURVEY_BAND, SURVEY_RATE, SURVEY_ROWS = 8.0, 25.0, 2000  # Hz, rows per second, and maximum rows
+DELTAS = (1e-4, 1e-3, 1e-2)  # rad, presliding distances: friction lags by itself, and peaks at reversals
+BELLS = (0.03, 0.1)  # rad/s, Stribeck speeds at a medium presliding distance
 INDEPENDENT = 1e-7  # of the largest eigenvalue
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Rows (M,) of a record, low-passed q, qd, qdd (M, n) there, signs of friction (M, 5, n), torque (N, n)."""
+    """Rows (M,) of a record with low-passed q, qd, qdd (M, n), friction signs (M, 5, n) and torque (N, n)."""
 
     rows: np.ndarray
     q: np.ndarray
@@ -435,23 +423,23 @@ class Survey:
         return cls(rows, q, slow, qdd, signs, data.filter(data.tau, band), rigid)
 
     def columns(self, i: int) -> np.ndarray:
-        """Return the columns (M, k) of rigid body, rotor and offset of joint i."""
+        """Return the columns (M, k) for the rigid body, rotor and offset of joint i."""
         return np.column_stack([self.rigid[:, i], self.qdd[:, i], np.ones(len(self.rows))])
 
     def friction(self, i: int) -> np.ndarray:
-        """Return the columns (M, 6) of viscous and Coulomb friction of joint i."""
+        """Return the columns (M, 6) for viscous and Coulomb friction of joint i."""
         return np.column_stack([self.qd[:, i], self.signs[:, :, i]])
 
 
 def survey_rows(data: Record) -> np.ndarray:
-    """Return rows (M,) of a record from which every shift of a delay stays inside the segment."""
+    """Return rows (M,) of a record for which every shift of a delay stays within the segment."""
     first, last = shifts_of(data.rate)
     every = max(1, round(data.rate / SURVEY_RATE), len(data.t) // SURVEY_ROWS)
     return np.concatenate([np.arange(a - first, b - last, every) for a, b in data.segments]).astype(int)
 
 
 def orthonormal(A: np.ndarray) -> np.ndarray:
-    """Return orthonormal columns (M, k) that span those of A, but directions hardly excited."""
+    """Return orthonormal columns (M, k) that span the columns of A, except for weakly excited directions."""
     A = A / np.maximum(np.sqrt(np.sum(A * A, axis=0)), 1e-12)
     power, V = np.linalg.eigh(A.T @ A)
     kept = power > INDEPENDENT * power[-1]
@@ -459,7 +447,7 @@ def orthonormal(A: np.ndarray) -> np.ndarray:
 
 
 def _velocity_on_time(data: Record, moved: np.ndarray) -> tuple[Record, np.ndarray]:
-    """Return the record with qd as early as the slope of q, and that slope (N, n), low-passed."""
+    """Return the record with qd aligned to the derivative of q, and the low-passed derivative (N, n)."""
     slope, speed, rows = data.filter(data.differentiate(data.q), BAND), data.filter(data.qd, BAND), survey_rows(data)
     bases = [orthonormal(np.column_stack([column, np.ones(len(rows))])) for column in slope[rows].T]
     late = delay_of(speed, bases, rows, data.rate, moved)
@@ -470,7 +458,7 @@ def _velocity_on_time(data: Record, moved: np.ndarray) -> tuple[Record, np.ndarr
 
 
 def torque_on_time(data: Record, robot: Robot, used: np.ndarray) -> Record:
-    """Return the record with tau as early as the motion that takes it, judged by the joints `used` (n,)."""
+    """Return the record with tau aligned to the motion, based on the joints `used` (n,)."""
     survey = Survey.of(data, robot)
     bases = [
         orthonormal(np.hstack([survey.columns(i), survey.friction(i)])) if used[i] else np.zeros((len(survey.rows), 0))
@@ -481,7 +469,7 @@ def torque_on_time(data: Record, robot: Robot, used: np.ndarray) -> Record:
 
 
 def _shifted(data: Record, name: str, late: Delay) -> tuple[Record, np.ndarray]:
-    """Return the record with a column taken later by a delay, and the rows (N',) that have such a value."""
+    """Return the record with a column shifted by a delay, and the rows (N',) with a shifted value."""
     rows, column = late.seconds * data.rate, getattr(data, name).copy()
     ahead, behind = max(0, int(np.ceil(-rows))), max(0, int(np.ceil(rows)))
     for a, b in data.segments:
@@ -501,24 +489,24 @@ def _shifted(data: Record, name: str, late: Delay) -> tuple[Record, np.ndarray]:
 
 
 def delay_text(name: str, late: Delay) -> str:
-    """Return a corrected delay of the column qd or tau in words."""
+    """Return a sentence about the corrected delay of the column qd or tau."""
     what = {"qd": "velocity", "tau": "torque"}[name]
     side = "late" if late.seconds > 0 else "early"
     return (
-        f"{what} is {1e3 * abs(late.seconds):.1f} +- {1e3 * late.sd:.1f} ms {side} against the positions: corrected in "
-        "this fit, not in estimators; correct it where the log is made"
+        f"{what} is {1e3 * abs(late.seconds):.1f} +- {1e3 * late.sd:.1f} ms {side} relative to the positions: "
+        "this is corrected in the fit, but not in estimators; correct it in the recording"
     )
 
 
-# Single samples of torque that are far from their neighbours, found and replaced: a filter would spread them over the
-# neighbours, where no loss function finds them again.
+# Torque outliers of single samples are replaced before filtering: a filter would spread them over their neighbours, out
+# of reach of any robust loss.
 
 
-SPIKE, WINDOW = 6.0, 9  # robust deviations from the median of so many samples
+SPIKE, WINDOW = 6.0, 9  # robust standard deviations, and samples of the median
 
 
 def torque_outliers(data: Record) -> np.ndarray:
-    """Return which torques (N, n) are six robust deviations or more from the median of nine samples around them."""
+    """Return the mask (N, n) of torques at least six robust SDs away from the median of nine samples."""
     away = np.abs(data.tau - _median(data.tau, data))
     found = np.zeros(away.shape, dtype=bool)
     for a, b in data.segments:
@@ -528,13 +516,13 @@ def torque_outliers(data: Record) -> np.ndarray:
 
 
 def without_outliers(data: Record, found: np.ndarray, model: TorqueModel | None = None) -> np.ndarray:
-    """Return the torque (N, n) with spikes replaced by the model's, plus the median of what it leaves around them."""
+    """Return the torque (N, n) with outliers replaced by the model torque plus the median residual around them."""
     known = np.zeros_like(data.tau) if model is None else _modelled(model, data)
     return np.where(found, known + _median(data.tau - known, data), data.tau)
 
 
 def _median(x: np.ndarray, data: Record) -> np.ndarray:
-    """Return the median (N, n) of nine samples around each, the first and last of a segment repeated."""
+    """Return the median (N, n) of the nine samples around each sample, repeating the ends of a segment."""
     from scipy.ndimage import median_filter
 
     return np.concatenate([median_filter(x[a:b], size=(WINDOW, 1), mode="nearest") for a, b in data.segments])
@@ -547,24 +535,24 @@ def _modelled(model: TorqueModel, data: Record) -> np.ndarray:
     return np.concatenate(parts)
 
 
-# Zero-phase low-pass and decimation of a long record: y_m = sum_j h_j x_{m every + j}, |j| <= L, with h the impulse
-# response of a Butterworth filter run forward and backward, cut where it has decayed. Torque and every column of the
-# regressor pass the same h, so linear relations survive it exactly. Only kept rows are computed, as products with a
-# narrow matrix, and only a few thousand rows of the regressor exist at once.
+# Zero-phase low-pass and decimation of a long record: y_m = sum_j h_j x_{m every + j}, |j| <= L, with h the truncated
+# impulse response of a Butterworth filter run forward and backward. Torque and every column of the regressor pass the
+# same h, so linear relations hold exactly. Only kept rows are computed, as products with a narrow matrix, and only
+# a few thousand rows of the regressor exist at once.
 
 
-ENDS = 2.0  # periods of the corner left out at either end: reflected there, noise of one row is a step
+ENDS = 2.0  # periods of the cut-off dropped at either end, where reflection turns noise into a step
 DECAYED = 1e-6  # of the largest tap
-ROWS_AT_ONCE, WIDE = 1024, 64  # rows of the record: their regressor stays in the cache; of fewer columns more rows
-BAND_ROWS = 32  # kept rows of one product
+ROWS_AT_ONCE, WIDE = 1024, 64  # rows whose regressor fits in the cache; with fewer columns more rows
+BAND_ROWS = 32  # kept rows per product
 
 
 @dataclass(frozen=True, eq=False)
 class Decimation:
-    """A zero-phase filter that keeps every few rows of each segment.
+    """Zero-phase filter with decimation, applied per segment.
 
-    `segments`: (start, stop) of each piece of the record without a gap. `taps`: (2 L + 1,) impulse response h; one tap,
-    1, filters nothing. `rows`: (M,) rows that are kept. `cutoff`: corner of the filter [Hz].
+    `segments`: (start, stop) of each segment of the record. `taps`: (2 L + 1,) impulse response h; a single tap of 1
+    means no filter. `rows`: (M,) kept rows. `cutoff`: cut-off of the filter [Hz].
     """
 
     segments: tuple[tuple[int, int], ...]
@@ -583,7 +571,7 @@ class Decimation:
         return cls(data.segments, every, taps, rows, cutoff)
 
     def run(self, columns: Callable[[int, int], np.ndarray], width: int) -> np.ndarray:
-        """Return the kept rows (M, width) of columns that are made on the fly."""
+        """Return the kept rows (M, width) of lazily computed columns."""
         out = np.empty((len(self.rows), width))
         rows = ROWS_AT_ONCE * max(1, WIDE // max(width, 1)) // self.every
         reach, count, first = len(self.taps) // 2, max(BAND_ROWS, rows // BAND_ROWS * BAND_ROWS), 0
@@ -594,14 +582,14 @@ class Decimation:
                 last = min(k + count, kept)
                 start, stop = int(self.rows[begin + k]) - reach, int(self.rows[begin + last - 1]) + reach + 1
                 x, missing = columns(max(start, a), min(stop, b)), (max(a - start, 0), max(stop - b, 0))
-                if any(missing):  # ends of a segment are continued by point reflection
+                if any(missing):  # segments are extended by point reflection
                     x = np.pad(x, (missing, (0, 0)), mode="reflect", reflect_type="odd")
                 self._filter(x, out[first + k : first + last])
             first += kept
         return out
 
     def _filter(self, x: np.ndarray, out: np.ndarray) -> None:
-        """Write the kept rows (k, w) of rows x of the record, which reach beyond them on both sides."""
+        """Write the kept rows (k, w), computed from rows x of the record that extend beyond them on both sides."""
         for k in range(0, len(out), BAND_ROWS):
             m = min(BAND_ROWS, len(out) - k)
             width = self.every * (m - 1) + len(self.taps)
@@ -609,7 +597,7 @@ class Decimation:
 
     @cached_property
     def _band(self) -> np.ndarray:
-        """The matrix of BAND_ROWS kept rows: the taps, moved by `every` from row to row."""
+        """Matrix for BAND_ROWS kept rows, which contains the taps shifted by `every` from row to row."""
         T = np.zeros((BAND_ROWS, self.every * (BAND_ROWS - 1) + len(self.taps)))
         for k in range(BAND_ROWS):
             T[k, self.every * k : self.every * k + len(self.taps)] = self.taps
@@ -617,7 +605,7 @@ class Decimation:
 
 
 def _taps(corner: float) -> np.ndarray:
-    """Return the impulse response of the filter, forward and backward, at `corner` cycles per sample."""
+    """Return the forward-backward impulse response of the filter for a cut-off in cycles per sample."""
     from scipy.signal import butter, sosfilt
 
     sections = np.asarray(butter(ORDER, 2.0 * corner, output="sos"))

@@ -1,15 +1,16 @@
-"""The linear regression behind `fit_dynamics`: base parameters of the rigid body, and columns of each joint's own.
+"""Linear regression of `fit_dynamics`: shared columns of the base parameters, and separate columns for each joint.
 
-Base-parameter columns are shared by all joints; each joint has its own: viscous, Coulomb, offset, Stribeck, root and
-load where they win (`armlab.identify.friction_structure`), and, where the gears are known, cosine and sine of the
-ripple line at twice the gear ratio (strain-wave gears press twice per input turn). A robot file that is silent about
-the gears has ratio 1: such a line would be a harmonic of gravity and is left out.
+All joints share the base-parameter columns. Each joint has its own columns: viscous, Coulomb and offset; Stribeck, root
+and load if selected (`armlab.identify.friction_structure`). With known gears, it also has the cosine and sine of the
+ripple line at twice the gear ratio, because strain-wave gears engage twice per input revolution. Robot files without
+gears have ratio 1. Such a line would be a harmonic of gravity, so `fit_dynamics` searches the residual for lines
+instead.
 
-A motor that moves several joints, as in wrists, brings three shared columns: its angle is ``theta = c q``, and its
-inertia, viscous and Coulomb friction act on all of them, ``tau = c^T f(theta)``.
+A motor that drives several joints, as in wrists, adds three shared columns. Its angle is ``theta = c q``; its inertia
+and its viscous and Coulomb friction act on all these joints, ``tau = c^T f(theta)``.
 
-All columns are filtered and decimated in blocks: at the full rate none exists for the whole record, which would not
-fit into memory beside its filtered copy.
+All columns are filtered and decimated in blocks, because a full-rate regressor of the whole record would not fit into
+memory.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from itertools import compress, pairwise
 
 import numpy as np
 
-from armlab._numbers import flag
+from armlab.dynamics import BaseParameters, base_regressor
 from armlab.estimation import Rows
 from armlab.identify.friction_structure import (
     COLUMNS,
@@ -39,178 +40,27 @@ from armlab.identify.friction_structure import (
     mixing,
     term_names,
 )
-from armlab.identify.record import ORDER, Decimation, Record, measured_joints, slow_enough
+from armlab.identify.record import ORDER, Decimation, Record, slow_enough
 from armlab.models.friction import FRICTION_TERMS, Friction, FrictionTerm, Ripple
 from armlab.models.torque import CoupledMotors
 from armlab.robots import Robot
-
-# Base parameters: the combinations of link parameters that motion can tell apart, ``Y pi = Y[:, kept] B pi + D pi``. D
-# pi is the constant torque of each joint that looks like the offset of its sensor: the weight of what a vertical slide
-# carries, and nothing for arms that turn. Theory: docs/theory/identification.md.
-
-
-LINK_SYMBOLS = ("m", "m c_x", "m c_y", "m c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
-POSITIVE = (0, 4, 6, 9)  # masses and moments of inertia
-TOLERANCE = 1e-8
-INDEPENDENT = 0.02  # of a column: above half or nothing as drawn; a calibrated arm adds what its axes are off [rad]
-SEED = 20170101
-
-
-@dataclass(frozen=True, eq=False)
-class BaseParameters:
-    """The identifiable combinations of one robot.
-
-    `names`: of the p base parameters, with the combination they stand for. `units`: kg, kg m or kg m^2 each. `kept`:
-    (p,) columns of the regressor [links (10 n), rotors (n)] that carry them. `B`: (p, 11 n) base = B @ pi. `lift`: (11
-    n, p) the smallest pi for given base parameters, with D pi = 0. `D`: (n, 11 n) constant torque of each joint that
-    counts as its offset. `offset_names`: (n,) of the offsets, with the masses that count there. `seen`: (n, p) which
-    base parameters act on which joint.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    kept: np.ndarray
-    B: np.ndarray
-    lift: np.ndarray
-    D: np.ndarray
-    offset_names: tuple[str, ...]
-    seen: np.ndarray
-    quasi_static: bool
-
-    def links_and_rotors(self, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return link parameters (n, 10) and rotor inertias (n,) that evaluate the base parameters (p,) exactly."""
-        pi = self.lift @ base
-        n = len(pi) // 11
-        return pi[: 10 * n].reshape(n, 10), pi[10 * n :]
-
-    @property
-    def lower(self) -> np.ndarray:
-        """Lower bounds (p,): 0 for sums of masses, moments of inertia and rotors, -inf for the others."""
-        n = self.B.shape[1] // 11
-        positive = np.array([c >= 10 * n or c % 10 in POSITIVE for c in range(11 * n)])
-        sums = np.all((self.B == 0) | ((self.B > 0) & positive), axis=1)
-        return np.where(sums, 0.0, -np.inf)
-
-
-def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequence[int] | None = None) -> BaseParameters:
-    """Return the base parameters of `robot`, rotor inertias included.
-
-    The regressor is evaluated at 50 n random states (fixed seed); columns are scaled to norm 1. A column counts as
-    independent when its part outside the span of the columns before it exceeds 2 %: less is what axes that are nearly
-    perpendicular or parallel, as of a calibrated arm, add to those of an ideal one. Offsets come first, then first
-    moments and inertias from base to tip, rotors, and masses last: so a name reads ``m c_x2 + 0.2465 m3``, as in the
-    literature.
-
-    Parameters
-    ----------
-    robot : frozen description; its gravity counts.
-    quasi_static : of gravity alone, as slow motion shows it: masses and first moments.
-    joints : whose torque is measured; all when left out.
-
-    Raises
-    ------
-    RobotError : something else than a robot. UnknownName : no such joint.
-
-    References
-    ----------
-    Gautier, M. (1991), Numerical calculation of the base inertial parameters of robots.
-    """
-    measured, n = measured_joints(robot, joints), len(robot.joint_names)
-    A = _random_regressor(robot, quasi_static)
-    norms = np.abs(A[:, :, : 11 * n]).max()
-    A = A[:, measured]
-    order = [11 * n + joint for joint in measured]
-    order += [10 * link + j for link in range(n) for j in range(1, 10)]
-    order += [10 * n + joint for joint in range(n)] + [10 * link for link in range(n)]
-    kept, B = _independent(A.reshape(-1, 12 * n), np.array(order))
-    own = kept < 11 * n
-    D = np.zeros((n, 11 * n))
-    D[kept[~own] - 11 * n] = B[~own, : 11 * n]
-    B, kept = B[own, : 11 * n], kept[own]
-    names = _column_names(robot)
-    offsets = [f"offset {joint}" for joint in robot.joint_names]
-    seen = np.zeros((n, len(kept)), dtype=bool)
-    seen[measured] = np.abs(A[:, :, kept]).max(axis=0) > TOLERANCE * norms
-    held = D[np.any(D != 0, axis=1)]
-    return BaseParameters(
-        names=tuple(_combination(B[row], names, names[leader], leader) for row, leader in enumerate(kept)),
-        units=tuple(_unit(column, n) for column in kept),
-        kept=kept,
-        B=B,
-        lift=np.linalg.pinv(np.vstack([B, held]))[:, : len(kept)],
-        D=D,
-        offset_names=tuple(_combination(D[i], names, offsets[i]) for i in range(n)),
-        seen=seen,
-        quasi_static=quasi_static,
-    )
-
-
-def _random_regressor(robot: Robot, quasi_static: bool) -> np.ndarray:
-    """Return the columns (50 n, n, 12 n) of links, rotors and offsets at random states."""
-    n = len(robot.joint_names)
-    quasi_static = flag(quasi_static, "quasi_static")
-    rng = np.random.default_rng(SEED)
-    q = rng.uniform(-np.pi, np.pi, (50 * n, n))
-    qd, qdd = rng.uniform(-2, 2, (2, 50 * n, n)) * (0.0 if quasi_static else 1.0)
-    own = np.zeros((2, 50 * n, n, n))
-    own[0][:, range(n), range(n)] = qdd
-    own[1][:, range(n), range(n)] = 1.0
-    return np.concatenate([robot.chain.rigid_regressor(q, qd, qdd, robot.gravity), *own], axis=2)
-
-
-def _independent(A: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the independent columns in `order` and B with ``A = A[:, kept] B``."""
-    norms = np.linalg.norm(A, axis=0)
-    alive = [c for c in order if norms[c] > TOLERANCE * norms.max()]
-    basis = np.zeros((A.shape[0], 0))
-    kept = []
-    for column in alive:
-        v = A[:, column] / norms[column]
-        for _ in range(2):  # twice is enough for orthogonality to rounding
-            v = v - basis @ (basis.T @ v)
-        size = np.linalg.norm(v)
-        if size > INDEPENDENT:
-            kept.append(column)
-            basis = np.column_stack([basis, v / size])
-    kept_array = np.array(kept)
-    B = np.zeros((len(kept), A.shape[1]))
-    B[:, alive] = np.linalg.lstsq(A[:, kept_array], A[:, alive], rcond=None)[0]
-    B[np.abs(B) < TOLERANCE] = 0.0
-    B[range(len(kept)), kept_array] = 1.0
-    return kept_array, B
-
-
-def _column_names(robot: Robot) -> list[str]:
-    numbers = range(1, len(robot.joint_names) + 1)
-    return [f"{symbol}{i}" for i in numbers for symbol in LINK_SYMBOLS] + [f"rotor{i}" for i in numbers]
-
-
-def _unit(column: int, n: int) -> str:
-    return ("kg", *["kg m"] * 3, *["kg m^2"] * 6)[column % 10] if column < 10 * n else "kg m^2"
-
-
-def _combination(row: np.ndarray, names: list[str], leader: str, own: int = -1) -> str:
-    """Write a parameter as its leading symbol and what moves with it, coefficients rounded to six digits."""
-    others = [c for c in np.flatnonzero(row) if c != own]
-    terms = [f"{'-' if row[c] < 0 else '+'} {abs(row[c]):.6g} {names[c]}" for c in others]
-    return " ".join([leader, *terms]).replace(" 1 ", " ")
-
 
 # Columns of a regression over joint torque, filtered and decimated.
 
 
 MIN_CYCLES = 20.0  # rad/rad; a slower ripple line is a harmonic of gravity
-SEEN = 0.5  # share of the samples at which a ripple line must not fold back
+SEEN = 0.5  # fraction of the samples that must not alias a ripple line
 SMOOTH = 0.02  # rad/s, of the sign of coupled motors
 
 
 @dataclass(frozen=True, eq=False)
 class RegressionColumns:
-    """Makes the columns of J joints of a record.
+    """Computes the columns of J joints of a record.
 
-    `decimation`: of its rows; (M,) are kept. `joints`: (J,) those whose torque counts. `motors`: (K, n)
-    angles theta = c q of motors that move several joints. `geared`: whether there are columns of ripple. `load`: (N, J)
-    torque |x| that goes to the links, at full rate; zero until a solution gives one.
+    `decimation`: filter of the record and its (M,) kept rows. `joints`: (J,) joints with torque. `motors`: (K, n)
+    angles theta = c q of motors that drive several joints. `lines`: (J,) ripple line of each joint [rad/rad], or (0,)
+    without ripple columns. `load`: (N, J) torque |x| transmitted to the links, at full rate; zero before the first
+    solution.
     """
 
     data: Record
@@ -218,13 +68,19 @@ class RegressionColumns:
     robot: Robot
     joints: np.ndarray
     motors: np.ndarray
-    geared: bool
+    lines: np.ndarray
     load: np.ndarray
 
     @property
+    def geared(self) -> bool:
+        """Whether there are ripple columns."""
+        return len(self.lines) > 0
+
+    @property
     def cycles(self) -> np.ndarray:
-        """Ripple line of each joint (J,) [rad/rad]: strain-wave gears press twice per input turn."""
-        return 2.0 * np.abs(np.diag(np.linalg.inv(self.robot.coupling)))[self.joints]
+        """Ripple line of each joint (J,) [rad/rad]; known strain-wave gears engage twice per input revolution."""
+        by_gears = 2.0 * np.abs(np.diag(np.linalg.inv(self.robot.coupling)))[self.joints]
+        return self.lines if self.geared else by_gears
 
     @property
     def friction(self) -> FrictionColumns:
@@ -234,10 +90,11 @@ class RegressionColumns:
         )
 
     def plain(self, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what has neither friction structure nor base parameters, given the acceleration (N, n).
+        """Return the columns except those of the friction structure and the base parameters, for the acceleration (N,
+        n).
 
-        Torque (M, J); columns (M, J, 2 or 4): viscous, offset, and ripple where it is seen; acceleration, velocity and
-        smooth sign (M, K, 3) of the coupled motors.
+        Returns the torque (M, J); the columns (M, J, 2 or 4) for viscous friction, offset and observable ripple; and
+        the acceleration, velocity and smooth sign (M, K, 3) of the coupled motors.
         """
         data, joints, cycles = self.data, self.joints, self.cycles
         J, K = len(joints), len(self.motors)
@@ -258,7 +115,7 @@ class RegressionColumns:
         return tau, own, np.moveaxis(np.concatenate([coupled, sign], axis=1).reshape(len(thin), 3, K), 1, 2)
 
     def rigid_columns(self, qdd: np.ndarray, base: BaseParameters) -> tuple[np.ndarray, ...]:
-        """Return of each joint the columns (M, w) of the base parameters that it sees, at the acceleration (N, n)."""
+        """Return, for each joint, the columns (M, w) of its base parameters at the acceleration (N, n)."""
         data, robot, n = self.data, self.robot, len(self.robot.joint_names)
         seen = [base.kept[base.seen[i]] for i in self.joints]
         edges = np.cumsum([0, *(len(kept) for kept in seen)])
@@ -278,37 +135,37 @@ class RegressionColumns:
         return tuple(thin[:, edges[i] : edges[i + 1]] for i in range(len(self.joints)))
 
     def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the columns (M, J, 4 + S) of a sign with delta, smooth (J,), then Stribeck of each speed (S, J)."""
+        """Return the columns (M, J, 4 + S) of a sign with `delta`, `smooth` (J,), then Stribeck per speed (S, J)."""
         friction = self.friction
         return friction.columns(friction.sign(delta, smooth), speeds)
 
     def lines_are_seen(self) -> bool:
-        """Tell whether ripple passes slowly enough for the sampling in most samples; warn where it does not."""
+        """Return whether the sampling resolves ripple in most samples; warn if not."""
         data = self.data
         share = np.mean(slow_enough(data.qd[:, self.joints], data.rate, self.cycles), axis=0)
         fast = [self.robot.joint_names[joint] for joint, seen in zip(self.joints, share) if seen < SEEN]
         if fast:
             warnings.warn(
                 f"Expected torque ripple below {data.rate / 4.0:.3g} Hz, a quarter of the sampling rate, in half of "
-                f"the samples at least, got faster ripple for {', '.join(fast)}: it folds back, and no ripple is "
-                "fitted. Log slower motion, as of identify.friction_run, or sample faster.",
+                f"the samples at least, got faster ripple for {', '.join(fast)}: it aliases, so no ripple is fitted. "
+                "Record slower motion, such as identify.friction_run, or sample faster.",
                 stacklevel=3,
             )
         return not fast
 
 
-# Where the parameters of `fit_dynamics` stand: base, then each joint's own, then those of coupled motors.
+# Layout of the parameters of `fit_dynamics`: base, then each joint's own, then those of coupled motors.
 
 
-COUPLED = {"rotor": "kg m^2", "viscous": "N m s/rad", "coulomb": "N m"}  # of a motor that moves several joints
+COUPLED = {"rotor": "kg m^2", "viscous": "N m s/rad", "coulomb": "N m"}  # of a motor that drives several joints
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterLayout:
-    """Names, units, bounds and places of p parameters.
+    """Names, units, bounds and positions of p parameters.
 
-    `joints`: (J,) those whose torque counts. `motors`: (K, n) angles theta = c q of motors that move several joints.
-    `owners`: (K,) the joint each belongs to.
+    `joints`: (J,) joints with torque. `motors`: (K, n) angles theta = c q of motors that drive several joints.
+    `owners`: (K,) joint to which each motor belongs. `rotors`: (K,) bool, whether the rotor inertia is identifiable.
     """
 
     robot: Robot
@@ -316,33 +173,41 @@ class ParameterLayout:
     joints: np.ndarray
     motors: np.ndarray
     owners: np.ndarray
+    rotors: np.ndarray
     terms: tuple[tuple[str, ...], ...]
 
     @property
+    def coupled(self) -> list[tuple[int, int]]:
+        """Return the motor and the row of `COUPLED` for each parameter of the coupled motors."""
+        return [(m, k) for m, seen in enumerate(self.rotors) for k in range(0 if seen else 1, len(COUPLED))]
+
+    @property
     def columns(self) -> list[np.ndarray]:
-        """Which parameters the columns of each joint belong to: base, own, coupled motors."""
+        """Parameter indices of the columns of each joint: base parameters, own parameters, coupled motors."""
         counts = [len(terms) for terms in self.terms]
         first = len(self.base.names) + np.concatenate([[0], np.cumsum(counts)])
         out = []
         for i, joint in enumerate(self.joints):
-            moved = np.flatnonzero(self.motors[:, joint])
-            coupled = first[-1] + (3 * moved[:, None] + np.arange(3)).ravel()
+            coupled = first[-1] + np.array(
+                [k for k, (m, _) in enumerate(self.coupled) if self.motors[m, joint]], dtype=int
+            )
             out.append(np.concatenate([np.flatnonzero(self.base.seen[joint]), np.arange(*first[i : i + 2]), coupled]))
         return out
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all parameters: base, own of each joint, coupled motors."""
+        """Names of all parameters: base parameters, own parameters of each joint, coupled motors."""
         own = []
         for i, terms in zip(self.joints, self.terms):
             plain = {"offset": self.base.offset_names[i]}
             own += [plain.get(term, f"{term} {self.robot.joint_names[i]}") for term in terms]
-        motors = [f"{term} of motor {self.robot.joint_names[i]}" for i in self.owners for term in COUPLED]
+        terms = list(COUPLED)
+        motors = [f"{terms[k]} of motor {self.robot.joint_names[self.owners[m]]}" for m, k in self.coupled]
         return (*self.base.names, *own, *motors)
 
     @property
     def heads(self) -> list[str]:
-        """Names without the combination that base parameters stand for, which fills a line."""
+        """Names without the combinations of the base parameters, which would fill a line."""
         return [re.split(r" [+-] ", name)[0] for name in self.names]
 
     @property
@@ -351,41 +216,41 @@ class ParameterLayout:
         own = []
         for i, terms in zip(self.joints, self.terms):
             own += [_term(term).units(bool(self.robot.prismatic[i])) for term in terms]
-        return (*self.base.units, *own, *[*COUPLED.values()] * len(self.motors))
+        return (*self.base.units, *own, *(list(COUPLED.values())[k] for _, k in self.coupled))
 
     @property
     def lower(self) -> np.ndarray:
-        """Lower bounds of all parameters: 0 for inertia, viscous and Coulomb friction, else -inf."""
+        """Lower bounds of all parameters: 0 for inertia and for viscous and Coulomb friction, otherwise -inf."""
         own = [_term(term).least for terms in self.terms for term in terms]
-        return np.concatenate([self.base.lower, own, np.zeros(len(COUPLED) * len(self.motors))])
+        return np.concatenate([self.base.lower, own, np.zeros(len(self.coupled))])
 
     @property
     def upper(self) -> np.ndarray:
-        """Upper bounds of all parameters: that of the friction of the load, else inf."""
+        """Upper bounds of all parameters: finite for load-dependent friction, otherwise inf."""
         own = [_term(term).most for terms in self.terms for term in terms]
-        rest = np.full(len(COUPLED) * len(self.motors), np.inf)
+        rest = np.full(len(self.coupled), np.inf)
         return np.concatenate([np.full(len(self.base.names), np.inf), own, rest])
 
     @property
     def slopes(self) -> np.ndarray:
-        """Which parameters (p,) are steps of the logarithm of a number of the structure of friction."""
+        """Mask (p,) of the logarithmic steps of the structure's nonlinear parameters."""
         own = [_term(term).column is None for terms in self.terms for term in terms]
-        return np.array([False] * len(self.base.names) + own + [False] * len(COUPLED) * len(self.motors))
+        return np.array([False] * len(self.base.names) + own + [False] * len(self.coupled))
 
 
 def _term(name: str) -> FrictionTerm:
-    """Return the term of a column; amplitudes of ripple have the unit and the bound of an offset."""
+    """Return the term of a column; ripple amplitudes have the unit and bound of an offset."""
     return FRICTION_TERMS.get(name, FRICTION_TERMS["offset"])
 
 
-AT_ONCE = 8192  # rows handed to the solver
+AT_ONCE = 8192  # rows passed to the solver together
 
 
 @dataclass(frozen=True, eq=False)
 class DesignRows:
-    """Rows of a design for the solver, joint by joint; reading it again makes them again.
+    """Rows of a design for the solver, joint by joint; recomputed in each iteration.
 
-    `block`: (M,) number of the block of time of each row. `trust`: (M, J) weights of the rows, None for 1.
+    `block`: (M,) time block of each row. `trust`: (M, J) weights of the rows; None means 1.
     """
 
     design: Design
@@ -403,29 +268,42 @@ class DesignRows:
                 yield Rows(A, y, self.block[part], i, columns)
 
 
-CUTOFF = 25.0  # Hz, the most; a tenth of the rate where that is less
-PAD = 20  # rows by which a segment is continued at its ends
-BLOCK = 0.5  # s, blocks that go to the folds in turn for the choice of the structure
-STEP = 0.01  # of the logarithm of a number of the shape, for its derivative
-LONGEST = 0.5  # step of such a logarithm
-NOTHING = 1e-12  # of the power of the torque: a slope without effect
+def independent_rotors(robot: Robot, base: BaseParameters, motors: np.ndarray) -> np.ndarray:
+    """Return the mask (K,) of coupled motors whose rotor inertia is not absorbed by a base parameter."""
+    rng, n = np.random.default_rng(0), robot.n
+    q, qd, qdd = rng.uniform(-1.0, 1.0, (3, SAMPLES, n))
+    A = base_regressor(robot, q, qd, qdd, base).reshape(SAMPLES * n, -1)
+    rotors = ((qdd @ motors.T)[:, None] * motors.T).reshape(SAMPLES * n, -1)
+    left = rotors - A @ np.linalg.lstsq(A, rotors, rcond=None)[0]
+    return np.linalg.norm(left, axis=0) > DEPENDENT * np.linalg.norm(rotors, axis=0)
+
+
+SAMPLES, DEPENDENT = 100, 1e-6  # random samples of the regressor, and what dependent columns leave of a column
+CUTOFF = 25.0  # Hz, or a tenth of the rate if less
+PAD = 20  # rows of extension at the ends of a segment
+BLOCK = 0.5  # s, blocks assigned cyclically to the folds of the structure selection
+STEP = 0.01  # logarithmic step for numerical derivatives by a nonlinear parameter
+LONGEST = 0.5  # largest logarithmic step
+NOTHING = 1e-12  # of the power of the torque: derivatives without effect
 
 
 @dataclass(frozen=True, eq=False)
 class Design(RegressionColumns):
     """Filtered and decimated regression problem of J joints.
 
-    `owners`: (K,) the joint that each coupled motor belongs to. `gains`: (J,) torque as it is read over true torque.
-    `tau`: (M, J) filtered torque, divided by them. `rigid`: of each joint (M, w), columns of the base parameters that
-    it sees. `fixed`: (M, J, 2 or 4) columns without shape: viscous, offset, and ripple where the gears are known.
+    `owners`: (K,) joint of each coupled motor. `rotors`: (K,) bool, whether its rotor inertia is identifiable:
+    behind a parallel rod it acts as an inertia of the link. `gains`: (J,) ratio of measured to true torque.
+    `tau`: (M, J) filtered torque divided by the gains. `rigid`: for each joint, columns (M, w) of its base parameters.
+    `fixed`: (M, J, 2 or 4) linear columns: viscous, offset, and ripple with known gears.
     `coupled_motors`: (M, K, 3) filtered acceleration, velocity and sign of the coupled motors. `free`: (J, 2) bool,
-    which of `FrictionStructure.numbers` have a column: the derivative of the torque over the logarithm of the number,
-    at the parameters given to `with_slopes`. `local`: of each joint (M, k) columns of its own, slopes of its shape
-    last, then of the motors that move it.
+    which of `FrictionStructure.numbers` have a column, which is the derivative of the torque with respect to the
+    logarithm of the number, at the parameters passed to `with_slopes`. `local`: for each joint (M, k), its own columns
+    with derivatives last, then those of the motors that drive it.
     """
 
     base: BaseParameters
     owners: np.ndarray
+    rotors: np.ndarray
     gains: np.ndarray
     tau: np.ndarray
     rigid: tuple[np.ndarray, ...]
@@ -446,9 +324,9 @@ class Design(RegressionColumns):
         every: int | None = None,
         joints: Sequence[int] | None = None,
         structure: FrictionStructure | None = None,
-        geared: bool | None = None,
+        lines: np.ndarray | None = None,
     ) -> Design:
-        """Filter and thin all columns."""
+        """Filter and decimate all columns; the default `lines` are those of the gears."""
         corner = min(data.rate / 10.0, CUTOFF) if cutoff is None else cutoff
         step = max(1, int(data.rate / (2.5 * corner))) if every is None else every
         measured = np.arange(len(robot.joint_names)) if joints is None else np.asarray(joints)
@@ -457,15 +335,17 @@ class Design(RegressionColumns):
         owners = np.flatnonzero(np.count_nonzero(turning, axis=1) > 1)
         unloaded = np.zeros((len(data.t), len(measured)))
         thin = Decimation.of(data, corner, step)
-        columns = RegressionColumns(data, thin, robot, measured, turning[owners], False, unloaded)
-        if geared or (geared is None and not np.any(columns.cycles < MIN_CYCLES) and columns.lines_are_seen()):
-            columns = replace(columns, geared=True)
+        columns = RegressionColumns(data, thin, robot, measured, turning[owners], np.zeros(0), unloaded)
+        if lines is None and not np.any(columns.cycles < MIN_CYCLES) and columns.lines_are_seen():
+            lines = columns.cycles
+        columns = replace(columns, lines=np.zeros(0) if lines is None else lines)
         qdd = data.differentiate(data.qd)
         tau, fixed, coupled = columns.plain(qdd)
         design = cls(
             **vars(columns),
             base=base,
             owners=owners,
+            rotors=independent_rotors(robot, base, turning[owners]),
             gains=np.ones(len(measured)),
             tau=tau,
             rigid=columns.rigid_columns(qdd, base),
@@ -478,39 +358,41 @@ class Design(RegressionColumns):
 
     @property
     def rows(self) -> np.ndarray:
-        """Rows of the record that are kept (M,)."""
+        """Kept rows (M,) of the record."""
         return self.decimation.rows
 
     @cached_property
     def terms(self) -> list[tuple[str, ...]]:
-        """Names of the columns of each joint's own."""
+        """Names of the columns specific to each joint."""
         kinds = zip(self.structure.terms, self.structure.names, self.free)
         return [(*term_names(terms, self.geared), *compress(names, free)) for terms, names, free in kinds]
 
     @cached_property
     def layout(self) -> ParameterLayout:
-        """Names, units, bounds and places of all parameters."""
-        return ParameterLayout(self.robot, self.base, self.joints, self.motors, self.owners, tuple(self.terms))
+        """Names, units, bounds and positions of all parameters."""
+        return ParameterLayout(
+            self.robot, self.base, self.joints, self.motors, self.owners, self.rotors, tuple(self.terms)
+        )
 
     def own_columns(self, structure: FrictionStructure) -> Iterator[np.ndarray]:
-        """Yield of each joint all columns (M, W) of its own, whichever of them a structure of friction has."""
+        """Yield, for each joint, all its own columns (M, W), including those outside its structure."""
         shaped = self.shaped(structure.delta, structure.smooth, structure.speed[None])
         at = [(*FIXED[: self.fixed.shape[2]], *SHAPED).index(name) for name in COLUMNS[: self._width]]
         for i in range(len(self.joints)):
             yield np.concatenate([self.fixed[:, i], shaped[:, i]], axis=1)[:, at]
 
     def with_structure(self, structure: FrictionStructure) -> Design:
-        """Return it with the columns of another structure of friction."""
+        """Return the design with the columns of another friction structure."""
         local = []
         for i, (joint, own) in enumerate(zip(self.joints, self.own_columns(structure))):
             own = own @ mixing(structure.terms[i], self._width)
             moved = np.flatnonzero(self.motors[:, joint])
-            theirs = (self.motors[m, joint] * self.coupled_motors[:, m] for m in moved)
+            theirs = (self.motors[m, joint] * self.coupled_motors[:, m, 0 if self.rotors[m] else 1 :] for m in moved)
             local.append(np.hstack([own, *theirs]) if len(moved) else own)
         return replace(self, structure=structure, free=np.zeros_like(self.free), local=tuple(local))
 
     def smoothed(self, cutoff: float) -> Design:
-        """Return it with all columns low-passed once more, in the rows that are kept."""
+        """Return the design with all columns low-passed once more, at the kept rows."""
         from scipy.signal import butter, sosfiltfilt
 
         sections = butter(ORDER, 2.0 * cutoff * self.decimation.every / self.data.rate, output="sos")
@@ -526,16 +408,16 @@ class Design(RegressionColumns):
         return replace(self, tau=smooth(self.tau), **dict(zip(("rigid", "local"), own)))
 
     def with_torque(self, tau: np.ndarray) -> Design:
-        """Return it with another torque (N, n) that was read."""
+        """Return the design with a different measured torque (N, n)."""
         thin = self.decimation.run(lambda a, b: tau[a:b, self.joints], len(self.joints))
         return replace(self, data=replace(self.data, tau=tau), tau=thin / self.gains)
 
     def with_gains(self, gains: np.ndarray) -> Design:
-        """Return it with other gains (J,) of the torque that was read."""
+        """Return the design with different gains (J,) of the measured torque."""
         return replace(self, gains=gains, tau=self.tau * self.gains / gains)
 
     def with_slopes(self, theta: np.ndarray, free: np.ndarray | None = None) -> Design:
-        """Return it with the derivatives of the torque over the logarithms of the numbers that make the structure."""
+        """Return the design with torque derivatives with respect to the logarithms of the nonlinear parameters."""
         slopes = self._slopes(theta)
         power = np.sum(slopes * slopes, axis=0)
         picked = power > NOTHING * np.sum(self.tau * self.tau, axis=0)[:, None] if free is None else free
@@ -546,7 +428,7 @@ class Design(RegressionColumns):
         return replace(self, free=picked, local=tuple(local))
 
     def _slopes(self, theta: np.ndarray) -> np.ndarray:
-        """Return the derivatives (M, J, 2) by central differences."""
+        """Return the derivatives (M, J, 2), computed by central differences."""
         c = self._own(theta)[[COLUMNS.index(name) for name in SHAPED]].T
         up, down, wide, narrow = (
             self.structure.moved(np.tile(step, (len(self.joints), 1)))
@@ -559,23 +441,23 @@ class Design(RegressionColumns):
         return np.stack([signs, (bumps[:, :, -2] - bumps[:, :, -1]) * (c[:, -1] / bump)], axis=2)
 
     def moved(self, theta: np.ndarray) -> FrictionStructure:
-        """Return the structure with the steps among parameters theta (p,) taken, each by half at most."""
+        """Return the structure after the steps in parameters theta (p,), each limited to 0.5."""
         steps = np.zeros(self.free.shape)
         steps[self.free] = np.clip(theta[self.layout.slopes], -LONGEST, LONGEST)
         return self.structure.moved(steps)
 
     def in_units(self, theta: np.ndarray, *covs: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return parameters (p,) and covariances (p, p) with the numbers of the structure in place of their steps."""
+        """Return parameters (p,) and covariances (p, p) with nonlinear parameters instead of their steps."""
         x, scale, at = theta.copy(), np.ones(len(theta)), self.layout.slopes
         x[at] = scale[at] = self.moved(theta).numbers[self.free]
         return x, *(cov * np.outer(scale, scale) for cov in covs)
 
     def stream(self, block: np.ndarray, trust: np.ndarray | None = None) -> Iterable[Rows]:
-        """Return the rows of the problem with numbers of their blocks (M,) and weights (M, J), 1 when left out."""
+        """Return the rows of the problem with their blocks (M,) and weights (M, J) (default 1)."""
         return DesignRows(self, block, trust)
 
     def model(self, theta: np.ndarray) -> np.ndarray:
-        """Return the filtered torque (M, J) [N m] of parameters theta (p,)."""
+        """Return the filtered torque (M, J) [N m] for parameters theta (p,)."""
         parts = zip(self.rigid, self.local, self.layout.columns)
         return np.stack([np.hstack([A, L]) @ theta[c] for A, L, c in parts], axis=1)
 
@@ -584,7 +466,7 @@ class Design(RegressionColumns):
         return self.tau - self.model(theta)
 
     def drives(self, theta: np.ndarray) -> tuple[Friction, Ripple]:
-        """Return friction and ripple of all joints of parameters theta (p,); zero for joints that do not count."""
+        """Return the friction and ripple of all joints for parameters theta (p,); zero for joints without torque."""
         values = np.zeros((len(COLUMNS), len(self.robot.joint_names)))
         values[:, self.joints] = self._own(theta)
         found = self.moved(theta)
@@ -596,7 +478,7 @@ class Design(RegressionColumns):
         return Friction(resolution=self.data.resolution, **fields), Ripple(cycles, *values[len(FRICTION) :])
 
     def _own(self, theta: np.ndarray) -> np.ndarray:
-        """Return the parameters of all COLUMNS of each joint (9, J); zero for those that it has not."""
+        """Return the parameters of all COLUMNS of each joint (9, J); zero for absent columns."""
         values = np.zeros((len(COLUMNS), len(self.joints)))
         for i, (columns, A) in enumerate(zip(self.layout.columns, self.rigid)):
             T = mixing(self.structure.terms[i], self._width)
@@ -604,15 +486,18 @@ class Design(RegressionColumns):
         return values
 
     def coupled(self, theta: np.ndarray) -> CoupledMotors | None:
-        """Return the motors that move several joints, of parameters theta (p,); None where there are none."""
-        K = len(self.motors)
+        """Return the motors that drive several joints, for parameters theta (p,), or None."""
+        K, at = len(self.motors), self.layout.coupled
         if not K:
             return None
-        inertia, viscous, coulomb = theta[-3 * K :].reshape(K, 3).T
+        values = np.zeros((len(COUPLED), K))
+        for (m, k), value in zip(at, theta[-len(at) :]):
+            values[k, m] = value
+        inertia, viscous, coulomb = values
         return CoupledMotors(self.motors, inertia, viscous, coulomb, np.full(K, SMOOTH))
 
     def load_sd(self, cov: np.ndarray) -> np.ndarray:
-        """Return the deviation (J,) of the load friction by the covariance (p, p), NaN where a joint has none."""
+        """Return the standard deviation (J,) of the load-dependent friction; NaN for joints without it."""
         at = {name: k for k, name in enumerate(self.layout.names)}
         known = [at.get(f"load {self.robot.joint_names[joint]}") for joint in self.joints]
         return np.array([np.nan if k is None else np.sqrt(cov[k, k]) for k in known])
@@ -628,13 +513,13 @@ class Design(RegressionColumns):
         chooser: Chooser = choose_here,
         again: bool = False,
     ) -> Design:
-        """Choose the structure of friction of each joint on held-out blocks of half a second.
+        """Select the friction structure of each joint on held-out blocks of half a second.
 
-        Of the parameters theta (p,) the base parameters are held, and give the load of the joints. `trust`: (M, J)
-        weights of the rows; 0 leaves one out. `again`: begin with the structure that is there, which was chosen before.
+        The base parameters in theta (p,) are fixed and determine the load of the joints. `trust`: (M, J)
+        weights of the rows; 0 excludes one. `again`: start from the current structure, which was selected before.
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
-        used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
+        used = np.cumsum(weights.any(axis=1))  # blocks of used rows, so that all folds have equal size
         fold = used // max(1, round(BLOCK * self.data.rate / self.decimation.every)) % FOLDS
         loaded = self.with_load(theta)
         motion = loaded.friction
@@ -652,7 +537,7 @@ class Design(RegressionColumns):
         return loaded.with_structure(FrictionStructure.joined(chooser(map(choice, range(len(self.joints))))))
 
     def with_load(self, theta: np.ndarray) -> Design:
-        """Return it with the load of the joints by the base parameters of theta (p,)."""
+        """Return the design with the load of the joints for the base parameters in theta (p,)."""
         data, moves = self.data, 0.0 if self.base.quasi_static else 1.0
         links, _ = self.base.links_and_rotors(theta[: len(self.base.names)])
         qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)

@@ -1,4 +1,4 @@
-"""A torque model along a log: residuals, the sign that friction goes by, and how warm the drives are."""
+"""Evaluation of a torque model along a log: residuals, friction sign, and thermal state of the drives."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from armlab.robots import Robot, from_links
 class ModelResiduals:
     """Residuals of a model along logs.
 
-    `y`: (N, n) measured minus modelled torque [N m], over the gains, unfiltered. `s`: (N, n) the sign that friction
-    goes by: presliding state, or the smooth sign.
+    `y`: (N, n) measured minus modelled torque [N m], divided by the gains, unfiltered. `s`: (N, n) friction sign: the
+    presliding state, or the smooth sign.
     """
 
     data: Record
@@ -37,7 +37,7 @@ def model_residuals(
 ) -> ModelResiduals:
     """Return measured minus modelled torque of logs; the acceleration is low-passed at a tenth of the rate.
 
-    Joints may rest in them.
+    Joints may rest in these logs.
     """
     if not isinstance(model, TorqueModel):
         raise ModelMismatchError.no_model(model)
@@ -46,7 +46,7 @@ def model_residuals(
         robot = from_links(model.robot_name, model.frames, model.prismatic, gravity=model.gravity, joint_names=names)
     data = prepare_share(table, robot, joints)
     if resting(data.q, robot.prismatic).all():
-        data = prepare(table, robot, joints)  # which refuses
+        data = prepare(table, robot, joints)  # raises
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     y = np.empty_like(data.q)
     for a, b in data.segments:
@@ -56,7 +56,7 @@ def model_residuals(
 
 
 def friction_signs(model: TorqueModel, data: Record) -> np.ndarray:
-    """Return the sign (N, n) that friction goes by: the presliding state, or the smooth sign where a joint has one."""
+    """Return the friction sign (N, n): the presliding state, or the smooth sign for joints that use it."""
     smooth, s = model.friction.smooth_speed, np.empty_like(data.q)
     for a, b in data.segments:
         s[a:b] = presliding(data.q[a:b], model.friction.delta, model.friction.resolution)
@@ -64,23 +64,23 @@ def friction_signs(model: TorqueModel, data: Record) -> np.ndarray:
 
 
 def load_torque(model: TorqueModel, data: Record) -> np.ndarray:
-    """Return the torque (N, n) that goes to the links along a record; the acceleration is low-passed as above."""
+    """Return the torque (N, n) transmitted to the links along a record; the acceleration is low-passed as above."""
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     return model.chain.rnea(data.q, data.qd, qdd, *model._weights)
 
 
-# How warm the drives of a model are along a record, second by second (models.friction.WarmUp has the law).
+# Thermal state of the drives of a model along a record, per second (law: models.friction.WarmUp).
 #
-# The thermal state is taken as constant over a second, so that sums over seconds are all that is kept of a record.
+# The thermal state is constant within a second, so that only sums per second are stored of a record.
 
 
 BIN = 1.0  # s
-SETTLING = 8  # rounds of power and thermal state for given parameters
-FEWEST_SECONDS = 20  # rows of a second that tell its power
+SETTLING = 8  # iterations of power and thermal state for given parameters
+FEWEST_SECONDS = 20  # rows per second that determine its power
 
 
 def thermal_state_at(model: TorqueModel, data: Record, rows: np.ndarray) -> np.ndarray:
-    """Return the thermal state (M, n) at rows (M,) of a record; every log in it begins with that of the model."""
+    """Return the thermal state (M, n) at rows (M,) of a record; every log starts with the state of the model."""
     warm, f, s = model.warm_up, model.friction, friction_signs(model, data)
     if warm is None:
         return np.zeros((len(rows), model.n))
@@ -98,12 +98,12 @@ def thermal_state_at(model: TorqueModel, data: Record, rows: np.ndarray) -> np.n
 
 
 def seconds(t: np.ndarray) -> np.ndarray:
-    """Return the number (N,) of the second, from 0, that each row at times t (N,) is in."""
+    """Return the second (N,), counted from 0, of each row at times t (N,)."""
     return ((t - t[0]) / BIN).astype(int)
 
 
 def dry_torques(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return Coulomb torque c (N,) of a cold joint i, which the thermal state changes, and the other torques (N,)."""
+    """Return the Coulomb torque c (N,) of a cold joint i (scaled by the thermal state) and the rest (N,)."""
     f = model.friction
     c = f.coulomb_pos[i] * np.maximum(s, 0) + f.coulomb_neg[i] * np.minimum(s, 0)
     rest = f.stribeck[i] * s * np.exp(-((qd / f.stribeck_speed[i]) ** 2)) + f.root[i] * s * np.sqrt(np.abs(qd))
@@ -111,7 +111,7 @@ def dry_torques(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndar
 
 
 def mean_power(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndarray, number: np.ndarray) -> np.ndarray:
-    """Return the means (B, 3) of ``qd qd``, ``c qd`` and ``rest qd`` over the `seconds`, 0 without rows."""
+    """Return the means (B, 3) of ``qd qd``, ``c qd`` and ``rest qd`` per second; 0 without rows."""
     c, rest = dry_torques(model, i, qd, s)
     sums = [np.bincount(number, weights=torque * qd) for torque in (qd, c, rest)]
     return np.stack(sums, axis=1) / np.maximum(np.bincount(number), 1)[:, None]
@@ -123,12 +123,12 @@ def relaxed(heat: np.ndarray, time: float, start: float) -> np.ndarray:
 
     keep = float(np.exp(-BIN / time))
     x = lfilter([0.0, 1.0 - keep], [1.0, -keep], heat)
-    x = np.asarray(x) + start * keep ** np.arange(len(heat))  # at its beginning
+    x = np.asarray(x) + start * keep ** np.arange(len(heat))  # at the start of the second
     return 0.5 * (1.0 + keep) * x + 0.5 * (1.0 - keep) * heat
 
 
 def settled(power: np.ndarray, k: np.ndarray, time: float, start: float, reference: float) -> np.ndarray:
-    """Return the thermal state x (B,) of a joint, which settles with the power of its own friction."""
+    """Return the thermal state x (B,) of a joint, which depends on the power of its friction."""
     x = np.zeros(len(power))
     for _ in range(SETTLING):
         heat = (k[0] + k[4] * x) * power[:, 0] + (1 + k[5] * x) * power[:, 1] + power[:, 2]

@@ -1,10 +1,11 @@
-"""Alternation between the linear parameters of a design and the structure of friction, until both stay.
+"""Alternation between the linear parameters and the friction structure until convergence.
 
-The shape comes from a grid, judged on held-out blocks; its numbers then by Gauss-Newton steps on all rows,
+The structure comes from a grid search on held-out blocks. Its nonlinear parameters are then refined by Gauss-Newton
+steps on all rows,
 
     tau ~ A theta + sum_k d(A theta)/d(log s_k) log(s_k' / s_k)
 
-so that an estimate that linearises there again has no step left to take, and its covariance holds for the shape too.
+so that the final linearised estimate takes no further step and its covariance includes the nonlinear parameters.
 """
 
 from __future__ import annotations
@@ -21,24 +22,24 @@ from armlab.identify.record import Record
 from armlab.identify.regression import BLOCK, Design
 
 # Least squares with one unknown gain per joint, ``y_i = (1 + g_i) A_i x + e_i``, ``g_i ~ N(0, s^2)``: Gauss-Newton on
-# sums per joint and block of time; the gains, each in its own equation, are eliminated:
+# sums per joint and block of time, with the gains eliminated:
 #
 #     (H - sum_i u_i u_i^T / d_i) dx = -(r - sum_i u_i e_i / d_i),   dg_i = -(e_i + u_i dx) / d_i
 #     H = sum k^2 G_i,   u_i = k G_i x,   d_i = x^T G_i x + 1 / s^2,   k = 1 + g_i
 
 
 STEPS, SETTLED = 30, 1e-9
-EXACT = 1e-5  # residuals below this share of the measurements are rounding, not knowledge of the gain
+EXACT = 1e-5  # residuals below this fraction of the measurements are rounding
 
 
 @dataclass(frozen=True, eq=False)
 class GainProblem:
     """Sums of a regression with unknown gains.
 
-    `sums`: (B, n, p + 1, p + 1) of ``[A y]^T [A y]`` per block and joint, weighted by 1 / variance, each joint by the
-    share of its samples that are independent. `weights`: (n,) what a squared residual of each joint counts [1 / (N
-    m)^2]. `gain_sd`: s, 0 where the gains are known to be 1. `stretch`: how much further a robust solution moves than
-    its weighted sums say.
+    `sums`: (B, n, p + 1, p + 1) of ``[A y]^T [A y]`` per block and joint, weighted by 1 / variance and by the fraction
+    of effective samples of the joint. `weights`: (n,) weight of a squared residual of each joint [1 / (N m)^2].
+    `gain_sd`: prior standard deviation of the gains; 0 for known gains of 1. `stretch`: ratio of the variation of a
+    robust solution to that of its weighted sums.
     """
 
     sums: np.ndarray
@@ -48,7 +49,7 @@ class GainProblem:
 
     @classmethod
     def of(cls, solution: LinearSolution, residuals: np.ndarray, gains: np.ndarray, gain_sd: float) -> GainProblem:
-        """Build the sums from a solution of rows ``(1 + gains_i) A_i``."""
+        """Build the sums from a solution for rows ``(1 + gains_i) A_i``."""
         factors, p = solution.factors, len(solution.x)
         share = np.array([effective_samples(column) for column in residuals.T]) / len(residuals)
         size = np.array([np.linalg.norm(R[:, :, -1]) for R in factors.R]) / np.sqrt(len(residuals))
@@ -61,7 +62,7 @@ class GainProblem:
         return cls(sums, weights, gain_sd, solution.stretch)
 
     def solve(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return x (p,) and the gains less 1 (n,)."""
+        """Return x (p,) and the gains minus 1 (n,)."""
         p = self.sums.shape[-1] - 1
         total = self.sums.sum(axis=0)
         scale = np.sqrt(np.einsum("iaa->a", total[:, :p, :p]))
@@ -80,11 +81,11 @@ class GainProblem:
         return x / scale, g
 
     def information(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return the information (p, p) on x, unknown gains accounted for."""
+        """Return the information (p, p) on x for unknown gains."""
         return self._normal(self.sums.sum(axis=0)[:, :-1, :-1], x, 1.0 + g)[0]
 
     def gain_covariance(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return the covariance (n, n) of the gains, x unknown."""
+        """Return the covariance (n, n) of the gains for unknown x."""
         G, k = self.sums.sum(axis=0)[:, :-1, :-1], 1.0 + g
         _, u, d = self._normal(G, x, k)
         H = np.tensordot(k * k, G, 1)
@@ -94,17 +95,17 @@ class GainProblem:
         return 0.5 * (cov + cov.T)
 
     def response(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return how x follows the sums ``weights_i A_i^T e_i`` of each joint, (n, p, p)."""
+        """Return the response of x to the sums ``weights_i A_i^T e_i`` of each joint, (n, p, p)."""
         S, through, _ = self._reduced(x, g)
         return np.linalg.solve(S, through)
 
     def covariance(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return the covariance (p, p) of x: scatter of the blocks, and gains."""
+        """Return the covariance (p, p) of x, from the scatter of the blocks and the gains."""
         S, through, pushes = self._reduced(x, g)
         B, A = len(self.sums), self.sums[:, :, :-1, :-1]
         left = self.sums[:, :, :-1, -1] - (1.0 + g)[:, None] * (A @ x)  # A^T e of blocks and joints
         gradients = np.einsum("iab,jib->ja", through, left)
-        white = np.einsum("iab,ibc,idc->ad", through, A.sum(axis=0), through)  # their covariance if e were white
+        white = np.einsum("iab,ibc,idc->ad", through, A.sum(axis=0), through)  # their covariance for white e
         root = np.linalg.cholesky(white)
         scores = np.linalg.solve(root, (gradients - gradients.mean(axis=0)).T).T
         chance = shrinkage(scores)
@@ -114,7 +115,7 @@ class GainProblem:
         return sides @ sides.T
 
     def _reduced(self, x: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the information (p, p), what passes to x of each joint's sums (n, p, p), and of its gain (p, n)."""
+        """Return the information (p, p), the response of x to each joint's sums (n, p, p), and to its gain (p, n)."""
         k = 1.0 + g
         S, u, d = self._normal(self.sums.sum(axis=0)[:, :-1, :-1], x, k)
         through = k[:, None, None] * np.eye(len(x)) - u[:, :, None] * x / d[:, None, None]
@@ -129,12 +130,12 @@ class GainProblem:
 
 
 ROUNDS = 4
-SHAPE_STEPS = 6  # of Gauss and Newton
-SHARES = (1.0, 0.5, 0.25)  # of a step that are tried
+SHAPE_STEPS = 6  # of Gauss-Newton
+SHARES = (1.0, 0.5, 0.25)  # fractions of a step in the line search
 STAYS = 1e-3  # sum of the squared logarithmic steps
-VAGUE = 0.3  # formal deviation of the logarithm of a number beyond which a linearisation does not identify it
-TRIMMED = 0.25  # s, blocks of which the method "lts" leaves some out
-MOST_BLOCKS = 1000.0  # of them: a triangle is kept for each
+VAGUE = 0.3  # formal SD of a logarithm beyond which the nonlinear parameter is not identified
+TRIMMED = 0.25  # s, blocks for the method "lts"
+MOST_BLOCKS = 1000.0  # of these blocks, because each stores a triangle
 ROBUST = ("irls", "lts")
 
 
@@ -146,10 +147,10 @@ def alternate(
     use: np.ndarray | None = None,
     again: bool = False,
 ) -> tuple[Design, np.ndarray]:
-    """Alternate between the linear parameters and the structure of friction until the structure stays; return both.
+    """Alternate between the linear parameters and the friction structure until it converges; return both.
 
-    Directions that the log does not tell are no fault here: the last fit judges. `use`: (M,) kept rows to fit to.
-    `again`: the structure was chosen before.
+    Undetermined directions are accepted here and checked in the final fit. `use`: (M,) kept rows used in the fit.
+    `again`: the structure has been selected before.
     """
     used = np.ones((len(design.rows), 1)) if use is None else use[:, None].astype(float)
     trust = np.ones_like(design.tau) * used
@@ -168,7 +169,7 @@ def alternate(
 
 
 def _refined(design: Design, theta: np.ndarray, trust: np.ndarray, method: str) -> tuple[Design, np.ndarray]:
-    """Take Gauss-Newton steps of the numbers of the structure while they lower the residual."""
+    """Take Gauss-Newton steps in the nonlinear parameters as long as they reduce the residual."""
     cost = _cost(design, theta, trust)
     for _ in range(SHAPE_STEPS):
         sloped = linearised(design, theta, method, trust)
@@ -194,7 +195,7 @@ def _cost(design: Design, theta: np.ndarray, trust: np.ndarray) -> float:
 
 
 def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray | None = None) -> Design:
-    """Return the design with slopes of those numbers of the structure that the log identifies."""
+    """Return the design with derivative columns of the identified nonlinear parameters."""
     sloped = design.with_slopes(theta)
     free, sd = sloped.free.copy(), solved(sloped, trust, method).sd[sloped.layout.slopes]
     free[sloped.free] = sd < VAGUE
@@ -202,29 +203,30 @@ def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray
 
 
 def short_blocks(data: Record) -> float:
-    """Return the length of the blocks that "lts" leaves out [s]."""
+    """Return the length of the blocks for "lts" [s]."""
     return max(TRIMMED, data.seconds / MOST_BLOCKS)
 
 
 def solved(design: Design, trust: np.ndarray | None, method: str) -> LinearSolution:
-    """Solve for weighted rows; the smallest parameters where the log does not tell them."""
+    """Solve the weighted rows, with minimum norm along undetermined directions."""
     rows = design.stream(np.zeros(len(design.rows), dtype=int), trust)
     plain = "ols" if method == "ols" else "wls"
     layout = design.layout
     return least_squares(rows, layout.names, method=plain, lower=layout.lower, upper=layout.upper, max_condition=np.inf)
 
 
-BANDS = (12.0, 6.0)  # Hz, corners that are tried beside that of the design
-YARDSTICK = 10.0  # Hz, the band in which they are compared
-PARTS = 1.0  # s, stretches that are fitted and judged in turn
-NEARLY = 1.02  # times the least residual, up to which the highest corner wins
+BANDS = (12.0, 6.0)  # Hz, alternative cut-offs
+YARDSTICK = 10.0  # Hz, the band of the comparison
+PARTS = 1.0  # s, segments fitted and judged alternately
+NEARLY = 1.02  # ratio to the least residual within which the highest cut-off wins
 
 
 def best_cutoff(design: Design, method: str) -> tuple[float, str]:
-    """Return the corner [Hz] of the regression, that of the design at most, and why.
+    """Return the cut-off [Hz] of the regression (at most that of the design) and the reason.
 
-    Noise of the acceleration biases parameters and grows with the corner. Each corner is fitted to half the stretches
-    of time and judged on the others, all in one band; the highest corner within 2 % of the best wins.
+    Acceleration noise biases the parameters and grows with the cut-off. For each cut-off, the model is fitted to half
+    the time segments and evaluated on the other half, always in the same band. The highest cut-off within 2 % of the
+    best is selected.
     """
     highest = design.decimation.cutoff
     corners = [highest, *(corner for corner in BANDS if corner < highest)]
@@ -245,7 +247,7 @@ def best_cutoff(design: Design, method: str) -> tuple[float, str]:
 
 
 def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, seed: int) -> np.ndarray:
-    """Return factors (M, J) of the rows that keep outliers from the choice of shape."""
+    """Return weights (M, J) of the rows that exclude outliers from the structure selection."""
     if method == "lts":
         found = least_squares(design.stream(block), design.layout.names, method="lts", seed=seed, max_condition=np.inf)
         return np.repeat(found.kept[block][:, None].astype(float), len(design.joints), axis=1)
@@ -254,21 +256,21 @@ def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, se
     return np.sqrt(np.divide(limit, e, out=np.ones_like(e), where=e > limit))
 
 
-# Gains of the torques: what a joint calls one newton metre may be a few percent more or less, ``g_i ~ N(1, 0.1^2)``.
-# What all gains have in common no log of the arm alone can tell: that is left to the prior.
+# Torque gains: the torque scale of a joint may be wrong by several percent, ``g_i ~ N(1, 0.1^2)``. The common scale
+# factor of all gains is not identifiable from the arm alone, and follows the prior.
 
 
 GAIN_SD = 0.1
-GAIN_ROUNDS = 2  # weights of the joints follow their gains
-MAX_CONDITION = 1e4  # of a log that identifies the parameters
+GAIN_ROUNDS = 2  # class weights depend on the gains
+MAX_CONDITION = 1e4  # of a log that determines the parameters
 
 
 def calibrated(
     design: Design, method: str, known: tuple[np.ndarray, np.ndarray] | None = None
 ) -> tuple[Design, np.ndarray, np.ndarray]:
-    """Return a design with the gains of its torques, its parameters (p,), and the covariance (J, J) of the gains.
+    """Return a design with calibrated torque gains, its parameters (p,), and the covariance (J, J) of the gains.
 
-    Where the log does not tell the parameters, the gains stay what they are: the last fit judges.
+    If the log does not determine the parameters, the gains are unchanged, and the final fit reports the problem.
     """
     if known is not None:
         gains, cov = known[0][design.joints], known[1][np.ix_(design.joints, design.joints)]
@@ -288,15 +290,15 @@ def calibrated(
 
 
 def as_read(solution: LinearSolution, gains: np.ndarray) -> LinearSolution:
-    """Return the solution with the factors of the torque as it was read: both sides times the gains."""
+    """Return the solution for the measured torque, with both sides multiplied by the gains."""
     factors = replace(solution.factors, R=tuple(k * R for k, R in zip(gains, solution.factors.R)))
     return replace(solution, factors=factors, weights=solution.weights / gains)
 
 
 def gain_share(solution: LinearSolution, gain_cov: np.ndarray) -> np.ndarray:
-    """Return what unknown gains add to the covariance (p, p) of the parameters.
+    """Return the contribution of unknown gains to the covariance (p, p) of the parameters.
 
-    A gain that is g too large leaves a torque that is g too small: ``dx = -sum_i (A^T W A)^-1 w_i^2 A_i^T y_i g_i``.
+    A gain error g gives a torque error -g: ``dx = -sum_i (A^T W A)^-1 w_i^2 A_i^T y_i g_i``.
     """
     pushed = np.zeros((len(solution.x), len(gain_cov)))
     parts = zip(solution.factors.R, solution.factors.columns, solution.weights)
@@ -308,37 +310,43 @@ def gain_share(solution: LinearSolution, gain_cov: np.ndarray) -> np.ndarray:
     return 0.5 * (cov + cov.T)
 
 
-# Friction's share of the covariance that short blocks of time do not show: drift along the log, and rival structures.
+# Friction components of the covariance that short blocks of time miss: drift along the log, and rival structures.
 #
-# The block bootstrap sees what changes from one half second to the next. Offsets that drift and drives that warm up
-# change slowly, and another log may win by other terms of friction; both are added to the covariance of its residuals.
+# The block bootstrap covers changes from one half second to the next. Offset drift and warm-up are slow, and another
+# log may select other friction terms; both are added to the covariance of the residuals.
 #
-# Drift. With the solution held, the first and the second half of the log have their own change of each joint's viscous
-# and Coulomb friction and offset. The squared difference of the halves, less its sampling variance, is pooled over the
-# joints, relative to the torque of their friction: one joint alone would be one degree of freedom. A random walk lets
-# the next log of this length differ by sqrt(2) times as much as the halves do; each of the two logs has half of that
-# variance, the squared difference of its own halves. What a linear drift leaks into other parameters is added, and the
-# bootstrap draws from torques without it: it would take drift for noise in every direction.
+# Drift. With the solution fixed, each half of the log has its own change of each joint's viscous and Coulomb friction
+# and offset. The squared difference of the halves, minus its sampling variance, is pooled over the joints, relative to
+# their friction torque, because a single joint gives one degree of freedom. Under a random walk the next log of this
+# length differs by sqrt(2) times the difference of the halves, half of this variance in each log. The leakage of a
+# linear drift into other parameters is added, and the bootstrap uses torques without it, because it would take drift
+# for noise in every direction.
 #
-# Structures. Rival terms of friction are weighted by exp(-t^2 / 2), with t the excess of their held-out squared error
-# over that of the best, in deviations of that excess from block to block. What each rival would move is one rank of the
-# covariance: ``sum_k w_k v_k v_k^T``.
+# Structures. Rival friction structures are weighted by exp(-t^2 / 2), with t the excess of their held-out squared error
+# over the best, in standard deviations of that excess between blocks. The change of the parameters by each rival adds
+# one rank to the covariance: ``sum_k w_k v_k v_k^T``.
 
 
 DRIFTS = ("viscous", "coulomb", "offset")
 POOLING = 30  # of the pooled variance
-RIDGE = 1e-6  # of the power of a column, where a half of the log does not identify a drift
+RIDGE = 1e-6  # of the power of a column, if a half of the log does not determine a drift
 
 
-def covariance(design: Design, solution: LinearSolution, length: int, seed: int = 0) -> np.ndarray:
-    """Return the covariance (p, p) of a solution, gains known; `length` blocks make a segment."""
-    drift, steady = _without_drift(design, solution, length)
+def covariance(design: Design, solution: LinearSolution, length: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the covariance (p, p) of a solution for known gains, and the torque variance (J,) due to drift between
+    logs.
+
+    `length` blocks form a segment.
+    """
+    drift, torque, steady = _without_drift(design, solution, length)
     drawn = block_bootstrap(BlockSums.of(steady), seed=seed, length=length).cov
-    return drawn + drift + _structure_share(design, solution)
+    return drawn + drift + _structure_share(design, solution), torque
 
 
-def _without_drift(design: Design, solution: LinearSolution, length: int) -> tuple[np.ndarray, LinearSolution]:
-    """Return the share of drift (p, p), and the solution with torques from which the linear drift was taken."""
+def _without_drift(
+    design: Design, solution: LinearSolution, length: int
+) -> tuple[np.ndarray, np.ndarray, LinearSolution]:
+    """Return the drift contribution (p, p), its torque variance (J,), and the solution for torques without drift."""
     found = [_drifts(design, solution, length, i) for i in range(len(design.joints))]
     difference, variance = (np.array(part) for part in list(zip(*found))[:2])
     pooled = np.zeros(len(DRIFTS))
@@ -347,14 +355,15 @@ def _without_drift(design: Design, solution: LinearSolution, length: int) -> tup
         pooled = np.maximum(np.sum(weight * (difference**2 - variance), axis=0) / weight.sum(axis=0), 0.0)
     likely = difference * pooled / np.maximum(pooled + variance, 1e-300)
     share, factors = np.zeros((len(solution.x),) * 2), []
-    for R, columns, change, (_, _, moved, leaked) in zip(
+    torque = np.array([2.0 * power @ pooled for *_, power in found])  # of this log and of another
+    for R, columns, change, (_, _, moved, leaked, _) in zip(
         solution.factors.R, solution.factors.columns, likely, found, strict=True
     ):
         share += (moved * pooled) @ moved.T + (leaked * (4.0 * pooled)) @ leaked.T
         steady = R.copy()
         steady[:, :, -1] -= 2.0 * _time(len(R))[:, None] * (R[:, :, :-1] @ (moved[columns] @ change))
         factors.append(steady)
-    return share, replace(solution, factors=replace(solution.factors, R=tuple(factors)))
+    return share, torque, replace(solution, factors=replace(solution.factors, R=tuple(factors)))
 
 
 def _time(blocks: int) -> np.ndarray:
@@ -362,9 +371,11 @@ def _time(blocks: int) -> np.ndarray:
 
 
 def _drifts(design: Design, solution: LinearSolution, length: int, i: int) -> tuple[np.ndarray, ...]:
-    """Return of one joint the differences (3,) of its halves and their variances, relative to the torque of friction.
+    """Return, for one joint, the differences (3,) between the halves and their variances, relative to the friction
+    torque.
 
-    Then (p, 3) the parameters of such a change, and what the solution leaks of a linear drift that has no mean.
+    Also returns the parameters (p, 3) of such a change, which give the leakage of a zero-mean linear drift into the
+    solution, and the mean square torque (3,) of a unit change.
     """
     factors, columns, x = solution.factors, solution.factors.columns[i], solution.x
     A, y = factors.R[i][:, :, :-1], factors.R[i][:, :, -1]
@@ -387,14 +398,12 @@ def _drifts(design: Design, solution: LinearSolution, length: int, i: int) -> tu
     moved, pushed = np.zeros((2, len(x), len(DRIFTS)))
     moved[columns] = D * scale
     pushed[columns] = solution.weights[i] ** 2 * np.einsum("b,bij,bik->jk", _time(blocks), A, U)
-    return change[1] - change[0], variance.sum(axis=0), moved, solution.basis @ (solution.basis.T @ pushed)
+    leaked = solution.basis @ (solution.basis.T @ pushed)
+    return change[1] - change[0], variance.sum(axis=0), moved, leaked, (scale * size) ** 2
 
 
 def _directions(design: Design, x: np.ndarray, i: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the changes (w, 3) of a joint's parameters by one unit of each drift, and those of friction (w,) alone.
-
-    Coulomb friction of both directions changes in proportion.
-    """
+    """Return the changes (w, 3) of a joint's parameters per unit of each drift, and of friction (w,) alone."""
     terms, width = design.terms[i], design.rigid[i].shape[1]
     columns = design.layout.columns[i]
     kinds = [term.rstrip("+-") for term in terms]
@@ -435,7 +444,7 @@ def _structure_share(design: Design, solution: LinearSolution) -> np.ndarray:
 
 
 def _rivals(full: np.ndarray, y: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the parameters (K, W) of all columns (M, W) of a joint by each of TERMS, and their weights (K,)."""
+    """Return the parameters (K, W) of all columns (M, W) of a joint for each of TERMS, and their weights (K,)."""
     fold, count = block % FOLDS, block[-1] + 1
     parts = [(full[fold == f], y[fold == f]) for f in range(FOLDS)]
     grams, moments = (np.array(part) for part in zip(*((A.T @ A, A.T @ b) for A, b in parts)))
@@ -459,7 +468,7 @@ def _rivals(full: np.ndarray, y: np.ndarray, block: np.ndarray) -> tuple[np.ndar
 
 
 def _identified(T: np.ndarray, gram: np.ndarray, moment: np.ndarray) -> np.ndarray | None:
-    """Return the parameters (W,) of the columns that T picks; None where the rows do not identify them."""
+    """Return the parameters (W,) of the columns selected by T, or None if undetermined."""
     G = T.T @ gram @ T
     scale = np.sqrt(np.diag(G))
     if not scale.all():

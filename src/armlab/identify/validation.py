@@ -1,4 +1,4 @@
-"""How good a torque model is: held-out residuals, their covariance over velocity, and the report per joint."""
+"""Validation of a torque model: held-out residuals, their covariance over velocity, and the report for each joint."""
 
 from __future__ import annotations
 
@@ -22,25 +22,26 @@ from armlab.models.torque import FORCE_RATES, PRIOR, SPEED_EDGES, MomentumNoise,
 
 FIFTHS, STRETCHES = 5, 20
 
-SETTLED = 0.01  # variance of the presliding state below which friction is known from motion
+SETTLED = 0.01  # variance of the presliding state below which friction is known
 NOTHING = 1e-18  # (N m)^2
 ALPHA2_BOUNDS = (0.25, 25.0)
-REST = 0.01  # of the peak speed; all joints below it are at rest
-HALF = 1.0  # s, stretches of the two halves on which the coverage is judged
-UNMEASURED = 1e12  # (N m)^2 of a joint whose torque is not measured
-FEWEST = 100  # rows of sliding in either half
-FAST = 0.1  # rad/s: above it the bound on friction holds the model's error in motion
+REST = 0.01  # share of the peak speed; the arm rests if all joints are below it
+HALF = 1.0  # s, segments of the two halves for the coverage
+UNMEASURED = 1e12  # (N m)^2, variance of an unmeasured torque
+FEWEST = 100  # rows of sliding in each half
+FAST = 0.1  # rad/s: above it the friction bound covers the model error in motion
 
 
 def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Return causal residuals (N, n) of models that did not see the row, and a mask (N, n) of joints in motion.
+    """Return causal residuals (N, n) of models fitted without the respective row, and a mask (N, n) of joints in
+    motion.
 
-    A joint is in motion when it has slid far enough since its last reversal or rest that its friction is known.
+    A joint is in motion once it has slid far enough since its last reversal or rest for its friction to be known.
     """
     residuals = np.full(data.q.shape, np.nan)
     moving = np.zeros(data.q.shape, dtype=bool)
     nothing = np.full(data.q.shape[1], NOTHING)
-    for model, rows in folds:  # the variance shall be that of unknown friction alone
+    for model, rows in folds:  # variance of unknown friction only
         plain = replace(
             model,
             covariance=velocity_covariance("const", nothing, nothing),
@@ -57,7 +58,7 @@ def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple
 def _causal(model: TorqueModel, data: Record, rows: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Run the estimator's own residual filter; return filtered residuals and the variance from unknown friction.
 
-    Of a log long enough for warm-up only the stretches with the rows (N,) are run, as warm as the log before made them.
+    For a log long enough for warm-up, only the segments with the rows (N,) are run, starting at their thermal state.
     """
     torque, variance = np.full((2, *data.q.shape), np.nan)
     pieces = data.segments if rows is None or model.warm_up is None else stretches(rows, data)
@@ -74,12 +75,15 @@ def assess(
     joints: np.ndarray | None = None,
     unseen: np.ndarray | None = None,
     before: TorqueModel | None = None,
+    drift: np.ndarray | None = None,
 ) -> TorqueModel:
     """Return the model with its torque covariance and quality figures.
 
-    Covariance and scale are fitted to one half of the stretches of time and judged on the other, both ways; the model
-    gets those of all. Joints whose torque is not measured have no figures, and a deviation too large for estimators.
-    With a model from `before`, joints that rest keep its figures.
+    The torque variance `drift` (J,) due to friction changes between logs is added to the covariance; this error is
+    constant within a log, so no filter averages it. Covariance and scale are fitted to one half of the segments and
+    validated on the other half, in both directions. The model gets the values fitted to all segments. Joints without
+    measured torque have no figures, and a standard deviation too large for estimators to use them. With an earlier
+    model `before`, joints at rest keep its figures.
     """
     errors, moving = held_out(folds, data)
     if unseen is not None:
@@ -93,6 +97,8 @@ def assess(
     odd = (data.blocks(HALF) % 2 == 1)[:, None]
     halves = moving & odd, moving & ~odd
     _check_sliding(measured, np.min([half.sum(axis=0) for half in halves], axis=0))
+    between = np.zeros(model.n)
+    between[slice(None) if joints is None else joints] = 0.0 if drift is None else drift
     covariance = _covariance(errors, data.qd, moving)
     inside = np.zeros(model.n)
     for half in halves:
@@ -106,16 +112,18 @@ def assess(
         coverage=inside / count,
     )
     bound = _bound(model, covariance, errors, data.qd, moving)
+    scaled = between / covariance.alpha2
+    covariance = replace(covariance, C0=covariance.C0 + scaled, Cinf=covariance.Cinf + scaled)
     judged = replace(model, covariance=covariance, bound=bound, quality=quality)
     if before is not None and rest.any():
         return held_at_rest(judged, before, rest)
     if not measured.all():
-        return judged  # the momentum of an arm takes all torques
-    return replace(judged, momentum=momentum_noise(judged, folds, np.where(moving, errors, np.nan), data))
+        return judged  # momentum methods need all torques
+    return replace(judged, momentum=momentum_noise(judged, folds, np.where(moving, errors, np.nan), data, between))
 
 
 def held_at_rest(model: TorqueModel, before: TorqueModel, rest: np.ndarray) -> TorqueModel:
-    """Return a model whose joints at rest (n,) have friction, ripple, figures and ranges of a model from before."""
+    """Return a model whose joints at rest (n,) keep the friction, ripple, figures and ranges of an earlier model."""
     scale = before.covariance.alpha2 / model.covariance.alpha2
 
     def mixed(name: str, *but: str, scaled: float = 1.0) -> Any:
@@ -131,10 +139,10 @@ def held_at_rest(model: TorqueModel, before: TorqueModel, rest: np.ndarray) -> T
 
 
 def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueModel], data: Record) -> TorqueModel:
-    """Return a model with parts added to one that was identified before, with torque covariance and quality of its own.
+    """Return an earlier model with added terms and its own torque covariance and quality figures.
 
-    Where `before` was identified from one of these logs, its own parameters have seen the rows that `folds` have not:
-    what it lost on held-out rows, ``rms_cv^2 - rms^2``, is added to their errors.
+    If `before` was identified from one of these logs, its parameters were fitted to rows that are held out in `folds`.
+    Its loss on held-out rows, ``rms_cv^2 - rms^2``, is therefore added to the errors.
     """
     data = replace(data, tau=without_outliers(data, torque_outliers(data), before))
     fold, quality = fold_of(data), before.quality
@@ -150,28 +158,28 @@ def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueMode
 
 
 def fold_of(data: Record) -> np.ndarray:
-    """Return which fifth (N,), from 0, each row is in: twenty stretches of time go to the fifths in turn."""
+    """Return the fifth (N,) of each row (from 0); twenty segments are assigned cyclically."""
     return data.blocks(data.seconds / STRETCHES) % FIFTHS
 
 
 def _check_sliding(measured: np.ndarray, rows: np.ndarray) -> None:
-    """Refuse joints whose friction is hardly ever known: fewer than 100 rows in either half of the log."""
+    """Raise on joints that rarely slide: fewer than 100 rows in either half of the log."""
     few = np.flatnonzero(measured & (rows < FEWEST))
     if len(few):
         names = [f"joint {i + 1}" for i in few]
         spread = [f"{rows[i]} rows" for i in few]
         listed = ", ".join(f"{name} ({got})" for name, got in zip(names, spread))
         raise NotExcited(
-            f"Expected every joint to slide, past its presliding, in {2 * FEWEST} rows at least, evenly over the log, "
-            f"got less for {listed}: its errors in motion cannot be judged. Let it move further between "
-            "its reversals.",
+            f"Expected every joint to slide beyond its presliding distance in at least {2 * FEWEST} rows, evenly over "
+            f"the log, got less for {listed}, so errors in motion cannot be assessed. Let these joints move further "
+            "between reversals.",
             names,
             spread,
         )
 
 
 def _covariance(errors: np.ndarray, qd: np.ndarray, moving: np.ndarray) -> VelocityCovariance:
-    """Return the covariance over velocity of each joint from its rows in motion, scaled so that 2 sigma hold 95.4 %."""
+    """Return the covariance over velocity of each joint from its rows in motion, scaled to 95.4 % coverage."""
     unknown = VelocityCovariance("exp", np.array([UNMEASURED]), np.array([UNMEASURED]), np.ones(1))
     parts = [
         fit_velocity_covariance(errors[rows, i : i + 1], qd[rows, i : i + 1], "exp").value if rows.any() else unknown
@@ -186,7 +194,7 @@ def _covariance(errors: np.ndarray, qd: np.ndarray, moving: np.ndarray) -> Veloc
 def _bound(
     model: TorqueModel, covariance: VelocityCovariance, e: np.ndarray, qd: np.ndarray, moving: np.ndarray
 ) -> FrictionBound:
-    """Return the bound on friction near rest; its floor is what 99 % of the errors in motion have beyond 2 sigma."""
+    """Return the friction bound near rest; its floor is the 99 % quantile of errors in motion beyond 2 sigma."""
     fast = np.where(moving & (np.abs(qd) > FAST), np.abs(e), np.nan)
     sigma = np.sqrt(covariance.alpha2 * covariance.Cinf)
     known = np.isfinite(fast).any(axis=0)
@@ -197,7 +205,7 @@ def _bound(
 def begun(
     model: TorqueModel, data: Record, pieces: Iterable[tuple[int, int]]
 ) -> Iterator[tuple[TorqueModel, int, int]]:
-    """Yield a model for each piece (start, stop) of a record, as warm as the rows before it make it, and the piece."""
+    """Yield each segment (start, stop) of a record, with the model at its initial thermal state."""
     listed = list(pieces)
     if model.warm_up is None:
         yield from ((model, a, b) for a, b in listed)
@@ -214,13 +222,13 @@ def training(
     segments: tuple[tuple[int, int], ...],
     peak: np.ndarray | None = None,
 ) -> Training:
-    """Return the ranges of the data that a model is fitted to, given its segments' (start, stop) rows."""
+    """Return the ranges of the training data, given the (start, stop) rows of its segments."""
     scale = np.abs(qd).max(axis=0) if peak is None else peak
     return Training(q.min(axis=0), q.max(axis=0), scale, speed_shares(qd, scale), *rests(t, qd, scale, segments))
 
 
 def speed_shares(qd: np.ndarray, peak: np.ndarray) -> np.ndarray:
-    """Return the share (n, 2 bins) of samples in each bin of speed, negative direction first, slowest bin first."""
+    """Return the share (n, 2 bins) of samples per speed bin, negative direction first, slowest bin first."""
     bins = len(SPEED_EDGES)
     number = np.searchsorted(SPEED_EDGES[1:], np.abs(qd) / np.where(peak > 0, peak, 1.0), side="left")
     number = number + bins * (qd > 0)
@@ -230,7 +238,7 @@ def speed_shares(qd: np.ndarray, peak: np.ndarray) -> np.ndarray:
 def rests(
     t: np.ndarray, qd: np.ndarray, peak: np.ndarray, segments: tuple[tuple[int, int], ...]
 ) -> tuple[float, float]:
-    """Return the share of samples at which all joints rest, and the longest stretch of them [s]."""
+    """Return the share of samples with all joints at rest, and the duration of the longest such segment [s]."""
     still = np.all(np.abs(qd) < REST * peak, axis=1)
     longest = 0.0
     for a, b in segments:
@@ -240,23 +248,23 @@ def rests(
     return float(np.mean(still)), longest
 
 
-# Torque covariance over velocity by maximum likelihood, per joint, on residuals that passed the estimator's filter. To
-# the information of the ratio and the rate that of a uniform distribution over their bounds is added, so that what the
-# data do not tell is uncertain, not exact.
+# Torque covariance over velocity by maximum likelihood, per joint, on residuals filtered like the estimator's. Ratio
+# and rate get the information of a uniform prior over their bounds, so that undetermined ones are uncertain instead
+# of exact.
 
 
 STARTS = (5.0, 30.0, 150.0)  # s/rad
 RATE_BOUNDS = (1.0, 500.0)
 MAX_LOG_RATIO = 15.0
 UNIFORM = 12.0  # information of a uniform distribution, times its width squared
-SLOWEST, FASTEST = 0.02, 0.6  # quantiles of speed between which a threshold lies
+SLOWEST, FASTEST = 0.02, 0.6  # range of the threshold in quantiles of speed
 FEWEST_BELOW = 20  # samples below it
-AROUND = 50  # samples on either side of the threshold that tell how densely speeds lie
+AROUND = 50  # samples on either side of the threshold for the density of speeds
 TINY = 1e-12
 
 
 def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "exp") -> Fit[VelocityCovariance]:
-    """Fit how the variance of the torque residual depends on joint velocity.
+    """Fit the variance of the torque residual over joint velocity.
 
     Parameters
     ----------
@@ -270,8 +278,9 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
 
     Raises
     ------
-    ShapeError : shapes differ or values are not finite. NotExcited : fewer than 100 samples, or a joint whose residuals
-    are all zero. UnknownName : another kind.
+    ShapeError : shapes differ or values are not finite.
+    NotExcited : fewer than 100 samples, or a joint whose residuals are all zero.
+    UnknownName : unknown `kind`.
 
     References
     ----------
@@ -290,7 +299,7 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
     Cinf = np.exp(theta[:, 0])
     C0 = Cinf * np.exp(theta[:, 1]) if d > 1 else Cinf
     value = velocity_covariance(kind, C0, Cinf, np.exp(theta[:, 2]) if d > 2 else None)
-    ratio = residuals**2 / value.variance(qd)  # the variance follows the motion: its own rhythm is no memory
+    ratio = residuals**2 / value.variance(qd)  # removes the variation of the variance with the motion
     cov = np.zeros((n * d, n * d))
     for i, (_, information) in enumerate(solved):
         share = len(residuals) / effective_samples(ratio[:, i])
@@ -307,7 +316,7 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
 
 def _check_residuals(residuals: np.ndarray, qd: np.ndarray) -> None:
     if residuals.ndim != 2 or residuals.shape != qd.shape or not residuals.shape[1]:
-        raise ShapeError(f"Expected residuals and qd of one shape (N, n), got {residuals.shape} and {qd.shape}.")
+        raise ShapeError(f"Expected residuals and qd of the same shape (N, n), got {residuals.shape} and {qd.shape}.")
     check_finite("residuals and qd", residuals, qd, advice="Drop these rows.")
     if len(residuals) < 100:
         raise NotExcited(f"Expected at least 100 residuals, got {len(residuals)}. Record for longer.", ["everything"])
@@ -322,13 +331,15 @@ def _fit_constant(e: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _fit_step(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Try every sample as the threshold: both variances have closed forms; return log parameters and information."""
+    """Try every sample as the threshold (variances have closed forms); return log parameters and information."""
     order = np.argsort(speed)
     speed, power = speed[order], np.cumsum(e[order] ** 2)
     slow = np.arange(max(FEWEST_BELOW, int(SLOWEST * len(e))), int(FASTEST * len(e)))  # samples below the threshold
     slow = slow[speed[slow] > speed[slow - 1]]
     if not len(slow):
-        raise NotExcited("Expected residuals at several speeds, got one speed. Record slow and fast motion.", ["speed"])
+        raise NotExcited(
+            "Expected residuals at several speeds, got one speed. Record both slow and fast motion.", ["speed"]
+        )
     below, fast = power[slow - 1], len(e) - slow
     outside = np.maximum((power[-1] - below) / fast, TINY * power[-1] / len(e))
     inside = np.maximum(below / slow, outside)
@@ -347,10 +358,10 @@ def _fit_step(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _misplaced(ratio: float) -> float:
-    """Return the variance of the number of samples on the wrong side of the threshold, for the ratio of variances.
+    """Return the variance of the number of samples on the wrong side of the threshold, given the ratio of variances.
 
-    With L1 and L2 the expected loss of likelihood by a sample on the wrong side, ``1 + 6.5 / (L1 L2)``: the limit law
-    of a change point where the loss is small, one sample where it is large.
+    The variance is ``1 + 6.5 / (L1 L2)``, with L1 and L2 the expected loss of likelihood per sample on the wrong side.
+    This is the limit law of a change point for small losses, and one sample for large losses.
     """
     log = np.log(ratio)
     losses = 0.25 * (ratio - 1.0 - log) * (1.0 / ratio - 1.0 + log)
@@ -358,7 +369,7 @@ def _misplaced(ratio: float) -> float:
 
 
 def _fit_exponential(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Minimise the negative log-likelihood from three decay rates; return log parameters and Fisher information."""
+    """Minimise the negative log-likelihood from three initial decay rates; return log parameters and information."""
     from scipy.optimize import minimize
 
     power = e * e
@@ -382,7 +393,7 @@ def _fit_exponential(e: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _exponential(theta: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return s^2 (N,) and its gradient (3, N) over log Cinf, log(C0 / Cinf), log rate."""
+    """Return s^2 (N,) and its gradient (3, N) with respect to log Cinf, log(C0 / Cinf) and log rate."""
     floor, ratio, rate = np.exp(theta)
     decay = np.exp(-rate * speed)
     variance = floor * (1.0 + (ratio - 1.0) * decay)
@@ -390,53 +401,76 @@ def _exponential(theta: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 COVERAGE, SIGMAS = 0.954, 2.0
-SEEN = 0.9  # observability of the axes whose coverage counts
-LEAD = 0.5  # s, in which an estimator forgets how it began
-WAVES = np.array([0.05, 0.07, 0.06, 0.08, 0.09, 0.1])  # Hz, of the known wrench
-ENOUGH, WINDOW = 50_000, 10.0  # rows for a factor, and s: of longer records every second window, or third, is run
+SEEN = 0.9  # smallest observability of the axes in the coverage
+LEAD = 0.5  # s, transient of an estimator
+WAVES = np.array([0.05, 0.07, 0.06, 0.08, 0.09, 0.1])  # Hz, frequencies of the known wrench
+ENOUGH, WINDOW = 50_000, 10.0  # rows for a factor; windows [s]: longer records skip every second one or more
 
 
 def velocity_noise(data: Record) -> np.ndarray:
-    """Return the deviation (n,) of the measured velocity [rad/s], from fourth differences, which motion hardly has."""
+    """Return the SD (n,) of the measured velocity [rad/s] from fourth differences, which suppress motion."""
     steps = np.concatenate([np.diff(data.qd[a:b], 4, axis=0) for a, b in data.segments])
     return np.sqrt(np.mean(steps**2, axis=0) / 70.0)  # 70 = 1 + 16 + 36 + 16 + 1
 
 
 def momentum_noise(
-    model: TorqueModel, folds: Sequence[tuple[TorqueModel, np.ndarray]], errors: np.ndarray, data: Record
+    model: TorqueModel,
+    folds: Sequence[tuple[TorqueModel, np.ndarray]],
+    errors: np.ndarray,
+    data: Record,
+    drift: np.ndarray | float = 0.0,
 ) -> MomentumNoise:
-    """Return memory and velocity noise of a record, and factors that make the momentum estimators' 2 sigma hold."""
-    step = float(np.median(data.dt))
+    """Return the correlation time and velocity noise of a record, and factors for 95.4 % coverage of the estimators.
+
+    `drift`: torque variance (n,) of friction that changes between logs, in addition to the `errors`.
+    """
+    step, drift = float(np.median(data.dt)), np.broadcast_to(drift, model.n)
     known = [column[np.isfinite(column)] for column in errors.T]
     memory = np.array([correlation_time(column, step) if len(column) > 1 else step for column in known])
     noise = MomentumNoise(memory, velocity_noise(data))
     some = data.blocks(WINDOW) % -(-len(data.t) // ENOUGH) == 0
-    sure = {"gain_cov": np.zeros((model.n, model.n)), "load_sd": np.zeros(model.n)}  # of a wrench that is known
+    sure = {"gain_cov": np.zeros((model.n, model.n)), "load_sd": np.zeros(model.n)}  # for a known wrench
     held = [(replace(fold, covariance=model.covariance, **sure), rows & some) for fold, rows in folds]
-    variance = model.covariance.variance(data.qd) / model.covariance.alpha2
-    ratios = [
-        (found[3] ** 2 / variance[rows])[np.isfinite(errors[rows] + found[3])]
-        for found, rows in _runs(held, noise, data, filters=False)
-    ]
-    noise = replace(noise, alpha2_observer=_factor(ratios))
+    noise = replace(noise, alpha2_observer=_factor_of_observer(model, held, noise, errors, data, drift))
     moving = np.isfinite(errors)
     measured = moving.any(axis=0)
     judged: np.ndarray = np.all(moving[:, measured], axis=1) if measured.any() else np.zeros(len(errors), dtype=bool)
     ratios = []
-    for found, rows in _runs(held, noise, data, filters=True):
+    for found, rows in _runs(held, noise, data, filters=True, drift=drift):
         F, P, seen = (values[judged[rows]] for values in found[:3])
         error = F - known_wrench(data.t[rows][judged[rows]])
         ratios.append((error**2 / np.einsum("kii->ki", P))[seen > SEEN])
-    return replace(noise, alpha2_kf=max(_factor(ratios), 1.0))  # what changes from log to log no part of one shows
+    return replace(noise, alpha2_kf=max(_factor(ratios), 1.0))
+
+
+def _factor_of_observer(
+    model: TorqueModel,
+    held: Sequence[tuple[TorqueModel, np.ndarray]],
+    noise: MomentumNoise,
+    errors: np.ndarray,
+    data: Record,
+    drift: np.ndarray,
+) -> float:
+    """Return the factor of the observer, which averages the errors of the log, but not the drift."""
+    variance = model.covariance.variance(data.qd) / model.covariance.alpha2
+    parts = [
+        np.stack([np.where(np.isfinite(errors[rows]), found[3] ** 2, np.nan), variance[rows]])
+        for found, rows in _runs(held, noise, data, filters=False)
+    ]
+    squares, spread = np.concatenate([np.zeros((2, 0, model.n)), *parts], axis=1)
+    known = np.isfinite(squares)
+    mean = np.sum(squares, axis=0, where=known) / np.maximum(known.sum(axis=0), 1)
+    widening = 1.0 + drift / np.maximum(mean, NOTHING)
+    return _factor([(widening * squares / spread)[known]])
 
 
 def known_wrench(t: np.ndarray) -> np.ndarray:
-    """Return the smooth wrench (N, 6) at times (N,) by which the Kalman filter is calibrated."""
+    """Return the smooth wrench (N, 6) at times (N,) for the calibration of the Kalman filter."""
     return 0.5 * np.array(PRIOR) * np.sin(2.0 * np.pi * WAVES * t[:, None] + np.arange(6.0))
 
 
 def with_wrench(model: TorqueModel, data: Record, a: int, b: int) -> np.ndarray:
-    """Return the torque (b - a, n) of rows a to b of a record as if the known wrench had been there too."""
+    """Return the torque (b - a, n) of rows a to b of a record with the known wrench added."""
     q, qd = data.q[a:b], data.qd[a:b]
     qdd = np.gradient(qd, data.t[a:b], axis=0)
     load = model.chain.rnea(q, qd, qdd, *model._weights)
@@ -446,20 +480,28 @@ def with_wrench(model: TorqueModel, data: Record, a: int, b: int) -> np.ndarray:
 
 
 def _runs(
-    held: Sequence[tuple[TorqueModel, np.ndarray]], noise: MomentumNoise, data: Record, filters: bool
+    held: Sequence[tuple[TorqueModel, np.ndarray]],
+    noise: MomentumNoise,
+    data: Record,
+    filters: bool,
+    drift: np.ndarray | float = 0.0,
 ) -> Iterator[tuple[tuple[np.ndarray, ...], np.ndarray]]:
-    """Yield what the estimators of the folds find in rows that they did not see, and these rows, piece by piece."""
-    prior, rate = np.square(PRIOR), np.square(FORCE_RATES["normal"])
+    """Yield, segment by segment, the estimates of the folds on their held-out rows, and these rows.
+
+    The filter gets the known wrench, and in each segment a constant torque error of variance `drift` (n,).
+    """
+    prior, rate, draw = np.square(PRIOR), np.square(FORCE_RATES["normal"]), np.random.default_rng(0)
     for model, rows in held:
         for one, a, b in begun(replace(model, momentum=noise), data, stretches(rows, data)):
             kernel = one.momentum_kernel(prior, rate, filters=filters)
-            tau = with_wrench(one, data, a, b) if filters else data.tau[a:b]
+            lasting = np.sqrt(drift) * draw.standard_normal(model.n)
+            tau = with_wrench(one, data, a, b) + one.gains * lasting if filters else data.tau[a:b]
             found = kernel.run(data.q[a:b], data.qd[a:b], tau, data.dt[a:b])
             yield tuple(values[rows[a:b]] for values in found[:5]), a + np.flatnonzero(rows[a:b])
 
 
 def stretches(rows: np.ndarray, data: Record) -> Iterator[tuple[int, int]]:
-    """Yield the stretches (start, stop) that hold the rows (N,), with half a second before them where there is one."""
+    """Yield the segments (start, stop) that contain the rows (N,), with up to half a second before them."""
     lead = int(LEAD * data.rate)
     for first, last in data.segments:
         counts = np.concatenate([rows[first:last], np.zeros(lead, dtype=bool)])
@@ -470,19 +512,19 @@ def stretches(rows: np.ndarray, data: Record) -> Iterator[tuple[int, int]]:
 
 
 def _factor(ratios: list[np.ndarray]) -> float:
-    """Return the factor on the covariance by which `COVERAGE` of the ratios are below SIGMAS^2; 1 without any."""
+    """Return the factor on the covariance for which `COVERAGE` of the ratios are below SIGMAS^2; 1 without ratios."""
     known = np.concatenate([np.zeros(0), *(part.ravel() for part in ratios)])
     return float(np.clip(np.quantile(known, COVERAGE) / SIGMAS**2, *ALPHA2_BOUNDS)) if known.size else 1.0
 
 
 def parameter_rows(fit: Fit[TorqueModel]) -> list[tuple[str, str, str, str]]:
-    """Return value, deviation, unit and name of each parameter as words: base parameters, then those of the drives."""
+    """Return the value, SD, unit and name of each parameter as text: base parameters first, then drives."""
     columns = zip(fit.parameters, fit.sd, fit.units, fit.names, strict=True)
     return [(f"{value:.4g}", f"{sd:.2g}", unit, name) for value, sd, unit, name in columns]
 
 
 def parameter_text(fit: Fit[TorqueModel]) -> str:
-    """Return one line per parameter; numbers first, since the combinations are of any length."""
+    """Return one line per parameter, with the numbers first because names vary in length."""
     head, rows = ("value", "sd", "unit", "parameter"), parameter_rows(fit)
     value, sd, unit = (max(map(len, column)) for column in list(zip(head, *rows))[:3])
     lines = [f"{head[0]:>{value}}    {head[1]:<{sd}}  {head[2]:<{unit}}  {head[3]}"]
@@ -491,11 +533,11 @@ def parameter_text(fit: Fit[TorqueModel]) -> str:
 
 
 def report(fit: Fit[TorqueModel], solution: LinearSolution | None = None) -> str:
-    """Return all parameters, then per joint: torque, residuals in % of its deviation, friction with deviations."""
+    """Return all parameters as text, then for each joint the torque, residuals in % of its SD, and friction."""
     model, q = fit.value, fit.value.quality
     header = ("joint", "torque sd", "rms", "fit", "held-out", "viscous", "coulomb +", "coulomb -", "sign", "in 2 sigma")
     units = ("", "", "", "% of sd", "% of sd", "", "", "", "", "%")
-    rows, judged = [], np.flatnonzero(np.isfinite(q.rms_cv))  # joints whose torque was measured
+    rows, judged = [], np.flatnonzero(np.isfinite(q.rms_cv))  # joints with measured torque
     for i, own in zip(judged, _deviations(fit)):
         both = own.get("coulomb", 0.0)
         rows.append(
@@ -514,24 +556,24 @@ def report(fit: Fit[TorqueModel], solution: LinearSolution | None = None) -> str
         )
     widths = [max(map(len, column)) for column in zip(header, units, *rows)]
     lines = ["  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths)) for row in (header, units, *rows)]
-    lines += ["torque in N m, friction in N m and N m s/rad (joints that slide: N and m); sign: its distance or speed"]
-    lines += [f"torque as it is read over true torque, what all have in common unknown: {_gains(model, judged)}"]
+    lines += ["torque in N m, friction in N m and N m s/rad (prismatic joints: N and m); sign: its distance or speed"]
+    lines += [f"torque gain per joint (common scale factor not identifiable): {_gains(model, judged)}"]
     if solution is not None and solution.active:
         lines += [bound.text() for bound in solution.active]
-        lines += [f"bounds let the residual grow by {100 * solution.growth:.2g} %"]
+        lines += [f"bounds increase the residual by {100 * solution.growth:.2g} %"]
     last = (f"{fit.n} samples, {q.seconds:.1f} s", fit.excitation.text())
     return "\n".join([parameter_text(fit), "", *lines, *last])
 
 
 def _gains(model: TorqueModel, joints: np.ndarray) -> str:
-    """Return the gains of joints with deviations, without what all have in common."""
+    """Return the relative gains of the joints with standard deviations, without the common factor."""
     apart = np.eye(len(joints)) - 1.0 / len(joints)
     sd = np.sqrt(np.diag(apart @ model.gain_cov[np.ix_(joints, joints)] @ apart.T))
     return ", ".join(f"{gain:.3f} +- {deviation:.3f}" for gain, deviation in zip(model.gains[joints], sd))
 
 
 def places_of_joints(fit: Fit[TorqueModel]) -> list[np.ndarray]:
-    """Return the places of each joint's own parameters, which begin with viscous; joints without torque have none."""
+    """Return the indices of each joint's own parameters, starting with viscous; empty for joints without torque."""
     first, last = len(fit.value.base_names), len(fit.names)
     own = [k for k in range(first, last) if " of motor " not in fit.names[k]]
     begins = [k for k in own if fit.names[k].startswith("viscous ")]
@@ -539,12 +581,12 @@ def places_of_joints(fit: Fit[TorqueModel]) -> list[np.ndarray]:
 
 
 def _deviations(fit: Fit[TorqueModel]) -> list[dict[str, float]]:
-    """Return the deviations of each joint's own parameters by their kind."""
+    """Return the standard deviations of each joint's own parameters by kind."""
     return [{fit.names[k].split()[0]: float(fit.sd[k]) for k in places[::-1]} for places in places_of_joints(fit)]
 
 
 def _sign(model: TorqueModel, i: int | np.intp) -> str:
-    """Return the shape of a joint's friction in words."""
+    """Describe the friction structure of a joint."""
     f = model.friction
     words = f"tanh {f.smooth_speed[i]:.2g}" if f.smooth_speed[i] > 0 else f"presliding {f.delta[i]:.1e}"
     words += f", stribeck {f.stribeck_speed[i]:.2g}" if f.stribeck[i] else ""

@@ -80,27 +80,6 @@ class Chain:
     def rigid_regressor(self, q: Any, qd: Any, qdd: Any, gravity: Any, out: Any = None) -> np.ndarray:
         """Return Y (..., n, 10 n) with ``tau = Y pi.ravel()``, parameters as in `rnea`."""
 
-    def mass_matrix(self, q: Any, pi: Any, out: Any = None) -> np.ndarray:
-        """Return M (..., n, n): column j is the torque of a unit acceleration of joint j, without gravity and velocity.
-
-        The mass matrix of `MomentumEstimator`; the tests hold its laws on it, and the oracle of the estimator calls it.
-
-        Parameters
-        ----------
-        q : (..., n). pi : (n, 10) as in `rnea`. out : (..., n, n) array to write into, or None.
-        """
-
-    def momentum(self, q: Any, qd: Any, pi: Any, out: _Pair | None = None) -> _Pair:
-        """Return p = M qd and beta = C^T qd (..., n): rnea without gravity is dp/dt - beta; `out` is such a pair.
-
-        With l_i the momentum of links i ... n and V_i the twist of link i: ``p_i = S_i . l_i, beta_i = l_i . (V_i x
-        S_i)``.
-
-        Parameters
-        ----------
-        q, qd : (..., n). pi : (n, 10) as in `rnea`.
-        """
-
 class Datagrams:
     """Receives and sends on a bound UDP socket of IPv4, never waits and never raises for the socket.
 
@@ -535,6 +514,59 @@ class PrimitiveStepper:
     forcing: np.ndarray
     tau: float
 
+class RigidBody:
+    """A `Chain` with masses, immutable: inverse and forward dynamics, their parts and derivatives.
+
+    Leading axes broadcast and are kept; NaN in a sample gives NaN in its results. `armlab.dynamics` documents the
+    quantities, and the tests judge them by Pinocchio.
+
+    Parameters
+    ----------
+    chain : Chain
+    gravity : (3,) in base axes [m/s^2].
+    pi : (n, 10) as in `Chain.rnea`.
+    motors : (n, n) inertia of the motors as the joints feel it, or None.
+    """
+
+    def __init__(self, chain: Chain, gravity: Any, pi: Any, motors: Any = None) -> None: ...
+    def rnea(self, q: Any, qd: Any, qdd: Any, f_ext: Any = None, out: Any = None) -> np.ndarray:
+        """Return tau (..., n); f_ext (..., 6) is a wrench at the tool point, base axes."""
+
+    def rnea_derivatives(
+        self, q: Any, qd: Any, qdd: Any, f_ext: Any = None, out: Any = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return dtau/dq, dtau/dqd and M (..., n, n)."""
+
+    def forward_dynamics(self, q: Any, qd: Any, tau: Any, f_ext: Any = None, out: Any = None) -> np.ndarray:
+        """Return qdd (..., n)."""
+
+    def forward_dynamics_derivatives(
+        self, q: Any, qd: Any, tau: Any, f_ext: Any = None, out: Any = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return dqdd/dq, dqdd/dqd and M^-1 (..., n, n)."""
+
+    def gravity_torque(self, q: Any, out: Any = None) -> np.ndarray:
+        """Return tau (..., n) at rest."""
+
+    def coriolis_torque(self, q: Any, qd: Any, out: Any = None) -> np.ndarray:
+        """Return C qd (..., n)."""
+
+    def coriolis_matrix(self, q: Any, qd: Any, out: Any = None) -> np.ndarray:
+        """Return C (..., n, n) of Christoffel symbols."""
+
+    def mass_matrix(self, q: Any, out: Any = None) -> np.ndarray:
+        """Return M (..., n, n): column j is the torque of a unit acceleration of joint j."""
+
+    def momentum(self, q: Any, qd: Any, out: _Pair | None = None) -> _Pair:
+        """Return p = M qd and beta = C^T qd (..., n) of the links, without motors.
+
+        With l_i the momentum of links i ... n and V_i the twist of link i: ``p_i = S_i . l_i, beta_i = l_i . (V_i x
+        S_i)``; rnea without gravity is dp/dt - beta. `MomentumEstimator` is built on it.
+        """
+
+    def energy(self, q: Any, qd: Any, out: _Pair | None = None) -> _Pair:
+        """Return kinetic and potential energy (...)."""
+
 class RotationStepper:
     """One run of orientations, sample by sample.
 
@@ -764,7 +796,7 @@ class WrenchEstimator:
     bound : (3, n) rows torque, speed, floor of the bound on low-speed friction.
     prior : (6,) prior variances of the wrench.
     cutoff : corner of the low-pass [Hz].
-    method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund.
+    method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund, 6 ols.
     point : (3,) the contact in tool axes, or None when the whole wrench is unknown.
     """
 
@@ -847,6 +879,41 @@ def follow_path(
     task, axis, steps, starts, position_tolerance, rotation_tolerance, damping, objective, scale : as in
         `InverseSolver.solve`; the starts are those of a search for another branch.
     reference : (n,) or (N, n), as there.
+    """
+
+def await_datagram(sockets: Sequence[int], poll_ns: int, end_ns: int) -> bool:
+    """Wait without the interpreter until a socket has something to read. Return False at the end and after a signal.
+
+    Sleeps until `poll_ns`, then asks again and again until `end_ns`, both on the monotonic clock.
+    """
+
+def filled(kind: Any, slots: tuple[Any, ...], values: tuple[Any, ...]) -> Any:
+    """Return an instance of a class whose slots hold the values, made without its constructor."""
+
+def filtered_velocity(q: np.ndarray, last: np.ndarray, velocity: np.ndarray, dt: float, cutoff: float) -> np.ndarray:
+    """Return the velocity (n,) after a step from `last` to `q`, through a low-pass of first order [Hz]; read-only."""
+
+def implausible(
+    q: np.ndarray, before: np.ndarray | None, bounds: np.ndarray, margin: float, step: float, seconds: float
+) -> int:
+    """Return i (from 1) when joint i is outside its range, -i when it moved too far since `before`, else 0.
+
+    `bounds`: lowest and highest positions and speeds (3, n). Outside: by more than `margin`. Too far: by more than
+    ``step + speed * seconds``. The worst joint counts, and the first that is not a number before any.
+    """
+
+def following_error(
+    q: np.ndarray,
+    reference: np.ndarray,
+    speed: np.ndarray,
+    fastest: np.ndarray,
+    allowed: np.ndarray,
+    kept: float,
+    lag: float,
+) -> tuple[np.ndarray, int, bool]:
+    """Return the speeds ``max(kept * fastest, |speed|)``, the joint furthest from its reference, and if it is near.
+
+    Near is ``|reference - q| <= allowed + lag * speeds``; all (n,).
     """
 
 def limit_reference(
@@ -1063,7 +1130,7 @@ def solve_wrench(
     A : (k, n) rows of the Jacobian for the k unknowns.
     error, variance, bound : (n,) torque errors [N m], variances [(N m)^2] above zero, bounds [N m] not below it.
     prior : (k,) prior variances of the unknowns, above zero.
-    method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund.
+    method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund, 6 ols.
     """
 
 def wrench_interval(

@@ -1,4 +1,4 @@
-"""Kinematics of a robot: poses, Jacobians and what follows from them, for one configuration or any batch of them."""
+"""Robot kinematics: poses, Jacobians, inverse kinematics and dexterity for one configuration or a batch."""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown
 from armlab._numbers import make_read_only
 from armlab.errors import RobotError, ShapeError, SingularPoseError, UnknownName
 from armlab.kinematics.forward import forward, jacobian
@@ -22,26 +23,26 @@ _ROWS = {"pose": slice(0, 6), "position": slice(0, 3), "rotation": slice(3, 6)}
 
 Task = Literal["pose", "position", "axis"]
 
-# of the twist in tool axes: the turn about the tool's z axis comes last
+# of the twist in tool axes: the rotation about the tool's z axis comes last
 _TASK_ROWS = {"pose": 6, "position": 3, "axis": 5}
 _STEP = 0.02  # rad: the longest step of the integration
-_SHORTEST = 1e-7  # rad: where a curve needs shorter steps, it ends
-_EXACT = 1e-12  # m and rad: what the correction leaves, and by how much rounding may cross a limit
-_DRIFT = 1e-4  # the largest correction of a step, as a part of its length
+_SHORTEST = 1e-7  # rad: curves that need shorter steps end
+_EXACT = 1e-12  # m and rad: residual of the correction, and rounding margin at the limits
+_DRIFT = 1e-4  # largest correction of a step over its length
 _MOST = 10**6  # points
-_FARTHEST = 1e3  # rad or m: a closed self-motion would be walked round and round
+_FARTHEST = 1e3  # rad or m: a closed self-motion would repeat
 _SINGULAR = 1e-9  # of the largest singular value
 
 
-@dataclass(frozen=True, eq=False)
-class Ellipsoid:
-    """An ellipsoid about the tool point, or a batch of them; arrays are read-only.
+@dataclass(frozen=True, eq=False, repr=False)
+class Ellipsoid(Shown):
+    """Ellipsoid about the tool point, or a batch of ellipsoids; arrays are read-only.
 
     Attributes
     ----------
     axes : (..., 3, 3) directions of the semi-axes as columns, right-handed, base axes; signs are arbitrary.
     lengths : (..., 3) lengths of the semi-axes. Velocity: m/s or rad/s per unit of joint speed, longest first. Force: N
-        or N m per unit of joint torque, shortest first, infinite where the joints carry any load.
+        or N m per unit of joint torque, shortest first; infinite if the structure carries the load.
     """
 
     axes: np.ndarray
@@ -54,9 +55,9 @@ class Ellipsoid:
 def singular_values(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarray:
     """Return the singular values of the Jacobian, or of its rows for one part of the twist.
 
-    ``J = U diag(s) V^T``. ``s[..., -1]`` is the smallest tool speed per unit of joint speed that a direction of the
-    task can have: the distance to the nearest singular Jacobian, 0 in a singular posture. ``s[..., 0] / s[..., -1]`` is
-    the condition number.
+    ``J = U diag(s) V^T``. ``s[..., -1]`` is the smallest tool speed per unit of joint speed over all directions. It is
+    the distance to the nearest singular Jacobian, and 0 in a singular posture. ``s[..., 0] / s[..., -1]`` is the
+    condition number.
 
     Parameters
     ----------
@@ -70,20 +71,20 @@ def singular_values(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarr
 
     Raises
     ------
-    UnknownName : when there is no such part.
-    ShapeError : when the last axis of `q` is not n long.
-    RobotError : when something else comes in place of a robot, such as its name.
+    UnknownName : if `part` is unknown.
+    ShapeError : if the last axis of `q` does not have length n.
+    RobotError : if `robot` is not a `Robot`.
     """
     return _svd(_rows(robot, q, part))[1]
 
 
 def manipulability(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarray:
-    """Return Yoshikawa's manipulability, the volume that the unit ball of joint velocities makes of the twists.
+    """Return Yoshikawa's manipulability, the volume of the twists produced by the unit ball of joint velocities.
 
-    ``w = sqrt(det(J J^T))``, the product of the singular values. Where the arm has fewer joints n than the part has
-    rows, that determinant is 0 in every posture; then ``w = sqrt(det(J^T J))``, the same product of the n singular
-    values: the volume within the n directions that the joints can move. It comes from an orthogonal factorisation of J,
-    not from J J^T, so that near a singular posture it is right to a rounding of J instead of its square root.
+    ``w = sqrt(det(J J^T))``, the product of the singular values. If the arm has fewer joints n than the part has rows,
+    this determinant is 0 in every posture. In that case ``w = sqrt(det(J^T J))``, the volume within the n directions
+    that the joints can move. It is computed by an orthogonal factorisation of J, not from J J^T, so that it is accurate
+    to the rounding of J near singular postures.
 
     Parameters
     ----------
@@ -97,9 +98,9 @@ def manipulability(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarra
 
     Raises
     ------
-    UnknownName : when there is no such part.
-    ShapeError : when the last axis of `q` is not n long.
-    RobotError : when something else comes in place of a robot, such as its name.
+    UnknownName : if `part` is unknown.
+    ShapeError : if the last axis of `q` does not have length n.
+    RobotError : if `robot` is not a `Robot`.
 
     References
     ----------
@@ -112,10 +113,10 @@ def manipulability(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarra
 
 
 def manipulability_gradient(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarray:
-    """Return the derivative of `manipulability` by the joint positions.
+    """Return the derivative of `manipulability` with respect to the joint positions.
 
-    ``dw/dq_k = sum over i of (u_i^T dJ/dq_k v_i) * product of the other singular values``, which needs no division by
-    a small one. In a singular posture, where w has a kink, it is one of the one-sided slopes.
+    ``dw/dq_k = sum over i of (u_i^T dJ/dq_k v_i) * product of the other singular values``, without division by small
+    singular values. In a singular posture, where w has a kink, it is one of the one-sided derivatives.
 
     Parameters
     ----------
@@ -129,9 +130,9 @@ def manipulability_gradient(robot: Robot, q: ArrayLike, part: Part = "pose") -> 
 
     Raises
     ------
-    UnknownName : when there is no such part.
-    ShapeError : when the last axis of `q` is not n long.
-    RobotError : when something else comes in place of a robot, such as its name.
+    UnknownName : if `part` is unknown.
+    ShapeError : if the last axis of `q` does not have length n.
+    RobotError : if `robot` is not a `Robot`.
     """
     U, s, Vt = _svd(_rows(robot, q, part))
     positions = np.asarray(q, dtype=np.float64)[..., None, :]
@@ -148,10 +149,10 @@ def ellipsoid(
     part: Literal["position", "rotation"] = "position",
     kind: Literal["velocity", "force"] = "velocity",
 ) -> Ellipsoid:
-    """Return the ellipsoid of the tool's velocities, or of the forces that it can press with.
+    """Return the velocity or force ellipsoid of the tool.
 
     ``{J qd : |qd| <= 1}`` (velocity) or ``{f : |J^T f| <= 1}`` (force), with the three rows of J for the part. Both
-    have the same axes, and the lengths are reciprocal: where the tool moves fast it presses weakly.
+    have the same axes and reciprocal lengths, so directions of high speed have low force.
 
     Parameters
     ----------
@@ -167,9 +168,9 @@ def ellipsoid(
 
     Raises
     ------
-    UnknownName : when there is no such part or kind.
-    ShapeError : when the last axis of `q` is not n long.
-    RobotError : when something else comes in place of a robot, such as its name.
+    UnknownName : if `part` or `kind` is unknown.
+    ShapeError : if the last axis of `q` does not have length n.
+    RobotError : if `robot` is not a `Robot`.
     """
     if not isinstance(part, str) or part not in ("position", "rotation"):
         raise UnknownName.among("part of a twist with an ellipsoid", part, ("position", "rotation"))
@@ -189,29 +190,30 @@ def _rows(robot: Robot, q: ArrayLike, part: Part) -> np.ndarray:
     if not isinstance(part, str) or part not in _ROWS:
         raise UnknownName.among("part of a twist", part, _ROWS)
     J = jacobian(robot, q)
-    J[~np.isfinite(q).all(axis=-1)] = np.nan  # also the rows that do not depend on the joint that is missing
+    J[~np.isfinite(q).all(axis=-1)] = np.nan  # also in rows that do not depend on the missing joint
     return J[..., _ROWS[part], :]
 
 
 def _svd(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """U, s and V^T, square U and V; NaN in those samples of a batch that hold NaN, which LAPACK would refuse."""
+    """Return U, s and V^T with square U and V; NaN for samples that contain NaN, which LAPACK rejects."""
     known = np.asarray(np.isfinite(J).all(axis=(-2, -1)))
     U, s, Vt = np.linalg.svd(np.where(known[..., None, None], J, 0.0))
     U[~known], s[~known], Vt[~known] = np.nan, np.nan, np.nan
     return U, s, Vt
 
 
-@dataclass(frozen=True, eq=False)
-class SelfMotion:
-    """A walk along the self-motion; arrays are read-only.
+@dataclass(frozen=True, eq=False, repr=False)
+class SelfMotion(Shown):
+    """Sampled self-motion; arrays are read-only.
 
     Attributes
     ----------
-    q : (N, n) joint positions, the first is where the walk began.
-    s : (N,) arc length walked [rad; m for prismatic joints].
-    position_error : (N,) how far the tool point is from where it was [m]; at most 1e-9.
-    rotation_error : (N,) how far the tool has turned [rad]; at most 1e-9. Task "axis": its z axis only; "position": 0.
-    end : why the walk ended: "length" (all of it was walked), "limit of joint k", "optimum" or "singular".
+    q : (N, n) joint positions; the first is the start.
+    s : (N,) arc length [rad; m for prismatic joints].
+    position_error : (N,) displacement of the tool point from the start [m]; at most 1e-9.
+    rotation_error : (N,) rotation of the tool from the start [rad]; at most 1e-9. Task "axis": its z axis only;
+        "position": 0.
+    end : reason for the end: "length" (the whole length was reached), "limit of joint k", "optimum" or "singular".
     """
 
     q: np.ndarray
@@ -233,36 +235,36 @@ def self_motion(
     points: int = 51,
     task: Task = "pose",
 ) -> SelfMotion:
-    """Walk along the self-motion from a posture: ``J(q) dq/ds = 0``, ``|dq/ds| = 1``.
+    """Follow the self-motion from a posture: ``J(q) dq/ds = 0``, ``|dq/ds| = 1``.
 
-    A Runge-Kutta step of fourth order along the null space, then Newton steps ``dq = J^+ e`` back to the pose. Every
-    point keeps the pose to 1e-9 (in fact to 1e-12) and lies inside the joint limits; at a limit the walk ends, with a
-    last point on it.
+    Each point is found by one RK4 step along the null space, followed by Newton steps ``dq = J^+ e`` back to the pose.
+    Every point keeps the pose to 1e-9 (typically 1e-12) and is inside the joint limits. The motion ends at a limit, and
+    its last point lies on the limit.
 
     Parameters
     ----------
     robot : an arm with more joints than the task needs.
-    q : (n,) joint positions to start from, inside the limits [rad or m].
-    direction : 1 or -1, for a self-motion of one dimension: 1 is where the joint that moves most moves forward.
-        Or (n,) joint velocities: where their part in the null space leads. Or a function of the joint positions that
-        returns the gradient (n,) of an objective, for example of the manipulability: uphill, until its optimum.
-    length : arc length to walk in joint space, at most [rad; m for prismatic joints]; up to 1000.
-    points : how many points the whole length would have, 2 to 1 000 000, evenly spaced, start and end included.
-    task : what stays: "pose", "position" of the tool point, or "axis": the position and the direction of the tool's z
-        axis.
+    q : (n,) start posture, inside the limits [rad or m].
+    direction : 1 or -1, for a one-dimensional self-motion: 1 moves the fastest joint forward. Or (n,) joint velocities,
+        which are projected to the null space. Alternatively, a function of the joint positions that returns the
+        gradient (n,) of an objective, for example the manipulability; the motion then goes uphill until the optimum.
+    length : maximum arc length in joint space [rad; m for prismatic joints]; up to 1000.
+    points : number of evenly spaced points over the whole length, both ends included, 2 to 1 000 000.
+    task : constraint: "pose", "position" of the tool point, or "axis": position and direction of the tool's z axis.
 
     Returns
     -------
     SelfMotion
-        The points, their errors, and why the walk ended.
+        The points, their errors, and the reason for the end.
 
     Raises
     ------
-    RobotError : when the robot has no joint to spare for the task, or is none.
+    RobotError : if the robot has no redundant joint for the task, or is not a `Robot`.
     SingularPoseError
-        When `q` is singular, or `direction` is a sign where there are several directions, or leads nowhere.
-    ShapeError : when `q` is not (n,), finite and inside the limits, or another argument does not fit.
-    UnknownName : when there is no such task.
+        If `q` is singular, `direction` is a sign although several directions exist, or `direction` has no null-space
+        part.
+    ShapeError : if `q` is not (n,), finite and inside the limits, or another argument does not match.
+    UnknownName : if `task` is unknown.
     """
     curve = _Curve(robot, _checked(robot, q, length, points, task), task)
     here, tangent = curve.begin(direction)
@@ -292,8 +294,8 @@ class _Curve:
         self.rank = int((s > _SINGULAR * s[:, :1]).sum(axis=1).max())
         if self.rank == robot.n:
             raise RobotError(
-                f"Expected a robot with a joint to spare for the task {task!r}, got {robot.name!r}, which needs all "
-                f'its {robot.n} joints for it. Take an arm with more joints, or a smaller task ("axis", "position").'
+                f"Expected a robot with a redundant joint for the task {task!r}, got {robot.name!r}, which needs all "
+                f'its {robot.n} joints for it. Use an arm with more joints or a smaller task ("axis", "position").'
             )
 
     def begin(self, direction: int | ArrayLike | Callable[[np.ndarray], ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
@@ -301,8 +303,8 @@ class _Curve:
         s, Vt = np.linalg.svd(self.error(q)[1])[1:]
         if self.rank and s[self.rank - 1] <= _SINGULAR * s[0]:
             raise SingularPoseError(
-                f"Expected a regular posture to walk from, got a singular one, {q.tolist()}: the self-motion has no "
-                "single tangent there. Start a little beside it."
+                f"Expected a regular start posture, got a singular one, {q.tolist()}, where the self-motion has no "
+                "unique tangent. Start close to it."
             )
         if callable(direction):
             self.climbs = direction
@@ -310,8 +312,8 @@ class _Curve:
         elif isinstance(direction, (int, np.integer)) and direction in (1, -1):
             if dimension > 1:
                 raise SingularPoseError(
-                    f"Expected one of the {dimension} dimensions of this self-motion, got only the sign {direction}. "
-                    "Give joint velocities (n,), or a function that returns the gradient of an objective."
+                    f"Expected a direction within the {dimension} dimensions of this self-motion, got only the sign "
+                    f"{direction}. Pass joint velocities (n,), or a function that returns the gradient of an objective."
                 )
             wanted = direction * np.sign(Vt[-1, np.argmax(np.abs(Vt[-1]))]) * Vt[-1]
         else:
@@ -319,13 +321,13 @@ class _Curve:
         along = self.projected(q, wanted)
         if np.linalg.norm(along) <= 1e-9 * np.linalg.norm(wanted):
             raise SingularPoseError(
-                "Expected a direction with a part along the self-motion, got one without: it moves the tool only, or "
-                "the objective is at its optimum. Give another direction."
+                "Expected a direction with a component along the self-motion, got a direction that only moves the "
+                "tool, or an objective at its optimum. Give another direction."
             )
         return q, along / np.linalg.norm(along)
 
     def step(self, q: np.ndarray, tangent: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, float, str]:
-        """Return the next point and tangent, its distance, and "length" or why the walk ends there."""
+        """Return the next point, its tangent and distance, and "length" or the reason for the end."""
         if self.climbs:
             uphill = self.projected(q, self.gradient(q))
             tangent = uphill / max(float(np.linalg.norm(uphill)), 1e-300)
@@ -337,7 +339,7 @@ class _Curve:
         if not beyond:
             return *there, h, "length"
         low, high, best = 0.0, h, (q, tangent)
-        while high - low > 1e-12:  # the last point that is not beyond
+        while high - low > 1e-12:  # bisection to the last valid point
             middle = (low + high) / 2
             there = self.ahead(q, tangent, middle)
             if there is None or self.beyond(*there):
@@ -348,7 +350,7 @@ class _Curve:
         return *best, low, end
 
     def ahead(self, q: np.ndarray, tangent: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the point at arc length h and its tangent; None where the curve bends too much for such a step."""
+        """Return the point at arc length h and its tangent; None if the curvature is too large for the step."""
         k1 = tangent
         k2 = self.tangent(q + h / 2 * k1, tangent)
         k3 = self.tangent(q + h / 2 * k2, tangent)
@@ -369,14 +371,14 @@ class _Curve:
         return there, self.tangent(there, k4)
 
     def beyond(self, q: np.ndarray, tangent: np.ndarray) -> str:
-        """Return what lies before this point: "limit of joint k", "optimum" or nothing."""
+        """Return the reason why this point is invalid, "limit of joint k" or "optimum", or an empty string."""
         over = np.maximum(self.robot.q_min - q, q - self.robot.q_max)
         if over.max() > _EXACT:
             return f"limit of joint {int(np.argmax(over)) + 1}"
         return "optimum" if self.climbs and self.gradient(q) @ tangent < 0 else ""
 
     def tangent(self, q: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """Return the unit vector of the null space that is nearest to another."""
+        """Return the unit vector of the null space nearest to `near`."""
         along = self.projected(q, near)
         return along / max(float(np.linalg.norm(along)), 1e-300)
 
@@ -389,7 +391,7 @@ class _Curve:
         return _vector(self.robot, self.climbs(q) if self.climbs else None, "the gradient that direction(q) returns")
 
     def error(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the way back as a twist (6,) in tool axes, 0 where the task leaves it free, and J (m, n)."""
+        """Return the pose error as a twist (6,) in tool axes (0 in directions left free by the task), and J (m, n)."""
         T_base_tool = forward(self.robot, q)
         R_transposed = T_base_tool[:3, :3].T
         turn = R_transposed @ self.T_base_goal[:3, :3]
@@ -425,8 +427,7 @@ def _checked(robot: Robot, q: ArrayLike, length: float, points: int, task: str) 
         k = int(np.argmax(outside))
         raise ShapeError(
             f"Expected q inside the limits of {robot.name!r}, got {start[k]:.6g} for joint {k + 1} "
-            f"({robot.joint_names[k]}), limits {robot.q_min[k]:.6g} to {robot.q_max[k]:.6g}. Start from a posture that "
-            "the robot can have."
+            f"({robot.joint_names[k]}), limits {robot.q_min[k]:.6g} to {robot.q_max[k]:.6g}. Start inside the limits."
         )
     lengths, counts = (int, float, np.integer, np.floating), (int, np.integer)
     if not (

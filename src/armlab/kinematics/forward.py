@@ -1,4 +1,4 @@
-"""Forward kinematics and Jacobians: poses of tool and links, geometric Jacobian, its derivative, parameter Jacobian."""
+"""Forward kinematics and Jacobians: tool and link poses, geometric Jacobian, its derivative, parameter Jacobian."""
 
 from __future__ import annotations
 
@@ -18,15 +18,14 @@ _TOOL_AXES = {"base": False, "tool": True}
 def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: int = 1) -> np.ndarray:
     """Return the pose of the tool in the base.
 
-    ``T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n``, mount and tool included.
+    ``T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n``, including mount and tool.
 
     Parameters
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-    out : (..., 4, 4) array to write into, or None for a new one. A large one that is used again saves a third of the
-        time, which the system takes to give new memory.
-    threads : how many share the poses, 1 to 256; the result is the same to the last bit.
+    out : (..., 4, 4) output array; None: allocate a new one. Reusing a large one saves a third of the time.
+    threads : number of threads, 1 to 256; the result is bitwise identical.
 
     Returns
     -------
@@ -34,9 +33,9 @@ def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: 
 
     Raises
     ------
-    ShapeError : when the last axis of `q` is not n long, or `out` does not fit.
-    RobotError : when something else comes in place of a robot, such as its name.
-    ConfigError : when `threads` is not an integer from 1 to 256.
+    ShapeError : if the last axis of `q` does not have length n, or `out` does not match.
+    RobotError : if `robot` is not a `Robot`.
+    ConfigError : if `threads` is not an integer from 1 to 256.
     """
     try:
         chain = robot.chain
@@ -48,13 +47,13 @@ def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: 
 def link_transforms(robot: Robot, q: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return the poses of link frames 1 ... n in the base.
 
-    ``T_base_i = E_0 Z_1(q_1) ... E_{i-1} Z_i(q_i)``: the z axis is joint axis i, and the frame moves with link i.
+    ``T_base_i = E_0 Z_1(q_1) ... E_{i-1} Z_i(q_i)``: its z axis is joint axis i, and the frame moves with link i.
 
     Parameters
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-    out : (..., n, 4, 4) array to write into, or None for a new one.
+    out : (..., n, 4, 4) output array; None: allocate a new one.
 
     Returns
     -------
@@ -62,8 +61,8 @@ def link_transforms(robot: Robot, q: ArrayLike, out: np.ndarray | None = None) -
 
     Raises
     ------
-    ShapeError : when the last axis of `q` is not n long, or `out` does not fit.
-    RobotError : when something else comes in place of a robot, such as its name.
+    ShapeError : if the last axis of `q` does not have length n, or `out` does not match.
+    RobotError : if `robot` is not a `Robot`.
     """
     try:
         chain = robot.chain
@@ -77,16 +76,16 @@ def jacobian(
 ) -> np.ndarray:
     """Return the Jacobian of the tool point: ``[v; w] = J(q) qd``.
 
-    Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic). A wrench that acts on the
-    tool at the tool point, in the same axes, acts on the joints with the torques ``tau = J^T wrench``.
+    Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic). A wrench on the tool at the tool
+    point, in the same axes, causes the joint torques ``tau = J^T wrench``.
 
     Parameters
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
     frame : axes of v and w, "base" or "tool"; the point is the tool's origin in both.
-    out : (..., 6, n) array to write into, or None for a new one.
-    threads : how many share the poses, 1 to 256; the result is the same to the last bit.
+    out : (..., 6, n) output array; None: allocate a new one.
+    threads : number of threads, 1 to 256; the result is bitwise identical.
 
     Returns
     -------
@@ -94,10 +93,10 @@ def jacobian(
 
     Raises
     ------
-    UnknownName : when `frame` is neither "base" nor "tool".
-    ShapeError : when the last axis of `q` is not n long, or `out` does not fit.
-    RobotError : when something else comes in place of a robot, such as its name.
-    ConfigError : when `threads` is not an integer from 1 to 256.
+    UnknownName : if `frame` is neither "base" nor "tool".
+    ShapeError : if the last axis of `q` does not have length n, or `out` does not match.
+    RobotError : if `robot` is not a `Robot`.
+    ConfigError : if `threads` is not an integer from 1 to 256.
     """
     chain, tool = _resolved(robot, frame)
     return chain.jacobian(q, tool, out, threads)
@@ -110,18 +109,18 @@ def forward_jacobian(
     out: tuple[np.ndarray, np.ndarray] | None = None,
     threads: int = 1,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pose of the tool and its Jacobian, ``T_base_tool(q)`` and ``J(q)``, in one walk along the arm.
+    """Return the pose of the tool and its Jacobian, ``T_base_tool(q)`` and ``J(q)``, in one pass along the arm.
 
-    The numbers are those of `forward` and `jacobian` to the last bit, in little more than the time of one of them.
+    The results equal those of `forward` and `jacobian` bit for bit, but take little more time than one of them.
 
     Parameters
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
     frame : axes of the Jacobian, "base" or "tool"; the pose is in the base in both.
-    out : pair of arrays (..., 4, 4) and (..., 6, n) to write into, or None for new ones. Large ones that are used again
-        save half of the time, which the system takes to give new memory.
-    threads : how many share the poses, 1 to 256; the result is the same to the last bit.
+    out : pair of output arrays (..., 4, 4) and (..., 6, n); None: allocate new ones. Reusing large ones saves half of
+        the time.
+    threads : number of threads, 1 to 256; the result is bitwise identical.
 
     Returns
     -------
@@ -130,17 +129,17 @@ def forward_jacobian(
 
     Raises
     ------
-    UnknownName : when `frame` is neither "base" nor "tool".
-    ShapeError : when the last axis of `q` is not n long, or `out` is no pair of arrays that fit and share no memory.
-    RobotError : when something else comes in place of a robot, such as its name.
-    ConfigError : when `threads` is not an integer from 1 to 256.
+    UnknownName : if `frame` is neither "base" nor "tool".
+    ShapeError : if the last axis of `q` does not have length n, or `out` is not a pair of separate fitting arrays.
+    RobotError : if `robot` is not a `Robot`.
+    ConfigError : if `threads` is not an integer from 1 to 256.
     """
     chain, tool = _resolved(robot, frame)
     return chain.forward_jacobian(q, tool, out, threads)
 
 
 def _resolved(robot: Robot, frame: Frame) -> tuple[Chain, bool]:
-    """Return the compiled chain, and whether axes of the tool are asked for."""
+    """Return the compiled chain and whether the axes are those of the tool."""
     try:
         return robot.chain, _TOOL_AXES[frame]
     except AttributeError:
@@ -154,10 +153,10 @@ def jacobian_derivative(
 ) -> np.ndarray:
     """Return the time derivative of the Jacobian along a motion: ``[vd; wd] = J(q) qdd + Jd(q, qd) qd``.
 
-    It is the derivative of the numbers that `jacobian` returns for the same `frame`. In base axes `vd` and `wd` are the
-    accelerations of the tool point and of the tool. In tool axes they are the rates of the velocities as the tool
-    measures them: ``vd + w x v`` is then the acceleration of the tool point in tool axes, and `wd` the angular one.
-    Pinocchio's ``getFrameJacobianTimeVariation`` with LOCAL_WORLD_ALIGNED and LOCAL gives the same two arrays.
+    It is the derivative of the array that `jacobian` returns for the same `frame`. In base axes, `vd` and `wd` are the
+    accelerations of the tool point and of the tool. In tool axes they are the rates of the velocity components: ``vd +
+    w x v`` is then the acceleration of the tool point in tool axes, and `wd` the angular acceleration. The result
+    equals Pinocchio's ``getFrameJacobianTimeVariation`` with LOCAL_WORLD_ALIGNED and LOCAL.
 
     Parameters
     ----------
@@ -165,7 +164,7 @@ def jacobian_derivative(
     q : (..., n) joint positions [rad or m].
     qd : (..., n) joint velocities [rad/s or m/s], of the shape of `q`.
     frame : axes of the Jacobian, "base" or "tool"; the point is the tool's origin in both.
-    out : (..., 6, n) array to write into, or None for a new one.
+    out : (..., 6, n) output array; None: allocate a new one.
 
     Returns
     -------
@@ -173,19 +172,20 @@ def jacobian_derivative(
 
     Raises
     ------
-    UnknownName : when `frame` is neither "base" nor "tool".
-    ShapeError : when the last axis of `q` is not n long, `qd` has another shape, or `out` does not fit.
-    RobotError : when something else comes in place of a robot, such as its name.
+    UnknownName : if `frame` is neither "base" nor "tool".
+    ShapeError : if the last axis of `q` does not have length n, `qd` has a different shape, or `out` does not match.
+    RobotError : if `robot` is not a `Robot`.
     """
     chain, tool = _resolved(robot, frame)
     return chain.jacobian_derivative(q, qd, tool, out)
 
 
 def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
-    """Return how the tool moves when frame j of the arm becomes ``E_j Exp([v; w])``: ``J[..., j, :] @ [v; w]``.
+    """Return the Jacobian of the tool pose with respect to perturbations ``E_j Exp([v; w])`` of frame j, ``J[..., j, :]
+    @ [v; w]``.
 
-    With ``P_j = E_0 Z_1(q_1) E_1 ... E_j = (R_j, p_j)`` the tool at p moves by ``R_j v + R_j w x (p - p_j)`` and turns
-    by ``R_j w``. The columns of the joints are among these: that of joint j + 1 is column w_z (prismatic: v_z) of
+    With ``P_j = E_0 Z_1(q_1) E_1 ... E_j = (R_j, p_j)``, the tool at p moves by ``R_j v + R_j w x (p - p_j)`` and
+    rotates by ``R_j w``. The joint columns are included: the column of joint j + 1 is column w_z (prismatic: v_z) of
     frame j.
 
     Parameters
@@ -199,7 +199,8 @@ def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
 
     Raises
     ------
-    RobotError : when something else comes in place of a robot. ShapeError : when the last axis of `q` is not n long.
+    RobotError : if `robot` is not a `Robot`.
+    ShapeError : if the last axis of `q` does not have length n.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
@@ -208,7 +209,7 @@ def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
 
 
 def frame_poses(chain: Chain, frames: np.ndarray, q: ArrayLike) -> np.ndarray:
-    """Return ``P_j = E_0 Z_1(q_1) E_1 ... Z_j(q_j) E_j`` (..., n+1, 4, 4), the last of which is the tool."""
+    """Return ``P_j = E_0 Z_1(q_1) E_1 ... Z_j(q_j) E_j`` (..., n+1, 4, 4); the last is the tool."""
     links = chain.link_transforms(q)
     P = np.empty((*links.shape[:-3], len(frames), 4, 4))
     P[..., 0, :, :] = frames[0]
@@ -217,7 +218,7 @@ def frame_poses(chain: Chain, frames: np.ndarray, q: ArrayLike) -> np.ndarray:
 
 
 def twist_jacobian(P: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return (..., 6, m, 6), how a point (..., 3) moves with body twists of the frames P (..., m, 4, 4) before it."""
+    """Return the Jacobian (..., 6, m, 6) of a point (..., 3) with respect to body twists of frames P (..., m, 4, 4)."""
     R = P[..., :3, :3].swapaxes(-2, -3)
     lever = point[..., None, :] - P[..., :3, 3]
     x, y, z = lever[..., 0, None], lever[..., 1, None], lever[..., 2, None]

@@ -1,4 +1,4 @@
-"""Inverse kinematics: joint positions that put the tool at a pose; its tasks, objectives and result."""
+"""Inverse kinematics for one pose or a batch: solver, tasks, objectives and result."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from armlab.robots import Robot
 REASONS = ("solved", "out of reach", "limits", "singular", "iterations", "bound")
 _TEXTS = np.array(REASONS)
 _EXPLANATIONS = {
-    "out of reach": "no posture that was tried comes nearer, with or without limits of revolute joints",
-    "limits": "a posture outside the joint limits gets there, none was found inside",
-    "singular": "from the start only a singular posture is reached, where no joint reduces the error",
-    "iterations": "the steps ended while the error was still falling",
-    "bound": "no joint may move further from the start",
+    "out of reach": "no start came closer, with or without the limits of revolute joints",
+    "limits": "only postures outside the joint limits reach the goal",
+    "singular": "the only start ended at a singular posture, where no joint reduces the error",
+    "iterations": "the error was still falling at the iteration limit",
+    "bound": "every joint has reached its largest step from the start",
 }
 Task = Literal["pose", "position", "axis", "direction"]
 Objective = Literal["posture", "mid_range", "limits", "manipulability"]
 ROWS = dict(zip(get_args(Task), (6, 3, 5, 2)))
-MOST_STEPS = 10**6  # from one start; a history of them takes 16 MB per goal
+MOST_STEPS = 10**6  # per start; a history of this length takes 16 MB per goal
 _KINDS = dict(zip(get_args(Objective), (1, 1, 2, 3)))
 _INTEGER, _NUMBER = (int, np.integer), (int, float, np.integer, np.floating)
 
@@ -47,53 +47,54 @@ def inverse(
     history: bool = False,
     strict: bool = False,
 ) -> IkSolution:
-    """Return joint positions within the limits that put the tool at given poses.
+    """Return joint positions within the limits that place the tool at given poses.
 
     Levenberg-Marquardt steps ``dq = J^T (J J^T + lambda I)^-1 e`` with ``lambda = damping |e|^2`` and
-    ``e = [p_goal - p; log(R_goal R^T)]``, metres weighted by three over the length of the arm; joints that would leave
-    their limits stop there and the others make up for them. A start that stalls is given up, and the next comes from a
-    table of random postures: those whose tool is nearest to the goal first. No result is ever outside the limits.
+    ``e = [p_goal - p; log(R_goal R^T)]``, metres scaled by three over the length of the arm. Joints that would leave
+    their limits are held there while the other joints compensate. If the search stalls, the next start is taken from a
+    table of random postures, nearest tool first. The result is always within the limits.
 
     Parameters
     ----------
     robot : the arm.
     T_base_tool : (..., 4, 4) goals: poses of the tool in the base.
-    q0 : (n,) or (..., n) where to start [rad or m], one posture or one per goal; moved to the limits if outside. None:
-        from the home posture or a random one, whichever has its tool nearer to the goal.
-    task : what is asked for: the "pose"; the "position" of the tool point; the position and the direction of an "axis"
-        of the tool; or the "direction" of that axis alone.
-    axis : (3,) that axis, in tool axes.
-    objective : what is made least, from the solution on along its self-motion, with the joints that the task leaves
-        free. With r half the range of a joint about its middle m:
+    q0 : (n,) or (..., n) initial guess [rad or m], one posture or one per goal; clipped to the limits. None: the home
+        posture or a random one, whichever has its tool closer to the goal.
+    task : "pose"; "position" of the tool point; position and direction of an "axis" of the tool; or the "direction" of
+        that axis alone.
+    axis : (3,) axis of these tasks, in tool axes.
+    objective : function to minimise along the self-motion, with the joints that the task leaves free. With r half the
+        range of a joint about its middle m:
         "posture" ``sum of (q - posture)^2 / 2``;
         "mid_range" ``sum of ((q - m) / r)^2 / 2``;
-        "limits" the largest ``|q - m| / r``, made smooth: ``log(sum of exp(s x) + exp(-s x)) / s`` with s = 1000, and a
+        "limits" the largest ``|q - m| / r``, smoothed: ``log(sum of exp(s x) + exp(-s x)) / s`` with s = 1000, plus a
         thousandth of "mid_range";
         "manipulability" ``-log(det(J J^T)) / 2`` of the rows of the task.
-    posture : (n,) or (..., n) that posture, with the objective "posture" only; None: `q0`, or the home posture.
-    tol : largest errors of a solution: of position [m] and of rotation [rad], one number for both or a pair.
-    maxiter : most steps from one start, 0 to 1 000 000; where all starts fail, the best goes on for as many again.
-    starts : most starts; 1 keeps to `q0`.
-    damping : lambda over the squared error (ikinePOE's lambda); it grows by 8 when steps fail.
-    seed : of the random postures; the same seed gives the same answers, in a batch and one by one.
-    threads : 1 to 256, over the goals; any number gives the same result.
+    posture : (n,) or (..., n) target of the objective "posture", and for it only; None: `q0`, or the home posture.
+    tol : tolerance of position [m] and of rotation [rad], one number for both or a pair.
+    maxiter : iterations per start, 0 to 1 000 000; if all starts fail, the best continues for as many again.
+    starts : maximum number of starts; 1: only `q0`.
+    damping : lambda over the squared error (ikinePOE's lambda); it grows by 8 after a failed step.
+    seed : seed of the random postures; results are reproducible, in a batch and one by one.
+    threads : number of threads over the goals, 1 to 256; the result does not depend on it.
     history : keep the errors along the descent that gave the result.
-    strict : raise instead of returning a result that is not a solution.
+    strict : raise an exception if a goal is not solved.
 
     Returns
     -------
-    IkSolution with arrays of the shape of the batch; without a solution, the posture with the least error and why.
+    IkSolution with arrays of the batch shape; for unsolved goals, it holds the posture with the smallest error and the
+    reason.
 
     Raises
     ------
     ShapeError
-        When a goal is not a pose or not finite (its index is reported), or `q0`, `axis` or `posture` does not fit.
-    UnknownName : when there is no such task or objective.
-    RobotError : when something else comes in place of a robot, such as its name.
-    ConfigError : when `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of its range, or a
-        posture comes without its objective.
+        If a goal is not a pose or not finite (its index is reported), or `q0`, `axis` or `posture` does not match.
+    UnknownName : if `task` or `objective` is unknown.
+    RobotError : if `robot` is not a `Robot`.
+    ConfigError : if `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of range, or `posture` is given
+        without its objective.
     NotConverged
-        With `strict`, when a goal is not solved; `best` is the `IkSolution`.
+        With `strict`, if a goal is not solved; `best` is the `IkSolution`.
 
     References
     ----------
@@ -121,7 +122,7 @@ def inverse(
 
 @dataclass(frozen=True, eq=False)
 class IkSolution:
-    """Joint positions for one goal or a batch of goals; arrays are read-only, and scalars for one goal.
+    """Joint positions for one goal or a batch of goals; arrays are read-only, scalars for one goal.
 
     Attributes
     ----------
@@ -129,18 +130,18 @@ class IkSolution:
     success : (...) whether the errors are within the tolerance.
     position_error : (...) distance from tool point to goal [m]; NaN when the task is a direction.
     rotation_error : (...) angle to the goal, of the tool or of its axis [rad]; NaN when the task is a position.
-    iterations : (...) steps of all starts together.
-    starts : (...) starts that were tried.
-    reason : (...) "solved", or why not:
-        "out of reach" further from the first joint than the links are long, or all starts, also without the limits of
-        revolute joints, ended where no joint reduces the error;
-        "limits" a posture outside the limits gets there, none was found inside;
-        "singular" the only start ended at a singular posture, where no joint reduces the error;
-        "iterations" the error was still falling when the steps ended.
-    slope : (...) length of the gradient of the objective that is left along the self-motion of the joints that are not
-        at a limit; NaN without an objective or a solution.
-    history : (..., maxiter + 1, 2) least errors so far [m, rad] after each step of the descent that gave `q` (of the
-        best start going on, where all have failed), NaN after its end; None unless asked for.
+    iterations : (...) iterations of all starts together.
+    starts : (...) number of starts used.
+    reason : (...) "solved", or the cause of failure:
+        "out of reach" the goal is further from the first joint than the links are long, or every start, even without
+        the limits of revolute joints, ended where no joint reduces the error; "limits" only postures outside the limits
+        reach the goal; "singular" an error below 1e-4 rad remains near a singular posture after second-order steps, or
+        the only start ended at one; `position_error` and `rotation_error` give its size; "iterations" the error was
+        still falling at the iteration limit.
+    slope : (...) gradient norm of the objective along the self-motion of the joints inside their limits; NaN without an
+        objective or a solution.
+    history : (..., maxiter + 1, 2) least errors so far [m, rad] after each step of the descent that gave `q` (if all
+        starts failed: of the continued best start), NaN after its end; None unless requested.
     """
 
     q: np.ndarray
@@ -154,7 +155,7 @@ class IkSolution:
     history: np.ndarray | None
 
     def report(self) -> str:
-        """Return one sentence: how many goals are solved and how well, or what is in the way."""
+        """Return one sentence with the number of solved goals and their errors, or the causes of failure."""
         if np.ndim(self.success) == 0:
             return self._one()
         count, solved = np.size(self.success), int(np.sum(self.success))
@@ -201,7 +202,7 @@ def _errors(position: np.ndarray, rotation: np.ndarray) -> str:
 
 
 def check_task(robot: object, task: str, objective: str | None) -> None:
-    """Refuse names that are none, and what is no robot."""
+    """Reject unknown names and anything that is not a robot."""
     if not isinstance(task, str) or task not in ROWS:
         raise UnknownName.among("task of inverse kinematics", task, ROWS)
     if objective is not None and (not isinstance(objective, str) or objective not in _KINDS):
@@ -211,7 +212,7 @@ def check_task(robot: object, task: str, objective: str | None) -> None:
 
 
 def check_search(tol: Any, maxiter: Any, starts: Any, damping: Any) -> tuple[float, float]:
-    """Return the tolerances of position and rotation; refuse numbers that make no sense."""
+    """Validate the search options; return the tolerances of position and rotation."""
     if not (isinstance(maxiter, _INTEGER) and 0 <= maxiter <= MOST_STEPS):
         raise ConfigError(f"Expected maxiter to be an integer from 0 to {MOST_STEPS}, got {maxiter!r}.")
     if not (isinstance(starts, _INTEGER) and 1 <= starts < 2**31):
@@ -228,12 +229,12 @@ def kernel_objective(
     robot: Robot, name: Objective | None, posture: ArrayLike | None, q0: ArrayLike | None
 ) -> tuple[int, ArrayLike | None, np.ndarray | None]:
     if posture is not None and name != "posture":
-        raise ConfigError(f'Expected objective="posture" with a posture, got objective={name!r}. Leave one out.')
+        raise ConfigError(f'Expected objective="posture" with a posture, got objective={name!r}. Omit one.')
     if name is None or name == "manipulability":
         return _KINDS.get(name or "", 0), None, None
     if name == "posture":
         wanted = next((given for given in (posture, q0) if given is not None), robot.q_home)
         return _KINDS[name], wanted, np.ones(robot.n)
     ranges = (robot.q_max - robot.q_min) / 2.0
-    limited = np.isfinite(ranges)  # a joint without limits may be anywhere
+    limited = np.isfinite(ranges)  # a joint without limits has no middle
     return _KINDS[name], np.where(limited, robot.q_max - ranges, 0.0), np.where(limited, 1.0 / ranges, 0.0)

@@ -1,7 +1,4 @@
-"""Inverse kinematics along a path: joint positions that lead the tool through poses on one branch.
-
-Detours of redundant arms: earlier rows are chosen anew, so that the path does not break where it did.
-"""
+"""Inverse kinematics along a path of poses on one branch; redundant arms make detours around breaks."""
 
 from __future__ import annotations
 
@@ -19,12 +16,12 @@ from armlab.kinematics.inverse import REASONS, ROWS, Objective, Task, check_sear
 from armlab.robots import Robot
 
 _TEXTS = np.array(["jump" if reason == "bound" else reason for reason in REASONS])
-ATTEMPTS = 10  # breaks of a path that detours are looked for
-CANDIDATES = 32  # starts of solutions at a break: one half near the row before, the other anywhere
-SPREAD = 0.6  # rad: standard deviation of those near the row before
+ATTEMPTS = 10  # breaks per path for which detours are tried
+CANDIDATES = 32  # starts at a break: half near the previous row, half anywhere
+SPREAD = 0.6  # rad: standard deviation of the starts near the previous row
 LOOK_BACK, LOOK_AHEAD = 1000, 1000  # rows
-NEAR = 1  # the objective of the kernel: near a posture
-TOGETHER = 1e-6  # rad: postures that are one
+NEAR = 1  # kernel objective "posture"
+TOGETHER = 1e-6  # rad: postures closer than this are equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,19 +31,19 @@ class IkPath:
     Attributes
     ----------
     q : (N, n) joint positions, always within the limits.
-    success : (N,) whether the pose is reached, by a step from the row before that the joints may take. A path with
-        success in all rows can be driven.
+    success : (N,) whether the pose is reached by a step within `max_step`. A path with success in all rows can be
+        executed.
     position_error : (N,) distance from tool point to goal [m]; NaN when the task is a direction.
     rotation_error : (N,) angle to the goal, of the tool or of its axis [rad]; NaN when the task is a position.
-    reason : (N,) "solved", or why the path breaks at this row. When the errors are within the tolerance all the same,
-        `q` is where it can go on; otherwise it is the posture with the least error.
-        "out of reach" further from the first joint than the links are long;
+    reason : (N,) "solved", or why the path breaks at this row. If the errors are within the tolerance, `q` is where the
+        path continues; otherwise it is the posture with the least error.
+        "out of reach" the pose is further from the first joint than the links are long;
         "limits" a joint is at its limit;
         "singular" no joint reduces the error;
-        "jump" on this branch, but further from the row before than a joint may move;
-        "iterations" the error was still falling when the steps ended.
-    branch_changes : (k,) indices of the rows that go on from another branch. Each breaks the path.
-    iterations : (N,) steps of the descent.
+        "jump" on this branch, but beyond `max_step` from the previous row;
+        "iterations" the error was still falling at the iteration limit.
+    branch_changes : (k,) indices of the rows that continue on another branch. Each breaks the path.
+    iterations : (N,) iterations of the descent.
     """
 
     q: np.ndarray
@@ -61,16 +58,16 @@ class IkPath:
         make_read_only(self, *vars(self))
 
     def report(self) -> str:
-        """Return one sentence: how far the path goes, and what is in the way where it breaks."""
+        """Return one sentence with the reached part of the path and the causes of breaks."""
         count, breaks = len(self.q), np.flatnonzero(~self.success)
         if not len(breaks):
             return f"All {count} poses reached on one branch."
         names, numbers = np.unique(self.reason[breaks], return_counts=True)
         causes = ", ".join(f"{number} {name}" for name, number in zip(names, numbers))
         text = f"{count - len(breaks)} of {count} poses reached; the path breaks at index {breaks[0]} "
-        text += f"({self.reason[breaks[0]]}; in all: {causes})"
+        text += f"({self.reason[breaks[0]]}; in total: {causes})"
         if len(self.branch_changes):
-            text += f"; it goes on from another branch at index {', '.join(map(str, self.branch_changes[:10]))}"
+            text += f"; it continues on another branch at index {', '.join(map(str, self.branch_changes[:10]))}"
             text += " and later" if len(self.branch_changes) > 10 else ""
         return text + "."
 
@@ -94,27 +91,27 @@ def inverse_path(
     damping: float = 0.1,
     strict: bool = False,
 ) -> IkPath:
-    """Return joint positions that lead the tool through poses, on one branch.
+    """Return joint positions that move the tool through poses on one branch.
 
-    Every pose is solved as by `inverse`, from the row before and its last step: joints stay on their branch, and go
-    through a singular posture as they came into it. Near one, damping and the largest step bound what they do, and
-    random starts about the row before find what the descent does not. Where a path breaks, the row says why, and the
-    path goes on: on the same branch further away, or else on another one, whose index is reported.
+    Every pose is solved as in `inverse`, starting from the previous row and its last step. Joints therefore stay on
+    their branch and pass through singular postures in their incoming direction. Near singular postures, damping and the
+    largest step bound the joint motion; random starts around the previous row help if the descent stalls. If a path
+    breaks, the row holds the reason. The path then continues further along the same branch, or on another branch, whose
+    index is reported.
 
     Parameters
     ----------
     robot : the arm.
-    T_base_tool : (N, 4, 4) poses of the tool in the base, one after the other.
-    q0 : (n,) the first row is the solution next to this posture [rad or m]. None: next to the home posture or to a
-        random one.
-    max_step : how far a joint may move from row to row [rad or m], one number or (n,), for example the fastest speed
-        times the period. None: 0.05 rad and five times the length of the pose step (in rad; metres count three over the
-        length of the arm).
-    objective, posture : as in `inverse`, for every row. None: least motion from row to row, after which a closed path
-        may end in another posture than it began with. With an objective rows depend on their pose alone, as long as its
-        minimum does not jump, and a closed path closes in the joints.
-    task, axis, tol, maxiter, starts, damping : as in `inverse`; the starts are those of a search for another branch.
-    strict : raise at a path that breaks.
+    T_base_tool : (N, 4, 4) consecutive poses of the tool in the base.
+    q0 : (n,) posture near the first row [rad or m]. None: the home posture or a random one.
+    max_step : largest joint step between rows [rad or m], one number or (n,), for example the fastest speed times the
+        period. None: 0.05 rad plus five times the length of the pose step (in rad; metres count three over the length
+        of the arm).
+    objective, posture : as in `inverse`, for every row. None: least motion between rows; a closed path may then end in
+        another posture than it began with. With an objective, each row depends only on its pose as long as the minimum
+        does not jump, and a closed path also closes in the joints.
+    task, axis, tol, maxiter, starts, damping : as in `inverse`; the starts serve the search for another branch.
+    strict : raise an exception if the path breaks.
 
     Returns
     -------
@@ -122,13 +119,13 @@ def inverse_path(
 
     Raises
     ------
-    ShapeError : when the poses are not (N, 4, 4), one is not a pose or not finite, or another argument does not fit.
-    UnknownName : when there is no such task or objective.
-    RobotError : when something else comes in place of a robot, such as its name.
+    ShapeError : if the poses are not (N, 4, 4), one is not a pose or not finite, or another argument does not match.
+    UnknownName : if `task` or `objective` is unknown.
+    RobotError : if `robot` is not a `Robot`.
     ConfigError
-        When `tol`, `maxiter`, `starts` or `damping` is out of its range, or a posture comes without its objective.
+        If `tol`, `maxiter`, `starts` or `damping` is out of range, or `posture` is given without its objective.
     NotConverged
-        With `strict`, when the path breaks; `best` is the `IkPath`.
+        With `strict`, if the path breaks; `best` is the `IkPath`.
     """
     from armlab.kernels import follow_path
 
@@ -173,14 +170,14 @@ def _change(robot: Robot, max_step: float | ArrayLike | None) -> np.ndarray | No
         change = np.full(1, np.nan)
     if change.shape not in ((robot.n,), ()) or not (change >= 0.0).all():
         raise ShapeError(
-            f"Expected max_step to be a number of at least 0 or {robot.n} of them, one per joint, got "
+            f"Expected max_step to be one number or {robot.n} numbers (one per joint) of at least 0, got "
             f"{shortened(max_step)}."
         )
     return np.broadcast_to(change, robot.n)
 
 
 class Rows(NamedTuple):
-    """What the kernel returns: postures (N, n), errors (N, 3), counts (N, 3) (steps, status, other branch)."""
+    """Kernel result: postures (N, n), errors (N, 3), counts (N, 3) (steps, status, other branch)."""
 
     q: np.ndarray
     errors: np.ndarray
@@ -190,13 +187,13 @@ class Rows(NamedTuple):
 Follow = Callable[[np.ndarray, np.ndarray, int, np.ndarray | None, np.ndarray | None], Rows]
 """(T, q0, objective, its reference, its scale) -> rows"""
 Solve = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""(T (4, 4), q0 (k, n)) -> solutions (k, n), which of them are some (k,)"""
+"""(T (4, 4), q0 (k, n)) -> solutions (k, n), success (k,)"""
 
 
 def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve: Solve) -> Rows:
-    """Return `rows` with detours around the breaks for which there are some, if fewer rows break then."""
+    """Return `rows` with detours around breaks if these reduce the number of broken rows."""
     rng = np.random.default_rng(0)
-    given_up = 0  # breaks up to this row stay
+    given_up = 0  # breaks up to this row are final
     best = rows
     for _ in range(ATTEMPTS):
         broken = rows.counts[:, 1] != 0
@@ -217,7 +214,7 @@ def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve:
 
 
 def _best(T: np.ndarray, rows: Rows, k: int, follow: Follow, solutions: tuple[np.ndarray, np.ndarray]) -> Rows | None:
-    """Return rows that end at row k and begin where they meet the path; of several those that lead furthest."""
+    """Return the detour up to row k (from the row where it leaves the path) that leads furthest beyond k."""
     best, furthest, seen = None, -1, []
     before = slice(k - 1, max(0, k - LOOK_BACK) - 1 if k > LOOK_BACK else None, -1)
     for q in solutions[0][solutions[1]]:
@@ -228,7 +225,7 @@ def _best(T: np.ndarray, rows: Rows, k: int, follow: Follow, solutions: tuple[np
         back = follow(np.concatenate([T[k : k + 1], T[before]]), q, NEAR, wishes, np.ones(len(q)))
         whole = np.logical_and.accumulate(back.counts[:, 1] == 0)
         meets = np.flatnonzero(whole & (np.abs(back.q - wishes).max(axis=1) < TOGETHER))
-        if len(meets) < 2:  # the first is its own wish
+        if len(meets) < 2:  # the first row always meets itself
             continue
         ahead = follow(T[k : k + LOOK_AHEAD], q, 0, None, None).counts[:, 1]
         goes = int(np.argmax(ahead != 0)) if ahead.any() else len(ahead)
@@ -238,6 +235,6 @@ def _best(T: np.ndarray, rows: Rows, k: int, follow: Follow, solutions: tuple[np
 
 
 def _replaced(rows: Rows, k: int, detour: Rows, ahead: Rows) -> Rows:
-    """Return the rows with the detour up to row k, and what follows from it."""
+    """Return the rows with the detour up to row k and the rows that continue it."""
     start = k - len(detour.q) + 1
     return Rows(*(np.concatenate([old[:start], new, rest[1:]]) for old, new, rest in zip(rows, detour, ahead)))

@@ -1,4 +1,4 @@
-"""Arguments of what is not compiled. NaN passes: what is missing stays missing."""
+"""Argument checks for the functions that are not compiled. NaN is accepted, so missing values remain missing."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import ShapeError
 
-ROTATION_TOLERANCE = 1e-6
+ROTATION_TOLERANCE = 1e-5
 
 
 def array(value: ArrayLike, tail: tuple[int, ...], name: str) -> np.ndarray:
-    """Return `value` as float64, refusing a shape that does not end with `tail`."""
+    """Return `value` as float64; raise unless its shape ends with `tail`."""
     try:
         result = np.asarray(value)
     except (TypeError, ValueError):
@@ -19,7 +19,7 @@ def array(value: ArrayLike, tail: tuple[int, ...], name: str) -> np.ndarray:
     if result is None or not np.can_cast(result.dtype, np.float64, "safe"):
         raise ShapeError(
             f"Expected {name} to be an array of real numbers, got {type(value).__name__} that does not convert to "
-            "float64. Give a NumPy array or nested lists of equal length."
+            "float64. Pass a NumPy array or nested lists of equal length."
         )
     if result.shape[max(result.ndim - len(tail), 0) :] != tail:
         raise ShapeError(f"Expected {name} of shape ({', '.join(['...', *map(str, tail)])}), got {result.shape}.")
@@ -27,7 +27,9 @@ def array(value: ArrayLike, tail: tuple[int, ...], name: str) -> np.ndarray:
 
 
 def broadcasts(**arguments: tuple[np.ndarray, int]) -> None:
-    """Refuse arguments, told with the number of axes of one element, whose leading axes do not broadcast."""
+    """Raise unless the leading axes of the arguments broadcast; each argument is given with the number of axes of one
+    element.
+    """
     try:
         np.broadcast_shapes(*(value.shape[: value.ndim - axes] for value, axes in arguments.values()))
     except ValueError:
@@ -37,14 +39,16 @@ def broadcasts(**arguments: tuple[np.ndarray, int]) -> None:
 
 def last_row(T: np.ndarray, name: str) -> None:
     off = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(axis=-1)
-    bad = (off > 0) | (np.isnan(off) & ~np.isnan(T[..., :3, :]).any(axis=(-1, -2)))  # a NaN here alone would vanish
+    bad = (off > 0) | (
+        np.isnan(off) & ~np.isnan(T[..., :3, :]).any(axis=(-1, -2))
+    )  # a NaN only in the last row must not pass
     if bad.any():
-        raise ShapeError(f"Expected (0, 0, 0, 1) as the last row of {name}, got one off by {off[bad].max():.3g}.")
+        raise ShapeError(f"Expected (0, 0, 0, 1) as the last row of {name}, got an error of {off[bad].max():.3g}.")
 
 
 def tolerance(value: float) -> float:
-    """Return a tolerance, refusing what is no number from 0 on."""
+    """Return a tolerance; raise unless it is one number >= 0."""
     number = array(value, (), "tolerance")
     if number.ndim or not number >= 0.0:
-        raise ShapeError(f"Expected a tolerance of one number from 0 on, got {value!r}. 1e-6 is the usual one.")
+        raise ShapeError(f"Expected a tolerance >= 0, got {value!r}. The default is 1e-5.")
     return float(number)

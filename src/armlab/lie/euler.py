@@ -1,6 +1,6 @@
-"""Roll, pitch, yaw in the conventions zyx (ABB), xyz (Nikon) and zyz, and turns about one axis.
+"""Roll, pitch, yaw in the conventions zyx (ABB), xyz (Nikon) and zyz, and rotations about one axis.
 
-With angles (r, p, y) a convention names the axes in the order of the product: zyx is ``Rz(r) Ry(p) Rx(y)``.
+With angles (r, p, y), a convention lists the axes in the order of the product: zyx is ``Rz(r) Ry(p) Rx(y)``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ AXES = {"zyx": (2, 1, 0), "xyz": (0, 1, 2), "zyz": (2, 1, 2)}
 
 
 def rot_x(angle: ArrayLike) -> np.ndarray:
-    """Return the turn about x.
+    """Return the rotation about x.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def rot_x(angle: ArrayLike) -> np.ndarray:
 
 
 def rot_y(angle: ArrayLike) -> np.ndarray:
-    """Return the turn about y.
+    """Return the rotation about y.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def rot_y(angle: ArrayLike) -> np.ndarray:
 
 
 def rot_z(angle: ArrayLike) -> np.ndarray:
-    """Return the turn about z.
+    """Return the rotation about z.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def rot_z(angle: ArrayLike) -> np.ndarray:
 
 
 def from_rpy(rpy: ArrayLike, convention: Convention, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the rotation ``R_1(r) R_2(p) R_3(y)`` about the axes that the convention names.
+    """Return the rotation ``R_1(r) R_2(p) R_3(y)`` about the axes of the convention.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def from_rpy(rpy: ArrayLike, convention: Convention, out: np.ndarray | None = No
 
     Raises
     ------
-    UnknownName : when the convention does not exist.
+    UnknownName : the convention does not exist.
     """
     return kernels.euler_from_rpy(rpy, *_axes(convention), out)
 
@@ -86,8 +86,9 @@ def from_rpy(rpy: ArrayLike, convention: Convention, out: np.ndarray | None = No
 def to_rpy(R: ArrayLike, convention: Convention, out: np.ndarray | None = None) -> np.ndarray:
     """Return the angles with ``from_rpy(to_rpy(R, c), c) = R``.
 
-    The middle angle is in [-π/2, π/2] for zyx and xyz, in [0, π] for zyz. Where the first and the last axis are
-    parallel (gimbal lock) only their sum or difference is determined: the first angle is 0, the last takes it all.
+    The middle angle is in [-π/2, π/2] for zyx and xyz, and in [0, π] for zyz. If the first and the last axis are
+    parallel (gimbal lock), only their sum or difference is determined; the first angle is then 0, and the last is the
+    sum or difference.
 
     Parameters
     ----------
@@ -101,8 +102,8 @@ def to_rpy(R: ArrayLike, convention: Convention, out: np.ndarray | None = None) 
 
     Raises
     ------
-    ShapeError : when R is not a rotation within `so3.ROTATION_TOLERANCE`.
-    UnknownName : when the convention does not exist.
+    ShapeError : R is not a rotation within `so3.ROTATION_TOLERANCE`.
+    UnknownName : the convention does not exist.
     """
     return kernels.euler_to_rpy(R, *_axes(convention), out)
 

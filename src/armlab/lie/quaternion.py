@@ -1,6 +1,6 @@
 """Unit quaternions wxyz as arrays (..., 4).
 
-q and -q are one rotation. Every function takes any leading axes and keeps them. NaN gives NaN.
+q and -q represent the same rotation. Every function accepts and preserves any leading axes. NaN gives NaN.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from armlab.lie import arguments
 __all__ = ["conjugate", "continuous", "from_matrix", "multiply", "slerp", "to_matrix"]
 
 UNIT_TOLERANCE = 1e-3
-"""Largest error of a quaternion's length that is normalised away; data with three decimals pass."""
+"""Largest error of a quaternion's norm that is removed by normalisation; data with three decimals are accepted."""
 
 
 def from_matrix(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the quaternion of a rotation with w ≥ 0; at a half turn the first component that is not zero is positive.
+    """Return the quaternion of a rotation with w ≥ 0; at a half turn, the first non-zero component is positive.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def from_matrix(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when R is not a rotation within `so3.ROTATION_TOLERANCE`.
+    ShapeError : R is not a rotation within `so3.ROTATION_TOLERANCE`.
 
     Reference: S. W. Shepperd, Quaternion from rotation matrix, J. Guidance and Control 1(3), 1978: divide by the
     largest component, never by a small one.
@@ -54,7 +54,7 @@ def to_matrix(quaternion: ArrayLike, out: np.ndarray | None = None) -> np.ndarra
 
     Raises
     ------
-    ShapeError : when its length is not 1.
+    ShapeError : the norm is not 1.
     """
     return kernels.quaternion_to_matrix(quaternion, out)
 
@@ -89,21 +89,21 @@ def conjugate(quaternion: ArrayLike) -> np.ndarray:
 
 
 def slerp(a: ArrayLike, b: ArrayLike, s: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Turn from a to b along the shorter arc at constant speed: ``(a sin((1-s)Ω) ± b sin(sΩ)) / sin Ω``.
+    """Interpolate from a to b along the shorter arc at constant speed: ``(a sin((1-s)Ω) ± b sin(sΩ)) / sin Ω``.
 
     Parameters
     ----------
     a, b : (..., 4) wxyz, unit; leading axes broadcast with those of s.
-    s : (...) 0 at a, 1 at b; beyond them the turn goes on.
+    s : (...) 0 at a, 1 at b; other values extrapolate.
     out : (..., 4) array to write into.
 
     Returns
     -------
-    (..., 4) unit, on the side of a.
+    (..., 4) unit quaternion in the hemisphere of a.
 
     Raises
     ------
-    ShapeError : when a length is not 1.
+    ShapeError : a norm is not 1.
 
     Reference: K. Shoemake, Animating rotation with quaternion curves, SIGGRAPH 1985.
     """
@@ -111,9 +111,10 @@ def slerp(a: ArrayLike, b: ArrayLike, s: ArrayLike, out: np.ndarray | None = Non
 
 
 def continuous(quaternion: ArrayLike) -> np.ndarray:
-    """Choose the signs along axis 0 so that neighbours are on one side: ``q[k] · q[k-1] ≥ 0``.
+    """Choose the signs along axis 0 so that consecutive quaternions are in one hemisphere: ``q[k] · q[k-1] ≥ 0``.
 
-    The first keeps its sign. Missing samples (NaN) stay missing and the next one follows the last that was there.
+    The first quaternion keeps its sign. Missing samples (NaN) remain missing; the next sample follows the last valid
+    one.
 
     Parameters
     ----------
@@ -125,7 +126,7 @@ def continuous(quaternion: ArrayLike) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when there is no time axis.
+    ShapeError : no time axis.
     """
     q = arguments.array(quaternion, (4,), "quaternion")
     if q.ndim < 2:

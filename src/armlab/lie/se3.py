@@ -1,6 +1,6 @@
 """Poses SE(3) as arrays (..., 4, 4) and twists [v; w] (..., 6).
 
-Every function takes any leading axes and keeps them. NaN gives NaN.
+Every function accepts and preserves any leading axes. NaN gives NaN.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from armlab.lie import arguments, so3
 
 __all__ = [
     "ad", "adjoint", "adjoint_inv", "exp", "from_angular_first", "from_rp", "hat", "interpolate", "inv", "is_pose",
-    "left_jacobian", "left_jacobian_inv", "log", "mean", "project", "to_angular_first", "transform_wrench", "vee",
+    "left_jacobian", "left_jacobian_inv", "log", "mean", "orthonormalise", "project", "to_angular_first",
+    "transform_wrench", "vee",
 ]  # fmt: skip
 
 PATHS = ("linear", "screw")
@@ -37,7 +38,7 @@ def from_rp(R: ArrayLike, p: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when R is not a rotation within `so3.ROTATION_TOLERANCE`, or leading axes do not broadcast.
+    ShapeError : R is not a rotation within `so3.ROTATION_TOLERANCE`, or leading axes do not broadcast.
     """
     R, p = kernels.rotations(R, "R"), arguments.array(p, (3,), "p")
     arguments.broadcasts(R=(R, 2), p=(p, 1))
@@ -63,7 +64,7 @@ def hat(xi: ArrayLike) -> np.ndarray:
 
 
 def vee(X: ArrayLike) -> np.ndarray:
-    """Return the twist of its matrix: ``vee(hat(xi)) = xi``.
+    """Return the twist of a twist matrix: ``vee(hat(xi)) = xi``.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def vee(X: ArrayLike) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when X is not a twist matrix; for a pose use `log`.
+    ShapeError : X is not a twist matrix; for a pose use `log`.
     """
     X = arguments.array(X, (4, 4), "X")
     if (X[..., 3, :] != 0).any():
@@ -99,7 +100,7 @@ def exp(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def log(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the twist of least turn: ``exp(log(T)) = T``, abs(w) ≤ π.
+    """Return the twist with the smallest rotation: ``exp(log(T)) = T``, abs(w) ≤ π.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ def log(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when T is not a pose within `so3.ROTATION_TOLERANCE`.
+    ShapeError : T is not a pose within `so3.ROTATION_TOLERANCE`.
     """
     return kernels.se3_log(T, out)
 
@@ -131,7 +132,7 @@ def inv(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when T is not a pose within `so3.ROTATION_TOLERANCE`.
+    ShapeError : T is not a pose within `so3.ROTATION_TOLERANCE`.
     """
     return kernels.se3_inv(T, out)
 
@@ -158,7 +159,7 @@ def ad(xi: ArrayLike) -> np.ndarray:
 
 
 def adjoint(T_a_b: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return Ad with ``twist_a = Ad twist_b``: ``[[R, hat(p) R], [0, R]]``; ``hat(Ad xi) = T hat(xi) T⁻¹``.
+    """Return the matrix Ad with ``twist_a = Ad twist_b``: ``[[R, hat(p) R], [0, R]]``; ``hat(Ad xi) = T hat(xi) T⁻¹``.
 
     Parameters
     ----------
@@ -171,7 +172,7 @@ def adjoint(T_a_b: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when T_a_b is not a pose within `so3.ROTATION_TOLERANCE`.
+    ShapeError : T_a_b is not a pose within `so3.ROTATION_TOLERANCE`.
     """
     return kernels.se3_adjoint(T_a_b, out)
 
@@ -189,15 +190,16 @@ def adjoint_inv(T_a_b: ArrayLike) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when T_a_b is not a pose within `so3.ROTATION_TOLERANCE`.
+    ShapeError : T_a_b is not a pose within `so3.ROTATION_TOLERANCE`.
     """
     return adjoint(inv(T_a_b))
 
 
 def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return a wrench in another frame, power kept: ``f_a = R f_b``, ``m_a = R m_b + p × f_a``.
+    """Return a wrench in another frame: ``f_a = R f_b``, ``m_a = R m_b + p × f_a``; power is invariant.
 
-    Axes and moment point change together: the moment of `wrench_b` is about b's origin, the result's about a's.
+    Axes and moment point change together: the moment of `wrench_b` is about the origin of b, and that of the result
+    about the origin of a.
 
     Parameters
     ----------
@@ -211,13 +213,13 @@ def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike, out: np.ndarray | No
 
     Raises
     ------
-    ShapeError : when T_a_b is not a pose within `so3.ROTATION_TOLERANCE`.
+    ShapeError : T_a_b is not a pose within `so3.ROTATION_TOLERANCE`.
     """
     return kernels.se3_transform_wrench(T_a_b, wrench_b, out)
 
 
 def is_pose(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarray:
-    """Tell which matrices are poses: a rotation, a finite position and the last row (0, 0, 0, 1).
+    """Return whether each matrix is a pose, with a rotation, a finite position and the last row (0, 0, 0, 1).
 
     Parameters
     ----------
@@ -230,15 +232,37 @@ def is_pose(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarr
 
     Raises
     ------
-    ShapeError : another shape, a tolerance that is no number from 0 on.
+    ShapeError : wrong shape, or a tolerance that is not a number >= 0.
     """
     T = arguments.array(T, (4, 4), "T")
     last_row = (T[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all(axis=-1)
     return so3.is_rotation(T[..., :3, :3], tolerance) & np.isfinite(T[..., :3, 3]).all(axis=-1) & last_row
 
 
+def orthonormalise(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarray:
+    """Return poses with rounded rotations orthonormalised (`so3.orthonormalise`) and unchanged positions.
+
+    Parameters
+    ----------
+    T : array_like, shape (..., 4, 4)
+    tolerance : float
+        Largest entry of ``abs(RᵀR - I)`` that counts as rounding.
+
+    Returns
+    -------
+    T : array, shape (..., 4, 4)
+
+    Raises
+    ------
+    ShapeError : wrong shape, or a tolerance that is not a number >= 0.
+    """
+    T = arguments.array(T, (4, 4), "T").copy()
+    T[..., :3, :3] = so3.orthonormalise(T[..., :3, :3], tolerance)
+    return T
+
+
 def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pose with the rotation nearest to that of a matrix and the same position, and the distance moved.
+    """Return the pose with the nearest rotation and the same position, and its distance from the matrix.
 
     Parameters
     ----------
@@ -251,7 +275,7 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
     Raises
     ------
-    ShapeError : when the last row is not (0, 0, 0, 1) or no rotation is nearest.
+    ShapeError : the last row is not (0, 0, 0, 1), or the nearest rotation is not unique.
     """
     M = arguments.array(M, (4, 4), "M")
     arguments.last_row(M, "M")
@@ -262,7 +286,7 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 def left_jacobian(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return J with ``exp(xi + dxi) = exp(J dxi) exp(xi)``: ``[[V, Q], [0, V]]``, V = so3.left_jacobian(w).
 
-    Q is the derivative of V in the direction v, so the two are one function of a matrix: ``J = f(ad(xi))`` and
+    Q is the derivative of V in the direction v, so both are one matrix function: ``J = f(ad(xi))`` and
     ``V = f(hat(w))`` with ``f(X) = I + X/2! + X²/3! + ...``.
 
     Parameters
@@ -295,13 +319,13 @@ def left_jacobian_inv(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarra
 
 
 def from_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
-    """Return [v; w] of a twist [w; v] of a library that puts the angular part first; [f; m] of a wrench [m; f].
+    """Return [v; w] of a twist [w; v], or [f; m] of a wrench [m; f], from a library with the angular part first.
 
     Parameters
     ----------
     x : array with length 6 along the axis: twists or wrenches (..., 6); a Jacobian (..., 6, n) with axis -2; a
         6 × 6 matrix needs it along both axes.
-    axis : the axis to turn over.
+    axis : the axis to reorder.
 
     Returns
     -------
@@ -309,18 +333,18 @@ def from_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when the axis has another length.
+    ShapeError : the axis does not have length 6.
     """
     return _swap(x, axis)
 
 
 def to_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
-    """Return [w; v] of a twist [v; w] for a library that puts the angular part first; [m; f] of a wrench [f; m].
+    """Return [w; v] of a twist [v; w], or [m; f] of a wrench [f; m], for a library with the angular part first.
 
     Parameters
     ----------
-    x : array with length 6 along the axis, as for `from_angular_first`, which it undoes.
-    axis : the axis to turn over.
+    x : array with length 6 along the axis, as in `from_angular_first`, the inverse function.
+    axis : the axis to reorder.
 
     Returns
     -------
@@ -328,7 +352,7 @@ def to_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when the axis has another length.
+    ShapeError : the axis does not have length 6.
     """
     return _swap(x, axis)
 
@@ -336,7 +360,7 @@ def to_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
 def _swap(x: ArrayLike, axis: int) -> np.ndarray:
     x = arguments.array(x, (), "x")
     if not isinstance(axis, int | np.integer) or not -x.ndim <= axis < x.ndim or x.shape[axis] != 6:
-        raise ShapeError(f"Expected an array of length 6 along axis {axis}, got shape {x.shape}. Choose the axis.")
+        raise ShapeError(f"Expected an array of length 6 along axis {axis}, got shape {x.shape}. Choose another axis.")
     return np.roll(x, 3, axis=axis)
 
 
@@ -353,10 +377,10 @@ def interpolate(
     path: Literal["linear", "screw"] = "linear",
     out: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Move from a to b: the position along a line, the rotation about one axis, both at constant speed.
+    """Interpolate from a to b: the position along a line, the rotation about one axis, both at constant speed.
 
-    The screw path is ``T_a exp(s log(T_a⁻¹ T_b))`` instead: it does not depend on the point of the body that is
-    looked at, and that point moves along a helix. Both ends are exact.
+    The alternative screw path ``T_a exp(s log(T_a⁻¹ T_b))`` does not depend on the reference point of the body, which
+    moves along a helix. Both ends are exact.
 
     Parameters
     ----------
@@ -371,8 +395,8 @@ def interpolate(
 
     Raises
     ------
-    ShapeError : when one is not a pose within `so3.ROTATION_TOLERANCE`.
-    UnknownName : when the path does not exist.
+    ShapeError : an argument is not a pose within `so3.ROTATION_TOLERANCE`.
+    UnknownName : the path does not exist.
     """
     check_name(path, "path between poses", PATHS)
     return kernels.se3_interpolate(T_a, T_b, s, path == "screw", out)
@@ -383,12 +407,12 @@ def mean(
 ) -> np.ndarray:
     """Return the mean of poses along axis 0: the mean position and `so3.mean` of the rotations.
 
-    It depends on the point whose positions are averaged, the origin of the moving frame.
+    The result depends on the origin of the moving frame, because its positions are averaged.
 
     Parameters
     ----------
     T : (N, ..., 4, 4), N ≥ 1.
-    weights : (N,) or (N, ...), not negative; equal when None. 0 leaves a pose out, also one that is missing.
+    weights : (N,) or (N, ...), non-negative; default: equal. 0 excludes a pose, even a missing one.
     method : "chordal" or "geodesic", of the rotations.
 
     Returns
@@ -397,7 +421,7 @@ def mean(
 
     Raises
     ------
-    ShapeError, NotConverged, UnknownName : as `so3.mean`.
+    ShapeError, NotConverged, UnknownName : as in `so3.mean`.
     """
     T = kernels.poses(T, "T")
     R = so3.mean(T[..., :3, :3], weights, method)

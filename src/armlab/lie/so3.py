@@ -1,6 +1,6 @@
 """Rotations SO(3) as arrays (..., 3, 3) and rotation vectors w (..., 3) [rad].
 
-Every function takes any leading axes and keeps them. NaN gives NaN.
+Every function accepts and preserves any leading axes. NaN gives NaN.
 """
 
 from __future__ import annotations
@@ -17,20 +17,26 @@ from armlab.lie import arguments
 
 __all__ = [
     "angle", "angle_about", "exp", "from_axis_angle", "hat", "interpolate", "is_rotation", "left_jacobian",
-    "left_jacobian_inv", "log", "mean", "project", "skew_part", "to_axis_angle", "vee", "xy_angle",
+    "left_jacobian_inv", "log", "mean", "orthonormalise", "project", "skew_part", "to_axis_angle", "vee", "xy_angle",
 ]  # fmt: skip
 
 ROTATION_TOLERANCE = arguments.ROTATION_TOLERANCE
-"""Largest entry of |RᵀR - I| that passes for a rotation; beyond it, `project` first."""
+"""Largest entry of |RᵀR - I| accepted as a rotation; data with six decimals are off by up to 2e-6.
+
+For larger errors, use `project`.
+"""
 SKEW_TOLERANCE = 1e-9
 ONE_NEAREST = 1e-9
+NEGLIGIBLE = 1e-9
+"""Largest entry of |RᵀR - I| for which a rotation keeps its bits; between the two limits, the nearest rotation is used.
+"""
 
-UNDEFINED = 1e-13  # below, a direction is lost in rounding
+UNDEFINED = 1e-13  # below it, a direction is lost in rounding
 
 METHODS = ("chordal", "geodesic")
-AGREEMENT = 0.1  # of the weights; below, rotations point everywhere
+AGREEMENT = 0.1  # of the weights; below it, rotations point everywhere
 ITERATIONS = 30
-CLOSE = 1e-9  # rad: the step is that of Newton's method, so after it the error is of the order of its square
+CLOSE = 1e-9  # rad: a Newton step of this size leaves an error of the order of its square
 
 
 def hat(w: ArrayLike) -> np.ndarray:
@@ -46,8 +52,10 @@ def hat(w: ArrayLike) -> np.ndarray:
     """
     w = arguments.array(w, (3,), "w")
     W = np.zeros((*w.shape, 3))
-    W[..., 2, 1], W[..., 0, 2], W[..., 1, 0] = x, y, z = np.moveaxis(w, -1, 0)
-    W[..., 1, 2], W[..., 2, 0], W[..., 0, 1] = -x, -y, -z
+    flat = W.reshape(*w.shape[:-1], 9)
+    flat[..., 7:1:-5] = w[..., :2]
+    flat[..., 3] = w[..., 2]
+    W -= W.swapaxes(-1, -2).copy()
     return W
 
 
@@ -64,14 +72,14 @@ def vee(W: ArrayLike) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when W is not skew: `vee` is for so(3); for a rotation use `log`.
+    ShapeError : W is not skew; for a rotation use `log`.
     """
     W = arguments.array(W, (3, 3), "W")
     off = np.abs(W + np.swapaxes(W, -1, -2)).max(axis=(-1, -2))
     if (off > SKEW_TOLERANCE * np.abs(W).max(axis=(-1, -2))).any():
         raise ShapeError(
             f"Expected a skew matrix (W = -W^T), got max|W + W^T| = {np.nanmax(off):.3g}. "
-            "Use log for a rotation, skew_part for a matrix that is nearly skew."
+            "Use log for a rotation, and skew_part for a nearly skew matrix."
         )
     return np.stack([W[..., 2, 1], W[..., 0, 2], W[..., 1, 0]], axis=-1)
 
@@ -107,10 +115,10 @@ def exp(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def log(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the rotation vector of least length: ``exp(log(R)) = R``, abs(log(R)) ≤ π.
+    """Return the rotation vector of minimum length: ``exp(log(R)) = R``, abs(log(R)) ≤ π.
 
-    It goes through the quaternion (w, v): ``2 atan2(abs(v), w) v/abs(v)``, which keeps all digits from 1e-300 rad to
-    a half turn. At a half turn the first component that is not zero is positive.
+    It is computed via the quaternion (w, v): ``2 atan2(abs(v), w) v/abs(v)``, which preserves full precision from
+    1e-300 rad to a half turn. At a half turn, the first non-zero component is positive.
 
     Parameters
     ----------
@@ -123,13 +131,13 @@ def log(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when R is not a rotation within `ROTATION_TOLERANCE`.
+    ShapeError : R is not a rotation within `ROTATION_TOLERANCE`.
     """
     return kernels.so3_log(R, out)
 
 
 def is_rotation(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarray:
-    """Tell which matrices are rotations: ``RᵀR = I`` and ``det R > 0``.
+    """Return whether each matrix is a rotation: ``RᵀR = I`` and ``det R > 0``.
 
     Parameters
     ----------
@@ -142,17 +150,47 @@ def is_rotation(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarr
 
     Raises
     ------
-    ShapeError : another shape, a tolerance that is no number from 0 on.
+    ShapeError : wrong shape, or a tolerance that is not a number >= 0.
     """
     R, tolerance = arguments.array(R, (3, 3), "R"), arguments.tolerance(tolerance)
     R = np.where(np.isfinite(R).all(axis=(-1, -2), keepdims=True), R, 0.0)
     off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
-    determinant = (np.cross(R[..., 0, :], R[..., 1, :]) * R[..., 2, :]).sum(axis=-1)
-    return (off <= tolerance) & (determinant > 0)
+    a, b, c, d, e, f, g, h, i = R.reshape(-1, 9).T
+    determinant = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
+    return (off <= tolerance) & (determinant.reshape(off.shape) > 0)
+
+
+def orthonormalise(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarray:
+    """Orthonormalise rounded rotations: matrices off by up to `tolerance` are projected, all others are unchanged.
+
+    Matrices that are orthonormal to 1e-9 keep their bits. Matrices that are not rotations are unchanged and can be
+    detected with `is_rotation`.
+
+    Parameters
+    ----------
+    R : array_like, shape (..., 3, 3)
+    tolerance : float
+        Largest entry of ``abs(RᵀR - I)`` that counts as rounding.
+
+    Returns
+    -------
+    R : array, shape (..., 3, 3)
+
+    Raises
+    ------
+    ShapeError : wrong shape, or a tolerance that is not a number >= 0.
+    """
+    R = arguments.array(R, (3, 3), "R")
+    precise = is_rotation(R, NEGLIGIBLE)
+    if precise.all() or not (rounded := is_rotation(R, tolerance) & ~precise).any():
+        return R
+    R = R.copy()
+    R[rounded] = nearest(R[rounded])[0]
+    return R
 
 
 def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rotation nearest to a matrix and how far it is: ``U diag(1, 1, det UVᵀ) Vᵀ`` of ``M = U S Vᵀ``.
+    """Return the rotation nearest to a matrix, ``U diag(1, 1, det UVᵀ) Vᵀ`` of ``M = U S Vᵀ``, and its distance.
 
     Parameters
     ----------
@@ -165,24 +203,24 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
     Raises
     ------
-    ShapeError : when no rotation is nearest (rank below 2, a reflection of equal axes, an infinite entry).
+    ShapeError : the nearest rotation is not unique (rank below 2, a reflection of equal axes, an infinite entry).
     """
     M = arguments.array(M, (3, 3), "M")
     R, sigma = nearest(M)
     ambiguous = sigma[..., 1] + sigma[..., 2] <= ONE_NEAREST * sigma[..., 0]
     if ambiguous.any():
         raise ShapeError(
-            f"Expected matrices with one nearest rotation, got singular values {abs(sigma[ambiguous][0])}."
+            f"Expected matrices with a unique nearest rotation, got singular values {abs(sigma[ambiguous][0])}."
         )
     if (np.isinf(M).any(axis=(-1, -2)) & ~np.isnan(M).any(axis=(-1, -2))).any():
-        raise ShapeError("Expected matrices with one nearest rotation, got one with an infinite entry.")
+        raise ShapeError("Expected finite matrices, got an infinite entry.")
     return R, np.linalg.norm(R - M, axis=(-1, -2))
 
 
 def nearest(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rotation nearest to M = U S Vᵀ, and ``σ₁, σ₂, d σ₃`` with d = det UVᵀ; NaN where M is not finite.
+    """Return the rotation nearest to M = U S Vᵀ, and ``σ₁, σ₂, d σ₃`` with d = det UVᵀ; NaN if M is not finite.
 
-    ``σ₂ + d σ₃`` says how well the rotation is determined; where it is 0 the rotation is one of many.
+    ``σ₂ + d σ₃`` measures how well the rotation is determined; at 0, it is not unique.
     """
     missing = np.asarray(~np.isfinite(M).all(axis=(-1, -2), keepdims=True))
     M = np.where(missing, np.eye(3), M)
@@ -192,7 +230,7 @@ def nearest(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     sigma[..., 2] *= d
     R = U @ Vt
     R = R @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(R, -1, -2) @ R)
-    # A Newton step removes the rounding of the decomposition: (tr S I - S) w = vee(A - A^T), A = R^T M, S = sym A.
+    # A Newton step removes the rounding of the SVD: (tr S I - S) w = vee(A - A^T), A = R^T M, S = sym A.
     A = np.swapaxes(R, -1, -2) @ M
     H = np.trace(A, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - (A + np.swapaxes(A, -1, -2)) / 2
     off = np.stack([A[..., 2, 1] - A[..., 1, 2], A[..., 0, 2] - A[..., 2, 0], A[..., 1, 0] - A[..., 0, 1]], axis=-1)
@@ -233,9 +271,9 @@ def left_jacobian_inv(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray
 
 
 def interpolate(R_a: ArrayLike, R_b: ArrayLike, s: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Turn from a to b about one axis at constant speed: ``R_a exp(s log(R_aᵀ R_b))``.
+    """Interpolate from a to b about one axis at constant speed: ``R_a exp(s log(R_aᵀ R_b))``.
 
-    Both ends are exact. Between them it is `quaternion.slerp`; beyond them the turn goes on.
+    Both ends are exact. In between, the result equals `quaternion.slerp`; other values of s extrapolate.
 
     Parameters
     ----------
@@ -249,7 +287,7 @@ def interpolate(R_a: ArrayLike, R_b: ArrayLike, s: ArrayLike, out: np.ndarray | 
 
     Raises
     ------
-    ShapeError : when one is not a rotation within `ROTATION_TOLERANCE`.
+    ShapeError : an argument is not a rotation within `ROTATION_TOLERANCE`.
     """
     return kernels.so3_interpolate(R_a, R_b, s, out)
 
@@ -263,17 +301,17 @@ def angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
 
     Returns
     -------
-    (...) in [0, π] [rad]; 0 for equal ones.
+    (...) in [0, π] [rad]; 0 for equal rotations.
 
     Raises
     ------
-    ShapeError : when one is not a rotation within `ROTATION_TOLERANCE`.
+    ShapeError : an argument is not a rotation within `ROTATION_TOLERANCE`.
     """
     return kernels.so3_angle(R_a, R_b)[()]
 
 
 def xy_angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
-    """Return the heading of b in a: the turn of b's x axis in a's xy plane, ``atan2(R_10, R_00)`` of ``R_aᵀ R_b``.
+    """Return the heading of b in a: the angle of b's x axis in a's xy plane, ``atan2(R_10, R_00)`` of ``R_aᵀ R_b``.
 
     Parameters
     ----------
@@ -281,11 +319,11 @@ def xy_angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
 
     Returns
     -------
-    (...) in (-π, π] [rad], positive about a's z axis; NaN where b's x axis is parallel to that.
+    (...) in (-π, π] [rad], positive about a's z axis; NaN if b's x axis is parallel to it.
 
     Raises
     ------
-    ShapeError : when one is not a rotation within `ROTATION_TOLERANCE`.
+    ShapeError : an argument is not a rotation within `ROTATION_TOLERANCE`.
     """
     R_a, R_b = kernels.rotations(R_a, "R_a"), kernels.rotations(R_b, "R_b")
     arguments.broadcasts(R_a=(R_a, 2), R_b=(R_b, 2))
@@ -294,23 +332,24 @@ def xy_angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
 
 
 def angle_about(R_a: ArrayLike, R_b: ArrayLike, axis: ArrayLike) -> np.ndarray:
-    """Return the turn of b against a about an axis: the twist part ``2 atan2(axis · v, w)`` of ``R_aᵀ R_b``.
+    """Return the rotation angle of b relative to a about an axis: the twist part ``2 atan2(axis · v, w)`` of ``R_aᵀ
+    R_b``.
 
-    What remains is a turn about an axis at right angles to it (swing-twist decomposition). For a pure turn about z
-    it equals `xy_angle`.
+    The remainder is a rotation about a perpendicular axis (swing-twist decomposition). For a pure rotation about z, the
+    result equals `xy_angle`.
 
     Parameters
     ----------
     R_a, R_b : (..., 3, 3), leading axes broadcast with those of the axis.
-    axis : (..., 3) in a, of any length but 0.
+    axis : (..., 3) in a, of any non-zero length.
 
     Returns
     -------
-    (...) in (-π, π] [rad], positive about the axis; NaN where the rest is a half turn, which leaves it open.
+    (...) in (-π, π] [rad], positive about the axis; NaN if the swing is a half turn, which leaves the twist undefined.
 
     Raises
     ------
-    ShapeError : when one is not a rotation within `ROTATION_TOLERANCE`, or the axis has length 0.
+    ShapeError : an argument is not a rotation within `ROTATION_TOLERANCE`, or the axis has length 0.
     """
     R_a, R_b, axis = kernels.rotations(R_a, "R_a"), kernels.rotations(R_b, "R_b"), _direction(axis)
     arguments.broadcasts(R_a=(R_a, 2), R_b=(R_b, 2), axis=(axis, 1))
@@ -325,7 +364,7 @@ def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> np.ndarray:
 
     Parameters
     ----------
-    axis : (..., 3) of any length but 0; only its direction counts.
+    axis : (..., 3) of any non-zero length; only its direction counts.
     angle : (...) [rad], leading axes broadcast.
 
     Returns
@@ -334,7 +373,7 @@ def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when the axis has length 0, or leading axes do not broadcast.
+    ShapeError : the axis has length 0, or leading axes do not broadcast.
     """
     axis, angle = _direction(axis), arguments.array(angle, (), "angle")
     arguments.broadcasts(axis=(axis, 1), angle=(angle, 0))
@@ -342,9 +381,9 @@ def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> np.ndarray:
 
 
 def to_axis_angle(R: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Return axis and angle of a rotation; the axis of no turn is (0, 0, 1).
+    """Return the axis and angle of a rotation; the axis of the identity is (0, 0, 1).
 
-    At a half turn the first component of the axis that is not zero is positive.
+    At a half turn, the first non-zero component of the axis is positive.
 
     Parameters
     ----------
@@ -357,7 +396,7 @@ def to_axis_angle(R: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
     Raises
     ------
-    ShapeError : when R is not a rotation within `ROTATION_TOLERANCE`.
+    ShapeError : R is not a rotation within `ROTATION_TOLERANCE`.
     """
     w = kernels.so3_log(R)
     length = _length(w)
@@ -367,12 +406,12 @@ def to_axis_angle(R: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _direction(axis: ArrayLike) -> np.ndarray:
-    """(..., 3) the axis with length 1."""
+    """Return the axis (..., 3) normalised to length 1."""
     axis = arguments.array(axis, (3,), "axis")
     length = _length(axis)
     bad = (length == 0) | (length == np.inf)
     if bad.any():
-        raise ShapeError(f"Expected an axis with a direction, got {axis[bad][0]}. Leave such samples out.")
+        raise ShapeError(f"Expected an axis with a direction, got {axis[bad][0]}. Drop such samples.")
     return axis / length[..., None]
 
 
@@ -381,7 +420,7 @@ def _length(v: np.ndarray) -> np.ndarray:
 
 
 def _turn(sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """(...) atan2, NaN where both are lost in rounding."""
+    """Return atan2 (...), or NaN if both arguments are lost in rounding."""
     return np.where(np.hypot(sine, cosine) < UNDEFINED, np.nan, np.arctan2(sine, cosine))[()]
 
 
@@ -390,26 +429,26 @@ def mean(
 ) -> np.ndarray:
     """Return the mean of rotations along axis 0.
 
-    The chordal mean minimises ``Σ weight norm(mean - R)²`` (Frobenius): the rotation nearest to the mean matrix. The
-    geodesic one minimises ``Σ weight angle(mean, R)²``, by Newton steps from there. Both are the same for rotations
-    that lie symmetrically about one, and nearly so for a narrow spread.
+    The chordal mean minimises ``Σ weight norm(mean - R)²`` (Frobenius): it is the rotation nearest to the mean matrix.
+    The geodesic mean minimises ``Σ weight angle(mean, R)²``, and is found by Newton steps from the chordal mean. They
+    are equal for rotations distributed symmetrically about the mean, and nearly equal for a narrow spread.
 
     Parameters
     ----------
     R : (N, ..., 3, 3), N ≥ 1.
-    weights : (N,) or (N, ...), not negative; equal when None. 0 leaves a rotation out, also one that is missing.
+    weights : (N,) or (N, ...), non-negative; default: equal. 0 excludes a rotation, even a missing one.
     method : "chordal" or "geodesic".
 
     Returns
     -------
-    (..., 3, 3); NaN where a rotation that counts is missing.
+    (..., 3, 3); NaN if a rotation with non-zero weight is missing.
 
     Raises
     ------
-    ShapeError : when one is not a rotation, weights do not fit, or the rotations have no mean: with the singular
-        values ``σ`` of the mean matrix and d the sign of its determinant, ``σ₂ + d σ₃ < 0.1``.
-    NotConverged : when the geodesic mean is not found (rotations about a half turn apart).
-    UnknownName : when the method does not exist.
+    ShapeError : an argument is not a rotation, weights of the wrong shape, or no mean: with the singular values ``σ``
+        of the mean matrix and d the sign of its determinant, ``σ₂ + d σ₃ < 0.1``.
+    NotConverged : no geodesic mean (rotations about a half turn apart).
+    UnknownName : the method does not exist.
 
     Reference: R. Hartley, J. Trumpf, Y. Dai, H. Li, Rotation averaging, Int. J. Computer Vision 103, 2013.
     """
@@ -421,16 +460,16 @@ def mean(
     agreement = sigma[..., 1] + sigma[..., 2]
     if (agreement < AGREEMENT).any():
         raise ShapeError(
-            f"Expected rotations that agree on a mean, got ones that point everywhere ({agreement.min():.2g} of "
-            f"the weights agree, {AGREEMENT:g} are needed). Cluster them first."
+            f"Expected rotations with a well-defined mean, got an agreement of {agreement.min():.2g} of the weights, "
+            f"at least {AGREEMENT:g} is needed. Cluster them first."
         )
     return start if method == "chordal" else _geodesic(R, share, start)
 
 
 def shares(weights: ArrayLike | None, batch: tuple[int, ...]) -> np.ndarray:
-    """Return weights (N, ...) that sum to 1 along axis 0, for elements with these leading axes."""
+    """Return weights (N, ...), normalised along axis 0, for elements with these leading axes."""
     if not batch or batch[0] == 0:
-        raise ShapeError(f"Expected at least one element along axis 0 to take the mean of, got leading axes {batch}.")
+        raise ShapeError(f"Expected at least one element along axis 0 for a mean, got leading axes {batch}.")
     if weights is None:
         return np.full((batch[0], *[1] * (len(batch) - 1)), 1 / batch[0])
     weights = arguments.array(weights, (), "weights")
@@ -440,12 +479,14 @@ def shares(weights: ArrayLike | None, batch: tuple[int, ...]) -> np.ndarray:
     weights = weights.reshape(weights.shape + (1,) * (len(batch) - weights.ndim))
     total = weights.sum(axis=0)
     if (weights < 0).any() or not ((total > 0) & (total < np.inf)).all():
-        raise ShapeError("Expected finite weights, none negative, with a sum above 0, got others. Use 0 to leave out.")
+        raise ShapeError(
+            "Expected finite weights >= 0 with a positive sum, got invalid weights. Use 0 to exclude an element."
+        )
     return weights / total
 
 
 def _geodesic(R: np.ndarray, share: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Newton's method: the Hessian of angle²/2 is the symmetric part of the inverse of the left Jacobian."""
+    """Newton's method, in which the Hessian of angle²/2 is the symmetric part of the inverse left Jacobian."""
     for _ in range(ITERATIONS):
         w = kernels.so3_log(np.swapaxes(mean, -1, -2) @ R)
         gradient = (share[..., None] * w).sum(axis=0)
@@ -456,6 +497,6 @@ def _geodesic(R: np.ndarray, share: np.ndarray, mean: np.ndarray) -> np.ndarray:
         if not (np.abs(step) > CLOSE).any():
             return mean
     raise NotConverged(
-        f"Expected rotations that are close enough for one geodesic mean, got none after {ITERATIONS} steps. "
-        "Take the chordal mean, or cluster them first."
+        f"Expected rotations with a unique geodesic mean, but the iteration did not converge in {ITERATIONS} steps. "
+        "Use the chordal mean, or cluster them first."
     )

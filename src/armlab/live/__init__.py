@@ -1,6 +1,6 @@
-"""Views in the browser: a recording, a running bridge, a fleet; arms, forces with their uncertainty, curves.
+"""Browser views of a recording, a running bridge or a fleet, with arms, forces including uncertainty, and curves.
 
-It needs viser (extra `live`), which loads on first use. Everything stays on this computer.
+The views need viser (extra `live`), which is loaded on first use. The server is accessible only from this computer.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Curves and words of one arm in the panel: the last seconds of a stream, or a whole run with a cursor."""
+"""Curves and text of one arm in the panel, for the last seconds of a stream or for a whole run with a cursor."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import AXIS_COLORS, COLORS
 from armlab._numbers import numbers
-from armlab._palette import AXIS_COLORS, COLORS
 from armlab.errors import ShapeError
 from armlab.robots import Robot
 
@@ -29,7 +29,7 @@ class RingBuffer:
 
     @property
     def last(self) -> float:
-        """Time of the newest sample [s], -inf without any."""
+        """Time of the newest sample [s], or -inf if there is none."""
         return self._rows[-1][0] if self._rows else -np.inf
 
     @property
@@ -43,7 +43,7 @@ class RingBuffer:
         return np.array([values for _, values in self._rows]).reshape(-1, self._width)
 
     def add(self, t: float, values: np.ndarray) -> None:
-        """Add a sample. `t`: [s], not before the last one. `values`: (width,)."""
+        """Add a sample. `t`: time [s], not before the last sample. `values`: (width,)."""
         self._rows.append((t, values))
         while self._rows[0][0] < t - self._seconds:
             self._rows.popleft()
@@ -52,16 +52,17 @@ class RingBuffer:
         self._rows.clear()
 
 
-_STRETCHES = 200  # of a plot some 400 pixels wide: minimum and maximum of each are drawn
+_STRETCHES = 200  # segments of a plot about 400 pixels wide; minimum and maximum of each are drawn
 _CURSOR = "#000000"
 _BAND = "33"  # opacity of a band, two digits of a colour
 
 
 def envelope(t: np.ndarray, values: np.ndarray, stretches: int = _STRETCHES) -> tuple[np.ndarray, np.ndarray]:
-    """Return (M,) and (M, k) to draw: minimum and maximum of each stretch of equal length, so that spikes stay.
+    """Return times (M,) and values (M, k) to draw, the minimum and maximum of each segment, so that spikes stay
+    visible.
 
-    Stretches begin at whole multiples of their length, so that a window that slides does not flicker. Few samples are
-    returned as they are. Stretches without a number are NaN.
+    Segments begin at integer multiples of their length, so that a sliding window does not flicker. Few samples are
+    returned unchanged. Segments without finite values are NaN.
 
     `t`: (N,) increasing [s]. `values`: (N, k).
     """
@@ -78,7 +79,9 @@ def envelope(t: np.ndarray, values: np.ndarray, stretches: int = _STRETCHES) -> 
 
 
 class Curves:
-    """One plot of k curves over time, with bands around them and a cursor at an instant where asked for."""
+    """Plot of k curves over time, with optional bands and a cursor."""
+
+    k: int
 
     def __init__(
         self,
@@ -98,7 +101,7 @@ class Curves:
         bands = []
         if band:
             for name, color in zip(labels, colors):
-                series += [{"label": f"{name} {sign}2σ", "width": 0} for sign in "+-"]  # the fill alone
+                series += [{"label": f"{name} {sign}2σ", "width": 0} for sign in "+-"]  # no line, only the fill
                 bands.append({"series": (len(series) - 2, len(series) - 1), "fill": color + _BAND})
         if cursor:
             series.append({"label": "now", "stroke": _CURSOR, "width": 1.5})
@@ -127,7 +130,9 @@ class Curves:
         self._heading.visible = self._plot.visible = False
 
     def show(self, t: ArrayLike, values: ArrayLike, half: ArrayLike | None = None, *, at: float | None = None) -> None:
-        """Draw (N, k) curves over t (N,) [s], interrupted at NaN, and bands of half width; many samples as envelope."""
+        """Draw (N, k) curves over t (N,) [s] with gaps at NaN, and bands by half-width; many samples are drawn as an
+        envelope.
+        """
         t, values = numbers(t, "times of curves", ShapeError), numbers(values, "curves", ShapeError)
         if t.ndim != 1 or values.shape != (len(t), self.k):
             raise ShapeError(f"Expected curves of shape (N, {self.k}) over t (N,), got {values.shape} over {t.shape}.")
@@ -136,21 +141,21 @@ class Curves:
             half = np.full_like(values, np.nan) if half is None else numbers(half, "bands", ShapeError)
             if half.shape != values.shape:
                 raise ShapeError(f"Expected bands of shape {values.shape}, got {half.shape}.")
-            half = np.nan_to_num(half)  # uPlot would draw a wedge towards the next one that is known
+            half = np.nan_to_num(half)  # uPlot would draw a wedge towards the next finite value
             columns = np.concatenate([values, np.stack([values + half, values - half], axis=2).reshape(len(t), -1)], 1)
         elif half is not None:
-            raise ShapeError("Expected no bands for these curves, got some. Make the plot with band=True.")
+            raise ShapeError("Expected no bands for these curves, got half-widths. Create the plot with band=True.")
         t, columns = envelope(t, columns)
         drawn = columns.shape[1]
         if self._cursor:
             t, columns = self._marked(t, columns, at)
         if len(t):
             t, *columns = np.ascontiguousarray(np.column_stack([t, columns]).T)
-            # a list, though viser declares a tuple: it spends 0.3 ms on the types of the members of a tuple
+            # a list, because viser takes 0.3 ms to check the member types of a tuple
             self._plot.data = [t, *_interrupted(columns[:drawn]), *columns[drawn:]]
 
     def _marked(self, t: np.ndarray, columns: np.ndarray, at: float | None) -> tuple[np.ndarray, np.ndarray]:
-        """Add the column of the cursor: two rows at its time, from the lower to the upper end of the scale."""
+        """Add the cursor column: two rows at its time, from the lower to the upper end of the scale."""
         columns = np.column_stack([columns, np.full(len(t), np.nan)])
         if at is None or not len(t):
             return t, columns
@@ -167,7 +172,7 @@ class Curves:
 
 
 def _interrupted(columns: Sequence[np.ndarray]) -> list[Any]:
-    """Return columns that uPlot interrupts where they are NaN: it does so at null, while NaN is bridged by a line."""
+    """Return columns with null instead of NaN, because uPlot draws a line across NaN but leaves a gap at null."""
     found: list[Any] = []
     missing = np.isnan(columns)
     count = missing.sum(axis=1)
@@ -175,14 +180,14 @@ def _interrupted(columns: Sequence[np.ndarray]) -> list[Any]:
         if some:
             values = column.astype(object)
             values[holes] = None
-            found.append(msgspec.Raw(msgspec.msgpack.encode(values.tolist())))  # viser sends it as it is
+            found.append(msgspec.Raw(msgspec.msgpack.encode(values.tolist())))  # viser sends it unchanged
         else:
             found.append(column)
     return found
 
 
 class Window:
-    """The last seconds of a stream on a plot. `rate`: pictures per second of the stream's clock at most."""
+    """The last seconds of a stream on a plot. `rate`: maximum updates per second of the stream's clock."""
 
     def __init__(self, curves: Curves, seconds: float = 10.0, rate: float = 10.0) -> None:
         self._curves, self._period = curves, 1.0 / rate
@@ -190,7 +195,7 @@ class Window:
         self._drawn = -np.inf
 
     def push(self, t: float, values: ArrayLike, half: ArrayLike | None = None) -> None:
-        """Add a sample (k,) at t [s], which the next `draw` shows; a time that does not advance begins anew."""
+        """Add a sample (k,) at t [s] for the next `draw`; a non-increasing time clears the window."""
         if t <= self._recent.last:
             self._recent.clear()
             self._drawn = -np.inf
@@ -201,7 +206,7 @@ class Window:
         self._recent.add(t, np.concatenate([values, half]))
 
     def draw(self) -> None:
-        """Show the samples, unless the last picture is too new."""
+        """Update the plot at no more than the update rate."""
         recent = self._recent
         if not len(recent) or recent.last - self._drawn < self._period:
             return
@@ -211,13 +216,13 @@ class Window:
 
 
 class Markup:
-    """Words in the panel; the same again sends nothing."""
+    """Text in the panel; unchanged content is not sent again."""
 
     def __init__(self, gui: Any) -> None:
         self._html, self._shown = gui.add_html(""), ""
 
     def show(self, content: str) -> None:
-        """Show what is HTML already."""
+        """Show HTML content."""
         if content != self._shown:
             self._html.content = self._shown = content
 
@@ -234,21 +239,21 @@ class Lines(Markup):
 
 
 class ArmPanel:
-    """Words and plots of one arm, where ``with`` of a folder or tab puts them; limits by name of the plot."""
+    """Text and plots of one arm in the current folder or tab; limits by name of the plot."""
 
     def __init__(self, gui: Any, robot: Robot, limits: Mapping[str, tuple[float, float]] | None = None) -> None:
         limits = limits or {}
         self._words = Markup(gui)
         joints = [COLORS[i % len(COLORS)] for i in range(robot.n)]
         forces, moments = ("f_x", "f_y", "f_z"), ("m_x", "m_y", "m_z")
-        self.force = Curves(gui, "force [N]", forces, AXIS_COLORS, band=True, limits=limits.get("force"))
-        self.torque = Curves(gui, "torque [N m]", robot.joint_names, joints, limits=limits.get("torque"))
-        self.moment = Curves(
+        self.force: Curves = Curves(gui, "force [N]", forces, AXIS_COLORS, band=True, limits=limits.get("force"))
+        self.torque: Curves = Curves(gui, "torque [N m]", robot.joint_names, joints, limits=limits.get("torque"))
+        self.moment: Curves = Curves(
             gui, "moment [N m]", moments, AXIS_COLORS, band=True, limits=limits.get("moment"), height=110
         )
 
     def say(self, words: Mapping[str, str]) -> None:
-        """Write what there is to say of the arm: state, rate, latency, clamps, drops; the same again sends nothing."""
+        """Show the status of the arm (state, rate, latency, clamps, drops); unchanged content is not sent again."""
         key, value = "padding:0 1em 0 0;opacity:0.65", "padding:0"
         rows = "".join(
             f"<tr><td style='{key}'>{html.escape(what)}</td><td style='{value}'>{html.escape(word)}</td></tr>"

@@ -1,4 +1,4 @@
-"""View of all robots at a Zenoh router: their newest rows, their arms side by side, their state in the panel."""
+"""View of all robots at a Zenoh router, with newest rows, arms side by side, and states in the panel."""
 
 from __future__ import annotations
 
@@ -27,13 +27,22 @@ if TYPE_CHECKING:
 
 
 _MOST = 1000  # robots
-_INBOX = 20_000  # messages that wait, the oldest are lost: ten seconds of fifty robots
-_SILENT = 2.0  # s of listening without a row after which a robot is silent
-_LATE = 0.1  # s: what a look takes longer than it was to wait is no listening, as the process may not have been run
+_INBOX = 20_000  # queued messages, oldest dropped first: ten seconds of fifty robots
+_SILENT = 2.0  # s of listening without a row before a robot counts as silent
+_LATE = 0.1  # s: a wait that overruns by more does not count as listening, because the process may have been suspended
 
 
 class SeenRobot:
-    """What is known of a robot, in one thread; None, NaN and 0 before its bridge has said it."""
+    """State of a robot, used in one thread; values are None, NaN or 0 until received from its bridge."""
+
+    name: str
+    wants: bool
+    restarts: int
+    rows: int
+    damaged: int
+    refused: int
+    missed: int
+    rate: float
 
     def __init__(self, name: str) -> None:
         self.name, self._arm = name, name.rpartition("/")[2]
@@ -47,13 +56,13 @@ class SeenRobot:
         self._quiet = math.inf  # s of listening since the newest row
 
     def live(self, is_alive: bool) -> None:
-        """Take that the bridge has come, or has gone or the way to it: what comes again may be another run."""
-        self.is_alive = is_alive
+        """Handle a bridge that appears or disappears; a bridge that reappears may belong to another run."""
+        self.is_alive: bool = is_alive
         self.wants = True
         self._quiet = math.inf
 
     def take(self, data: bytes | None) -> None:
-        """Take a row. `data`: as it came, None when it was damaged."""
+        """Process a row. `data`: as received, None if damaged."""
         if data is None:
             self.damaged += 1
         elif self._schema is None or data[8:16] != self._schema.id:
@@ -64,14 +73,14 @@ class SeenRobot:
                 self.row = read_row(self._schema, data)
 
     def listened(self, seconds: float) -> None:
-        """Take that somebody listened; what came meanwhile is taken after this."""
+        """Add listening time; rows received meanwhile are processed afterwards."""
         self._quiet += seconds
 
     def describe(self, about: bytes) -> None:
-        """Take what the bridge says of itself; what cannot be understood is counted and asked again."""
+        """Process the bridge's description; an invalid description is counted and requested again."""
         try:
             said = read_about(about)
-            robot, text = said.robots[self._arm], said.said[0]["robots"][self._arm]
+            robot, text = said.robots[self._arm], said.messages[0]["robots"][self._arm]
         except (ArmlabError, KeyError):
             self.refused += 1
             return
@@ -83,7 +92,7 @@ class SeenRobot:
         self._schema, self._run, self.wants = said.schema, said.run, False
 
     def status(self, data: bytes) -> None:
-        """Take how its packets come at the bridge."""
+        """Process the packet statistics of the bridge."""
         try:
             said = read_message(data)
         except LinkError:
@@ -98,19 +107,22 @@ class SeenRobot:
 
     @property
     def age(self) -> float:
-        """Of the newest row by both computers' clocks [s]; NaN without any."""
+        """Age of the newest row [s] according to the clocks of both computers; NaN without rows."""
         return math.nan if self.row is None else 1e-9 * (time.time_ns() - self.row.wall_ns)
 
     @property
     def state(self) -> str:
-        """How it is: "there", "silent" after two seconds of listening without a row, "gone" with its bridge."""
+        """State: "there", "silent" (two seconds of listening without a row), or "gone" (with its bridge)."""
         if not self.is_alive:
             return "gone"
         return "there" if self._quiet < _SILENT else "silent"
 
 
 class FleetRows:
-    """The newest of all robots at a router by lab/robot, thirty rows a second of each; who goes stays."""
+    """Newest rows of all robots at a router by lab/robot, at most thirty per second each; departed robots are kept."""
+
+    place: LabAddress
+    robots: dict[str, SeenRobot]
 
     def __init__(self, place: LabAddress, patience: float = 5.0) -> None:
         self.place, self.robots = place, dict[str, SeenRobot]()
@@ -136,7 +148,7 @@ class FleetRows:
         close_session(self._session)
 
     def hear(self, seconds: float) -> None:
-        """Wait for a message, and take all that wait; `SeenRobot.row` is the newest then."""
+        """Wait for a message and process all queued ones; `SeenRobot.row` is then the newest."""
         self._inbox.wait(seconds)
         now = time.monotonic()
         listened, self._looked = min(now - self._looked, seconds + _LATE), now
@@ -166,8 +178,8 @@ class FleetRows:
 
 
 _FRAME = 1.0 / 30.0  # s
-_WORDS = 0.25  # s between two looks at what there is to say
-_APART = 2.2  # between two robots, over the length of the longest arm
+_WORDS = 0.25  # s between two updates of the text
+_APART = 2.2  # spacing of robots over the length of the longest arm
 _HEADINGS = ("robot", "state", "rate [Hz]", "missed", "damaged", "age [s]", "commander")
 
 
@@ -179,7 +191,7 @@ def watch_fleet(
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show all robots at a router in the browser until `over` or an interrupt, and tell who comes and goes."""
+    """Show all robots at a router in the browser until `over` or an interrupt, and report arrivals and departures."""
     rows = FleetRows(place)
     try:
         server = start(port)
@@ -195,7 +207,7 @@ def watch_fleet(
                         tell(f"{name} is {robot.state}")
                     if robot.refused and name not in strange:
                         strange.add(name)
-                        tell(f"{name} says what cannot be understood")
+                        tell(f"{name} sent an invalid description")
                 if server.get_clients():
                     view.draw()
                 time.sleep(max(began + _FRAME - time.monotonic(), 0.0))
@@ -206,7 +218,7 @@ def watch_fleet(
 
 
 class FleetView:
-    """Scene and panel of all robots, drawn frame by frame; of one that is gone or silent the name alone."""
+    """Scene and panel of all robots, drawn frame by frame; a silent or absent robot is drawn only as a name."""
 
     def __init__(self, server: ViserServer, rows: FleetRows) -> None:
         self._server, self._rows = server, rows
@@ -219,7 +231,7 @@ class FleetView:
         self._state, self._table = Lines(server.gui), Markup(server.gui)
 
     def draw(self) -> None:
-        """Show the newest rows, and four times a second what there is to say."""
+        """Draw the newest rows, and update the text four times per second."""
         robots = self._rows.robots
         with self._server.atomic():
             came = [one for name, one in robots.items() if one.robot is not self._drawn.get(name)]
@@ -234,7 +246,7 @@ class FleetView:
                 self._say()
 
     def _add(self, one: SeenRobot) -> None:
-        """Add a robot, or draw it anew after it was described in another way."""
+        """Add a robot, or redraw it after a changed description."""
         robot = one.robot
         if robot is None:
             return
@@ -249,7 +261,7 @@ class FleetView:
         )
 
     def _arrange(self) -> None:
-        """Put all robots in a grid by their names, and who looks before it."""
+        """Arrange all robots in a grid by name, with the camera in front."""
         if self._scene is None:
             return
         apart = _APART * max(arm_length(robot) for robot in self._drawn.values())
@@ -274,7 +286,7 @@ class FleetView:
         robots = self._rows.robots
         count = sum(one.state == "there" for one in robots.values())
         place = self._rows.place
-        self._state.show(f"{count} of {len(robots)} robots at {place.host}:{place.port} are there")
+        self._state.show(f"{count} of {len(robots)} robots at {place.host}:{place.port} are connected")
         cell = "padding:0 0.7em 0 0;text-align:left;font-weight:normal"
         rows = [f"<th style='{cell};opacity:0.65'>{word}</th>" for word in _HEADINGS]
         lines = ["".join(rows)]
@@ -289,7 +301,7 @@ class FleetView:
 
 
 def _words(one: SeenRobot) -> tuple[str, ...]:
-    """Return what there is to say of a robot, under `_HEADINGS`."""
+    """Return the table row of a robot, under `_HEADINGS`."""
     rate = f"{one.rate:.0f}" if math.isfinite(one.rate) else "-"
     age = f"{one.age:.2f}" if math.isfinite(one.age) else "-"
     counts = (rate, str(one.missed), str(one.damaged), age)

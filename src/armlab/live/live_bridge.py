@@ -1,10 +1,11 @@
-"""View of a running bridge, through its local feed or Zenoh; found again after it restarts."""
+"""View of a running bridge through its local feed or Zenoh; reconnects after a restart."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -23,20 +24,21 @@ from armlab.live.scene import RobotScene
 from armlab.live.server import address, start, stop
 from armlab.models import TorqueModel
 from armlab.robots import Robot, from_toml
+from armlab.robots.comparison import check_same
 from armlab.state import State
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
 
-_AGAIN = 0.5  # s between two looks for a bridge
-_MOST = 5000  # messages taken at once: ten seconds of all rows of two arms
-_PATIENCE = 2.0  # s for a bridge over Zenoh, also to come again
-_ESTIMATE_GAP = 1.0  # s without a packet, after which an estimate begins anew
+_AGAIN = 0.5  # s between two searches for a bridge
+_MOST = 5000  # messages processed at once: ten seconds of all rows of two arms
+_PATIENCE = 2.0  # s to wait for a bridge over Zenoh, also after a disconnect
+_ESTIMATE_GAP = 1.0  # s without a packet before an estimate restarts
 
 
 class Force(NamedTuple):
-    """The wrench (6,) by the environment on the robot, base axes, at the tool [N, N m], covariance where known."""
+    """Wrench (6,) exerted by the environment, in base axes at the tool [N, N m], with covariance if known."""
 
     wrench: np.ndarray
     covariance: np.ndarray | None
@@ -44,7 +46,10 @@ class Force(NamedTuple):
 
 
 class Running:
-    """The newest row of a running bridge, here or over Zenoh; with models every row, for their estimates of forces."""
+    """Newest row of a running bridge, local or over Zenoh; with models, every row is used to estimate forces."""
+
+    watch: Watch
+    state: str
 
     def __init__(
         self,
@@ -54,10 +59,13 @@ class Running:
         zenoh: str = "",
         rate: float = 30.0,
         models: Sequence[TorqueModel] = (),
+        described: Sequence[Robot] = (),
     ) -> None:
+        """`described`: arms with meshes, which a bridge does not send."""
         if zenoh:
             LabAddress.read(zenoh)
         self._robot, self._cell, self._zenoh, self._models = robot, cell, zenoh, tuple(models)
+        self._described = {one.name: one for one in described}
         self._rate = None if models else rate
         self._feed: LocalFeed | ZenohFeed | None = None
         self._due = 0.0
@@ -66,7 +74,7 @@ class Running:
         self.row: Row | None = None
         self.watch = Watch(robot)
         where = f"at {zenoh}" if zenoh else "of this user"
-        self.state = f"Waiting for a bridge {where}, as armlab bridge --config CELL starts one."
+        self.state = f"Waiting for a bridge {where}; start it with armlab bridge --config CELL."
 
     def close(self) -> None:
         if self._feed is not None:
@@ -74,7 +82,7 @@ class Running:
         self._feed = None
 
     def hear(self, seconds: float) -> bool:
-        """Wait for a message, take all that wait, return whether one was a row; without a bridge look for one."""
+        """Wait for a message, process all queued ones, and return whether one was a row."""
         if self._feed is None:
             self._look(seconds)
         before = self.row
@@ -91,7 +99,7 @@ class Running:
         return self.row is not before
 
     def _look(self, seconds: float) -> None:
-        """Look for the bridge, or wait until it is time to."""
+        """Search for the bridge, or wait until the next search."""
         pause = self._due - time.monotonic()
         if pause > 0.0:
             time.sleep(min(pause, seconds))
@@ -119,10 +127,16 @@ class Running:
             self._meet(message["robots"])
 
     def _meet(self, descriptions: Mapping[str, str]) -> None:
-        """Read who the arms are."""
+        """Read the descriptions of the arms."""
         found = {name: from_toml(text, f"the bridge of {self._cell}") for name, text in descriptions.items()}
         if self._robot is not None and self._robot not in found:
             raise UnknownName.among("robot of this cell", self._robot, found)
+        for name, robot in self._described.items():
+            if name not in found:
+                raise UnknownName.among("robot of this cell", name, found)
+            advice = "Give the description of the bridge, or omit --robot."
+            check_same(robot, f"the bridge of {self._cell}", name, found[name].hash, found[name], advice)
+        found |= self._described
         shown = {name: robot for name, robot in found.items() if self._robot in (None, name)}
         self._estimates = _estimates(self._models, shown)
         if shown != self.robots:
@@ -130,11 +144,11 @@ class Running:
 
     def value(self, arm: str, name: str) -> Any:
         if self.row is None:
-            raise LinkError("Expected a row of the bridge, but none has come yet. Hear first.")
+            raise LinkError("Expected a row from the bridge, got none yet. Call hear first.")
         return self.row.values[f"{arm}.{name}"]
 
     def force(self, arm: str) -> Force | None:
-        """Return the force on an arm: its controller's estimate, else that of a model, else the sensor."""
+        """Return the force on an arm from its controller's estimate, else from a model, else from the sensor."""
         recorded = self.value(arm, "wrench_hat")
         if np.isfinite(recorded).all():
             return Force(recorded, self.value(arm, "wrench_hat_cov"), "estimate of the controller")
@@ -145,7 +159,7 @@ class Running:
 
 
 class _Estimate:
-    """The estimate of one arm by a model, packet by packet."""
+    """Model-based force estimate of one arm, packet by packet."""
 
     def __init__(self, model: TorqueModel, robot: Robot) -> None:
         self._name, self._estimator = robot.name, Estimator(model, robot)
@@ -161,12 +175,12 @@ class _Estimate:
         if session != self._session:
             self._estimator.reset()
         elif t > self._t:
-            dt = t - self._t  # rows between may have been dropped
+            dt = t - self._t  # intermediate rows may have been dropped
             if dt > _ESTIMATE_GAP:
                 self._estimator.reset()
         self._t, self._session = t, session
         found = self._estimator.step(State(t, dt, q, qd, tau, robot=self._name))
-        self.force = Force(found.wrench, found.cov, "estimate of the model")
+        self.force = Force(found.wrench, found.cov, "estimate from the model")
 
 
 def _estimates(models: Sequence[TorqueModel], arms: Mapping[str, Robot]) -> dict[str, _Estimate]:
@@ -174,17 +188,17 @@ def _estimates(models: Sequence[TorqueModel], arms: Mapping[str, Robot]) -> dict
     for model in models:
         if model.robot_name not in arms:
             raise ModelMismatchError(
-                f"Expected a model of {' or '.join(arms)}, got one of {model.robot_name!r}. Give the model of this arm."
+                f"Expected a model of {' or '.join(arms)}, got one of {model.robot_name!r}. Pass the model of this arm."
             )
         found[model.robot_name] = _Estimate(model, arms[model.robot_name])
     return found
 
 
 _FRAME = 1.0 / 30.0  # s
-_WORDS = 0.25  # s between two looks at what there is to say
-_TRACE = 0.1  # s between two pictures of the path of a tool
-_PATH = 10.0  # s of it
-_GAP = 0.5  # s without news that curves and paths do not bridge
+_WORDS = 0.25  # s between two updates of the text
+_TRACE = 0.1  # s between two updates of the tool path
+_PATH = 10.0  # s of the tool path
+_GAP = 0.5  # s without rows that interrupts curves and paths
 
 
 def watch(
@@ -193,17 +207,22 @@ def watch(
     cell: str = "",
     zenoh: str = "",
     models: Sequence[TorqueModel] = (),
+    described: Sequence[Robot] = (),
+    meshes: Sequence[Path] = (),
     port: int | None = None,
     opened: Callable[[str], None] = lambda url: None,
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show a running bridge in the browser until `over` or an interrupt, also before it starts and after its end."""
+    """Show a running bridge in the browser until `over` or an interrupt, even before it starts and after it ends.
+
+    Arms that are `described` have meshes, which are searched for in the folders `meshes`.
+    """
     server = start(port)
-    running = Running(robot, cell, zenoh=zenoh, rate=1.0 / _FRAME, models=models)
+    running = Running(robot, cell, zenoh=zenoh, rate=1.0 / _FRAME, models=models, described=described)
     try:
         opened(address(server))
-        view, said = RunningView(server, running), ""
+        view, said = RunningView(server, running, meshes), ""
         while not over():
             began = time.monotonic()
             running.hear(_WORDS)
@@ -212,7 +231,7 @@ def watch(
                 tell(said)
             if server.get_clients():
                 view.draw()
-            else:  # nobody looks: who comes is shown all that was kept
+            else:  # no viewer: a new viewer gets the stored curves
                 view.take()
             time.sleep(max(began + _FRAME - time.monotonic(), 0.0))
     finally:
@@ -223,8 +242,8 @@ def watch(
 class RunningView:
     """Scene and panel of a running bridge, drawn frame by frame."""
 
-    def __init__(self, server: ViserServer, running: Running) -> None:
-        self._server, self._running = server, running
+    def __init__(self, server: ViserServer, running: Running, meshes: Sequence[Path] = ()) -> None:
+        self._server, self._running, self._meshes = server, running, meshes
         self._robots: Mapping[str, Robot] | None = None
         self._row: Row | None = None
         self._drawn: Row | None = None
@@ -233,7 +252,7 @@ class RunningView:
         self._build()
 
     def take(self) -> None:
-        """Keep the newest row for curves and paths."""
+        """Store the newest row for curves and paths."""
         running = self._running
         if running.robots is not self._robots:
             self._build()
@@ -244,7 +263,7 @@ class RunningView:
                 arm.take(running, t, follows)
 
     def draw(self) -> None:
-        """Show the newest row, and four times a second what there is to say."""
+        """Draw the newest row, and update the text four times per second."""
         self.take()
         with self._server.atomic():
             if self._row is not self._drawn:
@@ -256,7 +275,7 @@ class RunningView:
                 self._say()
 
     def _build(self) -> None:
-        """Make scene and panel for the arms of this bridge, in place of those of the last one."""
+        """Create the scene and panel for the arms of this bridge, replacing the previous ones."""
         running, server = self._running, self._server
         for part in self._parts:
             part.remove()
@@ -266,7 +285,7 @@ class RunningView:
         self._state = Lines(server.gui)
         self._parts = [self._state]
         if running.robots:
-            scene = RobotScene(server, running.robots.values())
+            scene = RobotScene(server, running.robots.values(), meshes=self._meshes)
             self._parts += [_arrow(server.gui, scene), tabs := server.gui.add_tab_group()]
             for name, robot in running.robots.items():
                 with tabs.add_tab(name):
@@ -275,9 +294,10 @@ class RunningView:
         self._parts.append(self._notes)
 
     def _time(self, row: Row) -> tuple[float, bool]:
-        """Return the time of a row since the first [s], and whether it follows the last; a clock set back begins anew.
+        """Return the time of a row since the first [s], and whether it continues the last row; a clock set back
+        restarts.
 
-        The time is that of the robot, which in lockstep is not that of the wall; a gap is one for who looks.
+        The time is robot time, which differs from wall time in lockstep; gaps are measured in wall time.
         """
         last, stamp = self._row, 1e-9 * row.wall_ns
         if last is None or stamp < self._stamp - _GAP:
@@ -296,7 +316,7 @@ class RunningView:
 
 
 class _ArmView:
-    """What is shown of one arm."""
+    """Scene and panel of one arm."""
 
     def __init__(self, scene: RobotScene, panel: ArmPanel, robot: Robot) -> None:
         self._scene, self._panel, self._robot = scene, panel, robot
@@ -306,16 +326,16 @@ class _ArmView:
         self._picture: tuple[np.ndarray, np.ndarray | None, np.ndarray | None] | None = None
 
     def take(self, running: Running, t: float, follows: bool) -> None:
-        """Keep the newest row, which may follow the last or come after a gap; its time [s]."""
+        """Store the newest row at its time [s], which continues the last row or follows a gap."""
         name = self._robot.name
         q, tau, force = running.value(name, "q"), running.value(name, "tau"), running.force(name)
-        if running.value(name, "age") > _GAP:  # it is silent while another arm sends: its last values are no news
+        if running.value(name, "age") > _GAP:  # silent while another arm sends, so its values are old
             tau, force = np.full_like(tau, np.nan), None
         wrench, covariance, self._origin = (None, None, "-") if force is None else force
         self._picture = (q, wrench, covariance)
         if t < self._t or not follows:
             self._path.clear()
-        if not follows and t > self._t >= 0.0:  # what is missing between interrupts the curves
+        if not follows and t > self._t >= 0.0:  # missing rows interrupt the curves
             self._push(0.5 * (self._t + t), np.full_like(tau, np.nan))
         if t != self._t:
             self._path.add(t, forward(self._robot, q)[:3, 3])
@@ -333,7 +353,7 @@ class _ArmView:
         self._moment.push(t, values[3:], half[3:])
 
     def draw(self) -> None:
-        """Show what was taken last; curves and path of the tool ten times a second."""
+        """Draw the stored row; curves and the tool path are drawn ten times per second."""
         if self._picture is None:
             return
         self._scene.show(self._robot.name, *self._picture)
@@ -348,7 +368,7 @@ class _ArmView:
 
 
 def _arrow(gui: Any, scene: RobotScene) -> Any:
-    """Return the slider for the length of a force."""
+    """Return the slider for the force scale."""
     slider = gui.add_slider("force [mm/N]", 1.0, 50.0, 1.0, 1e3 * scene.arrow)
 
     @slider.on_update

@@ -1,4 +1,4 @@
-"""View of a recording: what it holds of each arm, and a player with a slider."""
+"""View of a recording: content of each arm, and a player with a slider."""
 
 from __future__ import annotations
 
@@ -17,33 +17,36 @@ from numpy.typing import ArrayLike
 
 from armlab import log as logs
 from armlab import robots as library
+from armlab._display import BLUE, ORANGE
 from armlab._numbers import number
-from armlab._palette import BLUE, ORANGE
 from armlab.bridge.servers.status import arm_state
 from armlab.errors import LogError, ModelMismatchError, RobotError, ShapeError, UnknownName
+from armlab.estimation.fit import Fit, value_of
 from armlab.kinematics import forward
 from armlab.live.curves import ArmPanel, Curves, envelope
 from armlab.live.scene import RobotScene
-from armlab.log.recording.metadata import described
+from armlab.log.reading import in_order_of
+from armlab.log.recording.metadata import check_recorded, described
 from armlab.robots import Robot
+from armlab.robots.comparison import check_same
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
     from armlab.log import Table
-    from armlab.log.recording.metadata import Event
+    from armlab.log.recording.metadata import Event, Inspection
     from armlab.models import TorqueModel
 
 
-_SILENT = 0.5  # s after which an arm had sent no packets
-_RATE_SPAN, _TRIP_SPAN = 1.0, 10.0  # s over which rate and round trips are taken
-_CLOCK = "joint_states"  # a topic that every arm of a recording has
+_SILENT = 0.5  # s without packets before an arm counts as silent
+_RATE_SPAN, _TRIP_SPAN = 1.0, 10.0  # s, averaging windows of rate and round trips
+_CLOCK = "joint_states"  # a topic of every recorded arm
 _LIMITS = {1: "position", 2: "velocity", 4: "acceleration", 8: "braking", 16: "torque", 32: "torque rate"}
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """The log of one arm: a table with q (N, n), and t (N,) of its rows since the view's beginning [s]."""
+    """Log of one arm: a table with q (N, n), and the times t (N,) of its rows since the start of the view [s]."""
 
     robot: Robot
     table: Table
@@ -52,41 +55,41 @@ class Recorded:
 
     @cached_property
     def tool(self) -> np.ndarray:
-        """Path of the tool point (N, 3), base axes [m]."""
+        """Path of the tool point (N, 3) in base axes [m]."""
         return forward(self.robot, np.ascontiguousarray(self.table["q"]))[:, :3, 3]
 
     @cached_property
     def torque(self) -> np.ndarray | None:
-        """Measured torques (N, n); None without."""
+        """Measured torques (N, n), or None."""
         return self.table.values.get("tau")
 
     @cached_property
     def wrench(self) -> np.ndarray | None:
-        """The wrench (N, 6), base axes, at the tool point: estimated, else measured; None without either."""
+        """Wrench (N, 6) in base axes at the tool point: estimated, else measured, else None."""
         name = next((name for name in ("wrench_hat", "wrench") if name in self.table), None)
         return None if name is None else self.table[name]
 
     @cached_property
     def covariance(self) -> np.ndarray | None:
-        """Covariance (N, 6, 6) of an estimated wrench; None without."""
+        """Covariance (N, 6, 6) of an estimated wrench, or None."""
         return self.table["wrench_hat_cov"] if {"wrench_hat", "wrench_hat_cov"} <= set(self.table.names) else None
 
     @cached_property
     def sigma(self) -> np.ndarray | None:
-        """Standard deviations (N, 6) of the wrench; None without."""
+        """Standard deviations (N, 6) of the wrench, or None."""
         return None if self.covariance is None else np.sqrt(np.einsum("kii->ki", self.covariance))
 
     def row(self, t: float) -> int:
-        """Return the last row at or before an instant; the first one before it. `t`: [s]."""
+        """Return the last row at or before an instant, or row 0. `t`: [s]."""
         return max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
 
     def span(self, t: float, seconds: float) -> slice:
-        """Return the rows of the last seconds before an instant, at least one. `t`: [s]."""
+        """Return the rows of the last seconds before an instant (at least one row). `t`: [s]."""
         last = self.row(t)
         return slice(min(int(np.searchsorted(self.t, t - seconds)), last), last + 1)
 
     def words(self, t: float) -> dict[str, str]:
-        """Return what there is to say of the link at t [s]: state, rate, round trips, limits, packets lost."""
+        """Return the status of the link at t [s]: state, rate, round trips, limits, lost packets."""
         k = self.row(t)
         times = self.t[self.span(t, _RATE_SPAN)]
         rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else math.nan
@@ -101,7 +104,7 @@ class Recorded:
     def _state(self, k: int, t: float) -> str:
         age = t - self.t[k]
         if not 0.0 <= age <= _SILENT:
-            return "not begun" if age < 0.0 else f"no packet for {age:.1f} s"
+            return "not started" if age < 0.0 else f"no packet for {age:.1f} s"
         if not {"motors", "rapid", "mci"} <= set(self.table.names):
             return "recorded"
         is_answered = "seq_sent" not in self.table or bool(self.table["seq_sent"][k] >= 0)
@@ -121,7 +124,7 @@ class Recorded:
         return f"p50 {p50:.0f} µs, p99 {p99:.0f} µs"
 
     def _clamps(self, k: int) -> str:
-        """Return which limits act on which joints now, and in how many rows any did so far."""
+        """Return the limits currently active per joint, and the number of rows with any active limit so far."""
         if "clamped" not in self.table:
             return "-"
         word = np.nan_to_num(self.table["clamped"][k]).astype(int)
@@ -137,7 +140,7 @@ class Recorded:
         return np.cumsum((np.nan_to_num(self.table["clamped"]) != 0).any(axis=1))
 
     def _lost(self, k: int) -> list[str]:
-        """Return how many packets were lost on the way, and how many refused, so far."""
+        """Return the numbers of packets lost and refused so far."""
         found = []
         if "missed" in self.table:
             found.append(f"{self._missed[k]:.0f} missed,")
@@ -151,107 +154,130 @@ class Recorded:
 
 
 def read_arms(
-    paths: Iterable[str | Path], robots: Sequence[Robot] = (), models: Sequence[TorqueModel] = ()
+    paths: Iterable[str | Path],
+    robots: Sequence[Robot] = (),
+    models: Sequence[TorqueModel | Fit[TorqueModel]] = (),
+    *,
+    force: bool = False,
+    columns: str | None = None,
 ) -> list[Recorded]:
-    """Return the arms that were recorded in one file or in several, on one clock that begins at 0.
+    """Return the arms recorded in one or several files on a common clock that begins at 0.
 
-    A recording of armlab tells its robots. Other files, and recordings of robots that are neither described in them
-    nor in the library, need theirs in `robots`: by name, or, where a file tells none, in the order of these files.
+    A recording of armlab identifies its robots. Other files need descriptions in `robots`, matched by name or, for
+    files without names, by the order of the files.
 
     Parameters
     ----------
-    paths : of logs of any format that `log.read` reads.
+    paths : logs of any format supported by `log.read`.
     robots : descriptions to use.
-    models : torque models; where one belongs to an arm without an estimated wrench, the wrench is estimated.
+    models : torque models, or their fits; the wrench is estimated for their arms if the log has no estimate.
+    force : show a recording with another description of its arm.
+    columns : where files of other programs have the columns, see `log.read`.
 
     Raises
     ------
-    LogError : no file, one that cannot be read, without q of its robot, or an arm that is in two of them.
-    RobotError : a robot is not known. ModelMismatchError : a model is of none of these arms.
+    LogError : no file, an unreadable file, a file without q of its robot, or an arm in two files.
+    RobotError : unknown robot.
+    ModelMismatchError : a robot other than the recorded one, with the differences; a model of another arm.
     """
+    known = [value_of(model) for model in models]
     given = {robot.name: robot for robot in robots}
     waiting = list(robots)
     found: list[tuple[Robot, Table, tuple[Event, ...]]] = []
     for path in map(Path, paths):
-        for name, table, events, attached in _tables(path, given, waiting):
-            robot = _robot(path, name, given, waiting, attached)
+        for name, table, held in _tables(path, given, waiting, columns):
+            robot = _robot(path, name, given, waiting, held, force)
+            table = table if columns is None else in_order_of(robot, table, path)
             if not len(table):
-                raise LogError(f"Expected rows of {robot.name} in {path}, got a log without any. Nothing was recorded.")
+                raise LogError(f"Expected rows of {robot.name} in {path}, got an empty log. Give another log.")
             if "q" not in table or table["q"].shape[1] != robot.n:
                 got = table["q"].shape if "q" in table else ", ".join(table.names)
                 raise LogError(f"Expected positions q (N, {robot.n}) of {robot.name} in {path}, got {got}.")
             if any(robot.name == other.name for other, _, _ in found):
-                raise LogError(
-                    f"Expected each arm once, but {robot.name} is in {path} again. Give one log of each arm."
-                )
-            found.append((robot, _with_wrench(table, robot, models), events))
+                raise LogError(f"Expected each arm only once, got {robot.name} again in {path}. Pass one log per arm.")
+            found.append((robot, _with_wrench(table, robot, known, force), held.events if held else ()))
     if not found:
-        raise LogError("Expected at least one log to view, got none. Give the path of a recording.")
-    _check_models(models, [robot for robot, _, _ in found])
+        raise LogError("Expected at least one log to view, got no path. Pass the path of a recording.")
+    for robot in waiting:
+        shown, advice = found[0][0], "Omit it, or override with --force."
+        check_same(robot, "a recording", shown.name, "", shown, advice)
+    if not force:
+        _check_models(known, [robot for robot, _, _ in found])
     start = _start([table for _, table, _ in found])
     return [_recorded(*one, start) for one in found]
 
 
 def _tables(
-    path: Path, given: Mapping[str, Robot], waiting: Sequence[Robot]
-) -> Iterable[tuple[str | None, Table, tuple[Event, ...], Mapping[str, bytes]]]:
-    """Yield name, table, events and attachments of each arm in a file; the name is None where it tells none."""
+    path: Path, given: Mapping[str, Robot], waiting: Sequence[Robot], columns: str | None
+) -> Iterable[tuple[str | None, Table, Inspection | None]]:
+    """Yield the name, table and inspection of each arm in a file; name and inspection are None if unknown."""
     from armlab.log.file_formats.opening import format_at
     from armlab.log.topics.reader import is_foreign, read_joints
 
     if waiting and is_foreign(path):
         named = [name for name in _arms_in(path) if name in given] if format_at(path) == "MCAP" else []
         for name in named or (None,):
-            yield name, read_joints(path, waiting[0] if name is None else given[name]), (), {}
+            yield name, read_joints(path, waiting[0] if name is None else given[name]), None
         return
     if format_at(path) != "MCAP":
-        yield None, logs.read(path), (), {}
+        yield None, logs.read(path, columns), None
         return
     held, names = logs.inspect(path), _arms_in(path)
     if len(names) < 2:
-        yield held.metadata.get("armlab", {}).get("robot"), logs.read(path), held.events, held.attachments
+        yield held.metadata.get("armlab", {}).get("robot"), logs.read(path), held
         return
     for name in names:
-        yield name, logs.read(path, robot=name), held.events, held.attachments
+        yield name, logs.read(path, robot=name), held
 
 
 def _arms_in(path: Path) -> list[str]:
-    """Return the names of the arms that an MCAP file tells by its topics."""
+    """Return the names of the arms from the topics of an MCAP file."""
     topics = [topic.name.strip("/").rpartition("/") for topic in logs.inspect(path).topics]
     return sorted({name for name, _, last in topics if last == _CLOCK and name})
 
 
 def _robot(
-    path: Path, name: str | None, given: Mapping[str, Robot], waiting: list[Robot], attached: Mapping[str, bytes]
+    path: Path,
+    name: str | None,
+    given: Mapping[str, Robot],
+    waiting: list[Robot],
+    held: Inspection | None,
+    force: bool,
 ) -> Robot:
     if name is not None and name in given:
         waiting[:] = [robot for robot in waiting if robot.name != name]
+        if held and not force:
+            check_recorded(held, given[name])
         return given[name]
-    if name is None and waiting:
+    if waiting and (name is None or force):
         return waiting.pop(0)
-    found = described(attached, name or "", str(path))
+    found = described(held.attachments, name or "", str(path)) if held else None
     if found is not None:
         return found
     try:
         return library.load(name or "")
     except (UnknownName, RobotError):
-        said = f"{name!r}, which the library does not have" if name else "none in the file"
-        raise RobotError(f"Expected the robot of {path}, got {said}. Give its description: --robot FILE.") from None
+        said = f"{name!r}, which is not in the library" if name else "a file without a robot"
+        raise RobotError(f"Expected the robot of {path}, got {said}. Pass its description with --robot FILE.") from None
 
 
 def _check_models(models: Sequence[TorqueModel], arms: Sequence[Robot]) -> None:
-    """Refuse a model that would be passed over."""
+    """Raise for a model that matches none of the arms."""
     for model in models:
         if model.robot_hash not in {robot.hash for robot in arms}:
+            if len(arms) == 1:
+                model.check_robot(arms[0])
             raise ModelMismatchError(
-                f"Expected a model of {' or '.join(f'{robot.name} ({robot.hash[:12]})' for robot in arms)}, got one of "
-                f"{model.robot_name} ({model.robot_hash[:12]}). Give the model of this arm."
+                f"Expected a model of {' or '.join(f'{robot.name} ({robot.hash[:12]})' for robot in arms)}, got a "
+                f"model of {model.robot_name} ({model.robot_hash[:12]}). Pass the model of this arm."
             )
 
 
-def _with_wrench(table: Table, robot: Robot, models: Sequence[TorqueModel]) -> Table:
-    """Estimate the wrench where the log has none and a model of this robot was given."""
+def _with_wrench(table: Table, robot: Robot, models: Sequence[TorqueModel], force: bool) -> Table:
+    """Estimate the wrench if the log has none and a model of this robot (with `force`: of its name) is given."""
     model = next((model for model in models if model.robot_hash == robot.hash), None)
+    if model is None and force:
+        model = next((model.moved_to(robot) for model in models if model.robot_name == robot.name), None)
     if model is None or "wrench_hat" in table or "tau" not in table:
         return table
     from armlab.contact import Estimator
@@ -261,7 +287,7 @@ def _with_wrench(table: Table, robot: Robot, models: Sequence[TorqueModel]) -> T
 
 
 def _start(tables: Sequence[Table]) -> int:
-    """Return the wall clock at which the view begins [ns]; 0 where the clocks have nothing to do with each other."""
+    """Return the wall clock at the start of the view [ns], or 0 for unrelated clocks."""
     ends = [(table.t0_ns + int(1e9 * table.t[0]), table.t0_ns + int(1e9 * table.t[-1])) for table in tables]
     together = max(first for first, _ in ends) <= min(last for _, last in ends)
     return min(first for first, _ in ends) if together and all(table.t0_ns for table in tables) else 0
@@ -275,39 +301,43 @@ def _recorded(robot: Robot, table: Table, events: tuple[Event, ...], start: int)
     return Recorded(robot, table, table.t + shift, inside)
 
 
-_WINDOW = 10.0  # s of curves and path
-_FRAMES, _CURVES = 30.0, 10.0  # pictures per second, of the arms and of the panel
+_WINDOW = 10.0  # s of curves and paths
+_FRAMES, _CURVES = 30.0, 10.0  # updates per second of the arms and of the panel
 _SPEEDS, _ARROWS = (0.1, 4.0), (1.0, 50.0)  # of the sliders; the latter in mm/N
 _ARM_COLORS = (BLUE, ORANGE)  # of the whole run
 
 
 class Player:
-    """Shows recorded arms, and moves through their log when asked to, by its methods or in the browser.
+    """Player that shows recorded arms and moves through their log by method calls or in the browser.
 
     Parameters
     ----------
     server : viser.ViserServer
-        Server of `start`.
+        Server from `start`.
     arms : sequence
-        Recordings of `read_arms`.
+        Recordings from `read_arms`.
     T_world_base : mapping, optional
-        Pose (4, 4) of an arm's base in the world, by the name of the arm; default: the world.
+        Pose (4, 4) of each arm's base in the world by name of the arm; default: the identity.
     meshes : sequence of Path, optional
-        Folders of the mesh files that the descriptions name; default: the current one.
+        Folders of the mesh files in the descriptions; default: the current folder.
 
     Attributes
     ----------
     scene : the drawn arms; ``scene.frame(name, T_world_x)`` adds a named frame.
     t : instant shown [s].
     duration : end of the log [s].
-    playing : whether time goes on.
+    playing : whether the player runs.
     speed : log seconds per second, 0.1 to 4.
 
     Raises
     ------
     LogError : no arm.
-    RobotError, UnknownName, ShapeError : robots of one name, a base of an unknown arm, no pose.
+    RobotError, UnknownName, ShapeError : robots with equal names, a base of an unknown arm, an invalid pose.
     """
+
+    t: float
+    playing: bool
+    speed: float
 
     def __init__(
         self,
@@ -318,13 +348,13 @@ class Player:
         meshes: Sequence[Path] = (),
     ) -> None:
         if not arms:
-            raise LogError("Expected at least one recorded arm to play, got none. See read_arms.")
-        self.scene = RobotScene(server, [arm.robot for arm in arms], T_world_base, meshes=meshes)
+            raise LogError("Expected at least one recorded arm to play, got an empty list. Use read_arms.")
+        self.scene: RobotScene = RobotScene(server, [arm.robot for arm in arms], T_world_base, meshes=meshes)
         self.t, self.playing, self.speed = 0.0, False, 1.0
-        self.duration = max(float(arm.t[-1]) for arm in arms)
+        self.duration: float = max(float(arm.t[-1]) for arm in arms)
         self._server, self._arms = server, list(arms)
         self._events = sorted({event for arm in arms for event in arm.events})
-        self._lock = threading.Lock()  # the browser asks in threads of the server
+        self._lock = threading.Lock()  # callbacks run in server threads
         self._stale, self._panel_due = True, -math.inf
         self._controls = _Controls(server.gui, self)
         self._run, self._overview = self._whole_run(server.gui)
@@ -332,13 +362,13 @@ class Player:
         self._draw()
 
     def play(self) -> None:
-        """Let time go on; from the beginning when it was at the end."""
+        """Start playing, from the beginning if the player is at the end."""
         with self._lock:
             self.t = 0.0 if self.t >= self.duration else self.t
             self.playing = self._stale = True
 
     def pause(self) -> None:
-        """Let time stand still."""
+        """Pause."""
         with self._lock:
             self.playing, self._stale = False, True
 
@@ -347,30 +377,30 @@ class Player:
 
         Parameters
         ----------
-        t : [s]; before the beginning and after the end are those.
+        t : [s]; clipped to the length of the log.
 
         Raises
         ------
-        ShapeError : no finite number.
+        ShapeError : t is not finite.
         """
         t = number(t, "the time to go to [s]")
         if not math.isfinite(t):
-            raise ShapeError(f"Expected a finite time to go to, got {t}. The log ends at {self.duration:g} s.")
+            raise ShapeError(f"Expected a finite time to go to, got {t}. Pass 0 to {self.duration:g} s.")
         with self._lock:
             self.t, self._stale = min(max(t, 0.0), self.duration), True
 
     def next_event(self) -> None:
-        """Go to the next event after this instant, from the last one to the first."""
+        """Go to the next event (cyclically)."""
         later = [t for t, _ in self._events if t > self.t + 1e-9]
         if self._events:
             self.seek(later[0] if later else self._events[0][0])
 
     def advance(self, seconds: float) -> None:
-        """Let so much time pass before the screen and draw what changed.
+        """Advance the player by wall time and draw the changes.
 
         Parameters
         ----------
-        seconds : since the last call; nothing moves while paused.
+        seconds : since the last call; no effect while paused.
         """
         with self._lock:
             if self.playing:
@@ -381,11 +411,11 @@ class Player:
             self._draw()
 
     def run(self, seconds: float | None = None) -> None:
-        """Play for people: thirty pictures a second, until Ctrl-C.
+        """Play in real time at thirty frames per second until Ctrl-C.
 
         Parameters
         ----------
-        seconds : after which to end all the same.
+        seconds : time limit [s]; default: none.
         """
         last = time.monotonic()
         end = math.inf if seconds is None else last + seconds
@@ -396,7 +426,7 @@ class Player:
             last = now
 
     def _draw(self) -> None:
-        """Draw the arms at this instant; the panel at most ten times a second while playing."""
+        """Draw the arms at this instant, and the panel at most ten times per second while playing."""
         with self._lock:
             t, playing, self._stale = self.t, self.playing, False
         now = time.monotonic()
@@ -420,7 +450,7 @@ class Player:
                 self._controls.show(t, past[-1] if past else None)
 
     def _whole_run(self, gui: Any) -> tuple[Curves, tuple[np.ndarray, np.ndarray]]:
-        """Return the plot of the whole run and what it shows: size of the force, else speed of the tool."""
+        """Return the plot of the whole run with its data: magnitude of the force if known, otherwise tool speed."""
         forces = any(arm.wrench is not None for arm in self._arms)
         t = np.unique(np.concatenate([arm.t for arm in self._arms]))
         columns = []
@@ -449,7 +479,7 @@ class Player:
 
 
 class _Controls:
-    """Buttons and sliders; what the user does goes to the player, what the player does is shown."""
+    """Buttons and sliders, synchronised with the player."""
 
     def __init__(self, gui: Any, player: Player) -> None:
         actions = {"Play": player.play, "Pause": player.pause, "Next event": player.next_event}
@@ -479,7 +509,7 @@ class _Controls:
 
 
 def _panel(gui: Any, arm: Recorded) -> ArmPanel:
-    """Make the panel of an arm, its scales those of the whole log."""
+    """Create the panel of an arm with scales that cover the whole log."""
     limits = {}
     wrench, no_wrench = arm.wrench, arm.wrench is None
     for name, values in (

@@ -1,13 +1,15 @@
-"""The scene in the browser: arms, paths of their tools, forces with their uncertainty, named frames.
+"""Browser scene: arms, tool paths, forces with uncertainty, named frames.
 
-Links are capsules made from the description where it has no meshes, joints drums about their axes.
+Links without meshes are drawn as capsules derived from the kinematics, joints as drums about their axes.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import COLORS, GREY, VERMILION
 from armlab._numbers import numbers, positive
-from armlab._palette import COLORS, GREY, VERMILION
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward, link_transforms
 from armlab.lie import quaternion, se3
@@ -30,13 +32,13 @@ if TYPE_CHECKING:
 
 _THICK = (0.042, 0.020)  # radius of the first and the last link over the length of the arm
 _DRUM = (1.25, 2.6)  # radius and length of a joint over the radius of its link
-_STROKE = 0.3  # of a slide without limits, over the length of the arm
+_STROKE = 0.3  # default stroke of a prismatic joint without limits, over the length of the arm
 _SIDES = 20
-_SHAFT, _HEAD = 0.008, (0.02, 0.72)  # of an arrow: radius [m]; radius [m] and where it begins
+_SHAFT, _HEAD = 0.008, (0.02, 0.72)  # of an arrow: shaft radius [m]; head radius [m] and its start
 
 
 def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Trimesh:
-    """Return all points within a radius of the line from a to b: a cylinder and two half spheres."""
+    """Return a capsule, which contains all points within a radius of the line from a to b."""
     from trimesh import creation
 
     length = float(np.linalg.norm(b - a))
@@ -46,7 +48,7 @@ def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Trimesh:
 
 
 def box(a: np.ndarray, b: np.ndarray, width: float) -> Trimesh:
-    """Return a rod of square section from a to b. `a`, `b`: (3,) middles of its ends. `width`: [m]."""
+    """Return a rod with a square cross-section from a to b. `a`, `b`: (3,) centres of the ends. `width`: [m]."""
     from trimesh import creation
 
     T = along(a, b)
@@ -55,7 +57,7 @@ def box(a: np.ndarray, b: np.ndarray, width: float) -> Trimesh:
 
 
 def arrow() -> Trimesh:
-    """Return an arrow from the origin to (0, 0, 1); scaled along z it has the length of a force."""
+    """Return an arrow from the origin to (0, 0, 1); its z scale is the length of a force."""
     from trimesh import creation
 
     radius, begin = _HEAD
@@ -66,10 +68,10 @@ def arrow() -> Trimesh:
 
 
 def bodies(robot: Robot) -> list[Trimesh]:
-    """Return n + 1 shapes: that from base to joint 1 in base axes, then each link in its link frame, the tool included.
+    """Return n + 1 shapes: from base to joint 1 in base axes, then each link in its link frame, including the tool.
 
-    A link runs along its joint axes and the common normal between them, as in `plots.robot`; it gets thinner towards
-    the tool. What slides is a rod along its axis, as long as its stroke.
+    A link follows its joint axes and their common normal, as in `plots.robot`, and tapers towards the tool. A prismatic
+    joint is a rod along its axis with the length of its stroke.
     """
     from trimesh.util import concatenate
 
@@ -92,7 +94,7 @@ def bodies(robot: Robot) -> list[Trimesh]:
 
 
 def drums(robot: Robot) -> list[Trimesh]:
-    """Return the n joints, each about the z axis of its link frame."""
+    """Return the n joint shapes, each about the z axis of its link frame."""
     from trimesh import creation
 
     radii = arm_length(robot) * np.linspace(*_THICK, robot.n + 1)[1:]
@@ -100,7 +102,7 @@ def drums(robot: Robot) -> list[Trimesh]:
 
 
 def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return a pose (4, 4) at a whose z axis points to b. `a`, `b`: (3,); where they are the same, z stays."""
+    """Return a pose (4, 4) at a with the z axis towards b. `a`, `b`: (3,); if they coincide, z is unchanged."""
     z = b - a
     z = z / np.linalg.norm(z) if z.any() else np.array([0.0, 0.0, 1.0])
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
@@ -109,29 +111,46 @@ def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Trimesh | None]:
-    """Return n + 1 shapes from the robot's visual meshes (base axes, link frames); None for a link without.
+    """Return n + 1 shapes from the robot's visual meshes (in base axes and link frames); None for a link without a
+    mesh.
 
-    One warning names all files that are missing or cannot be read. ``package://maker/a/b.stl`` is looked for as
-    ``maker/a/b.stl`` and ``a/b.stl`` in each folder.
+    One warning names all missing or unreadable files. ``package://maker/a/b.stl`` is searched for as ``maker/a/b.stl``
+    and ``a/b.stl`` in each folder, then in the folders of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH.
     """
     from trimesh.util import concatenate
 
     missing: list[str] = []
+    folders = [*(folders or [Path()]), *ros_folders()]
     shapes: list[Trimesh | None] = []
     for i, link in enumerate(robot.meshes):
         visual = [mesh for mesh in link if mesh.kind == "visual"]
-        found = [_read(mesh, folders or [Path()]) for mesh in visual]
-        missing += [mesh.file for mesh, one in zip(visual, found) if one is None]
+        found = [_read(mesh, folders) for mesh in visual]
+        missing += [mesh.file for mesh, one in zip(visual, found) if one is None and mesh.file not in missing]
         parts = [one for one in found if one is not None]
         whole: Any = concatenate(parts) if parts and len(parts) == len(visual) else None
         shapes.append(whole.apply_transform(robot.T_base_mount) if whole is not None and i == 0 else whole)
     if missing:
-        warnings.warn(f"no mesh for {', '.join(missing)} of {robot.name}: links without are capsules", stacklevel=2)
+        packages = any(file.startswith("package://") for file in missing)
+        advice = " Pass the folder that contains the package with --package-path FOLDER." if packages else ""
+        collada = any(file.lower().endswith(".dae") for file in missing) and find_spec("collada") is None
+        advice += " A .dae needs pycollada: pip install 'armlab[live]'." if collada else ""
+        more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
+        warnings.warn(
+            f"Expected the meshes of {robot.name}, got no readable {', '.join(missing[:5])}{more}: capsules are drawn "
+            f"instead.{advice}",
+            stacklevel=2,
+        )
     return shapes or [None] * (robot.n + 1)
 
 
+def ros_folders() -> list[Path]:
+    """Return the folders in which ROS looks for packages."""
+    found = [Path(word) for word in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if word]
+    return found + [Path(word) / "share" for word in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if word]
+
+
 def _read(mesh: Mesh, folders: Sequence[Path]) -> Trimesh | None:
-    """Return what a file of a mesh holds, in its link frame."""
+    """Return the content of a mesh file in its link frame."""
     import trimesh
 
     name = mesh.file.removeprefix("file://")
@@ -145,29 +164,29 @@ def _read(mesh: Mesh, folders: Sequence[Path]) -> Trimesh | None:
             try:
                 read = trimesh.load_mesh(path)
                 return read.apply_scale(mesh.scale).apply_transform(mesh.T_link_mesh) if len(read.faces) else None
-            except Exception:  # each reader of each format has errors of its own
+            except Exception:  # every mesh reader raises its own errors
                 return None
     return None
 
 
 def solid(scene: Any, name: str, body: Trimesh, color: str) -> Any:
-    body = body.smooth_shaded  # sharp edges stay sharp
+    body = body.smooth_shaded  # keeps sharp edges
     return scene.add_mesh_simple(name, body.vertices.astype(np.float32), body.faces.astype(np.uint32), color=rgb(color))
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """Return red, green and blue, 0 to 255, of a colour such as "#0072B2"."""
+    """Return the red, green and blue values (0 to 255) of a colour such as "#0072B2"."""
     red, green, blue = bytes.fromhex(color.removeprefix("#"))
     return red, green, blue
 
 
 _ZERO_OUTSIDE = 7.81  # 95 % quantile of chi-square with 3 degrees of freedom
-_SURE = 1e-6  # N; half axes are not shorter
-_SHORTEST, _FULL = 1e-3, 0.15  # m: a shorter arrow is not drawn, or thinner
+_SURE = 1e-6  # N, smallest half axis
+_SHORTEST, _FULL = 1e-3, 0.15  # m: shortest arrow drawn, and shortest arrow of full width
 
 
 class ForceArrow:
-    """Arrow and ellipsoid; both are grey while zero lies inside the 95 % ellipsoid."""
+    """Force arrow and ellipsoid; both are grey while the 95 % ellipsoid contains zero."""
 
     def __init__(self, scene: Any, root: str) -> None:
         self._arrow = solid(scene, f"{root}/force", arrow(), VERMILION)
@@ -180,7 +199,7 @@ class ForceArrow:
         self._arrow.visible = self._spread.visible = False
 
     def show(self, tool: np.ndarray, force: np.ndarray | None, covariance: np.ndarray | None, unit: float) -> None:
-        """Draw a force (3,) [N] at the tool, `unit` metres long per newton, with its ellipsoid; nothing where NaN."""
+        """Draw a force (3,) [N] at the tool with `unit` metres per newton and its ellipsoid; hidden for NaN."""
         if force is None or not np.isfinite(force).all():
             self.hide()
             return
@@ -202,7 +221,7 @@ class ForceArrow:
 
 
 def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return axes, columns of a rotation, and half axes of the two-sigma ellipsoid ``{x : x^T C^-1 x = 4}``."""
+    """Return the axes (columns of a rotation) and half-axes of the two-sigma ellipsoid ``{x : x^T C^-1 x = 4}``."""
     size, axes = np.linalg.eigh(covariance)
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] *= -1.0
@@ -210,38 +229,38 @@ def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def is_significant(force: np.ndarray, axes: np.ndarray, half: np.ndarray) -> bool:
-    """Return whether zero lies outside the 95 % ellipsoid of a force: ``f^T C^-1 f >= 7.81``. `force`: (3,)."""
+    """Return whether zero is outside the 95 % ellipsoid of a force: ``f^T C^-1 f >= 7.81``. `force`: (3,)."""
     return bool(4.0 * np.sum((force @ axes / np.maximum(half, _SURE)) ** 2) >= _ZERO_OUTSIDE)
 
 
 def _towards(x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Return the shortest turn (wxyz) that takes the z axis to a unit vector."""
-    w = 1.0 + z if z > 0.0 else (x * x + y * y) / (1.0 - z)  # the same, exact also close to -z
+    """Return the shortest rotation (wxyz) of the z axis to a unit vector."""
+    w = 1.0 + z if z > 0.0 else (x * x + y * y) / (1.0 - z)  # equal, but accurate near -z
     size = math.hypot(w, x, y)
     return (w / size, -y / size, x / size, 0.0) if size else (0.0, 1.0, 0.0, 0.0)
 
 
 ARROW = 0.2 / 20.0
-"""Length of a force [m/N] unless set otherwise."""
+"""Default arrow length per force [m/N]."""
 LINK_COLORS = ("#8FB4D9", "#E2BE8C")
-"""Of the links of the first, second, ... arm."""
+"""Colours of the links of the first, second, ... arm."""
 TOOL_COLOR = "#C800C8"
-"""Of the ball at the tool point; nothing else has it."""
+"""Colour reserved for the tool point."""
 
-_TOOL, _AXES = 0.03, 0.1  # radius of the ball at the tool point, length of its axes: over the length of the arm
-_MOST_POINTS = 300  # of a path
+_TOOL, _AXES = 0.03, 0.1  # relative to the arm: radius of the tool sphere, length of its axes
+_MOST_POINTS = 300  # points of a path
 
 
 class RobotScene:
-    """Arms in one world, drawn by `show`; everything else of viser's ``server.scene`` is free to use beside it.
+    """Arms in one world, drawn by `show`; the rest of viser's ``server.scene`` is free for other use.
 
-    Links are capsules in the colour of their arm, joints drums in the colour that they have in all curves, the tool
-    point is a ball with axes x, y, z. The arrow at it is the force by the environment on the robot, the ellipsoid at
-    its tip that of two sigma; both are grey while zero lies inside the 95 % ellipsoid.
+    Links are capsules in the colour of their arm, joints are drums in the colour of their curves, and the tool point is
+    a sphere with axes x, y, z. The arrow is the force exerted by the environment on the robot, and the ellipsoid at its
+    tip is the two-sigma uncertainty; both are grey while the 95 % ellipsoid contains zero.
 
-    `T_world_base`: (4, 4) pose of an arm's base in the world by its name; the world where none is given. The mount is
-    part of the robot. `meshes`: folders of the files that the descriptions name as meshes; the current one when none is
-    given. `arrow`: length of a force [m/N]; set it and show again.
+    `T_world_base`: (4, 4) pose of each arm's base in the world by name; default: the identity. The mount is part of the
+    robot. `meshes`: folders of the mesh files in the descriptions; default: the current folder. `arrow`: arrow length
+    per force [m/N]; takes effect at the next `show`.
     """
 
     def __init__(
@@ -259,7 +278,7 @@ class RobotScene:
         names = {robot.name for robot in arms}
         if not arms or len(names) < len(arms):
             names = ", ".join(robot.name for robot in arms) or "none"
-            raise RobotError(f"Expected robots of different names to show, got {names}. Rename one.")
+            raise RobotError(f"Expected robots with different names, got {names}. Rename one.")
         self.arrow = ARROW
         self._server, self._meshes = server, meshes
         bases = dict(T_world_base or {})
@@ -274,7 +293,10 @@ class RobotScene:
         self._surround()
 
     def add(self, robot: Robot, T_world_base: ArrayLike | None = None) -> None:
-        """Add an arm; one of this name goes. `T_world_base`: (4, 4) pose of its base; the world when None."""
+        """Add an arm, replacing any arm of the same name.
+
+        `T_world_base`: (4, 4) pose of its base (default: identity).
+        """
         if robot.name in self.robots:
             self.remove(robot.name)
         T = _pose(np.eye(4) if T_world_base is None else T_world_base)
@@ -287,7 +309,7 @@ class RobotScene:
         self._arms.pop(name).root.remove()
 
     def arrange(self, T_world_base: Mapping[str, ArrayLike]) -> None:
-        """Put bases (4, 4) elsewhere, floor and camera about them all; who looks already keeps the camera."""
+        """Move the bases (4, 4), and centre the floor and camera on them; existing viewers keep their camera."""
         for name, T in T_world_base.items():
             self._robot(name)
             arm = self._arms[name]
@@ -298,12 +320,12 @@ class RobotScene:
     def show(
         self, name: str, q: ArrayLike, wrench: ArrayLike | None = None, covariance: ArrayLike | None = None
     ) -> None:
-        """Draw an arm at a configuration, with the force on it. What is missing or NaN is hidden.
+        """Draw an arm at a configuration, with the force on it. Missing or NaN values are hidden.
 
         Wrap the arms of one instant in ``with server.atomic():``.
 
-        `q`: (n,) joint positions [rad or m]. `wrench`: (6,), or (3,) its force, by the environment on the robot, base
-        axes, at the tool point [N, N m]. `covariance`: (6, 6) or (3, 3) of it.
+        `q`: (n,) joint positions [rad or m]. `wrench`: (6,), or only the force (3,), exerted by the environment on the
+        robot, in base axes at the tool point [N, N m]. `covariance`: covariance (6, 6) or (3, 3) of the wrench.
         """
         robot = self._robot(name)
         q = _array(q, "q", ((robot.n,),))
@@ -312,7 +334,7 @@ class RobotScene:
         self._arms[name].show(q, force, spread, positive(self.arrow, "length of a force [m/N]"))
 
     def trace(self, name: str, points: ArrayLike) -> None:
-        """Draw the path (K, 3) of an arm's tool, base axes [m], thinned; fewer than two finite points hide it."""
+        """Draw the thinned path (K, 3) of an arm's tool in base axes [m]; hidden with fewer than two finite points."""
         self._robot(name)
         points = numbers(points, "points of a path", ShapeError)
         if points.ndim != 2 or points.shape[1] != 3:
@@ -320,7 +342,7 @@ class RobotScene:
         self._arms[name].trace(points[np.isfinite(points).all(axis=1)])
 
     def frame(self, name: str, T_world_x: ArrayLike | None, length: float = 0.1) -> None:
-        """Draw a named frame (4, 4), move it, or take it away with None; `length` of its axes [m]."""
+        """Draw or move a named frame (4, 4), or remove it with None; `length`: length of its axes [m]."""
         if T_world_x is None:
             if name in self._frames:
                 self._frames.pop(name).remove()
@@ -339,7 +361,7 @@ class RobotScene:
             raise UnknownName.among("arm in this view", name, self.robots) from None
 
     def _surround(self) -> None:
-        """Put a floor below and the camera before the arms."""
+        """Place a floor below the arms and the camera in front."""
         reach = max(arm_length(robot) for robot in self.robots.values())
         bases = [
             (arm.T_world_base @ robot.T_base_mount)[:3, 3]
@@ -357,7 +379,7 @@ class RobotScene:
 
 
 class _ArmNodes:
-    """What is drawn of one arm: nodes below ``/<name>``, whose axes are those of its base."""
+    """Scene nodes of one arm below ``/<name>``, in its base axes."""
 
     def __init__(self, scene: Any, robot: Robot, T_world_base: np.ndarray, color: str, meshes: Sequence[Path]) -> None:
         self.T_world_base = T_world_base

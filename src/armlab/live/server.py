@@ -1,4 +1,4 @@
-"""The browser's server: on this computer only, silent, and it never opens a way in from outside."""
+"""Browser server that is silent and accessible only from this computer."""
 
 from __future__ import annotations
 
@@ -16,44 +16,47 @@ if TYPE_CHECKING:
 
 
 HOST = "127.0.0.1"
-"""The only address that is listened on."""
+"""The only listening address."""
 
-_OWN_PAGE = re.compile(r"http://(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")  # by any port: it may be a forwarded one
+_OWN_PAGE = re.compile(r"http://(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")  # any port, because it may be forwarded
 _PORT = 8080
 _WIDTH = 420  # pixels of the panel
 
 
 def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
-    """Start the server of a view and return it; nothing is printed.
+    """Start the server of a view without console output, and return it.
 
-    It listens on 127.0.0.1 only, and a page of another site that is open in the same browser is not let in. Share links
-    of viser, public tunnels, are refused. Bundle what makes up one picture in ``with server.atomic():``.
+    It listens only on 127.0.0.1, rejects pages from other sites, and blocks viser's share links, which are public
+    tunnels. Bundle the updates of one frame in ``with server.atomic():``.
 
     Parameters
     ----------
-    port : to listen on, 0 for any; from 8080 on the first that is free when None.
+    port : port to listen on, 0 for any; default: the first free port from 8080.
     label : title of the panel.
 
     Raises
     ------
-    MissingExtra : viser is not installed. ConfigError : no port from 0 to 65535. LinkError : the port is taken.
+    MissingExtra : viser is not installed.
+    ConfigError : port outside 0 to 65535.
+    LinkError : port in use.
     """
     if port is not None and not (isinstance(port, int) and 0 <= port < 2**16):
-        raise ConfigError(f"Expected a port from 0 to 65535, got {port!r}. 0 takes any that is free.")
+        raise ConfigError(f"Expected a port from 0 to 65535, got {port!r}. Use 0 for any free port.")
     try:
         import viser
     except ImportError:
         raise MissingExtra(
-            "Expected viser for a view in the browser, got none. Install it: pip install 'armlab[live]'."
+            "Expected the package viser for a browser view, but it is not installed. Install it: pip install "
+            "'armlab[live]'."
         ) from None
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # a browser that closes is no news
-    with contextlib.redirect_stdout(io.StringIO()):  # its banner
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # a closing browser is not an error
+    with contextlib.redirect_stdout(io.StringIO()):  # suppresses viser's banner
         server = viser.ViserServer(host=HOST, port=_PORT if port is None else port, label=label, verbose=False)
-    if port and server.get_port() != port:  # viser goes on to the next one
+    if port and server.get_port() != port:  # viser falls back to the next port
         stop(server)
-        raise LinkError(f"Expected port {port} to be free for the view, but it is taken. Choose another: --port.")
+        raise LinkError(f"Expected port {port} to be free for the view, but it is in use. Choose another: --port.")
     _refuse_other_sites(server)
-    server.request_share_url = _refused  # its pages have a way to ask, too
+    server.request_share_url = _refused  # its pages can request it, too
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(_WIDTH)
@@ -65,26 +68,27 @@ def address(server: ViserServer) -> str:
 
     Parameters
     ----------
-    server : of `start`.
+    server : from `start`.
     """
     return f"http://{HOST}:{server.get_port()}"
 
 
 def stop(server: ViserServer) -> None:
-    """End the server; browsers keep their last picture.
+    """Stop the server; browsers keep their last frame.
 
     Parameters
     ----------
-    server : of `start`.
+    server : from `start`.
     """
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
 
 def is_own(origins: Sequence[str], hosts: Sequence[str]) -> bool:
-    """Return whether a page that asks for a connection came from the server that it asks; also a program, not a page.
+    """Return whether a connection comes from a page of this server, or from a program instead of a page.
 
-    A page cannot forge these headers. Its name must be one of this computer: a foreign name may lead here as well.
+    A page cannot forge these headers. The host must be a name of this computer, because a foreign name may resolve to
+    it.
     """
     if not origins:
         return True
@@ -92,18 +96,18 @@ def is_own(origins: Sequence[str], hosts: Sequence[str]) -> bool:
 
 
 def _refuse_other_sites(server: ViserServer) -> None:
-    """Close connections of pages of other sites before anything is sent: viser does not look at the origin."""
+    """Close connections from pages of other sites before sending any data, because viser does not check the origin."""
     sockets = server._websock_server  # viser has no public way to the request
 
     async def look(client: Any) -> None:
         connection: Any = sockets._live_connections[client.client_id]
         headers = connection.request.headers
         if not is_own(headers.get_all("Origin"), headers.get_all("Host")):
-            await connection.close(1008, "Expected a page of this server.")
+            await connection.close(1008, "Expected a page from this server.")
 
     sockets.on_client_connect(look)
-    sockets.disconnect_all_clients()  # who came in before; a page of this server tries again by itself
+    sockets.disconnect_all_clients()  # earlier connections; pages of this server reconnect
 
 
 def _refused(*_: Any, **__: Any) -> NoReturn:
-    raise ConfigError("Expected a view of this computer only: armlab opens no public tunnel. Forward the port by ssh.")
+    raise ConfigError("Expected a local view, got a request for a public tunnel. Forward the port with ssh.")

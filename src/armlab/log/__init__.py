@@ -1,4 +1,4 @@
-"""Logs: `Table`, the recorder that survives kill -9, and the readers."""
+"""Logs: `Table`, a recorder that survives kill -9, and readers for many formats."""
 
 from __future__ import annotations
 

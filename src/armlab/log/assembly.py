@@ -1,4 +1,4 @@
-"""Assembly of recorded columns into a `Table`: its clock, rows and columns."""
+"""Assembly of recorded columns into a `Table` with its clock."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from armlab.log.column import Column
 from armlab.log.table import Table
 
-_PADDED = ("q_ext", "q_ext_ref", "q_ext_sent", "rapid_data", "rapid_data_sent")  # as many as a robot may have
+_PADDED = ("q_ext", "q_ext_ref", "q_ext_sent", "rapid_data", "rapid_data_sent")  # padded to the largest robot
 
-_MAX_DISAGREEMENT = 1.0  # s between two rows, robot clock against session time: beyond it the robot clock was set
+_MAX_DISAGREEMENT = 1.0  # s between robot clock and session time per row; more means that the robot clock was set
 
 
 def recording_table(
@@ -25,7 +25,7 @@ def recording_table(
     source: Sequence[str] = (),
     raw: bool = False,
 ) -> Table:
-    """Return the table of columns (N, ...), t = 0 at the first row, without those that have no value at all."""
+    """Return the table of the columns (N, ...) that contain values; t = 0 at the first row."""
     t, clock = recording_clock(values, stamp_ns)
     t, keep, dropped = rows_in_order(t, raw)
     notes = [*notes, *dropped]
@@ -37,8 +37,8 @@ def recording_table(
     present = dict(sorted(present.items(), key=lambda item: item[1].ndim == 1))  # q qd tau before the counters
     described = {name: replace(columns[name], shape=()) for name in present}
     for name, array in present.items():
-        if not _fits(array, described[name].kind):  # one wrong value of the user's must not cost the recording
-            notes.append(f"{name}: values that are no {described[name].kind}, kept as real")
+        if not _fits(array, described[name].kind):  # one invalid value must not lose the recording
+            notes.append(f"{name}: values do not match the kind {described[name].kind}, stored as real")
             described[name] = replace(described[name], kind="real")
     return Table(
         t, present, described, t0_ns=wall_at_zero(t, stamp_ns), clock=clock, notes=tuple(notes), source=tuple(source)
@@ -46,11 +46,11 @@ def recording_table(
 
 
 def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> tuple[np.ndarray, str]:
-    """Return t (N,) [s], 0 in the first row, and whose clock it is.
+    """Return t (N,) [s], 0 in the first row, and the name of its clock.
 
-    A column `t` is taken as it is. Else the robot's own clock, if every row has it, it always advances and never
-    leaves the session's time by a second (it was not set while recording). Else the session's time, sessions placed
-    by the stamps. Else the stamps.
+    The first available clock is used, in this order: a column `t`; the robot's clock if it is complete, increasing and
+    within 1 s of the session time (otherwise it was set during recording); the session time, with sessions placed
+    according to the stamps; the stamps.
     """
     if "t" in values and np.isfinite(values["t"]).any():
         return np.asarray(values["t"], dtype=float), "file"
@@ -73,7 +73,7 @@ def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> t
 
 
 def _before_guidance(session_t: np.ndarray, dt: np.ndarray | None, first: np.ndarray) -> np.ndarray:
-    """Return the session's time, which stands still until guidance begins, with negative times there."""
+    """Return the session time; times are negative until guidance begins."""
     if dt is None or not np.isfinite(dt).all():
         return session_t
     session_t = np.array(session_t)
@@ -86,12 +86,12 @@ def _before_guidance(session_t: np.ndarray, dt: np.ndarray | None, first: np.nda
 
 
 def wall_at_zero(t: np.ndarray, stamp_ns: np.ndarray) -> int:
-    """Return the wall clock of t = 0 [ns], 0 without a row; `t` need not be 0 in the first row."""
+    """Return the wall clock at t = 0 [ns], or 0 without rows; `t` need not be 0 in the first row."""
     return int(stamp_ns[0]) - round(float(t[0]) * 1e9) if len(t) else 0
 
 
 def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return the mask (N,) of rows later than all rows before them, and how many are not."""
+    """Return the mask (N,) of rows later than all previous rows, and the number of other rows."""
     finite = np.where(np.isfinite(t), t, -np.inf)
     before = np.concatenate(([-np.inf], np.maximum.accumulate(finite)[:-1]))[: len(t)]
     keep = finite > before
@@ -101,7 +101,7 @@ def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:
 def rows_in_order(
     t: np.ndarray, raw: bool, row: Callable[[int], str] = "row {}".format, of: str = ""
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Return times (N,) that increase, the mask (N,) of rows that stay, and a note of others, warned of once."""
+    """Return increasing times (N,), the mask (N,) of kept rows, and a note on dropped rows, also as a warning."""
     keep, lost = in_time_order(t)
     if not lost:
         return t, keep, ()
@@ -114,14 +114,14 @@ def rows_in_order(
 
 
 def _spread(t: np.ndarray) -> np.ndarray:
-    """Return times that increase: where the clock stands or steps back, one nanosecond after the row before."""
+    """Return increasing times: 1 ns after the previous row if the clock stands still or steps back."""
     spread = np.where(np.isfinite(t), t, -np.inf)
     steps = np.arange(len(t)) * 1e-9
     return np.maximum.accumulate(spread - steps) + steps
 
 
 def _fits(array: np.ndarray, kind: str | None) -> bool:
-    """Tell whether the values can be kept as their kind; a missing value is the table's affair."""
+    """Return whether the values fit their kind; missing values are handled by the table."""
     if array.dtype.kind != "f" or kind not in ("count", "flag") or not np.isfinite(array).all():
         return True
     with np.errstate(invalid="ignore"):
@@ -129,13 +129,13 @@ def _fits(array: np.ndarray, kind: str | None) -> bool:
 
 
 def _absent(array: np.ndarray, column: Column) -> bool:
-    """Tell whether no row has a value; a clock that was never sent reads 0."""
+    """Return whether all values are missing; a clock that was never sent reads 0."""
     if array.dtype.kind == "i" and column.unit == "ns":
         return array.size > 0 and not (array > 0).any()
     return array.dtype.kind == "f" and array.size > 0 and bool(np.isnan(array).all())
 
 
 def _used(padded: np.ndarray) -> np.ndarray:
-    """Return the columns up to the last that ever had a value."""
+    """Return the columns up to the last one with a value."""
     used = np.flatnonzero(~np.isnan(padded).all(axis=0))
     return padded[:, : used[-1] + 1 if len(used) else 1]

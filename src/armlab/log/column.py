@@ -1,4 +1,4 @@
-"""One column of a table: shape, unit, frame, labels, kind, the aliases of its name; ragged columns."""
+"""Column descriptions of a table: shape, unit, frame, labels, kind, aliases; ragged columns; interpolation."""
 
 from __future__ import annotations
 
@@ -10,25 +10,32 @@ from typing import Any
 import numpy as np
 
 from armlab import glossary
+from armlab._display import Shown
 from armlab.errors import LogError, ShapeError, UnknownName
+from armlab.lie import quaternion, se3, so3
 
 KINDS = ("real", "angle", "pose", "quaternion", "count", "flag", "text")
-"""Kinds of columns; the kind decides how a column is stored and how it is resampled."""
+"""Kinds of columns; the kind determines storage and resampling."""
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """Description of one column: everything but its values.
+@dataclass(frozen=True, slots=True, repr=False)
+class Column(Shown):
+    """Description of one column.
 
-    Known names take what is not given from the glossary; a new name must state its unit.
+    For known names, missing attributes are taken from the glossary; new names need a unit.
 
     Attributes
     ----------
-    shape : shape of one row; ``()`` for a scalar per row.
-    unit : SI unit, "1" for none; None for "as in the glossary".
-    frame : axes the numbers are in; None for "as in the glossary".
-    labels : names of the components along the first axis of a row (joint names), or empty.
-    kind : one of `KINDS`; None for "as in the glossary", else real.
+    shape : tuple of int
+        Shape of one row; ``()`` for a scalar per row.
+    unit : str
+        SI unit, "1" if dimensionless; default: as in the glossary.
+    frame : str
+        Axes of the values; default: as in the glossary.
+    labels : tuple of str
+        Names of the components along the first axis of a row (joint names), or empty.
+    kind : str
+        One of `KINDS`; default: as in the glossary, else real.
     """
 
     shape: tuple[int, ...] = ()
@@ -39,11 +46,12 @@ class Column:
 
 
 def resolved(column: Column, name: str) -> Column:
-    """Return the description with everything that the glossary knows about `name` filled in, or raise."""
+    """Return the description completed from the glossary; raise if they contradict each other."""
     symbol = glossary.columns().get(name)
     if symbol is None and column.unit is None:
         raise ShapeError(
-            f"Expected a unit for the column {name!r}, which the glossary does not know; give unit='1' for none."
+            f"Expected a unit for the column {name!r}, which is not in the glossary; pass unit='1' for a "
+            "dimensionless column."
         )
     for what, given in (("unit", column.unit), ("frame", column.frame)):
         known = getattr(symbol, what, None)
@@ -66,12 +74,12 @@ def resolved(column: Column, name: str) -> Column:
 
 
 def heading(column: Column, name: str) -> str:
-    """Return the label of an axis or a header: ``"tau [N m]"``."""
+    """Return an axis label or header such as ``"tau [N m]"``."""
     return name if column.unit in (None, "", "1") else f"{name} [{column.unit}]"
 
 
 def _check_row_shape(name: str, shape: tuple[int, ...], words: str) -> None:
-    """Compare a row shape with the glossary's, for example "(N, 4, 4)"; letters match any size."""
+    """Compare a row shape with that in the glossary, such as "(N, 4, 4)"; letters match any size."""
     expected = [word.strip() for word in words.strip("()").split(",") if word.strip()][1:]
     fits = len(expected) == len(shape) and all(
         not word.isdigit() or int(word) == size for word, size in zip(expected, shape, strict=True)
@@ -82,41 +90,41 @@ def _check_row_shape(name: str, shape: tuple[int, ...], words: str) -> None:
 
 
 def stored(name: str, values: Any, column: Column | None) -> tuple[np.ndarray, Column, str]:
-    """Return values as they are kept (C-contiguous, little-endian, read-only), their description, and a note or ""."""
+    """Return the stored values (C-contiguous, little-endian, read-only), their description, and a note or ""."""
     raw = np.asarray(values)
     if name == "t":
-        raise ShapeError("Expected columns besides t, the clock of the table, got one of that name. Rename it.")
+        raise ShapeError("Expected column names other than t, which is the clock of the table, got t. Rename it.")
     if raw.ndim == 0:
         raise ShapeError(f"Expected one value per row for the column {name!r}, got a single value.")
     described = resolved(replace(column or Column(), shape=raw.shape[1:]), name)
     note = ""
     if described.kind in ("count", "flag") and raw.dtype.kind == "f" and not np.isfinite(raw).all():
-        note = f"{name}: {described.kind} with missing values, kept as real"
+        note = f"{name}: {described.kind} with missing values, stored as real"
         described = replace(described, kind="real")
     return frozen(_cast(name, raw, described.kind or "real")), described, note
 
 
 def _cast(name: str, raw: np.ndarray, kind: str) -> np.ndarray:
-    """Return the array in the storage type of its kind."""
+    """Return the array in the dtype of its kind."""
     if kind == "text":
         return raw if raw.dtype.kind == "U" else raw.astype(np.str_)
     if raw.dtype.kind not in "biuf":
         raise ShapeError(f"Expected numbers in the column {name!r} of kind {kind}, got values of type {raw.dtype}.")
     if kind == "flag":
-        wanted = np.dtype(bool)
+        dtype = np.dtype(bool)
     else:
-        wanted = np.dtype("<i8") if kind == "count" else np.dtype("<f8")
-    if raw.dtype == wanted:
+        dtype = np.dtype("<i8") if kind == "count" else np.dtype("<f8")
+    if raw.dtype == dtype:
         return raw
-    with np.errstate(invalid="ignore"):  # what does not fit is refused below
-        cast = raw.astype(wanted)
+    with np.errstate(invalid="ignore"):  # invalid values are refused below
+        cast = raw.astype(dtype)
     if kind in ("count", "flag") and not np.array_equal(cast, raw):
-        raise ShapeError(f"Expected whole numbers that fit {wanted} in the column {name!r} of kind {kind}.")
+        raise ShapeError(f"Expected integers that fit {dtype} in the column {name!r} of kind {kind}.")
     return cast
 
 
 def frozen(array: np.ndarray) -> np.ndarray:
-    """Return the array C-contiguous and read-only, copied if anyone could still write to its memory."""
+    """Return the array as C-contiguous and read-only; copy it if its memory is writable elsewhere."""
     whole = np.ascontiguousarray(array) if array.ndim else array
     if whole is array and _writable_somewhere(array):
         whole = array.copy()
@@ -125,7 +133,7 @@ def frozen(array: np.ndarray) -> np.ndarray:
 
 
 def _writable_somewhere(array: np.ndarray) -> bool:
-    """Tell whether the memory can be written through this array or through what it views."""
+    """Return whether the memory is writable through this array or its bases."""
     seen: Any = array
     while isinstance(seen, np.ndarray):
         if seen.flags.writeable:
@@ -136,29 +144,94 @@ def _writable_somewhere(array: np.ndarray) -> bool:
 
 OLD_NAMES = {"pos": "q", "vel": "qd", "trq": "tau", "pos_o": "q_ref", "vel_o": "qd_ref", "trq_o": "tau_ref"}
 OLD_NAMES |= {"timestamp": "t", "seqnum": "seq"}
-"""Names of the fields of Robotlab.jl's logs -> ours."""
+"""Our name by field name of Robotlab.jl's logs."""
 
 
 def alias(name: str) -> str:
-    """Return a column name with ``: . [ ]`` replaced by ``_`` and outer ``_`` stripped, as the old tools did."""
+    """Return a column name with ``: . [ ]`` replaced by ``_`` and outer ``_`` stripped, as in the earlier tools."""
     return re.sub(r"[:.\[\]]", "_", name).strip("_")
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
-    """Return the sorting key in which digit groups compare as numbers."""
+    """Return a sorting key that compares digit groups as numbers."""
     pieces = re.findall(r"\d+|\D+", name)
     return [(0, int(piece), "") if piece.isdigit() else (1, 0, piece) for piece in pieces]
 
 
-_LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # bytes of columns, and cells per number: one of 500 frames in each message
+_LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # bytes of columns, and cells per number in them
 
 
 def refuse_ragged(count: int, widths: Mapping[str, int], held: int) -> None:
-    """Refuse values that differ so much that their columns are large and hardly hold anything: `widths` by name."""
+    """Raise for ragged values whose padded columns would be large and nearly empty; `widths` by name."""
     cells = count * sum(widths.values())
     if 8 * cells > _LARGEST and cells > _CELLS_PER_NUMBER * held:
         widest = max(widths, key=lambda path: widths[path])
         raise LogError(
-            f"Expected values that are alike, got {count} rows with {held} numbers, up to {widths[widest]} in "
+            f"Expected arrays of similar size, got {count} rows with {held} numbers, up to {widths[widest]} in "
             f"{widest[:80]}: {len(widths)} name(s) that would take {cells} cells."
         )
+
+
+_RAD = np.pi / 180.0
+UNITS = {
+    "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9), "rad": ("rad", 1.0), "deg": ("rad", _RAD),
+    "m": ("m", 1.0), "mm": ("m", 1e-3), "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", _RAD),
+    "rev/min": ("rad/s", np.pi / 30.0), "rpm": ("rad/s", np.pi / 30.0), "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3),
+    "rad/s^2": ("rad/s^2", 1.0), "deg/s^2": ("rad/s^2", _RAD), "m/s^2": ("m/s^2", 1.0), "N": ("N", 1.0),
+    "N m": ("N m", 1.0), "Nm": ("N m", 1.0), "N*m": ("N m", 1.0), "mN m": ("N m", 1e-3), "kg": ("kg", 1.0),
+    "A": ("A", 1.0), "mA": ("A", 1e-3), "V": ("V", 1.0), "W": ("W", 1.0), "degC": ("degC", 1.0), "Hz": ("Hz", 1.0),
+    "1": ("1", 1.0), "": ("", 1.0),
+}  # fmt: skip
+"""Maps units in files to those of armlab and the conversion factor."""
+
+
+def between(kind: str, a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Interpolate between rows a and b at s (k,); s = 0 returns a even if b is missing."""
+    weight = s.reshape(-1, *[1] * (a.ndim - 1))
+    exact = weight == 0
+    if kind == "quaternion":
+        whole = np.isfinite(a).all(axis=-1) & np.isfinite(b).all(axis=-1)
+        found = np.full(a.shape, np.nan)
+        found[whole] = quaternion.slerp(a[whole], b[whole], s[whole])
+    elif kind == "pose":
+        whole = np.isfinite(a).all(axis=(-2, -1)) & np.isfinite(b).all(axis=(-2, -1))
+        found = np.full(a.shape, np.nan)
+        found[whole] = pose_between(a[whole], b[whole], s[whole])
+    else:
+        found = (1.0 - weight) * a + weight * b
+    return np.where(exact, a, found)
+
+
+def pose_between(T_base_a: np.ndarray, T_base_b: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Interpolate poses: rotation about one axis at constant speed, straight translation."""
+    R_a, R_b = T_base_a[:, :3, :3], T_base_b[:, :3, :3]
+    turn = so3.log(R_a.swapaxes(-1, -2) @ R_b)
+    p = (1.0 - s[:, None]) * T_base_a[:, :3, 3] + s[:, None] * T_base_b[:, :3, 3]
+    return se3.from_rp(R_a @ so3.exp(s[:, None] * turn), p)
+
+
+def holes(values: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """Return the values with the masked rows (k,) set to missing (NaN or empty text)."""
+    if not missing.any():
+        return values
+    values = values.copy() if values.dtype.kind == "U" else values.astype(float)
+    values[missing] = "" if values.dtype.kind == "U" else np.nan
+    return values
+
+
+def spread(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Return the values in the rows of the mask; the other rows are missing."""
+    if inside.all():
+        return values
+    text = values.dtype.kind == "U"
+    result = np.full((len(inside), *values.shape[1:]), "" if text else np.nan, dtype=values.dtype if text else float)
+    result[inside] = values
+    return result
+
+
+def missing_rows(array: np.ndarray) -> np.ndarray:
+    """Return the mask (N,) of rows with a NaN or, in text, an empty value."""
+    if array.dtype.kind not in "fU" or not array.size:
+        return np.zeros(len(array), dtype=bool)
+    holes = np.isnan(array) if array.dtype.kind == "f" else np.asarray(array == "")
+    return np.asarray(holes.reshape(len(array), -1).any(axis=1))

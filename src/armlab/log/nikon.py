@@ -1,4 +1,4 @@
-"""Files of a Nikon tracker: clouds of points, planes, and the poses that were saved beside them. Metres out.
+"""Nikon tracker files, in metres: point clouds, planes, and MAT files of poses.
 
     [0.000000 , -453.375092 , 310.983154 , -2630.958496 , -96.618225 , 46.868734 , -77.823094 ;
     ...
@@ -6,8 +6,8 @@
 
     // MEAS_OBJECT = CloudSeam2
 
-A row of a cloud is an index, x, y, z [mm] and three angles [deg] of the convention xyz. A plane is a pose whose third
-column is its normal and whose fourth is a point of it.
+A row of a point cloud contains an index, x, y, z [mm] and three angles [deg] in the xyz convention. A plane is a pose
+whose third column is the plane normal and whose fourth column is a point on the plane.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from armlab.log.file_formats.mat import read_mat
 __all__ = ["read_cloud", "read_matrix", "read_plane"]
 
 MM = 1e-3  # m
-NORMAL = 1e-4  # most that the length of a normal with a few decimals is off 1
+NORMAL = 1e-4  # tolerance of the length of a rounded normal
 LONGEST = 16_000_000  # bytes; a cloud has a hundred or so per point
 DECORATION = re.compile(r"[\[\];\"']")
 SEPARATOR = re.compile(r"[\s,]+")
@@ -37,14 +37,15 @@ COMMENT = re.compile(r"^\s*(?://|%|#)?\s*(\w+)\s*=\s*(.*?)\s*$")
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Measured points of a tracker.
+    """Points measured by a tracker.
 
     Attributes
     ----------
-    p : (N, 3) points in the tracker's frame [m]. index : (N,) as in the file.
+    p : (N, 3) points in the tracker's frame [m].
+    index : (N,) index in the file.
     R : (N, 3, 3) orientation of the probe at each point.
-    stopped : line, from 1, that was no row any more; 0 when the file ended with its rows.
-    comments : names and values behind the rows, for example {"MEAS_OBJECT": "CloudSeam"}.
+    stopped : number of the first line that is not a row, from 1; 0 if all lines are rows.
+    comments : names and values after the rows, for example {"MEAS_OBJECT": "CloudSeam"}.
     """
 
     p: np.ndarray
@@ -56,12 +57,13 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class PlaneFile:
-    """A plane of a tracker: `frames.Plane.of(normal, point)` makes one of it.
+    """Plane measured by a tracker; convert it with `frames.Plane.of(normal, point)`.
 
     Attributes
     ----------
-    normal : (3,) of length 1, or with the file's decimals when read raw. point : (3,) of the plane [m].
-    stopped, comments : as those of `Cloud`.
+    normal : (3,) of length 1, or as in the file if read raw.
+    point : (3,) point of the plane [m].
+    stopped, comments : as in `Cloud`.
     """
 
     normal: np.ndarray
@@ -76,8 +78,9 @@ class PoseFile:
 
     Attributes
     ----------
-    T : (4, 4) [m]. name : of the variable.
-    distance : of the rotation in the file from the nearest rotation (Frobenius norm).
+    T : (4, 4) pose [m].
+    name : name of the variable.
+    distance : distance of the rotation in the file from the nearest rotation (Frobenius norm).
     """
 
     T: np.ndarray
@@ -86,18 +89,18 @@ class PoseFile:
 
 
 def read_cloud(path: str | Path) -> Cloud:
-    """Read a cloud of points.
+    """Read a point cloud.
 
-    Commas or spaces separate numbers; brackets, semicolons and quotes are decoration, empty lines nothing. The first
-    line that is no row of numbers ends the cloud.
+    Numbers are separated by commas or spaces; brackets, semicolons, quotes and empty lines are ignored. The first line
+    with other content ends the cloud.
 
     Parameters
     ----------
-    path : of the text file.
+    path : text file.
 
     Raises
     ------
-    LogError : no text, no rows, a row with another number of columns, or NaN, with line and column.
+    LogError : not text, no rows, a row with a different number of columns, or NaN, with line and column.
     """
     rows, stopped, comments = _rows(Path(path), 7)
     values = np.array(rows)
@@ -116,12 +119,12 @@ def read_plane(path: str | Path, raw: bool = False) -> PlaneFile:
 
     Parameters
     ----------
-    path : of the text file, a 4x4 matrix [mm].
-    raw : leave the normal as it is in the file, with a few decimals; otherwise its length is made 1.
+    path : text file with a 4x4 matrix [mm].
+    raw : keep the rounded normal of the file; default: normalise it.
 
     Raises
     ------
-    LogError : no text, no 4x4 matrix with the last row (0, 0, 0, 1), or a normal whose length is not near 1.
+    LogError : not text, no 4x4 matrix with the last row (0, 0, 0, 1), or a normal whose length is not near 1.
     """
     path = Path(path)
     rows, stopped, comments = _rows(path, 4)
@@ -129,12 +132,12 @@ def read_plane(path: str | Path, raw: bool = False) -> PlaneFile:
     if M.shape != (4, 4) or M[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise LogError(
             f"Expected a 4x4 matrix with the last row 0 0 0 1 in {path}, got {len(rows)} rows, the last "
-            f"{[float(x) for x in M[-1]]}. Name the file of a plane."
+            f"{[float(x) for x in M[-1]]}. Pass the file of a plane."
         )
     length = float(np.linalg.norm(M[:3, 2]))
     if not abs(length - 1.0) <= NORMAL:
         raise LogError(
-            f"Expected a normal of length 1 in column 3 of {path}, got {length:.6g}. Name the file of a plane."
+            f"Expected a normal of length 1 in column 3 of {path}, got {length:.6g}. Pass the file of a plane."
         )
     return PlaneFile(
         still(M[:3, 2] / (1.0 if raw else length), "a normal"), still(MM * M[:3, 3], "a point"), stopped, comments
@@ -146,26 +149,31 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
 
     Parameters
     ----------
-    path : of the file. name : of the variable; the only 4x4 array of the file when left out.
-    project : take the rotation nearest to the one in the file when that is off by more than 1e-6.
+    path : MAT file.
+    name : name of the variable; default: the only 4x4 array of the file.
+    project : use the nearest rotation if that in the file is off by more than 1e-5.
 
     Raises
     ------
-    LogError : no MAT file, a damaged one, no 4x4 array or several, one that is no pose, or whose rotation is off by
-        more than 1e-6 without `project`. UnknownName : no variable of that name. MissingExtra : v7.3 without h5py.
+    LogError : not a MAT file, damaged, no 4x4 array or several, not a pose, or a rotation that is off by more than
+        1e-5 without `project`.
+    UnknownName : the variable does not exist.
+    MissingExtra : v7.3 without h5py.
     """
     path = Path(path)
     found = read_mat(path, name)
     fitting = {key: M for key, M in found.items() if M.shape == (4, 4)}
     if len(fitting) != 1:
         have = ", ".join(f"{key} {M.shape}" for key, M in found.items())
-        raise LogError(f"Expected one 4x4 array in {path}, got {have}. Say which by name=.")
+        raise LogError(f"Expected one 4x4 array in {path}, got {have}. Select one with name=.")
     key, M = next(iter(fitting.items()))
     if not np.isfinite(M).all():
         row = 1 + int(np.flatnonzero(~np.isfinite(M).all(axis=1))[0])
         raise LogError(f"Expected a pose in {key} of {path}, got NaN or Inf in row {row}.")
     if np.linalg.det(M[:3, :3]) < 0:
-        raise LogError(f"Expected a rotation in {key} of {path}, got a left-handed matrix. One axis of it is mirrored.")
+        raise LogError(
+            f"Expected a rotation in {key} of {path}, got a left-handed matrix. One of its axes is mirrored."
+        )
     M[:3, 3] *= MM
     try:
         nearest, distance = se3.project(M)
@@ -176,14 +184,14 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
         if not project:
             raise LogError(
                 f"Expected a rotation in {key} of {path}, got a matrix {float(distance):.3g} away from the nearest one "
-                f"(RᵀR off by {off:.3g}). Say project=True to take that one."
+                f"(RᵀR off by {off:.3g}). Pass project=True to project it."
             )
         M = nearest
-    return PoseFile(still(M, "a pose"), key, float(distance))
+    return PoseFile(still(se3.orthonormalise(M), "a pose"), key, float(distance))
 
 
 def _rows(path: Path, columns: int) -> tuple[list[list[float]], int, dict[str, str]]:
-    """Return rows of numbers, the line that ended them (0 at the end of the file), and the comments behind them."""
+    """Return rows of numbers, the line that ended them (0 at the end of the file), and the comments after them."""
     lines = _text(path).splitlines()
     rows: list[list[float]] = []
     for k, line in enumerate(lines, start=1):
@@ -195,7 +203,7 @@ def _rows(path: Path, columns: int) -> tuple[list[list[float]], int, dict[str, s
         values = [float(word) for word in words]
         if len(values) != columns:
             raise LogError(
-                f"Expected {columns} columns in {path}, got {len(values)} in line {k}. The file is cut, or another one."
+                f"Expected {columns} columns in {path}, got {len(values)} in line {k}. The file is truncated or wrong."
             )
         bad = [i for i, value in enumerate(values, start=1) if not math.isfinite(value)]
         if bad:
@@ -205,7 +213,7 @@ def _rows(path: Path, columns: int) -> tuple[list[list[float]], int, dict[str, s
         k = 0
     if not rows:
         shown = f"{lines[k - 1][:40]!r} in line {k}" if k else "an empty file"
-        raise LogError(f"Expected rows of {columns} numbers in {path}, got {shown}. Name a file of the tracker.")
+        raise LogError(f"Expected rows of {columns} numbers in {path}, got {shown}. Pass a tracker file.")
     found = (COMMENT.match(line) for line in (lines[k - 1 :] if k else []))
     return rows, k, {match[1]: match[2] for match in found if match}
 
@@ -215,9 +223,9 @@ def _text(path: Path) -> str:
         with path.open("rb") as file:
             data = file.read(LONGEST + 1)
     except OSError as error:
-        raise LogError(f"Expected a file of a tracker at {path}, got: {error.strerror}.") from None
+        raise LogError(f"Expected a tracker file at {path}, got: {error.strerror}.") from None
     if len(data) > LONGEST:
-        raise LogError(f"Expected a file of a tracker of at most {LONGEST} bytes at {path}, got more. Split it.")
+        raise LogError(f"Expected a tracker file of at most {LONGEST} bytes at {path}, got more. Split it.")
     if b"\0" in data:
-        raise LogError(f"Expected text at {path}, got bytes that are none. read_matrix reads MAT files.")
+        raise LogError(f"Expected text at {path}, got binary data. For MAT files use read_matrix.")
     return data.decode("utf-8", errors="replace").lstrip("\ufeff")

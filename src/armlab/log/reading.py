@@ -1,18 +1,20 @@
-"""`read`: a file becomes a `Table`, finished or torn; `read_arm`: the log of one arm."""
+"""`read`: read any finished or unfinished log file as a `Table`; `read_arm`: read the log of one arm."""
 
 from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from armlab.errors import ArmlabError, ConfigError, LogError, ModelMismatchError, UnknownName
 from armlab.log.assembly import recording_table
+from armlab.log.file_formats.column_names import ColumnNames, fitting_presets, listed
 from armlab.log.file_formats.delimited import read_csv
-from armlab.log.file_formats.description import Progress
+from armlab.log.file_formats.description import Progress, renamed
 from armlab.log.file_formats.hdf5_parquet import read_hdf5, read_parquet
 from armlab.log.file_formats.labcomm import read_labcomm
 from armlab.log.file_formats.mat import read_mat_table
@@ -20,78 +22,86 @@ from armlab.log.file_formats.opening import BAGS, check_readable, format_at, nam
 from armlab.log.file_formats.rosbag2 import read_rosbag2
 from armlab.log.mcap.records import DAMAGE, Contents, contents
 from armlab.log.recording import columns as recorded
-from armlab.log.recording.metadata import inspect
+from armlab.log.recording.metadata import check_recorded, inspect
 from armlab.log.recording.ros_messages import topic_name
 from armlab.log.table import Table
-from armlab.log.topics.reader import Choice, is_foreign, names_robots, read_foreign, read_joints
+from armlab.log.topics.reader import Choice, is_foreign, joints_among, names_robots, read_foreign, read_joints
 from armlab.robots import Robot
 
 _READERS: dict[str, Callable[..., Table]] = {
-    "text": read_csv,
-    "gzip": read_csv,
-    "LabComm": read_labcomm,
+    "text": lambda path, raw, names: read_csv(path, raw=raw, columns=names),
+    "gzip": lambda path, raw, names: read_csv(path, raw=raw, columns=names),
+    "LabComm": lambda path, raw, names: renamed(path, read_labcomm(path, raw=raw), names),
     "MAT v5": read_mat_table,
     "MAT v7.3": read_mat_table,
-    "rosbag2": lambda path, raw: read_rosbag2(path),  # which `write` wrote, in order
+    "rosbag2": lambda path, raw, names: renamed(path, read_rosbag2(path), names),  # of `write`: in order
 }
-_COLUMN_READERS = {"HDF5": read_hdf5, "Parquet": read_parquet}  # which read single columns
+_COLUMN_READERS = {"HDF5": read_hdf5, "Parquet": read_parquet}  # readers of single columns
 
 
 def read(
     path: str | Path,
-    columns: Sequence[str] | None = None,
+    columns: Sequence[str] | str | Mapping[str, str | Sequence[str]] | None = None,
     *,
     robot: Robot | str | None = None,
     clock: str | None = None,
     raw: bool = False,
     progress: Progress | None = None,
 ) -> Table:
-    """Return the table that a file holds: a recording, or any format that `write` writes.
+    """Read a log as a `Table`: a recording, or any format supported by `write`.
 
-    Also LabComm streams (`read_labcomm`), and text, MAT, HDF5 and Parquet files of other programs, where numbered
-    columns of a known name are put together and units converted (`read_csv`).
+    LabComm streams (`read_labcomm`) and text, MAT, HDF5 and Parquet files of other programs are also supported. In
+    these files, numbered columns of a known name are joined and units are converted (`read_csv`).
 
-    MCAP files, rosbag2 and ROS 1 bags of other programs: the arm's JointState is q, qd and tau, with the names of its
-    joints as labels; the only WrenchStamped is wrench_raw; everything else is named by its topic, "/ft/wrench" as
-    ft.wrench (N, 6), a pose as matrices (N, 4, 4), a transform as tf.parent.child, other numbers as topic.field.
-    Topics with stamps of their own are held from message to message, their age is in ``<name>_age``.
+    In MCAP files, rosbag2 and ROS 1 bags of other programs, the arm's JointState becomes q, qd and tau, with the joint
+    names as labels. A single WrenchStamped becomes wrench_raw. Everything else is named after its topic: "/ft/wrench"
+    is ft.wrench (N, 6), a pose becomes matrices (N, 4, 4), a transform is tf.parent.child, and other numbers are
+    topic.field. Topics with separate stamps are held from message to message, with their age in ``<name>_age``.
 
-    An unfinished or damaged file is read as far as it goes, with one warning and a note. Rows whose time does not
-    advance are dropped, counted in the notes, and warned of with the first of them.
+    An unfinished or damaged file is read as far as possible, with one warning and a note. Rows with non-increasing time
+    are dropped; a note and a warning state the first of them.
 
     Parameters
     ----------
-    path : file, or folder of a rosbag2; the format is told by the first bytes.
-    columns : names of the columns wanted, all when None.
-    robot : which, when the file holds several. Of a log of another program a robot or its name, whose joints are put
-        into its order, or the first part of its topics.
-    clock : of a log of another program, the topic whose stamps are the rows; needed where topics have several rates.
-    raw : keep rows whose time does not advance.
+    path : file, or folder of a rosbag2; the format is detected from the first bytes.
+    columns : list of columns to read; default: all. As a text or a mapping: the column names in a file of another
+        program: ``"q=joint_{1..6}_pos [deg],tau=current_{1..6}*12.5"`` or ``{"q": ["shoulder", "elbow"]}``, with unit
+        and factor if needed, or a preset: ``"ur"`` (RTDE), ``"franka"`` (libfranka, franka_ros), ``"ros"`` (JointState
+        as CSV), ``"abb"`` and, for seven joints, ``"abb7"`` (abb_libegm). Without a header, columns are given by
+        position: ``"t=1,q={2..7}"``. Other columns keep their names.
+    robot : robot to select if the file holds several. For a log of another program, a robot or its name, in whose joint
+        order the joints are returned, or the first part of its topics.
+    clock : for a log of another program, the topic whose timestamps define the rows; required for topics of several
+    rates.
+    raw : keep rows with non-increasing time.
     progress : called with (done, total, what) while a large file is read.
 
     Returns
     -------
-    Table : t = 0 at the first row, on the robot's clock where it was recorded. Absent data have no column.
+    Table : t = 0 at the first row, on the robot's clock if recorded. Absent data have no column.
 
     Raises
     ------
-    LogError : the file is missing, of another format or damaged beyond use. Of another program's log: topics have
-        several rates, which are listed; several arms; joints that are not the robot's, listed on both sides.
+    LogError : the file is missing, of another format or unreadable. For logs of other programs: topics of several
+        rates, which are listed; several arms; joints that are not the robot's, listed on both sides.
     MissingExtra : pyarrow or h5py is not installed.
-    UnknownName : a wanted column, topic or robot does not exist; lists those that do.
-    ConfigError : clock= for a log that has one clock, robot= for a file that names no robot.
+    UnknownName : a column, topic, preset or robot does not exist; lists the available ones.
+    ConfigError : clock= for a log with one clock, robot= for a file without robot names, or invalid columns=.
     """
-    path, choice = Path(path), Choice(columns, None, clock, raw)
+    names = ColumnNames.of(columns) if isinstance(columns, str | Mapping) else None
+    wanted = None if columns is None or isinstance(columns, str | Mapping) else columns
+    path, choice = Path(path), Choice(wanted, None, clock, raw)
     kind = format_at(path)
     with naming(path):
         if kind in BAGS and names_robots(path):
-            return read_foreign(path, choice, robot, progress)
+            return renamed(path, read_foreign(path, choice, robot, progress), names)
         if kind in _READERS or kind in _COLUMN_READERS:
             _refuse_clock(path, clock)
             _refuse_robot(path, robot)
-            table = _READERS[kind](path, raw=raw) if kind in _READERS else _COLUMN_READERS[kind](path, columns, raw=raw)
-            return table if columns is None else table.select(*columns)
-        return _read_mcap(path, choice, robot, progress)
+            reader = _READERS[kind] if kind in _READERS else partial(_COLUMN_READERS[kind], columns=wanted)
+            table = reader(path, raw=raw, names=names)
+            return table if wanted is None else table.select(*wanted)
+        return renamed(path, _read_mcap(path, choice, robot, progress), names)
 
 
 def _read_mcap(path: Path, choice: Choice, robot: Robot | str | None, progress: Progress | None) -> Table:
@@ -115,26 +125,26 @@ def _read_mcap(path: Path, choice: Choice, robot: Robot | str | None, progress: 
 
 
 def _refuse_clock(path: Path, clock: str | None) -> None:
-    """Refuse a clock where there is nothing to choose: the caller would think that it is in force."""
+    """Raise for a clock option that would have no effect."""
     if clock is not None:
         raise ConfigError(
             f"Expected clock={clock!r} with a log of another program, which has topics, got {path}, whose rows have "
-            "one clock. Leave it out."
+            "one clock. Omit it."
         )
 
 
 def _refuse_robot(path: Path, robot: Robot | str | None) -> None:
-    """Refuse a robot where none is named: the caller would think that the rows are its own."""
+    """Raise for a robot option that would have no effect."""
     if robot is not None:
         name = robot.name if isinstance(robot, Robot) else robot
         raise ConfigError(
-            f"Expected robot={name!r} with a recording or a log of another program, whose topics or joints tell the "
-            f"robot, got {path}, which names none. Leave it out."
+            f"Expected robot={name!r} with a recording or a log of another program, whose topics or joints name the "
+            f"robot, got {path}, which does not name a robot. Omit it."
         )
 
 
 def _holes(view: memoryview, found: Contents, clock: int) -> tuple[str, ...]:
-    """Return in a sentence what the recorder dropped of the robot with this clock channel."""
+    """Return a sentence about rows of the robot with this clock channel that the recorder dropped."""
     told = recorded.summary_of(view, found).get("holes")
     robot = found.channels[clock].topic.strip("/").rpartition("/")[0]
     listed = [hole for hole in told if isinstance(hole, list) and len(hole) > 2] if isinstance(told, list) else []
@@ -150,7 +160,7 @@ def _holes(view: memoryview, found: Contents, clock: int) -> tuple[str, ...]:
 def _recording(
     view: memoryview, found: Contents, path: Path, clock: int, choice: Choice, progress: Progress | None
 ) -> tuple[Table, list[str]]:
-    """Return the table of the robot with this clock channel, and what is damaged."""
+    """Return the table of the robot with this clock channel, and the damage found."""
     columns = choice.columns
     sources = recorded.sources_of(found, clock)
     wanted = list(sources) if columns is None else list(columns)
@@ -163,7 +173,7 @@ def _recording(
     try:
         table = recording_table(values, described, rows.log_ns, raw=choice.raw)
     except ArmlabError as error:  # the file's descriptions contradict the glossary or each other
-        raise LogError(f"Expected columns that armlab knows in {path}, got others: {error}") from None
+        raise LogError(f"Expected supported columns in {path}, got other columns: {error}") from None
     t0_ns, clock_name = recorded.kept_clock(found, sources, table.t0_ns, table.clock)
     table = replace(table, t0_ns=t0_ns, clock=clock_name)
     if columns is None:
@@ -174,53 +184,97 @@ def _recording(
     return table.select(*wanted), damage
 
 
-def read_arm(path: str | Path, robot: Robot, progress: Progress | None = None) -> Table:
-    """Return the log of an arm with q and tau (N, n), in its order of joints; qd where it was recorded.
+def read_arm(
+    path: str | Path,
+    robot: Robot,
+    progress: Progress | None = None,
+    *,
+    force: bool = False,
+    columns: str | Mapping[str, str | Sequence[str]] | None = None,
+    needed: Sequence[str] = ("q", "tau"),
+) -> Table:
+    """Read the log of an arm with q and tau (N, n) in its joint order, and qd if it was recorded.
 
     Parameters
     ----------
-    path : of the log, see `read`. robot : that was logged. progress : as there.
+    path : log, see `read`.
+    robot : the recorded arm.
+    progress : called with (done, total, what), see `read`.
+    force : accept a recording of another description of the arm (tool, mount, limits), with a warning.
+    columns : column names in the file, as a text or a mapping, see `read`.
+    needed : required columns.
 
     Raises
     ------
-    LogError : it cannot be read, or has no positions or torques.
-    ModelMismatchError : a recording of another robot, or another number of joints.
+    LogError : it cannot be read, lacks positions or torques, or names other joints than the robot's.
+    ModelMismatchError : a recording of another robot, with the differences; or another number of joints.
     """
     path = Path(path)
-    several = _is_of_several(path, robot)
+    several = _is_of_several(path, robot, force)
     if is_foreign(path):
-        table = read_joints(path, robot, progress)
+        table = renamed(path, read_joints(path, robot, progress), None if columns is None else ColumnNames.of(columns))
     else:
-        table = read(path, robot=robot.name if several else None, progress=progress)
-    missing = [name for name in ("q", "tau") if name not in table]
+        table = read(path, columns=columns, robot=robot.name if several else None, progress=progress)
+        table = table if columns is None else in_order_of(robot, table, path)
+    missing = [name for name in needed if name not in table]
     if missing:
         raise LogError(
             f"Expected positions and torques, columns q and tau, in {path}, got none for {' and '.join(missing)} among "
-            f"{', '.join(table.names)}. "
-            + (
-                "Record with the research extension, which sends torques."
-                if missing == ["tau"]
-                else "Name a log of the joints: armlab log show tells what one holds."
-            )
+            f"{listed(table.names)}. {_source_of(missing, table, robot, columns is not None)}"
         )
     if table["q"].shape[1:] != (robot.n,):
         raise ModelMismatchError(
             f"Expected a log of {robot.name!r} with {robot.n} joints, got q of shape {table['q'].shape} in {path}. "
-            "Name the robot that was logged."
+            "Pass the robot that was logged."
         )
     return table
 
 
-def _is_of_several(path: Path, robot: Robot) -> bool:
-    """Refuse a recording without rows of a robot of this name; True when it holds several. Text knows none."""
-    if path.suffix != ".mcap" or not path.is_file():
+def _source_of(missing: Sequence[str], table: Table, robot: Robot, mapped: bool) -> str:
+    """Return where a log without positions or torques may have them."""
+    if mapped:
+        return f"Give their names: --columns '{','.join(f'{name}=NAME_{{1..{robot.n}}}' for name in missing)}'."
+    if fitting := fitting_presets(dict.fromkeys(["time", *table.names], (table.t, ""))):
+        return fitting
+    if missing == ["tau"]:
+        way = "Record with the research extension, which sends torques"
+    else:
+        way = "Give a log of the joints; armlab log show lists its columns"
+    return (
+        f"{way}; for a log of another program give their names: --columns q=NAME_{{1..6}},tau=NAME_{{1..6}}, or a "
+        "preset, --columns ur, franka or ros."
+    )
+
+
+def in_order_of(robot: Robot, table: Table, path: Path) -> Table:
+    """Return the table with labelled joint columns in the robot's order."""
+    values, columns = dict(table.values), dict(table.columns)
+    for name, column in table.columns.items():
+        if name not in ("q", "qd", "tau") or not column.labels:
+            continue
+        order = joints_among(robot, column.labels)
+        if not order:
+            raise LogError(
+                f"Expected the joints of {robot.name}, {', '.join(robot.ros_joint_names)}, in {name} of {path}, got "
+                f"{', '.join(column.labels)}. Pass the recorded robot, or the columns in its order: "
+                f"--columns {name}=NAME_{{1..{robot.n}}}."
+            )
+        places = [column.labels.index(one) for one in order]
+        values[name] = table[name][:, places]
+        columns[name] = replace(column, labels=tuple(order), shape=(len(places),))
+    return replace(table, values=values, columns=columns)
+
+
+def _is_of_several(path: Path, robot: Robot, force: bool) -> bool:
+    """Return whether a recording holds several robots; raise for another robot. Other formats do not name a robot."""
+    if not path.is_file() or format_at(path) != "MCAP":
         return False
-    told = inspect(path)
-    several = len(told.robots) > 1  # named by their topics, in which some letters cannot stand
-    names = told.robots if several else (told.metadata.get("armlab", {}).get("robot", robot.name),)
-    if (topic_name(robot.name) if several else robot.name) not in names:
-        raise ModelMismatchError(
-            f"Expected a recording of {robot.name!r}, got one of {' and '.join(map(repr, names))} in {path}. Name the "
-            "robot that was recorded."
-        )
+    held = inspect(path)
+    several = len(held.robots) > 1
+    try:
+        check_recorded(held, robot)
+    except ModelMismatchError as error:
+        if not force or (several and topic_name(robot.name) not in held.robots):
+            raise
+        warnings.warn(str(error), stacklevel=3)
     return several

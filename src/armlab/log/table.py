@@ -1,4 +1,4 @@
-"""Table: columns over time with units, and the states of a controller in its rows."""
+"""`Table`: columns over time with units, and the States of a controller in its rows."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from html import escape
+from importlib import import_module
 from reprlib import repr as shortened
 from types import MappingProxyType
 from typing import Any
@@ -15,24 +17,23 @@ import numpy as np
 
 from armlab import glossary
 from armlab._numbers import numbers
-from armlab.errors import ShapeError, UnknownName
-from armlab.lie import quaternion, se3, so3
-from armlab.log.column import Column, alias, frozen, natural_key, stored
+from armlab.errors import MissingExtra, ShapeError, UnknownName
+from armlab.log.column import Column, alias, between, frozen, holes, missing_rows, natural_key, spread, stored
 from armlab.state import State
 
-# The columns `qd_source` and `tau_source` hold the index of the word.
+# The columns `qd_source` and `tau_source` hold indices into these tuples.
 QD_SOURCES = ("difference", "measured")
 TAU_SOURCES = ("none", "measured", "reference")
 
-# Fields of `State` that a table may have.
+# Optional fields of `State` in a table.
 _ARRAYS = ("qdd", "q_planned", "T_frame_tool", "wrench_raw", "wrench", "q_ext", "rapid_data")
-_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row holds its own reply, a State the one before
+_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row has its own reply, a State the previous one
 _NUMBERS = {"seq": int, "missed": int, "session": int, "motors": int, "rapid": int, "mci": int}
 _NUMBERS |= {"utilization": float, "robot_ns": int, "converged": bool, "rapid_digital": bool}
 
 
 def _states(table: Table) -> Iterator[State]:
-    """Yield one `State` per row: NaN for what is missing, the session's time and first position where recorded."""
+    """Yield one `State` per row, with NaN for missing values, and session time and first position if recorded."""
     values, q = table.values, table["q"]
     nothing = np.full(q.shape[1:], np.nan)
     nothing.flags.writeable = False
@@ -68,21 +69,27 @@ def _states(table: Table) -> Iterator[State]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Table:
-    """Frozen table of named columns with units over one clock.
+    """Immutable table of named columns with units on one clock.
 
-    ``table["q"]`` is the read-only array (N, n); axis 0 is time. Known names take unit, shape and kind from the
-    glossary; a new name must state its unit. Missing values are NaN and stay NaN. Operations return new tables.
+    ``table["q"]`` is the read-only array (N, n); axis 0 is time. For known names, unit, shape and kind are taken from
+    the glossary; new names need a unit. Missing values are NaN and stay NaN. Operations return new tables.
 
     Attributes
     ----------
-    t : (N,) seconds, finite, strictly increasing, near 0 at the first row of a recording.
-    values : name -> array (N, ...). Also reached by ``table[name]``.
-    columns : name -> `Column` (shape of a row, unit, frame, labels, kind).
-    t0_ns : wall clock of t = 0, int64 nanoseconds; 0 when unknown.
-    clock : whose clock `t` is: robot, bridge or file.
-    notes : what happened to the data: rows dropped, seconds recovered, conversions.
-    source : where the data came from and each operation since.
-
+    t : array, shape (N,), s
+        Time; finite, strictly increasing, and near 0 at the first row of a recording.
+    values : mapping
+        Arrays (N, ...) by name; ``table[name]`` returns one.
+    columns : mapping
+        `Column` by name: shape of a row, unit, frame, labels, kind.
+    t0_ns : int, ns
+        Wall clock at t = 0; 0 if unknown.
+    clock : str
+        Clock of `t`: robot, bridge or file.
+    notes : tuple of str
+        Changes to the data: rows dropped, seconds recovered, conversions.
+    source : tuple of str
+        Origin of the data and all operations since.
     Examples
     --------
     >>> table = Table([0.0, 0.004], {"q": [[0.1], [0.2]], "grip": [1.0, 2.0]}, {"grip": Column(unit="N")})
@@ -102,10 +109,10 @@ class Table:
         t = frozen(numbers(self.t, "times t [s] of a Table", ShapeError))
         _check_clock(t)
         if not isinstance(self.values, Mapping):
-            raise ShapeError(f"Expected columns of a Table by name, as {{'q': q}}, got {shortened(self.values)}.")
+            raise ShapeError(f"Expected columns of a Table by name, such as {{'q': q}}, got {shortened(self.values)}.")
         unknown = sorted(set(self.columns) - set(self.values))
         if unknown:
-            raise UnknownName(f"Expected descriptions of columns that have values, got {', '.join(unknown)} without.")
+            raise UnknownName(f"Expected descriptions only for columns with values, got {', '.join(unknown)} without.")
         kept = {name: stored(name, values, self.columns.get(name)) for name, values in self.values.items()}
         _check_lengths(len(t), {name: entry[0] for name, entry in kept.items()})
         notes = [entry[2] for entry in kept.values() if entry[2]]
@@ -134,7 +141,7 @@ class Table:
         return f"<Table {len(self)} rows: {', '.join(self.names)}>"
 
     def __str__(self) -> str:
-        """One line on rows, duration, rate and jitter, and one line per column with shape, unit and missing."""
+        """Return rows, duration, rate and jitter, then shape, unit and missing rows of each column."""
         timed = timing(self)
         head = f"Table of {timed['rows']} rows"
         if timed["rows"] > 1:
@@ -151,8 +158,7 @@ class Table:
         return "\n".join([head, *_aligned(lines), *(f"note: {note}" for note in self.notes)])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        state = (self.t, dict(self.values), dict(self.columns), self.t0_ns, self.clock, self.notes, self.source)
-        return Table, state
+        return Table, (self.t, dict(self.values), dict(self.columns), self.t0_ns, self.clock, self.notes, self.source)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -166,10 +172,9 @@ class Table:
 
     @cached_property
     def dt(self) -> np.ndarray:
-        """Time since the previous row (N,) [s]: the column `dt` where recorded, else differences of `t`.
+        """Time since the previous row (N,) [s]: the column `dt` if recorded, otherwise differences of `t`.
 
-        The first row has no previous one: it takes the median (NaN when it is the only row). Where rows in between
-        were taken out, the difference holds.
+        The first row has the median (NaN if it is the only row). Across removed rows, the difference of `t` is used.
         """
         steps = np.diff(self.t)
         usual = np.median(steps) if len(steps) else np.nan
@@ -177,16 +182,16 @@ class Table:
         recorded = self.values.get("dt")
         if recorded is None or not len(self):
             return frozen(differences)
-        begins = np.ones(len(self), dtype=bool)  # of sessions, where the two may differ
+        begins = np.ones(len(self), dtype=bool)  # of sessions: the two may differ there
         begins[1:] = np.diff(self["session"]) != 0 if "session" in self else False
-        trusted = begins | (np.abs(recorded - differences) < 0.5 * usual)  # else rows are missing there
+        trusted = begins | (np.abs(recorded - differences) < 0.5 * usual)  # elsewhere rows were removed
         return frozen(np.where(trusted & np.isfinite(recorded), recorded, differences))
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of names, units, kinds, types, shapes, values and `t`: equal data hash equal from any file.
+        """Hash of names, units, kinds, types, shapes, values and `t`: equal data from any file have equal hashes.
 
-        Notes, source and clock do not count. Every NaN counts as the same NaN.
+        Notes, source and clock are not included. All NaN values are equal.
         """
         digest = hashlib.sha256(b"armlab table 1\n")
         digest.update(_bytes(self.t))
@@ -216,11 +221,11 @@ class Table:
         return self._derived(f"between({t0:g}, {t1:g})", t=self.t[first:last], values=values)
 
     def where(self, mask: np.ndarray | Callable[[Table], np.ndarray]) -> Table:
-        """Return the rows where the mask (N,), or a function of the table that gives one, is true."""
+        """Return the rows where the mask (N,), or a function from the table to a mask, is true."""
         return self.rows(np.asarray(mask(self) if callable(mask) else mask, dtype=bool))
 
     def dropna(self, *names: str) -> Table:
-        """Return the rows without missing values in the named columns (all columns when none is named)."""
+        """Return the rows without missing values in the named columns (default: all columns)."""
         whole = np.ones(len(self), dtype=bool)
         for name in names or self.names:
             whole &= ~missing_rows(self[name])
@@ -232,13 +237,13 @@ class Table:
         )
 
     def states(self) -> Iterator[State]:
-        """Yield the `State` of each row, as a controller saw it; what the table does not have stays missing."""
+        """Yield the `State` of each row as the controller received it; absent columns remain missing."""
         if "q" not in self:
             raise UnknownName.among("column", "q", self.values)
         return _states(self)
 
     def select(self, *names: str) -> Table:
-        """Return the named columns only, in this order."""
+        """Return only the named columns, in this order."""
         return self._with({name: self[name] for name in names}, f"select({', '.join(names)})")
 
     def without(self, *names: str) -> Table:
@@ -258,28 +263,38 @@ class Table:
         labels: tuple[str, ...] = (),
         kind: str | None = None,
     ) -> Table:
-        """Return the table with one column more, or replaced.
+        """Return the table with an added or replaced column.
 
         Parameters
         ----------
-        name : name of the column; known names need nothing else.
-        values : (N, ...) array.
-        unit, frame, labels, kind : as in `Column`; a new name must state its unit.
+        name : str
+            Name of the column; known names need no attributes.
+        values : array, shape (N, ...)
+            Values.
+        unit : str
+            SI unit; required for a new name.
+        frame : str
+            See `Column`.
+        labels : tuple of str
+            See `Column`.
+        kind : str
+            See `Column`.
 
         Raises
         ------
-        ShapeError : the unit contradicts the glossary or is missing; the length is not that of the table.
+        ShapeError
+            A unit that is missing or contradicts the glossary, or a wrong length.
         """
         columns = {**self.columns, name: Column(unit=unit, frame=frame, labels=labels, kind=kind)}
         return self._derived(f"with_column({name})", values={**self.values, name: values}, columns=columns)
 
     def rename(self, names: Mapping[str, str]) -> Table:
-        """Return the table with columns renamed, old name to new; units stay, so they must fit the new name."""
+        """Return the table with renamed columns (old name to new name); their units must match the new names."""
         for old in names:
             self[old]
         new = [names.get(name, name) for name in self.names]
         if len(set(new)) < len(new):
-            raise ShapeError(f"Expected new names that do not meet others, got {dict(names)}.")
+            raise ShapeError(f"Expected new names that differ from other columns, got {dict(names)}.")
         return self._derived(
             f"rename({dict(names)})",
             values=dict(zip(new, self.values.values(), strict=True)),
@@ -287,15 +302,17 @@ class Table:
         )
 
     def matching(self, pattern: str) -> np.ndarray:
-        """Return all numeric columns whose name matches, side by side (N, k), in natural order (2 before 10).
+        """Return all numeric columns with a matching name, side by side (N, k), in natural order (2 before 10).
 
         Parameters
         ----------
-        pattern : regular expression, searched in the names and in their aliases, where ``: . [ ]`` are ``_``.
+        pattern : str
+            Regular expression for names or aliases, in which ``_`` replaces ``: . [ ]``.
 
         Raises
         ------
-        UnknownName : no column matches; the message lists the closest names.
+        UnknownName
+            No column matches; the message lists the closest names.
         """
         found = [name for name in self.names if re.search(pattern, name) or re.search(pattern, alias(name))]
         found = [name for name in found if self.columns[name].kind != "text"]
@@ -309,19 +326,21 @@ class Table:
         return self._derived(f"shifted({dt:g})", t=self.t + dt)
 
     def resample(self, to: float | np.ndarray, *, max_gap: float | None = None) -> Table:
-        """Return the table at other times: numbers linear, pose and quaternion geodesic, count, flag and text held.
+        """Return the table at other times: numbers linear, poses and quaternions geodesic, counts, flags, texts held.
 
-        ``x(t) = (1 - s) x_i + s x_{i+1}``, ``s = (t - t_i) / (t_{i+1} - t_i)``; a time that exists keeps its values.
+        ``x(t) = (1 - s) x_i + s x_{i+1}``, ``s = (t - t_i) / (t_{i+1} - t_i)``; existing times keep their values.
 
         Parameters
         ----------
-        to : rate [Hz], or increasing times (M,) [s] inside the table.
-        max_gap : a longer gap between rows [s] is not bridged, NaN there; three median periods when None.
+        to : float, Hz, or array, shape (M,), s
+            Rate, or increasing times inside the table.
+        max_gap : float, s
+            Longest gap between rows that is interpolated; values in longer gaps are NaN. Default: three median periods.
 
         Raises
         ------
-        ShapeError : the rate goes down (that needs a filter) or up beyond all sense, a time lies outside the table,
-            fewer than two rows.
+        ShapeError
+            A lower rate (filter first), an absurdly high rate, a time outside the table, or fewer than two rows.
         """
         if len(self) < 2:
             raise ShapeError(f"Expected at least two rows to resample, got {len(self)}.")
@@ -329,8 +348,8 @@ class Table:
         t = _times(self, to)
         if len(t) > 1 and np.median(np.diff(t)) > _SLOWER * period:
             raise ShapeError(
-                f"Expected a rate of at least {1 / period:.6g} Hz, got {1 / np.median(np.diff(t)):.6g} Hz: going down "
-                "in rate folds noise into the signal; filter first, with signals.lowpass_offline, then take rows."
+                f"Expected a rate of at least {1 / period:.6g} Hz, got {1 / np.median(np.diff(t)):.6g} Hz: a lower "
+                "rate aliases noise into the signal. Filter first, with signals.lowpass_offline, then select rows."
             )
         values = _at(self, t, "linear", 3.0 * period if max_gap is None else max_gap)
         values.pop("dt", None)  # the period of the old clock
@@ -339,49 +358,134 @@ class Table:
         return self._derived(operation, t=t, values=values, columns=columns)
 
     def join(self, other: Table, *, fill: str = "hold", max_age: float | None = None) -> Table:
-        """Return a table with the columns of another brought to its clock, and the age of each as ``<name>_age``.
+        """Return the table with the columns of another table at its own times, and the age of each as ``<name>_age``.
 
-        Both clocks are placed on the wall clock when both tables know theirs (`t0_ns`).
+        If both tables have a wall clock (`t0_ns`), it aligns them; otherwise their `t` is used.
 
         Parameters
         ----------
-        other : gives the columns; names that both have are refused.
-        fill : "hold" takes the last row at or before; "linear" interpolates as `resample` does.
-        max_age : an older value is missing; any age is taken when None. With "linear", the longest gap bridged.
+        other : Table
+            Table with the added columns, whose names must be new.
+        fill : str
+            "hold" uses the last row at or before each time; "linear" interpolates as in `resample`.
+        max_age : float, s
+            Age beyond which a held value is missing, or the longest interpolated gap; default: unlimited.
 
         Raises
         ------
-        ShapeError : a column, or its age, exists in both.
-        UnknownName : another way of filling.
+        ShapeError
+            A column or its age exists in both tables.
+        UnknownName
+            Unknown `fill`.
         """
         if fill not in ("hold", "linear"):
             raise UnknownName.among("way of filling", fill, ("hold", "linear"))
         double = [name for name in other.names if name in self or f"{name}_age" in self]
         if double:
             both = ", ".join(double)
-            raise ShapeError(f"Expected columns that are only in one table, got {both} in both; use rename.")
+            raise ShapeError(f"Expected columns that exist in only one table, got {both} in both; use rename.")
         t = self.t + ((self.t0_ns - other.t0_ns) / 1e9 if self.t0_ns and other.t0_ns else 0.0)
         inside = (t >= other.t[0]) & (t <= (np.inf if fill == "hold" else other.t[-1])) if len(other) else t < -np.inf
         limit = np.inf if max_age is None else max_age
         held_age = t[inside] - other.t[np.searchsorted(other.t, t[inside], side="right") - 1]
         found = _at(other, t[inside], fill, limit)
         values, columns = dict(self.values), dict(self.columns)
-        age = _spread(held_age, inside)
+        age = spread(held_age, inside)
         for name, column in other.columns.items():
             held = fill == "hold" or column.kind in _HELD
-            values[name] = _spread(_holes(found[name], held_age > limit) if held else found[name], inside)
+            values[name] = spread(holes(found[name], held_age > limit) if held else found[name], inside)
             values[f"{name}_age"] = age
             columns |= {name: column, f"{name}_age": Column(unit="s")}
         source = (*self.source, f"join({', '.join(other.names)}; {fill})", *other.source)
         return replace(self, values=values, columns=columns, source=source)
 
+    def to_pandas(self) -> Any:
+        """Return a pandas DataFrame with a column per component (q1, q2, ...) over t [s]; units in ``attrs["units"]``.
+
+        Raises
+        ------
+        MissingExtra : pandas is not installed.
+        """
+        frame = _package("pandas").DataFrame(dict(self._components()), index=self.t)
+        frame.index.name = "t"
+        frame.attrs["units"] = self._component_units()
+        return frame
+
+    def to_polars(self) -> Any:
+        """Return a polars DataFrame with the column t [s] and a column per component (q1, q2, ...).
+
+        Raises
+        ------
+        MissingExtra : polars is not installed.
+        """
+        return _package("polars").DataFrame({"t": self.t, **dict(self._components())})
+
+    def to_arrow(self) -> Any:
+        """Return a pyarrow Table with t and a column per component (q1, q2, ...); units are in the field metadata.
+
+        Raises
+        ------
+        MissingExtra : pyarrow is not installed.
+        """
+        pa, units = _package("pyarrow"), {"t": "s", **self._component_units()}
+        arrays = {name: pa.array(values) for name, values in (("t", self.t), *self._components())}
+        fields = [pa.field(name, array.type, metadata={"unit": units[name]}) for name, array in arrays.items()]
+        return pa.Table.from_arrays(list(arrays.values()), schema=pa.schema(fields))
+
+    def to_xarray(self) -> Any:
+        """Return an xarray Dataset over the coordinate t [s]; columns keep their shape, with attributes unit and frame.
+
+        Axes of a row are named after the column; named joints become coordinates.
+
+        Raises
+        ------
+        MissingExtra : xarray is not installed.
+        """
+        xarray, variables = _package("xarray"), {}
+        coordinates: dict[str, Any] = {"t": ("t", self.t, {"units": "s"})}
+        for name, column in self.columns.items():
+            axes = ["t", *(f"{name}_{k}" for k in range(len(column.shape)))]
+            variables[name] = (axes, self[name], {"units": column.unit or "1", "frame": column.frame or ""})
+            if column.labels:
+                coordinates[axes[1]] = (axes[1], list(column.labels), {})
+        return xarray.Dataset(variables, coordinates)
+
+    def _components(self) -> Iterator[tuple[str, np.ndarray]]:
+        """Yield the name and values (N,) of each component: q1, q2, ..., T_base_tool1_1."""
+        for name, array in self.values.items():
+            for index in np.ndindex(*array.shape[1:]):
+                yield name + "_".join(str(k + 1) for k in index), np.array(array[(slice(None), *index)])
+
+    def _component_units(self) -> dict[str, str]:
+        units = self.units
+        return {
+            name + "_".join(str(k + 1) for k in index): units[name]
+            for name, array in self.values.items()
+            for index in np.ndindex(*array.shape[1:])
+        }
+
+    def _repr_html_(self) -> str:
+        """Return the notebook view: rows, rate, and a line per column with shape, unit, missing count and range."""
+        head, *lines = str(self).split("\n")
+        ranges = {name: statistics(array) for name, array in self.values.items()}
+        cells = []
+        for name in self.names:
+            low, high = np.nanmin([*ranges[name]["min"], np.inf]), np.nanmax([*ranges[name]["max"], -np.inf])
+            span = f"{low:.4g} to {high:.4g}" if low <= high else "-"
+            count = self.missing().get(name, (0, ()))[0]
+            cells.append((name, str(self[name].shape), self.units[name], str(count or "-"), span))
+        titles = "".join(f"<th>{word}</th>" for word in ("column", "shape", "unit", "missing", "range"))
+        rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in cells)
+        notes = "".join(f"<br>{escape(line)}" for line in lines if line.startswith("note: "))
+        return f"<div>{escape(head)}{notes}<table><thead><tr>{titles}</tr></thead><tbody>{rows}</tbody></table></div>"
+
     def missing(self) -> dict[str, tuple[int, tuple[int, ...]]]:
-        """Return, per column with missing values, the number of rows and the first ten row numbers."""
+        """Return, for each column with missing values, the number of rows and the first ten of them."""
         holes = {name: np.flatnonzero(missing_rows(array)) for name, array in self.values.items()}
         return {name: (len(rows), tuple(int(row) for row in rows[:10])) for name, rows in holes.items() if len(rows)}
 
     def describe(self) -> str:
-        """Return minimum, maximum, mean and standard deviation of each component as text."""
+        """Return minimum, maximum, mean and standard deviation of each component as a text table."""
         lines: list[tuple[str, ...]] = [("component", "unit", "min", "max", "mean", "sigma", "missing")]
         for name in self.names:
             stats = statistics(self[name])
@@ -397,12 +501,13 @@ class Table:
         return replace(self, source=(*self.source, operation), **changes)
 
 
-def missing_rows(array: np.ndarray) -> np.ndarray:
-    """Return the mask (N,) of rows with a NaN or, in text, an empty value."""
-    if array.dtype.kind not in "fU" or not array.size:
-        return np.zeros(len(array), dtype=bool)
-    holes = np.isnan(array) if array.dtype.kind == "f" else np.asarray(array == "")
-    return np.asarray(holes.reshape(len(array), -1).any(axis=1))
+def _package(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError:
+        raise MissingExtra(
+            f"Expected the package {name}, but it is not installed. Install it: pip install {name}."
+        ) from None
 
 
 def _check_clock(t: np.ndarray) -> None:
@@ -433,7 +538,7 @@ def _check_lengths(rows: int, values: Mapping[str, np.ndarray]) -> None:
 
 
 def _bytes(array: np.ndarray) -> bytes | memoryview:
-    """Return the bytes that count: text without padding, one pattern for NaN."""
+    """Return the bytes to hash: text without padding, and one bit pattern for all NaN values."""
     if array.dtype.kind == "U":
         return "\0".join(array.ravel().tolist()).encode()
     if array.dtype.kind == "f" and np.isnan(array).any():
@@ -442,21 +547,27 @@ def _bytes(array: np.ndarray) -> bytes | memoryview:
 
 
 _HELD = ("count", "flag", "text")
-_MOST_ROWS, _MOST_FOR_ONE = 10_000_000, 1000  # more than both is a slip of the rate, or of the unit of t
-_SLOWER = 1.05  # periods may differ that much before resampling counts as going down in rate
+_MOST_ROWS, _MOST_FOR_ONE = 10_000_000, 1000  # beyond both, the rate or the unit of t is wrong
+_SLOWER = 1.05  # ratio of periods from which resampling lowers the rate
 
 
 def concat(*tables: Table) -> Table:
-    """Return the rows of several tables one after another on one clock; the gaps between them stay.
+    """Concatenate the rows of several tables on one clock; gaps between them remain.
 
-    Later tables are placed by the wall clock when all know theirs (`t0_ns`), else by their own t.
+    If all tables have a wall clock (`t0_ns`), it determines the times of the later ones; otherwise their own t is used.
+
+    Parameters
+    ----------
+    *tables : Table
+        Tables in chronological order.
 
     Raises
     ------
-    ShapeError : no table; columns, units or kinds differ; a table begins before the one before it has ended.
+    ShapeError
+        No table, different columns, units or kinds, or a table that begins before the previous one has ended.
     """
     if not tables:
-        raise ShapeError("Expected at least one table to put together, got none.")
+        raise ShapeError("Expected at least one table to concatenate, got none.")
     first = tables[0]
     for number, table in enumerate(tables[1:], 2):
         differ = sorted(set(first.names) ^ set(table.names))
@@ -465,7 +576,7 @@ def concat(*tables: Table) -> Table:
         ]
         if differ:
             raise ShapeError(
-                f"Expected the same columns in all tables, got table {number} to differ in {', '.join(differ)}."
+                f"Expected the same columns in all tables, got differences of table {number} in {', '.join(differ)}."
             )
     walled = all(table.t0_ns for table in tables)
     clocks = [table.t + ((table.t0_ns - first.t0_ns) / 1e9 if walled else 0.0) for table in tables]
@@ -497,8 +608,8 @@ def _times(table: Table, to: float | np.ndarray) -> np.ndarray:
         steps = np.floor(span * rate * (1 + 1e-12) + 1e-9)
         if steps > max(_MOST_ROWS, _MOST_FOR_ONE * len(table)):
             raise ShapeError(
-                f"Expected a rate that makes at most {_MOST_FOR_ONE} rows of one, got {rate:g} Hz over {span:g} s: "
-                f"{steps:.3g} rows of {len(table)}. Give the rate in hertz, and t in seconds."
+                f"Expected a rate of at most {_MOST_FOR_ONE} rows per recorded row, got {rate:g} Hz over {span:g} s: "
+                f"{steps:.3g} rows of {len(table)}. Pass the rate in hertz and t in seconds."
             )
         rows = int(steps) + 1
         return np.minimum(table.t[0] + np.arange(rows) / rate, table.t[-1])
@@ -506,12 +617,14 @@ def _times(table: Table, to: float | np.ndarray) -> np.ndarray:
     outside = np.flatnonzero(~((t >= table.t[0]) & (t <= table.t[-1])))
     if len(outside) or not len(t):
         got = f"{t[outside[0]]:g} s in row {outside[0]}" if len(outside) else "none"
-        raise ShapeError(f"Expected times between {table.t[0]:g} and {table.t[-1]:g} s, got {got}: no extrapolation.")
+        raise ShapeError(
+            f"Expected times between {table.t[0]:g} and {table.t[-1]:g} s, got {got}; there is no extrapolation."
+        )
     return t
 
 
 def _at(table: Table, t: np.ndarray, fill: str, max_gap: float) -> dict[str, np.ndarray]:
-    """Return the values of all columns at times inside the table."""
+    """Return all columns at times inside the table."""
     left = np.searchsorted(table.t, t, side="right") - 1
     right = np.minimum(left + 1, len(table) - 1)
     gap = table.t[right] - table.t[left]
@@ -521,60 +634,16 @@ def _at(table: Table, t: np.ndarray, fill: str, max_gap: float) -> dict[str, np.
     for name in table.names:
         kind = table.columns[name].kind or "real"
         if fill == "hold" or kind in _HELD:
-            values[name] = table[name][left] if fill == "hold" else _holes(table[name][left], ~bridged)
+            values[name] = table[name][left] if fill == "hold" else holes(table[name][left], ~bridged)
         else:
-            between = _between(kind, table[name][left], table[name][right], s)
-            between[~bridged] = np.nan
-            values[name] = between
+            found = between(kind, table[name][left], table[name][right], s)
+            found[~bridged] = np.nan
+            values[name] = found
     return values
-
-
-def _between(kind: str, a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Interpolate rows a and b at s (k,); where s is zero a is kept as it is, also next to a missing b."""
-    weight = s.reshape(-1, *[1] * (a.ndim - 1))
-    exact = weight == 0
-    if kind == "quaternion":
-        whole = np.isfinite(a).all(axis=-1) & np.isfinite(b).all(axis=-1)
-        found = np.full(a.shape, np.nan)
-        found[whole] = quaternion.slerp(a[whole], b[whole], s[whole])
-    elif kind == "pose":
-        whole = np.isfinite(a).all(axis=(-2, -1)) & np.isfinite(b).all(axis=(-2, -1))
-        found = np.full(a.shape, np.nan)
-        found[whole] = _pose_between(a[whole], b[whole], s[whole])
-    else:
-        found = (1.0 - weight) * a + weight * b
-    return np.where(exact, a, found)
-
-
-def _pose_between(T_base_a: np.ndarray, T_base_b: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Turn about one axis at constant speed and move in a straight line."""
-    R_a, R_b = T_base_a[:, :3, :3], T_base_b[:, :3, :3]
-    turn = so3.log(R_a.swapaxes(-1, -2) @ R_b)
-    p = (1.0 - s[:, None]) * T_base_a[:, :3, 3] + s[:, None] * T_base_b[:, :3, 3]
-    return se3.from_rp(R_a @ so3.exp(s[:, None] * turn), p)
-
-
-def _holes(values: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Return the values with the rows of a mask (k,) missing: NaN, in text empty."""
-    if not missing.any():
-        return values
-    values = values.copy() if values.dtype.kind == "U" else values.astype(float)
-    values[missing] = "" if values.dtype.kind == "U" else np.nan
-    return values
-
-
-def _spread(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Return the values in the rows that are inside, the others missing."""
-    if inside.all():
-        return values
-    text = values.dtype.kind == "U"
-    result = np.full((len(inside), *values.shape[1:]), "" if text else np.nan, dtype=values.dtype if text else float)
-    result[inside] = values
-    return result
 
 
 def timing(table: Table) -> dict[str, float | int]:
-    """Return rows, duration [s], rate [Hz], jitter [s] (standard deviation of the period) and the longest gap [s]."""
+    """Return rows, duration [s], rate [Hz], jitter [s] (standard deviation of the period) and longest gap [s]."""
     if len(table) < 2:
         return {"rows": len(table), "duration": 0.0, "rate": float("nan"), "jitter": float("nan"), "gap": float("nan")}
     steps = np.diff(table.t)
@@ -588,7 +657,7 @@ def timing(table: Table) -> dict[str, float | int]:
 
 
 def statistics(array: np.ndarray) -> dict[str, np.ndarray]:
-    """Return min, max, mean, sigma and missing of each component of a column (N, ...), flattened; NaN where empty."""
+    """Return min, max, mean, sigma and missing of each component (flattened) of a column (N, ...); NaN if empty."""
     flat = array.reshape(len(array), int(np.prod(array.shape[1:])))
     width = flat.shape[1]
     if flat.dtype.kind == "U":
@@ -614,7 +683,7 @@ def statistics(array: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def component_names(table: Table, name: str) -> list[str]:
-    """Return the name of each component of a column: ``q[1]`` or ``q[yumi_joint_1_r]``, counted from 1."""
+    """Return the name of each component of a column, counted from 1: ``q[1]`` or ``q[yumi_joint_1_r]``."""
     shape, labels = table[name].shape[1:], table.columns[name].labels
     if not shape:
         return [name]
@@ -626,6 +695,6 @@ def component_names(table: Table, name: str) -> list[str]:
 
 
 def _aligned(lines: list[tuple[str, ...]]) -> list[str]:
-    """Return rows of words as lines with aligned columns."""
+    """Return rows of cells as aligned lines."""
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     return ["  ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)).rstrip() for line in lines]

@@ -1,4 +1,4 @@
-"""Checks of units and gear sides: a wrong one raises an error that states the factor."""
+"""Checks of units and of motor or joint side; errors state the likely factor."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 from armlab.errors import NotExcited, ShapeError
 from armlab.robots import Robot
 
-TOLERANCE, CORRELATION = 0.1, 0.98  # of velocity against the slope of position
-BEYOND = 3.0  # times the limits: a position so far out has another unit
-FLAT = 0.8  # share of rows with one and the same torque
-LIGHT = 0.1  # kg/m^3, torque as weight at the reach, per cubed reach: real arms 1 to 60, motors of geared ones < 0.05
-HEAVY, DYNAMIC = 12.0, 3.0  # times lighter than the links, which is no error of masses; share for what is not weight
+TOLERANCE, CORRELATION = 0.1, 0.98  # between velocity and the slope of position
+BEYOND = 3.0  # times the limits: a larger position has another unit
+FLAT = 0.8  # share of rows with the same torque
+LIGHT = 0.1  # kg/m^3, torque over g times reach^4: arms 1 to 60, motors of geared arms < 0.05
+HEAVY, DYNAMIC = 12.0, 3.0  # factor below the links' weight beyond errors of masses; share of torque besides weight
 GEARED = 10.0
-MOVED = (0.005, np.deg2rad(1.0))  # m, rad: a joint that moved less says nothing of its velocity
-FEW = 0.01  # share of rows with a position out there that may be glitches, not a unit
+MOVED = (0.005, np.deg2rad(1.0))  # m, rad: the velocity of a joint that moved less cannot be checked
+FEW = 0.01  # share of rows with distant positions that may be glitches
 
 
 def has_moved(q: np.ndarray, robot: Robot) -> np.ndarray:
@@ -23,7 +23,7 @@ def has_moved(q: np.ndarray, robot: Robot) -> np.ndarray:
 
 
 def check_known(q: np.ndarray, tau: np.ndarray, robot: Robot) -> None:
-    """Refuse positions of another unit, and torques that are not measured; a few rows may be wrong."""
+    """Raise for positions in the wrong unit and for unmeasured torques; a few wrong rows are ignored."""
     whole = np.isfinite(q).all(axis=1) & np.isfinite(tau).all(axis=1)
     q, tau = q[whole], tau[whole]
     if not len(q):
@@ -35,7 +35,7 @@ def check_known(q: np.ndarray, tau: np.ndarray, robot: Robot) -> None:
 
 
 def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
-    """Refuse q (N, n) far outside the limits, in degrees or of the motors, in more than a few of the rows."""
+    """Raise if q (N, n) is far outside the limits (degrees, or motor side) in more than a few rows."""
     limit = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
     peak = np.abs(q).max(axis=0)
     far = np.flatnonzero(np.isfinite(limit) & (limit > 0) & (peak > BEYOND * limit))
@@ -53,18 +53,18 @@ def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
 
 
 def _side(times: float, joint: int | np.intp, robot: Robot) -> str:
-    """Say what a position so many times beyond its limit may be."""
+    """Return the likely unit of a position that is this multiple of its limit."""
     gear, found = gears(robot)[joint], []
     unit = ("millimetres, divide by 1000", 1e3) if robot.prismatic[joint] else ("degrees", np.rad2deg(1.0))
     if times <= 1.05 * unit[1]:
         found.append(unit[0])
     if gear >= GEARED and times <= 1.05 * gear:
-        found.append(f"the motor's, gear ratio {gear:g}, see robots.couplings.motor_to_joint")
+        found.append(f"motor side, gear ratio {gear:g}, see robots.couplings.motor_to_joint")
     return " or ".join(found) or "no known unit"
 
 
 def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: Robot) -> None:
-    """Refuse qd (N, n) that is not the derivative of position, alike low-passed, of the joints that moved (n,)."""
+    """Raise if qd (N, n) of moved joints (n,) differs from the equally filtered derivative of the position."""
     power = np.sum(slope**2, axis=0) + 1e-300
     gain = np.sum(slope * qd, axis=0) / power
     norm = np.sqrt(power * np.sum(qd**2, axis=0) + 1e-300)
@@ -78,18 +78,18 @@ def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: 
     for i in wrong:
         other = int(np.argmax(alike[i]))
         if other != i and alike[i, other] > CORRELATION > correlation[i]:
-            what = f"the column of {robot.joint_names[other]} fits; joint order"
+            what = f"the column of {robot.joint_names[other]} fits: wrong joint order"
         else:
             what = _meaning(float(gain[i]), float(correlation[i]), gear[i])
         words.append(f"{robot.joint_names[i]} ({gain[i]:.3g} times: {what})")
     raise ShapeError(
-        f"Expected qd to be the derivative of q, got other values for {', '.join(words)}. "
-        "Correct the column, or leave qd out: it is then computed from q."
+        f"Expected qd to be the derivative of q, but it differs for {', '.join(words)}. "
+        "Correct the column, or omit qd, which is then computed from q."
     )
 
 
 def _meaning(gain: float, correlation: float, gear: float) -> str:
-    """Say what a factor between velocity and slope looks like."""
+    """Return the likely cause of a factor between velocity and slope."""
     known = [
         (1.0, "sign"),
         (np.rad2deg(1.0), "degrees per second"),
@@ -98,20 +98,23 @@ def _meaning(gain: float, correlation: float, gear: float) -> str:
         (1e-3, "thousandths"),
     ]
     if gear >= GEARED:
-        known += [(gear, f"motor side, gear ratio {gear:g}"), (1.0 / gear, f"position of the motor, ratio {gear:g}")]
+        known += [
+            (gear, f"motor side, gear ratio {gear:g}"),
+            (1.0 / gear, f"position on the motor side, ratio {gear:g}"),
+        ]
     if abs(correlation) >= CORRELATION:
         for factor, words in known:
             if abs(abs(gain) / factor - 1.0) < TOLERANCE and (factor != 1.0 or gain < 0):
                 return words + (" and sign" if gain < 0 and factor != 1.0 else "")
         return "unit"
-    return "another signal, or time stamps that are not those of q"
+    return "a different signal, or timestamps of a signal other than q"
 
 
 def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
-    """Refuse torques (N, n) that no arm needs: constant, or so small that they are the motors'.
+    """Raise for implausible torques (N, n) that are constant, or so small that they must be on the motor side.
 
-    With masses in the robot file, torque is compared with the weight of the links. Without, with the reach: half the
-    range of torque over ``g reach^4`` is 1 to 60 kg/m^3 on arms from 0.5 to 300 kg of payload.
+    If the robot file has link masses, the torque is compared with their weight, otherwise with the reach: half the
+    torque range divided by ``g reach^4`` is 1 to 60 kg/m^3 for arms with 0.5 to 300 kg payload.
     """
     check_constant(tau, used, robot)
     sized = _against_links(q, tau, used, robot) if robot.inertias is not None else _against_reach(tau, used, robot)
@@ -121,33 +124,35 @@ def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot)
     gear = gears(robot)
     listed = ", ".join(robot.joint_names[i] + (f" (gear ratio {gear[i]:g})" if gear[i] > 1 else "") for i in joints)
     advice = (
-        "Bring it to the joints with robots.couplings.motor_torque_to_joint."
+        "Convert it with robots.couplings.motor_torque_to_joint."
         if np.any(gear[joints] >= GEARED)
-        else "Multiply it by the gear ratio, and give the robot its coupling."
+        else "Multiply it by the gear ratio, and add the coupling to the robot description."
     )
     raise ShapeError(
-        f"Expected torque on the joint side in N m, got values that look like the motors' for {listed}: {evidence}. "
-        f"{advice}"
+        f"Expected torque on the joint side in N m, got likely motor torques for {listed}: {evidence}. {advice}"
     )
 
 
 def check_constant(tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
-    """Refuse torques (N, n) of joints (n,) that hardly ever change."""
+    """Raise if the torques (N, n) of joints (n,) are constant in most rows."""
     share = np.array([np.unique(column, return_counts=True)[1].max() / len(column) for column in tau.T])
     flat = np.flatnonzero(used & (share > FLAT))
     if len(flat):
         names = [robot.joint_names[i] for i in flat]
         spread = [
-            "constant torque" if share[i] == 1.0 else f"one torque in {100 * share[i]:.0f} % of the rows" for i in flat
+            "constant torque" if share[i] == 1.0 else f"the same torque in {100 * share[i]:.0f} % of the rows"
+            for i in flat
         ]
         listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
         raise NotExcited(
-            f"Expected measured torques, got a constant for {listed}. Check that the robot sends torque.", names, spread
+            f"Expected measured torques, got a constant for {listed}. Check that the robot sends torques.",
+            names,
+            spread,
         )
 
 
 def _against_links(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot) -> tuple[np.ndarray, str] | None:
-    """Compare with the weight of the links: the factor between torque and gravity of each joint that lifts."""
+    """Return joints with implausibly small torque compared with the weight of the links, and the evidence."""
     still = np.zeros_like(q)
     gravity = robot.chain.rnea(q, still, still, robot.gravity, robot.inertias)
     gravity, varied = gravity - gravity.mean(axis=0), tau - tau.mean(axis=0)
@@ -163,23 +168,23 @@ def _against_links(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robo
         return None
     joints = np.flatnonzero(small)
     factors = ", ".join(f"{scale[i]:.2g}" for i in joints)
-    return joints, f"{factors} times what the weight of the links takes"
+    return joints, f"{factors} times the weight of the links"
 
 
 def _against_reach(tau: np.ndarray, used: np.ndarray, robot: Robot) -> tuple[np.ndarray, str] | None:
-    """Compare with the reach, where gravity loads any turning joint."""
+    """Return joints with implausibly small torque compared with the reach of the arm, and the evidence."""
     g = float(np.linalg.norm(robot.gravity))
-    turning = used & ~robot.prismatic
+    revolute = used & ~robot.prismatic
     reach = float(np.linalg.norm(robot.frames[1:, :3, 3], axis=1).sum())
     upright = np.abs(robot.screws[:, 3:] @ robot.gravity) > 0.999 * g
-    if g == 0 or reach == 0 or not np.any(turning) or bool(np.all(upright | ~turning)):
+    if g == 0 or reach == 0 or not np.any(revolute) or bool(np.all(upright | ~revolute)):
         return None
-    swing = 0.5 * float(np.ptp(tau[:, turning], axis=0).max())
+    swing = 0.5 * float(np.ptp(tau[:, revolute], axis=0).max())
     if swing > LIGHT * g * reach**4:
         return None
-    return np.flatnonzero(turning), f"at most {swing:.2g} N m on an arm of {reach:.2g} m reach"
+    return np.flatnonzero(revolute), f"at most {swing:.2g} N m on an arm of {reach:.2g} m reach"
 
 
 def gears(robot: Robot) -> np.ndarray:
-    """Return the size of each gear ratio (n,); 1 where the robot file is silent."""
+    """Return the absolute gear ratios (n,); 1 if the robot file has none."""
     return np.abs(np.diag(np.linalg.inv(robot.coupling)))

@@ -1,4 +1,4 @@
-"""`write`: a `Table` becomes a file that `read`, a spreadsheet or another program opens."""
+"""`write`: write a `Table` to a file that `read`, a spreadsheet or another program can open."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _FILES: dict[str, Callable[[Table, BinaryIO, Progress], None]] = {
     ".hdf5": write_hdf5,
 }
 ENDINGS = (".mcap", *_FILES, ".rosbag2")
-"""Endings of names by which `write` knows the format."""
+"""File extensions that determine the format in `write`."""
 
 
 def write(
@@ -43,32 +43,33 @@ def write(
     storage: str = "mcap",
     progress: Progress | None = None,
 ) -> Path:
-    """Write a table to a file and return its path; an existing file is replaced in one step or not at all.
+    """Write a table to a file, and return its path; an existing file is replaced atomically or not at all.
 
-    `read` gives the same table back from every format, provenance included. From MCAP and rosbag2 it has the same
-    values: their stamps are whole nanoseconds and their poses quaternions. The ending tells the format:
+    `read` restores the same table from every format, including its provenance. From MCAP and rosbag2, the values are
+    equal up to rounding, because stamps are whole nanoseconds and poses are quaternions. The extension determines the
+    format:
 
     * ``.mcap``: a recording; needs `robot`, whose name and joints are in the topics.
-    * ``.csv``: ``t [s],q1 [rad],...``, the shortest digits that read back equal, nothing where a value is missing; what
-      a heading cannot say is beside it in ``run.csv.toml``.
-    * ``.mat``: MATLAB, version 5; a variable per column, units in a struct; columns up to 2 GB.
+    * ``.csv``: ``t [s],q1 [rad],...``, with the fewest digits that read back exactly; missing values are empty. Further
+      column attributes are in ``run.csv.toml``.
+    * ``.mat``: MATLAB, version 5; one variable per column, units in a struct; columns up to 2 GB.
     * ``.parquet``: a flat column per component, units in the fields' metadata; needs pyarrow.
     * ``.h5``, ``.hdf5``: a dataset (N, ...) per column with attributes unit and kind; needs h5py.
     * ``.rosbag2``: a folder for ROS 2, standard messages only.
 
     Parameters
     ----------
-    table : to write; in MCAP no columns of text and no counts of the user's above 2^53.
-    path : of the file, of the folder of a rosbag2.
+    table : table to write; MCAP stores no text columns and no user counts above 2^53.
+    path : path of the file, or of the folder of a rosbag2.
     robot : the arm. MCAP needs it; in a rosbag2 it gives the joints the names of its URDF, in place of the labels.
-    storage : of a rosbag2, mcap or sqlite3; releases before Iron read the latter without a plugin.
+    storage : storage format of a rosbag2, mcap or sqlite3; releases before Iron read the latter without a plugin.
     progress : called with (done, total, what).
 
     Raises
     ------
-    ConfigError : another ending, or no robot for MCAP. LogError : the file cannot be written, or the format cannot hold
-    the table. MissingExtra : pyarrow or h5py is not installed. RobotError : something else than a robot.
-    ShapeError : something else than a table, or a column that does not fit the robot's joints.
+    ConfigError : unknown file extension, or no robot for MCAP. LogError : the file cannot be written, or the format
+    cannot hold the table. MissingExtra : pyarrow or h5py is not installed. RobotError : the argument is not a robot.
+    ShapeError : not a table, or a column that does not fit the robot's joints.
     """
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)
@@ -107,11 +108,9 @@ def _write_file(table: Table, part: Path, path: Path, tell: Progress) -> None:
 
 
 def _write_bag(table: Table, part: Path, path: Path, storage: str, robot: Robot | None, tell: Progress) -> None:
-    """Write a folder inside a folder, since rosbags names the file of messages after the folder it is in."""
+    """Write a folder inside a folder, because rosbags names the message file after its folder."""
     if path.exists() and not (path / "metadata.yaml").is_file():
-        raise LogError(
-            f"Expected a new name or a rosbag2 to replace, got {path}, which is something else. Move it away."
-        )
+        raise LogError(f"Expected a new name or an existing rosbag2 to replace, but {path} is neither. Move it away.")
     if robot is not None:
         for name in (f"{kind}{ending}" for kind in ("q", "qd", "tau") for ending in ("", "_ref", "_sent")):
             if name in table.names and table[name].shape[1:] != (robot.n,):
@@ -131,7 +130,10 @@ def _remove(path: Path) -> None:
 
 
 def _check_text(table: Table) -> None:
-    """Refuse text that files cannot hold: NUL ends a text in HDF5 and in ROS, a lone surrogate is not Unicode."""
+    """Reject text that files cannot store:
+
+    NUL ends a text in HDF5 and ROS, and a lone surrogate is not valid Unicode.
+    """
     for name in table.names:
         if table[name].dtype.kind != "U":
             continue
@@ -152,15 +154,16 @@ def _encodes(text: str) -> bool:
 
 def _misfit(name: str, table: Table, shape: tuple[int, ...], robot: Robot) -> ShapeError:
     return ShapeError(
-        f"Expected {name} of shape ({len(table)}, {', '.join(map(str, shape))}) for robot {robot.name!r} of {robot.n} "
-        f"joints, got {table[name].shape}. Name the robot that was logged."
+        f"Expected {name} of shape ({len(table)}, {', '.join(map(str, shape))}) for robot {robot.name!r} with "
+        f"{robot.n} joints, got {table[name].shape}. Pass the robot that was logged."
     )
 
 
 def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell: Progress) -> None:
     if robot is None:
         raise ConfigError(
-            f"Expected the robot of the table for {path}, got none. Give robot= (--robot of commands), or write a .csv."
+            f"Expected a robot for the table in {path}, got none. Pass robot= (--robot of commands), or write a .csv "
+            "file."
         )
     standard = RowLayout(robot).slots
     extra = {name: table.columns[name] for name in table.names if name not in standard}
@@ -175,8 +178,8 @@ def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell:
             raise _misfit(name, table, slot.column.shape, robot)
         if slot.dtype == "<f8" and array.dtype.kind == "i" and ((array > _EXACT) | (array < -_EXACT)).any():
             raise LogError(
-                f"Expected counts up to 2^53 in {name!r} for MCAP, which has columns of your own as real numbers, got "
-                "larger ones. Write another format."
+                f"Expected counts up to 2^53 in {name!r} for MCAP, which stores user-defined columns as real numbers, "
+                "got larger counts. Write another format."
             )
         if slot.missing is not None:
             array = np.where(np.isfinite(array), array, slot.missing)

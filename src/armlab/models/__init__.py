@@ -1,4 +1,4 @@
-"""What is identified, saved, and later run: friction, ripple, torque covariance, the torque model, force sensors."""
+"""Identified models that are saved and used at run time: friction, ripple, torque covariance, torque model, sensors."""
 
 from armlab.models.files import load, register, save
 from armlab.models.friction import Friction, FrictionBound, FrictionMap, RadialBasis, RippleLines, WarmUp

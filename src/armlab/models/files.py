@@ -1,8 +1,8 @@
-"""Model files: TOML with provenance, exact to the last digit, bound to one robot.
+"""Model files: TOML with provenance and full precision, bound to one robot.
 
 A file begins with ``[meta]``: kind, format, armlab version, command line, UTC time, sources with their SHA-256, robot
-name and hash, and the sign convention of the wrench. A loader refuses another kind, format or sign. The torque model
-has tables that are made to be read by people; other values are written by `armlab.models.files`.
+name and hash, and the sign convention of the wrench. Loading rejects another kind, format or sign. The torque model
+has human-readable tables; other values use the generic format.
 """
 
 from __future__ import annotations
@@ -13,60 +13,61 @@ from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar, overload
 
 import msgspec
 import numpy as np
 import tomli_w
 
 import armlab
-from armlab._toml import TomlError, parsed
-from armlab._whole_files import whole_file
+from armlab._files import TomlError, parsed, whole_file
 from armlab.errors import ConfigError, ModelMismatchError, UnknownName
 from armlab.models.friction import Friction, FrictionBound, Ripple
 from armlab.models.torque import SIGN, Quality, TorqueModel, Training, VelocityCovariance
 
-# Values that have a file format: any frozen dataclass of numbers, texts and arrays, once it is registered.
+# Generic format: any registered frozen dataclass of numbers, strings and arrays.
 #
 #     [meta]   kind, package of its class, format, armlab version, command line, UTC time, sources, robot name and hash
 #     [value]  the fields of the value
-#     [fit]    what the fit knew of them: names, units, covariance, noise, outliers
+#     [fit]    statistics of the fit: names, units, covariance, noise, outliers
 #
-# Numbers are written with 17 digits and arrays row by row, so that what is read is bit-equal to what was written. A
-# class anywhere in the package registers itself by `register`; `models.save` and `models.load` do the rest.
+# Numbers have 17 digits and arrays are written row by row, so that reading is bit-exact. Any class in the package can
+# call `register`; `models.save` and `models.load` do the rest.
 
 
 FORMAT = 1
+Value = TypeVar("Value")
 
 _CLASSES: dict[str, type] = {}
 
 
 def register(kind: str, cls: type) -> None:
-    """Give a frozen dataclass a file format.
+    """Register a file format for a frozen dataclass.
 
     Parameters
     ----------
     kind : name of the format, written into the file; for example "hand_eye".
-    cls : its fields are numbers, texts, arrays, tuples and dicts of these, None, or other registered values. Its
-        constructor must take what its fields hold.
+    cls : its fields are numbers, strings, arrays, tuples and dicts of these, None, or other registered values. Its
+        constructor must accept its field values.
     """
     if not is_dataclass(cls) or _CLASSES.setdefault(kind, cls) is not cls:
-        raise ConfigError(f"Expected a dataclass and a kind of its own, got {cls.__name__} and {kind!r}.")
+        raise ConfigError(f"Expected a dataclass and a unique kind, got {cls.__name__} and {kind!r}.")
 
 
 def kind_of(value: object) -> str:
-    """Return the kind of a registered value."""
+    """Return the kind of a registered value, or class."""
+    own = value if isinstance(value, type) else type(value)
     for kind, cls in _CLASSES.items():
-        if type(value) is cls:
+        if own is cls:
             return kind
     raise ConfigError(
-        f"Expected a value with a file format, got {type(value).__name__}. "
-        f"These have one: {', '.join(sorted(c.__name__ for c in _CLASSES.values())) or 'none'} and TorqueModel."
+        f"Expected a value with a file format, got {own.__name__}. "
+        f"Available: {', '.join(sorted(c.__name__ for c in _CLASSES.values())) or 'none'} and TorqueModel."
     )
 
 
 def provenance(kind: str, value: object) -> dict[str, Any]:
-    """Return the table [meta] of a file that is written now."""
+    """Return the table [meta] for a new file."""
     return {
         "kind": kind,
         "format": FORMAT,
@@ -80,7 +81,7 @@ def provenance(kind: str, value: object) -> dict[str, Any]:
 
 
 def value_file(value: object) -> dict[str, Any]:
-    """Return the tables [meta] and [value] of a registered value, with the UNITS of its fields where it has them."""
+    """Return the tables [meta] and [value] of a registered value, with the UNITS of its fields if defined."""
     kind = kind_of(value)
     meta, units = provenance(kind, value), _units(value)
     meta["package"] = type(value).__module__.rpartition(".")[0]
@@ -90,7 +91,7 @@ def value_file(value: object) -> dict[str, Any]:
 
 
 def _units(value: Any, prefix: str = "") -> dict[str, str]:
-    """Return the UNITS of a value and, by "part.field", those of the values that are its fields."""
+    """Return the UNITS of a value and, as "part.field", the UNITS of its fields."""
     found = {prefix + name: unit for name, unit in getattr(type(value), "UNITS", {}).items()}
     for field in fields(value):
         part = getattr(value, field.name)
@@ -100,37 +101,37 @@ def _units(value: Any, prefix: str = "") -> dict[str, str]:
 
 
 def _check_units(written: Any, known: Mapping[str, str]) -> None:
-    """Refuse units in a file that are not those in which its numbers are read."""
+    """Reject units in a file that differ from the units in which its numbers are read."""
     for name, unit in written.items() if isinstance(written, dict) else ():
         if known.get(name) != unit:
             raise ConfigError(
-                f"Expected [meta.units] to say {known.get(name)!r} for {name}, got {unit!r}. No number is "
-                "converted: write them in the first."
+                f"Expected [meta.units] to give {known.get(name)!r} for {name}, got {unit!r}. Numbers are not "
+                "converted, so write them in the expected unit."
             )
 
 
 def _check_texts(value: Any, path: Path) -> None:
-    """Refuse a value whose sources and robot could not be named again in [meta]."""
+    """Reject a value whose sources and robot could not be written to [meta]."""
     known = provenance("", value)
     texts = [*(("sources", one) for one in known["sources"]), *((k, known[k]) for k in ("robot", "robot_hash"))]
     for name, text in texts:
         if not isinstance(text, str):
-            raise ConfigError(f"Expected texts for {name} at {path}, got {text!r}. Make the file again.")
+            raise ConfigError(f"Expected texts for {name} at {path}, got {text!r}. Save the file again.")
 
 
 def read_value(raw: Mapping[str, Any], path: Path) -> Any:
-    """Return the value of a file's tables."""
+    """Return the value described by a file's tables."""
     meta = raw["meta"]
     kind, version, package = str(meta.get("kind")), meta.get("format"), str(meta.get("package", "")) or "the package"
     owner = package.removeprefix("armlab.")
     if kind not in _CLASSES and owner in armlab.__all__:
-        getattr(armlab, owner)  # is imported by that, and its kinds are registered
+        getattr(armlab, owner)  # the import registers its kinds
     if kind not in _CLASSES or version != FORMAT:
         raise ModelMismatchError(
             f"Expected a file of format {FORMAT} and a kind of {sorted({*_CLASSES, 'torque_model'})} at {path}, got "
-            f"{kind!r} in format {version}. Import {package} that made it, or make it again."
+            f"{kind!r} in format {version}. Import {package}, which wrote the file, or save it again."
         )
-    with _readable(f"the fields of a {kind} at {path}", "Make the file again."):
+    with _readable(f"the fields of a {kind} at {path}", "Save the file again."):
         value = decode({"kind": kind, "fields": raw["value"]})
         _check_units(meta.get("units", {}), _units(value))
         _check_texts(value, path)
@@ -139,7 +140,7 @@ def read_value(raw: Mapping[str, Any], path: Path) -> Any:
 
 @contextmanager
 def _readable(wanted: str, advice: str) -> Iterator[None]:
-    """Refuse what a file holds in a sentence, whatever its numbers and texts make of it."""
+    """Turn any error about the contents of a file into one sentence."""
     try:
         yield
     except ConfigError:
@@ -149,7 +150,7 @@ def _readable(wanted: str, advice: str) -> Iterator[None]:
 
 
 def encode(item: Any) -> Any:
-    """Return numbers, texts, lists and tables that TOML can hold; None becomes an empty table."""
+    """Return numbers, strings, lists and tables that TOML can express; None becomes an empty table."""
     if isinstance(item, np.ndarray):
         return {"shape": list(item.shape), "array": item.tolist()} if not item.size else {"array": item.tolist()}
     if item is None:
@@ -166,7 +167,7 @@ def encode(item: Any) -> Any:
 
 
 def decode(item: Any) -> Any:
-    """Return the field that `encode` has turned into tables."""
+    """Return the field encoded by `encode`."""
     if not isinstance(item, dict):
         return item
     if "array" in item:
@@ -180,23 +181,23 @@ def decode(item: Any) -> Any:
         return _CLASSES[item["kind"]](**{name: decode(part) for name, part in item["fields"].items()})
     if item:
         raise ConfigError(
-            "Expected a table with array, tuple, table or kind, or an empty one, got one with "
-            f"{sorted(item)[0][:60]!r}. Make the file again."
+            "Expected a table with array, tuple, table or kind, or an empty table, got a table with "
+            f"{sorted(item)[0][:60]!r}. Save the file again."
         )
     return None
 
 
-# The file of a torque model: what its tables hold, made to be read by people, and back.
+# Torque model files: human-readable tables.
 
 
 KIND = "torque_model"
 TORQUE_FORMAT = 6
-FRICTION = tuple(entry.name for entry in fields(Friction))
+FRICTION_FIELDS = tuple(entry.name for entry in fields(Friction))
 RIPPLE = tuple(entry.name for entry in fields(Ripple))
 BOUND = tuple(entry.name for entry in fields(FrictionBound))
-PARTS = ("lines", "friction_map", "warm_up", "momentum", "coupled")  # where there are any
+PARTS = ("lines", "friction_map", "warm_up", "momentum", "coupled")  # optional
 QUALITY = ("torque_sd", "rms", "rms_cv", "coverage")
-LIMITS = ("q_min", "q_max", "qd_peak", "speed_share")  # of the training
+LIMITS = ("q_min", "q_max", "qd_peak", "speed_share")  # of the training data
 UNITS = {
     "link_parameters": "kg, kg m, kg m^2; order m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz; link frames",
     "rotor": "kg m^2",
@@ -215,12 +216,12 @@ UNITS = {
 
 
 ROBOT = ("frames", "prismatic", "gravity")
-DYNAMICS = ("link_parameters", "rotor", "base_values", "gains", "gain_cov", "load_sd")  # arrays among them
+DYNAMICS = ("link_parameters", "rotor", "base_values", "gains", "gain_cov", "load_sd")  # arrays
 COVARIANCE = ("C0", "Cinf", "shape")
 
 
 def _strict(name: str, *optional: str, **types: Any) -> type[msgspec.Struct]:
-    """Return the type of a table of the file; unknown keys are errors."""
+    """Return the type of a table; unknown keys are errors."""
     given = [(key, of) for key, of in types.items() if key not in optional]
     return msgspec.defstruct(name, [*given, *((key, types[key], None) for key in optional)], forbid_unknown_fields=True)
 
@@ -249,7 +250,7 @@ _ModelFile = _strict(
 
 
 def torque_tables(model: TorqueModel) -> dict[str, Any]:
-    """Return the tables of the file of a torque model."""
+    """Return the tables of a torque model file."""
     lower = np.tril_indices(len(model.base_names))
     c, training, quality = model.covariance, model.training, model.quality
     rest = {"rest_share": training.rest_share, "longest_rest": training.longest_rest}
@@ -264,7 +265,7 @@ def torque_tables(model: TorqueModel) -> dict[str, Any]:
             "base_cov_lower": model.base_cov[lower].tolist(),
             **_lists(model, DYNAMICS[3:]),
         },
-        "friction": _by_joint(model.friction, FRICTION),
+        "friction": _by_joint(model.friction, FRICTION_FIELDS),
         "ripple": _by_joint(model.ripple, RIPPLE),
         "ctau": {"kind": c.kind, **_lists(c, COVARIANCE), "alpha2": c.alpha2, "cutoff": model.cutoff},
         "bound": _by_joint(model.bound, BOUND),
@@ -291,17 +292,17 @@ def _joined(tables: dict[str, dict[str, float]], names: tuple[str, ...], path: P
     try:
         return {name: np.array([tables[f"joint{i + 1}"][name] for i in range(len(tables))]) for name in names}
     except KeyError as error:
-        raise ConfigError(f"Expected {error} for every joint in {path}, got none. Identify again.") from None
+        raise ConfigError(f"Expected {error} for every joint in {path}, but it is missing. Identify again.") from None
 
 
 def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
-    """Return the model of the tables of a file."""
+    """Return the model from the tables of a file."""
     meta = raw["meta"]
     found = tuple(meta.get(key) for key in ("kind", "format", "sign"))
     if found != (KIND, TORQUE_FORMAT, SIGN):
         raise ModelMismatchError(
             f"Expected kind, format and sign {(KIND, TORQUE_FORMAT, SIGN)} in {path}, got {found}. "
-            "Identify again with this version of armlab."
+            "Repeat the identification with this version of armlab."
         )
     with _readable(f"a complete model file at {path}", "Identify again."):
         return _model(msgspec.convert(raw, _ModelFile), path)
@@ -311,7 +312,9 @@ def _model(file: Any, path: Path) -> TorqueModel:
     d, c, limits = file.dynamics, file.ctau, file.limits
     p = len(d.base_names)
     if len(d.base_values) != p or len(d.base_cov_lower) != p * (p + 1) // 2:
-        raise ConfigError(f"Expected {p} base values with covariance in {path}, got other lengths. Identify again.")
+        raise ConfigError(
+            f"Expected {p} base values with covariance in {path}, got arrays of other lengths. Identify again."
+        )
     cov = np.zeros((p, p))
     cov[np.tril_indices(p)] = d.base_cov_lower
     return TorqueModel(
@@ -320,7 +323,7 @@ def _model(file: Any, path: Path) -> TorqueModel:
         **_arrays(file.robot, ROBOT),
         **_arrays(d, DYNAMICS),
         quasi_static=bool(d.quasi_static),
-        friction=Friction(**_joined(file.friction, FRICTION, path)),
+        friction=Friction(**_joined(file.friction, FRICTION_FIELDS, path)),
         ripple=Ripple(**_joined(file.ripple, RIPPLE, path)),
         covariance=VelocityCovariance(c.kind, **_arrays(c, COVARIANCE), alpha2=c.alpha2),
         bound=FrictionBound(**_joined(file.bound, BOUND, path)),
@@ -337,22 +340,26 @@ def _model(file: Any, path: Path) -> TorqueModel:
 def save(
     value: Any, path: str | Path, statistics: Mapping[str, Any] | None = None, sources: Sequence[str] = ()
 ) -> Path:
-    """Write a model file and return its path; an existing file is replaced in one step or not at all.
+    """Write a model file atomically and return its path.
 
     Parameters
     ----------
-    value : a `TorqueModel`, or an instance of a class that `registry.register` knows.
-    path : ends in ``.toml``.
-    statistics : what a fit knew of the value, kept in the table [fit].
-    sources : names of files that it comes from, with their SHA-256, besides those that the value knows.
+    value : a `TorqueModel`, an instance of a registered class, or a fit of one, saved with its statistics as by
+        `Fit.save`.
+    path : file name ending in ``.toml``.
+    statistics : statistics of the fit, written to the table [fit].
+    sources : names of further source files, stored with their SHA-256.
 
     Raises
     ------
-    ConfigError : another ending, or a value whose class has no file format. OSError : it cannot be written.
+    ConfigError : wrong extension, or a value whose class has no file format.
+    OSError : the file cannot be written.
     """
     path = Path(path)
     if path.suffix != ".toml":
-        raise ConfigError(f"Expected a model file name that ends in .toml, got {path}. Add the ending.")
+        raise ConfigError(f"Expected a model file name that ends in .toml, got {path}. Add the extension.")
+    if statistics is None and hasattr(value, "value") and hasattr(value, "save"):  # a fit, of a layer above
+        return value.save(path, sources)
     content = torque_tables(value) if isinstance(value, TorqueModel) else value_file(value)
     content["meta"]["sources"] = [*content["meta"]["sources"], *sources]
     if statistics is not None:
@@ -362,34 +369,48 @@ def save(
     return path
 
 
-def load(path: str | Path, kind: str | None = None) -> Any:
-    """Read the value of a model file: a `TorqueModel`, or whatever was saved.
+@overload
+def load(path: str | Path, kind: type[Value]) -> Value: ...
+@overload
+def load(path: str | Path, kind: Literal["torque_model"]) -> TorqueModel: ...
+@overload
+def load(path: str | Path, kind: str | None = None) -> Any: ...
+def load(path: str | Path, kind: type[Any] | str | None = None) -> Any:
+    """Load the value of a model file: a `TorqueModel`, or any other saved value.
 
     Parameters
     ----------
     path : file written by `save`.
-    kind : refuse files of another kind, for example "torque_model".
+    kind : expected class of the value, for example ``TorqueModel``, or its name in the file, "torque_model"; files of
+        another kind are rejected.
 
     Raises
     ------
-    ConfigError : when the file is missing, damaged or has unknown fields; one line with the place.
-    ModelMismatchError : when it is of another kind, format or sign convention.
+    ConfigError : if the file is missing, corrupted or has unknown fields; one line with the place.
+    ModelMismatchError : if it has another kind, format or sign convention.
     """
     path = Path(path)
+    if isinstance(kind, type):
+        kind = KIND if kind is TorqueModel else kind_of(kind)
     raw = _tables(path)
     meta = raw["meta"]
     if kind is not None and meta.get("kind") != kind:
         raise ModelMismatchError(
-            f"Expected a file of kind {kind!r} at {path}, got {meta.get('kind')!r}. Name the right file."
+            f"Expected a file of kind {kind!r} at {path}, got {meta.get('kind')!r}. Pass the correct file."
         )
     return read_torque_model(raw, path) if meta.get("kind") == KIND else read_value(raw, path)
 
 
 def load_statistics(path: str | Path) -> dict[str, Any]:
-    """Read the table [fit] of a model file; empty where the value was saved without its fit."""
+    """Load the table [fit] of a model file; empty if the value was saved without a fit."""
     fit = _tables(Path(path)).get("fit", {})
-    with _readable(f"the tables of a fit in [fit] at {path}", "Make the file again."):
+    with _readable(f"the tables of a fit in [fit] at {path}", "Save the file again."):
         return {name: decode(part) for name, part in fit.items()}
+
+
+def sources_of(path: str | Path) -> tuple[str, ...]:
+    """Return the sources named in a model file."""
+    return tuple(map(str, _tables(Path(path))["meta"].get("sources", ())))
 
 
 def _tables(path: Path) -> dict[str, Any]:
@@ -397,11 +418,12 @@ def _tables(path: Path) -> dict[str, Any]:
     try:
         raw = parsed(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ConfigError(f"Expected a model file at {path}, got: {error.strerror}. Check the name.") from None
+        raise ConfigError(f"Expected a model file at {path}, got: {error.strerror}. Check the path.") from None
     except (TomlError, UnicodeDecodeError) as error:
-        raise ConfigError(f"Expected a TOML model file, got something else in {path}: {error}.") from None
+        raise ConfigError(f"Expected a TOML model file, got other content in {path}: {error}.") from None
     if not isinstance(raw.get("meta"), dict):
         raise ModelMismatchError(
-            f"Expected a model file with kind, format and sign in [meta] at {path}, got none. Identify again."
+            f"Expected a model file with kind, format and sign in [meta] at {path}, but [meta] is missing. Identify "
+            "again."
         )
     return raw

@@ -1,19 +1,19 @@
-"""Friction of joints: its terms, maps over position or temperature, torque ripple and warm-up.
+"""Joint friction: terms, maps over position or temperature, torque ripple and warm-up.
 
-Friction of joint i (specification of the torque model, per joint)::
+Friction of joint i::
 
     F_f = viscous qd + coulomb_pos max(s, 0) + coulomb_neg min(s, 0) + offset
           + stribeck s exp(-(qd / stribeck_speed)^2) + root s sqrt(|qd|)
 
-with s the presliding state z, or s = tanh(qd / smooth_speed) where smooth_speed > 0. With the load x, the torque that
-the joint passes to the links (rigid body less J^T F), comes friction ``load |x| s`` of the gears.
+with s the presliding state z, or s = tanh(qd / smooth_speed) where smooth_speed > 0. The load x, which is the torque
+that the joint transmits to the links (rigid body minus J^T F), adds the gear friction ``load |x| s``.
 
-The presliding state z in [-1, 1] is driven by measured displacement dq (Dahl 1968), exact for constant direction in a
-step::
+The presliding state z in [-1, 1] follows the measured displacement dq (Dahl 1968), exactly if the direction is constant
+within a step::
 
     z_k = s + (z_{k-1} - s) exp(-|dq_k| / delta),   s = sign(dq_k)
 
-It keeps its value at rest, where a sign function would be 0.
+Unlike a sign function, it keeps its value at rest.
 """
 
 from __future__ import annotations
@@ -24,18 +24,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from armlab._display import Shown
 from armlab._numbers import number, still
 from armlab.errors import ShapeError
 from armlab.kernels import Drive, basis_weights
 
-SLOW = 0.02  # rad/s, m/s: below it friction is known only to lie inside a bound
+SLOW = 0.02  # rad/s, m/s: below it only a bound of friction is known
 
 
 class FrictionTerm(NamedTuple):
-    """A parameter of the friction of one joint, as fits have it.
+    """Friction parameter of one joint, as used in fits.
 
-    `name`: in fits and reports. `fields`: of `Friction`. `unit`: with the {force} and {length} of the joint. `column`:
-    its regressor over velocity and sign; None where the torque is not linear in it. `least`, `most`: bounds.
+    `name`: name in fits and reports. `fields`: fields of `Friction`. `unit`: unit with placeholders for the {force} and
+    {length} of the joint. `column`: regressor as a function of velocity and sign; None if the torque is nonlinear in
+    the parameter. `least`, `most`: bounds.
     """
 
     name: str
@@ -67,11 +69,14 @@ FRICTION_TERMS = {
         FrictionTerm("stribeck-speed", ("stribeck_speed",), "{length}/s"),
     )
 }
-"""Every term of friction: names, units, regressors and bounds. The law itself is in `native/math/contact/drive.h`."""
+"""All friction terms with names, units, regressors and bounds.
+
+The law itself is implemented in `native/math/contact/drive.h`.
+"""
 
 
 def freeze_arrays(instance: object, what: str, shapes: dict[str, tuple[int, ...]]) -> None:
-    """Make fields of a frozen dataclass read-only float64 arrays; refuse other shapes, and numbers not finite."""
+    """Make fields of a frozen dataclass read-only float64 arrays; reject wrong shapes and non-finite numbers."""
     for name, shape in shapes.items():
         values = still(getattr(instance, name), f"{name} of {what}")
         if values.shape != shape or not np.isfinite(values).all():
@@ -81,17 +86,17 @@ def freeze_arrays(instance: object, what: str, shapes: dict[str, tuple[int, ...]
 
 
 def rows_of(part: Friction | Ripple | WarmUp) -> np.ndarray:
-    """Return the fields in their order, one row each, as `kernels.Drive` takes them."""
+    """Return the fields in order, one row each, as `kernels.Drive` expects them."""
     return np.stack([getattr(part, entry.name) for entry in fields(part)])
 
 
 def _zeros() -> np.ndarray:
-    """Stand for zeros of all joints."""
+    """Placeholder for zeros of all joints."""
     return np.zeros(0)
 
 
 def _freeze(instance: Friction | FrictionBound | Ripple) -> None:
-    """Make every field a read-only float64 vector of one length."""
+    """Make every field a read-only float64 vector, all of equal length."""
     shape = None
     for entry in fields(instance):
         values = still(getattr(instance, entry.name), f"{entry.name} of {type(instance).__name__}")
@@ -101,13 +106,13 @@ def _freeze(instance: Friction | FrictionBound | Ripple) -> None:
         if values.ndim != 1 or values.shape != shape or not np.all(np.isfinite(values)):
             raise ShapeError(
                 f"Expected finite {entry.name} of shape (n,) like the other fields, got shape {values.shape}. "
-                "Give one number per joint."
+                "Pass one number per joint."
             )
         object.__setattr__(instance, entry.name, values)
 
 
-@dataclass(frozen=True, eq=False)
-class Friction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Friction(Shown):
     """Friction of all joints.
 
     Attributes
@@ -117,7 +122,7 @@ class Friction:
     coulomb_pos : array, shape (n,), N m
         Coulomb torque for positive motion.
     coulomb_neg : array, shape (n,), N m
-        Coulomb torque for negative motion, counted positive.
+        Coulomb torque for negative motion, as a positive number.
     offset : array, shape (n,), N m
         Constant torque.
     stribeck : array, shape (n,), N m
@@ -127,13 +132,13 @@ class Friction:
     delta : array, shape (n,), rad
         Presliding distance, above 0.
     resolution : array, shape (n,), rad
-        Smallest displacement that the encoder separates from noise; smaller changes leave the presliding state alone.
+        Smallest displacement that the encoder separates from noise; the presliding state ignores smaller changes.
     root : array, shape (n,), N m/sqrt(rad/s)
         Torque proportional to the square root of speed. Default: 0.
     smooth_speed : array, shape (n,), rad/s
-        v_t of tanh(qd / v_t), which replaces the presliding state where it is above 0. Default: 0.
+        v_t of tanh(qd / v_t), which replaces the presliding state if it is above 0. Default: 0.
     load : array, shape (n,)
-        Friction as a share of the torque that the joint passes to the links, at least 0 and below 1. Default: 0.
+        Friction as a share of the torque that the joint transmits to the links; at least 0 and below 1. Default: 0.
     """
 
     viscous: np.ndarray
@@ -151,15 +156,15 @@ class Friction:
     def __post_init__(self) -> None:
         _freeze(self)
         if np.any(self.stribeck_speed <= 0) or np.any(self.delta <= 0):
-            raise ShapeError("Expected stribeck_speed > 0 and delta > 0, got a value that is not. Make it positive.")
+            raise ShapeError("Expected stribeck_speed > 0 and delta > 0, got a value <= 0. Make it positive.")
         if np.any(self.smooth_speed < 0) or np.any(self.resolution < 0):
             raise ShapeError("Expected smooth_speed >= 0 and resolution >= 0, got a negative value. Make it positive.")
         if np.any(self.load < 0) or np.any(self.load >= 1):
-            raise ShapeError(f"Expected load friction from 0 to below 1, got {self.load.tolist()}. Give it as a share.")
+            raise ShapeError(f"Expected load friction from 0 to below 1, got {self.load.tolist()}. Pass it as a share.")
 
     @classmethod
     def none(cls, n: int) -> Friction:
-        """Return n joints without friction; widths of terms that are zero are 1."""
+        """Return friction of zero for n joints; the widths of zero terms are 1."""
         if not (isinstance(n, int | np.integer) and 0 < n <= 32):
             raise ShapeError(f"Expected a number of joints from 1 to 32, got {n!r}.")
         widths = ("stribeck_speed", "delta")
@@ -167,7 +172,7 @@ class Friction:
 
     @property
     def rows(self) -> np.ndarray:
-        """Fields in their order, one row each, as `kernels.Drive` takes them."""
+        """Fields in their order, one row each, as `kernels.Drive` expects them."""
         return rows_of(self)
 
     def torque(self, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -181,19 +186,19 @@ class Friction:
         return 0.5 * (self.coulomb_pos + self.coulomb_neg) + np.maximum(self.stribeck, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class FrictionBound:
+@dataclass(frozen=True, eq=False, repr=False)
+class FrictionBound(Shown):
     """Bounds of the friction error near rest: ``|d| <= torque exp(-(qd / speed)^2) + floor``.
 
-    Near zero speed friction is not random but unknown inside bounds, constant for as long as the joint rests
-    (Linderoth, Stolt, Robertsson and Johansson, IROS 2013).
+    Near zero speed, friction is bounded rather than random, and it is constant while the joint rests (Linderoth, Stolt,
+    Robertsson and Johansson, IROS 2013).
 
     Attributes
     ----------
     torque : array, shape (n,), N m
         Largest friction at rest.
     speed : array, shape (n,), rad/s
-        Width of the bound in speed, above 0.
+        Width of the bound in speed; above 0.
     floor : array, shape (n,), N m
         Bound of the model error in motion.
     """
@@ -206,12 +211,12 @@ class FrictionBound:
         _freeze(self)
         if np.any(self.torque < 0) or np.any(self.floor < 0) or np.any(self.speed <= 0):
             raise ShapeError(
-                "Expected torque >= 0, floor >= 0 and speed > 0 of a friction bound, got others. Correct it."
+                "Expected torque >= 0, floor >= 0 and speed > 0 for a friction bound, got other values. Correct it."
             )
 
     @classmethod
     def of(cls, friction: Friction, floor: np.ndarray | None = None) -> FrictionBound:
-        """Return the bound by the static friction of `friction`, with a floor (n,) [N m] or none."""
+        """Return the bound for the static friction of `friction`, optionally with a floor (n,) [N m]."""
         n = len(friction.viscous)
         return cls(friction.static, np.full(n, SLOW), np.zeros(n) if floor is None else floor)
 
@@ -224,7 +229,7 @@ class FrictionBound:
 class Ripple:
     """One torque ripple line per joint: ``cosine cos(cycles q) + sine sin(cycles q)``; every field has shape (n,).
 
-    `cycles`: angular frequency over the joint angle [rad/rad], 2 |gear| for strain-wave gears. `cosine`, `sine`:
+    `cycles`: angular frequency over the joint angle [rad/rad]; 2 |gear| for strain-wave gears. `cosine`, `sine`:
     amplitudes [N m].
     """
 
@@ -237,7 +242,7 @@ class Ripple:
 
     @classmethod
     def none(cls, n: int) -> Ripple:
-        """Return n joints without ripple."""
+        """Return ripple of zero for n joints."""
         return cls(*np.zeros((len(fields(cls)), n)))
 
     def torque(self, q: np.ndarray) -> np.ndarray:
@@ -247,20 +252,20 @@ class Ripple:
 
     @property
     def rows(self) -> np.ndarray:
-        """Fields in their order, one row each, as `kernels.Drive` takes them."""
+        """Fields in their order, one row each, as `kernels.Drive` expects them."""
         return rows_of(self)
 
 
-# Friction over position and speed by normalised radial basis functions, one set for each direction::
+# Friction over position and speed: normalised radial basis functions, one set per direction::
 #
 #     F = (1 + s)/2 phi(q, |qd|)^T k_pos + (1 - s)/2 phi(q, |qd|)^T k_neg
 #
-# s is the presliding state. Outside its hull phi keeps the value of the nearest edge. Theory: docs/theory/friction.md.
+# s is the presliding state. Outside its grid phi is that of the nearest edge. Theory: docs/theory/friction.md.
 
 
 @dataclass(frozen=True, eq=False)
 class RadialBasis:
-    """Centres of all n joints on a grid of positions and speeds; speeds are positive and stand for both directions.
+    """Grid of centres over position and speed for all n joints; speeds are positive and apply to both directions.
 
     `positions`, `position_widths`: (n, P) [rad], ascending; positive. `speeds`, `speed_widths`: (n, S) [rad/s],
     ascending and above 0; positive.
@@ -281,7 +286,7 @@ class RadialBasis:
         steps = *np.diff(p, axis=1).ravel(), *np.diff(v, axis=1).ravel()
         positive = *steps, *v.ravel(), *self.position_widths.ravel(), *self.speed_widths.ravel()
         if not np.isfinite(p).all() or not np.isfinite(positive).all() or min(positive) <= 0:
-            raise ShapeError("Expected ascending centres, speeds above 0 and positive widths, got others.")
+            raise ShapeError("Expected ascending centres, speeds above 0 and positive widths, got other values.")
 
     @property
     def n(self) -> int:
@@ -290,7 +295,7 @@ class RadialBasis:
 
     @property
     def size(self) -> int:
-        """Functions of a joint, 2 P S."""
+        """Number of functions per joint, 2 P S."""
         return 2 * self.positions.shape[1] * self.speeds.shape[1]
 
     def functions(self, i: int, q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -302,13 +307,13 @@ class RadialBasis:
         return np.concatenate([0.5 * (1.0 + s) * phi, 0.5 * (1.0 - s) * phi], axis=1)
 
     def outside(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """Return True (..., n) where position or speed is beyond the centres, so that an edge stands for it."""
+        """Return the mask (..., n) of positions or speeds outside the grid, where the edge value applies."""
         q, speed = np.asarray(q, dtype=float), np.abs(qd)
         return (q < self.positions[:, 0]) | (q > self.positions[:, -1]) | (speed > self.speeds[:, -1])
 
 
-@dataclass(frozen=True, eq=False)
-class FrictionMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class FrictionMap(Shown):
     """Friction over position and speed, in addition to `Friction`.
 
     Attributes
@@ -327,7 +332,7 @@ class FrictionMap:
         freeze_arrays(self, "radial bases", {"coefficients": shape})
 
     def kernel_rows(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays as `kernels.Drive` takes them."""
+        """Return the arrays as `kernels.Drive` expects them."""
         b = self.basis
         return b.positions, b.position_widths, b.speeds, b.speed_widths, self.coefficients
 
@@ -340,20 +345,20 @@ class FrictionMap:
         return Drive(Friction.none(n).rows, Ripple.none(n).rows, map=self.kernel_rows()).torque(q, qd, z)
 
 
-# Torque ripple as lines over position whose amplitude and phase depend on speed.
+# Torque ripple: lines over position with speed-dependent amplitude and phase.
 #
 #     tau_i = sum_c psi(qd)^T (a_c cos(c q) + b_c sin(c q))
 #
 # c counts cycles per revolution, equal to rad/rad; psi are normalised Gaussians in speed. With two directions each line
-# has amplitudes of its own for positive and negative motion.
+# has separate amplitudes for positive and negative motion.
 
 
 SPEEDS = 8
-LARGEST = 1e15  # of the numbers of ripple lines, joint numbers among them
+LARGEST = 1e15  # largest number in ripple lines, joint numbers included
 
 
 def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres and widths (count,) [rad/s] of Gaussians spread evenly from one speed to another."""
+    """Return centres and widths (count,) [rad/s] of Gaussians that are evenly spaced between two speeds."""
     slowest, fastest = number(slowest, "the slowest speed [rad/s]"), number(fastest, "the fastest speed [rad/s]")
     if count < 2 or not fastest > slowest:
         raise ShapeError(f"Expected at least 2 Gaussians from one speed to a faster one, got {count} from {slowest:g} "
@@ -362,8 +367,8 @@ def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np
     return centres, np.full(count, centres[1] - centres[0])
 
 
-@dataclass(frozen=True, eq=False)
-class RippleLines:
+@dataclass(frozen=True, eq=False, repr=False)
+class RippleLines(Shown):
     """Torque ripple of n joints as L lines over position.
 
     Attributes
@@ -371,7 +376,7 @@ class RippleLines:
     joint : int array, shape (L,)
         Joint of each line, counted from 0, in ascending order.
     cycles : array, shape (L,), cycles per revolution
-        Frequency of each line over the joint angle, equal to rad/rad.
+        Frequency of each line over the joint angle (in cycles per revolution, which equals rad/rad).
     speeds : array, shape (n, S), rad/s
         Centres of the Gaussians in speed, ascending.
     widths : array, shape (n, S), rad/s
@@ -394,8 +399,8 @@ class RippleLines:
             object.__setattr__(self, name, values.astype(int) if name == "joint" else values)
         self.joint.flags.writeable = False
         if np.any(self.widths <= 0) or self.speeds.ndim != 2 or np.any(np.diff(self.speeds, axis=-1) <= 0):
-            raise ShapeError("Expected ascending speeds and positive widths of the ripple lines, got others.")
-        self._drive()  # refuses shapes that do not fit
+            raise ShapeError("Expected ascending speeds and positive widths for the ripple lines, got other values.")
+        self._drive()  # rejects inconsistent shapes
 
     @property
     def n(self) -> int:
@@ -403,7 +408,7 @@ class RippleLines:
         return len(self.speeds)
 
     def kernel_rows(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays as `kernels.Drive` takes them."""
+        """Return the arrays as `kernels.Drive` expects them."""
         return self.joint.astype(float), self.cycles, self.speeds, self.widths, self.coefficients
 
     def torque(self, q: np.ndarray, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -417,17 +422,16 @@ class RippleLines:
         return Drive(Friction.none(self.n).rows, Ripple.none(self.n).rows, lines=self.kernel_rows())
 
 
-# Friction that changes as a drive warms up by its own friction, without a temperature sensor.
+# Warm-up of a drive by its own friction, without a temperature sensor.
 #
 #     dx/dt = (|F_f qd| / power - x) / time
 #     coulomb: times (1 + of_coulomb x),   viscous: times (1 + of_viscous x)
 #
-# x >= 0 is 1 where a drive has rubbed with the power `power` for long. The idea is that of Bagge Carlson, Robertsson
-# and Johansson, IROS 2015.
+# x >= 0 approaches 1 at constant friction power `power`. After Bagge Carlson, Robertsson and Johansson, IROS 2015.
 
 
-@dataclass(frozen=True, eq=False)
-class WarmUp:
+@dataclass(frozen=True, eq=False, repr=False)
+class WarmUp(Shown):
     """Change of friction with the thermal state of a drive.
 
     Attributes
@@ -437,11 +441,11 @@ class WarmUp:
     of_viscous : array, shape (n,)
         Relative change of viscous friction at thermal state 1.
     time : array, shape (n,), s
-        Time constant; 0 for a drive whose friction does not change.
+        Time constant; 0 for a drive with constant friction.
     power : array, shape (n,), W
-        Friction power at which the thermal state settles at 1, above 0.
+        Friction power at which the thermal state settles at 1; above 0.
     start : array, shape (n,)
-        Thermal state at the beginning of a record; 0 is cold.
+        Thermal state at the start of a record; 0 is cold.
     """
 
     of_coulomb: np.ndarray
@@ -457,14 +461,15 @@ class WarmUp:
                 raise ShapeError(f"Expected finite {entry.name} of one number per joint, got shape {values.shape}.")
             object.__setattr__(self, entry.name, values)
         if np.any(self.time < 0) or np.any(self.power <= 0) or np.any(self.start < 0):
-            raise ShapeError("Expected time >= 0, power > 0 and start >= 0 of the warm-up, got others.")
+            raise ShapeError("Expected time >= 0, power > 0 and start >= 0 for the warm-up, got other values.")
 
     def kernel_rows(self) -> np.ndarray:
-        """Return the arrays as `kernels.Drive` takes them."""
+        """Return the arrays as `kernels.Drive` expects them."""
         return rows_of(self)
 
     def thermal_state(self, power: np.ndarray, dt: np.ndarray) -> np.ndarray:
-        """Return the thermal state (N, n) before each row, for friction power (N, n) [W] held over steps dt (N,) [s].
+        """Return the thermal state (N, n) before each row, for friction power (N, n) [W] that is constant over each
+        step dt (N,) [s].
 
         `power`: (N, n) |F_f qd|. `dt`: (N,).
         """

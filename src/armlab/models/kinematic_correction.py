@@ -1,4 +1,4 @@
-"""A calibrated arm: its constant frames as measurements found them, and what its joints do besides turning."""
+"""Calibrated arms: identified constant frames and joint errors."""
 
 from __future__ import annotations
 
@@ -7,18 +7,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown
 from armlab._numbers import numbers
-from armlab.errors import ModelMismatchError, RobotError, ShapeError
+from armlab.errors import RobotError, ShapeError
 from armlab.kinematics import forward, parameter_jacobian
 from armlab.lie import se3, so3
 from armlab.models.friction import freeze_arrays
 from armlab.robots import Robot
+from armlab.robots.comparison import check_same
 
 COMMAND_ROUNDS = 50
 
 
 def harmonic_basis(q: np.ndarray, harmonics: tuple[int, ...]) -> np.ndarray:
-    """Return ``cos k q_j, sin k q_j`` for each k of `harmonics`: (..., n, 2 m)."""
+    """Return ``cos k q_j, sin k q_j`` for each k in `harmonics`: (..., n, 2 m)."""
     q, orders = numbers(q, "joint positions [rad]", ShapeError), numbers(harmonics, "orders of harmonics", ShapeError)
     if not q.ndim or orders.ndim != 1:
         raise ShapeError(f"Expected positions (..., n) and orders (m,), got shapes {q.shape} and {orders.shape}.")
@@ -26,23 +28,23 @@ def harmonic_basis(q: np.ndarray, harmonics: tuple[int, ...]) -> np.ndarray:
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*q.shape, 2 * len(orders))
 
 
-@dataclass(frozen=True, eq=False)
-class KinematicCorrection:
-    """What `calibrate.fit_kinematics` found.
+@dataclass(frozen=True, eq=False, repr=False)
+class KinematicCorrection(Shown):
+    """Result of `calibrate.fit_kinematics`.
 
     Attributes
     ----------
-    robot : the corrected arm. Its frame ``base`` is the one that was measured in, its tool the one that was measured;
-        gravity has turned with the foot. It goes wherever a `Robot` goes.
-    robot_name, robot_hash : the arm before.
+    robot : the corrected arm, usable like any `Robot`. Its frame ``base`` is the measurement frame, its tool the
+        measured one; gravity is rotated with the mount.
+    robot_name, robot_hash : the nominal robot.
     harmonics : orders k of the joint errors ``a_jk cos k q_j + b_jk sin k q_j``.
     amplitudes : (n, 2 m) ``a_j1 b_j1 a_j2 b_j2 ...`` [rad].
-    coefficients : (L,) of the joint terms.
+    coefficients : (L,) coefficients of the joint terms.
     cov : (d, d) covariance of 6 (n+1) frame errors, frame by frame [v; w] in its own axes, n 2 m amplitudes, L
         coefficients.
-    points : (K, 3) tool points in tool axes [m], where several were measured.
+    points : (K, 3) tool points in tool axes [m], if several were measured.
     anchor : (3,) fixed point of measured distances, base axes [m], or None.
-    length_offset, length_scale : of the instrument of distances: measured = scale * true + offset.
+    length_offset, length_scale : errors of the distance instrument: measured = scale * true + offset.
     sources : SHA-256 and name of each log.
     """
 
@@ -76,11 +78,11 @@ class KinematicCorrection:
 
     @property
     def frames(self) -> np.ndarray:
-        """(n+1, 4, 4) constant frames ``E_0 ... E_n`` of the corrected arm, see `robots.Robot`."""
+        """(n+1, 4, 4) constant frames ``E_0 ... E_n`` of the corrected arm; see `robots.Robot`."""
         return self.robot.frames
 
     def check_robot(self, robot: Robot) -> None:
-        """Refuse a robot that is not the one that was calibrated.
+        """Raise an error unless `robot` is the one that was calibrated.
 
         Parameters
         ----------
@@ -88,27 +90,23 @@ class KinematicCorrection:
 
         Raises
         ------
-        ModelMismatchError : another arm. RobotError : no robot.
+        ModelMismatchError : another arm.
+        RobotError : `robot` is not a `Robot`.
         """
-        if not isinstance(robot, Robot):
-            raise RobotError.no_robot(robot)
-        if robot.hash != self.robot_hash:
-            raise ModelMismatchError(
-                f"Expected robot {self.robot_name!r} ({self.robot_hash[:12]}), got {robot.name!r} ({robot.hash[:12]}). "
-                "Calibrate this robot, or load the one that was calibrated."
-            )
+        advice = "Calibrate this robot, or load the robot that was calibrated."
+        check_same(robot, "the kinematic correction", self.robot_name, self.robot_hash, None, advice)
 
     def joints(self, q: ArrayLike, joint_terms: ArrayLike | None = None) -> np.ndarray:
-        """Return where the joints really are: ``q_j + sum_k (a_jk cos k q_j + b_jk sin k q_j) + sum_l c_l phi_l,j``.
+        """Return the true joint positions: ``q_j + sum_k (a_jk cos k q_j + b_jk sin k q_j) + sum_l c_l phi_l,j``.
 
         Parameters
         ----------
-        q : (..., n) joint positions that the robot reports [rad or m].
-        joint_terms : phi (..., n, L), where the fit had some.
+        q : (..., n) joint positions reported by the robot [rad or m].
+        joint_terms : phi (..., n, L), if the fit used any.
 
         Raises
         ------
-        ShapeError : another number of joints or of terms.
+        ShapeError : wrong number of joints or of terms.
         """
         q = numbers(q, "q", ShapeError)
         n, L = self.robot.n, len(self.coefficients)
@@ -121,20 +119,20 @@ class KinematicCorrection:
         if terms.shape != (*q.shape, L):
             raise ShapeError(
                 f"Expected joint_terms of shape {(*q.shape, L)}, got {terms.shape}. The correction was fitted with "
-                f"{L} of them: give the same for these positions."
+                f"L = {L}: pass the same terms for these positions."
             )
         return found + terms @ self.coefficients
 
     def command(self, q: ArrayLike) -> np.ndarray:
-        """Return the positions to ask for so that the joints really are at q; the inverse of `joints`.
+        """Return the positions to command for the true joint positions q; inverse of `joints`.
 
         Parameters
         ----------
-        q : (..., n) where the joints shall be [rad or m].
+        q : (..., n) desired true joint positions [rad or m].
 
         Raises
         ------
-        ShapeError : another number of joints, or a correction with joint terms, which depend on more than q.
+        ShapeError : wrong number of joints, or a correction with joint terms, which depend on more than q.
         """
         target = numbers(q, "q", ShapeError)
         asked = target
@@ -145,35 +143,35 @@ class KinematicCorrection:
         return asked
 
     def forward(self, q: ArrayLike, joint_terms: ArrayLike | None = None) -> np.ndarray:
-        """Return T_base_tool (..., 4, 4) of the corrected arm, errors of its joints included.
+        """Return T_base_tool (..., 4, 4) of the corrected arm, including joint errors.
 
         Parameters
         ----------
-        q : (..., n) joint positions that the robot reports [rad or m].
-        joint_terms : phi (..., n, L), where the fit had some.
+        q : (..., n) joint positions reported by the robot [rad or m].
+        joint_terms : phi (..., n, L), if the fit used any.
         """
         return forward(self.robot, self.joints(q, joint_terms))
 
     def pose_cov(self, q: ArrayLike, joint_terms: ArrayLike | None = None) -> np.ndarray:
         """Return the covariance (..., 6, 6) of `forward`, [v; w]: v in base axes, w in tool axes [m, rad].
 
-        ``C(q) = J(q) cov J(q)^T``. Unidentified directions count as exactly known.
+        ``C(q) = J(q) cov J(q)^T``. Unidentified directions have zero variance.
 
         Parameters
         ----------
-        q : (..., n) joint positions that the robot reports [rad or m].
-        joint_terms : phi (..., n, L), where the fit had some.
+        q : (..., n) joint positions reported by the robot [rad or m].
+        joint_terms : phi (..., n, L), if the fit used any.
         """
         J = self.pose_jacobian(q, joint_terms)
         return J @ self.cov @ np.swapaxes(J, -1, -2)
 
     def pose_jacobian(self, q: ArrayLike, joint_terms: ArrayLike | None = None) -> np.ndarray:
-        """Return how `forward` depends on the numbers whose covariance is `cov`: (..., 6, d).
+        """Return the Jacobian (..., 6, d) of `forward` with respect to the parameters whose covariance is `cov`.
 
         Parameters
         ----------
-        q : (..., n) joint positions that the robot reports [rad or m].
-        joint_terms : phi (..., n, L), where the fit had some.
+        q : (..., n) joint positions reported by the robot [rad or m].
+        joint_terms : phi (..., n, L), if the fit used any.
         """
         q = np.asarray(q, dtype=float)
         there = self.joints(q, joint_terms)
@@ -189,15 +187,16 @@ class KinematicCorrection:
         return np.concatenate(parts, axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
-class DualArmCorrection:
-    """What `calibrate.fit_dual_arm` found: two arms and how they stand to each other.
+@dataclass(frozen=True, eq=False, repr=False)
+class DualArmCorrection(Shown):
+    """Result of `calibrate.fit_dual_arm`: two arms and their relative base pose.
 
     Attributes
     ----------
-    arm_a, arm_b : both arms, corrected. T_basea_baseb : (4, 4) the base of b in that of a.
-    cov : (d, d) joint covariance of the numbers of arm a, of arm b and of the twist [v; w] of T_basea_baseb in its own
-        axes.
+    arm_a, arm_b : the corrected arms.
+    T_basea_baseb : (4, 4) base of b in the base of a.
+    cov : (d, d) joint covariance of the parameters of arm a, of arm b and of the twist [v; w] of T_basea_baseb in its
+        own axes.
     sources : SHA-256 and name of each log.
     """
 
@@ -218,12 +217,12 @@ class DualArmCorrection:
         joint_terms_a: ArrayLike | None = None,
         joint_terms_b: ArrayLike | None = None,
     ) -> np.ndarray:
-        """Return the tool of b seen from the tool of a: ``Z = T_a^-1 T_basea_baseb T_b`` (..., 4, 4).
+        """Return the tool of b relative to the tool of a: ``Z = T_a^-1 T_basea_baseb T_b`` (..., 4, 4).
 
         Parameters
         ----------
-        q_a, q_b : (..., n) joint positions that the robots tell [rad or m].
-        joint_terms_a, joint_terms_b : phi (..., n, L), where the fit had some.
+        q_a, q_b : (..., n) joint positions reported by the robots [rad or m].
+        joint_terms_a, joint_terms_b : phi (..., n, L), if the fit used any.
         """
         T_toola_basea = se3.inv(self.arm_a.forward(q_a, joint_terms_a))
         T_baseb_toolb = self.arm_b.forward(q_b, joint_terms_b)
@@ -238,12 +237,12 @@ class DualArmCorrection:
     ) -> np.ndarray:
         """Return the covariance (..., 6, 6) of `forward`, [v; w]: v in axes of tool a, w in axes of tool b [m, rad].
 
-        ``C = J cov J^T``. Unidentified directions count as exactly known.
+        ``C = J cov J^T``. Unidentified directions have zero variance.
 
         Parameters
         ----------
-        q_a, q_b : (..., n) joint positions that the robots tell [rad or m].
-        joint_terms_a, joint_terms_b : phi (..., n, L), where the fit had some.
+        q_a, q_b : (..., n) joint positions reported by the robots [rad or m].
+        joint_terms_a, joint_terms_b : phi (..., n, L), if the fit used any.
         """
         J = self.pose_jacobian(q_a, q_b, joint_terms_a, joint_terms_b)
         return J @ self.cov @ np.swapaxes(J, -1, -2)
@@ -255,15 +254,15 @@ class DualArmCorrection:
         joint_terms_a: ArrayLike | None = None,
         joint_terms_b: ArrayLike | None = None,
     ) -> np.ndarray:
-        """Return how `forward` depends on the numbers whose covariance is `cov`: (..., 6, d).
+        """Return the Jacobian (..., 6, d) of `forward` with respect to the parameters whose covariance is `cov`.
 
         With errors (v, w) of both tools and of the base of b, ``v_Z = R_a^T (R_ab v_b - v_a + R_ab (v_ab - [p_b] w_ab))
         + [p_Z] w_a`` and ``w_Z = w_b + R_b^T w_ab - R_Z^T w_a``.
 
         Parameters
         ----------
-        q_a, q_b : (..., n) joint positions that the robots tell [rad or m].
-        joint_terms_a, joint_terms_b : phi (..., n, L), where the fit had some.
+        q_a, q_b : (..., n) joint positions reported by the robots [rad or m].
+        joint_terms_a, joint_terms_b : phi (..., n, L), if the fit used any.
         """
         T_a, T_b = self.arm_a.forward(q_a, joint_terms_a), self.arm_b.forward(q_b, joint_terms_b)
         J_a, J_b = self.arm_a.pose_jacobian(q_a, joint_terms_a), self.arm_b.pose_jacobian(q_b, joint_terms_b)

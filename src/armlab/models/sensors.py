@@ -1,4 +1,4 @@
-"""Models of sensors: force sensors, accelerometers, laser distance sensors, cameras with their marker."""
+"""Sensor models: force sensors, accelerometers, laser line scanners, and cameras with their marker."""
 
 from __future__ import annotations
 
@@ -9,37 +9,40 @@ from typing import Literal
 import numpy as np
 
 from armlab import kernels
+from armlab._display import Shown
 from armlab._numbers import still
 from armlab.errors import FrameError, ShapeError, UnknownName
 from armlab.lie import so3
 from armlab.models.friction import freeze_arrays
 
 _SHAPES = {"R_tool_sensor": (3, 3), "centre": (3,), "bias": (6,), "gravity": (3,), "position": (3,)}
-_MOMENTS = {"centre": slice(0, 3), "bias": slice(3, 6)}  # NaN where the fit had no torques
+_MOMENTS = {"centre": slice(0, 3), "bias": slice(3, 6)}  # NaN if the fit had no torques
 _FRAMES = ("base", "tool")
 
 
-@dataclass(frozen=True, eq=False)
-class ForceSensor:
-    """A force sensor at the tool, with the weight that hangs on it and its bias.
+@dataclass(frozen=True, eq=False, repr=False)
+class ForceSensor(Shown):
+    """Force sensor at the tool, with its load and bias.
 
     Without contact it reads, in its own axes, ``f = s m g_s + b_f`` and ``tau = c x (s m g_s) + b_tau``, with
     ``g_s = R_tool_sensor^T R_base_tool^T g``.
 
     Attributes
     ----------
-    R_tool_sensor : (3, 3) turns sensor axes into tool axes.
-    mass : m, what hangs on the sensor [kg]. centre : c (3,) of that mass, sensor axes [m].
-    bias : (6,) what it reads without weight, sensor axes [N, N m].
-    sign : s, +1 when it reads the weight that hangs on it, -1 when it reads the reaction.
+    R_tool_sensor : (3, 3) rotation from sensor axes to tool axes.
+    mass : m, load on the sensor [kg].
+    centre : c (3,) centre of mass of the load, sensor axes [m].
+    bias : (6,) reading without load, sensor axes [N, N m].
+    sign : s, +1 if the sensor reads the weight of its load, -1 if it reads the reaction.
     gravity : g (3,) base axes [m/s^2].
-    position : (3,) of the sensor's origin in the tool frame [m].
-    robot_name, robot_hash : the robot that carries it; empty for any. sources : what it was fitted to.
+    position : (3,) sensor origin in the tool frame [m].
+    robot_name, robot_hash : the robot that carries the sensor; empty for any.
+    sources : logs used for the fit.
 
     Raises
     ------
-    ShapeError : a shape, a rotation, a mass or a sign that cannot be. `centre` and the moments of `bias` may be NaN
-        where only forces were calibrated; the moments of a contact then are NaN.
+    ShapeError : an invalid shape, rotation, mass or sign. `centre` and the moments of `bias` may be NaN after a
+        calibration with forces only; the moments of a contact are then NaN.
     """
 
     R_tool_sensor: np.ndarray
@@ -66,14 +69,14 @@ class ForceSensor:
             so3.log(self.R_tool_sensor)
         except ShapeError:
             R = self.R_tool_sensor.tolist()
-            raise ShapeError(f"Expected a rotation as R_tool_sensor of a force sensor, got {R}.") from None
+            raise ShapeError(f"Expected R_tool_sensor of a force sensor to be a rotation, got {R}.") from None
         if self.sign not in (1, -1):
-            raise ShapeError(f"Expected the sign +1 or -1 of a force sensor, got {self.sign!r}.")
+            raise ShapeError(f"Expected the sign of a force sensor to be +1 or -1, got {self.sign!r}.")
         if not 0.0 <= self.mass < np.inf:
-            raise ShapeError(f"Expected a mass of 0 kg or more on a force sensor, got {self.mass!r}.")
+            raise ShapeError(f"Expected a mass of at least 0 kg on a force sensor, got {self.mass!r}.")
 
     def unloaded(self, T_base_tool: np.ndarray) -> np.ndarray:
-        """Return what the sensor reads without contact, at rest: weight and bias (..., 6), sensor axes [N, N m].
+        """Return the reading at rest without contact: weight and bias (..., 6) in sensor axes [N, N m].
 
         Parameters
         ----------
@@ -81,26 +84,27 @@ class ForceSensor:
 
         Raises
         ------
-        ShapeError : poses of another shape.
+        ShapeError : poses of wrong shape.
         """
         R_base_tool = _poses(T_base_tool)[..., :3, :3]
         weight = (self.sign * self.mass) * (self.gravity @ (R_base_tool @ self.R_tool_sensor))
         return np.concatenate([weight, np.cross(self.centre, weight)], axis=-1) + self.bias
 
     def contact(self, raw: np.ndarray, T_base_tool: np.ndarray, frame: Literal["base", "tool"] = "base") -> np.ndarray:
-        """Return the wrench of the environment on the robot, at the sensor's origin.
+        """Return the wrench exerted by the environment on the robot at the sensor's origin.
 
-        ``[f; m] = s R (raw - unloaded)``, with R from sensor axes to those of `frame`, for forces and moments alike.
+        ``[f; m] = s R (raw - unloaded)``, with R from sensor axes to the axes of `frame`, for both forces and moments.
 
         Parameters
         ----------
-        raw : (..., 6) as read, sensor axes [N, N m]; NaN stays NaN.
+        raw : (..., 6) reading, sensor axes [N, N m]; NaN stays NaN.
         T_base_tool : (..., 4, 4) pose of the tool at that time.
         frame : axes of the result, "base" or "tool".
 
         Raises
         ------
-        ShapeError : readings or poses of another shape. UnknownName : another frame.
+        ShapeError : readings or poses of wrong shape.
+        UnknownName : unknown frame.
         """
         if frame not in _FRAMES:
             raise UnknownName.among("frame of a contact", frame, _FRAMES)
@@ -109,11 +113,12 @@ class ForceSensor:
             raise ShapeError(f"Expected readings (..., 6) of a force sensor, forces first, got shape {raw.shape}.")
         R = self.R_tool_sensor if frame == "tool" else poses[..., :3, :3] @ self.R_tool_sensor
         own = self.sign * (raw - self.unloaded(poses))
-        pairs = own.reshape(*own.shape[:-1], 2, 3)  # force and moment as rows: (R v)^T = v^T R^T
+        pairs = own.reshape(*own.shape[:-1], 2, 3)  # rows of force and moment: (R v)^T = v^T R^T
         return (pairs @ np.swapaxes(R, -1, -2)).reshape(own.shape)
 
     def wrench(self, raw: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray:
-        """Return the wrench of the environment on the robot at the tool point, base axes, as `State.wrench` is.
+        """Return the wrench exerted by the environment on the robot at the tool point in base axes, as in
+        `State.wrench`.
 
         ``m_tool = m_sensor + p x f``, with p from the tool point to the sensor's origin.
 
@@ -123,7 +128,7 @@ class ForceSensor:
 
         Raises
         ------
-        ShapeError : readings or poses of another shape.
+        ShapeError : readings or poses of wrong shape.
         """
         found = self.contact(raw, T_base_tool)
         p = _poses(T_base_tool)[..., :3, :3] @ self.position
@@ -131,32 +136,40 @@ class ForceSensor:
         return found
 
 
+def _restore_digits(sensor: object, name: str) -> None:
+    """Reject a field that is not a rotation or pose; orthonormalise rounded ones."""
+    check = kernels.poses if name.startswith("T") else kernels.rotations
+    object.__setattr__(sensor, name, still(check(getattr(sensor, name), name), name))
+
+
 def _poses(T_base_tool: np.ndarray) -> np.ndarray:
     poses = np.asarray(T_base_tool, dtype=np.float64)
     if poses.shape[-2:] != (4, 4):
         raise ShapeError(f"Expected poses T_base_tool (..., 4, 4), got shape {poses.shape}.")
-    return poses
+    return kernels.poses(poses, "T_base_tool")
 
 
-# A calibrated accelerometer on the tool: its axes, scale and bias.
+# Calibrated accelerometer on the tool: axes, scale and bias.
 
 
-@dataclass(frozen=True, eq=False)
-class Accelerometer:
-    """An accelerometer on the tool; at rest it reads g upwards.
+@dataclass(frozen=True, eq=False, repr=False)
+class Accelerometer(Shown):
+    """Accelerometer on the tool; at rest it measures g upwards.
 
         y = scale R_tool_sensor^T R_base_tool^T (a - g) + b
 
     Attributes
     ----------
-    R_tool_sensor : (3, 3) turns sensor axes into tool axes.
-    bias : b (3,) sensor axes [m/s^2]. scale : of its readings, 1 for one that is right.
+    R_tool_sensor : (3, 3) rotation from sensor axes to tool axes.
+    bias : b (3,) sensor axes [m/s^2].
+    scale : scale factor of the readings; 1 is ideal.
     gravity : g (3,) base axes [m/s^2].
-    robot_name, robot_hash : the robot that carries it; empty for any. sources : what it was fitted to.
+    robot_name, robot_hash : the robot that carries the sensor; empty for any.
+    sources : logs used for the fit.
 
     Raises
     ------
-    ShapeError : a shape, a rotation or a scale that cannot be.
+    ShapeError : an invalid shape, rotation or scale.
     """
 
     R_tool_sensor: np.ndarray
@@ -169,23 +182,21 @@ class Accelerometer:
 
     def __post_init__(self) -> None:
         freeze_arrays(self, "an accelerometer", {"R_tool_sensor": (3, 3), "bias": (3,), "gravity": (3,)})
-        R = self.R_tool_sensor
-        if np.abs(R.T @ R - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
-            raise ShapeError(f"Expected a rotation as R_tool_sensor of an accelerometer, got {R.tolist()}.")
+        _restore_digits(self, "R_tool_sensor")
         if not 0.0 < self.scale < np.inf:
-            raise ShapeError(f"Expected a scale above zero of an accelerometer, got {self.scale!r}.")
+            raise ShapeError(f"Expected an accelerometer scale above zero, got {self.scale!r}.")
 
     def acceleration(self, raw: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray:
-        """Return how the sensor is accelerated (..., 3), base axes [m/s^2]; zero at rest.
+        """Return the acceleration of the sensor (..., 3) in base axes [m/s^2]; zero at rest.
 
         Parameters
         ----------
-        raw : (..., 3) as read, sensor axes [m/s^2]; NaN stays NaN.
+        raw : (..., 3) reading, sensor axes [m/s^2]; NaN stays NaN.
         T_base_tool : (..., 4, 4) pose of the tool at that time.
 
         Raises
         ------
-        ShapeError : readings or poses of another shape.
+        ShapeError : readings or poses of wrong shape, or invalid poses.
         """
         poses, raw = np.asarray(T_base_tool, dtype=np.float64), np.asarray(raw, dtype=np.float64)
         if poses.shape[-2:] != (4, 4) or raw.shape[-1:] != (3,):
@@ -193,27 +204,29 @@ class Accelerometer:
                 f"Expected readings (..., 3) and poses T_base_tool (..., 4, 4), got {raw.shape} and {poses.shape}."
             )
         felt = (raw - self.bias) / self.scale
-        R_base_sensor = poses[..., :3, :3] @ self.R_tool_sensor
+        R_base_sensor = _poses(poses)[..., :3, :3] @ self.R_tool_sensor
         return (R_base_sensor @ felt[..., None])[..., 0] + self.gravity
 
 
-# A laser line scanner on a tool, and the plates by which it was calibrated.
+# Laser line scanner on a tool, and its calibration plates.
 
 
-@dataclass(frozen=True, eq=False)
-class LaserSensor:
-    """Where a scanner measures, and the planes ``n . x = d`` it was calibrated on.
+@dataclass(frozen=True, eq=False, repr=False)
+class LaserSensor(Shown):
+    """Laser line scanner on the tool, and the planes ``n . x = d`` of its calibration.
 
     Attributes
     ----------
-    T_tool_sensor : (4, 4); the laser plane is the xy plane of the sensor.
-    normals : n (P, 3) unit, base axes. offsets : d (P,) not negative [m].
-    planes : their labels. robot_name, robot_hash : the robot that carries it; empty for any. sources : what it was
-        fitted to.
+    T_tool_sensor : (4, 4) pose of the sensor; the laser plane is its xy plane.
+    normals : n (P, 3) unit normals, base axes.
+    offsets : d (P,) at least 0 [m].
+    planes : labels of the planes.
+    robot_name, robot_hash : the robot that carries the sensor; empty for any.
+    sources : logs used for the fit.
 
     Raises
     ------
-    ShapeError : a pose, a normal or a number of planes that cannot be.
+    ShapeError : an invalid pose or normal, or inconsistent numbers of planes.
     """
 
     T_tool_sensor: np.ndarray
@@ -227,50 +240,50 @@ class LaserSensor:
     def __post_init__(self) -> None:
         P = len(self.planes)
         freeze_arrays(self, "a laser sensor", {"T_tool_sensor": (4, 4), "normals": (P, 3), "offsets": (P,)})
-        kernels.poses(self.T_tool_sensor, "T_tool_sensor")
+        _restore_digits(self, "T_tool_sensor")
         if np.abs(np.linalg.norm(self.normals, axis=1) - 1.0).max(initial=0.0) > 1e-9:
-            raise ShapeError("Expected unit normals of a laser sensor's planes, got others. Divide by their length.")
+            raise ShapeError("Expected unit normals for a laser sensor's planes, got other vectors. Normalise them.")
 
     def points(self, p: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray:
         """Return points (..., 3) in base axes.
 
         Parameters
         ----------
-        p : (..., 2) as measured, laser plane [m]; NaN stays NaN.
+        p : (..., 2) measured points, laser plane [m]; NaN stays NaN.
         T_base_tool : (..., 4, 4) pose of the tool at that time.
 
         Raises
         ------
-        ShapeError : points or poses of another shape.
+        ShapeError : points or poses of wrong shape, or invalid poses.
         """
         p, poses = np.asarray(p, dtype=np.float64), np.asarray(T_base_tool, dtype=np.float64)
         if p.shape[-1:] != (2,) or poses.shape[-2:] != (4, 4):
             raise ShapeError(f"Expected points (..., 2) and poses (..., 4, 4), got {p.shape} and {poses.shape}.")
-        T = poses @ self.T_tool_sensor
+        T = _poses(poses) @ self.T_tool_sensor
         return (T[..., :3, :2] @ p[..., None])[..., 0] + T[..., :3, 3]
 
 
-# A camera and a marker on a robot: which of the two is on the tool, and where both are.
+# Camera and marker of a robot: setup and both poses.
 
 
 FRAMES = {"eye_to_hand": ("T_tool_marker", "T_base_cam"), "eye_in_hand": ("T_base_marker", "T_tool_cam")}
 
 
-@dataclass(frozen=True, eq=False)
-class HandEye:
-    """The two poses that close the loop of robot and camera.
+@dataclass(frozen=True, eq=False, repr=False)
+class HandEye(Shown):
+    """The two poses that close the hand-eye loop.
 
         eye_to_hand:  T_base_tool T_tool_marker     = T_base_cam T_cam_marker
         eye_in_hand:  T_base_tool^-1 T_base_marker  = T_tool_cam T_cam_marker
 
-    Read them by their names: `T_tool_marker` and `T_base_cam`, or `T_base_marker` and `T_tool_cam`.
+    Named access: `T_tool_marker` and `T_base_cam`, or `T_base_marker` and `T_tool_cam`.
 
     Attributes
     ----------
-    setup : "eye_to_hand", the camera stands and the marker is on the tool, or "eye_in_hand".
-    X : (4, 4) T_tool_marker or T_base_marker; None where only points of a marker of unknown shape were seen.
+    setup : "eye_to_hand", a fixed camera and a marker on the tool, or "eye_in_hand".
+    X : (4, 4) T_tool_marker or T_base_marker; None after a fit to points of a marker of unknown shape.
     Y : (4, 4) T_base_cam or T_tool_cam.
-    points : (K, 3) points of the marker in the frame that carries it, tool or base [m]; None where poses were measured.
+    points : (K, 3) points of the marker in its parent frame, tool or base [m]; None after a fit to poses.
     """
 
     setup: str
@@ -289,9 +302,9 @@ class HandEye:
             good = values.ndim == 2 and values.shape[1] == 3 if name == "points" else values.shape == (4, 4)
             if not good or not np.isfinite(values).all():
                 what = "points (K, 3)" if name == "points" else f"a pose {name} (4, 4)"
-                raise ShapeError(f"Expected {what} of a hand-eye calibration, finite, got {values.shape}. Correct it.")
+                raise ShapeError(f"Expected finite {what} of a hand-eye calibration, got {values.shape}. Correct it.")
             if name != "points":
-                kernels.poses(values, name)
+                values = kernels.poses(values, name)
             values.flags.writeable = False
             object.__setattr__(self, name, values)
 
@@ -302,12 +315,12 @@ class HandEye:
 
     @property
     def T_base_cam(self) -> np.ndarray:
-        """Camera that stands (4, 4); eye_to_hand only."""
+        """Fixed camera (4, 4); eye_to_hand only."""
         return self._named("T_base_cam")
 
     @property
     def T_base_marker(self) -> np.ndarray:
-        """Marker that stands (4, 4); eye_in_hand only."""
+        """Fixed marker (4, 4); eye_in_hand only."""
         return self._named("T_base_marker")
 
     @property
@@ -321,7 +334,7 @@ class HandEye:
         if value is None:
             known = [other for other, pose in zip(names, (self.X, self.Y)) if pose is not None]
             raise FrameError(
-                f"Expected a pose that setup {self.setup!r} has, {' or '.join(known)}, got {name}. "
-                "Read that, or calibrate the other setup; a marker of unknown shape has points and no pose."
+                f"Expected a pose of setup {self.setup!r}, {' or '.join(known)}, got {name}. "
+                "Use one of these or calibrate the other setup. A marker of unknown shape has points but no pose."
             )
         return value

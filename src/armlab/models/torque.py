@@ -1,13 +1,12 @@
-"""The torque model of one robot: rigid body, friction, ripple, and how uncertain it is.
+"""Torque model of one robot: rigid body, friction, ripple, and uncertainty.
 
     tau / gains = x + rotor qdd + F_f(qd, z) + load s |x| + ripple(q) + e,   x = Y(q, qd, qdd) pi - J^T F
 
 with e of covariance ``C_tau = diag(s^2(qd) + doubt^2 (J^T F)^2)``,
 
-with the torque tau that each joint reads; all else is in true newton metres. F is the wrench by the environment on the
-robot, in base axes, at the tool point.
-`link_parameters` is the smallest parameter vector that gives the identified base parameters: it evaluates the model
-exactly and is not a set of masses.
+where tau is the measured torque of each joint and all other terms are in true newton metres. F is the wrench exerted by
+the environment on the robot, in base axes, at the tool point. `link_parameters` is the minimum-norm parameter vector
+for the identified base parameters: it evaluates the model exactly, but its masses are not physical.
 """
 
 from __future__ import annotations
@@ -18,11 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from armlab._display import Shown, html_table
 from armlab._numbers import check_name, numbers, still
 from armlab.errors import ModelMismatchError, RobotError, ShapeError
-from armlab.kernels import Chain, Drive, MomentumEstimator, WrenchEstimator, model_torque
+from armlab.kernels import Chain, Drive, MomentumEstimator, RigidBody, WrenchEstimator, model_torque
 from armlab.models.friction import Friction, FrictionBound, FrictionMap, Ripple, RippleLines, WarmUp, freeze_arrays
 from armlab.robots import Robot, inertia
+from armlab.robots.comparison import check_same
 
 # Noise: torque covariance over velocity, and the noise of momentum estimators.
 #
@@ -33,8 +34,8 @@ from armlab.robots import Robot, inertia
 KINDS = ("exp", "step", "const")
 
 
-@dataclass(frozen=True, eq=False)
-class VelocityCovariance:
+@dataclass(frozen=True, eq=False, repr=False)
+class VelocityCovariance(Shown):
     """Diagonal torque covariance as a function of joint velocity.
 
     Attributes
@@ -42,13 +43,13 @@ class VelocityCovariance:
     kind : {"exp", "step", "const"}
         Dependence on speed.
     C0 : array, shape (n,), (N m)^2
-        Variance at rest, at least `Cinf`.
+        Variance at rest; at least `Cinf`.
     Cinf : array, shape (n,), (N m)^2
-        Variance at speed, above 0.
+        Variance at high speed; above 0.
     shape : array, shape (n,), s/rad or rad/s
         "exp": decay rate [s/rad]; "step": threshold speed [rad/s]; "const": zeros.
     alpha2 : float
-        Factor on both variances, set so that 2-sigma intervals cover 95.4 % of held-out data.
+        Factor on both variances, chosen such that 2-sigma intervals cover 95.4 % of held-out data.
     """
 
     kind: str
@@ -66,14 +67,14 @@ class VelocityCovariance:
                 raise ShapeError(f"Expected finite {name} of a torque covariance, got NaN or Inf. Correct it.")
         if np.any(self.shape < 0) or not 0 < self.alpha2 < np.inf:
             raise ShapeError(
-                "Expected a decay rate or threshold not below zero and a finite alpha2 above zero, got others or "
-                f"alpha2 {self.alpha2:g}. Correct it."
+                "Expected a decay rate or threshold of at least zero and a finite alpha2 above zero, got other values "
+                f"or alpha2 {self.alpha2:g}. Correct it."
             )
         regular = self.C0.ndim == 1 and self.C0.shape == self.Cinf.shape == self.shape.shape
         if not regular or not np.all(self.Cinf > 0) or not np.all(self.Cinf <= self.C0):
             raise ShapeError(
                 f"Expected C0 >= Cinf > 0, both of shape (n,) in (N m)^2, got shapes {self.C0.shape} and "
-                f"{self.Cinf.shape}. Give variances, one per joint."
+                f"{self.Cinf.shape}. Pass variances, one per joint."
             )
 
     def variance(self, qd: np.ndarray) -> np.ndarray:
@@ -91,7 +92,7 @@ class VelocityCovariance:
 def velocity_covariance(
     kind: str, C0: np.ndarray, Cinf: np.ndarray, shape: np.ndarray | None = None, alpha2: float = 1.0
 ) -> VelocityCovariance:
-    """Make a torque covariance over velocity.
+    """Return a torque covariance over velocity.
 
     Parameters
     ----------
@@ -102,33 +103,34 @@ def velocity_covariance(
 
     Raises
     ------
-    UnknownName : for another kind. ShapeError : when C0 >= Cinf > 0 does not hold, or a number is not finite.
+    UnknownName : for another kind.
+    ShapeError : if C0 >= Cinf > 0 does not hold, or a number is not finite.
     """
     zeros = np.zeros_like(numbers(C0, "C0 of a covariance", ShapeError))
     return VelocityCovariance(kind, C0, Cinf, zeros if shape is None else shape, alpha2)
 
 
-# What the momentum estimators of the contact wrench need to know of a robot's torques and velocities.
+# Noise of torques and velocities for the momentum estimators of the contact wrench.
 
 
 PRIOR = (20.0, 20.0, 20.0, 2.0, 2.0, 2.0)
-"""Standard deviations of a contact wrench before any measurement [N, N m]."""
+"""Prior standard deviations of a contact wrench before any measurement [N, N m]."""
 FORCE_RATES = {
     "smooth": (2.0, 2.0, 2.0, 0.2, 0.2, 0.2),
     "normal": (5.0, 5.0, 5.0, 0.5, 0.5, 0.5),
     "fast": (20.0, 20.0, 20.0, 2.0, 2.0, 2.0),
 }
-"""How fast a contact wrench wanders, by name [N/sqrt(s), N m/sqrt(s)]."""
+"""Random-walk intensity of a contact wrench by name [N/sqrt(s), N m/sqrt(s)]."""
 
 
 @dataclass(frozen=True, eq=False)
 class MomentumNoise:
-    """Noise of torque and velocity as the momentum estimators see it.
+    """Noise of torque and velocity for the momentum estimators.
 
     `memory`: (n,) correlation time of the torque error [s]; its intensity is ``2 s^2 memory``. `qd_noise`: (n,)
-    deviation of the measured velocity [rad/s]. `alpha2_observer`, `alpha2_kf`: factors on the torque covariance, set so
-    that 2-sigma coverage on held-out data is 95.4 %: of the residual of the observer, and of the Kalman filter's
-    wrench where a known one is added to the torques; of the filter at least 1.
+    standard deviation of the measured velocity [rad/s]. `alpha2_observer`, `alpha2_kf`: factors on the torque
+    covariance for a 2-sigma coverage of 95.4 % on held-out data. They refer to the observer's residual, and to the
+    Kalman filter's wrench after a known wrench is added to the torques; for the filter, at least 1.
     """
 
     memory: np.ndarray
@@ -146,17 +148,17 @@ class MomentumNoise:
         if not regular or np.any(memory <= 0) or np.any(noise < 0) or not all(0 < a < np.inf for a in factors):
             raise ShapeError(
                 "Expected memory > 0 and qd_noise >= 0, finite and both of shape (n,), and positive factors, got "
-                f"shapes {memory.shape} and {noise.shape}, factors {factors}. Give one number per joint."
+                f"shapes {memory.shape} and {noise.shape}, factors {factors}. Pass one number per joint."
             )
 
 
-# Motors that move several joints, as in wrists: their inertia and friction act on all of these.
+# Motors that move several joints, as in wrists: their inertia and friction act on all of them.
 #
-# Motor k turns by ``theta_k = c_k q`` (in units of the joint it belongs to), so with the power kept::
+# Motor k rotates by ``theta_k = c_k q`` (in units of its joint), so power conservation gives::
 #
 #     tau = sum_k c_k^T (inertia_k c_k qdd + viscous_k c_k qd + coulomb_k tanh(c_k qd / smooth_speed_k))
 #
-# No set of links and joint friction has these torques: they are terms of their own.
+# No set of links and joint friction produces these torques: they are separate terms.
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,20 +180,20 @@ class CoupledMotors:
         shapes = dict.fromkeys(("inertia", "viscous", "coulomb", "smooth_speed"), (len(ratios),))
         freeze_arrays(self, f"{len(ratios)} coupled motors", {"ratios": ratios.shape, **shapes})
         if np.any(self.smooth_speed <= 0):
-            raise ShapeError("Expected smooth_speed > 0 of coupled motors, got a value that is not. Make it positive.")
+            raise ShapeError("Expected smooth_speed > 0 for coupled motors, got a value <= 0. Make it positive.")
 
     def torque(self, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        """Return what the motors take of each joint (..., n) [N m] at velocity and acceleration (..., n)."""
+        """Return the torque (..., n) [N m] taken from the joints by the motors, given velocity and acceleration."""
         speed = self._turned(qd)
         own = self.inertia * self._turned(qdd) + self.viscous * speed
         return self._spread(own + self.coulomb * np.tanh(speed / self.smooth_speed))
 
     def inertial(self, qdd: np.ndarray) -> np.ndarray:
-        """Return the part of their inertia (..., n) [N m] at acceleration (..., n)."""
+        """Return the inertial part of the motor torque (..., n) [N m] at acceleration (..., n)."""
         return self._spread(self.inertia * self._turned(qdd))
 
     def _turned(self, x: np.ndarray) -> np.ndarray:
-        # not @: rows as alone, bit for bit
+        # not @: results per row are independent of the batch, bit for bit
         return np.sum(self.ratios * np.asarray(x, dtype=float)[..., None, :], axis=-1)
 
     def _spread(self, own: np.ndarray) -> np.ndarray:
@@ -199,11 +201,11 @@ class CoupledMotors:
 
 
 class CoupledKernel:
-    """A kernel of an estimator whose torques are first relieved of what coupled motors take.
+    """Estimator kernel with the torques of coupled motors removed from its input.
 
-    The acceleration is the difference of the velocity to the last sample that was whole, as in the kernel itself.
+    The acceleration is computed from the velocity difference to the last valid sample, as in the kernel itself.
 
-    `kernel`: with step, run and reset, of a model without the motors. `gains`: (n,) torque as it is read over true
+    `kernel`: kernel with step, run and reset for a model without the motors. `gains`: (n,) ratio of measured to true
     torque.
     """
 
@@ -215,14 +217,14 @@ class CoupledKernel:
         return getattr(self._kernel, name)
 
     def reset(self) -> None:
-        """Forget all samples."""
+        """Clear all samples."""
         self._qd = None
         self._kernel.reset()
 
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> Any:
-        """Take one sample: q, qd, tau (n,), dt [s]."""
+        """Process one sample: q, qd, tau (n,), dt [s]."""
         if not np.shape(q) == np.shape(qd) == np.shape(tau):
-            return self._kernel.step(q, qd, tau, dt)  # which says what is wrong
+            return self._kernel.step(q, qd, tau, dt)  # raises with the cause
         whole = bool(np.isfinite(q).all() and np.isfinite(qd).all() and np.isfinite(tau).all() and np.isfinite(dt))
         if not whole or not dt > 0:
             return self._kernel.step(q, qd, tau, dt)
@@ -231,9 +233,9 @@ class CoupledKernel:
         return self._kernel.step(q, qd, tau - self._gains * self._motors.torque(qd, (qd - last) / dt), dt)
 
     def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> Any:
-        """Take samples in their order: q, qd, tau (N, n), dt (N,) [s]; the same as steps."""
+        """Process samples in order: q, qd, tau (N, n), dt (N,) [s]; equivalent to repeated steps."""
         if not np.shape(q) == np.shape(qd) == np.shape(tau) == (*np.shape(dt), len(self._gains)):
-            return self._kernel.run(q, qd, tau, dt)  # which says what is wrong
+            return self._kernel.run(q, qd, tau, dt)  # raises with the cause
         whole = np.isfinite(np.concatenate([q, qd, tau], axis=1)).all(axis=1) & np.isfinite(dt)
         rows = np.flatnonzero(whole & (np.where(whole, dt, 0.0) > 0))
         relieved = np.array(tau, dtype=float)
@@ -245,23 +247,20 @@ class CoupledKernel:
         return self._kernel.run(q, qd, relieved, dt)
 
 
-# How well a torque model fits.
-
-
-@dataclass(frozen=True, eq=False)
-class Quality:
-    """Quality of the fit of a torque model, per joint.
+@dataclass(frozen=True, eq=False, repr=False)
+class Quality(Shown):
+    """Quality of the fit of a torque model per joint.
 
     Attributes
     ----------
     torque_sd : array, shape (n,), N m
         Standard deviation of the measured torque.
     rms : array, shape (n,), N m
-        RMS residual in the training data, in motion, after the causal filter of the estimator.
+        RMS residual of the training data in motion, after the causal filter of the estimator.
     rms_cv : array, shape (n,), N m
-        RMS residual in held-out blocks, in motion, after the same filter.
+        RMS residual of held-out blocks in motion, after the same filter.
     coverage : array, shape (n,)
-        Share of held-out causal residuals inside 2 sigma.
+        Share of held-out causal residuals within 2 sigma.
     seconds : float, s
         Length of the training data.
     """
@@ -273,7 +272,7 @@ class Quality:
     seconds: float
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays; NaN stands for joints that could not be judged."""
+        """Validate shapes and freeze the arrays; NaN marks joints that could not be assessed."""
         for name in ("torque_sd", "rms", "rms_cv", "coverage"):
             values = still(getattr(self, name), f"{name} of the quality")
             if values.ndim != 1 or values.shape != np.shape(self.torque_sd):
@@ -281,22 +280,22 @@ class Quality:
             object.__setattr__(self, name, values)
 
 
-# What data a model was fitted to: ranges of position and speed, and how much the arm rested.
+# Training data of a model: ranges of position and speed, share of rest.
 
 
 SPEED_EDGES = np.array([0.0, 0.01, 0.03, 0.1, 0.3, 1.0])
-"""Lower edges of the bins of speed, as shares of the training's peak; the last bin is faster than anything trained."""
+"""Lower edges of the speed bins as shares of the peak speed in training; the last bin exceeds the training range."""
 SPEED_EDGES.flags.writeable = False
 
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """Limits of the data behind a model; outside them its quality figures say nothing.
+    """Ranges of the training data of a model; its quality figures hold only inside these ranges.
 
     `q_min`, `q_max`: (n,) range of position [rad]. `qd_peak`: (n,) largest speed [rad/s]. `speed_share`: (n, 12) share
-    of samples per bin of `SPEED_EDGES`: six of negative velocity, then six of positive, slowest first. `rest_share`:
-    share of samples at which every joint is slower than 1 % of its peak. `longest_rest`: longest stretch of such
-    samples [s].
+    of samples per bin of `SPEED_EDGES`: six for negative velocities, then six for positive velocities, slowest first.
+    `rest_share`: share of samples with every joint below 1 % of its peak speed. `longest_rest`: duration of the longest
+    segment of such samples [s].
     """
 
     q_min: np.ndarray
@@ -312,7 +311,7 @@ class Training:
         freeze_arrays(self, "the training", shapes)
         if not (0.0 <= self.rest_share <= 1.0 and 0.0 <= self.longest_rest < np.inf):
             raise ShapeError(
-                f"Expected a share of rest from 0 to 1 and a length from 0 s, got {self.rest_share:g} and "
+                f"Expected a rest share from 0 to 1 and a duration of at least 0 s, got {self.rest_share:g} and "
                 f"{self.longest_rest:g} s. Identify again."
             )
 
@@ -321,27 +320,31 @@ SIGN = "environment_on_robot"
 WEIGHTLESS = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class TorqueModel:
-    """An identified torque model, bound to one robot.
+@dataclass(frozen=True, eq=False, repr=False)
+class TorqueModel(Shown):
+    """Identified torque model, bound to one robot.
 
     Attributes
     ----------
-    robot_name, robot_hash : the robot it belongs to; `check_robot` refuses another.
+    robot_name, robot_hash : the robot of the model; `check_robot` rejects another.
     frames, prismatic, gravity : its kinematics (n + 1, 4, 4), (n,), and gravity (3,) [m/s^2] in base axes.
     link_parameters : (n, 10) in link frames, order m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
-    rotor : (n,) rotor inertia [kg m^2]. friction, ripple, covariance : the other terms.
-    bound : of friction near rest, for the estimators that take it as bounded.
-    cutoff : corner [Hz] of the causal filter on the torque residual that `covariance` belongs to.
-    base_names, base_values, base_cov : the identified base parameters with their covariance while the gains hold.
-    gains : (n,) torque as it is read over true torque, 1 when left out; gain_cov : (n, n) of them, 0 when left out.
-    load_sd : (n,) deviation of the load friction, 0 when left out; `contact_doubt` has it and the gains'.
-    quality : how well it fits. training : the ranges of the data behind it.
+    rotor : (n,) rotor inertia [kg m^2].
+    friction, ripple, covariance : the other terms.
+    bound : bound of the friction near rest, for bounded-friction estimators.
+    cutoff : corner frequency [Hz] of the causal residual filter for which `covariance` holds.
+    base_names, base_values, base_cov : identified base parameters with their covariance for given gains.
+    gains : (n,) measured over true torque; default: 1.
+    gain_cov : (n, n) covariance of the gains; default: 0.
+    load_sd : (n,) standard deviation of the load friction; default: 0. `contact_doubt` combines it with that of the
+    gains.
+    quality : quality of the fit.
+    training : ranges of the training data.
     sources : SHA-256 and name of each log.
-    lines, friction_map, warm_up : parts of the drives that `identify.fit_friction` adds where they win, or None.
-    momentum : noise of torque and velocity for the momentum estimators, or None: then there is none.
+    lines, friction_map, warm_up : drive terms that `identify.fit_friction` adds if they improve the fit, or None.
+    momentum : noise of torque and velocity for the momentum estimators, or None if unavailable.
     coupled : motors that move several joints, or None.
-    quasi_static : True for gravity, friction and offset alone: no torque comes with velocity or acceleration of links.
+    quasi_static : True for gravity, friction and offset alone, without torques from velocity or acceleration of links.
     """
 
     robot_name: str
@@ -394,17 +397,32 @@ class TorqueModel:
         if np.any(self.gains <= 0):
             raise ShapeError(f"Expected gains above 0, got {self.gains.tolist()}. Identify again.")
         if self.momentum is not None and len(self.momentum.memory) != n:
-            raise ShapeError(f"Expected momentum noise of {n} joints, got {len(self.momentum.memory)}.")
+            raise ShapeError(f"Expected momentum noise for {n} joints, got {len(self.momentum.memory)}.")
         if self.coupled is not None and self.coupled.ratios.shape[1] != n:
-            raise ShapeError(f"Expected coupled motors of {n} joints, got ratios {self.coupled.ratios.shape}.")
+            raise ShapeError(f"Expected coupled motors for {n} joints, got ratios {self.coupled.ratios.shape}.")
         lengths = len(self.friction.delta), len(self.ripple.cycles), len(self.covariance.C0), len(self.bound.speed)
         lengths = (*lengths, len(self.training.q_min))
         if lengths != (n,) * 5 or not 0 < self.cutoff < np.inf:
             raise ShapeError(
-                f"Expected friction, ripple, covariance, bound and training of {n} joints and a cut-off above 0 Hz, "
+                f"Expected friction, ripple, covariance, bound and training for {n} joints and a cut-off above 0 Hz, "
                 f"got {lengths} joints and {self.cutoff:g} Hz."
             )
-        _ = self.drive  # refuses parts of another number of joints
+        _ = self.drive  # rejects terms with another number of joints
+
+    def _repr_html_(self) -> str:
+        friction, quality = self.friction, self.quality
+        columns = (self.gains, friction.coulomb_pos, friction.coulomb_neg, friction.viscous, self.rotor, quality.rms_cv)
+        rows = [(str(i + 1), *(f"{x[i]:.4g}" for x in columns)) for i in range(self.n)]
+        head = (
+            "joint",
+            "gain",
+            "Coulomb + [N m]",
+            "Coulomb -",
+            "viscous [N m s/rad]",
+            "rotor [kg m^2]",
+            "held-out rms",
+        )
+        return html_table(f"Torque model of {self.robot_name}, {quality.seconds:.0f} s", head, rows)
 
     @property
     def n(self) -> int:
@@ -416,19 +434,28 @@ class TorqueModel:
         """Kinematics and dynamics kernel of the robot."""
         return Chain(self.frames, self.prismatic)
 
+    @cached_property
+    def rigid_body(self) -> RigidBody:
+        """Dynamics kernel with rotors and coupled motors, for `armlab.dynamics`; `ModelMismatchError` if incomplete."""
+        silent = np.flatnonzero(np.isnan(self.quality.rms))
+        if self.quasi_static or len(silent):
+            lacks = f"the torque of joint {silent[0] + 1}" if len(silent) else "inertias"
+            raise ModelMismatchError(
+                f"Expected a model with all inertias of robot {self.robot_name!r}, got one without {lacks}. Identify "
+                "with fit_dynamics and all torques; dynamics.gravity also accepts a model from fit_gravity."
+            )
+        coupled = 0.0 if self.coupled is None else self.coupled.inertial(np.eye(self.n))
+        return RigidBody(self.chain, self.gravity, self.link_parameters, np.diag(self.rotor) + coupled)
+
     @property
     def _weights(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gravity and link parameters as the kernels take them.
-
-        The torque of gravity is linear in both, that of motion in the link parameters alone: a quasi-static model moves
-        a factor of 1e9 from one to the other, and what is left of the torque of motion is below rounding.
-        """
+        """Return gravity and link parameters for the kernels; if quasi-static, without torques from motion."""
         share = WEIGHTLESS if self.quasi_static else 1.0
         return self.gravity / share, share * self.link_parameters
 
     @property
     def drive(self) -> Drive:
-        """Kernel of friction, ripple and warm-up: the one place that evaluates them."""
+        """Kernel of friction, ripple and warm-up."""
         return Drive(
             self.friction.rows,
             self.ripple.rows,
@@ -438,33 +465,63 @@ class TorqueModel:
         )
 
     def check_robot(self, robot: Robot) -> None:
-        """Raise `ModelMismatchError` unless `robot` is the one of this model, `RobotError` when it is none."""
+        """Raise `ModelMismatchError` unless `robot` is the robot of this model, `RobotError` if it is not a robot."""
+        known = self._described(robot) if isinstance(robot, Robot) else None
+        advice = "A torque model is bound to one robot description: repeat the identification for this one."
+        check_same(robot, "the torque model", self.robot_name, self.robot_hash, known, advice)
+
+    def moved_to(self, robot: Robot) -> TorqueModel:
+        """Return the model with the frames, gravity and name of another description of the arm (tool, mount, limits).
+
+        Identified parameters are kept. This is exact for limits, tool and names. For a mount, it is exact as far as the
+        motion determined all inertial parameters. It is wrong for links of other lengths.
+
+        Parameters
+        ----------
+        robot : Robot
+            The new description.
+
+        Raises
+        ------
+        ModelMismatchError
+            Wrong number or kind of joints.
+        """
         if not isinstance(robot, Robot):
             raise RobotError.no_robot(robot)
-        if robot.hash != self.robot_hash:
-            raise ModelMismatchError(
-                f"Expected robot {self.robot_name!r} ({self.robot_hash[:12]}), got {robot.name!r} ({robot.hash[:12]}). "
-                "A torque model is bound to one robot description: identify again for this one."
-            )
+        if not np.array_equal(robot.prismatic, self.prismatic):
+            self.check_robot(robot)
+        own = {"robot_name": robot.name, "robot_hash": robot.hash, "frames": robot.frames, "gravity": robot.gravity}
+        return replace(self, **own)
+
+    def _described(self, robot: Robot) -> Robot | None:
+        """Return a robot with the geometry of the model and without limits, or None for another number of joints."""
+        if self.frames.shape != robot.frames.shape:
+            return None
+        links = np.concatenate([robot.links[:1], self.frames[1:-1], robot.links[-1:]])
+        mount, tool = self.frames[0] @ np.linalg.inv(links[0]), np.linalg.inv(links[-1]) @ self.frames[-1]
+        return replace(
+            robot, links=links, T_base_mount=mount, T_flange_tool=tool, prismatic=self.prismatic, gravity=self.gravity,
+            name=self.robot_name,
+        )  # fmt: skip
 
     def rigid_torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        """Return gravity, inertial and rotor torque (..., n) [N m], true; all inputs (..., n)."""
+        """Return the true gravity, inertial and rotor torque (..., n) [N m]; all inputs (..., n)."""
         torque = self.chain.rnea(q, qd, qdd, *self._weights) + self.rotor * qdd
         return torque if self.coupled is None else torque + self.coupled.inertial(qdd)
 
     def torque(
         self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray | None = None, dt: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return the torque (N, n) [N m] that is read along a record without contact: true torque times the gains.
+        """Return the torque (N, n) [N m] measured along a record without contact: true torque times the gains.
 
-        The presliding state runs through the rows in order, from 0 at the first. A row with a NaN gives NaN and leaves
-        the state alone.
+        The presliding state evolves over the rows, starting at 0. A row with a NaN yields NaN and does not change the
+        state.
 
         Parameters
         ----------
         q, qd : (N, n) positions [rad] and velocities [rad/s] in time order.
-        qdd : (N, n) accelerations [rad/s^2]; zero when left out.
-        dt : (N,) steps [s] over which the drives warm up; they stay as warm as at the start when left out.
+        qdd : (N, n) accelerations [rad/s^2]; default: zero.
+        dt : (N,) steps [s] for the warm-up of the drives; default: constant initial temperature.
         """
         q, qd = np.atleast_2d(q), np.atleast_2d(qd)
         qdd = np.zeros_like(q) if qdd is None else np.atleast_2d(qdd)
@@ -474,12 +531,12 @@ class TorqueModel:
     def estimator_kernel(
         self, prior: np.ndarray, method: int = 0, point: np.ndarray | None = None
     ) -> WrenchEstimator | CoupledKernel:
-        """Return a fresh estimator kernel with this model's numbers.
+        """Return a new estimator kernel for this model.
 
         Parameters
         ----------
         prior : (6,) prior variances of the wrench [N^2, (N m)^2].
-        method : number of a static method of `contact.Estimator`, in their order; 0 is "map".
+        method : index of a static method of `contact.Estimator`; 0 is "map".
         point : (3,) known contact in tool axes [m], or None.
         """
         b = self.bound
@@ -509,29 +566,30 @@ class TorqueModel:
         biased: bool = False,
         point: np.ndarray | None = None,
     ) -> MomentumEstimator | CoupledKernel:
-        """Return a fresh momentum estimator kernel with this model's numbers.
+        """Return a new momentum estimator kernel for this model.
 
-        The factor alpha^2 of the filter is on everything that is random in it, so that it changes the covariance and
-        not the estimate; what the torques do not show keeps its prior.
+        The filter's factor alpha^2 scales all its noise, so that it changes the covariance but not the estimate;
+        unobserved directions keep their prior.
 
         Parameters
         ----------
         prior : (6,) prior variances of the wrench [N^2, (N m)^2].
-        rate : (6,) intensity of its random walk [N^2/s, (N m)^2/s]. leak : (6,) [1/s], or None for the one that
-            keeps the prior: ``alpha^2 rate / (2 prior)``.
-        gain : of the observer [1/s].
-        filters : Kalman filter, else the observer. biased : with a friction error per joint.
+        rate : (6,) random-walk intensity of the wrench [N^2/s, (N m)^2/s].
+        leak : (6,) decay rate [1/s], or None for the one that keeps the prior: ``alpha^2 rate / (2 prior)``.
+        gain : gain of the observer [1/s].
+        filters : True for the Kalman filter, False for the observer.
+        biased : add a friction error per joint.
         point : (3,) known contact in tool axes [m], or None.
 
         Raises
         ------
-        ModelMismatchError : when the model has no momentum noise.
+        ModelMismatchError : if the model has no momentum noise.
         """
         noise = self.momentum
         if noise is None:
             raise ModelMismatchError(
-                "Expected a model with the noise of torque and velocity that momentum estimators need, got one without "
-                "(of an older file?). Identify again, or take a static method."
+                "Expected a model with the torque and velocity noise that momentum estimators need, got a model "
+                "without it (possibly from an older file). Repeat the identification, or use a static method."
             )
         alpha2 = noise.alpha2_kf if filters else noise.alpha2_observer
         prior, rate = np.asarray(prior, dtype=float), alpha2 * np.asarray(rate, dtype=float)
@@ -557,17 +615,16 @@ class TorqueModel:
 
     @property
     def _gain_variance(self) -> float:
-        """Of the common share by which the gains may be off, and every force with them: the variance of their mean.
-
-        The torque of a joint without a variance is not measured, or its gain is known.
+        """Return the variance of the mean gain over joints with a gain variance, which is the common error of every
+        force.
         """
         return float(np.sum(self.gain_cov) / max(np.count_nonzero(np.diag(self.gain_cov)), 1) ** 2)
 
     @property
     def contact_doubt(self) -> np.ndarray:
-        """Deviation (n,) of the torque of a contact as a share of it: gains without their mean, and load friction.
+        """Relative standard deviation (n,) of a contact torque due to gains (without their mean) and load friction.
 
-        The arm's own torque has both in its residuals already.
+        The residuals of the arm's own torque already include both.
         """
         uncertain = (np.diag(self.gain_cov) > 0).astype(float)
         apart = np.diag(uncertain) - np.outer(uncertain, uncertain) / max(uncertain.sum(), 1.0)
@@ -579,18 +636,15 @@ class TorqueModel:
         return np.stack([alpha2 * c.C0, alpha2 * c.Cinf, c.shape, np.full(self.n, kind), self.contact_doubt])
 
 
-# A load at the flange: its mass, its centre, its inertia, and what it adds to a torque model.
-
-
-@dataclass(frozen=True, eq=False)
-class Payload:
-    """A load fixed rigidly to the flange of one robot.
+@dataclass(frozen=True, eq=False, repr=False)
+class Payload(Shown):
+    """Load fixed rigidly to the flange of one robot.
 
     Attributes
     ----------
-    robot_name, robot_hash : the robot that carried it.
+    robot_name, robot_hash : the robot that carried the load.
     pi : (10,) m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the flange's origin, flange axes [kg, kg m, kg m^2].
-    T_last_flange : (4, 4) the flange in the last link's frame.
+    T_last_flange : (4, 4) flange pose in the last link's frame.
     sources : SHA-256 and name of each log.
     """
 
@@ -619,22 +673,22 @@ class Payload:
         return inertia.to_body(self.pi).inertia
 
     def added_to(self, model: TorqueModel) -> TorqueModel:
-        """Return the torque model of the arm that carries this load: only its last link differs.
+        """Return the torque model of the arm with this load; only its last link differs.
 
-        The identified base parameters and their covariance stay those of the arm alone.
+        The identified base parameters and their covariance remain those of the arm alone.
 
         Parameters
         ----------
-        model : of the arm without the load.
+        model : torque model of the arm without the load.
 
         Raises
         ------
-        ModelMismatchError : when the model belongs to another robot.
+        ModelMismatchError : if the model belongs to another robot.
         """
         if model.robot_hash != self.robot_hash:
             raise ModelMismatchError(
                 f"Expected a model of robot {self.robot_name!r} ({self.robot_hash[:12]}), got one of "
-                f"{model.robot_name!r} ({model.robot_hash[:12]}). Fit the load again with this robot."
+                f"{model.robot_name!r} ({model.robot_hash[:12]}). Repeat the payload identification with this robot."
             )
         links = model.link_parameters.copy()
         links[-1] += inertia.transform(self.T_last_flange, self.pi)

@@ -1,4 +1,4 @@
-"""Motion: movement primitives that are taught by showing them once, and profiles from point to point."""
+"""Motion: movement primitives learned from demonstrations, point-to-point profiles, and trajectories."""
 
 from armlab.motion import profiles
 from armlab.motion.control import Controller
@@ -11,6 +11,7 @@ from armlab.motion.primitive.fit import fit_dmp
 from armlab.motion.primitive.run import Rollout, Stepper
 from armlab.motion.promp import ProMP, TrajectoryDistribution, blend, fit_promp
 from armlab.motion.timing import PacedDmp, retimed, shortest_duration
+from armlab.motion.trajectory import JointTrajectory, Tolerance, TrajectoryController
 from armlab.motion.two_dof import TwoDofDmp
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "Displace",
     "Dmp",
     "Hold",
+    "JointTrajectory",
     "PacedDmp",
     "PeriodicDmp",
     "PoseDmp",
@@ -28,6 +30,8 @@ __all__ = [
     "Push",
     "Rollout",
     "Stepper",
+    "Tolerance",
+    "TrajectoryController",
     "TrajectoryDistribution",
     "TwoDofDmp",
     "TwoDofRun",

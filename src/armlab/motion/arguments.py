@@ -1,4 +1,4 @@
-"""Arguments of motions: points, limits, durations and times as arrays, or one sentence that refuses them."""
+"""Argument checks for motions: points, limits, durations and times as arrays."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from armlab._numbers import number, numbers, positive
 from armlab.errors import ConfigError, ShapeError
 
-MOST_SAMPLES = 10_000_000
+MAX_SAMPLES = 10_000_000
 FEWEST, MOST = 3, 1000  # kernels
 
 
@@ -19,48 +19,49 @@ def point(value: Any, what: str) -> np.ndarray:
     array = np.atleast_1d(numbers(value, what, ShapeError))
     if array.ndim != 1 or not array.size or not np.isfinite(array).all():
         came = str(array.tolist()) if array.ndim == 1 and array.size else f"shape {array.shape}"
-        raise ShapeError(f"Expected {what} as finite positions (n,), got {came}. Give one number per joint.")
+        raise ShapeError(f"Expected {what} as finite positions (n,), got {came}. Pass one number per joint.")
     return array
 
 
 def second_point(value: Any, what: str, first: np.ndarray) -> np.ndarray:
-    """Return a point of as many joints as the first."""
+    """Return a point with the same number of joints as the first point."""
     array = point(value, what)
     if array.shape != first.shape:
         raise ShapeError(
-            f"Expected {what} of {first.size} joints, as the first point has, got {array.size}. Give both for one arm."
+            f"Expected {what} of {first.size} joints, like the first point, got {array.size}. Pass two points of the "
+            "same arm."
         )
     return array
 
 
 def points(value: Any, what: str) -> np.ndarray:
-    """Return points (m, n), one after the other; (m,) is a path of one joint."""
+    """Return points (m, n) in order; (m,) is a path of one joint."""
     array = numbers(value, what, ShapeError)
     array = array[:, None] if array.ndim == 1 else array
     if array.ndim != 2 or len(array) < 2 or not array.shape[1]:
         raise ShapeError(
-            f"Expected {what} of shape (m, n) with 2 points or more, got shape {array.shape}. Give one row per point."
+            f"Expected {what} of shape (m, n) with at least 2 points, got shape {array.shape}. Pass one row per point."
         )
     missing = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if len(missing):
         raise ShapeError(
-            f"Expected finite {what}, got missing values in point {missing[0]} ({len(missing)} in all). Leave them out."
+            f"Expected finite {what}, got missing values in point {missing[0]} ({len(missing)} in total). Omit them."
         )
     return array
 
 
 def velocity(value: Any, what: str, n: int) -> np.ndarray:
-    """Return a finite rate (n,); one number serves all joints."""
+    """Return a finite rate (n,); a scalar applies to all joints."""
     return _per_joint(value, what, n, np.isfinite, "finite")
 
 
 def joint_limit(value: Any, what: str, n: int) -> np.ndarray:
-    """Return a limit above zero (n,), maybe infinite; one number serves all joints."""
+    """Return a positive limit (n,), possibly infinite; a scalar applies to all joints."""
     return _per_joint(value, what, n, lambda x: x > 0.0, "above zero")
 
 
 def at_least_zero(value: Any, what: str) -> float:
-    """Return one finite number, zero or above."""
+    """Return one finite, non-negative number."""
     found = number(value, what, ConfigError)
     if not 0.0 <= found < np.inf:
         raise ConfigError(f"Expected a finite {what} of at least 0, got {found:g}. Correct it.")
@@ -68,11 +69,11 @@ def at_least_zero(value: Any, what: str) -> float:
 
 
 def kernel_count(value: Any, usual: int) -> int:
-    """Return a number of kernels."""
+    """Return the number of kernels."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or not FEWEST <= value <= MOST:
         raise ConfigError(
-            f"Expected a whole number of kernels from {FEWEST} to {MOST}, got {value!r}. {usual} is usual."
+            f"Expected an integer number of kernels from {FEWEST} to {MOST}, got {value!r}. The default is {usual}."
         )
     return int(value)
 
@@ -92,11 +93,11 @@ def clock(t: ArrayLike, end: float) -> np.ndarray:
     times = numbers(t, "t", ShapeError)
     if times.ndim:
         return times
-    step = positive(times, "dt", "At 250 Hz it is 0.004.")
-    if not end / MOST_SAMPLES <= step <= end * (1 + 1e-12):
+    step = positive(times, "dt", "At 250 Hz, dt is 0.004 s.")
+    if not end / MAX_SAMPLES <= step <= end * (1 + 1e-12):
         raise ShapeError(
-            f"Expected a dt [s] from {end / MOST_SAMPLES:.2g} to {end:g}, that of the motion, got {step:g}. At 250 Hz "
-            "it is 0.004."
+            f"Expected a dt [s] from {end / MAX_SAMPLES:.2g} to the duration of {end:g}, got {step:g}. At 250 Hz, dt "
+            "is 0.004 s."
         )
     return step * np.arange(int(np.floor(end / step * (1 + 1e-12))) + 1)
 
@@ -107,7 +108,7 @@ def vector(value: ArrayLike, what: str, n: int) -> np.ndarray:
     if array.ndim < 1 or array.shape[-1] != n:
         raise ShapeError(f"Expected {what} with {n} coordinates on its last axis, got shape {array.shape}.")
     if not np.isfinite(array).all():
-        raise ShapeError(f"Expected a finite {what}, got {array}. Leave it out to take that of the demonstration.")
+        raise ShapeError(f"Expected a finite {what}, got {array}. Omit it to use the value of the demonstration.")
     return array
 
 
@@ -115,5 +116,5 @@ def coordinates(value: ArrayLike, what: str, n: int) -> np.ndarray:
     """Return finite numbers (n,), one per coordinate."""
     array = vector(value, what, n)
     if array.ndim != 1:
-        raise ShapeError(f"Expected {what} of shape ({n},), got {array.shape}. Give one number per coordinate.")
+        raise ShapeError(f"Expected {what} of shape ({n},), got {array.shape}. Pass one number per coordinate.")
     return array

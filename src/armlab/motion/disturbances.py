@@ -1,4 +1,4 @@
-"""Disturbances of an arm (`Hold`, `Push`, `Displace`), and two-degree-of-freedom control simulated with them."""
+"""Disturbances of an arm (`Hold`, `Push`, `Displace`) and simulation of two-degree-of-freedom control."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown
 from armlab._numbers import make_read_only, number, numbers
 from armlab.errors import ShapeError
 from armlab.motion.primitive.run import Rollout
@@ -18,21 +19,21 @@ from armlab.motion.primitive.run import Rollout
 Dofs = Sequence[int] | None
 
 Plant = Callable[[float, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-"""``(t, ya, ya', ya_ref'') -> ya''`` of an arm that does not follow its reference exactly."""
+"""``(t, ya, ya', ya_ref'') -> ya''`` of an arm with imperfect tracking."""
 FULL_SPEED = np.array([1.0, 1.0, 0.0])
-"""Speed of a law that runs as its primitive says: at the beginning and the end of a step, and its change."""
-_SLACK = 1e-9  # of a step: rounding of times
+"""Nominal speed of a control law: at the beginning and the end of a step, and its change."""
+_SLACK = 1e-9  # fraction of a step: rounding of times
 
 
-@dataclass(frozen=True)
-class Push:
-    """Something moves coordinates with a constant velocity, against their will: ``ya' = velocity``.
+@dataclass(frozen=True, repr=False)
+class Push(Shown):
+    """External force that moves coordinates at a constant velocity: ``ya' = velocity``.
 
     Attributes
     ----------
-    t0, t1 : from and to which time [s].
-    velocity : one number, or one for each of the coordinates pushed, in the unit of y per second.
-    dofs : numbers of the coordinates from 0; all of them when None.
+    t0, t1 : start and end [s].
+    velocity : one number, or one for each pushed coordinate, in the unit of y per second.
+    dofs : indices of the coordinates, from 0; default: all.
 
     Raises
     ------
@@ -45,34 +46,35 @@ class Push:
     dofs: Dofs = None
 
     def __post_init__(self) -> None:
-        """Check times and velocities."""
         start, end = number(self.t0, "t0 [s]"), number(self.t1, "t1 [s]")
         if not -np.inf < start < end < np.inf:
-            raise ShapeError(f"Expected an event from t0 to a later t1, got {start:g} to {end:g} s.")
+            raise ShapeError(f"Expected an event with finite t0 < t1, got {start:g} to {end:g} s.")
         if not np.isfinite(numbers(self.velocity, "velocity", ShapeError)).all():
             raise ShapeError(f"Expected a finite velocity, got {self.velocity}.")
 
     def _drive(self, n: int) -> np.ndarray:
-        """Return the velocity (n,) that it forces, NaN where it leaves a coordinate alone."""
+        """Return the imposed velocity (n,), with NaN for free coordinates."""
         which = np.arange(n) if self.dofs is None else np.asarray(self.dofs)
         whole = which.ndim == 1 and which.dtype.kind in "iu" and bool(((which >= 0) & (which < n)).all())
         if not whole or not which.size or len(set(which.tolist())) < len(which):
             raise ShapeError(f"Expected dofs as different numbers from 0 to {n - 1}, got {self.dofs}.")
         velocity = numbers(self.velocity, "velocity", ShapeError)
         if velocity.shape not in ((), which.shape):
-            raise ShapeError(f"Expected one velocity, or {which.size} for as many dofs, got shape {velocity.shape}.")
+            raise ShapeError(
+                f"Expected one velocity, or {which.size} velocities for {which.size} dofs, got shape {velocity.shape}."
+            )
         driven = np.full(n, np.nan)
         driven[which] = velocity
         return driven
 
 
 class Hold(Push):
-    """A hand holds coordinates where they are: ``ya' = 0``, and ya stays.
+    """Constraint that holds coordinates in place: ``ya' = 0``.
 
     Parameters
     ----------
-    t0, t1 : from and to which time [s].
-    dofs : numbers of the coordinates from 0; all of them when None.
+    t0, t1 : start and end [s].
+    dofs : indices of the coordinates, from 0; default: all.
 
     Raises
     ------
@@ -83,13 +85,14 @@ class Hold(Push):
         super().__init__(t0, t1, 0.0, dofs)
 
 
-@dataclass(frozen=True, eq=False)
-class Displace:
-    """A blow moves the arm at once: ``ya`` jumps by dy at time t.
+@dataclass(frozen=True, eq=False, repr=False)
+class Displace(Shown):
+    """Impact that displaces the arm instantaneously: ``ya`` jumps by dy at time t.
 
     Attributes
     ----------
-    t : when [s]. dy : (n,) or one number for all, in the unit of y.
+    t : time of the impact [s].
+    dy : (n,) or one number for all, in the unit of y.
 
     Raises
     ------
@@ -100,23 +103,26 @@ class Displace:
     dy: ArrayLike
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         if not np.isfinite(number(self.t, "t [s]")) or not np.isfinite(numbers(self.dy, "dy", ShapeError)).all():
             raise ShapeError(f"Expected a finite time and displacement, got {self.t} and {self.dy}.")
 
 
-@dataclass(frozen=True, eq=False)
-class TwoDofRun:
-    """What happened over N times; at the time of an event, what was before it.
+@dataclass(frozen=True, eq=False, repr=False)
+class TwoDofRun(Shown):
+    """Simulated or recorded run at N times; at the time of an event, the state before the event.
 
     Attributes
     ----------
-    t : (N,) times [s]. yc, ycd, ycdd : (N, n) coupled path with velocity and acceleration.
+    t : (N,) times [s].
+    yc, ycd, ycdd : (N, n) coupled path with velocity and acceleration.
     ya, yad : (N, n) actual position and velocity.
-    ydd_ref : (N, n) acceleration asked for. e : (N, n) filtered error. x : (N,) phase, (N, n) with schedule "position".
-    tau_a : (N,) time constant [s]. frozen : (N,) whether the path stood still.
-    free : the primitive undisturbed.
-    disturbed : (t0, t1) of each time something else moved the arm [s], in order; t0 = t1 for a blow.
+    ydd_ref : (N, n) reference acceleration.
+    e : (N, n) filtered error.
+    x : (N,) phase, (N, n) with schedule "position".
+    tau_a : (N,) time constant [s].
+    frozen : (N,) whether the path was paused.
+    free : the undisturbed primitive.
+    disturbed : (t0, t1) of each disturbance [s], in order; t0 = t1 for an impact.
     """
 
     t: np.ndarray
@@ -134,23 +140,22 @@ class TwoDofRun:
     disturbed: tuple[tuple[float, float], ...]
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         make_read_only(self, *(one.name for one in fields(self)[:-2]))
 
 
 def simulated(
     law: Any, start: np.ndarray, t: np.ndarray, events: Sequence[Push | Displace | Plant], longest: float
 ) -> tuple[np.ndarray, tuple[tuple[float, float], ...]]:
-    """Return the states (N, 5 n + 2) of a law at times t (N,) [s], and the disturbed intervals.
+    """Return the states (N, 5 n + 2) of a control law at times t (N,) [s], and the disturbed intervals.
 
-    Steps are at most `longest` [s] and end at every event; at most one event is a plant.
+    Steps are at most `longest` [s] and end at every event; at most one event may be a plant.
     """
-    scene = _Scene(events, law.n)
+    scene = _EventSequence(events, law.n)
     edges = [edge for edge in scene.edges if t[0] < edge < t[-1]]
     stops = np.unique(np.concatenate([t, edges]))
     rows, y, due = [start], start, 1
     for now, then in pairwise(stops):
-        y = scene.strike(now, y)
+        y = scene.apply_displacements(now, y)
         span = then - now
         y = scene.advance(law, now, y, span, max(1, ceil(span / longest - _SLACK)))
         if then == t[due]:
@@ -159,20 +164,20 @@ def simulated(
     return np.array(rows), scene.disturbed
 
 
-class _Scene:
-    """The events of one run."""
+class _EventSequence:
+    """Events of one run."""
 
     def __init__(self, events: Sequence[Push | Displace | Plant], n: int) -> None:
         self._pushes: list[tuple[float, float, np.ndarray]] = []
         self._blows: list[tuple[float, np.ndarray]] = []
         plants: list[Plant] = []
         if not isinstance(events, Sequence):
-            raise ShapeError(f"Expected events in a list, got {events!r}. Write [{type(events).__name__}(...)].")
+            raise ShapeError(f"Expected a list of events, got {events!r}. Write [{type(events).__name__}(...)].")
         for event in events:
             if isinstance(event, Push):
                 self._pushes.append((event.t0, event.t1, event._drive(n)))
             elif isinstance(event, Displace):
-                self._blows.append((event.t, _blow(event, n)))
+                self._blows.append((event.t, _displacement(event, n)))
             elif callable(event):
                 plants.append(event)
             else:
@@ -184,15 +189,15 @@ class _Scene:
             for s0, s1, second in self._pushes[:i]:
                 if max(t0, s0) < min(t1, s1) and np.isfinite(first + second).any():
                     raise ShapeError(
-                        f"Expected one event at a time for each coordinate, got two from {max(t0, s0):g} to "
-                        f"{min(t1, s1):g} s. Let one end before the other begins."
+                        f"Expected at most one event per coordinate at a time, got two from {max(t0, s0):g} to "
+                        f"{min(t1, s1):g} s. End one before the other begins."
                     )
         times = [(t0, t1) for t0, t1, _ in self._pushes] + [(at, at) for at, _ in self._blows]
         self.disturbed = tuple(sorted(times))
         self.edges = sorted({edge for span in times for edge in span})
 
-    def strike(self, now: float, y: np.ndarray) -> np.ndarray:
-        """Return the state after the blows of this time."""
+    def apply_displacements(self, now: float, y: np.ndarray) -> np.ndarray:
+        """Return the state after the impacts at this time."""
         n = (len(y) - 2) // 5
         for at, dy in self._blows:
             if at == now:
@@ -201,7 +206,7 @@ class _Scene:
         return y
 
     def advance(self, law: Any, now: float, y: np.ndarray, span: float, steps: int) -> np.ndarray:
-        """Return the state after a span in which no event begins or ends."""
+        """Return the state after an interval in which no event begins or ends."""
         driven = np.full(law.n, np.nan)
         for t0, t1, velocity in self._pushes:
             if t0 <= now < t1:
@@ -214,7 +219,7 @@ class _Scene:
         return y
 
     def _step(self, law: Any, t: float, y: np.ndarray, h: float, moved: np.ndarray) -> np.ndarray:
-        """Return the state after one step of fourth order of law and plant together."""
+        """Return the state after one fourth-order step of control law and plant together."""
         k1 = self._slopes(law, t, y, moved)
         k2 = self._slopes(law, t + 0.5 * h, y + 0.5 * h * k1, moved)
         k3 = self._slopes(law, t + 0.5 * h, y + 0.5 * h * k2, moved)
@@ -232,8 +237,8 @@ class _Scene:
         return slopes
 
 
-def _blow(event: Displace, n: int) -> np.ndarray:
+def _displacement(event: Displace, n: int) -> np.ndarray:
     dy = np.asarray(event.dy, dtype=float)
     if dy.shape not in ((), (n,)):
-        raise ShapeError(f"Expected a displacement of {n} coordinates, or one for all, got shape {dy.shape}.")
+        raise ShapeError(f"Expected a displacement of {n} coordinates, or one number for all, got shape {dy.shape}.")
     return np.broadcast_to(dy, (n,))

@@ -1,4 +1,4 @@
-"""The dynamic movement primitive: a spring that a learned force bends on its way to the goal."""
+"""Dynamic movement primitive: a spring towards the goal with a learned forcing term."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import generator, number, numbers
 from armlab.errors import ConfigError, NotExcited, ShapeError
+from armlab.estimation.fit import Fit, value_of
 from armlab.motion.arguments import clock
 from armlab.motion.control import Arms, Controller, JointLimits, Pace, at_pace, check_joints, own_steps
 from armlab.motion.primitive.equation import Equation
@@ -19,27 +20,30 @@ from armlab.motion.storage import Saved
 from armlab.state import State
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Dmp(Equation, Saved, kind="dmp"):
-    """A movement primitive of n coordinates that share one phase.
+    """Movement primitive of n coordinates that share one phase.
 
     ``tau_d^2 ydd = alpha_z (beta_z (g - y) - tau_d yd) + s (psi(x) w) x``, ``tau_d x' = -alpha_x x``: a critically
-    damped spring to the goal and a forcing term that fades. The weights are in the size of the demonstration; s scales
-    the forcing with the goal (`scaling`). With `schedule` "time" the phase is time over duration and the forcing fades
-    over the tenth after it; with "position" each coordinate's own progress is its phase.
+    damped spring towards the goal, and a decaying forcing term. The weights have the unit of the demonstration; s
+    scales the forcing with the goal (`scaling`). With `schedule` "time", the phase is time / duration, and the forcing
+    fades out over the following tenth of the duration. With "position", the progress of each coordinate is its phase.
 
     Attributes
     ----------
-    weights : (n_basis, n) of the kernels, in the unit of y. centres, widths : (n_basis,) of them in the phase; widths
-        are standard deviations.
+    weights : (n_basis, n) of the kernels, in the unit of y.
+    centres, widths : (n_basis,) of the kernels in the phase; widths are standard deviations.
     tau_d, duration : time constant and duration of the demonstration [s].
     y0, v0, g : (n,) its start, velocity at the start, and goal.
-    extent : (n,) its range. peak_acceleration : (n,) its largest acceleration. monotone : (n,) whether it never turned.
+    extent : (n,) range of the demonstration.
+    peak_acceleration : (n,) largest acceleration of the demonstration.
+    monotone : (n,) whether the coordinate never reversed.
     alpha_z, beta_z, alpha_x : constants of the spring and of the phase.
-    schedule : "canonical", "time" or "position". scaling : of the forcing: "goal", "none", "amplitude" or "rotate".
+    schedule : "canonical", "time" or "position".
+    scaling : of the forcing: "goal", "none", "amplitude" or "rotate".
     convention : of alpha_x and tau_d: "lund" (1, a third of the duration) or "ijspeert" (alpha_z / 3, the duration).
-    demo_weights : (M, n_basis, n) of each of M >= 3 demonstrations; None where there were fewer.
-    limits : (2, n) lowest and highest goal that is accepted; None for any.
+    demo_weights : (M, n_basis, n) of each of M >= 3 demonstrations; None with fewer.
+    limits : (2, n) lowest and highest accepted goal; None: no limits.
 
     References
     ----------
@@ -53,36 +57,37 @@ class Dmp(Equation, Saved, kind="dmp"):
 
         Raises
         ------
-        ConfigError : it was fitted to fewer than three demonstrations.
+        ConfigError : the primitive was fitted to fewer than three demonstrations.
         """
-        apart = self._apart().reshape(len(self._apart()), -1)
+        apart = self._covariance_root().reshape(len(self._covariance_root()), -1)
         return apart.T @ apart
 
     def sample(self, rng: np.random.Generator) -> Dmp:
-        """Return the primitive with weights drawn from ``N(mean, weight_covariance)`` of its demonstrations.
+        """Return the primitive with weights drawn from ``N(mean, weight_covariance)`` over its demonstrations.
 
         Parameters
         ----------
-        rng : of the random numbers.
+        rng : random number generator.
 
         Raises
         ------
-        ConfigError : it was fitted to fewer than three demonstrations.
+        ConfigError : the primitive was fitted to fewer than three demonstrations.
         """
-        apart = self._apart()
+        apart = self._covariance_root()
         drawn = np.tensordot(generator(rng).standard_normal(len(apart)), apart, 1)
         return replace(self, weights=self._mean_weights + drawn)
 
     @property
     def _mean_weights(self) -> np.ndarray:
-        """Mean (n_basis, n) of the weights of the demonstrations; the weights where there were fewer than three."""
+        """Mean (n_basis, n) of the demonstrations' weights; for fewer than three, the fitted weights."""
         return self.weights if self.demo_weights is None else self.demo_weights.mean(axis=0)
 
-    def _apart(self) -> np.ndarray:
-        """Return a root of the covariance: deviations of the demonstrations over the root of their number less one."""
+    def _covariance_root(self) -> np.ndarray:
+        """Return a square root of the covariance: the deviations of the demonstrations divided by sqrt(M - 1)."""
         if self.demo_weights is None:
             raise ConfigError(
-                "Expected a primitive of at least three demonstrations, got one without demo_weights. Fit it to more."
+                "Expected a primitive fitted to at least 3 demonstrations, got a primitive without demo_weights. Fit "
+                "it to more demonstrations."
             )
         return (self.demo_weights - self._mean_weights) / np.sqrt(len(self.demo_weights) - 1)
 
@@ -91,39 +96,41 @@ class Dmp(Equation, Saved, kind="dmp"):
 
         Parameters
         ----------
-        dt : step [s]. duration : of the motion [s]; that of the demonstration when left out.
+        dt : step [s].
+        duration : of the motion [s]; default: that of the demonstration.
 
         Raises
         ------
-        ShapeError : no finite step above zero.
+        ShapeError : the step is not finite and positive.
         """
         return clock(number(dt, "dt [s]"), self.duration if duration is None else duration)
 
     def rollout(self, t: ArrayLike, **run: Unpack[RunOptions]) -> Rollout:
-        """Run the primitive with one step per interval: the spring exactly, the forcing to fourth order.
+        """Run the primitive with one step per interval; the spring is exact, the forcing of fourth order.
 
-        What is left out is that of the demonstration. Where the times are far apart, compared with the kernels, use
-        `solve`.
+        Omitted arguments default to the values of the demonstration. Use `solve` if the times are far apart compared
+        with the kernel widths.
 
         Parameters
         ----------
-        t : (N,) increasing times [s], the motion starts at the first; or one step [s] until the end of the motion.
+        t : (N,) increasing times [s], starting at the first; or one step [s], until the end of the motion.
         **run : `RunOptions`: ``duration`` or ``tau_d`` of the run [s]; ``y0``, ``v0``, ``g`` (n,): start, velocity at
             it, goal; ``amplitude`` (n,): factors on the forcing, with scaling "amplitude".
 
         Raises
         ------
-        ShapeError : times that do not increase, other shapes, NaN. ConfigError : both duration and tau_d.
+        ShapeError : times that do not increase, wrong shapes, NaN.
+        ConfigError : both duration and tau_d.
         """
         return self._run(RunParameters.of(self, **run), t)
 
     def rollout_batch(self, t: ArrayLike, *, weights: ArrayLike | None = None, **run: Unpack[RunOptions]) -> Rollout:
-        """Run the primitive K times over one clock; arrays (N, K, n), equal to K rollouts.
+        """Run the primitive K times on one clock; the arrays (N, K, n) equal K rollouts.
 
         Parameters
         ----------
         t : as in `rollout`.
-        weights : (K, n_basis, n) of each run; its own when left out.
+        weights : (K, n_basis, n) of each run; default: the fitted weights.
         **run : as in `rollout`; ``y0``, ``v0``, ``g``, ``amplitude`` (K, n) or (n,).
 
         Raises
@@ -133,7 +140,8 @@ class Dmp(Equation, Saved, kind="dmp"):
         own = None if weights is None else numbers(weights, "weights", ShapeError)
         if own is not None and own.shape[1:] != self.weights.shape:
             raise ShapeError(
-                f"Expected weights of shape (K, {self.n_basis}, {self.n}), got {own.shape}. Fit with as many kernels."
+                f"Expected weights of shape (K, {self.n_basis}, {self.n}), got {own.shape}. Use the kernels of the "
+                "primitive."
             )
         return self._run(RunParameters.of(self, 1 if own is None else len(own), **run), t, own)
 
@@ -145,11 +153,13 @@ class Dmp(Equation, Saved, kind="dmp"):
         return Rollout(times, y, yd, ydd, x, f)
 
     def solve(self, t: ArrayLike, *, rtol: float = 1e-10, atol: float = 1e-12, **run: Unpack[RunOptions]) -> Rollout:
-        """Solve the primitive adaptively (Dormand and Prince, order 8): the reference of `rollout`, and slow.
+        """Integrate the primitive adaptively (Dormand-Prince, order 8); slow, but the reference for `rollout`.
 
         Parameters
         ----------
-        t : as in `rollout`. rtol, atol : tolerances. **run : as in `rollout`.
+        t : as in `rollout`.
+        rtol, atol : tolerances.
+        **run : as in `rollout`.
 
         Raises
         ------
@@ -166,20 +176,21 @@ class Dmp(Equation, Saved, kind="dmp"):
         brake: bool = False,
         **run: Unpack[RunOptions],
     ) -> Stepper:
-        """Return what runs the primitive sample by sample, with a goal and a duration that may change on the way.
+        """Return a stepper that runs the primitive sample by sample; the goal and duration may change.
 
         Parameters
         ----------
-        goal_forcing : of a goal that changes: "shift" leaves the forcing, "scale" scales it with the displacement;
-            "scale" where the scaling is "goal", otherwise "shift".
-        goal_rate : of a first-order filter of the goal, times tau_d; 0 for none.
-        brake : keep ``v^2 <= 2 a |g - y|`` in monotone coordinates after a change of goal, a 1.05 times the largest
+        goal_forcing : effect of a goal change on the forcing: "shift" keeps it, "scale" scales it with the
+            displacement. Default: "scale" with scaling "goal", otherwise "shift".
+        goal_rate : rate of a first-order filter of the goal, times tau_d; 0: no filter.
+        brake : keep ``v^2 <= 2 a |g - y|`` in monotone coordinates after a goal change, with a 1.05 times the peak
             acceleration of the demonstration.
         **run : as in `rollout`.
 
         Raises
         ------
-        ShapeError, ConfigError : as in `rollout`. UnknownName : another goal_forcing.
+        ShapeError, ConfigError : as in `rollout`.
+        UnknownName : unknown goal_forcing.
         """
         return Stepper(RunParameters.of(self, **run), goal_forcing, goal_rate, brake)
 
@@ -192,26 +203,27 @@ class Dmp(Equation, Saved, kind="dmp"):
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
     ) -> Controller:
-        """Return a controller ``State -> Command`` for `armlab.bridge`, which starts where the arm is, at rest.
+        """Return a controller ``State -> Command`` for `armlab.bridge`, which starts at the measured position, at rest.
 
-        It tells the arm the path, whatever the arm does; `TwoDofDmp.controller` waits for an arm that was held up.
+        It sends the path open loop; `TwoDofDmp.controller` waits for an arm that is held.
 
         Parameters
         ----------
-        robot : the arm whose joints the coordinates are, or several arms whose joints are one after another.
-        limits : what has q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`, one per arm;
-            those of the robots when None.
+        robot : the arm whose joints the coordinates are, or several arms whose joints are stacked.
+        limits : object with q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`, one per arm; default: those
+            of the robots.
         duration, g, amplitude : as in `rollout`.
 
         Raises
         ------
-        ShapeError : a primitive of another number of joints, a goal outside the limits. ConfigError : as in `rollout`.
+        ShapeError : wrong number of joints, or a goal outside the limits.
+        ConfigError : as in `rollout`.
         """
         return DmpController(robot, self, {"duration": duration, "g": g, "amplitude": amplitude}, limits)
 
 
 class DmpController(Controller):
-    """A plain `Dmp`, or its kind with a stepper: the arm is told the path and its velocity, whatever it does."""
+    """Open-loop controller of a `Dmp`: sends the path and its velocity regardless of the measured arm."""
 
     def __init__(
         self,
@@ -244,34 +256,38 @@ class DmpController(Controller):
 
 FINE = 4000  # steps of the response over a duration, at least
 GRID = 401  # times at which the change of the path is measured
-RIDGE = 1e-7  # of the largest singular value: what the path does not tell of the weights stays as it is
+RIDGE = 1e-7  # of the largest singular value: weight directions without effect on the path stay unchanged
 SAME = 1e-10
-ROUNDS = 3  # the last digits
+MAX_ITERATIONS = 3  # the last digits
 
 
-def with_via_points(dmp: Dmp, t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | None = None) -> Dmp:
-    """Return the primitive whose own motion passes positions or velocities at given times, changed least elsewhere.
+def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | None = None) -> Dmp:
+    """Return the primitive with the smallest change that passes positions or velocities at given times.
 
-    The motion is linear in the weights, so points are linear conditions ``C dw = c``. Of all changes of the weights
-    that meet them the one with the least ``sum |dy|^2`` over the duration is taken. The motion with the start, goal and
-    duration of the demonstration passes the points; others scale with it.
+    The motion is linear in the weights, so via-points are linear constraints ``C dw = c``. Among all solutions, the
+    change with the smallest ``sum |dy|^2`` over the duration is selected. The motion with the start, goal and duration
+    of the demonstration passes through the points; other motions are scaled from it.
 
-    With the time of the end, its goal and a velocity the motion ends moving: hand it over there, to `profiles.quintic`
-    or another primitive; if it runs on it comes back to the goal and settles.
+    With a velocity at the end time and the goal, the motion does not end at rest; continue with `profiles.quintic` or
+    another primitive. Otherwise the motion returns to the goal and settles.
 
     Parameters
     ----------
-    dmp : with a phase of time. t : (k,) times since the start, in the time of the demonstration [s], above 0.
-    y : (k, n) positions. yd : (k, n) velocities.
+    dmp : with a phase of time.
+    t : (k,) times since the start, on the clock of the demonstration [s], above 0.
+    y : (k, n) positions.
+    yd : (k, n) velocities.
 
     Raises
     ------
-    ShapeError : neither positions nor velocities, shapes, NaN, times outside the duration or twice.
-    ConfigError : schedule "position". NotExcited : more points than the weights can meet.
+    ShapeError : neither positions nor velocities, wrong shapes, NaN, repeated times or times outside the duration.
+    ConfigError : schedule "position".
+    NotExcited : more points than the weights can meet.
     """
+    dmp = value_of(dmp)
     if dmp.schedule == "position":
         raise ConfigError(
-            "Expected a phase of time for via-points, got schedule 'position'. Use 'canonical' or 'time'."
+            "Expected a time-dependent phase for via-points, got schedule 'position'. Use 'canonical' or 'time'."
         )
     times = np.atleast_1d(numbers(t, "t", ShapeError))
     inside = (
@@ -283,7 +299,7 @@ def with_via_points(dmp: Dmp, t: ArrayLike, y: ArrayLike | None = None, yd: Arra
         )
     wanted = [_points(values, what, len(times), dmp.n) for values, what in ((y, "y"), (yd, "yd")) if values is not None]
     if not wanted:
-        raise ShapeError("Expected positions or velocities to pass, got neither. Give y or yd.")
+        raise ShapeError("Expected positions or velocities to pass, got neither. Pass y or yd.")
     kinds = [k for k, values in enumerate((y, yd)) if values is not None]
     grid = np.unique(np.concatenate([np.linspace(0.0, dmp.duration, GRID), times]))
     responses = dmp._primitive.response(grid, dmp.tau_d, dmp.duration / FINE)
@@ -293,13 +309,13 @@ def with_via_points(dmp: Dmp, t: ArrayLike, y: ArrayLike | None = None, yd: Arra
     ends = np.stack([dmp.y0, dmp.v0, dmp.g])
     constant = np.concatenate([responses[k][rows, -3:] for k in kinds]) @ ends
     weights = dmp.weights
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         weights = weights + change @ (np.concatenate(wanted) - constant - C @ weights)
     return replace(dmp, weights=weights)
 
 
 def _least_change(Y: np.ndarray, C: np.ndarray) -> np.ndarray:
-    """Return what makes changes of the weights (m, r) of what is missed: least ``|Y dw|`` with ``C dw`` as asked."""
+    """Return the map (m, r) from constraint residuals to weights that minimises ``|Y dw|`` subject to ``C dw = c``."""
     s, V = np.linalg.svd(Y, full_matrices=False)[1:]
     inverse = V.T / np.sqrt(s**2 + (RIDGE * s[0]) ** 2)  # of a root of the quadratic form
     steps = C @ inverse
@@ -307,8 +323,8 @@ def _least_change(Y: np.ndarray, C: np.ndarray) -> np.ndarray:
     values = np.linalg.eigvalsh(gram / np.sqrt(np.outer(gram.diagonal(), gram.diagonal())))
     if not values[0] > SAME:
         raise NotExcited(
-            f"Expected points that {Y.shape[1]} weights can meet one by one, got some that are not independent. "
-            "Give fewer, or further apart.",
+            f"Expected via-points that {Y.shape[1]} weights can satisfy independently, got linearly dependent "
+            "via-points. Use fewer via-points, or space them further apart.",
             ["via-points"],
             [f"{values[0]:.1e}"],
         )

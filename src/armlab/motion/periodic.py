@@ -1,4 +1,4 @@
-"""The movement primitive of rhythmic motion: its equation, its fit, its stepper and its controller."""
+"""Rhythmic movement primitive: equation, fit, stepper and controller."""
 
 from __future__ import annotations
 
@@ -25,28 +25,32 @@ from armlab.state import State
 GRID = 1024  # phases of one period: _harmonics up to 512
 
 MAX_CONDITION = 1e11
-SEEN = 1e4  # condition beyond which the motion where there are no samples is a guess
-NEXT = 2.0  # distances of kernels between samples that tell every kernel
-QUIET = 1e-18  # of the largest: _harmonics that are left out
+DETERMINED = 1e4  # condition number beyond which the motion between samples is not determined
+NEXT = 2.0  # kernel distances between samples that still determine every kernel
+NEGLIGIBLE = 1e-18  # of the largest: harmonics below it are dropped
 
 Start = tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PeriodicDmp(Saved, kind="periodic_dmp"):
-    """A movement primitive of n coordinates that repeats itself, over the phase ``phi = 2 pi t / period``.
+    """Rhythmic movement primitive of n coordinates over the phase ``phi = 2 pi t / period``.
 
     ``tau_d^2 ydd = alpha_z (beta_z (g - y) - tau_d yd) + r psi(phi) w`` with ``tau_d = period / (2 pi)`` and
     ``psi_j = exp(h (cos(phi - c_j) - 1))`` over their sum.
 
     Attributes
     ----------
-    weights : (n_basis, n) in the unit of y. centres : (n_basis,) [rad]. h : concentration of the kernels.
-    period : of the demonstration [s]. g : (n,) baseline. alpha_z, beta_z : constants of the spring.
+    weights : (n_basis, n) in the unit of y.
+    centres : (n_basis,) [rad].
+    h : concentration of the kernels.
+    period : of the demonstration [s].
+    g : (n,) baseline.
+    alpha_z, beta_z : constants of the spring.
 
     Raises
     ------
-    ShapeError : fields that do not fit each other, are not finite or not above zero.
+    ShapeError : fields with inconsistent shapes, values that are not finite or not positive.
 
     References
     ----------
@@ -69,7 +73,6 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
     }
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         freeze_arrays(self, "weights", "centres", "g")
         if self.weights.ndim != 2 or not self.weights.size:
             raise ShapeError(f"Expected weights of shape (n_basis, n), got {self.weights.shape}.")
@@ -100,13 +103,14 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
 
     @cached_property
     def _harmonics(self) -> np.ndarray:
-        """Coefficients (513, n) of ``exp(i k phi)`` in the steady motion around the baseline."""
+        """Coefficients (513, n) of ``exp(i k phi)`` in the steady-state motion around the baseline."""
         phi = 2 * np.pi / GRID * np.arange(GRID)
         f = np.fft.rfft(self.primitive_from().forcing(phi), axis=0) / GRID
         return f * transfer(self.alpha_z, self.alpha_z * self.beta_z)[:, None]
 
     def steady(self, phase: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Return the steady motion around the baseline at phases (...), and its rate with the phase, (..., n) each.
+        """Return the steady-state motion around the baseline at phases (...), and its derivative with respect to phase,
+        each (..., n).
 
         Parameters
         ----------
@@ -120,7 +124,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
     def _start_state(
         self, period: float | None, g: ArrayLike | None, r: float, y0: Any, v0: Any, phase: float
     ) -> Start:
-        """Return time constant, position, velocity, baseline and scale of a run; by default in steady motion."""
+        """Return time constant, position, velocity, baseline and scale of a run; default: steady state."""
         tau = (self.period if period is None else positive(period, "period [s]")) / (2 * np.pi)
         base, size = self.g if g is None else vector(g, "g", self.n), amplitude(r)
         y, rate = self.steady(number(phase, "phase [rad]"))
@@ -139,17 +143,20 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         v0: ArrayLike | None = None,
         phase: float = 0.0,
     ) -> Rollout:
-        """Run the primitive with one step per interval: the spring exactly, the forcing to fourth order.
+        """Run the primitive with one step per interval; the spring is exact, the forcing of fourth order.
 
         Parameters
         ----------
-        t : (N,) increasing times [s], the motion starts at the first; or one step [s] for one period.
-        period : [s]. g : (n,) baseline. r : factor on the motion around it.
-        y0, v0 : (n,) start; that of the steady motion when left out. phase : phi at the start [rad].
+        t : (N,) increasing times [s], starting at the first; or one step [s] for one period.
+        period : [s].
+        g : (n,) baseline.
+        r : amplitude factor around the baseline.
+        y0, v0 : (n,) start; default: steady state.
+        phase : phi at the start [rad].
 
         Raises
         ------
-        ShapeError : times that do not increase, other shapes, NaN, no positive period.
+        ShapeError : times that do not increase, wrong shapes, NaN, a period that is not positive.
         """
         tau, *state = self._start_state(period, g, r, y0, v0, phase)
         times = clock(t, 2 * np.pi * tau)
@@ -166,10 +173,10 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         v0: ArrayLike | None = None,
         phase: float = 0.0,
     ) -> PeriodicStepper:
-        """Return what runs the primitive sample by sample, with baseline, amplitude and period that may change.
+        """Return a stepper that runs the primitive sample by sample; baseline, amplitude and period may change.
 
-        Its ``step(dt)`` and `state` return y, yd and ydd, each (n,); ``change(g=..., r=..., period=...)`` goes on with
-        other values without a jump, ``reset()`` back to the start; `phase` is phi now [rad].
+        Its ``step(dt)`` and `state` return y, yd and ydd, each (n,). ``change(g=..., r=..., period=...)`` changes
+        parameters without a jump, ``reset()`` returns to the start; `phase` is the current phi [rad].
 
         Parameters
         ----------
@@ -191,17 +198,17 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         r: float = 1.0,
         turns: float = np.inf,
     ) -> Controller:
-        """Return a controller ``State -> Command`` for `armlab.bridge`: from rest at the baseline, and back to it.
+        """Return a controller ``State -> Command`` for `armlab.bridge`: it starts and ends at rest at the baseline.
 
         Parameters
         ----------
         robot, limits : as of `Dmp.controller`.
-        period, g, r : as of `rollout`. turns : after which it rests; the motion grows over the first and fades over the
-            last.
+        period, g, r : as in `rollout`.
+        turns : number of periods before rest; the amplitude ramps up over the first and down over the last.
 
         Raises
         ------
-        ShapeError : another number of joints, a baseline outside the limits, and as of `rollout`.
+        ShapeError : wrong number of joints, a baseline outside the limits, and as in `rollout`.
         """
         return PeriodicController(robot, self, {"period": period, "g": g, "r": r, "turns": turns}, limits)
 
@@ -210,18 +217,18 @@ def amplitude(r: Any) -> float:
     """Return a finite amplitude."""
     found = number(r, "r")
     if not np.isfinite(found):
-        raise ShapeError(f"Expected a finite amplitude r, got {found:g}. 1 is that of the demonstration.")
+        raise ShapeError(f"Expected a finite amplitude r, got {found:g}. The demonstration has r = 1.")
     return found
 
 
 def transfer(alpha: float, stiffness: float) -> np.ndarray:
-    """Return what the spring makes of a forcing ``exp(i k phi)``, for k from 0 to 512."""
+    """Return the frequency response of the spring to a forcing ``exp(i k phi)``, for k from 0 to 512."""
     k = np.arange(GRID // 2 + 1)
     return 1.0 / (stiffness - k**2 + 1j * alpha * k)
 
 
 class PeriodicStepper:
-    """One run of a `PeriodicDmp`, sample by sample; made by `PeriodicDmp.stepper`. The numbers of its rollout."""
+    """One run of a `PeriodicDmp`, sample by sample; created by `PeriodicDmp.stepper`, equal to its rollout."""
 
     def __init__(self, dmp: PeriodicDmp, start: Start, phase: float) -> None:
         self._n, self._first, self._phase = dmp.n, start, phase
@@ -229,7 +236,7 @@ class PeriodicStepper:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to the start, with the first baseline, amplitude and period."""
+        """Return to the start, with the first baseline, amplitude and period."""
         tau, y0, v0, g, scale = self._first
         self._g, self._scale = g, scale
         self._kernel.start(y0, v0, g, scale, tau)
@@ -240,16 +247,16 @@ class PeriodicStepper:
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Position, velocity and acceleration now, each (n,)."""
+        """Current position, velocity and acceleration, each (n,)."""
         return self._kernel.outputs()
 
     @property
     def phase(self) -> float:
-        """Phase phi now [rad], growing."""
+        """Current phase phi [rad], increasing."""
         return self._phase + self._kernel.elapsed
 
     def change(self, *, g: ArrayLike | None = None, r: float | None = None, period: float | None = None) -> None:
-        """Go on with another baseline, amplitude or period; position and velocity do not jump."""
+        """Change baseline, amplitude or period; position and velocity stay continuous."""
         goal = self._g if g is None else vector(g, "g", self._n)
         scale = self._scale if r is None else np.full(self._n, amplitude(r))
         tau = self._kernel.tau if period is None else positive(period, "period") / (2 * np.pi)
@@ -259,9 +266,10 @@ class PeriodicStepper:
 
 
 class PeriodicController(Controller):
-    """A `PeriodicDmp`: from rest at the baseline the motion grows over a turn, and over the last one it fades.
+    """Controller of a `PeriodicDmp` that starts at rest; the amplitude ramps up over the first period and down over the
+    last.
 
-    `goal` is the baseline; it may be set while it runs.
+    `goal` is the baseline; it may be set while the controller runs.
     """
 
     def __init__(
@@ -274,7 +282,7 @@ class PeriodicController(Controller):
         check_joints(robot, dmp.n)
         period, self._r, self._turns = settings["period"], settings["r"], number(settings["turns"], "turns")
         if not self._turns > 0.0:
-            raise ShapeError(f"Expected turns above zero, got {self._turns:g}. Infinity goes on for ever.")
+            raise ShapeError(f"Expected turns above zero, got {self._turns:g}. Use infinity to repeat indefinitely.")
         dmp.stepper(period=period, r=self._r)
         self._dmp, self._period = dmp, dmp.period if period is None else float(period)
         super().__init__(robot, limits, dmp.g if settings["g"] is None else settings["g"])
@@ -293,7 +301,7 @@ class PeriodicController(Controller):
         return at_pace(self._stepper.state, pace)
 
     def _share(self) -> float:
-        """Return how much of the amplitude there is now: a smooth step up over the first turn, down over the last."""
+        """Return the current fraction of the amplitude: a smooth step up over the first period, down over the last."""
         turn = self._elapsed / self._period
         u = min(max(min(turn, self._turns - turn), 0.0), 1.0)
         return u * u * (3.0 - 2.0 * u)
@@ -317,18 +325,21 @@ def fit_periodic_dmp(
     alpha_z: float = 25.0,
     ridge: float = 0.0,
 ) -> Fit[PeriodicDmp]:
-    """Fit a rhythmic movement primitive: the weights whose own steady motion is nearest to the demonstration.
+    """Fit a rhythmic movement primitive, using the weights whose steady-state motion is nearest to the demonstration.
 
-    The steady motion is linear in the weights, see docs/theory/periodic_dmp.md; nothing measured is differentiated.
+    The steady-state motion is linear in the weights, so no measurement is differentiated (see
+    docs/theory/periodic_dmp.md).
 
     Parameters
     ----------
-    t : (N,) increasing times [s], of a period or of any number of them; the phase is 0 at the first.
+    t : (N,) increasing times [s], over one or more periods; the phase is 0 at the first sample.
     y : (N, n) positions [rad or m].
-    period : [s]; a hundredth off it spoils ten periods, so try others and take the one with the least `sigma`.
-    n_basis : kernels, 3 to 1000. h : their concentration; ``(n_basis / (2 pi))^2`` when left out.
-    g : (n,) baseline; the mean of the samples when left out: the kernels can make any other.
-    alpha_z : constant of the spring, critically damped. ridge : penalty of the squared weights.
+    period : [s]; an error of 1 % spoils ten periods, so try several and keep the one with the least `sigma`.
+    n_basis : number of kernels, 3 to 1000.
+    h : concentration of the kernels; default: ``(n_basis / (2 pi))^2``.
+    g : (n,) baseline; default: the mean of the samples. The kernels can represent any other.
+    alpha_z : constant of the spring, critically damped.
+    ridge : penalty on the squared weights.
 
     Returns
     -------
@@ -336,18 +347,23 @@ def fit_periodic_dmp(
 
     Raises
     ------
-    ShapeError : shapes, NaN and times that do not increase, with their rows; no positive period; several
-        demonstrations. ConfigError : options out of range.
-    NotExcited : samples that leave part of the period out, and no ridge; with that part.
+    ShapeError : wrong shapes, NaN or times that do not increase, with their rows; a period that is not positive;
+        several demonstrations.
+    ConfigError : options out of range.
+    NotExcited : samples that leave part of the period empty, without a ridge.
     """
     kernel_count(n_basis, 25)
     demos = read_demos(t, y, None)
     if len(demos) > 1:
         raise ShapeError(
-            f"Expected one demonstration, got {len(demos)}: their phases would begin apart. Fit one, with many periods."
+            f"Expected one demonstration, got {len(demos)}, whose initial phases would differ. Fit one recording that "
+            "contains many periods."
         )
     demo = demos[0]
-    seconds, penalty = positive(period, "period", "Measure it from peak to peak."), at_least_zero(ridge, "ridge")
+    seconds, penalty = (
+        positive(period, "period", "Measure the period from peak to peak."),
+        at_least_zero(ridge, "ridge"),
+    )
     n = demo.y.shape[1]
     blank = PeriodicDmp(
         weights=np.zeros((n_basis, n)),
@@ -367,35 +383,36 @@ def fit_periodic_dmp(
 
 
 def _check_seen(phi: np.ndarray, triangle: np.ndarray) -> None:
-    """Refuse samples that leave out a part of the period in which the weights are not told."""
+    """Raise if part of the period has no samples that determine the weights."""
     m = len(triangle)
     turns = np.sort(phi / (2 * np.pi) % 1.0)
     ends = np.append(turns[1:], turns[0] + 1.0)
     i = int(np.argmax(ends - turns))
     if ends[i] - turns[i] <= NEXT / m:
         return
-    excitation = Excitation.of(triangle, [f"weight {j}" for j in range(m)], SEEN)
+    excitation = Excitation.of(triangle, [f"weight {j}" for j in range(m)], DETERMINED)
     if excitation.rank < m:
-        missing = f"from {turns[i]:.2g} to {ends[i] % 1.0 or 1.0:.2g} of it"
+        missing = f"from {turns[i]:.2g} to {ends[i] % 1.0 or 1.0:.2g} of the period"
         raise NotExcited(
-            f"Expected samples from the whole period, got none {missing}, which leaves {m - excitation.rank} of {m} "
-            "weights untold. Record a whole period, take fewer kernels, or give a ridge.",
+            f"Expected samples over the whole period, but there are none {missing}, which leaves "
+            f"{m - excitation.rank} of {m} weights undetermined. Record a whole period, use fewer kernels, or set a "
+            "ridge.",
             [excitation.weakest],
             [f"no sample {missing}"],
         )
 
 
 def _responses(blank: PeriodicDmp, phi: np.ndarray) -> np.ndarray:
-    """Return the steady motion (N, n_basis) that each kernel alone makes."""
+    """Return the steady-state motion (N, n_basis) of each individual kernel."""
     grid = 2 * np.pi / GRID * np.arange(GRID)
     spectrum = np.fft.rfft(blank.primitive_from().basis(grid), axis=0) / GRID
     spectrum *= transfer(blank.alpha_z, blank.alpha_z * blank.beta_z)[:, None]
     size = np.abs(spectrum).max(axis=1)
-    last = int(np.flatnonzero(size > QUIET * size.max())[-1])
+    last = int(np.flatnonzero(size > NEGLIGIBLE * size.max())[-1])
     spectrum[1 : GRID // 2] *= 2.0
     turns = np.ones((last + 1, len(phi)), dtype=complex)
     turns[1:] = np.exp(1j * phi)
-    np.cumprod(turns, axis=0, out=turns)  # a tenth of the time of as many sines
+    np.cumprod(turns, axis=0, out=turns)  # ten times faster than sines
     return (turns.T @ spectrum[: last + 1]).real
 
 

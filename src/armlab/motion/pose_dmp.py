@@ -1,4 +1,4 @@
-"""The movement primitive of poses: a position and an orientation over one phase."""
+"""Movement primitive of poses: position and orientation over one phase."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
+from armlab._display import Shown
 from armlab._numbers import check_name, make_read_only, numbers, still
 from armlab.errors import ConfigError, NotConverged, ShapeError
 from armlab.estimation import Fit
@@ -33,12 +34,12 @@ SHARED = ("centres", "widths", "tau_d", "duration", "alpha_z", "beta_z", "alpha_
 
 Sample = tuple[np.ndarray, np.ndarray, np.ndarray]
 
-HALF_TURN = 1e-6  # rad: closer to half a turn, the shorter way is ambiguous
-LENGTH = 1e-3  # error of a quaternion's length that is normalised away
+HALF_TURN = 1e-6  # rad: closer to half a turn, the shorter rotation is ambiguous
+LENGTH = 1e-3  # error of a quaternion's norm that is normalised away
 
 
 class PoseRunOptions(TypedDict, total=False):
-    """What is free in a run of a `PoseDmp`, by name; what is left out or None is that of the demonstration."""
+    """Options of a run of a `PoseDmp`; omitted or None: the value of the demonstration."""
 
     duration: float | None
     tau_d: float | None
@@ -47,14 +48,17 @@ class PoseRunOptions(TypedDict, total=False):
     goal: ArrayLike | None
 
 
-@dataclass(frozen=True, eq=False)
-class PoseRollout:
-    """A motion of poses over N times.
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseRollout(Shown):
+    """Trajectory of poses at N times.
 
     Attributes
     ----------
-    t : (N,) times [s]. T : (N, 4, 4) poses. q : (N, 4) their quaternions wxyz, without a jump of sign.
-    twist : (N, 6) velocity and angular velocity, base axes [m/s, rad/s]. twistd : (N, 6) their derivatives.
+    t : (N,) times [s].
+    T : (N, 4, 4) poses.
+    q : (N, 4) their quaternions wxyz, continuous in sign.
+    twist : (N, 6) velocity and angular velocity, base axes [m/s, rad/s].
+    twistd : (N, 6) their derivatives.
     x : (N,) phase.
     """
 
@@ -66,28 +70,28 @@ class PoseRollout:
     x: np.ndarray
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         make_read_only(self, "t", "T", "q", "twist", "twistd", "x")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PoseDmp(Saved, kind="pose_dmp"):
-    """A movement primitive of poses.
+    """Movement primitive of poses.
 
-    The position is a `Dmp`. The orientation has a spring along the shorter way to its goal, and a forcing over the same
-    phase, scaled by the rotation vector from start to goal: docs/theory/pose_dmp.md.
+    The position is a `Dmp`. The orientation has a spring along the shorter rotation to its goal, and a forcing over the
+    same phase that is scaled by the rotation vector from start to goal (docs/theory/pose_dmp.md).
 
     Attributes
     ----------
     position : of three coordinates [m].
     rotation : of the rotation vector from the goal, base axes [rad]: its y0 leads from the goal to the start, g is 0.
     goal : (4,) orientation wxyz at the end of the demonstration.
-    frame : axes that the forcing belongs to: "base", or "goal": it turns with the goal, so that start and goal moved
-        together move the whole path.
+    frame : axes of the forcing: "base", or "goal", which rotates with the goal, so that moving start and goal together
+        moves the whole path.
 
     Raises
     ------
-    ShapeError : parts that do not share their phase, or no quaternion as goal. UnknownName : another frame.
+    ShapeError : parts with different phases, or a goal that is not a quaternion.
+    UnknownName : unknown frame.
 
     References
     ----------
@@ -102,21 +106,23 @@ class PoseDmp(Saved, kind="pose_dmp"):
     UNITS: ClassVar[dict[str, str]] = {"goal": "1"}
 
     def __post_init__(self) -> None:
-        """Check that the parts fit each other, and freeze."""
         check_name(self.frame, "frame of the forcing", FRAMES)
         for what, part in (("position", self.position), ("rotation", self.rotation)):
             if not isinstance(part, Dmp) or part.n != 3 or part.schedule == "position":
                 raise ShapeError(
-                    f"Expected the {what} as a Dmp of three coordinates with a phase of time, got another. "
-                    "armlab.motion.fit_pose_dmp makes both."
+                    f"Expected the {what} to be a Dmp of three coordinates with a time-dependent phase, got "
+                    f"{part!r:.50}. Use armlab.motion.fit_pose_dmp."
                 )
         for name in SHARED:
             if not np.array_equal(getattr(self.position, name), getattr(self.rotation, name)):
-                raise ShapeError(f"Expected one {name} for position and rotation, got two. They share one phase.")
+                raise ShapeError(
+                    f"Expected the same {name} for position and rotation, got different values. Use "
+                    "armlab.motion.fit_pose_dmp."
+                )
         if np.any(self.rotation.g != 0.0) or self.rotation.scaling not in ("goal", "none"):
             raise ShapeError(
-                "Expected a rotation with goal 0 and scaling 'goal' or 'none', got another. It is measured from the "
-                "goal."
+                f"Expected a rotation with goal 0 and scaling 'goal' or 'none', got goal {self.rotation.g.tolist()} "
+                f"and scaling {self.rotation.scaling!r}. Use armlab.motion.fit_pose_dmp."
             )
         object.__setattr__(self, "goal", still(orientation(self.goal, "goal"), "goal"))
 
@@ -143,7 +149,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
         twist0: ArrayLike | None = None,
         goal: ArrayLike | None = None,
     ) -> PoseRun:
-        """Resolve what the caller has left out by the demonstration."""
+        """Fill omitted arguments from the demonstration."""
         p0, q0 = pose(self.T_start if start is None else start, "start")
         p1, q1 = pose(self.T_goal if goal is None else goal, "goal")
         A = np.eye(3)
@@ -159,20 +165,20 @@ class PoseDmp(Saved, kind="pose_dmp"):
         return PoseRun(A, position, rotation, q0, q1)
 
     def rollout(self, t: ArrayLike, **run: Unpack[PoseRunOptions]) -> PoseRollout:
-        """Run the primitive with one step per interval, both parts to fourth order.
+        """Run the primitive with one fourth-order step per interval for both parts.
 
-        What is left out is that of the demonstration.
+        Omitted arguments default to the values of the demonstration.
 
         Parameters
         ----------
-        t : (N,) increasing times [s], the motion starts at the first; or one step [s] until the end of the motion.
+        t : (N,) increasing times [s], starting at the first; or one step [s], until the end of the motion.
         **run : `PoseRunOptions`: ``duration`` or ``tau_d`` of the run [s]; ``start``, ``goal``: poses (4, 4), or (7,):
             position, quaternion wxyz of either sign; ``twist0`` (6,): velocity and angular velocity at the start, base
             axes.
 
         Raises
         ------
-        ShapeError : times that do not increase, no poses, NaN, start and goal half a turn apart.
+        ShapeError : times that do not increase, invalid poses, NaN, start and goal half a turn apart.
         ConfigError : both duration and tau_d.
         """
         setting = self._run_of(**run)
@@ -184,10 +190,10 @@ class PoseDmp(Saved, kind="pose_dmp"):
         return PoseRollout(np.array(times), matrix(y @ A.T, q), q, twist, twistd, x)
 
     def stepper(self, **run: Unpack[PoseRunOptions]) -> PoseStepper:
-        """Return what runs the primitive sample by sample, with a goal that may change on the way.
+        """Return a stepper that runs the primitive sample by sample; the goal may change.
 
         Its ``step(dt)`` and `state` return the pose (4, 4), the twist (6,) and its derivative (6,);
-        ``change_goal(goal)`` goes for another pose, ``reset()`` back to the start.
+        ``change_goal(goal)`` sets another goal pose, ``reset()`` returns to the start.
 
         Parameters
         ----------
@@ -207,24 +213,26 @@ class PoseDmp(Saved, kind="pose_dmp"):
         duration: float | None = None,
         goal: ArrayLike | None = None,
     ) -> Controller:
-        """Return a controller ``State -> Command`` for `armlab.bridge`, which leads the tool from where it is, at rest.
+        """Return a controller ``State -> Command`` for `armlab.bridge`, which starts at the measured pose, at rest.
 
         Parameters
         ----------
-        robot : the arm; its joints come by inverse kinematics, each from the one before.
-        limits : what has q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`; those of the robot when None.
-        duration, goal : as in `rollout`; poses are those of the tool, base axes.
+        robot : the arm; its joint positions follow by inverse kinematics, each from the previous solution.
+        limits : object with q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`; default: those of the
+            robot.
+        duration, goal : as in `rollout`; poses are of the tool, base axes.
 
         Raises
         ------
-        ShapeError : a goal that the arm does not reach. ConfigError : as in `rollout`.
+        ShapeError : an unreachable goal.
+        ConfigError : as in `rollout`.
         """
         return PoseDmpController(robot, self, limits, duration, goal)
 
 
 @dataclass(frozen=True)
 class PoseRun:
-    """One run of both parts, in the axes of the forcing; A (3, 3) turns those into base axes."""
+    """One run of both parts in the axes of the forcing; A (3, 3) rotates these axes into base axes."""
 
     A: np.ndarray
     position: RunParameters
@@ -234,12 +242,12 @@ class PoseRun:
 
     @property
     def turning(self) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """What the kernel of orientations takes: time constant, q0, angular velocity, goal, map of the forcing."""
+        """Arguments of the orientation kernel: time constant, q0, angular velocity, goal, map of the forcing."""
         return self.position.tau, self.q0, self.A @ self.rotation.v0, self.q1, self.A * self.rotation.scale
 
 
 class PoseStepper:
-    """One run of a `PoseDmp`, sample by sample; made by `PoseDmp.stepper`. The same numbers as `PoseDmp.rollout`."""
+    """One run of a `PoseDmp`, sample by sample; created by `PoseDmp.stepper`, equal to `PoseDmp.rollout`."""
 
     def __init__(self, dmp: PoseDmp, run: PoseRun) -> None:
         self._dmp, self._first = dmp, run
@@ -248,24 +256,24 @@ class PoseStepper:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to the start, with the first goal."""
+        """Return to the start, with the first goal."""
         at = self._first.position
         self._position.start(at.y0, at.v0, at.g, at.scale, at.tau)
         self._rotation.start(*self._first.turning[1:], at.tau)
 
     def change_goal(self, goal: ArrayLike) -> None:
-        """Go for another pose from now on; both forcings are scaled as if it had been the goal from the start."""
+        """Change the goal pose; both forcings are scaled as if this had been the goal from the start."""
         if self._dmp.frame == "goal":
             raise ConfigError(
-                "Expected a forcing in base axes for a goal that changes, got one in the axes of the goal. Start again "
-                "from the pose of now, or use frame='base'."
+                "Expected a forcing in base axes to change the goal, got a forcing in the axes of the goal. Start "
+                "again from the current pose, or use frame='base'."
             )
         first = self._first
         start = matrix(first.position.y0, first.q0)
         run = self._dmp._run_of(tau_d=first.position.tau, start=start, twist0=np.zeros(6), goal=goal)
         if run.position.primitive is not self._first.position.primitive:
             raise ConfigError(
-                "Expected scaling 'goal' or 'none' for a goal that changes, got 'rotate'. Fit with another."
+                "Expected scaling 'goal' or 'none' to change the goal, got 'rotate'. Fit with 'goal' or 'none'."
             )
         self._position.change_goal(run.position.g, run.position.scale)
         self._rotation.change_goal(run.q1, run.turning[4])
@@ -276,7 +284,7 @@ class PoseStepper:
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pose (4, 4), twist (6,) and its derivative (6,) now."""
+        """Current pose (4, 4), twist (6,) and its derivative (6,)."""
         return self._joined(self._position.outputs(), self._rotation.outputs())
 
     def _joined(self, position: Sample, rotation: Sample) -> Sample:
@@ -286,7 +294,7 @@ class PoseStepper:
 
 
 class PoseDmpController(Controller):
-    """A `PoseDmp`: the tool is led along the path of poses, by the joints nearest to the ones before."""
+    """Controller of a `PoseDmp`: the tool follows the path of poses by continuous inverse kinematics."""
 
     def __init__(
         self, robot: Robot, dmp: PoseDmp, limits: JointLimits | None, duration: float | None, goal: ArrayLike | None
@@ -299,7 +307,7 @@ class PoseDmpController(Controller):
         goal = matrix(*pose(g, "goal"))
         if not inverse(self._robot, goal).success:
             raise ShapeError(
-                f"Expected a goal that {self._robot.name} reaches within its limits, got one out of reach."
+                f"Expected a goal that {self._robot.name} reaches within its limits, got an unreachable pose."
             )
         return goal
 
@@ -318,7 +326,7 @@ class PoseDmpController(Controller):
         found = inverse(self._robot, self._T_base_tool, self._q, starts=1)
         if not found.success:
             raise ShapeError(
-                f"Expected a path that {self._robot.name} reaches, got one that it leaves: {found.reason}."
+                f"Expected a path within the reach of {self._robot.name}, got a pose outside it: {found.reason}."
             )
         qd = (found.q - self._q) / dt
         qdd = (qd - self._qd) / dt
@@ -350,7 +358,7 @@ def pose(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def poses(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions (N, 3) and quaternions (N, 4), without jumps of sign, of poses (N, 4, 4) or (N, 7)."""
+    """Return positions (N, 3) and sign-continuous quaternions (N, 4) of poses (N, 4, 4) or (N, 7)."""
     array = numbers(value, what, ShapeError)
     if array.shape[1:] not in ((4, 4), (7,)):
         raise ShapeError(
@@ -360,42 +368,47 @@ def poses(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
     rows = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
     if len(rows):
         raise ShapeError(
-            f"Expected finite {what}, got NaN or Inf in row {rows[0]} ({len(rows)} in all). Leave those rows out."
+            f"Expected finite {what}, got NaN or Inf in row {rows[0]} ({len(rows)} in all). Remove these rows."
         )
     if array.ndim == 2:
         return array[:, :3], quaternion.continuous(orientation(array[:, 3:], what))
     bottom = np.abs(array[:, 3] - [0.0, 0.0, 0.0, 1.0]).max() if len(array) else 0.0
     if bottom > 1e-9:
-        raise ShapeError(f"Expected {what} with last rows 0, 0, 0, 1, got others. Give poses (N, 4, 4).")
+        raise ShapeError(
+            f"Expected {what} with last rows 0, 0, 0, 1, got an error of {bottom:.2g}. Pass poses (N, 4, 4)."
+        )
     return array[:, :3, 3], quaternion.continuous(quaternion.from_matrix(array[:, :3, :3]))
 
 
 def orientation(value: ArrayLike, what: str) -> np.ndarray:
-    """Return unit quaternions (..., 4), the first of them with the sign that a rotation matrix gives."""
+    """Return unit quaternions (..., 4), the first with the sign of the conversion from a rotation matrix."""
     q = numbers(value, what, ShapeError)
     if q.shape[-1:] != (4,):
         raise ShapeError(f"Expected {what} as quaternions wxyz (..., 4), got shape {q.shape}.")
     length = np.linalg.norm(q, axis=-1, keepdims=True)
     if not np.all(np.abs(length - 1.0) <= LENGTH):
-        raise ShapeError(f"Expected quaternions of length 1 in {what}, got another length. Their order is wxyz.")
+        off = float(length.flat[np.argmax(np.abs(length - 1.0))])
+        raise ShapeError(f"Expected quaternions of norm 1 in {what}, got norm {off:.4g}. The order is wxyz.")
     first = q.reshape(-1, 4)[:1].ravel()
     leading = first[np.flatnonzero(first)[:1]] if first.size and first[0] == 0.0 else first[:1]
     return q / np.where(leading.sum() < 0.0, -length, length)
 
 
 def shorter_way(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
-    """Return the rotation vector (3,) of the shorter way between two orientations, base axes; refuse half a turn."""
+    """Return the rotation vector (3,) of the shorter rotation between two orientations, base axes; raise at half a
+    turn.
+    """
     way = log(quaternion.multiply(q1, quaternion.conjugate(q0)))
     if np.linalg.norm(way) > np.pi - HALF_TURN:
         raise ShapeError(
-            "Expected start and goal less than half a turn apart, got half a turn: both ways are as long. Go by way of "
-            "another orientation."
+            "Expected start and goal less than half a turn apart, got half a turn, where both directions are equally "
+            "long. Use an intermediate orientation."
         )
     return way
 
 
 def log(q: np.ndarray) -> np.ndarray:
-    """Return rotation vectors (..., 3) of least length."""
+    """Return rotation vectors (..., 3) of minimum length."""
     q = np.where(q[..., :1] < 0.0, -q, q)
     length = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(length, q[..., :1])
@@ -415,12 +428,12 @@ def matrix(p: np.ndarray, q: np.ndarray) -> np.ndarray:
     return T
 
 
-FARTHEST = 3.0  # rad from the goal: beyond half a turn the shorter way is another one
+MAX_ANGLE = 3.0  # rad from the goal: beyond half a turn, the shorter rotation reverses
 
-FINE = 1000  # steps of the slopes over a duration, at least
-ROUNDS = 30
-ENOUGH = 1e-9  # rad of change, and relative gain of the sum of squares, that end the search
-PARTS = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
+FINE = 1000  # sensitivity steps over a duration, at least
+MAX_ITERATIONS = 30
+TOLERANCE = 1e-9  # rad of change, and relative gain of the sum of squares, that end the iteration
+PARTS = (1.0, 0.5, 0.2, 0.05)  # fractions of a step in the line search
 
 
 def fit_pose_dmp(
@@ -434,42 +447,46 @@ def fit_pose_dmp(
     frame: str = "base",
     hold: float = 0.3,
 ) -> Fit[PoseDmp]:
-    """Fit a movement primitive of poses to one demonstration: the weights whose own motion is nearest to it.
+    """Fit a movement primitive of poses to one demonstration, using the weights whose motion is nearest to it.
 
-    The position is fitted as by `fit_dmp`. For the orientation the rotation vector from the goal starts a search, by
-    Gauss and Newton, for the weights with the least ``sum |log(q_demo q^-1)|^2``.
+    The position is fitted by `fit_dmp`. The orientation is fitted by Gauss-Newton steps that minimise ``sum |log(q_demo
+    q^-1)|^2``, starting from a fit to the rotation vector relative to the goal.
 
     Parameters
     ----------
     t : (N,) increasing times [s].
     T : (N, 4, 4) poses, or (N, 7): position, quaternion wxyz, each of either sign.
-    n_basis, schedule, convention, hold : as of `fit_dmp`; not schedule "position".
+    n_basis, schedule, convention, hold : as in `fit_dmp`; not schedule "position".
     scaling : of the forcing with start and goal: "goal", "none", or "rotate" of the position.
-    frame : axes that the forcing belongs to: "base", or "goal", with which it turns.
+    frame : axes of the forcing: "base", or "goal", which rotates with the goal.
 
     Returns
     -------
-    Fit of a `PoseDmp`. `residuals` (N, 6) [m, rad]; start and goal of the orientation are in the covariance as turns
-    of those (4,) quaternions, base axes.
+    Fit of a `PoseDmp`. `residuals` (N, 6) [m, rad]; in the covariance, the start and goal of the orientation are
+    rotation vectors of the quaternions (4,) in base axes.
 
     Raises
     ------
-    ShapeError : no poses, NaN with its rows, times that do not increase, an orientation half a turn from the last.
-    UnknownName : options that do not exist. ConfigError : schedule "position". NotConverged : the search did not end.
+    ShapeError : invalid poses, NaN with its rows, times that do not increase, an orientation half a turn from the last.
+    UnknownName : unknown options.
+    ConfigError : schedule "position".
+    NotConverged : Gauss-Newton did not converge.
     """
     check_name(schedule, "schedule", SCHEDULES)
     check_name(scaling, "scaling", SCALINGS)
     check_name(frame, "frame of the forcing", FRAMES)
     if schedule == "position":
-        raise ConfigError("Expected a phase of time for poses, got schedule 'position'. Use 'canonical' or 'time'.")
+        raise ConfigError(
+            "Expected a time-dependent phase for poses, got schedule 'position'. Use 'canonical' or 'time'."
+        )
     p, q = poses(T, "T")
     demo = read_demos(t, np.concatenate([p, q], axis=1), None)[0]
     way = log(quaternion.multiply(q, quaternion.conjugate(q[-1])))  # from the goal
-    far = np.flatnonzero(np.linalg.norm(way, axis=1) > FARTHEST)
+    far = np.flatnonzero(np.linalg.norm(way, axis=1) > MAX_ANGLE)
     if len(far):
         raise ShapeError(
-            f"Expected orientations within {FARTHEST:g} rad from the last one, got {np.linalg.norm(way[far[0]]):.3g} "
-            f"in row {far[0]}: half a turn away the shorter way changes sides. Fit the motion in two parts."
+            f"Expected orientations within {MAX_ANGLE:g} rad from the last one, got {np.linalg.norm(way[far[0]]):.3g} "
+            f"in row {far[0]}: at half a turn, the shorter rotation reverses direction. Fit the motion in two parts."
         )
     options: dict[str, Any] = {"n_basis": n_basis, "schedule": schedule, "convention": convention, "hold": hold}
     position = fit_dmp(demo.t, p, scaling=scaling, **options)
@@ -516,8 +533,9 @@ def _report(fit: Fit[PoseDmp]) -> str:
 
 @dataclass(frozen=True)
 class Turning:
-    """The primitive; residuals (N, 3) [rad]; covariances (3, d, d) of weights, turn of the start, velocity and turn of
-    the goal, coordinate by coordinate, for samples with unit variance around each base axis."""
+    """Returns the primitive; residuals (N, 3) [rad]; and, for each coordinate, covariances (3, d, d) of weights, start
+    rotation, velocity and goal rotation for samples with unit variance around each base axis.
+    """
 
     dmp: Dmp
     residuals: np.ndarray
@@ -525,17 +543,17 @@ class Turning:
 
 
 def fit_turning(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> Turning:
-    """Correct weights and start velocity of a first guess until its motion is nearest to orientations q (N, 4).
+    """Refine weights and start velocity until the motion is nearest to orientations q (N, 4).
 
-    Gauss-Newton on the group of rotations, with the linearised equation of docs/theory/pose_dmp.md. `hold` is the rest
-    at the goal after the end, over the duration.
+    Uses Gauss-Newton steps on the rotation group with the linearised equation of docs/theory/pose_dmp.md. `hold` is the
+    rest at the goal after the end, relative to the duration.
     """
     step = dmp.duration / (len(t) - 1)
     rest = dmp.duration + step * np.arange(1, round(hold * dmp.duration / step) + 1)
     times = np.concatenate([t, rest])
     wanted = np.concatenate([q, np.broadcast_to(q[-1], (len(rest), 4))])
     p, error = dmp.weights.size + 3, _error(dmp, times, wanted)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         slopes = _slopes(dmp, times, q[-1])
         A = slopes[..., :p].reshape(-1, p)
         found = solve(A, error.reshape(-1, 1))
@@ -549,11 +567,11 @@ def fit_turning(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> Turning:
         else:
             break
         dmp, error = moved, left
-        if np.abs(A @ found.x).max() < ENOUGH or (left**2).sum() > (1.0 - ENOUGH) * square:
+        if np.abs(A @ found.x).max() < TOLERANCE or (left**2).sum() > (1.0 - TOLERANCE) * square:
             break
     else:
         raise NotConverged(
-            f"Expected weights nearest to the orientations within {ROUNDS} rounds, got a search that goes on. Take "
+            f"Expected the fit of the orientations to converge within {MAX_ITERATIONS} iterations, but it did not. Use "
             "fewer kernels, or fit the motion in two parts.",
             dmp,
         )
@@ -562,7 +580,7 @@ def fit_turning(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> Turning:
 
 
 def _error(dmp: Dmp, times: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Return the turns (R, 3) that lead from the motion to what is wanted, base axes [rad]."""
+    """Return the rotation vectors (R, 3) from the motion to the demonstration, base axes [rad]."""
     goal = wanted[-1]
     start = quaternion.multiply(exp(dmp.y0), goal)
     run = kernels.rotation_rollout(dmp._primitive, times, dmp.tau_d, start, dmp.v0, goal, np.eye(3))[0]
@@ -570,9 +588,10 @@ def _error(dmp: Dmp, times: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def _slopes(dmp: Dmp, times: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """Return the turns (R, 3, 3 m + 9) of the path by weights (m, 3), velocity and turn at the start, turn of the goal.
+    """Return the sensitivities (R, 3, 3 m + 9) of the rotation to weights (m, 3), start velocity, start and goal
+    rotation.
 
-    By the implicit midpoint rule on steps of at most a thousandth of the duration.
+    Integrated by the implicit midpoint rule, with steps of at most a thousandth of the duration.
     """
     parts = np.ceil(np.diff(times) / (dmp.duration / FINE) * (1 - 1e-9)).astype(int)
     rows = np.concatenate([[0], np.cumsum(parts)])
@@ -606,9 +625,9 @@ def _slopes(dmp: Dmp, times: np.ndarray, goal: np.ndarray) -> np.ndarray:
 
 
 def _spread(gain: np.ndarray, slopes: np.ndarray, N: int) -> np.ndarray:
-    """Return the covariances for unit noise around each axis: of the unknowns, and of the pinned start and goal.
+    """Return the covariances of the unknowns and of the pinned start and goal for unit noise around each axis.
 
-    The start and the goal are samples, whose noise shifts every row; rest is at the goal.
+    Start and goal are noisy samples that shift every row; the arm rests at the goal.
     """
     p, R = gain.shape[:2]
     m = p // 3 - 1

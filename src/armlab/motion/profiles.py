@@ -1,7 +1,7 @@
-"""Motion from point to point, and through points, with times of its own.
+"""Time-parameterised trajectories from point to point and through points.
 
-Every profile is made of polynomials, joined with equal position and velocity; `Profile` holds them and their samples.
-All joints start and end together. Positions in rad or m, times in s.
+Every profile consists of polynomial pieces joined with continuous position and velocity; `Profile` holds the pieces and
+samples. All joints start and end together. Positions are in rad or m, times in s.
 
 =========================  ============================================  ============
 profile                    given                                         smooth in
@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown
 from armlab._numbers import make_read_only, number, numbers, positive
 from armlab.errors import MissingExtra, ShapeError
 from armlab.motion import arguments
@@ -35,18 +36,22 @@ LINE = np.arange(DEGREE + 1.0)
 
 
 def minimum_jerk(q0: ArrayLike, q1: ArrayLike, duration: float, dt: float = PERIOD) -> Profile:
-    """Move from rest to rest with the least integral of squared jerk: ``q0 + (q1 - q0)(10 u^3 - 15 u^4 + 6 u^5)``.
+    """Return the rest-to-rest motion with the smallest integral of squared jerk.
+
+    ``q0 + (q1 - q0)(10 u^3 - 15 u^4 + 6 u^5)``.
 
     ``u = t / duration``; the largest speed is 15/8 of the mean, the largest acceleration ``10/sqrt(3)`` of
-    ``|q1 - q0| / duration^2``. `Profile.slowed` gives the shortest within limits.
+    ``|q1 - q0| / duration^2``. `Profile.slowed` finds the shortest duration within limits.
 
     Parameters
     ----------
-    q0, q1 : (n,) start and end. duration : [s]. dt : between samples [s].
+    q0, q1 : (n,) start and end.
+    duration : [s].
+    dt : sampling period [s].
 
     Raises
     ------
-    ShapeError : points that do not fit each other, missing values, a duration that is not above zero.
+    ShapeError : points of different shapes, missing values, a duration that is not positive.
 
     References
     ----------
@@ -65,17 +70,18 @@ def quintic(
     qdd1: ArrayLike = 0.0,
     dt: float = PERIOD,
 ) -> Profile:
-    """Move along the polynomial of fifth degree with the given position, velocity and acceleration at both ends.
+    """Return the fifth-degree polynomial with the given position, velocity and acceleration at both ends.
 
     Parameters
     ----------
-    q0, q1 : (n,) start and end. duration : [s].
-    qd0, qd1, qdd0, qdd1 : velocity and acceleration there, a number or (n,).
-    dt : between samples [s].
+    q0, q1 : (n,) start and end.
+    duration : [s].
+    qd0, qd1, qdd0, qdd1 : velocity and acceleration at the ends, a number or (n,).
+    dt : sampling period [s].
 
     Raises
     ------
-    ShapeError : points that do not fit each other, missing values, a duration that is not above zero.
+    ShapeError : points of different shapes, missing values, a duration that is not positive.
     """
     start = arguments.point(q0, "q0")
     end, n = arguments.second_point(q1, "q1", start), len(start)
@@ -100,30 +106,31 @@ def trapezoidal(
     q0: ArrayLike, q1: ArrayLike, qd_max: ArrayLike, qdd_max: ArrayLike, duration: float | None = None,
     dt: float = PERIOD,
 ) -> Profile:  # fmt: skip
-    """Move from rest to rest on a straight line of the joint space as fast as velocity and acceleration allow.
+    """Return the fastest rest-to-rest motion on a straight line in joint space within velocity and acceleration limits.
 
-    Constant acceleration, constant velocity, constant deceleration, of all joints at the same times; a joint reaches
-    its limit exactly and none exceeds it. Short motions never reach the velocity, and have two pieces.
+    All joints share the phases of constant acceleration, velocity and deceleration; one joint reaches its limit and
+    none exceeds it. Short motions do not reach the velocity limit and have two pieces.
 
     Parameters
     ----------
-    q0, q1 : (n,) start and end. qd_max, qdd_max : limits, a number or (n,).
-    duration : a longer time than necessary, for which the motion is stretched [s].
-    dt : between samples [s].
+    q0, q1 : (n,) start and end.
+    qd_max, qdd_max : limits, a number or (n,).
+    duration : duration to stretch the motion to, if longer than the shortest [s].
+    dt : sampling period [s].
 
     Raises
     ------
-    ShapeError : the same point twice, points or limits that do not fit, a duration too short for the limits.
+    ShapeError : identical points, shapes that do not match, a duration too short for the limits.
     """
     start = arguments.point(q0, "q0")
     d = arguments.second_point(q1, "q1", start) - start
     limits = [arguments.joint_limit(x, what, len(d)) for x, what in ((qd_max, "qd_max"), (qdd_max, "qdd_max"))]
     far = np.abs(d) > 0.0
     if not far.any():
-        raise ShapeError("Expected two points apart, got the same as q0 and q1. There is no motion to plan.")
+        raise ShapeError("Expected q0 and q1 to differ, got identical points. Give another q1.")
     v, a = (float(np.min(limit[far] / np.abs(d[far]))) for limit in limits)
     if not a < np.inf:
-        raise ShapeError("Expected a finite qdd_max of a joint that moves, got none. Give what the arm can do.")
+        raise ShapeError("Expected a finite qdd_max for a moving joint, got inf. Pass the limit of the arm.")
     ramp = min(v / a, float(np.sqrt(1.0 / a)))
     shortest = 2.0 * ramp if v * v >= a else 1.0 / v + ramp
     found = Profile(*along(start, d, shortest, ramp), dt)
@@ -132,48 +139,50 @@ def trapezoidal(
     k = positive(duration, "duration [s]") / shortest
     if k < 1.0 - 1e-12:
         raise ShapeError(
-            f"Expected a duration of {shortest:.6g} s or more within the limits, got {duration:g} s. Allow more time."
+            f"Expected a duration of {shortest:.6g} s or more to keep the limits, got {duration:g} s. Allow more time."
         )
     return Profile(*stretched(found.breaks, found.coefficients, max(k, 1.0)), dt)
 
 
 def blend(q0: ArrayLike, q1: ArrayLike, duration: float, cruise: float = 1.5, dt: float = PERIOD) -> Profile:
-    """Move from rest to rest on a straight line with quadratic blends: `trapezoidal` with a given duration.
+    """Return the straight-line rest-to-rest motion with quadratic blends (`trapezoidal` with a given duration).
 
-    Velocity ``V = cruise (q1 - q0) / duration`` between blends of ``duration (1 - 1 / cruise)`` seconds.
+    The velocity is ``V = cruise (q1 - q0) / duration`` between blends of ``duration (1 - 1 / cruise)`` seconds.
 
     Parameters
     ----------
-    q0, q1 : (n,) start and end. duration : [s].
-    cruise : velocity between the blends over the mean velocity, above 1, at most 2.
-    dt : between samples [s].
+    q0, q1 : (n,) start and end.
+    duration : [s].
+    cruise : cruise velocity over mean velocity, above 1, at most 2.
+    dt : sampling period [s].
 
     Raises
     ------
-    ShapeError : points that do not fit each other, a duration that is not above zero, another `cruise`.
+    ShapeError : points of different shapes, a duration that is not positive, `cruise` out of range.
     """
     start = arguments.point(q0, "q0")
     return connect([start, arguments.second_point(q1, "q1", start)], duration, cruise, dt)
 
 
 def connect(points: ArrayLike, duration: ArrayLike, cruise: float = 1.5, dt: float = PERIOD) -> Profile:
-    """Join points by straight lines with quadratic blends, with a rest at each point.
+    """Join points by straight lines with quadratic blends, resting at each point.
 
     Parameters
     ----------
-    points : (m, n) one after the other. duration : of a segment [s], one number or (m - 1,).
+    points : (m, n), in order.
+    duration : of a segment [s], one number or (m - 1,).
     cruise, dt : as in `blend`.
 
     Raises
     ------
-    ShapeError : fewer than two points, missing values, durations that do not fit, another `cruise`.
+    ShapeError : fewer than two points, missing values, durations of the wrong shape, `cruise` out of range.
     """
     path = arguments.points(points, "points")
     seconds = arguments.joint_limit(duration, "duration of the segments [s]", len(path) - 1)
     if not np.isfinite(seconds).all():
-        raise ShapeError("Expected finite durations of the segments [s], got another. Give one number or one for each.")
+        raise ShapeError(f"Expected finite durations of the segments [s], got {seconds.tolist()}. Correct them.")
     if not 1.0 < number(cruise, "cruise") <= 2.0:
-        raise ShapeError(f"Expected cruise above 1 and at most 2, got {cruise}. 1.5 blends in a third of the time.")
+        raise ShapeError(f"Expected cruise above 1 and at most 2, got {cruise}. The default is 1.5.")
     breaks, pieces = [np.zeros(1)], []
     for start, d, T in zip(path, np.diff(path, axis=0), seconds):
         own, c = along(start, d, T, T * (1.0 - 1.0 / cruise))
@@ -183,17 +192,18 @@ def connect(points: ArrayLike, duration: ArrayLike, cruise: float = 1.5, dt: flo
 
 
 def spline(t: ArrayLike, q: ArrayLike, qd0: ArrayLike = 0.0, qd1: ArrayLike = 0.0, dt: float = PERIOD) -> Profile:
-    """Move through points at given times along the cubic spline, which has the least integral of squared acceleration.
+    """Return the cubic spline through points at given times, which minimises the integral of squared acceleration.
 
     Parameters
     ----------
-    t : (m,) rising [s]; the profile starts at 0 with the first. q : (m, n) points.
-    qd0, qd1 : velocity at the first and the last point, a number or (n,); rest without them.
-    dt : between samples [s].
+    t : (m,) increasing [s]; the profile starts at 0 with the first.
+    q : (m, n) points.
+    qd0, qd1 : velocity at the first and the last point, a number or (n,); default: rest.
+    dt : sampling period [s].
 
     Raises
     ------
-    ShapeError : fewer than two points, missing values, times that do not rise, shapes that do not fit.
+    ShapeError : fewer than two points, missing values, times that do not increase, shapes that do not match.
     """
     from scipy.interpolate import CubicSpline
 
@@ -201,7 +211,8 @@ def spline(t: ArrayLike, q: ArrayLike, qd0: ArrayLike = 0.0, qd1: ArrayLike = 0.
     times = arguments.point(t, "t [s]")
     if times.shape != (len(path),) or not (np.diff(times) > 0.0).all():
         raise ShapeError(
-            f"Expected t of shape ({len(path)},) that rises, one time per point, got {times.tolist()}. Sort the points."
+            f"Expected t of shape ({len(path)},) that increases, one time per point, got {times.tolist()}. Sort the "
+            "points."
         )
     bc: Any = tuple((1, arguments.velocity(v, what, path.shape[1])) for v, what in ((qd0, "qd0"), (qd1, "qd1")))
     own = times - times[0]
@@ -220,20 +231,21 @@ def time_optimal(
     qd1: ArrayLike = 0.0,
     dt: float = PERIOD,
 ) -> Profile:
-    """Move in the least time under limits of velocity, acceleration and jerk; all joints arrive together.
+    """Return the fastest motion within velocity, acceleration and jerk limits; all joints arrive together.
 
-    The joint that needs longest takes its least time; the others take as long. The path is no straight line.
+    The slowest joint takes its minimum time; the others take the same time. The path is not a straight line.
 
     Parameters
     ----------
-    q0, q1 : (n,) start and end. qd_max, qdd_max, qddd_max : finite limits, a number or (n,).
-    qd0, qd1 : velocities there, within the limits; a number or (n,).
-    dt : between samples [s].
+    q0, q1 : (n,) start and end.
+    qd_max, qdd_max, qddd_max : finite limits, a number or (n,).
+    qd0, qd1 : velocities at the ends, within the limits; a number or (n,).
+    dt : sampling period [s].
 
     Raises
     ------
     MissingExtra : ruckig is not installed.
-    ShapeError : the same point twice at rest, points, velocities or limits that do not fit.
+    ShapeError : identical points at rest; points, velocities or limits that do not match.
 
     References
     ----------
@@ -244,7 +256,7 @@ def time_optimal(
     named = ((qd_max, "qd_max"), (qdd_max, "qdd_max"), (qddd_max, "qddd_max"))
     limits = [arguments.joint_limit(limit, what, n) for limit, what in named]
     if not np.isfinite(limits).all():
-        raise ShapeError("Expected finite limits of velocity, acceleration and jerk, got another. Give large ones.")
+        raise ShapeError("Expected finite limits of velocity, acceleration and jerk, got inf. Give finite ones.")
     rates = [arguments.velocity(v, what, n) for v, what in ((qd0, "qd0"), (qd1, "qd1"))]
     for rate, what in zip(rates, ("qd0", "qd1")):
         fast = np.flatnonzero(np.abs(rate) > limits[0])
@@ -254,24 +266,25 @@ def time_optimal(
                 "Slow down first."
             )
     if np.array_equal(start, end) and not np.any(rates):
-        raise ShapeError("Expected two points apart, got the same as q0 and q1. There is no motion to plan.")
+        raise ShapeError("Expected q0 and q1 to differ, got identical points at rest. Give another q1.")
     return Profile(*ruckig_pieces(start, end, *rates, *limits), dt)
 
 
-@dataclass(frozen=True, eq=False)
-class Profile:
-    """A motion of n joints in polynomial pieces, ``q(t) = sum_k c_k (t - breaks_i)^k``, and its samples.
+@dataclass(frozen=True, eq=False, repr=False)
+class Profile(Shown):
+    """Motion of n joints in polynomial pieces, ``q(t) = sum_k c_k (t - breaks_i)^k``, with its samples.
 
     Attributes
     ----------
     breaks : (M + 1,) times between pieces, from 0 [s].
     coefficients : (M, 6, n), [rad/s^k] or [m/s^k].
-    dt : time between samples [s]; the last sample is at the end, so the last step may be shorter.
-    t : (N,) from 0 to the end [s]. q, qd, qdd : (N, n) there.
+    dt : sampling period [s]; the last sample is at the end, so the last step may be shorter.
+    t : (N,) from 0 to the end [s].
+    q, qd, qdd : (N, n) samples.
 
     Raises
     ------
-    ShapeError : breaks that do not rise, coefficients of another shape, a period that is not above zero.
+    ShapeError : breaks that do not increase, coefficients of the wrong shape, a period that is not positive.
     """
 
     breaks: np.ndarray
@@ -283,7 +296,6 @@ class Profile:
     qdd: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        """Check the pieces, sample them, and freeze everything."""
         breaks, c = (
             np.array(numbers(part, what, ShapeError))
             for part, what in ((self.breaks, "breaks"), (self.coefficients, "coefficients"))
@@ -292,17 +304,15 @@ class Profile:
         steps = np.diff(np.atleast_1d(breaks))
         if c.ndim != 3 or c.shape[1] != 6 or breaks.shape != (len(c) + 1,) or not (steps > 0.0).all() or breaks[0] != 0:
             raise ShapeError(
-                f"Expected breaks (M + 1,) that rise from 0 and coefficients (M, 6, n), got {breaks.shape} and "
-                f"{c.shape}. The functions of armlab.motion.profiles make them."
+                f"Expected breaks (M + 1,) that increase from 0 and coefficients (M, 6, n), got {breaks.shape} and "
+                f"{c.shape}. Use the functions of armlab.motion.profiles."
             )
         if not np.isfinite(c).all():
+            raise ShapeError("Expected finite coefficients, got NaN or Inf. Use longer durations or lower rates.")
+        if not breaks[-1] < dt * arguments.MAX_SAMPLES:
             raise ShapeError(
-                "Expected finite coefficients, got NaN or Inf. Give durations and rates that an arm can do."
-            )
-        if not breaks[-1] < dt * arguments.MOST_SAMPLES:
-            raise ShapeError(
-                f"Expected less than {arguments.MOST_SAMPLES} samples, got {breaks[-1]:g} s at dt = {dt:g} s. "
-                "Take a longer dt."
+                f"Expected fewer than {arguments.MAX_SAMPLES} samples, got {breaks[-1]:g} s at dt = {dt:g} s. "
+                "Use a longer dt."
             )
         t = np.append(np.arange(0.0, breaks[-1] - 1e-9 * dt, dt), breaks[-1])
         names = ("breaks", "coefficients", "t", "q", "qd", "qdd")
@@ -312,21 +322,21 @@ class Profile:
 
     @property
     def duration(self) -> float:
-        """How long it takes [s]."""
+        """Duration [s]."""
         return float(self.breaks[-1])
 
     @property
     def qd_peak(self) -> np.ndarray:
-        """Largest speed of each joint (n,), between samples too."""
+        """Largest speed of each joint (n,), including between samples."""
         return peaks(self.breaks, self.coefficients)[0]
 
     @property
     def qdd_peak(self) -> np.ndarray:
-        """Largest acceleration of each joint (n,), between samples too."""
+        """Largest acceleration of each joint (n,), including between samples."""
         return peaks(self.breaks, self.coefficients)[1]
 
     def at(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return q, qd, qdd (..., n) at any times; before it starts and after it ends the arm rests where it is.
+        """Return q, qd, qdd (..., n) at any times; the arm rests before the start and after the end.
 
         Parameters
         ----------
@@ -338,7 +348,7 @@ class Profile:
         return q, np.where(moving, qd, 0.0), np.where(moving, qdd, 0.0)
 
     def slowed(self, qd_max: ArrayLike = np.inf, qdd_max: ArrayLike = np.inf) -> Profile:
-        """Return the same path, stretched in time until the limits hold: it touches one of them, or is unchanged.
+        """Return the same path, slowed down until the limits hold; unchanged if they already hold.
 
         ``k = max(1, max |qd| / qd_max, sqrt(max |qdd| / qdd_max))``.
 
@@ -348,7 +358,7 @@ class Profile:
 
         Raises
         ------
-        ShapeError : limits of another shape, or not above zero.
+        ShapeError : limits of the wrong shape or not positive.
         """
         n = self.q.shape[1]
         speed, acceleration = peaks(self.breaks, self.coefficients)
@@ -407,14 +417,14 @@ def _at(p: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 
 def stretched(breaks: np.ndarray, c: np.ndarray, k: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same path, k times as slow."""
+    """Return the same path, slowed down by the factor k."""
     return breaks * k, c / k ** LINE[:, None]
 
 
 def along(start: np.ndarray, d: np.ndarray, duration: float, ramp: float) -> tuple[np.ndarray, np.ndarray]:
     """Return breaks and coefficients (M, 6, n) of a step from `start` by d with quadratic blends of `ramp` seconds.
 
-    ``V = 1 / (duration - ramp)``, ``a = V / ramp``; without a line where ``ramp = duration / 2``.
+    ``V = 1 / (duration - ramp)``, ``a = V / ramp``; no linear segment if ``ramp = duration / 2``.
     """
     V = 1.0 / (duration - ramp)
     half = 0.5 * V / ramp
@@ -438,7 +448,8 @@ def ruckig_pieces(
         import ruckig  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise MissingExtra(
-            "Expected ruckig for time-optimal motion, got none. Install it: pip install 'armlab[motion]'."
+            "Expected the package ruckig for time-optimal motion, but it is not installed. Install it: pip install "
+            "'armlab[motion]'."
         ) from None
     n = len(q0)
     wanted, found = ruckig.InputParameter(n), ruckig.Trajectory(n)
@@ -447,11 +458,11 @@ def ruckig_pieces(
     wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = (limit.tolist() for limit in limits)
     try:
         outcome = ruckig.Ruckig(n).calculate(wanted, found)
-    except (ruckig.RuckigError, ValueError) as error:  # ValueError: an answer that it has no name for
+    except (ruckig.RuckigError, ValueError) as error:  # ValueError: an unknown result code
         said = " ".join(str(error).split())[:300].rstrip(".")
         raise ShapeError(f"Expected a motion that ruckig can plan, got: {said}.") from None
     if outcome not in (ruckig.Result.Working, ruckig.Result.Finished):
-        raise ShapeError(f"Expected a motion that ruckig can plan, got its answer {outcome}. Make the limits larger.")
+        raise ShapeError(f"Expected a motion that ruckig can plan, got result {outcome}. Increase the limits.")
     joints = [_states(joint, *state) for joint, state in zip(found.profiles[0], zip(q0, qd0))]
     breaks = np.unique(np.concatenate([[0.0, found.duration], *(times for times, _ in joints)]))
     breaks = breaks[breaks <= found.duration]

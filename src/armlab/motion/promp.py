@@ -1,4 +1,4 @@
-"""Probabilistic movement primitives: a distribution over motions, from several demonstrations."""
+"""Probabilistic movement primitives: a distribution over motions from several demonstrations."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown
 from armlab._numbers import generator, make_read_only, members, number, numbers, positive
 from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit
@@ -18,31 +19,33 @@ from armlab.motion.primitive.demonstrations import Demo, read_demos
 from armlab.motion.primitive.equation import normalised
 from armlab.motion.storage import Saved, freeze_arrays
 
-UNLIKELY = 1e-6  # of a point: distance that no motion of the distribution goes
+UNLIKELY = 1e-6  # of a point: distance unreachable by motions of the distribution
 
-SAME = 1e-10  # of the largest eigenvalue: directions that vary less are known
-FLOOR = 1e-6  # of the mean variance, for directions in which demonstrations do not differ
+SAME = 1e-10  # of the largest eigenvalue: directions with less variance are fixed
+FLOOR = 1e-6  # of the mean variance, along directions without variation between demonstrations
 
 FEWEST = 2  # demonstrations
 WIDTH = 0.8  # standard deviation of kernels over their distance
 MAX_CONDITION = 1e6
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ProMP(Saved, kind="promp"):
-    """A distribution over motions of n coordinates: ``y(t) = psi(t / duration) w``, ``w ~ N(mean, cov)``.
+    """Distribution over motions of n coordinates: ``y(t) = psi(t / duration) w``, ``w ~ N(mean, cov)``.
 
-    psi are Gaussian kernels over their sum. What is measured has white noise besides.
+    psi are normalised Gaussian kernels. Measurements have additional white noise.
 
     Attributes
     ----------
-    mean : (n_basis, n) mean weights. cov : (n_basis n, n_basis n) of the weights, coordinate by coordinate.
-    centres, widths : (n_basis,) of the kernels in time over duration. duration : mean of the demonstrations [s].
+    mean : (n_basis, n) mean weights.
+    cov : (n_basis n, n_basis n) of the weights, coordinate by coordinate.
+    centres, widths : (n_basis,) of the kernels in time over duration.
+    duration : mean of the demonstrations [s].
     noise : (n,) standard deviation of the noise of the demonstrations.
 
     Raises
     ------
-    ShapeError : fields that do not fit each other, are not finite, or no covariance.
+    ShapeError : fields with inconsistent shapes, values that are not finite, or an invalid covariance.
 
     References
     ----------
@@ -64,7 +67,6 @@ class ProMP(Saved, kind="promp"):
     }
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         freeze_arrays(self, "mean", "cov", "centres", "widths", "noise")
         if self.mean.ndim != 2 or not self.mean.size:
             raise ShapeError(f"Expected mean weights of shape (n_basis, n), got {self.mean.shape}.")
@@ -73,9 +75,11 @@ class ProMP(Saved, kind="promp"):
             if getattr(self, name).shape != shape:
                 raise ShapeError(f"Expected {name} of shape {shape}, got {getattr(self, name).shape}.")
         if np.any(self.widths <= 0.0) or np.any(self.noise < 0.0):
-            raise ShapeError("Expected widths above zero and noise not below, got others. Fit it again.")
+            raise ShapeError(
+                f"Expected widths > 0 and noise >= 0, got {self.widths.min():g} and {self.noise.min():g}. Fit again."
+            )
         if np.abs(self.cov - self.cov.T).max() > 1e-9 * (1e-300 + np.abs(self.cov).max()):
-            raise ShapeError("Expected a symmetric cov, got another. Fit it again.")
+            raise ShapeError("Expected a symmetric cov, got an asymmetric matrix. Fit again.")
         object.__setattr__(self, "duration", positive(self.duration, "duration [s]"))
 
     @property
@@ -84,11 +88,12 @@ class ProMP(Saved, kind="promp"):
         return self.mean.shape[1]
 
     def kernels(self, t: ArrayLike, duration: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return kernels and their rates (..., n_basis) at times (...).
+        """Return kernels and their derivatives (..., n_basis) at times (...).
 
         Parameters
         ----------
-        t : since the start [s]. duration : of the motion [s]; that of the demonstrations when left out.
+        t : since the start [s].
+        duration : of the motion [s]; default: that of the demonstrations.
         """
         T = self.duration if duration is None else positive(duration, "duration [s]")
         u = numbers(t, "t", ShapeError)[..., None] / T
@@ -96,22 +101,23 @@ class ProMP(Saved, kind="promp"):
         return psi, rate / T
 
     def _times(self, t: ArrayLike, duration: float | None = None) -> np.ndarray:
-        """Return times (N,): those given, or from 0 in steps to the end of the motion."""
+        """Return the given times (N,), or times from 0 to the end of the motion in constant steps."""
         times = clock(t, self.duration if duration is None else positive(duration, "duration [s]"))
         if times.ndim != 1 or not times.size or not np.isfinite(times).all():
-            raise ShapeError(f"Expected finite times (N,), got shape {times.shape}. Or give one step [s].")
+            raise ShapeError(f"Expected finite times (N,), got shape {times.shape}. Pass times, or one step [s].")
         return times
 
     def marginal(self, t: ArrayLike, *, duration: float | None = None) -> TrajectoryDistribution:
-        """Return mean and covariance of position and velocity at each time: ``Psi mean``, ``Psi cov Psi^T``.
+        """Return the mean and covariance of position and velocity at each time: ``Psi mean``, ``Psi cov Psi^T``.
 
         Parameters
         ----------
-        t : (N,) times since the start [s], or one step [s] until the end. duration : of the motion [s].
+        t : (N,) times since the start [s], or one step [s] until the end.
+        duration : of the motion [s].
 
         Raises
         ------
-        ShapeError : no times, no positive duration.
+        ShapeError : invalid times or duration.
         """
         times = self._times(t, duration)
         psi, rate = self.kernels(times, duration)
@@ -126,14 +132,17 @@ class ProMP(Saved, kind="promp"):
 
         Parameters
         ----------
-        t, duration : as of `marginal`. seed : whole number or Generator. count : of motions.
+        t, duration : as in `marginal`.
+        seed : integer or Generator.
+        count : number of motions.
 
         Raises
         ------
-        ShapeError : no times, no seed. ConfigError : no whole count above zero.
+        ShapeError : invalid times or seed.
+        ConfigError : count is not a positive integer.
         """
         if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 1:
-            raise ConfigError(f"Expected a whole count of motions above zero, got {count!r}.")
+            raise ConfigError(f"Expected a positive integer count of motions, got {count!r}.")
         values, vectors = np.linalg.eigh(self.cov)
         draws = generator(seed).standard_normal((int(count), len(values)))
         w = self.mean.T.ravel() + (draws * np.sqrt(values.clip(min=0.0))) @ vectors.T
@@ -143,7 +152,7 @@ class ProMP(Saved, kind="promp"):
     def _inside(self, t: float, duration: float | None) -> float:
         time, end = number(t, "t [s]"), self.duration if duration is None else positive(duration, "duration [s]")
         if not 0.0 <= time <= end * (1 + 1e-9):
-            raise ShapeError(f"Expected a time from 0 to {end:g} s, the duration, got {time:g} s. Give one inside.")
+            raise ShapeError(f"Expected a time from 0 to {end:g} s, the duration, got {time:g} s. Correct it.")
         return time
 
     def condition(
@@ -157,21 +166,22 @@ class ProMP(Saved, kind="promp"):
         coordinates: Sequence[int] | None = None,
         duration: float | None = None,
     ) -> ProMP:
-        """Return the distribution of the motions that pass a position or velocity at a time.
+        """Return the distribution conditioned on a position or velocity at a time.
 
         ``K = cov H^T (H cov H^T + R)^-1``, ``mean + K (z - H mean)``, ``cov - K H cov``. Without a covariance of the
-        point all motions pass it exactly, as far as the demonstrations differ there.
+        point, all motions pass through it exactly, as far as the demonstrations vary there.
 
         Parameters
         ----------
-        t : since the start, up to the duration [s]. y, yd : (k,) position and velocity of the coordinates.
+        t : since the start, up to the duration [s].
+        y, yd : (k,) position and velocity of the coordinates.
         cov, velocity_cov : (k, k) of the point, or a variance for all.
-        coordinates : numbers of the k coordinates; all n when left out. duration : of the motion [s].
+        coordinates : indices of the k coordinates; default: all n.
+        duration : of the motion [s].
 
         Raises
         ------
-        ShapeError : neither position nor velocity, shapes that do not fit, a point that no motion of the distribution
-            comes near to.
+        ShapeError : neither position nor velocity, shapes that do not match, a point outside the distribution.
         """
         index = np.arange(self.n) if coordinates is None else _coordinates(coordinates, self.n)
         psi, rate = self.kernels(self._inside(t, duration), duration)
@@ -186,7 +196,7 @@ class ProMP(Saved, kind="promp"):
             z.append(point)
             spreads.append(_covariance(spread, len(index)))
         if not rows:
-            raise ShapeError("Expected a position or a velocity to pass, got neither. Give y or yd.")
+            raise ShapeError("Expected a position or a velocity to pass, got neither. Pass y or yd.")
         k, R = len(index), np.zeros((len(rows), len(index), len(rows), len(index)))
         for i, spread in enumerate(spreads):
             R[i, :, i] = spread
@@ -201,8 +211,8 @@ class ProMP(Saved, kind="promp"):
         along = vectors.T @ off
         if np.any(np.abs(along[~free]) > UNLIKELY * (1.0 + np.abs(z).max())):
             raise ShapeError(
-                "Expected a point that motions of the distribution can pass, got one in a direction in which the "
-                "demonstrations do not differ. Give a covariance of the point, or more demonstrations."
+                "Expected a point within the distribution, got a point along a direction without variation between "
+                "the demonstrations. Pass a covariance of the point, or use more demonstrations."
             )
         gain = H_cov.T @ ((vectors[:, free] / values[free]) @ vectors[:, free].T)
         cov = self.cov - gain @ H_cov - (H_cov.T - gain @ S) @ gain.T  # Joseph's form, multiplied out
@@ -219,7 +229,7 @@ def _spread(rows: np.ndarray, blocks: np.ndarray) -> np.ndarray:
 def _coordinates(value: Sequence[int], n: int) -> np.ndarray:
     index = numbers(value, "coordinates", ShapeError)
     if index.ndim != 1 or len({*index.tolist()} & {*range(n)}) != len(index):
-        raise ShapeError(f"Expected different coordinates from 0 to {n - 1}, got {index.tolist()}.")
+        raise ShapeError(f"Expected distinct coordinates from 0 to {n - 1}, got {index.tolist()}.")
     return index.astype(int)
 
 
@@ -229,17 +239,19 @@ def _covariance(value: ArrayLike, k: int) -> np.ndarray:
         raise ShapeError(f"Expected a covariance as a number or of shape ({k}, {k}), got shape {given.shape}.")
     matrix = np.eye(k) * given if given.ndim == 0 else given
     if np.abs(matrix - matrix.T).max() > 0 or np.linalg.eigvalsh(matrix)[0] < 0.0:
-        raise ShapeError("Expected a symmetric covariance that is not negative, got another.")
+        raise ShapeError("Expected a symmetric, positive semidefinite covariance, got another matrix. Correct it.")
     return matrix
 
 
-@dataclass(frozen=True, eq=False)
-class TrajectoryDistribution:
-    """Motion with its spread over N times.
+@dataclass(frozen=True, eq=False, repr=False)
+class TrajectoryDistribution(Shown):
+    """Mean trajectory with its covariance at N times.
 
     Attributes
     ----------
-    t : (N,) times [s]. y, yd : (N, n) mean position and velocity. cov : (N, n, n) of the position over demonstrations.
+    t : (N,) times [s].
+    y, yd : (N, n) mean position and velocity.
+    cov : (N, n, n) of the position over demonstrations.
     velocity_cov : (N, n, n) of the velocity.
     """
 
@@ -250,7 +262,6 @@ class TrajectoryDistribution:
     velocity_cov: np.ndarray
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         make_read_only(self, "t", "y", "yd", "cov", "velocity_cov")
 
     @property
@@ -262,25 +273,30 @@ class TrajectoryDistribution:
 def blend(
     primitives: Sequence[ProMP], activation: ArrayLike, t: ArrayLike, *, duration: float | None = None
 ) -> TrajectoryDistribution:
-    """Return the product of primitives, each to the power of its activation: from one motion into another, or several
-    at once where all of them agree.
+    """Blend primitives by the normalised product of their distributions, each raised to the power of its activation.
+
+    Time-varying activations lead from one motion into another; constant activations intersect the motions.
 
     ``cov = (sum a_k cov_k^-1)^-1``, ``y = cov sum a_k cov_k^-1 y_k``, of position and velocity together.
 
     Parameters
     ----------
-    primitives : K of them, of n coordinates. activation : (N, K) or (K,), not negative, not all zero at any time.
-    t, duration : as of `ProMP.marginal`.
+    primitives : K of them, of n coordinates.
+    activation : (N, K) or (K,), non-negative, not all zero at any time.
+    t, duration : as in `ProMP.marginal`.
 
     Raises
     ------
-    ShapeError : another number of coordinates or activations, negative ones, none at some time.
+    ShapeError : different numbers of coordinates or activations, negative activations, none at some time.
     """
     for one in members(primitives, "primitives"):
         if not hasattr(one, "marginal"):
-            raise ShapeError(f"Expected primitives as ProMP, got {type(one).__name__}. motion.fit_promp makes them.")
+            raise ShapeError(f"Expected ProMP primitives, got {type(one).__name__}. Use motion.fit_promp.")
     if len({p.n for p in primitives}) != 1:
-        raise ShapeError("Expected primitives of as many coordinates, got others, or none. Fit them to one arm.")
+        counts = sorted({p.n for p in primitives})
+        raise ShapeError(
+            f"Expected primitives with equal numbers of coordinates, got {counts}. Fit them to the same arm."
+        )
     first = primitives[0]
     times, n = first._times(t, duration), first.n
     given = numbers(activation, "activation", ShapeError)
@@ -292,7 +308,8 @@ def blend(
     a = np.broadcast_to(given, (len(times), len(primitives)))
     if not (np.isfinite(a).all() and a.min() >= 0.0 and (a.sum(axis=1) > 0.0).all()):
         raise ShapeError(
-            "Expected activations that are not negative and never all zero, got others. Let them add to 1."
+            f"Expected finite activations >= 0, never all zero, got a minimum of {a.min():g} and a smallest sum of "
+            f"{a.sum(axis=1).min():g}. Correct them."
         )
     information, vector = np.zeros((len(times), 2 * n, 2 * n)), np.zeros((len(times), 2 * n))
     for k, primitive in enumerate(primitives):
@@ -306,7 +323,7 @@ def blend(
 
 
 def _joint(primitive: ProMP, t: np.ndarray, duration: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean (N, 2n) and covariance (N, 2n, 2n) of position and velocity, with a little noise everywhere."""
+    """Return the mean (N, 2n) and covariance (N, 2n, 2n) of position and velocity, with a small variance added."""
     rows = np.stack(primitive.kernels(t, duration), axis=1)  # (N, 2, m)
     n, m = primitive.n, len(primitive.centres)
     blocks = primitive.cov.reshape(n, m, n, m)
@@ -318,26 +335,27 @@ def _joint(primitive: ProMP, t: np.ndarray, duration: float | None) -> tuple[np.
 def fit_promp(
     t: ArrayLike | Sequence[ArrayLike], y: ArrayLike | Sequence[ArrayLike], *, n_basis: int = 15
 ) -> Fit[ProMP]:
-    """Fit mean and covariance of the weights of M demonstrations, apart from the noise of the samples.
+    """Fit the mean and covariance of the weights of M demonstrations, separated from measurement noise.
 
-    The covariance over demonstrations is what their weights differ by beyond the noise of their samples; the mean
-    weighs each demonstration by both: docs/theory/promp.md.
+    The covariance is the variation of the weights between demonstrations in excess of their noise. In the mean, each
+    demonstration is weighted by both (docs/theory/promp.md).
 
     Parameters
     ----------
-    t : (N,) increasing times [s] that M demonstrations share, or a list of M of them.
+    t : (N,) increasing times [s] shared by M demonstrations, or a list of M of them.
     y : (M, N, n) positions, or a list of M arrays (N_i, n).
-    n_basis : kernels, equally spaced in time.
+    n_basis : number of kernels, equally spaced in time.
 
     Returns
     -------
-    Fit of a `ProMP`. The parameters are the mean weights; their covariance has at most the rank M - 1, and says little
-    of more than M / 4 weights. `residuals` (all samples, n).
+    Fit of a `ProMP`. The parameters are the mean weights. Their covariance has at most rank M - 1 and determines few
+    more than M / 4 weights. `residuals` (all samples, n).
 
     Raises
     ------
-    ShapeError : fewer than two demonstrations, shapes, NaN with the number of the demonstration.
-    NotExcited : samples that do not tell the weights. ConfigError : no whole number of kernels.
+    ShapeError : fewer than two demonstrations, wrong shapes, NaN with the number of the demonstration.
+    NotExcited : samples that do not determine the weights.
+    ConfigError : n_basis is not an integer.
     """
     kernel_count(n_basis, 15)
     demos = _read(t, y)
@@ -345,7 +363,7 @@ def fit_promp(
     widths = np.full(n_basis, WIDTH / (n_basis - 1))
     names, n, of = [f"weight {j}" for j in range(n_basis)], demos[0].y.shape[1], {}
     clocks = [demo.t.tobytes() for demo in demos]
-    for clock_, demo in dict(zip(clocks, demos)).items():  # most share their times
+    for clock_, demo in dict(zip(clocks, demos)).items():  # demonstrations usually share a clock
         psi, _ = normalised((demo.t / demo.duration)[:, None], centres, widths)
         of[clock_] = (_check_samples(psi, names), psi, np.linalg.pinv(psi))
     excitations, designs, inverses = zip(*(of[one] for one in clocks))
@@ -378,12 +396,15 @@ def _read(t: Any, y: Any) -> list[Demo]:
     if not isinstance(t, Sequence) or not len(t) or np.ndim(t[0]) == 0:
         rows = np.asarray(y, dtype=object) if isinstance(y, Sequence) else y
         if np.ndim(rows) < 1 or len(y) < FEWEST:
-            raise ShapeError(f"Expected y of shape (M, N, n) of {FEWEST} demonstrations or more, got others.")
+            raise ShapeError(
+                f"Expected y of shape (M, N, n) with at least {FEWEST} demonstrations, got shape {np.shape(rows)}. "
+                "Pass a list if the lengths differ."
+            )
         t = [np.asarray(t)] * len(y)
     demos = read_demos(list(t), list(y), None)
     if len(demos) < FEWEST:
         raise ShapeError(
-            f"Expected {FEWEST} demonstrations or more, got {len(demos)}. Their differences are what is fitted."
+            f"Expected at least {FEWEST} demonstrations, got {len(demos)}. The fit needs the differences between them."
         )
     return demos
 
@@ -391,7 +412,7 @@ def _read(t: Any, y: Any) -> list[Demo]:
 def _check_samples(design: np.ndarray, names: list[str]) -> Excitation:
     if len(design) < design.shape[1]:
         raise NotExcited(
-            f"Expected at least {design.shape[1]} samples per demonstration, got {len(design)}. Take fewer kernels.",
+            f"Expected at least {design.shape[1]} samples per demonstration, got {len(design)}. Use fewer kernels.",
             names[len(design) :],
             ["no sample"] * (design.shape[1] - len(design)),
         )
@@ -405,7 +426,7 @@ def _positive(cov: np.ndarray) -> np.ndarray:
 
 
 def _mean(w: np.ndarray, cov: np.ndarray, own: list[np.ndarray], S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weighted mean and its covariance; where the demonstrations are alike, the plain one and S / M."""
+    """Return the weighted mean and its covariance; with equal demonstrations, the plain mean and S / M."""
     if all(part is own[0] for part in own):
         return w.mean(axis=0), S / len(w)
     weights = [np.linalg.pinv(cov + part, hermitian=True) for part in own]

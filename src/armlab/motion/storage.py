@@ -1,4 +1,4 @@
-"""Frozen fields, equality to the last bit and a TOML file, for every movement primitive."""
+"""Frozen fields, exact equality and TOML files for movement primitives."""
 
 from __future__ import annotations
 
@@ -9,45 +9,46 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from armlab import models
+from armlab._display import Shown
 from armlab._numbers import numbers
 from armlab.errors import ShapeError
 
 
-@dataclass(frozen=True, eq=False)
-class Saved:
-    """A frozen dataclass with a file of its own kind: ``class Dmp(Saved, kind="dmp")``."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Saved(Shown):
+    """Frozen dataclass with its own file kind: ``class Dmp(Saved, kind="dmp")``."""
 
     KIND: ClassVar[str]
 
     def __init_subclass__(cls, *, kind: str) -> None:
-        """Give the class its file format."""
+        """Register the file kind of the class."""
         cls.KIND = kind
         models.register(kind, cls)
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether every field is the same, to the last bit."""
+        """Return whether all fields are bit-identical."""
         if type(other) is not type(self):
             return NotImplemented
         return all(_same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
 
-    __hash__ = None  # type: ignore[assignment]
+    __hash__: ClassVar[None] = None  # type: ignore[assignment]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy and pickle the fields alone: compiled kernels are made again, arrays are frozen again."""
+        """Copy and pickle the fields only; compiled kernels are rebuilt and arrays frozen again."""
         return type(self), tuple(getattr(self, f.name) for f in fields(self) if f.init)
 
     def save(self, path: str | Path) -> Path:
-        """Write a TOML file that comes back bit for bit, and return its path.
+        """Write a TOML file that reads back bit for bit, and return its path.
 
         Parameters
         ----------
-        path : ends in ``.toml``.
+        path : name with the extension ``.toml``.
         """
         return models.save(self, path)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Parameters
         ----------
@@ -55,17 +56,18 @@ class Saved:
 
         Raises
         ------
-        ConfigError : damaged or with unknown fields. ModelMismatchError : of another kind.
+        ConfigError : a damaged file or unknown fields.
+        ModelMismatchError : a file of another kind.
         """
         return models.load(path, cls.KIND)
 
 
 def freeze_arrays(value: Any, *names: str) -> None:
-    """Replace fields of a frozen dataclass by read-only arrays of finite numbers, while it is made."""
+    """Replace fields of a frozen dataclass by read-only arrays of finite numbers, in ``__post_init__``."""
     arrays = {name: np.array(numbers(getattr(value, name), name, ShapeError)) for name in names}
     if not np.isfinite(np.concatenate([array.ravel() for array in arrays.values()])).all():
         name = next(name for name in names if not np.isfinite(arrays[name]).all())
-        raise ShapeError(f"Expected finite {name} of a {type(value).__name__}, got NaN or Inf. Fit it again.")
+        raise ShapeError(f"Expected finite {name} in a {type(value).__name__}, got NaN or Inf. Fit again.")
     for name, array in arrays.items():
         array.flags.writeable = False
         object.__setattr__(value, name, array)

@@ -1,4 +1,4 @@
-"""A movement primitive within limits of velocity and acceleration: slower as a whole, or only where it must be."""
+"""Movement primitives within velocity and acceleration limits, by uniform or local slow-down."""
 
 from __future__ import annotations
 
@@ -10,27 +10,29 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import Shown
 from armlab._numbers import make_read_only, positive
 from armlab.errors import ConfigError, ShapeError
+from armlab.estimation.fit import Fit, value_of
 from armlab.motion import arguments
 from armlab.motion.arguments import clock
 from armlab.motion.control import Arms, JointLimits
 from armlab.motion.dmp import Dmp, DmpController
 from armlab.motion.primitive.run import Rollout, RunOptions
 
-PEAK_STEPS = 4000  # over a duration, in which peaks are looked for
-FINER = 20  # parts of a step around the largest acceleration: that of many kernels is no parabola there
-AFTER = 0.5  # of the duration, in which the motion settles
+PEAK_STEPS = 4000  # samples over a duration in the search for peaks
+FINER = 20  # parts of a step around the largest acceleration, which many kernels make too sharp for a parabola
+AFTER = 0.5  # of the duration, for settling
 
-KNOTS = 2000  # knots of the pace over a duration
-MARGIN = 1e-6  # for what parabolas through samples do not see
-PARTS = 4  # of an interval between them, at which limits are checked
+KNOTS = 2000  # knots of the clock rate over a duration
+MARGIN = 1e-6  # for errors of the parabolas through samples
+PARTS = 4  # points of an interval between knots at which limits are checked
 
 BISECTIONS = 45  # of the largest squared rate at a knot: to 3e-14 of it
 
 
 def shortest_duration(
-    dmp: Dmp,
+    dmp: Dmp | Fit[Dmp],
     v_max: ArrayLike = np.inf,
     a_max: ArrayLike = np.inf,
     *,
@@ -39,20 +41,22 @@ def shortest_duration(
     g: ArrayLike | None = None,
     amplitude: ArrayLike | None = None,
 ) -> float:
-    """Return the shortest duration, not below that of the demonstration, for which a motion keeps to limits [s].
+    """Return the shortest duration within limits, at least that of the demonstration [s].
 
-    ``k = max(1, max |yd| / v_max, sqrt(max |ydd| / a_max))`` times the duration: the same path, k times as slow.
+    ``k = max(1, max |yd| / v_max, sqrt(max |ydd| / a_max))`` times the duration, with the same path.
 
     Parameters
     ----------
-    dmp : that will run with this `duration`. v_max, a_max : a number or (n,), in the unit of y per s and s^2.
-    y0, v0, g, amplitude : of the run, as of `Dmp.rollout`; v0 in the duration of the demonstration. A controller begins
-        at rest: v0 = 0.
+    dmp : the primitive to run with this `duration`.
+    v_max, a_max : a number or (n,), in the unit of y per s and s^2.
+    y0, v0, g, amplitude : of the run, as in `Dmp.rollout`; v0 on the clock of the demonstration. A controller begins at
+        rest: v0 = 0.
 
     Raises
     ------
-    ShapeError : limits of another shape or not above zero, and as of `Dmp.rollout`.
+    ShapeError : limits of the wrong shape or not positive, and as in `Dmp.rollout`.
     """
+    dmp = value_of(dmp)
     limits = [arguments.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max"))]
     coarse = FINER * np.arange(round((1.0 + AFTER) * PEAK_STEPS) + 1)
     step = dmp.duration / (PEAK_STEPS * FINER)
@@ -65,10 +69,10 @@ def shortest_duration(
 
 
 def peaks(run: Rollout) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest ``|yd|`` and ``|ydd|`` (n,) of a motion, between its samples too.
+    """Return the largest ``|yd|`` and ``|ydd|`` (n,) of a motion, including between its samples.
 
-    Velocity is the cubic between samples with the accelerations as slopes; the peak of the acceleration is that of the
-    parabola through the largest sample and its neighbours.
+    Between samples, the velocity is interpolated by a cubic with the accelerations as slopes. The peak acceleration
+    comes from the parabola through the largest sample and its neighbours.
     """
     h, v, a = np.diff(run.t)[:, None], run.yd, run.ydd
     turns = a[:-1] * a[1:] < 0.0
@@ -87,7 +91,7 @@ def peaks(run: Rollout) -> tuple[np.ndarray, np.ndarray]:
 
 
 def retimed(
-    dmp: Dmp,
+    dmp: Dmp | Fit[Dmp],
     v_max: ArrayLike = np.inf,
     a_max: ArrayLike = np.inf,
     *,
@@ -96,20 +100,21 @@ def retimed(
     g: ArrayLike | None = None,
     amplitude: ArrayLike | None = None,
 ) -> PacedDmp:
-    """Return the motion on the same path that slows down only where a limit asks for it.
+    """Return the motion on the same path, slowed down only where a limit requires it.
 
-    It is as fast as limits allow, and nowhere faster than the demonstration: the time-optimal parameterisation of the
-    path with a rate of at most 1. It never takes longer than the whole motion stretched, `shortest_duration`. Its
-    acceleration jumps: jerk has no limit.
+    Uses the time-optimal parameterisation of the path with a clock rate of at most 1 (that of the demonstration). It
+    never takes longer than uniform slow-down to `shortest_duration`. Its acceleration is discontinuous, so the jerk is
+    unlimited.
 
     Parameters
     ----------
-    dmp, v_max, a_max, y0, v0, g, amplitude : as of `shortest_duration`.
+    dmp, v_max, a_max, y0, v0, g, amplitude : as in `shortest_duration`.
 
     Raises
     ------
-    ShapeError : as of `shortest_duration`.
+    ShapeError : as in `shortest_duration`.
     """
+    dmp = value_of(dmp)
     v, a = (arguments.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max")))
     given: RunOptions = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
     uniform = dmp.duration / shortest_duration(dmp, v, a, y0=y0, v0=v0, g=g, amplitude=amplitude)
@@ -131,15 +136,18 @@ def retimed(
     return paced
 
 
-@dataclass(frozen=True, eq=False)
-class PacedDmp:
-    """A primitive whose clock runs at a pace of its own; made by `retimed`.
+@dataclass(frozen=True, eq=False, repr=False)
+class PacedDmp(Shown):
+    """Primitive with a variable clock rate; created by `retimed`.
 
     Attributes
     ----------
-    dmp : the primitive. s : (M + 1,) times on its own clock [s]. rate : (M + 1,) s' there; after the last it stays.
+    dmp : the primitive.
+    s : (M + 1,) times on its own clock [s].
+    rate : (M + 1,) s' at these times; constant after the last.
     run : start, velocity at it, goal and amplitude.
-    t : (M + 1,) times at which the clock shows s [s]. change : (M + 1,) of the rate from then on [1/s].
+    t : (M + 1,) times at which the clock shows s [s].
+    change : (M + 1,) derivative of the rate from then on [1/s].
     """
 
     dmp: Dmp
@@ -150,7 +158,7 @@ class PacedDmp:
     change: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        """Freeze, and find the times of the knots."""
+        """Freeze the fields, and compute the times of the knots."""
         steps = 2 * np.diff(self.s) / (self.rate[1:] + self.rate[:-1])
         object.__setattr__(self, "t", np.append(0.0, np.cumsum(steps)))
         object.__setattr__(self, "change", np.append(np.diff(self.rate) / steps, 0.0))
@@ -167,26 +175,26 @@ class PacedDmp:
         return float(np.interp(self.dmp.duration, self.s, self.t))
 
     def _clock(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the primitive's own time, its rate and the change of that, each (...), at times since the start."""
+        """Return the primitive's clock, its rate and the derivative of the rate, each (...)."""
         times = np.asarray(t, dtype=float)
         i = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, None)
         since, change = times - self.t[i], self.change[i]
         return self.s[i] + since * (self.rate[i] + 0.5 * since * change), self.rate[i] + since * change, change
 
     def rollout(self, t: ArrayLike) -> Rollout:
-        """Return the motion at times t; x and the forcing are those of the place on the path.
+        """Return the motion at times t; phase and forcing belong to the point on the path.
 
         Parameters
         ----------
-        t : times (N,), counted from the first, or a time step, with which it runs for its duration [s].
+        t : times (N,), counted from the first, or a time step [s], until the end of the motion.
 
         Raises
         ------
-        ShapeError : times that do not increase, not finite, no step above zero.
+        ShapeError : times that do not increase or are not finite, a step that is not positive.
         """
         times = clock(t, self.duration)
         if times.ndim != 1 or not len(times) or not np.isfinite(times).all() or not (np.diff(times) > 0.0).all():
-            raise ShapeError("Expected finite times (N,) that increase, got others. Drop repeated samples.")
+            raise ShapeError(f"Expected finite, increasing times (N,), got shape {times.shape}. Drop repeated samples.")
         s, rate, change = self._clock(times - times[0])
         path = self.dmp.rollout(np.union1d(s, self.s[self.s < s[-1]]), **self.run)
         at = np.searchsorted(path.t, s)
@@ -195,25 +203,26 @@ class PacedDmp:
         return Rollout(times, y, yd, ydd, path.x[at], path.forcing[at])
 
     def stepper(self, **run: Unpack[RunOptions]) -> PacedStepper:
-        """Return what runs it sample by sample.
+        """Return a stepper that runs it sample by sample.
 
         Parameters
         ----------
-        **run : `RunOptions` where they differ from the plan, but no duration; the pace stays that of the plan.
+        **run : `RunOptions` that differ from the plan, except the duration; the clock rate stays as planned.
 
         Raises
         ------
-        ShapeError, ConfigError : as of `Dmp.stepper`.
+        ShapeError, ConfigError : as in `Dmp.stepper`.
         """
         if run.keys() & {"duration", "tau_d"}:
-            raise ConfigError("Expected a run at the pace of the plan, got a duration. Give `retimed` a slower motion.")
+            raise ConfigError("Expected a run without a duration, got a duration. Pass a slower motion to `retimed`.")
         return PacedStepper(self, {**self.run, **run})
 
     def controller(self, robot: Arms, *, limits: JointLimits | Sequence[JointLimits] | None = None) -> DmpController:
-        """Return a controller ``State -> Command`` at this pace, which starts where the arm is, at rest.
+        """Return a controller ``State -> Command`` at this clock rate, which starts at the measured position, at rest.
 
-        Limits hold as planned where the arm is at the start of the plan; elsewhere, and after another goal, the path is
-        another one at the same pace, and the limits of the controller act last (`Controller.clamped`).
+        The limits hold as planned if the arm begins at the start of the plan. From another start or to another goal,
+        the path differs at the same clock rate, and the limits of the controller are applied last
+        (`Controller.clamped`).
 
         Parameters
         ----------
@@ -227,14 +236,14 @@ class PacedDmp:
 
 
 class PacedStepper:
-    """One run of a `PacedDmp`, sample by sample; made by `PacedDmp.stepper`."""
+    """One run of a `PacedDmp`, sample by sample; created by `PacedDmp.stepper`."""
 
     def __init__(self, paced: PacedDmp, run: RunOptions) -> None:
         self._paced, self._inner = paced, paced.dmp.stepper(**run)
         self.reset()
 
     def reset(self) -> None:
-        """Go back to the start."""
+        """Return to the start."""
         self._knots = self._paced.t.tolist()
         self._inner.reset()
         self._t = self._s = 0.0
@@ -242,7 +251,7 @@ class PacedStepper:
 
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Advance by one sample and return y, yd, ydd, each (n,)."""
-        self._t += positive(dt, "dt [s]", "At 250 Hz it is 0.004.")
+        self._t += positive(dt, "dt [s]", "At 250 Hz, dt is 0.004 s.")
         paced, i, before = self._paced, bisect_right(self._knots, self._t) - 1, self._s
         since, start = self._t - self._knots[i], float(paced.rate[i])
         self._change = float(paced.change[i])
@@ -253,7 +262,7 @@ class PacedStepper:
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Position, velocity and acceleration now, each (n,)."""
+        """Current position, velocity and acceleration, each (n,)."""
         y, slope, bend = self._inner.state
         return y, self._rate * slope, self._rate**2 * bend + self._change * slope
 
@@ -269,21 +278,23 @@ class PacedStepper:
 
     @property
     def goal(self) -> np.ndarray:
-        """Goal now (n,)."""
+        """Current goal (n,)."""
         return self._inner.goal
 
     def change_goal(self, g: ArrayLike) -> None:
-        """Go for another goal from now on, at the same pace: the limits of the plan are no longer sure."""
+        """Change the goal at the same clock rate; the limits of the plan are no longer guaranteed."""
         self._inner.change_goal(g)
 
 
 def fastest(h: float, slope: np.ndarray, bend: np.ndarray, v_max: np.ndarray, a_max: np.ndarray) -> np.ndarray:
-    """Return the squared rate ``z = s'^2`` (M + 1,), at most 1, of the fastest motion along a path y(s), knots h apart.
+    """Return the squared clock rate ``z = s'^2`` (M + 1,), at most 1, of the fastest motion along y(s), with knots
+    spaced by h.
 
-    Velocity is ``y_s sqrt(z)``, acceleration ``y_ss z + y_s z_s / 2``, with slope y_s and bend y_ss (M + 1, n). With z
-    linear between knots, both limits are linear inequalities of neighbours: backwards the largest z from which the end
-    can be reached, forwards the largest that can be reached from there. Pham and Pham, A new approach to time-optimal
-    path parameterization based on reachability analysis, IEEE Transactions on Robotics 34(3), 2018.
+    The velocity is ``y_s sqrt(z)`` and the acceleration ``y_ss z + y_s z_s / 2``, with first and second derivatives y_s
+    and y_ss (M + 1, n). With z linear between knots, both limits are linear inequalities in neighbouring values. A
+    backward pass finds the largest z that can still reach the end, a forward pass the largest reachable z. Pham and
+    Pham, A new approach to time-optimal path parameterization based on reachability analysis, IEEE Transactions on
+    Robotics 34(3), 2018.
     """
     with np.errstate(divide="ignore"):
         cap = np.minimum(1.0, np.min((v_max / np.abs(slope)) ** 2, axis=1))
@@ -308,7 +319,7 @@ def fastest(h: float, slope: np.ndarray, bend: np.ndarray, v_max: np.ndarray, a_
 
 
 def _alone(a: np.ndarray, b: np.ndarray, cap: np.ndarray) -> np.ndarray:
-    """Return the largest z (M,) for which any next one fulfils the inequalities of one interval."""
+    """Return the largest z (M,) for which some next z satisfies the inequalities of one interval."""
     with np.errstate(divide="ignore", invalid="ignore"):
         over = np.where(b != 0.0, 1.0 / b, 0.0)
     flat, rises, falls = b == 0.0, b > 0.0, b < 0.0
@@ -325,7 +336,9 @@ def _alone(a: np.ndarray, b: np.ndarray, cap: np.ndarray) -> np.ndarray:
 
 
 def largest_size(values: np.ndarray) -> np.ndarray:
-    """Return the largest size (n,) of smooth pieces (M, P, n) of P >= 3 even samples, with parabolas between them."""
+    """Return the largest magnitude (n,) of smooth pieces (M, P, n) with P >= 3 uniform samples, by parabolic
+    interpolation.
+    """
     size = np.abs(values)
     before, at, after = size[:, :-2], size[:, 1:-1], size[:, 2:]
     bend = before - 2 * at + after

@@ -1,4 +1,4 @@
-"""Two-degree-of-freedom control of a movement primitive: the path waits for an arm that was held up."""
+"""Two-degree-of-freedom control of a movement primitive, in which the path waits for an arm that is held."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab._numbers import number, numbers, positive, still
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion.arguments import MOST_SAMPLES
-from armlab.motion.control import LONGEST_STEP, Arms, Controller, JointLimits, Pace, check_joints, steps_in
+from armlab.estimation.fit import value_of
+from armlab.motion.arguments import MAX_SAMPLES
+from armlab.motion.control import MAX_STEP, Arms, Controller, JointLimits, Pace, check_joints, steps_in
 from armlab.motion.disturbances import FULL_SPEED, Displace, Plant, Push, TwoDofRun, simulated
 from armlab.motion.dmp import Dmp
 from armlab.motion.primitive.run import Rollout, RunOptions, RunParameters, progress
@@ -24,24 +25,27 @@ if TYPE_CHECKING:
     from armlab.log import Column, Table
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TwoDofDmp(Saved, kind="two_dof_dmp"):
-    """A movement primitive whose path yc an arm follows at ya, and which slows down while the arm cannot follow.
+    """Movement primitive with a coupled path yc that slows down while the arm ya cannot follow.
 
-    With the error filtered and beyond a dead zone the time constant grows; the law: docs/theory/two_dof_dmp.md.
-    All coordinates share the phase x and tau_a, so the path keeps its shape. A standing error of 1, 2, 5, 10, 20 mrad
-    slows by 1.01, 1.04, 1.25, 2, 5: set `e0` above the level of sensors, friction and delay.
+    The time constant grows with the filtered error beyond a dead zone; docs/theory/two_dof_dmp.md describes the law.
+    All coordinates share the phase x and tau_a, so the path keeps its shape. A static error of 1, 2, 5, 10, 20 mrad
+    slows the motion by 1.01, 1.04, 1.25, 2, 5: set `e0` above the error level caused by sensors, friction and delay.
 
     Attributes
     ----------
-    dmp : the primitive.
-    kp, kv : gains on position [1/s^2] and velocity [1/s]. kc : of the slow-down. alpha_e : of the filter [1/s].
-    e0 : dead zone, one number or (n,), in the unit of y. e_scale : error that counts as 1 in kc, as e0.
-    e_max : error |ya - yc| / e_scale beyond which the path stands still until it is below 0.8 of it.
+    dmp : the primitive, or its fit.
+    kp, kv : gains on position [1/s^2] and velocity [1/s].
+    kc : gain of the slow-down.
+    alpha_e : of the error filter [1/s].
+    e0 : dead zone, one number or (n,), in the unit of y.
+    e_scale : error that counts as 1 in kc, in the shape of e0.
+    e_max : normalised error |ya - yc| / e_scale that pauses the path until it is below 0.8 e_max.
 
     Raises
     ------
-    ShapeError : gains below 0, e_scale or e_max not above 0, other shapes, NaN.
+    ShapeError : negative gains, e_scale or e_max not positive, wrong shapes, NaN.
 
     References
     ----------
@@ -66,14 +70,14 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
     }
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
+        object.__setattr__(self, "dmp", value_of(self.dmp))
         if not isinstance(self.dmp, Dmp):
-            raise ShapeError(f"Expected a Dmp, got {type(self.dmp).__name__}. Fit one by motion.fit_dmp.")
+            raise ShapeError(f"Expected a Dmp, got {type(self.dmp).__name__}. Use motion.fit_dmp.")
         for name in ("kp", "kv", "kc", "alpha_e"):
             if not 0.0 <= number(getattr(self, name), name) < np.inf:
                 raise ShapeError(f"Expected a finite {name} of at least 0, got {getattr(self, name)}.")
         if not number(self.e_max, "e_max") > 0.0:
-            raise ShapeError(f"Expected e_max above 0, got {self.e_max}. Infinity never freezes.")
+            raise ShapeError(f"Expected e_max above 0, got {self.e_max}. Infinity disables pausing.")
         for name in ("e0", "e_scale"):
             values = numbers(getattr(self, name), name, ShapeError)
             if values.shape not in ((), (self.dmp.n,)):
@@ -91,30 +95,30 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
 
     def simulate(
         self,
-        t: ArrayLike = LONGEST_STEP,
+        t: ArrayLike = MAX_STEP,
         events: Sequence[Push | Displace | Plant] = (),
         *,
-        dt: float = LONGEST_STEP,
+        dt: float = MAX_STEP,
         **run: Unpack[RunOptions],
     ) -> TwoDofRun:
-        """Simulate an arm that does what it is told, ``ya'' = ya_ref''``, but for what happens to it.
+        """Simulate an arm with perfect tracking, ``ya'' = ya_ref''``, under disturbances.
 
-        Steps are of fourth order and end at every event, never across one.
+        Steps are of fourth order and end at every event.
 
         Parameters
         ----------
-        t : (N,) increasing times [s], the motion starts at the first; or one step [s] until the end of the motion.
-        events : `Hold`, `Push`, `Displace`; and at most one plant, ``(t, ya, ya', ya_ref'') -> ya''``, in place of the
-            perfect arm.
-        dt : longest step of the solution [s].
+        t : (N,) increasing times [s], starting at the first; or one step [s], until the end of the motion.
+        events : `Hold`, `Push`, `Displace`, and at most one plant, ``(t, ya, ya', ya_ref'') -> ya''``, in place of
+            perfect tracking.
+        dt : longest integration step [s].
         **run : as in `Dmp.rollout`. The arm starts on the path, with its velocity.
 
         Raises
         ------
-        ShapeError : as in `Dmp.rollout`; events that contradict each other; a plant that gives no accelerations.
+        ShapeError : as in `Dmp.rollout`; overlapping events; a plant that returns no accelerations.
         ConfigError : both duration and tau_d.
         """
-        longest = positive(dt, "dt", "At 250 Hz it is 0.004.")
+        longest = positive(dt, "dt", "At 250 Hz, dt is 0.004 s.")
         setting, free = RunParameters.of(self.dmp, **run), _free(self.dmp, t, longest, run)
         law = self._law(setting)
         states, disturbed = simulated(law, starting(setting), free.t, events, longest)
@@ -133,38 +137,41 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
     ) -> TwoDofRun:
-        """Return what a log says of a run with `controller`, beside the primitive undisturbed; times begin at 0.
+        """Return a recorded run with `controller`, and the undisturbed primitive; times begin at 0.
 
         Parameters
         ----------
-        table : of ``link.run(controller, extra=controller.columns())``; rows without a path are left out.
-        disturbed : (t0, t1) of each time when something held or pushed the arm, as far as that is known [s].
-        duration, g, amplitude : as they were given to the controller.
+        table : from ``link.run(controller, extra=controller.columns())``; rows without a path are skipped.
+        disturbed : (t0, t1) of each known disturbance of the arm [s].
+        duration, g, amplitude : as passed to the controller.
 
         Raises
         ------
-        UnknownName : a column that the controller records is missing. ShapeError : no row with a path.
+        UnknownName : a column recorded by the controller is missing.
+        ShapeError : no row with a path.
         """
         begun = np.asarray(np.isfinite(table["path"]).all(axis=1))
         if not begun.any():
-            raise ShapeError("Expected a log with a path, got none. The controller was never asked.")
+            raise ShapeError(
+                "Expected a log with a path, got NaN in all rows of the column path. Record a run of the controller."
+            )
         rows = table.where(begun)
         t = rows.t - rows.t[0]
         run: RunOptions = {"duration": duration, "g": g, "amplitude": amplitude}
         run |= {"y0": rows["q"][0], "v0": np.zeros(self.dmp.n)}
-        free = _free(self.dmp, t, LONGEST_STEP, run)
+        free = _free(self.dmp, t, MAX_STEP, run)
         names = ("path", "path_qd", "path_qdd", "q", "qd", "qdd_ref", "path_error", "phase", "tau_a")
         parts: list[Any] = [np.asarray(rows[name]) for name in names]
         parts += [rows["frozen"].astype(bool), free, tuple(disturbed)]
         return TwoDofRun(t, *parts)
 
     def stepper(self, **run: Unpack[RunOptions]) -> TwoDofStepper:
-        """Return what runs the law sample by sample with a measured arm.
+        """Return a stepper that runs the law sample by sample with a measured arm.
 
-        Its ``step(dt, ya, yad)`` takes the time since the last sample [s], 0 at the first, and measured position and
-        velocity (n,), and returns `yc`, `ycd`, `ycdd` of the coupled path and the acceleration `ydd_ref` for the arm,
-        each (n,). ``change_goal(g)`` goes for another goal (n,), ``reset()`` back to the start; `x`, `tau_a` [s], `e`
-        (n,), `frozen` and `has_ended` say where the run is.
+        Its ``step(dt, ya, yad)`` takes the time since the last sample [s], 0 at the first, and the measured position
+        and velocity (n,). It returns `yc`, `ycd`, `ycdd` of the coupled path and the reference acceleration `ydd_ref`,
+        each (n,). ``change_goal(g)`` changes the goal (n,), ``reset()`` returns to the start. `x`, `tau_a` [s], `e`
+        (n,), `frozen` and `has_ended` are the state of the run.
 
         Parameters
         ----------
@@ -186,26 +193,31 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         amplitude: ArrayLike | None = None,
         give_way: Callable[[State], np.ndarray] | None = None,
     ) -> Controller:
-        """Return a controller ``State -> Command`` for `armlab.bridge`, which starts where the arm is, at rest.
+        """Return a controller ``State -> Command`` for `armlab.bridge`, which starts at the measured position, at rest.
 
         Parameters
         ----------
-        robot, limits : as in `Dmp.controller`. duration, g, amplitude : as in `Dmp.rollout`.
-        give_way : acceleration (n,) that a contact adds to the reference, for an arm that does not yield by itself:
+        robot, limits : as in `Dmp.controller`.
+        duration, g, amplitude : as in `Dmp.rollout`.
+        give_way : acceleration (n,) added to the reference by a contact, for an arm that is not compliant itself:
             for example ``lambda state: J(state.q).T @ force(state) / inertia``.
 
         Raises
         ------
-        ShapeError : a primitive of another number of joints, a goal outside the limits. ConfigError : as `Dmp.rollout`.
+        ShapeError : wrong number of joints, a goal outside the limits.
+        ConfigError : as in `Dmp.rollout`.
         """
         return TwoDofController(robot, self, {"duration": duration, "g": g, "amplitude": amplitude}, limits, give_way)
 
 
 def _free(dmp: Dmp, t: ArrayLike, longest: float, given: RunOptions) -> Rollout:
-    """Return the primitive undisturbed at times t, solved in steps of at most `longest`."""
+    """Return the undisturbed primitive at times t, integrated in steps of at most `longest`."""
     times = dmp.rollout(t, **given).t
-    if not times[-1] - times[0] < longest * MOST_SAMPLES:
-        raise ShapeError(f"Expected less than {MOST_SAMPLES} steps, got more at dt = {longest:g} s. Take a longer dt.")
+    if not times[-1] - times[0] < longest * MAX_SAMPLES:
+        steps = (times[-1] - times[0]) / longest
+        raise ShapeError(
+            f"Expected fewer than {MAX_SAMPLES} steps, got {steps:.3g} at dt = {longest:g} s. Use a longer dt."
+        )
     if len(times) < 2:
         return dmp.rollout(times, **given)
     parts = np.maximum(np.ceil(np.diff(times) / longest - 1e-9), 1).astype(int)
@@ -216,7 +228,7 @@ def _free(dmp: Dmp, t: ArrayLike, longest: float, given: RunOptions) -> Rollout:
 
 
 class Reference(NamedTuple):
-    """What `TwoDofStepper.step` returns."""
+    """Result of `TwoDofStepper.step`."""
 
     yc: np.ndarray
     ycd: np.ndarray
@@ -225,33 +237,35 @@ class Reference(NamedTuple):
 
 
 class TwoDofStepper:
-    """One run of a `TwoDofDmp` with an arm that is measured; made by `TwoDofDmp.stepper`.
+    """One run of a `TwoDofDmp` with a measured arm; created by `TwoDofDmp.stepper`.
 
-    Between two samples ya is taken to move with the velocity measured before, and the law is solved in steps of at most
-    4 ms.
+    Between two samples, ya is extrapolated with the last measured velocity, and the law is integrated in steps of at
+    most 4 ms.
     """
+
+    goal: np.ndarray
 
     def __init__(self, two_dof: TwoDofDmp, run: RunParameters) -> None:
         self._two_dof, self._run = two_dof, run
         self.reset()
 
     def reset(self) -> None:
-        """Go back to the start, with the first goal."""
+        """Return to the start, with the first goal."""
         run = self._run
         self._law, self.goal = self._two_dof._law(run), run.g
         self._state = starting(run)
 
     def step(self, dt: float, ya: np.ndarray, yad: np.ndarray, speed: np.ndarray = FULL_SPEED) -> Reference:
-        """Take a sample of the arm and return the reference of this instant."""
+        """Process a sample of the arm and return the current reference."""
         found = self._law.follow(self._state, dt, steps_in(dt), speed, ya, yad)
         self._state, (ycd, ycdd, ydd_ref) = found
         return Reference(self._state[: self._law.n], ycd, ycdd, ydd_ref)
 
     def change_goal(self, g: ArrayLike) -> None:
-        """Go for another goal from now on; with scaling "goal" the forcing is scaled with it."""
+        """Change the goal; with scaling "goal" the forcing is scaled with it."""
         scaling = self._two_dof.dmp.scaling
         if scaling == "rotate":
-            raise ConfigError("Expected a goal that stays with scaling 'rotate', got another. Make another stepper.")
+            raise ConfigError("Expected a constant goal with scaling 'rotate', got a new goal. Create a new stepper.")
         run = self._run.towards(g, scaling == "goal")
         self._law, self.goal = self._two_dof._law(run), run.g
 
@@ -262,22 +276,22 @@ class TwoDofStepper:
 
     @property
     def x(self) -> float:
-        """Phase, which all coordinates share; with schedule "position" it only counts time."""
+        """Phase shared by all coordinates; with schedule "position", it only measures time."""
         return float(self._state[-2])
 
     @property
     def tau_a(self) -> float:
-        """Time constant now [s]: that of the run where the arm follows, longer where it does not."""
+        """Current time constant [s], which is nominal while the arm follows and longer otherwise."""
         return self._law.time_constant(self._state)
 
     @property
     def frozen(self) -> bool:
-        """Whether the path stands still because the arm is too far from it."""
+        """Whether the path is paused because the arm is too far from it."""
         return bool(self._state[-1])
 
     @property
     def has_ended(self) -> bool:
-        """Whether the phase has gone as far as in the demonstration."""
+        """Whether the phase has reached its value at the end of the demonstration."""
         x, dmp = self.x, self._two_dof.dmp
         if dmp.schedule == "time":
             return x >= 1.0
@@ -291,7 +305,9 @@ def starting(run: RunParameters) -> np.ndarray:
 
 
 class TwoDofController(Controller):
-    """A `TwoDofDmp`: the reference is the twice integrated acceleration of its law, with the arm as measured."""
+    """Controller of a `TwoDofDmp` that integrates the acceleration of the law twice, using the measured arm."""
+
+    stepper: TwoDofStepper
 
     def __init__(
         self,
@@ -307,7 +323,7 @@ class TwoDofController(Controller):
         super().__init__(robot, limits, self.stepper.goal)
 
     def columns(self) -> dict[str, Column]:
-        """Return what it records, for ``link.run(extra=...)`` and `TwoDofDmp.recorded`."""
+        """Return the recorded columns, for ``link.run(extra=...)`` and `TwoDofDmp.recorded`."""
         from armlab.log import Column
 
         own = {"path_qd": Column((self._n,), unit="rad/s"), "path_qdd": Column((self._n,), unit="rad/s^2")}
@@ -326,7 +342,7 @@ class TwoDofController(Controller):
             gained = dt * self._qdd
             q, qd = q + dt * qd + (0.5 * dt) * gained, qd + gained
         self._qdd = found.ydd_ref if self._give_way is None else found.ydd_ref + self._give_way(state)
-        self.frozen = self.stepper.frozen
+        self.frozen: bool = self.stepper.frozen
         self._found = found
         return q, qd, self._qdd, found.yc
 

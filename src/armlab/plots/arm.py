@@ -1,4 +1,4 @@
-"""An arm in space: stick figure, workspace of the tool, manipulability ellipsoids."""
+"""Figures of an arm in space: stick figure, workspace, manipulability ellipsoids."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kinematics
+from armlab._display import GREY
 from armlab._numbers import flag, numbers
-from armlab._palette import GREY
 from armlab.errors import ConfigError, RobotError, ShapeError
 from armlab.kinematics import ellipsoid, forward, link_transforms
 from armlab.plots import space
@@ -24,37 +24,37 @@ if TYPE_CHECKING:
 
 
 _STICK = "#333333"
-_FAINT = 8  # most configurations drawn beside the last one
+_FAINT = 8  # most configurations drawn besides the last one
 _CORNERS = 20  # of a joint's cylinder
-_UNIT = {"joint": (0.055, 0.018), "frame": 0.13}  # length and radius of a joint, length of a frame: over the arm's
+_UNIT = {"joint": (0.055, 0.018), "frame": 0.13}  # relative to the arm: length and radius of a joint, length of a frame
 
 
 def robot(
     robot: Robot, q: ArrayLike | None = None, *, path: bool = False, frames: bool = True, ax: Any = None
 ) -> Axes3D:
-    """Draw an arm as a stick figure: revolute joints as cylinders about their axes, prismatic ones as boxes along them.
+    """Draw an arm as a stick figure, with revolute joints as cylinders about their axes and prismatic joints as boxes
+    along their axes.
 
-    Links run along their joint axes and the common normals between them, through the origins of the link frames; the
-    dashed line leads from the base to the mount. Joint i has the colour that it has in all figures.
+    Links follow the joint axes and their common normals, through the origins of the link frames; the dashed line
+    connects base and mount. Each joint has the same colour in all figures.
 
     Parameters
     ----------
     robot : the arm.
-    q : (n,) a configuration, or (N, n) several: the last one is drawn in full, of the others up to eight, evenly
-        spaced, as faint lines. The robot's home when None.
+    q : (n,) a configuration, or (N, n) several: the last one is drawn in full, up to eight of the others, evenly
+        spaced, drawn as faint lines. Default: home.
     path : draw the path of the tool through all N configurations.
     frames : draw the frames base, flange and tool.
-    ax : three-dimensional Axes to draw into, for example those of another arm; a new figure when None.
+    ax : three-dimensional Axes to draw into, for example those of another arm; default: a new figure.
 
     Returns
     -------
-    The Axes, in metres, base axes of the robot.
+    The Axes, in metres and in base axes of the robot.
 
     Raises
     ------
-    ShapeError : q does not have n numbers per configuration, has none, or one is not finite; `ax` is not
-        three-dimensional.
-    RobotError : something else came in place of a robot, such as its name.
+    ShapeError : q has the wrong shape, is empty or not finite; `ax` is not three-dimensional.
+    RobotError : the argument is not a Robot, for example a name.
     """
     q = configurations(robot, q)
     with look():
@@ -73,7 +73,7 @@ def robot(
 
 
 def configurations(robot: Robot, q: ArrayLike | None) -> np.ndarray:
-    """Return the configurations (N, n) to draw; the robot's home for None."""
+    """Return the configurations (N, n) to draw; None means home."""
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
     q = robot.q_home if q is None else numbers(q, "q", ShapeError)
@@ -86,13 +86,13 @@ def configurations(robot: Robot, q: ArrayLike | None) -> np.ndarray:
 
 
 def stick(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Return the corners (N, 3) of the stick figure at q (n,), base axes [m]: mount, joints, bends of links, tool."""
+    """Return the corners (N, 3) of the stick figure at q (n,) in base axes [m]: mount, joints, link corners, tool."""
     T, tool = link_transforms(robot, q), forward(robot, q)
     points = [robot.T_base_mount[:3, 3]]
-    axis = np.zeros(3)  # the mount has none: the first link leads to the nearest point of axis 1
+    axis = np.zeros(3)  # the mount has no axis: the first link ends at the nearest point of axis 1
     for i in range(robot.n):
         origin, z = T[i, :3, 3], T[i, :3, 2]
-        start = origin - q[i] * z if robot.prismatic[i] else origin  # where the slide begins
+        start = origin - q[i] * z if robot.prismatic[i] else origin  # start of the prismatic joint
         points += [*bends(points[-1], axis, start, z), start, origin]
         axis = z
     flange = (tool @ np.linalg.inv(robot.T_flange_tool))[:3, 3]
@@ -132,7 +132,7 @@ def _prism(T: np.ndarray, length: float, radius: float, corners: int) -> np.ndar
 
 
 def _frames(ax: Axes3D, robot: Robot, q: np.ndarray) -> None:
-    """Draw base, flange and tool; without a tool, flange and tool are one frame."""
+    """Draw the base, flange and tool frames; without a tool, flange and tool coincide."""
     length = _UNIT["frame"] * arm_length(robot)
     T_base_tool = forward(robot, q)
     space.frame(ax, np.eye(4), length, "base")
@@ -141,31 +141,31 @@ def _frames(ax: Axes3D, robot: Robot, q: np.ndarray) -> None:
     space.frame(ax, T_base_tool, length, "tool", place=space.AHEAD)
 
 
-_CLOUD = JOINT_STYLES[5][0]  # light: the arm stays visible on it
+_CLOUD = JOINT_STYLES[5][0]  # light, so that the arm stays visible
 
 
 def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = None) -> Figure:
-    """Draw where the tool point can be: from the side (x, z), from above (x, y) and in space, with the arm at home.
+    """Draw the workspace of the tool point in a side view (x, z), a top view (x, y) and in space, with the arm at home.
 
-    Joint positions are drawn uniformly inside the limits, so the cloud is thin where few postures lead; the rim of
-    the true workspace lies a little outside it. Revolute joints without limits turn once.
+    Joint positions are sampled uniformly within the limits, so the point cloud is sparse where few configurations
+    reach, and the true workspace extends slightly beyond it. Continuous joints cover one revolution.
 
     Parameters
     ----------
     robot : the arm.
-    points : number of random postures.
+    points : number of random configurations.
     seed : of the random numbers; the same seed gives the same cloud.
-    ax : three Axes, the last one three-dimensional; a new figure when None.
+    ax : three Axes, the last one three-dimensional; default: a new figure.
 
     Returns
     -------
-    The Figure; its first title holds the name, and the smallest and largest distance of the tool from the mount.
+    The Figure; its first title states the name, and the smallest and largest distance of the tool from the mount.
 
     Raises
     ------
-    RobotError : a prismatic joint has no limits, or something else came in place of a robot, such as its name.
-    ShapeError : `points` is no integer of at least 1, or `ax` are not three Axes.
-    ConfigError : `seed` is no integer of at least 0.
+    RobotError : a prismatic joint has no limits, or the argument is not a Robot.
+    ShapeError : `points` is not a positive integer, or `ax` is not three Axes.
+    ConfigError : `seed` is not a non-negative integer.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
@@ -178,9 +178,9 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
             panel.plot(p[:, i], p[:, j], ".", markersize=0.8, color=_CLOUD, alpha=0.35, rasterized=True, gid="cloud")
             panel.plot(arm[:, i], arm[:, j], color="black", linewidth=2.0, solid_joinstyle="round", gid="arm")
             panel.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
-            panel.set_aspect("equal", adjustable="datalim")  # panels of one height
+            panel.set_aspect("equal", adjustable="datalim")  # equal heights of the panels
         side.set_title(f"{robot.name}\ntool {reach.min():.2f} to {reach.max():.2f} m from the mount")
-        top.set_title(f"{points} random postures")
+        top.set_title(f"{points} random configurations")
         solid.scatter(*p.T, s=0.6, color=_CLOUD, alpha=0.25, depthshade=False, rasterized=True, gid="cloud")
         solid.plot(*arm.T, color="black", linewidth=2.0, gid="arm")
         space.equal_scale(solid, ticks=4)
@@ -188,23 +188,27 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
 
 
 def _sample(robot: Robot, points: int, seed: int) -> np.ndarray:
-    """Return places (points, 3) of the tool, base axes [m], for random postures inside the limits."""
+    """Return tool positions (points, 3) in base axes [m] for random configurations within the limits."""
     if not isinstance(points, int | np.integer) or points < 1:
-        raise ShapeError(f"Expected at least one posture for the workspace of {robot.name}, got points={points!r}.")
+        raise ShapeError(
+            f"Expected at least one configuration for the workspace of {robot.name}, got points={points!r}."
+        )
     if not isinstance(seed, int | np.integer) or seed < 0:
-        raise ConfigError(f"Expected seed to be an integer of at least 0, got {seed!r}.")
+        raise ConfigError(f"Expected seed as an integer >= 0, got {seed!r}.")
     low = np.where(np.isinf(robot.q_min), -np.pi, robot.q_min)
     high = np.where(np.isinf(robot.q_max), np.pi, robot.q_max)
     endless = robot.prismatic & (np.isinf(robot.q_min) | np.isinf(robot.q_max))
     if endless.any():
         name = robot.joint_names[int(np.argmax(endless))]
-        raise RobotError(f"Expected limits of the prismatic joint {name} of {robot.name}, got none: reach is endless.")
+        raise RobotError(
+            f"Expected limits of the prismatic joint {name} of {robot.name}, got infinite limits. Set q_min, q_max."
+        )
     q = np.random.default_rng(seed).uniform(low, high, (points, robot.n))
     return forward(robot, q)[:, :3, 3]
 
 
 def _panels(ax: Any) -> tuple[Figure, tuple[Axes, Axes, Any]]:
-    """Return the figure and its three panels, from the side, from above, in space: new ones or the caller's."""
+    """Return the figure and its three panels (side, top, space), either new or the caller's."""
     if ax is not None:
         given = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
         if given.size != 3:
@@ -217,40 +221,40 @@ def _panels(ax: Any) -> tuple[Figure, tuple[Axes, Axes, Any]]:
     grid = figure.add_gridspec(1, 3, width_ratios=(1, 1, 1.5))
     side, top = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     _, solid = space.space(figure.add_subplot(grid[2], **space.PROJECTION))
-    solid.set_anchor("W")  # it is square in a wide panel: room for the label of z at the right
+    solid.set_anchor("W")  # a square in a wide panel leaves room for the z label at the right
     return figure, (side, top, solid)
 
 
-_SIZE = 0.22  # largest half axis on paper over the length of the arm
+_SIZE = 0.22  # largest half axis in the figure over the length of the arm
 _MOST = 8
 _UNITS = {"position": ("v", "m/s"), "rotation": ("w", "rad/s")}
 
 
-_draw = robot  # where a parameter is called robot
+_draw = robot  # for functions with a parameter named robot
 
 
 def manipulability(
     robot: Robot, q: ArrayLike | None = None, part: Literal["position", "rotation"] = "position", *, ax: Any = None
 ) -> Axes3D:
-    """Draw the velocity ellipsoid at the tool: all velocities that joint speeds of total size 1 can give it.
+    """Draw the velocity ellipsoid of the tool, which contains all velocities for joint speeds of norm 1.
 
-    ``{J qd : |qd| = 1}``, see `kinematics.ellipsoid` and `kinematics.manipulability`. Where it is flat the tool cannot
-    move, and can push hard.
+    ``{J qd : |qd| = 1}``, see `kinematics.ellipsoid` and `kinematics.manipulability`. Along a short axis the tool moves
+    slowly and can exert large forces.
 
     Parameters
     ----------
     robot : the arm.
-    q : (n,) a configuration, or (N, n) several, of which at most eight, evenly spaced, are drawn. Home when None.
+    q : (n,) a configuration, or (N, n) several, of which at most eight, evenly spaced, are drawn. Default: home.
     part : "position", velocity of the tool point; or "rotation", angular velocity.
-    ax : three-dimensional Axes to draw into; a new figure when None.
+    ax : three-dimensional Axes to draw into; default: a new figure.
 
     Returns
     -------
-    The Axes; the title holds the half axes at the last configuration and the scale.
+    The Axes; the title states the half-axes at the last configuration and the scale.
 
     Raises
     ------
-    UnknownName : another `part`.
+    UnknownName : unknown `part`.
     ShapeError, RobotError : as in `robot`.
     """
     q = configurations(robot, q)
@@ -268,7 +272,7 @@ def manipulability(
         numbers = ", ".join(f"{x:.3g}" for x in found.lengths[-1])
         panel.set_title(
             f"{letter} for joint speeds |qd| = 1: half axes {numbers} {unit}\n"
-            f"manipulability {kinematics.manipulability(robot, q[-1], part):.3g}; 1 {unit} is drawn {scale:.2g} m long"
+            f"manipulability {kinematics.manipulability(robot, q[-1], part):.3g}; scale: 1 {unit} = {scale:.2g} m"
         )
         space.equal_scale(panel)
     return panel

@@ -1,4 +1,4 @@
-"""Quality of a calibration: residuals per sample, their distribution, uncertainty of the parameters."""
+"""Quality of a calibration: residuals per sample, their distribution, parameter uncertainty."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._palette import GREY
+from armlab._display import GREY
 from armlab.errors import ShapeError
 from armlab.estimation import Fit
 from armlab.plots.model import excitation
@@ -19,30 +19,30 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_SINGLE = ("distance", "pair distance", "point", "line")  # classes of noise of one number per sample
-_EDGE = 0.03  # of the width, left free beside the first and the last mark
+_SINGLE = ("distance", "pair distance", "point", "line")  # noise classes with one number per sample
+_EDGE = 0.03  # of the width, margin beside the first and the last mark
 _MOST = 3  # ellipses in one panel
 
 
 def calibration(fit: Fit[Any], truth: ArrayLike | None = None, ax: Any = None) -> Figure:
-    """Draw a calibration: residuals per sample, their quantiles, ellipses of two sigma, and the excitation.
+    """Draw the residuals per sample, quantile plot, two-sigma ellipses and excitation of a calibration.
 
-    Residuals are in standard deviations of their class of noise; a straight line of quantiles says that they are
-    normal. The ellipse of two parameters holds both in 86 % of the experiments.
+    Residuals are in standard deviations of their noise class; a straight quantile plot indicates normality. The
+    two-sigma ellipse of two parameters covers 86 % of the probability.
 
     Parameters
     ----------
-    fit : of a `fit_*` of `calibrate`. One that was read from a file has no residuals: the last two panels are drawn.
-    truth : (d,) true parameters where they are known; drawn as crosses into the ellipses.
-    ax : four Axes, two for a fit from a file; a new figure when None.
+    fit : of a `fit_*` of `calibrate`. A fit loaded from a file has no residuals; only the last two panels are drawn.
+    truth : (d,) true parameters, if known; drawn as crosses in the ellipses.
+    ax : four Axes, two for a loaded fit; default: a new figure.
 
     Returns
     -------
-    The figure of four panels, or of two.
+    The figure with four or two panels.
 
     Raises
     ------
-    ShapeError : no fit, another number of true parameters or of Axes.
+    ShapeError : not a Fit, wrong number of true parameters or Axes.
     """
     expect(fit, Fit)
     true = None if truth is None else np.asarray(truth, dtype=float)
@@ -60,7 +60,7 @@ def calibration(fit: Fit[Any], truth: ArrayLike | None = None, ax: Any = None) -
 
 
 def _groups(fit: Fit[Any]) -> dict[str, np.ndarray]:
-    """Return the residuals (N, k) of each class of noise, in its standard deviations."""
+    """Return the residuals (N, k) of each noise class in units of its standard deviation."""
     rows = fit.residuals.reshape(len(fit.residuals), -1)
     owner = _owners(fit.classes, rows.shape[1])
     if owner is None or fit.sigma.size != len(fit.classes) or not np.all(fit.sigma > 0):
@@ -70,7 +70,9 @@ def _groups(fit: Fit[Any]) -> dict[str, np.ndarray]:
 
 
 def _owners(classes: Sequence[str], columns: int) -> np.ndarray | None:
-    """Return the class of each column: three each, one of a distance or of a line, again and again; None if unclear."""
+    """Return the class of each column (three columns per class, or one for a distance or line, repeating); None if
+    ambiguous.
+    """
     if len(classes) == 1:
         return np.zeros(columns, dtype=int)
     once = np.repeat(np.arange(len(classes)), [1 if name.split(" [")[0] in _SINGLE else 3 for name in classes])
@@ -78,10 +80,10 @@ def _owners(classes: Sequence[str], columns: int) -> np.ndarray | None:
 
 
 def _per_sample(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray) -> None:
-    """Draw the norm per sample and class, wrong samples as crosses."""
+    """Draw the norm per sample and class, with outliers as crosses."""
     for (name, part), (color, _) in zip(groups.items(), JOINT_STYLES, strict=False):
         count = np.isfinite(part).sum(axis=1)
-        size = np.sqrt(np.nansum(part**2, axis=1) / np.where(count > 0, count, np.nan))  # NaN: was not measured
+        size = np.sqrt(np.nansum(part**2, axis=1) / np.where(count > 0, count, np.nan))  # NaN: not measured
         bad = outliers if len(outliers) == len(size) else np.zeros(len(size), dtype=bool)
         good = ~bad & np.isfinite(size)
         panel.plot(np.flatnonzero(good), size[good], "o", color=color, markersize=3.0, label=name)
@@ -100,7 +102,7 @@ def _per_sample(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray
 
 
 def _quantiles(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray) -> None:
-    """Draw the sorted residuals of the samples that count over the quantiles of the normal distribution."""
+    """Draw the sorted residuals of the inliers against the quantiles of the normal distribution."""
     from scipy.special import ndtri
 
     widest = 1.0
@@ -118,7 +120,7 @@ def _quantiles(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray)
 
 
 def _ellipses(panel: Axes, fit: Fit[Any], true: np.ndarray | None) -> None:
-    """Draw the ellipses of two sigma of the first pairs of neighbours of one unit, around what was found."""
+    """Draw the two-sigma ellipses of the first parameter pairs with equal units around the estimate."""
     round_ = np.linspace(0.0, 2.0 * np.pi, 91)
     circle = np.stack([np.cos(round_), np.sin(round_)])
     for at, (color, _) in zip(_pairs(fit), JOINT_STYLES, strict=False):
@@ -134,13 +136,13 @@ def _ellipses(panel: Axes, fit: Fit[Any], true: np.ndarray | None) -> None:
     panel.set_aspect("equal", adjustable="datalim")
     panel.xaxis.set_major_formatter("{x:g}")
     panel.yaxis.set_major_formatter("{x:g}")
-    panel.set(xlabel="first parameter, off by", ylabel="second parameter, off by")
+    panel.set(xlabel="error of the first parameter", ylabel="error of the second parameter")
     panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
-    panel.set_title("two sigma, around what was found")
+    panel.set_title("two-sigma ellipses around the estimate")
 
 
 def _pairs(fit: Fit[Any]) -> list[list[int]]:
-    """Return numbers of neighbouring parameters of one unit, each parameter once; of blocks of three the first two."""
+    """Return index pairs of adjacent parameters with equal units, each used once; the first two in blocks of three."""
     found: list[list[int]] = []
     i = 0
     while i + 1 < len(fit.names) and len(found) < _MOST:

@@ -1,4 +1,4 @@
-"""Contact: wrench over time, probabilities of hypotheses, coverage of the stated uncertainty, observability."""
+"""Contact figures: wrench over time, hypothesis probabilities, coverage of the uncertainty, observability."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armlab._palette import AXIS_COLORS, GREY
+from armlab._display import AXIS_COLORS, GREY
 from armlab.contact import contacts
 from armlab.contact.contacts import Hypotheses
 from armlab.errors import ShapeError, UnknownName, shortened
@@ -25,20 +25,21 @@ _SHADE = "#B3B3B3"
 
 
 def wrench(table: Table, ax: Any = None) -> Figure:
-    """Draw the estimated wrench, one panel per axis, with two-sigma bands; contact is shaded.
+    """Draw the estimated wrench, one panel per axis, with two-sigma bands and shaded contact.
 
-    The true wrench (`wrench_true`), that of a force sensor (`wrench`) and guaranteed limits (`wrench_interval`) are
-    drawn where the table has them. Forces share one scale and moments another, chosen by the estimates: a band that is
-    wider is cut off.
+    The true wrench (`wrench_true`), the force sensor (`wrench`) and guaranteed limits (`wrench_interval`) are drawn if
+    the table has them. Forces share one scale and moments another; the estimates determine both, and wider bands are
+    clipped.
 
     Parameters
     ----------
     table : with wrench_hat (N, 6), and wrench_hat_cov (N, 6, 6) for the bands; base axes, at the tool point.
-    ax : (3, 2) Axes, or 3 for the forces alone; a new figure when None.
+    ax : (3, 2) Axes, or 3 for the forces only; default: a new figure.
 
     Raises
     ------
-    UnknownName : the table has no wrench_hat. ShapeError : no table, or `ax` has another number of Axes.
+    UnknownName : the table has no wrench_hat.
+    ShapeError : not a Table, or `ax` with the wrong number of Axes.
     """
     expect(table, Table)
     if "wrench_hat" not in table:
@@ -62,16 +63,17 @@ def wrench(table: Table, ax: Any = None) -> Figure:
 
 
 def wrenches(tables: Mapping[str, Table], ax: Any = None) -> Figure:
-    """Draw the estimated forces of several arms side by side, one column each, on one scale.
+    """Draw the estimated forces of several arms side by side on one scale, with one column per arm.
 
     Parameters
     ----------
-    tables : name of the arm -> table as of `wrench`.
-    ax : (3, k) Axes for k arms; a new figure when None.
+    tables : name of the arm -> table as in `wrench`.
+    ax : (3, k) Axes for k arms; default: a new figure.
 
     Raises
     ------
-    UnknownName : a table has no wrench_hat. ShapeError : no table, or `ax` has another number of Axes.
+    UnknownName : a table has no wrench_hat.
+    ShapeError : not a Table, or `ax` with the wrong number of Axes.
     """
     if not isinstance(tables, Mapping) or not tables:
         raise ShapeError(f"Expected {{name: table}} of at least one arm to draw, got {shortened(tables)}.")
@@ -82,7 +84,7 @@ def wrenches(tables: Mapping[str, Table], ax: Any = None) -> Figure:
     limit = max(panel.get_ylim()[1] for panel in axes.ravel())
     for panel in axes.ravel():
         panel.set_ylim(-limit, limit)
-    for extra in figure.legends[1:]:  # one for all
+    for extra in figure.legends[1:]:  # one legend for all panels
         extra.remove()
     return figure
 
@@ -106,7 +108,7 @@ def _panel(ax: Axes, table: Table, sigma: np.ndarray | None, i: int, touched: np
 
 
 def _limit(table: Table, sigma: np.ndarray | None, column: int) -> float:
-    """Return the end of the scale: what the lines need, and room for the usual band."""
+    """Return the limit of the scale, which covers the range of the lines and a typical band."""
     part = slice(3 * column, 3 * column + 3)
     lines = [table[name][:, part] for name in ("wrench_hat", "wrench_true", "wrench") if name in table]
     sizes = [np.nanquantile(np.abs(array), 0.9995) for array in lines if np.isfinite(array).any()]
@@ -116,20 +118,20 @@ def _limit(table: Table, sigma: np.ndarray | None, column: int) -> float:
     return 1.2 * largest if largest > 0 else 1.0
 
 
-_LEAST = 0.02  # largest probability below which a hypothesis is drawn with the others
+_LEAST = 0.02  # hypotheses with a lower peak probability are drawn together
 
 
 def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
-    """Draw the probability of each hypothesis over time, stacked to 1; a bar on top where a link is not excluded.
+    """Draw the stacked probability of each hypothesis over time, and a bar while a link contact is not excluded.
 
     Parameters
     ----------
     found : from `contact.hypotheses`.
-    ax : Axes to draw into; a new figure when None.
+    ax : Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : something else in place of hypotheses, or several Axes.
+    ShapeError : not Hypotheses, or several Axes.
     """
     expect(found, Hypotheses)
     with single(ax, width=10.0, height=2.8) as (figure, panel):
@@ -141,7 +143,7 @@ def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
             parts, names, colors = [*parts, found.posterior[:, ~shown].sum(axis=1)], [*names, "others"], [*colors, GREY]
         panel.stackplot(found.t, parts, labels=names, colors=colors, alpha=0.8, step="mid", linewidth=0)
         doubt = np.where(found.link, 0.985, np.nan)
-        panel.plot(found.t, doubt, color="black", linewidth=3.0, marker="s", markersize=3.0, label="maybe on a link")
+        panel.plot(found.t, doubt, color="black", linewidth=3.0, marker="s", markersize=3.0, label="possibly on a link")
         panel.set_ylim(0.0, 1.0)
         panel.set(xlabel=label("t"), ylabel="probability")
         legend(figure, panel)
@@ -149,27 +151,28 @@ def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
 
 
 EDGES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the peak speed
-NOMINAL = 95.4  # % of a normal variable inside two sigma
-_FEWEST = 50  # samples in a bin that says anything
+NOMINAL = 95.4  # % of a normal variable within two sigma
+_FEWEST = 50  # samples needed in a bin
 _WEAK = 0.5
 _AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 
 
 def coverage(table: Table, ax: Any = None) -> Axes:
-    """Draw the share of errors inside two sigma per bin of speed; a true uncertainty holds 95.4 % in each.
+    """Draw the fraction of errors within two sigma per speed bin; a well-calibrated uncertainty covers 95.4 %.
 
-    Of a table with tau_sigma (from `identify.predict`) the torque of each joint over its own speed; of one with
-    wrench_hat each axis of the wrench over the fastest joint, against wrench_true or the sensor's `wrench`. Speeds are
-    shares of the joint's peak in the table. Bins of fewer than 50 samples are left out.
+    With tau_sigma (from `identify.predict`), the figure shows the torque of each joint against its own speed. With
+    wrench_hat, it shows each wrench axis, compared with wrench_true or the sensor's `wrench`, against the speed of the
+    fastest joint. Speeds are relative to the joint's peak in the table. Bins with fewer than 50 samples are omitted.
 
     Parameters
     ----------
     table : as above, with qd (N, n).
-    ax : Axes to draw into; a new figure when None.
+    ax : Axes to draw into; default: a new figure.
 
     Raises
     ------
-    UnknownName : the table has neither, or nothing to compare the wrench with. ShapeError : no table.
+    UnknownName : the table has neither, or no reference for the wrench.
+    ShapeError : not a Table.
     """
     names, shares = coverage_by_speed(table)
     with single(ax, width=7.5, height=3.6) as (_, panel):
@@ -178,7 +181,7 @@ def coverage(table: Table, ax: Any = None) -> Axes:
             panel.plot(places, 100 * shares[i], "o", markersize=4, label=name, **joint_style(i))
         panel.axhline(NOMINAL, color=GREY, linestyle="--", label=f"{NOMINAL} %")
         panel.set_xticks(places, [f"{100 * a:g} to {100 * b:g} %" for a, b in pairwise(EDGES)])
-        panel.set(xlabel="speed, share of its peak", ylabel="inside 2 sigma [%]")
+        panel.set(xlabel="speed relative to its peak", ylabel="within 2 sigma [%]")
         known = shares[np.isfinite(shares)]
         panel.set_ylim(min(80.0, 100 * float(known.min(initial=1.0)) - 2.0), 101.0)
         panel.legend(loc="lower right", ncols=4)
@@ -186,7 +189,7 @@ def coverage(table: Table, ax: Any = None) -> Axes:
 
 
 def coverage_by_speed(table: Table) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return the names of joints or axes and the share (k, 5) of their errors inside two sigma, per bin of speed."""
+    """Return the names of joints or axes and the fraction (k, 5) of their errors within two sigma, per speed bin."""
     expect(table, Table)
     if "qd" not in table:
         raise UnknownName.among("column of a coverage figure", "qd", table.names)
@@ -207,7 +210,7 @@ def coverage_by_speed(table: Table) -> tuple[tuple[str, ...], np.ndarray]:
 
 
 def _shares(error: np.ndarray, sigma: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Return the share (k, bins) of samples inside two sigma; NaN where a bin holds too few."""
+    """Return the fraction (k, bins) of samples within two sigma; NaN for bins with too few samples."""
     shares = np.full((error.shape[1], len(EDGES) - 1), np.nan)
     for i in range(error.shape[1]):
         known = np.isfinite(error[:, i]) & np.isfinite(sigma[:, i])
@@ -221,18 +224,19 @@ def _shares(error: np.ndarray, sigma: np.ndarray, speed: np.ndarray) -> np.ndarr
 
 
 def observability(table: Table, ax: Any = None) -> Figure:
-    """Draw how well the torques showed each axis of the wrench over time: 1 they determine it, 0 only the prior speaks.
+    """Draw the observability of each wrench axis over time: 1 means determined by the torques, 0 by the prior alone.
 
-    Times when an axis is weak (below 0.5) are shaded.
+    Intervals with a weakly observable axis (below 0.5) are shaded.
 
     Parameters
     ----------
     table : with observability (N, 6), from `contact.Estimator.run`.
-    ax : two Axes (forces, moments); a new figure when None.
+    ax : two Axes (forces, moments); default: a new figure.
 
     Raises
     ------
-    UnknownName : the table has none. ShapeError : no table, or another number of Axes.
+    UnknownName : the table has no such column.
+    ShapeError : not a Table, or the wrong number of Axes.
     """
     expect(table, Table)
     if "observability" not in table:

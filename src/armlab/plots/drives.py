@@ -1,4 +1,4 @@
-"""Joint friction over speed and position, and torque ripple as a spectrum."""
+"""Joint friction against speed and position, and the torque ripple spectrum."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import GREY
 from armlab._numbers import numbers
-from armlab._palette import GREY
 from armlab.errors import ShapeError
 from armlab.estimation import Fit
 from armlab.glossary import label, lookup
@@ -32,20 +32,21 @@ _POINTS = 3_000
 
 
 def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) -> Figure:
-    """Draw the friction of each joint in steady motion over its velocity, with a two-sigma band.
+    """Draw the steady-state friction of each joint against velocity, with a two-sigma band.
 
-    The dark band is what is uncertain in the friction parameters; the light one adds the torque error that the model
-    states for that velocity, so 95 % of the points belong inside it. A point is the curve plus the residual of a row.
+    The dark band is the uncertainty of the friction parameters. The light band adds the stated torque error at that
+    velocity, so it should contain 95 % of the points. Each point is the curve plus the residual of a row.
 
     Parameters
     ----------
-    fit : of `identify.fit_dynamics`.
-    table : of free motion, with qd and tau_error (N, n), from `contact.Estimator.run`; points are drawn where given.
-    ax : as many Axes as joints; a new figure when None.
+    fit : from `identify.fit_dynamics`.
+    table : of free motion, with qd and tau_error (N, n), from `contact.Estimator.run`; adds the points.
+    ax : one Axes per joint; default: a new figure.
 
     Raises
     ------
-    ModelMismatchError : a fit of something else. ShapeError : no fit, or another number of Axes than joints.
+    ModelMismatchError : a fit of another kind.
+    ShapeError : not a Fit, or a number of Axes other than that of the joints.
     """
     expect(fit, Fit)
     model = value_of(fit)
@@ -58,7 +59,7 @@ def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) 
             if table is not None:
                 every = max(1, len(table) // _POINTS)
                 speeds = table["qd"][::every]
-                shown = _curve(model, speeds) - table["tau_error"][::every]  # what the model has, plus what it misses
+                shown = _curve(model, speeds) - table["tau_error"][::every]  # model plus residual
                 cloud(panel, speeds[:, i], shown[:, i], "measured")
             grid = np.repeat(qd[:, None], n, axis=1)
             torque = _curve(model, grid)[:, i]
@@ -73,7 +74,7 @@ def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) 
 
 
 def _curve(model: TorqueModel, qd: np.ndarray) -> np.ndarray:
-    """Return the friction (N, n) of joints that slide at `qd` (N, n)."""
+    """Return the sliding friction (N, n) at joint velocities `qd` (N, n)."""
     return model.friction.torque(qd, _sign(model, qd))
 
 
@@ -83,7 +84,7 @@ def _sign(model: TorqueModel, qd: np.ndarray) -> np.ndarray:
 
 
 def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.ndarray:
-    """Return the variance (N,) of the friction curve of joint i from the covariance of its parameters."""
+    """Return the variance (N,) of the friction curve of joint i due to its parameter covariance."""
     friction = fit.value.friction
     s = _sign(fit.value, np.repeat(qd[:, None], fit.value.n, axis=1))[:, i]
     slopes = {name: term.column(qd, s) for name, term in FRICTION_TERMS.items() if term.column and name != "load"}
@@ -98,7 +99,7 @@ def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.nda
 
 
 def own_parameters(fit: Fit[TorqueModel]) -> list[dict[str, int]]:
-    """Return, for each joint, the place of each friction parameter in the fit: {"viscous": 45, "coulomb+": 46, ...}."""
+    """Return, for each joint, the index of each friction parameter in the fit: {"viscous": 45, "coulomb+": 46, ...}."""
     joints: list[dict[str, int]] = []
     for place in range(len(fit.value.base_names), len(fit.names)):
         kind = fit.names[place].split()[0]
@@ -109,13 +110,13 @@ def own_parameters(fit: Fit[TorqueModel]) -> list[dict[str, int]]:
     return (joints + [{} for _ in range(fit.value.n)])[: fit.value.n]
 
 
-_CELLS = 61  # of the map, each way
+_CELLS = 61  # of the map, per axis
 _SLICES = 3
-_BINS = 16  # of the coverage, each way
+_BINS = 16  # of the coverage, per axis
 _ROWS = 8_000  # of a spectrum; more are thinned
-_BEYOND = 1.25  # times the line at twice the gear ratio
-_FEWEST = 100  # rows for an amplitude
-_SLOWEST, _UNGEARED = 1.0, 50.0  # cycles per turn
+_BEYOND = 1.25  # spectrum limit over the line at twice the gear ratio
+_FEWEST = 100  # rows needed for an amplitude
+_SLOWEST, _UNGEARED = 1.0, 50.0  # cycles per revolution
 
 
 def friction_map(
@@ -125,29 +126,29 @@ def friction_map(
     slices: ArrayLike | None = None,
     ax: Any = None,
 ) -> Figure:
-    """Draw the friction of one joint over position and velocity, sliding: as a map, and cut at some positions.
+    """Draw the sliding friction of one joint against position and velocity, as a map and as slices.
 
-    Where a table is given its samples are drawn on the map, and what they leave open is hatched: there the map is only
-    continued.
+    With a table, its samples are drawn on the map; cells without samples are hatched, because the map is extrapolated
+    there.
 
     Parameters
     ----------
-    model : with or without `models.friction.FrictionMap`, or the fit that has it.
-    joint : number, from 0.
-    table : with q, qd (N, n), what the map was fitted to.
-    slices : (k,) positions of the cuts [rad]; three, evenly spaced, when None.
-    ax : two Axes; a new figure when None.
+    model : with or without `models.friction.FrictionMap`, or its fit.
+    joint : index, from 0.
+    table : training data of the map, with q, qd (N, n).
+    slices : (k,) positions of the slices [rad]; default: three, evenly spaced.
+    ax : two Axes; default: a new figure.
 
     Raises
     ------
-    ModelMismatchError : something else in place of a model.
-    ShapeError : a joint that is not there, positions that are no numbers, or another number of Axes.
+    ModelMismatchError : not a torque model.
+    ShapeError : an invalid joint index, positions that are not finite, or the wrong number of Axes.
     """
     model = value_of(model)
     joints_shown([joint], model.n)
     known = model.training
     q = np.linspace(known.q_min[joint], known.q_max[joint], _CELLS)
-    qd = np.linspace(-1.0, 1.0, 2 * (_CELLS // 2)) * known.qd_peak[joint]  # an even number: zero is no velocity
+    qd = np.linspace(-1.0, 1.0, 2 * (_CELLS // 2)) * known.qd_peak[joint]  # an even number excludes velocity zero
     torque = _sliding(model, joint, q, qd)
     cuts = np.linspace(q[0], q[-1], _SLICES + 2)[1:-1] if slices is None else numbers(slices, "slices", ShapeError)
     if cuts.ndim != 1 or not len(cuts) or not np.isfinite(cuts).all():
@@ -169,7 +170,7 @@ def friction_map(
 
 
 def _sliding(model: TorqueModel, joint: int, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-    """Return the friction (Q, V) of one joint that slides, without torque ripple."""
+    """Return the sliding friction (Q, V) of one joint, without torque ripple."""
     drive = Drive(
         model.friction.rows,
         np.zeros((3, model.n)),
@@ -181,7 +182,7 @@ def _sliding(model: TorqueModel, joint: int, q: np.ndarray, qd: np.ndarray) -> n
 
 
 def _cover(panel: Any, q: np.ndarray, qd: np.ndarray, q_shown: np.ndarray, qd_shown: np.ndarray) -> None:
-    """Draw the samples, and hatch the cells that have none."""
+    """Draw the samples, and hatch the cells without samples."""
     edges = np.linspace(q_shown[0], q_shown[-1], _BINS + 1), np.linspace(qd_shown[0], qd_shown[-1], _BINS + 1)
     count = np.histogram2d(q, qd, bins=edges)[0]
     every = max(1, len(q) // 4000)
@@ -196,23 +197,23 @@ def _cover(panel: Any, q: np.ndarray, qd: np.ndarray, q_shown: np.ndarray, qd_sh
 def spectrum(
     fit: Fit[TorqueModel] | TorqueModel, table: Table, joints: Sequence[int] | None = None, ax: Any = None
 ) -> Figure:
-    """Draw the amplitude of the torque residual over cycles per turn, without and with the ripple that the model has.
+    """Draw the amplitude spectrum of the torque residual per joint revolution with and without the ripple model.
 
-    Ripple comes from position, so its lines stand still at any speed; those of the model are marked. The upper scale
-    counts turns of the motor, where the gears are known. Of each line only the rows count in which its frequency in
-    time is below a quarter of the sampling rate.
+    Ripple depends on position, so its lines are independent of speed; the lines in the model are marked. The upper axis
+    counts motor revolutions if the gear ratios are known. Each line uses only rows in which its frequency in time is
+    below a quarter of the sampling rate.
 
     Parameters
     ----------
-    fit : identified torque model, or the fit that has it.
+    fit : identified torque model, or its fit.
     table : of free motion, with q, qd, tau (N, n).
-    joints : numbers of the joints to draw, from 0; all when None.
-    ax : as many Axes as joints; a new figure when None.
+    joints : indices of the joints to draw, from 0; default: all.
+    ax : one Axes per joint; default: a new figure.
 
     Raises
     ------
-    ModelMismatchError : something else in place of a model.
-    ShapeError : a joint that is not there, or another number of Axes; a log that `identify.prepare` refuses.
+    ModelMismatchError : not a torque model.
+    ShapeError : an invalid joint index, the wrong number of Axes, or a log rejected by `identify.prepare`.
     """
     model = value_of(fit)
     shown = joints_shown(joints, model.n)
@@ -224,9 +225,9 @@ def spectrum(
         for panel, i in zip(axes[:, 0], shown, strict=True):
             q, qd = without.data.q[::every, i], without.data.qd[::every, i]
             gear = 0.5 * model.ripple.cycles[i]
-            step = 0.5 * np.pi / max(float(np.ptp(q)), 1e-3)  # as close as the range of the motion can tell apart
+            step = 0.5 * np.pi / max(float(np.ptp(q)), 1e-3)  # resolution set by the range of motion
             cycles = np.arange(_SLOWEST, _BEYOND * max(2.0 * gear, _UNGEARED), step)
-            slow = without.data.rate / 4.0 / np.maximum(np.abs(qd) / (2 * np.pi), 1e-9)  # cycles per turn
+            slow = without.data.rate / 4.0 / np.maximum(np.abs(qd) / (2 * np.pi), 1e-9)  # cycles per revolution
             for found, color, label in ((without, GREY, "without"), (with_ripple, MODEL, "with")):
                 amplitude = _amplitude(q, found.y[::every, i], cycles, slow)
                 panel.plot(cycles, amplitude, color=color, linewidth=0.8, label=label)
@@ -234,15 +235,15 @@ def spectrum(
                 panel.axvline(line, color=MODEL, linestyle=":", linewidth=0.8, label="_" if k else "line of the model")
             if 2.0 * gear >= _UNGEARED:
                 top = panel.secondary_xaxis("top", functions=(lambda x, g=gear: x / g, lambda x, g=gear: x * g))
-                top.set_xlabel("cycles per motor turn" if panel is axes[0, 0] else "")
+                top.set_xlabel("cycles per motor revolution" if panel is axes[0, 0] else "")
             panel.set(title=f"joint {i + 1}", ylabel=f"amplitude [{lookup('tau').unit}]")
-        axes[-1, 0].set_xlabel("cycles per joint turn")
+        axes[-1, 0].set_xlabel("cycles per joint revolution")
         legend(figure, axes[0, 0])
     return figure
 
 
 def _amplitude(q: np.ndarray, y: np.ndarray, cycles: np.ndarray, most: np.ndarray) -> np.ndarray:
-    """Return the amplitude (C,) of each line ``a cos(c q) + b sin(c q)`` by itself, from rows where `most` > c."""
+    """Return the amplitude (C,) of each individual line ``a cos(c q) + b sin(c q)``, from rows with `most` > c."""
     y = y - y.mean()
     found = np.full(len(cycles), np.nan)
     for k, c in enumerate(cycles):
@@ -253,7 +254,7 @@ def _amplitude(q: np.ndarray, y: np.ndarray, cycles: np.ndarray, most: np.ndarra
 
 
 def _lines(model: TorqueModel, joint: int) -> list[float]:
-    """Return the cycles of the ripple lines that the model has for a joint."""
+    """Return the ripple lines of a joint in the model [cycles per revolution]."""
     found = [] if model.lines is None else model.lines.cycles[model.lines.joint == joint].tolist()
     if np.hypot(model.ripple.cosine[joint], model.ripple.sine[joint]) > 0:
         found.append(float(model.ripple.cycles[joint]))

@@ -1,4 +1,4 @@
-"""A torque model against a log: fit, residuals, their autocorrelation, covariance over velocity, excitation."""
+"""Comparison of a torque model with a log: fit, residuals, autocorrelation, covariance against speed, excitation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armlab._palette import GREY
+from armlab._display import GREY
 from armlab.errors import ModelMismatchError, ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit
 from armlab.estimation.robust import correlation_time
@@ -41,21 +41,21 @@ _RESIDUAL = JOINT_STYLES[0][0]
 
 
 def torque_fit(fit: Fit[TorqueModel] | TorqueModel, table: Table, ax: Any = None) -> Figure:
-    """Draw measured and modelled torque of each joint, and the residual with its two-sigma band.
+    """Draw the measured and modelled torque of each joint, and the residual with its two-sigma band.
 
-    Both are low-passed at the cut-off of the model, see `identify.predict`. The title of a residual says how much of
-    the variance of the torque the model explains, the root mean square of the rest, and how much of it is in the band.
+    Both are low-pass filtered at the cut-off of the model; see `identify.predict`. The title of a residual panel states
+    the explained variance, the RMS residual, and the fraction within the band.
 
     Parameters
     ----------
-    fit : identified torque model, or the fit that has it.
-    table : log of free motion with q, tau (N, n), and qd where it was measured.
-    ax : (n, 2) Axes to draw into; a new figure when None.
+    fit : identified torque model, or its fit.
+    table : log of free motion with q, tau (N, n), and qd if measured.
+    ax : (n, 2) Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ModelMismatchError : something else in place of a model.
-    ShapeError : a log that `identify.predict` refuses, or another number of Axes.
+    ModelMismatchError : not a torque model.
+    ShapeError : a log rejected by `identify.predict`, or the wrong number of Axes.
     """
     found = predict(value_of(fit), table)
     t, tau, model, sigma = found.t, found["tau"], found["tau_model"], found["tau_sigma"]
@@ -90,7 +90,7 @@ def value_of(fit: Fit[TorqueModel] | TorqueModel) -> TorqueModel:
 
 
 def _verdict(tau: np.ndarray, residual: np.ndarray, sigma: np.ndarray) -> str:
-    """Return share of variance explained, size of the residual, and how much of it the band covers."""
+    """Return the explained variance, the RMS residual, and the fraction within the band."""
     known = np.isfinite(residual) & np.isfinite(sigma)
     spread = np.var(tau[known]) if known.any() else 0.0
     if not spread > 0:
@@ -102,7 +102,7 @@ def _verdict(tau: np.ndarray, residual: np.ndarray, sigma: np.ndarray) -> str:
 
 
 def _scale(residual: np.ndarray, sigma: np.ndarray) -> tuple[float | None, float | None]:
-    """Return symmetric limits that hold the band and the residual but for rare spikes."""
+    """Return symmetric limits that contain the band and the residual except rare spikes."""
     sizes = [np.nanquantile(np.abs(residual), 0.999)] if np.isfinite(residual).any() else []
     sizes += [2 * np.nanmedian(sigma)] if np.isfinite(sigma).any() else []
     largest = float(max(sizes, default=0.0))
@@ -120,18 +120,19 @@ def residual_speed(
     joints: Sequence[int] | None = None,
     ax: Any = None,
 ) -> Figure:
-    """Draw torque residuals over joint velocity, with the two-sigma curves of one or several covariance models.
+    """Draw torque residuals against joint velocity, with the two-sigma curves of one or several covariance models.
 
     Parameters
     ----------
     table : of free motion, with qd and tau_error (N, n), from `contact.Estimator.run`.
     covariances : name -> `models.torque.VelocityCovariance`, drawn as curves at two sigma.
-    joints : numbers of the joints to draw, from 0; all when None.
-    ax : as many Axes as joints; a new figure when None.
+    joints : indices of the joints to draw, from 0; default: all.
+    ax : one Axes per joint; default: a new figure.
 
     Raises
     ------
-    UnknownName : a column is missing. ShapeError : no table, a joint that is not there, or another number of Axes.
+    UnknownName : a missing column.
+    ShapeError : not a Table, an invalid joint index, or the wrong number of Axes.
     """
     residuals, qd = _residuals(table), table["qd"]
     shown = joints_shown(joints, residuals.shape[1])
@@ -141,7 +142,7 @@ def residual_speed(
         for panel, i in zip(axes, shown, strict=True):
             cloud(panel, qd[::every, i], residuals[::every, i], "residual")
             half = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 300)]) * (peak[i] if peak[i] > 0 else 1.0)
-            speeds = np.concatenate([-half[:0:-1], half])  # close together near zero
+            speeds = np.concatenate([-half[:0:-1], half])  # dense near zero
             grid = np.repeat(speeds[:, None], residuals.shape[1], axis=1)
             for (name, covariance), color in zip((covariances or {}).items(), _MODELS, strict=False):
                 sigma = np.sqrt(covariance.variance(grid)[:, i])
@@ -153,25 +154,26 @@ def residual_speed(
 
 
 def autocorrelation(table: Table, joints: Sequence[int] | None = None, ax: Any = None) -> Axes:
-    """Draw the autocorrelation of the torque residuals over the lag; white noise would stay inside the grey band.
+    """Draw the autocorrelation of the torque residuals; white noise stays within the grey band.
 
-    The correlation time of each joint, in the legend, says how many samples count as one.
+    The legend states the correlation time of each joint, which is the spacing of effectively independent samples.
 
     Parameters
     ----------
     table : of free motion, with tau_error (N, n), from `contact.Estimator.run`, evenly sampled.
-    joints : numbers of the joints to draw, from 0; all when None.
-    ax : Axes to draw into; a new figure when None.
+    joints : indices of the joints to draw, from 0; default: all.
+    ax : Axes to draw into; default: a new figure.
 
     Raises
     ------
-    UnknownName : a column is missing. ShapeError : no table, a joint that is not there, fewer than 10 whole rows.
+    UnknownName : a missing column.
+    ShapeError : not a Table, an invalid joint index, fewer than 10 complete rows.
     """
     residuals = _residuals(table)
     shown = joints_shown(joints, residuals.shape[1])
     known = np.asarray(np.isfinite(residuals).all(axis=1))
     if known.sum() < 10:
-        raise ShapeError(f"Expected at least 10 rows with a residual to correlate, got {known.sum()}.")
+        raise ShapeError(f"Expected at least 10 rows with a residual for an autocorrelation, got {known.sum()}.")
     whole = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
     t, residuals, known = table.t[whole], residuals[whole], known[whole]
     step = float(np.median(np.diff(t)))
@@ -198,7 +200,7 @@ def _residuals(table: Table) -> np.ndarray:
 
 
 def _correlation(x: np.ndarray, known: np.ndarray, most: int) -> np.ndarray:
-    """Return the autocorrelation (most,) of x (N,), at each lag the mean over the pairs of which both are known."""
+    """Return the autocorrelation (most,) of x (N,), averaged over the known pairs at each lag."""
     size = 2 ** int(np.ceil(np.log2(2 * len(x))))
 
     def pairs(values: np.ndarray) -> np.ndarray:
@@ -216,17 +218,17 @@ _VELOCITIES = 601
 def velocity_covariance(
     model: Fit[TorqueModel] | TorqueModel | VelocityCovariance, qd_max: float = 1.0, ax: Any = None
 ) -> Axes:
-    """Draw the standard deviation of each joint's torque error over its velocity: wide at rest, narrow in motion.
+    """Draw the standard deviation of each joint's torque error against its velocity.
 
     Parameters
     ----------
-    model : a torque model, the fit that has it, or its covariance alone.
-    qd_max : the figure goes from -qd_max to qd_max [rad/s].
-    ax : Axes to draw into; a new figure when None.
+    model : a torque model, its fit, or its covariance alone.
+    qd_max : range of the figure, from -qd_max to qd_max [rad/s].
+    ax : Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ModelMismatchError : something else in place of a model.
+    ModelMismatchError : not a torque model.
     """
     covariance = model if isinstance(model, VelocityCovariance) else value_of(model).covariance
     joints = len(covariance.C0)
@@ -246,23 +248,23 @@ _WEAK, _REFUSED = 300.0, 1e4  # condition numbers of the estimators
 
 
 def excitation(found: Excitation, ax: Any = None) -> Axes:
-    """Draw the singular values of the scaled regressor, strongest first, each relative to the strongest.
+    """Draw the singular values of the scaled regressor in descending order, relative to the largest.
 
-    A direction below 1/300 is weak: it needs a longer or richer log. Below 1/10000 a fit is refused.
+    A direction below 1/300 is weak and needs a longer or richer log. Below 1/10000, a fit raises NotExcited.
 
     Parameters
     ----------
-    found : of a fit, ``fit.excitation``.
-    ax : Axes to draw into; a new figure when None.
+    found : ``fit.excitation``.
+    ax : Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : something else in place of an excitation; there are no singular values, or none above zero.
+    ShapeError : not an Excitation, or no positive singular values.
     """
     expect(found, Excitation)
     values = found.singular_values
     if not len(values) or not values[0] > 0:
-        raise ShapeError(f"Expected singular values above zero to draw, got {len(values)} values. Take those of a fit.")
+        raise ShapeError(f"Expected positive singular values to draw, got {len(values)} values. Use fit.excitation.")
     relative = np.where(values > 0, values / values[0], np.nan)
     with single(ax, width=7.5, height=3.2) as (_, panel):
         panel.semilogy(np.arange(1, len(values) + 1), relative, "o-", color=JOINT_STYLES[0][0], markersize=3.5)

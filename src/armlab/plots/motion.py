@@ -1,4 +1,4 @@
-"""Movement primitives: over time, in the phase plane, of poses, periodic, probabilistic, and waiting for the arm."""
+"""Figures of movement primitives: over time, phase plane, poses, periodic, probabilistic, two degrees of freedom."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import AXIS_COLORS, GREY
 from armlab._numbers import number, numbers
-from armlab._palette import AXIS_COLORS, GREY
 from armlab.errors import ShapeError
+from armlab.estimation.fit import Fit, value_of
 from armlab.glossary import label
 from armlab.lie import so3
 from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, Rollout, TwoDofRun
@@ -23,25 +24,29 @@ if TYPE_CHECKING:
 
 
 TAUGHT: dict[str, Any] = {"color": "#BFBFBF", "linewidth": 3.5, "zorder": 1}
-"""Look of demonstrations: wide, below the motion."""
+"""Style of demonstrations: wide lines below the motion."""
 _SAMPLES = 501
-_SETTLES = 1.5  # durations that are drawn where the motion goes on after its end
+_SETTLES = 1.5  # durations drawn for motions that continue after their end
 Goals = Sequence[tuple[float, ArrayLike]]
 
 
-def dmp(dmp: Dmp, demo: tuple[ArrayLike, ArrayLike] | None = None, goals: Goals = (), ax: Any = None) -> Figure:
-    """Draw what a movement primitive does over time: position, velocity, forcing, kernels with the phase, weights.
+def dmp(
+    dmp: Dmp | Fit[Dmp], demo: tuple[ArrayLike, ArrayLike] | None = None, goals: Goals = (), ax: Any = None
+) -> Figure:
+    """Draw a movement primitive over time: position, velocity, forcing, kernels with the phase, and weights.
 
     Parameters
     ----------
-    dmp : the primitive. demo : times (N,) and positions (N, n) that it was taught, drawn wide and grey.
-    goals : (t, g) of goals (n,) for which it goes from a time on [s]; every goal is drawn dashed.
-    ax : five Axes to draw into; a new figure when None.
+    dmp : the primitive.
+    demo : times (N,) and positions (N, n) of the demonstration, drawn wide and grey.
+    goals : (t, g) of goal changes to g (n,) at t [s]; every goal is drawn dashed.
+    ax : five Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : another kind of primitive, a demonstration or goal of another shape, or another number of Axes.
+    ShapeError : not a Dmp, a demonstration or goal of the wrong shape, or the wrong number of Axes.
     """
+    dmp = value_of(dmp)
     expect(dmp, Dmp)
     run, steps = _run(dmp, goals)
     with panels(5, 1, ax, width=8.0, height=1.6, sharex=True) as (figure, axes):
@@ -68,17 +73,19 @@ def dmp(dmp: Dmp, demo: tuple[ArrayLike, ArrayLike] | None = None, goals: Goals 
     return figure
 
 
-def dmp_phase(dmp: Dmp, ax: Any = None) -> Axes:
-    """Draw the phase plane of a movement primitive: velocity over position, from the start (o) to the goal (x).
+def dmp_phase(dmp: Dmp | Fit[Dmp], ax: Any = None) -> Axes:
+    """Draw the phase plane of a movement primitive: velocity against position, from the start (o) to the goal (x).
 
     Parameters
     ----------
-    dmp : the primitive. ax : Axes to draw into; a new figure when None.
+    dmp : the primitive.
+    ax : Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : another kind of primitive, or another number of Axes.
+    ShapeError : not a Dmp, or the wrong number of Axes.
     """
+    dmp = value_of(dmp)
     expect(dmp, Dmp)
     run = dmp.rollout(np.linspace(0.0, _SETTLES * dmp.duration, _SAMPLES))
     with single(ax, width=6.0, height=4.5) as (figure, panel):
@@ -97,13 +104,13 @@ def demonstration(demo: tuple[ArrayLike, ArrayLike], n: int) -> tuple[np.ndarray
     t, y = (numbers(part, name, ShapeError) for part, name in zip(demo, ("demo times", "demo positions"), strict=True))
     if t.ndim != 1 or len(t) < 2 or y.shape != (len(t), n) or not (np.diff(t) > 0).all():
         raise ShapeError(
-            f"Expected a demonstration as rising times (N,) and positions (N, {n}), got {t.shape} and {y.shape}."
+            f"Expected a demonstration as increasing times (N,) and positions (N, {n}), got {t.shape} and {y.shape}."
         )
     return t - t[0], y
 
 
 def _run(dmp: Dmp, goals: Goals) -> tuple[Rollout, tuple[np.ndarray, np.ndarray]]:
-    """Return the motion, and times (K,) and goals (K, n) from which on it goes for them."""
+    """Return the motion, and the times (K,) and goals (K, n) of the goal changes."""
     if not goals:
         return dmp.rollout(np.linspace(0.0, dmp.duration, _SAMPLES)), (np.zeros(1), dmp.g[None])
     due = [(number(t, "time of a goal [s]"), g) for t, g in sorted(goals, key=lambda goal: goal[0])]
@@ -124,7 +131,7 @@ def _run(dmp: Dmp, goals: Goals) -> tuple[Rollout, tuple[np.ndarray, np.ndarray]
 
 
 def _when(dmp: Dmp) -> np.ndarray:
-    """Return when the phase passes the centre of each kernel (n_basis,) [s]; for "position" as if it went evenly."""
+    """Return the times (n_basis,) [s] of the kernel centres in the phase; evenly spaced for "position"."""
     if dmp.schedule == "canonical":
         return -np.log(np.maximum(dmp.centres, 1e-12)) * dmp.tau_d / dmp.alpha_x
     share = dmp.centres if dmp.schedule == "time" else 1.0 - dmp.centres
@@ -142,20 +149,21 @@ _POSE_SAMPLES = 501
 _DASHES = ("-", "--", "-.")
 
 
-def pose_dmp(dmp: PoseDmp, demo: tuple[ArrayLike, ArrayLike] | None = None, ax: Any = None) -> Figure:
-    """Draw what a movement primitive of poses does over time: position, and rotation vector from the goal.
+def pose_dmp(dmp: PoseDmp | Fit[PoseDmp], demo: tuple[ArrayLike, ArrayLike] | None = None, ax: Any = None) -> Figure:
+    """Draw the position, and the rotation vector from the goal, of a movement primitive of poses over time.
 
     Parameters
     ----------
     dmp : the primitive.
-    demo : times (N,) and poses (N, 4, 4) that it was taught, drawn wide and grey; below, how far the motion is from
-        them.
-    ax : two Axes to draw into, four with a demonstration; a new figure when None.
+    demo : times (N,) and poses (N, 4, 4) of the demonstration, drawn wide and grey; adds panels with the distance from
+        it.
+    ax : two Axes to draw into, four with a demonstration; default: a new figure.
 
     Raises
     ------
-    ShapeError : another kind of primitive, a demonstration of another shape, or another number of Axes.
+    ShapeError : not a PoseDmp, a demonstration of the wrong shape, or the wrong number of Axes.
     """
+    dmp = value_of(dmp)
     expect(dmp, PoseDmp)
     t, taught = (np.linspace(0.0, dmp.duration, _POSE_SAMPLES), None) if demo is None else _taught(demo)
     T = dmp.rollout(t).T
@@ -166,14 +174,14 @@ def pose_dmp(dmp: PoseDmp, demo: tuple[ArrayLike, ArrayLike] | None = None, ax: 
             _poses(axes[:2, 0], t, taught, dmp.T_goal, [TAUGHT | {"label": n} for n in ("demonstration", "_", "_")])
             line(axes[2, 0], t, np.linalg.norm(T[:, :3, 3] - taught[:, :3, 3], axis=1), color=GREY, label="_")
             line(axes[3, 0], t, so3.angle(T[:, :3, :3], taught[:, :3, :3]), color=GREY, label="_")
-            names += ["distance off [m]", "angle off [rad]"]
+            names += ["position error [m]", "rotation error [rad]"]
         name_rows(figure, axes, names)
         legend(figure, axes[0, 0])
     return figure
 
 
 def _poses(axes: np.ndarray, t: np.ndarray, T: np.ndarray, T_goal: np.ndarray, styles: list[dict[str, Any]]) -> None:
-    """Draw x, y and z of position and of the rotation vector, base axes, that leads from the goal."""
+    """Draw x, y and z of the position and of the rotation vector from the goal in base axes."""
     turned = so3.log(T[:, :3, :3] @ T_goal[:3, :3].T)
     for panel, values in zip(axes, (T[:, :3, 3], turned), strict=True):
         for i, style in enumerate(styles):
@@ -184,36 +192,42 @@ def _taught(demo: tuple[ArrayLike, ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
     t, T = numbers(demo[0], "demo times", ShapeError), pose_stack(demo[1])
     if t.shape != (len(T),) or len(t) < 2 or not (np.diff(t) > 0).all():
         raise ShapeError(
-            f"Expected a demonstration as rising times (N,) and poses (N, 4, 4), got {t.shape} and {T.shape}."
+            f"Expected a demonstration as increasing times (N,) and poses (N, 4, 4), got {t.shape} and {T.shape}."
         )
     return t - t[0], T
 
 
-_TURN_SAMPLES = 500  # of a turn
+_TURN_SAMPLES = 500  # per period
 _MOST = 2000  # samples of a demonstration
 _TICKS = {0.0: "0", np.pi / 2: "π/2", np.pi: "π", 3 * np.pi / 2: "3π/2", 2 * np.pi: "2π"}
 
 
 def periodic_dmp(
-    dmp: PeriodicDmp, demo: tuple[ArrayLike, ArrayLike] | None = None, turns: float = 3.0, ax: Any = None
+    dmp: PeriodicDmp | Fit[PeriodicDmp],
+    demo: tuple[ArrayLike, ArrayLike] | None = None,
+    turns: float = 3.0,
+    ax: Any = None,
 ) -> Figure:
-    """Draw a periodic movement primitive: position, forcing and kernels over one turn, then several turns over time.
+    """Draw a periodic movement primitive: position, forcing and kernels over one period, then several periods over
+    time.
 
-    The last panel begins at rest on the baseline (dashed): the motion is soon that of the panels above.
+    The motion in the last panel begins at rest on the baseline (dashed) and converges to the motion above.
 
     Parameters
     ----------
-    dmp : the primitive. demo : times (N,) and positions (N, n) that it was taught, phase 0 at the first; drawn as dots.
-    turns : periods of the last panel. ax : four Axes to draw into; a new figure when None.
+    dmp : the primitive.
+    demo : times (N,) and positions (N, n) of the demonstration, phase 0 at the first; drawn as dots.
+    turns : periods of the last panel.
+    ax : four Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : another kind of primitive, a demonstration of another shape, no turns above zero, another number of
-        Axes.
+    ShapeError : not a PeriodicDmp, a demonstration of the wrong shape, turns not positive, the wrong number of Axes.
     """
+    dmp = value_of(dmp)
     expect(dmp, PeriodicDmp)
     if not 0.0 < number(turns, "turns") < np.inf:
-        raise ShapeError(f"Expected turns above zero, got {turns:g}. Three show the rhythm.")
+        raise ShapeError(f"Expected turns above zero, got {turns:g}. Try 3.")
     phi = 2 * np.pi / _TURN_SAMPLES * np.arange(_TURN_SAMPLES + 1)
     once = dmp.rollout(phi * dmp.period / (2 * np.pi))
     t = np.linspace(0.0, turns * dmp.period, round(_TURN_SAMPLES * turns) + 1)
@@ -250,7 +264,7 @@ _BAND_SAMPLES = 301
 
 
 def promp(
-    promp: ProMP,
+    promp: ProMP | Fit[ProMP],
     demos: Sequence[tuple[ArrayLike, ArrayLike]] = (),
     *,
     prior: ProMP | None = None,
@@ -259,25 +273,30 @@ def promp(
     seed: int = 0,
     ax: Any = None,
 ) -> Figure:
-    """Draw a distribution over motions, one panel per coordinate: mean, and a band of two standard deviations.
+    """Draw the mean and two-sigma band of a distribution over motions, with one panel per coordinate.
 
     Parameters
     ----------
     promp : the distribution.
-    demos : times (N,) and positions (N, n) of each demonstration, drawn thin, stretched to the duration of `promp`.
-    prior : distribution before it was conditioned, drawn grey. points : (t, y) that it passes, y (n,).
-    samples : motions that are drawn from it, dotted. seed : of them.
-    ax : n Axes to draw into; a new figure when None.
+    demos : times (N,) and positions (N, n) of each demonstration, drawn thin, scaled to the duration of `promp`.
+    prior : distribution before conditioning, drawn grey.
+    points : via-points (t, y), y (n,).
+    samples : number of motions sampled from it, dotted.
+    seed : of the samples.
+    ax : n Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : another kind of primitive; demonstrations, a prior or points of another shape; another number of Axes.
+    ShapeError : not a ProMP; demonstrations, a prior or points of the wrong shape; the wrong number of Axes.
     """
+    promp = value_of(promp)
     expect(promp, ProMP)
     t = np.linspace(0.0, promp.duration, _BAND_SAMPLES)
     marks = [(number(when, "time of a point [s]"), _point(y, promp.n)) for when, y in points]
     if prior is not None and prior.n != promp.n:
-        raise ShapeError(f"Expected a prior of {promp.n} coordinates, got one of {prior.n}. Take the one conditioned.")
+        raise ShapeError(
+            f"Expected a prior of {promp.n} coordinates, got {prior.n}. Use the distribution before conditioning."
+        )
     with panels(promp.n, 1, ax, width=8.0, height=1.9, sharex=True) as (figure, axes):
         for demo in demos:
             times, y = demonstration(demo, promp.n)
@@ -310,25 +329,25 @@ def _bands(axes: np.ndarray, t: np.ndarray, promp: ProMP, colors: list[str], nam
 def _point(y: ArrayLike, n: int) -> np.ndarray:
     point = np.atleast_1d(numbers(y, "point", ShapeError))
     if point.shape != (n,):
-        raise ShapeError(f"Expected points y of shape ({n},), got {point.shape}. NaN leaves a coordinate out.")
+        raise ShapeError(f"Expected points y of shape ({n},), got {point.shape}. Use NaN to omit a coordinate.")
     return point
 
 
 def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -> Figure:
-    """Draw how a primitive with two degrees of freedom is held up and recovers.
+    """Draw the disturbance and recovery of a primitive under two-degree-of-freedom control.
 
-    Above the arm ya (line), the coupled path yc (dashed) and the primitive undisturbed (dotted), then the filtered
-    error e, then how many times slower the path runs. Where something moved the arm it is shaded.
+    Top: the arm ya (line), the coupled path yc (dashed) and the undisturbed primitive (dotted). Middle: the filtered
+    error e. Bottom: the slow-down factor of the path. Disturbances are shaded.
 
     Parameters
     ----------
-    run : of `TwoDofDmp.simulate` or `TwoDofDmp.recorded`.
-    dofs : numbers of the coordinates from 0; all when None.
-    ax : three Axes to draw into; a new figure when None.
+    run : from `TwoDofDmp.simulate` or `TwoDofDmp.recorded`.
+    dofs : indices of the coordinates from 0; default: all.
+    ax : three Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : no run, a coordinate that does not exist, or another number of Axes.
+    ShapeError : not a TwoDofRun, an invalid coordinate, or the wrong number of Axes.
     """
     expect(run, TwoDofRun)
     which = range(run.yc.shape[1]) if dofs is None else dofs
@@ -352,7 +371,7 @@ def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -
         slower.set_ylim(0.9, 1.2 * max(run.tau_a.max() / run.tau_a.min(), 2.0))
         for formatter in (slower.yaxis.set_major_formatter, slower.yaxis.set_minor_formatter):
             formatter("{x:g}")
-        name_rows(figure, axes, (label("y"), label("e"), "times slower [1]"))
+        name_rows(figure, axes, (label("y"), label("e"), "slow-down [1]"))
         legend(figure, position)
     return figure
 

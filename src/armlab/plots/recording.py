@@ -1,4 +1,4 @@
-"""A recording over time: columns of its table, poses, latency of the loop."""
+"""Figures of a recording over time: columns of its table, poses, loop latency."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import AXIS_COLORS, GREY
 from armlab._numbers import flag, numbers
-from armlab._palette import AXIS_COLORS, GREY
 from armlab.errors import ShapeError, UnknownName
 from armlab.glossary import label
 from armlab.lie import quaternion
@@ -22,32 +22,33 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_DASHES: dict[str, tuple[Any, str]] = {"_ref": ((0, (6, 2.5)), "asked"), "_sent": ((0, (2, 1.5)), "sent")}
-"""Dashes, long and short, of the ending of a name, and their word in the legend."""
+_DASHES: dict[str, tuple[Any, str]] = {"_ref": ((0, (6, 2.5)), "commanded"), "_sent": ((0, (2, 1.5)), "sent")}
+"""Line dashes and legend words by suffix of the column name."""
 _USUAL = ("q", "qd", "tau", "wrench_hat")
 _MOST_COMPONENTS = 14
 
 
 def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes | Figure:
-    """Draw columns over time: one panel per quantity, each joint in its own colour, asked and sent values dashed.
+    """Draw columns over time, with one panel per quantity and one colour per joint; commanded and sent values are
+    dashed.
 
-    Columns that differ only in ``_ref`` or ``_sent`` share a panel. Times when a limit acted on the command are shaded.
+    Columns that differ only in ``_ref`` or ``_sent`` share a panel. Intervals with an active command limit are shaded.
 
     Parameters
     ----------
     data : the table.
-    names : columns; q, qd, tau and wrench_hat, as far as there are, when none is named.
-    split : one panel per component (joint) instead of all in one.
-    ax : Axes to draw into, as many as panels; a new figure when None.
+    names : columns; default: those of q, qd, tau and wrench_hat that exist.
+    split : one panel per component (joint) instead of a common panel.
+    ax : Axes to draw into, as many as panels; default: a new figure.
 
     Returns
     -------
-    The Axes of one panel, or the Figure of several.
+    The Axes of a single panel, or the Figure of several.
 
     Raises
     ------
-    UnknownName : a column does not exist, or none of the usual ones.
-    ShapeError : no table; a column is text or has too many components; `ax` has another number of Axes.
+    UnknownName : a column does not exist, or no default column exists.
+    ShapeError : not a Table; a text column or too many components; `ax` with the wrong number of Axes.
     """
     expect(data, Table)
     names = names or tuple(name for name in _USUAL if name in data)
@@ -57,7 +58,7 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
     for name in names:
         count = 0 if data[name].dtype.kind == "U" else _components(data, name)
         if not 0 < count <= _MOST_COMPONENTS:
-            raise ShapeError(f"Expected numbers, at most {_MOST_COMPONENTS} per row, to draw in {name}, got {count}.")
+            raise ShapeError(f"Expected at most {_MOST_COMPONENTS} numbers per row to draw in {name}, got {count}.")
         quantities.setdefault(_quantity(name), []).append(name)
     split = flag(split, "split of a drawn table")
     parts = [
@@ -75,7 +76,7 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
 
 
 def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> None:
-    """Draw columns of one quantity, all components or one."""
+    """Draw all components or one component of the columns of one quantity."""
     ax.set_ylabel(heading(data.columns[names[0]], _quantity(names[0])))
     for name in names:
         flat = data[name].reshape(len(data), -1)
@@ -93,7 +94,7 @@ def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> Non
 
 
 def _legends(axes: list[Axes]) -> None:
-    """Put a legend to the right of each panel, of the lines that no panel above it has."""
+    """Put a legend to the right of each panel for lines that are not in a legend above it."""
     said: set[str] = set()
     for ax in axes:
         handles, names = ax.get_legend_handles_labels()
@@ -104,7 +105,7 @@ def _legends(axes: list[Axes]) -> None:
 
 
 def _label(data: Table, name: str, i: int) -> str:
-    """Return the name of a component: the joint's, or the column's and its number."""
+    """Return the name of a component: the joint name, or the column name with an index."""
     if data[name].ndim == 1:
         return name
     labels = data.columns[name].labels
@@ -125,29 +126,29 @@ def _components(data: Table, name: str) -> int:
 
 
 def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax: Any = None) -> Axes | Figure:
-    """Draw x, y and z of poses over time and, below, the rotation vector.
+    """Draw x, y and z of poses over time, with the rotation vector below.
 
-    The rotation vector starts with an angle of at most π and goes on without jumps until a full turn.
+    The rotation vector starts with an angle of at most π and is continuous up to a full revolution.
 
     Parameters
     ----------
-    T : (N, 4, 4) poses; NaN leaves a gap.
-    t : (N,) times [s]; the number of the sample when None.
-    rotation : draw the rotation vector too.
-    ax : Axes to draw into, two with `rotation`, else one; a new figure when None.
+    T : (N, 4, 4) poses; NaN makes a gap.
+    t : (N,) times [s]; default: the sample index.
+    rotation : also draw the rotation vector.
+    ax : Axes to draw into, two with `rotation`, else one; default: a new figure.
 
     Returns
     -------
-    The Figure of both panels, or the Axes of the one.
+    The Figure of both panels, or the Axes of a single one.
 
     Raises
     ------
-    ShapeError : T are not poses, t is not one finite time per pose, or `ax` has another number of Axes.
+    ShapeError : invalid poses, t is not one finite time per pose, or `ax` with the wrong number of Axes.
     """
     T = pose_stack(T)
     times = np.arange(len(T), dtype=float) if t is None else numbers(t, "t", ShapeError)
     if times.shape != (len(T),) or not np.isfinite(times).all():
-        raise ShapeError(f"Expected one finite time per pose, {len(T)} in all, got t of shape {times.shape}.")
+        raise ShapeError(f"Expected {len(T)} finite times, one per pose, got t of shape {times.shape}.")
     drawn = [("position [m]", T[:, :3, 3])]
     if rotation:
         drawn.append(("rotation vector [rad]", _rotation_vectors(T[:, :3, :3])))
@@ -177,20 +178,21 @@ _QUANTILES = (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("max", 1.0))
 
 
 def latency(table: Table, ax: Any = None) -> Axes:
-    """Draw histograms of packet to reply, of the controller's step and of the loop's wake-up on a logarithmic axis.
+    """Draw histograms of packet-to-reply latency, controller step and loop wake-up on a logarithmic axis.
 
     Parameters
     ----------
     table : recording with receive_ns and send_ns, or step_ns, or wake_ns (N,).
-    ax : Axes to draw into; a new figure when None.
+    ax : Axes to draw into; default: a new figure.
 
     Returns
     -------
-    The Axes; p50, p99, p99.9 and the maximum are in the legend, missed and late ticks in the title.
+    The Axes; the legend states p50, p99, p99.9 and the maximum, and the title the missed and late ticks.
 
     Raises
     ------
-    UnknownName : the table has no times of the loop. ShapeError : no table, or one in which no answer took time.
+    UnknownName : the table has no loop times.
+    ShapeError : not a Table, or no positive loop time.
     """
     from matplotlib.ticker import EngFormatter
 
@@ -215,7 +217,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
 
 
 def _spans(table: Table) -> dict[str, np.ndarray]:
-    """Return the measured times [s], those above zero."""
+    """Return the positive measured times [s]."""
     expect(table, Table)
     found = {}
     if "receive_ns" in table and "send_ns" in table:
@@ -228,5 +230,7 @@ def _spans(table: Table) -> dict[str, np.ndarray]:
         raise UnknownName.among("column of loop times", "receive_ns, send_ns, step_ns or wake_ns", table.names)
     kept = {name: values[np.isfinite(values) & (values > 0)] for name, values in found.items()}
     if not any(map(len, kept.values())):
-        raise ShapeError(f"Expected times of a loop above zero, got none in {len(table)} rows. Draw a log of a run.")
+        raise ShapeError(
+            f"Expected loop times above 0 s, got only zeros or NaN in {len(table)} rows. Use a log of a run."
+        )
     return {name: values for name, values in kept.items() if len(values)}

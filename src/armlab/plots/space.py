@@ -1,4 +1,4 @@
-"""Axes in three dimensions and what is drawn in them: frames, paths of poses, points, lines, planes, spheres."""
+"""Three-dimensional axes and their items: frames, pose paths, points, lines, planes, spheres."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._display import AXIS_COLORS, GREY
 from armlab._numbers import numbers
-from armlab._palette import AXIS_COLORS, GREY
 from armlab.errors import ShapeError
 from armlab.frames import Line, Plane
 from armlab.frames.features import Circle, Sphere
@@ -24,19 +24,21 @@ if TYPE_CHECKING:
 
 
 PROJECTION: dict[str, Any] = {"projection": "3d", "proj_type": "ortho", "elev": 20.0, "azim": -55.0}
-"""For ``subplot_kw``: parallel projection, x to the right, y away from the eye, z up, as in a textbook."""
+"""Arguments for ``subplot_kw``: parallel projection with x to the right, y away from the viewer and z up, as in
+textbooks.
+"""
 AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)
-"""Places of the name of a frame: beside it, away from x and y; or beyond z, where no arm comes from."""
-_SOLID, _ARROW, _WORD = 5, 6, 7  # order of drawing; lines have 2
-_EDGE = "#B0B0B0"  # as the grid of three dimensions
-_FLATTEST = 0.3  # smallest side of the box over its largest: a planar robot still has a box
-_HALF_SIDE = 0.0925  # of the axes on paper, in the units of matplotlib
-_LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # distances of the names of axes in a cube; matplotlib's own
-_ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # parts of the sides in them, as `PROJECTION` sees them
+"""Positions of a frame's name: next to it, away from x and y, or beyond z, clear of the arm."""
+_SOLID, _ARROW, _WORD = 5, 6, 7  # z-order; lines have 2
+_EDGE = "#B0B0B0"  # as the grid of three-dimensional axes
+_FLATTEST = 0.3  # smallest side of the box over its largest, for planar robots
+_HALF_SIDE = 0.0925  # of the axes in the figure, in matplotlib's units
+_LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # distances of axis labels in a cube; matplotlib's default
+_ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # fractions of the sides in them, under `PROJECTION`
 
 
 def space(ax: Any = None) -> tuple[Figure, Axes3D]:
-    """Return a figure and its three-dimensional axes in metres: new ones, or those the caller gave."""
+    """Return a figure and its three-dimensional axes in metres, either new or the caller's."""
     if ax is None:
         import matplotlib.pyplot as plt
 
@@ -45,7 +47,7 @@ def space(ax: Any = None) -> tuple[Figure, Axes3D]:
     elif getattr(ax, "name", "") != "3d":
         kind = f"{np.size(ax)} in an array" if np.ndim(ax) else f"{getattr(ax, 'name', type(ax).__name__)} Axes"
         raise ShapeError(f'Expected one Axes with projection="3d" in ax=, got {kind}.')
-    ax.computed_zorder = False  # matplotlib would put solids above the words on them
+    ax.computed_zorder = False  # matplotlib would draw solids above their labels
     for axis, letter in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", strict=True):
         axis.pane.set_alpha(None)
         axis.pane.set(closed=True, facecolor=(1.0, 1.0, 1.0, 0.0), edgecolor=_EDGE, linewidth=0.6)
@@ -56,14 +58,14 @@ def space(ax: Any = None) -> tuple[Figure, Axes3D]:
 
 
 def extent(ax: Axes3D) -> np.ndarray:
-    """Return the lowest and the highest corner (2, 3) of everything drawn so far; NaN while there is nothing."""
+    """Return the lowest and the highest corner (2, 3) of all items so far; NaN if there are none."""
     if not ax.has_data():
         return np.full((2, 3), np.nan)
     return np.stack([*ax.xy_dataLim.get_points().T, ax.zz_dataLim.get_points()[:, 0]], axis=-1)
 
 
 def equal_scale(ax: Axes3D, part: float = 0.84, ticks: int = 7) -> None:
-    """Give the three axes one scale and room for all that is drawn; the box fills `part` of the axes on paper."""
+    """Set equal scales on the three axes with room for all items; the box fills `part` of the axes in the figure."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
@@ -88,10 +90,10 @@ def equal_scale(ax: Axes3D, part: float = 0.84, ticks: int = 7) -> None:
 def frame(
     ax: Axes3D, T: np.ndarray, length: float, name: str = "", *, letters: bool = True, place: ArrayLike = AWAY
 ) -> None:
-    """Draw a frame: x, y and z as arrows in their colours, lettered, and its name.
+    """Draw a frame: x, y and z as coloured, lettered arrows, and its name.
 
-    `T`: (4, 4) pose of the frame in the axes of the figure. `length`: of each arrow [m]. `place`: (3,) of the name,
-    in the frame and in lengths of an arrow.
+    `T`: (4, 4) pose of the frame in the axes of the figure. `length`: length of each arrow [m]. `place`: (3,) position
+    of the name in the frame, in units of the arrow length.
     """
     p, R = T[:3, 3], T[:3, :3]
     for i, color in enumerate(AXIS_COLORS):
@@ -103,13 +105,13 @@ def frame(
 
 
 def arrow(ax: Axes3D, start: np.ndarray, along: np.ndarray, **style: Any) -> None:
-    """Draw an arrow from `start` to `start + along`, both (3,) [m]; its head has one size on paper."""
+    """Draw an arrow from `start` to `start + along`, both (3,) [m]; its head has a fixed size in the figure."""
     _include(ax, np.stack([start, start + along]))
     ax.add_patch(_arrow_class()(start, start + along, **style))
 
 
 def word(ax: Axes3D, place: np.ndarray, text: str, **style: Any) -> None:
-    """Write a word centred at a place (3,) with a white rim, readable on top of lines."""
+    """Write a text centred at a position (3,) with a white outline, readable on top of lines."""
     from matplotlib.patheffects import withStroke
 
     rim = [withStroke(linewidth=2.0, foreground="white")]
@@ -120,7 +122,7 @@ def word(ax: Axes3D, place: np.ndarray, text: str, **style: Any) -> None:
 
 
 def solid(ax: Axes3D, faces: np.ndarray, color: Any, **style: Any) -> None:
-    """Draw lit faces (N, corners, 3) [m]."""
+    """Draw shaded faces (N, corners, 3) [m]."""
     from matplotlib.colors import LightSource, to_rgba_array
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -131,18 +133,18 @@ def solid(ax: Axes3D, faces: np.ndarray, color: Any, **style: Any) -> None:
 
 
 def _include(ax: Axes3D, points: np.ndarray) -> None:
-    """Count points (N, 3) as drawn, before they are: matplotlib does it for lines and clouds only."""
+    """Add points (N, 3) to the extent, because matplotlib does this only for lines and point clouds."""
     ax.auto_scale_xyz(points[:, 0], points[:, 1], points[:, 2], had_data=ax.has_data())
 
 
 @cache
 def _arrow_class() -> type:
-    """Return the class of arrows in space: matplotlib has flat ones only."""
+    """Return the class for arrows in space, because matplotlib has only planar arrows."""
     from matplotlib.patches import FancyArrowPatch
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
     class Arrow(FancyArrowPatch):
-        """A flat arrow whose ends follow two points (2, 3) of space."""
+        """Planar arrow with ends at two points (2, 3) in space."""
 
         def __init__(self, start: np.ndarray, end: np.ndarray, **style: Any) -> None:
             look = {"arrowstyle": "-|>", "mutation_scale": 8.0, "linewidth": 1.4, "zorder": _ARROW}
@@ -164,7 +166,7 @@ _NORMAL = 0.3  # length of a normal over the size of the scene
 
 
 def feature(ax: Axes3D, item: Line | Plane | Circle | Sphere, size: float, color: str) -> None:
-    """Draw a feature; planes and lines, which have no size, as large as a scene of that size [m] asks for."""
+    """Draw a feature; planes and lines, which are unbounded, are drawn in the size [m] of the scene."""
     if isinstance(item, Line):
         start = item.centroid - 0.5 * size * item.v
         arrow(ax, start, size * item.v, color=color, gid="line")
@@ -188,31 +190,30 @@ def _ring(ax: Axes3D, centre: np.ndarray, axes: np.ndarray, color: str) -> None:
 
 
 _MOST_FRAMES = 12  # along one path
-_MARKS = (("o", 8), ("^", 22), ("s", 14), ("D", 14))  # of one cloud after the other, with their areas
-_NAMED = 0.15  # length of a named frame over the size of the scene, when none is given
+_MARKS = (("o", 8), ("^", 22), ("s", 14), ("D", 14))  # of successive clouds, with their areas
+_NAMED = 0.15  # default length of a named frame over the size of the scene
 
 
 def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
-    """Draw frames, paths, points and features in one set of axes of equal scale [m].
+    """Draw frames, paths, points and features in one set of axes with equal scales [m].
 
     Parameters
     ----------
     *items : each is a mapping {name: T_a_x (4, 4)} of named frames; or poses (N, 4, 4), drawn as a path from a dot to
-        a square; or points (N, 3), coloured from first to last, with other marks in each set; or a `frames.Line` with
-        its foot where that is near, a `frames.Plane` as a patch with its normal, a circle or a
-        sphere. All in the same frame a. NaN leaves a gap.
-    frames : length [m] of the frames along paths (at most 12 of each, evenly spaced) and of the named ones. With 0
-        paths have none, and the named ones a length that fits.
-    ax : three-dimensional Axes to draw into, for example those of `robot`; a new figure when None.
+        a square; or points (N, 3), coloured from first to last, with another marker per set; or a `frames.Line` with
+        its foot if nearby, a `frames.Plane` as a patch with its normal, a circle or a sphere. All items must be in the
+        same frame a. NaN creates a gap.
+    frames : length [m] of the named frames and of the frames along paths (at most 12 per path, evenly spaced). With 0,
+        paths have no frames and named frames a suitable length.
+    ax : three-dimensional Axes to draw into, for example those of `robot`; default: a new figure.
 
     Raises
     ------
-    ShapeError : an item is none of these, a pose has no rotation, `frames` is no length from 0 on, or `ax` is not
-        three-dimensional.
+    ShapeError : an item of another type, an invalid pose, a negative `frames`, or `ax` is not three-dimensional.
     """
     size = numbers(frames, "frames", ShapeError)
     if size.ndim or not 0.0 <= size < np.inf:
-        raise ShapeError(f"Expected frames to be one length from 0 on [m], got {frames!r}. 0 is the default.")
+        raise ShapeError(f"Expected frames as a length >= 0 m, got {frames!r}. 0 is the default.")
     frames = float(size)
     checked = [_checked(item) for item in items]
     with look():
@@ -250,19 +251,19 @@ def pose_stack(T: Any, name: str = "T") -> np.ndarray:
     wrong = np.flatnonzero(~(se3.is_pose(T) | np.isnan(T).any(axis=(1, 2))))
     if wrong.size:
         raise ShapeError(
-            f"Expected poses in {name}, got a matrix at row {wrong[0]} whose rotation is none. "
-            "Project it first if it is nearly one (lie.se3.project)."
+            f"Expected poses in {name}, got a matrix without a rotation at row {wrong[0]}. "
+            "Use lie.se3.project for a rounded rotation."
         )
     return T
 
 
 def _checked(item: Any) -> dict[str, np.ndarray] | np.ndarray | Line | Plane | Circle | Sphere:
-    """Return named frames, poses (N, 4, 4), points (N, 3) or a feature."""
+    """Return validated named frames, poses (N, 4, 4), points (N, 3) or a feature."""
     if isinstance(item, (Line, Plane, Circle, Sphere)):
         return item
     if isinstance(item, Mapping):
         return {str(name): _named(T, name) for name, T in item.items()}
-    array = numbers(item, "what is drawn", ShapeError)
+    array = numbers(item, "an item to draw", ShapeError)
     if array.ndim == 3:
         return pose_stack(array)
     if array.ndim == 2 and array.shape[1] == 3:
@@ -281,7 +282,7 @@ def _named(T: Any, name: Any) -> np.ndarray:
 
 
 def _path(ax: Axes3D, T: np.ndarray, frames: float, color: str) -> None:
-    """Draw a path with its start, its end, and frames along it."""
+    """Draw a path with its start, its end, and its frames."""
     p = T[:, :3, 3]
     ax.plot(*p.T, color=color, linewidth=1.4, gid="path")
     there = np.flatnonzero(np.isfinite(T).all(axis=(1, 2)))
@@ -293,7 +294,7 @@ def _path(ax: Axes3D, T: np.ndarray, frames: float, color: str) -> None:
 
 
 def _size(ax: Axes3D, named: dict[str, np.ndarray]) -> float:
-    """Return the largest side of what is drawn and named [m]; 1 for a single place."""
+    """Return the largest side of the scene [m]; 1 for a single point."""
     points = np.concatenate([extent(ax), *(T[None, :3, 3] for T in named.values())])
     points = points[np.isfinite(points).all(axis=1)]
     return float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0 if len(points) else 1.0

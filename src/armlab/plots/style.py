@@ -1,4 +1,4 @@
-"""The look of all figures: colours, lines that keep gaps and spikes, checks of what is drawn, and figures as PNG."""
+"""Style of all figures: colours, lines that keep gaps and spikes, argument checks, and PNG output."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armlab._palette import COLORS, GREY, VERMILION
+from armlab._display import COLORS, GREY, VERMILION
 from armlab.errors import ConfigError, ShapeError, shortened
 from armlab.glossary import label
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 
 JOINT_STYLES = tuple((color, style) for style in ("-", "-.") for color in COLORS)
-"""Colour and line style of joint 1, 2, ...: the same in every figure."""
+"""Colour and line style of joints 1, 2, ..., equal in all figures."""
 MODEL = VERMILION
 
-_MOST_POINTS = 20_000  # of one line; more become an envelope
+_MOST_POINTS = 20_000  # of one line; longer lines become an envelope
 _ENVELOPE_COLUMNS = 4_000
 _COLUMNS = 4  # panels of joints side by side
 _RC: dict[Any, Any] = {
@@ -49,12 +49,12 @@ _RC: dict[Any, Any] = {
 
 @contextmanager
 def look() -> Iterator[None]:
-    """Draw with the look of armlab's figures; the user's settings are back afterwards."""
+    """Apply armlab's style in a `with` block; the user's settings are restored afterwards."""
     import matplotlib as mpl
 
     with mpl.rc_context(_RC):
         yield
-        interactive = mpl.is_interactive()  # a notebook turns it on when the first figure loads its backend
+        interactive = mpl.is_interactive()  # a notebook enables it when the first figure loads its backend
     mpl.interactive(interactive)
 
 
@@ -62,9 +62,9 @@ def look() -> Iterator[None]:
 def panels(
     rows: int, columns: int, ax: Any = None, *, width: float = 9.0, height: float = 1.8, **layout: Any
 ) -> Iterator[tuple[Figure, np.ndarray]]:
-    """Yield a figure and its axes (rows, columns) to draw with our look: new ones, or those the caller gave.
+    """Yield a figure and its axes (rows, columns) in armlab's style, either new or the caller's.
 
-    `ax`: one Axes or an array of rows x columns of them; None makes a new figure.
+    `ax`: one Axes or an array of rows x columns Axes; None creates a new figure.
     """
     with look():
         if ax is None:
@@ -82,13 +82,13 @@ def panels(
 
 @contextmanager
 def single(ax: Any, *, width: float, height: float) -> Iterator[tuple[Figure, Axes]]:
-    """Yield a figure and its only Axes, as `panels`."""
+    """Yield a figure and its only Axes, as in `panels`."""
     with panels(1, 1, ax, width=width, height=height) as (figure, axes):
         yield figure, axes[0, 0]
 
 
 def name_rows(figure: Figure, axes: np.ndarray, names: Iterable[str]) -> None:
-    """Name the values of panels (N, 1) that stand one above the other over time."""
+    """Label the rows of panels (N, 1) that are stacked over time."""
     for panel, name in zip(axes[:, 0], names, strict=True):
         panel.set_ylabel(name)
     axes[-1, 0].set_xlabel(label("t"))
@@ -96,27 +96,27 @@ def name_rows(figure: Figure, axes: np.ndarray, names: Iterable[str]) -> None:
 
 
 def joint_style(i: int) -> dict[str, Any]:
-    """Return colour and line style of a joint, numbered from 0."""
+    """Return the colour and line style of a joint by index from 0."""
     color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
     return {"color": color, "linestyle": style}
 
 
 def joint_names(table: Table, count: int) -> tuple[str, ...]:
-    """Return the names of the joints whose torques a table has."""
+    """Return the names of the joints in the torque column of a table."""
     return table.columns["tau"].labels or tuple(f"joint {i + 1}" for i in range(count))
 
 
 def joints_shown(joints: Sequence[int] | None, n: int) -> list[int]:
-    """Return the joints to draw, from 0: all of them for None."""
+    """Return the joint indices to draw (from 0); None means all."""
     shown = list(range(n)) if joints is None else list(joints)
     if not shown or not all(0 <= i < n for i in shown):
-        raise ShapeError(f"Expected numbers of joints from 0 to {n - 1} to draw, got {shown}.")
+        raise ShapeError(f"Expected joint numbers from 0 to {n - 1} to draw, got {shown}.")
     return shown
 
 
 @contextmanager
 def joint_panels(count: int, ax: Any) -> Iterator[tuple[Figure, np.ndarray]]:
-    """Yield a figure and a panel per joint, in rows of up to four; what is too much of a new grid is taken out."""
+    """Yield a figure and one panel per joint in rows of up to four; surplus panels of a new grid are removed."""
     rows = -(-count // _COLUMNS) if ax is None else 1
     columns = min(count, _COLUMNS) if ax is None else count
     with panels(rows, columns, ax, width=11.0 if count > 1 else 6.5, height=2.6) as (figure, axes):
@@ -126,20 +126,21 @@ def joint_panels(count: int, ax: Any) -> Iterator[tuple[Figure, np.ndarray]]:
 
 
 def line(ax: Axes, t: np.ndarray, values: np.ndarray, **style: Any) -> None:
-    """Draw values (N,) over t; NaN leaves a gap, and beyond 20 000 points the extremes of each stretch are drawn."""
+    """Draw values (N,) over t; NaN creates a gap, and more than 20 000 points are drawn as an envelope."""
     ax.plot(*envelope(t, values), **style)
 
 
 def cloud(ax: Axes, x: np.ndarray, y: np.ndarray, label: str) -> None:
-    """Draw many small points y (N,) over x (N,), grey, with a mark in the legend that can be seen."""
+    """Draw many small grey points y (N,) against x (N,), with a visible marker in the legend."""
     ax.plot(x, y, ".", color=GREY, markersize=1.5, alpha=0.35, label="_")
     ax.plot([], [], ".", color=GREY, markersize=5.0, label=label)
 
 
 def envelope(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and values to draw: as they are up to 20 000 points, else minimum and maximum per stretch.
+    """Return the times and values to draw: unchanged up to 20 000 points, otherwise the minimum and maximum per
+    segment.
 
-    A stretch without values is NaN, so that gaps stay gaps.
+    A segment without values is NaN, so that gaps remain gaps.
     """
     values = np.asarray(values, dtype=float)
     if len(values) <= _MOST_POINTS:
@@ -149,7 +150,7 @@ def envelope(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def band(ax: Axes, t: np.ndarray, middle: np.ndarray, half: np.ndarray, **style: Any) -> None:
-    """Fill middle - half to middle + half (N,); beyond 20 000 points the extremes of each stretch."""
+    """Fill from middle - half to middle + half (N,); more than 20 000 points are drawn as an envelope."""
     low, high = np.asarray(middle) - half, np.asarray(middle) + half
     if len(t) > _MOST_POINTS:
         first, low, high = _extremes(low, high)
@@ -158,15 +159,15 @@ def band(ax: Axes, t: np.ndarray, middle: np.ndarray, half: np.ndarray, **style:
 
 
 def _extremes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the first row of each stretch, its smallest `low` and its largest `high`; NaN where there is none."""
+    """Return the first row, the smallest `low` and the largest `high` of each segment; NaN for empty segments."""
     first = np.linspace(0, len(low), _ENVELOPE_COLUMNS + 1).astype(int)[:-1]
     return first, np.fmin.reduceat(low, first), np.fmax.reduceat(high, first)
 
 
 def shade(ax: Axes, t: np.ndarray, on: np.ndarray, **style: Any) -> None:
-    """Shade the spans of time in which the mask (N,) is true, each to the sample behind it.
+    """Shade the intervals in which the mask (N,) is true, each up to the next sample.
 
-    The outline shows a span of a single sample in a long log; spans closer together than a pixel are one.
+    The outline makes single-sample intervals in a long log visible; intervals closer than a pixel are merged.
     """
     edges = np.flatnonzero(np.diff(np.asarray(on, dtype=int), prepend=0, append=0)).reshape(-1, 2)
     if not len(edges):
@@ -180,7 +181,7 @@ def shade(ax: Axes, t: np.ndarray, on: np.ndarray, **style: Any) -> None:
 
 
 def legend(figure: Figure, *axes: Axes) -> None:
-    """Put one legend for some axes above the figure; into the first of them where the user's layout has no room."""
+    """Put one legend for the axes above the figure, or into the first axes if the user's layout has no room."""
     entries: dict[str, Any] = {}
     for ax in axes:
         entries |= {label: handle for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
@@ -192,36 +193,36 @@ def legend(figure: Figure, *axes: Axes) -> None:
 
 
 def _legend_columns(figure: Figure, labels: list[str]) -> int:
-    """Return how many columns of a legend fit side by side, at most seven; matplotlib would cut off the rest."""
+    """Return the number of legend columns that fit (at most seven), because matplotlib would clip the rest."""
     from matplotlib.textpath import TextPath
 
-    size = _RC["legend.fontsize"]  # of which the line, its distance from the text and that of the columns make 4.8
+    size = _RC["legend.fontsize"]  # the line, its padding and the column spacing take 4.8 of it
     widest = max((TextPath((0.0, 0.0), label, size=size).get_extents().width for label in labels), default=0.0)
     room = 72.0 * figure.bbox.width / figure.dpi + 2.0 * size
     return max(1, min(len(labels), 7, int(room / (widest + 4.8 * size))))
 
 
 _MAKERS = {
-    "Dmp": "motion.fit_dmp gives one",
-    "Excitation": "The excitation of a fit is one",
-    "Fit": "A fit_* returns one, and estimation.Fit.load reads one",
-    "Hypotheses": "contact.hypotheses gives them",
-    "PeriodicDmp": "motion.fit_periodic_dmp gives one",
-    "PoseDmp": "motion.fit_pose_dmp gives one",
-    "ProMP": "motion.fit_promp gives one",
-    "Table": "log.read gives one",
-    "TwoDofRun": "TwoDofDmp.simulate and TwoDofDmp.recorded give one",
+    "Dmp": "Use motion.fit_dmp",
+    "Excitation": "Use fit.excitation",
+    "Fit": "Use a fit_* function or estimation.Fit.load",
+    "Hypotheses": "Use contact.hypotheses",
+    "PeriodicDmp": "Use motion.fit_periodic_dmp",
+    "PoseDmp": "Use motion.fit_pose_dmp",
+    "ProMP": "Use motion.fit_promp",
+    "Table": "Use log.read",
+    "TwoDofRun": "Use TwoDofDmp.simulate or TwoDofDmp.recorded",
 }
 
 
 def expect(value: object, kind: type) -> None:
-    """Refuse what is not of the kind that a figure draws."""
+    """Raise unless the value is of the kind that the figure draws."""
     if not isinstance(value, kind):
         raise ShapeError(f"Expected {kind.__name__} to draw, got {shortened(value)}. {_MAKERS[kind.__name__]}.")
 
 
 def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
-    """Return what was drawn as a PNG file, and close its figure."""
+    """Return a figure as a PNG file, and close it."""
     import matplotlib.pyplot as plt
     from matplotlib.figure import Figure
 
@@ -234,12 +235,13 @@ def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
 
 
 def show() -> None:
-    """Open a window with each figure that was drawn, and wait until all are closed; refuse without a screen."""
+    """Open a window for each open figure and wait until all are closed; raise without a screen."""
     import matplotlib.pyplot as plt
     from matplotlib.backends.registry import BackendFilter, backend_registry
 
     if plt.get_backend().lower() in backend_registry.list_builtin(BackendFilter.NON_INTERACTIVE):
         raise ConfigError(
-            f"Expected a screen for the figure, got none (matplotlib draws by {plt.get_backend()}). Open its file."
+            f"Expected a screen for the figure, got the non-interactive backend {plt.get_backend()}. Save the figure "
+            "instead."
         )
     plt.show()

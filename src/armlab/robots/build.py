@@ -1,9 +1,9 @@
-"""Robots from constant links, from Denavit-Hartenberg rows, or from products of exponentials."""
+"""Build robots from constant links, Denavit-Hartenberg rows or products of exponentials."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple, TypedDict, Unpack
 
 import numpy as np
@@ -12,29 +12,37 @@ from numpy.typing import ArrayLike
 from armlab._numbers import members, numbers
 from armlab.errors import RobotError, ShapeError
 from armlab.lie import se3
-from armlab.robots.robot import POSE_TOLERANCE, Mesh, Robot, check_joint_count
+from armlab.robots.robot import Mesh, Robot, arm_length, check_joint_count
 
 GRAVITY = (0.0, 0.0, -9.80665)
 """Standard gravity on an upright arm [m/s^2]."""
 
 RAMP_TIME = 0.1
-"""Where no acceleration limit is given, the speed limit is reached in this time [s]."""
+"""Time [s] in which the default acceleration limit reaches the speed limit."""
 
 LIKE_DEGREES = (8.0 * np.pi, 500.0)
-"""Limits between these [rad] are degrees, as a rule: few axes turn four times, and those of ABB that do 96 times."""
+"""Limits between these values [rad] are usually degrees; few axes have four revolutions, and ABB's reach 96."""
 SCREW_TOLERANCE = 1e-9
-"""How far a joint screw may be from a unit axis without pitch."""
+"""Tolerance of a joint screw relative to a unit axis without pitch."""
 
 
 class Details(TypedDict, total=False):
-    """Arguments of a builder beside the geometry (see `Robot`), and their defaults.
+    """Builder arguments in addition to the geometry (see `Robot`), and their defaults.
 
     Attributes
     ----------
-    q_min, q_max, qd_max : infinite. qdd_max : `qd_max` reached in `RAMP_TIME`.
-    q_home : zero, moved inside the limits. joint_names : joint_1, joint_2 ...
-    T_base_mount, T_flange_tool, coupling : identity. gravity : `GRAVITY`.
-    abb_axes : 1, 2 ... n. side, source : empty. tau_max : infinite. inertias : None. meshes : none.
+    q_min, q_max, qd_max : infinite.
+    qdd_max : `qd_max` reached in `RAMP_TIME`.
+    q_home : zero, moved inside the limits.
+    joint_names : joint_1, joint_2 ...
+    T_base_mount, T_flange_tool, coupling : identity.
+    gravity : `GRAVITY`.
+    abb_axes : 1, 2 ... n.
+    side, source : empty.
+    tau_max : infinite.
+    inertias : None.
+    meshes : none.
+    drives : unknown.
     """
 
     q_min: ArrayLike
@@ -53,13 +61,13 @@ class Details(TypedDict, total=False):
     tau_max: ArrayLike
     inertias: ArrayLike | None
     meshes: Sequence[Sequence[Mesh]]
+    drives: Mapping[str, ArrayLike]
 
 
 def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, **details: Unpack[Details]) -> Robot:
-    """Return the robot whose joints turn about, or slide along, z between constant poses.
+    """Return the robot with revolute or prismatic joints along z between constant poses.
 
-    ``T_mount_flange = L_0 Z_1(q_1) L_1 ... Z_n(q_n) L_n``. Limits of a revolute joint that look like degrees are warned
-    of.
+    ``T_mount_flange = L_0 Z_1(q_1) L_1 ... Z_n(q_n) L_n``. Warns about revolute limits that look like degrees.
 
     Parameters
     ----------
@@ -70,7 +78,7 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
 
     Raises
     ------
-    RobotError : when the numbers contradict each other or a detail has an unknown name.
+    RobotError : if the numbers are inconsistent or a detail has an unknown name.
     """
     for unknown in details.keys() - Details.__annotations__.keys():
         raise RobotError(
@@ -101,7 +109,7 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
         gravity=given("gravity", GRAVITY), coupling=given("coupling", np.eye(n)),
         abb_axes=listed("abb_axes", range(1, n + 1)), side=details.get("side", ""), source=details.get("source", ""),
         tau_max=given("tau_max", unlimited), inertias=None if inertias is None else given("inertias", ()),
-        meshes=listed("meshes", ()),
+        meshes=listed("meshes", ()), drives=tuple(details.get("drives", {}).items()),  # type: ignore[arg-type]
     )  # fmt: skip
     _doubt_limits(robot)
     return robot
@@ -118,40 +126,77 @@ def from_dh(
     modified: bool = False,
     **details: Unpack[Details],
 ) -> Robot:
-    """Return the robot of a Denavit-Hartenberg table.
+    """Return the robot described by a Denavit-Hartenberg table.
 
     Standard: ``A_j = Rz(theta_j) Tz(d_j) Tx(a_j) Rx(alpha_j)``.
-    Modified: ``A_j = Rx(alpha_j) Tx(a_j) Rz(theta_j) Tz(d_j)``; alpha and a are those printed in row j
-    (called alpha_{j-1} and a_{j-1} by Craig). ``theta_j = offset_j + q_j``; the position of a prismatic joint adds to
-    d_j instead. Angles of more than a turn, and limits of a revolute joint that look like degrees, are warned of.
+    Modified: ``A_j = Rx(alpha_j) Tx(a_j) Rz(theta_j) Tz(d_j)``, with alpha and a as printed in row j (alpha_{j-1} and
+    a_{j-1} in Craig's notation). ``theta_j = offset_j + q_j``; the position of a prismatic joint is added to d_j
+    instead. Warns about angles of more than one revolution and revolute limits that look like degrees.
 
     Parameters
     ----------
     name : name of the robot.
-    alpha, a, d, offset : (n,) columns of the table [rad, m, m, rad]; a number stands for all rows.
+    alpha, a, d, offset : (n,) columns of the table [rad, m, m, rad]; a scalar applies to all rows.
     prismatic : (n,) bool, default all revolute.
     modified : True for the modified convention.
     **details : limits, mount, tool and more, see `Details`.
 
     Raises
     ------
-    RobotError : when the columns have different lengths, hold NaN, or the numbers contradict each other.
+    RobotError : if the columns have different lengths, contain NaN, or the numbers are inconsistent.
     """
-    if not isinstance(modified, bool | np.bool_):  # "standard" would count as True
+    if not isinstance(modified, bool | np.bool_):  # the text "standard" is truthy
         raise RobotError(f"Expected modified of robot {name!r} to be True or False, got {modified!r}.")
     alpha, a, d, offset = _columns(name, alpha=alpha, a=a, d=d, offset=offset)
     for key, angles in (("alpha", alpha), ("offset", offset)):
         if np.abs(angles).max(initial=0.0) > 2.0 * np.pi:
             got = f"{key} of {np.abs(angles).max():.4g} rad in the DH table of {name!r}"
-            _doubt(f"Expected angles of at most one turn, got {got}")
+            _doubt(f"Expected angles of at most one revolution, got {got}")
     along_x = _screw_x(alpha, a)
     links = np.tile(np.eye(4), (len(a) + 1, 1, 1))
     if modified:
         links[:-1] = along_x @ _screw_z(offset, d)
-    else:  # a joint commutes with its own Rz(offset) Tz(d): the turn goes before it, the shift after it
+    else:  # a joint commutes with its own Rz(offset) Tz(d): the rotation goes before it, the translation after it
         links[:-1] = _screw_z(offset, np.zeros_like(d))
         links[1:] = _screw_z(np.zeros_like(d), d) @ along_x @ links[[*range(1, len(a)), -1]]
     return from_links(name, links, prismatic, **details)
+
+
+_NEAR, _STEPS = (
+    0.06,
+    (0.25, 0.5, 0.75, 1.0, 1.25),
+)  # sufficient conditioning; search radius of homes, rad or share of the range
+_TRIES = 64
+
+
+def dexterous_home(robot: Robot) -> np.ndarray:
+    """Return a non-singular posture (n,) near the middle of all ranges if there is one.
+
+    Selects, from random postures near the middle, the one with the best-conditioned Jacobian (lengths divided by the
+    reach). Joints without a range start at 0.
+    """
+    limited = np.isfinite(robot.q_min) & np.isfinite(robot.q_max)
+    low, high = np.where(limited, robot.q_min, 0.0), np.where(limited, robot.q_max, 0.0)
+    half = np.where(limited, 0.5 * (high - low), np.pi)
+    room = np.where(robot.prismatic, np.where(limited, 0.5 * half, 0.0), np.minimum(1.0, 0.5 * half))
+    middle = np.where(limited, low + 0.5 * (high - low), np.clip(0.0, robot.q_min + 0.1, robot.q_max - 0.1))
+    scale = np.array([1.0 / arm_length(robot)] * 3 + [1.0] * 3)[:, None]
+    size = np.where(robot.prismatic, arm_length(robot), 1.0)
+
+    def conditioning(q: np.ndarray) -> np.ndarray:
+        values = np.linalg.svd(robot.chain.jacobian(q) * scale * size, compute_uv=False)
+        return values[..., -1] / values[..., 0]
+
+    best, value = middle, float(conditioning(middle))
+    draws = np.random.default_rng(0).uniform(-1.0, 1.0, (_TRIES, robot.n))
+    for step in _STEPS:
+        if value >= _NEAR:
+            break
+        tried = middle + step * room * draws
+        found = conditioning(tried)
+        if found.max() > value + 1e-6:
+            best, value = tried[int(found.argmax())], float(found.max())
+    return np.round(best, 3) if value > float(conditioning(middle)) else middle
 
 
 def _columns(name: str, **columns: ArrayLike) -> tuple[np.ndarray, ...]:
@@ -168,7 +213,7 @@ def _columns(name: str, **columns: ArrayLike) -> tuple[np.ndarray, ...]:
         return np.broadcast_arrays(*arrays.values())
     except ValueError:
         sizes = ", ".join(f"{key} {array.size}" for key, array in arrays.items())
-        raise RobotError(f"Expected DH columns of one length for robot {name!r}, got {sizes}.") from None
+        raise RobotError(f"Expected DH columns of equal length for robot {name!r}, got {sizes}.") from None
 
 
 def _doubt_limits(robot: Robot) -> None:
@@ -177,7 +222,7 @@ def _doubt_limits(robot: Robot) -> None:
     far = np.flatnonzero(~robot.prismatic & (peak > LIKE_DEGREES[0]) & (peak <= LIKE_DEGREES[1]))
     if len(far):
         words = [f"{robot.joint_names[i]} ({robot.q_min[i]:.4g} to {robot.q_max[i]:.4g} rad)" for i in far]
-        _doubt(f"Expected limits of revolute joints of robot {robot.name!r} within four turns, got {', '.join(words)}")
+        _doubt(f"Expected revolute limits of robot {robot.name!r} within four revolutions, got {', '.join(words)}")
 
 
 def _doubt(what: str) -> None:
@@ -212,7 +257,7 @@ class LocalPoe(NamedTuple):
     Attributes
     ----------
     poses : (n+1, 4, 4) ``A_1 ... A_n, A_tool``; mount and tool included.
-    screws : (n, 6) xi [v; w], each in the frame that its A leads to.
+    screws : (n, 6) xi [v; w], each in the frame of its A.
     """
 
     poses: np.ndarray
@@ -231,14 +276,14 @@ def from_poe(name: str, screws: ArrayLike, T_home: ArrayLike, **details: Unpack[
 
     Raises
     ------
-    RobotError : when a screw is not a unit axis without pitch, or the numbers contradict each other.
+    RobotError : if a screw is not a unit axis without pitch, or the numbers are inconsistent.
     """
     T_home = numbers(T_home, f"T_home of robot {name!r}")
-    if T_home.shape != (4, 4) or not se3.is_pose(T_home, POSE_TOLERANCE):
+    if T_home.shape != (4, 4) or not se3.is_pose(T_home):
         raise RobotError(f"Expected T_home of robot {name!r} to be a pose (4, 4), got {T_home.tolist()}.")
     screws = numbers(screws, f"screws of robot {name!r}")
     poses = np.tile(np.eye(4), (len(screws) + 1 if screws.ndim else 1, 1, 1))
-    poses[-1] = T_home
+    poses[-1] = se3.orthonormalise(T_home)
     return from_local_poe(name, poses, screws, **details)
 
 
@@ -249,12 +294,12 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
     ----------
     name : name of the robot.
     poses : (n+1, 4, 4) ``A_1 ... A_n, A_flange``.
-    screws : (n, 6) xi [v; w], each in the frame that its A leads to; w = 0 makes a prismatic joint.
+    screws : (n, 6) xi [v; w], each in the frame of its A; w = 0 makes a prismatic joint.
     **details : limits, mount, tool and more, see `Details`.
 
     Raises
     ------
-    RobotError : when a screw is not a unit axis without pitch, or the numbers contradict each other.
+    RobotError : if a screw is not a unit axis without pitch, or the numbers are inconsistent.
     """
     poses, screws = numbers(poses, f"poses of robot {name!r}"), numbers(screws, f"screws of robot {name!r}")
     if screws.ndim != 2 or screws.shape[1] != 6 or poses.shape != (len(screws) + 1, 4, 4):
@@ -265,7 +310,7 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
     _check_screws(name, screws)
     v, w = screws[:, :3], screws[:, 3:]
     axes = np.where(w.any(axis=1, keepdims=True), w, v)
-    # exp(xi q) = C Z(q) C⁻¹, C at the point of the axis nearest to the origin; 0 when it slides
+    # exp(xi q) = C Z(q) C⁻¹, C at the point of the axis nearest to the origin; 0 for prismatic joints
     frames = se3.from_rp(frames_along(axes), np.cross(w, v))
     links = poses.copy()
     links[:-1] = links[:-1] @ frames
@@ -274,9 +319,9 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
 
 
 def to_local_poe(robot: Robot) -> LocalPoe:
-    """Return the robot as a local product of exponentials, mount and tool included.
+    """Return the robot as a local product of exponentials, including mount and tool.
 
-    A_j leads to the frame where joint j + 1 begins, so ``xi_j = Ad(E_j⁻¹) e``, e being the z axis of joint j.
+    A_j ends at the frame where joint j + 1 begins, so ``xi_j = Ad(E_j⁻¹) e`` with the z axis e of joint j.
 
     Parameters
     ----------
@@ -284,7 +329,7 @@ def to_local_poe(robot: Robot) -> LocalPoe:
 
     Raises
     ------
-    RobotError : when it is something else, such as a name.
+    RobotError : if `robot` is not a `Robot`.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
@@ -296,9 +341,9 @@ def to_local_poe(robot: Robot) -> LocalPoe:
 
 
 def normalise_screw(screw: ArrayLike, keep_pitch: bool = False) -> np.ndarray:
-    """Return the screw with an axis of length 1 and, unless asked, without pitch: abs(w) = 1, v ⟂ w.
+    """Return the screw with a unit axis and, by default, zero pitch: abs(w) = 1, v ⟂ w.
 
-    A screw with w = 0 is a translation: abs(v) = 1.
+    A screw with w = 0 is a translation with abs(v) = 1.
 
     Parameters
     ----------
@@ -311,7 +356,7 @@ def normalise_screw(screw: ArrayLike, keep_pitch: bool = False) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when a screw is zero or not finite.
+    ShapeError : if a screw is zero or not finite.
     """
     screw = numbers(screw, "screw", ShapeError)
     if screw.shape[-1:] != (6,):
@@ -319,7 +364,7 @@ def normalise_screw(screw: ArrayLike, keep_pitch: bool = False) -> np.ndarray:
     turns = screw[..., 3:].any(axis=-1, keepdims=True)
     length = np.linalg.norm(np.where(turns, screw[..., 3:], screw[..., :3]), axis=-1, keepdims=True)
     if not (np.isfinite(screw).all() and (length > 0).all()):
-        raise ShapeError("Expected finite screws [v; w] other than zero, got one that is zero or not finite.")
+        raise ShapeError("Expected finite screws [v; w] of nonzero length, got a screw that is zero or not finite.")
     v, w = np.split(screw / length, 2, axis=-1)
     if not keep_pitch:
         v = v - (v * w).sum(axis=-1, keepdims=True) * w
@@ -340,7 +385,9 @@ def _check_screws(name: str, screws: np.ndarray) -> None:
 
 
 def frames_along(z: np.ndarray) -> np.ndarray:
-    """Return rotations with third column z (n, 3) of any length: exact for coordinate axes, and 1 for z = (0, 0, 1)."""
+    """Return rotations with third column z (n, 3) of any length; exact for coordinate axes, the identity for z = (0, 0,
+    1).
+    """
     z = z / np.linalg.norm(z, axis=1, keepdims=True)
     x = np.eye(3)[np.argmin(np.abs(z), axis=1)]
     x = x - (x * z).sum(axis=1, keepdims=True) * z

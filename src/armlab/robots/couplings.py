@@ -1,12 +1,13 @@
-"""Between joint orders and between the two sides of the gears: last axis joints, any leading axes.
+"""Conversions between joint orders and between the two sides of the gears, along the last axis.
 
-A controller counts axes and angles in its own way; armlab counts from base to tool, each joint against the link before:
+Controllers count axes and angles in their own way. armlab counts from base to tool, with each joint relative to its
+parent:
 
 * order: ABB's axis 7 of a YuMi arm is the third joint (`abb_to_logical`, `logical_to_abb`);
-* gears and rods: ``q = G q_motor`` (`motor_to_joint` and its three relatives). G has entries off the diagonal where a
-  motor moves two joints. On the IRB 2400 a parallel rod drives the upper arm, and ABB's axis 3 is q_2 + q_3.
+* gears and rods: ``q = G q_motor`` (`motor_to_joint` and the three related functions). G has off-diagonal entries if a
+  motor moves two joints. On the IRB 2400, a parallel rod drives the upper arm, and ABB's axis 3 is q_2 + q_3.
 
-The order comes first: ``motor_to_joint(robot, abb_to_logical(robot, values))``.
+Convert the order first: ``motor_to_joint(robot, abb_to_logical(robot, values))``.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ __all__ = [
 
 
 def abb_to_logical(robot: Robot, values: ArrayLike) -> np.ndarray:
-    """Bring values in the order of ABB's axis numbers into kinematic order, base to tool.
+    """Reorder values from ABB's axis numbers to kinematic order, base to tool.
 
     Parameters
     ----------
-    robot : its `abb_axes` is the order: 1 2 7 3 4 5 6 for a YuMi arm.
+    robot : robot whose `abb_axes` is the order: 1 2 7 3 4 5 6 for a YuMi arm.
     values : (..., n).
 
     Returns
@@ -44,11 +45,11 @@ def abb_to_logical(robot: Robot, values: ArrayLike) -> np.ndarray:
 
 
 def logical_to_abb(robot: Robot, values: ArrayLike) -> np.ndarray:
-    """Bring values in kinematic order into the order of ABB's axis numbers: the inverse of `abb_to_logical`.
+    """Reorder values from kinematic order to ABB's axis numbers (inverse of `abb_to_logical`).
 
     Parameters
     ----------
-    robot : its `abb_axes` is the order.
+    robot : robot whose `abb_axes` is the order.
     values : (..., n).
 
     Returns
@@ -59,11 +60,11 @@ def logical_to_abb(robot: Robot, values: ArrayLike) -> np.ndarray:
 
 
 def motor_to_joint(robot: Robot, values: ArrayLike) -> np.ndarray:
-    """Bring motor positions, velocities or accelerations through the gears: ``q = G q_motor``.
+    """Convert motor positions, velocities or accelerations to joints: ``q = G q_motor``.
 
     Parameters
     ----------
-    robot : its `coupling` is G.
+    robot : robot whose `coupling` is G.
     values : (..., n) in kinematic order.
 
     Returns
@@ -75,11 +76,11 @@ def motor_to_joint(robot: Robot, values: ArrayLike) -> np.ndarray:
 
 
 def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
-    """Bring joint positions, velocities or accelerations to the motors: ``q_motor = G⁻¹ q``.
+    """Convert joint positions, velocities or accelerations to motors: ``q_motor = G⁻¹ q``.
 
     Parameters
     ----------
-    robot : its `coupling` is G.
+    robot : robot whose `coupling` is G.
     values : (..., n) in kinematic order.
 
     Returns
@@ -91,11 +92,11 @@ def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
 
 
 def motor_torque_to_joint(robot: Robot, tau_motor: ArrayLike) -> np.ndarray:
-    """Bring motor torques to the joints with the power kept: ``tau = G⁻ᵀ tau_motor``.
+    """Convert motor torques to joint torques, preserving power: ``tau = G⁻ᵀ tau_motor``.
 
     Parameters
     ----------
-    robot : its `coupling` is G.
+    robot : robot whose `coupling` is G.
     tau_motor : (..., n) [N m] in kinematic order.
 
     Returns
@@ -107,11 +108,11 @@ def motor_torque_to_joint(robot: Robot, tau_motor: ArrayLike) -> np.ndarray:
 
 
 def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
-    """Bring joint torques to the motors with the power kept: ``tau_motor = Gᵀ tau``.
+    """Convert joint torques to motor torques, preserving power: ``tau_motor = Gᵀ tau``.
 
     Parameters
     ----------
-    robot : its `coupling` is G.
+    robot : robot whose `coupling` is G.
     tau : (..., n) [N m] in kinematic order.
 
     Returns
@@ -123,7 +124,7 @@ def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
 
 
 def _through(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Multiply; what is missing of one motor is missing of the joints that it moves, not of the others."""
+    """Return the product; a missing motor value affects only the joints that the motor moves."""
     known = np.isfinite(values)
     result = np.where(known, values, 0.0) @ matrix.T
     return np.where(~known @ (matrix.T != 0), np.nan, result)

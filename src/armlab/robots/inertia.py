@@ -1,4 +1,4 @@
-"""Inertial parameters of bodies: ten numbers that add up where bodies are rigidly joined.
+"""Inertial parameters of bodies: ten numbers that are additive over rigidly attached bodies.
 
 ``pi = [m, m cx, m cy, m cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]``: mass, first moments and inertia about the origin of the
 frame in which they are given. ``Ixy`` is the entry of the matrix, so ``-m x y`` for a point mass.
@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab import kernels
 from armlab._numbers import numbers
 from armlab.errors import ShapeError
-from armlab.lie import se3
 
 __all__ = ["from_body", "transform"]
 
@@ -21,12 +21,12 @@ _ROWS, _COLUMNS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])  # 
 
 
 class Body(NamedTuple):
-    """A rigid body as data sheets describe it.
+    """Rigid body in data-sheet parameters.
 
     Attributes
     ----------
-    mass : (...) [kg].
-    centre : (..., 3) centre of mass [m]; zero where there is no mass.
+    mass : (...) mass [kg].
+    centre : (..., 3) centre of mass [m]; zero for a massless body.
     inertia : (..., 3, 3) about the centre of mass, axes of the frame [kg m^2].
     """
 
@@ -40,7 +40,7 @@ def from_body(mass: ArrayLike, centre: ArrayLike, inertia: ArrayLike) -> np.ndar
 
     Parameters
     ----------
-    mass : (...) [kg].
+    mass : (...) mass [kg].
     centre : (..., 3) centre of mass [m].
     inertia : (..., 3, 3) about the centre of mass [kg m^2].
 
@@ -50,7 +50,7 @@ def from_body(mass: ArrayLike, centre: ArrayLike, inertia: ArrayLike) -> np.ndar
 
     Raises
     ------
-    ShapeError : when the shapes do not fit or something is no number.
+    ShapeError : if shapes do not fit or a value is not a number.
     """
     m, c = numbers(mass, "mass", ShapeError), numbers(centre, "centre", ShapeError)
     inertia = numbers(inertia, "inertia", ShapeError)
@@ -64,7 +64,7 @@ def from_body(mass: ArrayLike, centre: ArrayLike, inertia: ArrayLike) -> np.ndar
 
 
 def to_body(pi: ArrayLike) -> Body:
-    """Return mass, centre of mass and inertia about it of parameters (..., 10): the inverse of `from_body`."""
+    """Return the mass, centre of mass and central inertia of parameters (..., 10); inverse of `from_body`."""
     pi = _parameters(pi)
     mass, first = pi[..., 0], pi[..., 1:4]
     centre = np.divide(first, mass[..., None], out=np.zeros_like(first), where=mass[..., None] != 0)
@@ -72,7 +72,7 @@ def to_body(pi: ArrayLike) -> Body:
 
 
 def transform(T_a_b: ArrayLike, pi: ArrayLike) -> np.ndarray:
-    """Return the parameters in frame a of a body whose parameters are given in frame b.
+    """Return the parameters of a body in frame a, given its parameters in frame b.
 
     With R and p of T_a_b and ``h = R m c``: ``m c_a = h + m p`` and
     ``I_a = R I_b Rᵀ + (2 p·h + m p·p) 1 - (p hᵀ + h pᵀ + m p pᵀ)``.
@@ -88,11 +88,11 @@ def transform(T_a_b: ArrayLike, pi: ArrayLike) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : when T_a_b is no pose or pi has no ten finite numbers.
+    ShapeError : if T_a_b is not a pose or pi is not ten finite numbers.
     """
-    pi, T = _parameters(pi), numbers(T_a_b, "T_a_b", ShapeError)
-    if T.shape[-2:] != (4, 4) or not se3.is_pose(T).all():
-        raise ShapeError(f"Expected poses T_a_b of shape (..., 4, 4), got shape {T.shape} or no rotation.")
+    pi, T = _parameters(pi), kernels.poses(numbers(T_a_b, "T_a_b", ShapeError), "T_a_b")
+    if not np.isfinite(T).all():
+        raise ShapeError("Expected finite poses T_a_b, got NaN or Inf.")
     _check_batches(T_a_b=T.shape[:-2], pi=pi.shape[:-1])
     R, p, m = T[..., :3, :3], T[..., :3, 3], pi[..., 0, None]
     h = (R @ pi[..., 1:4, None])[..., 0]
@@ -127,7 +127,7 @@ def _matrix(pi: np.ndarray) -> np.ndarray:
 
 
 def _squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """``x·y 1`` less the symmetric part of ``x yᵀ``: the moments of masses at x whose first moments are y."""
+    """``x·y 1`` minus the symmetric part of ``x yᵀ``: which is the inertia of masses at x with first moments y."""
     product = x[..., :, None] * y[..., None, :]
     return (x * y).sum(axis=-1)[..., None, None] * np.eye(3) - (product + np.swapaxes(product, -1, -2)) / 2
 

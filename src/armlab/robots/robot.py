@@ -1,4 +1,4 @@
-"""`Robot`: the frozen description of one serial arm, its meshes by reference, and the checks of its fields."""
+"""`Robot`: immutable, validated description of one serial arm, with meshes by reference."""
 
 from __future__ import annotations
 
@@ -9,56 +9,59 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from armlab._numbers import frozen, members
+from armlab._display import Shown, html_table
+from armlab._numbers import frozen, members, numbers
 from armlab.errors import RobotError
-from armlab.lie import se3
+from armlab.lie import se3, so3
 from armlab.robots import inertia
 
 if TYPE_CHECKING:
-    from armlab.kernels import Chain, InverseSolver
+    from armlab.kernels import Chain, InverseSolver, RigidBody
 
 _YUMI_AXES = (1, 2, 7, 3, 4, 5, 6)
-_PARALLEL = 0.03  # axes that make a smaller angle [rad] have no common normal worth drawing
-POSE_TOLERANCE = 1e-9
-"""Largest entry of |RᵀR - I| in a robot's poses: an error that kinematics carries to the tool undetected."""
-
-MOST_JOINTS = 32  # what the compiled kernels hold
-MOMENT_TOLERANCE = 1e-6  # a principal moment this much below zero, relative to the largest, is rounding of the digits
-SMALLEST_RADIUS = 1e-6  # m; nor is the moment of the whole mass at this radius
+_PARALLEL = 0.03  # axes at a smaller angle [rad] are drawn as parallel
+MOST_JOINTS = 32  # capacity of the compiled kernels
+MOMENT_TOLERANCE = 1e-6  # negative principal moments are rounding up to this share of the largest
+SMALLEST_RADIUS = 1e-6  # m; or up to the moment of the whole mass at this radius
+DRIVES = ("friction", "damping", "rotor", "ripple", "noise")
+"""Drive parameters of a description: Coulomb friction [N m], viscous friction [N m s/rad], rotor inertia [kg m^2],
+amplitude of the torque ripple and standard deviation of the torque signal [N m]. All are on the joint side, and forces
+for prismatic joints."""
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """One serial arm as a product of exponentials about local z axes.
+    """Serial arm as a product of exponentials about local z axes.
 
     ``T_base_tool(q) = E_0 Z_1(q_1) E_1 Z_2(q_2) ... Z_n(q_n) E_n`` with ``Z(q) = Rz(q)`` for a revolute joint and
-    ``Tz(q)`` for a prismatic one; ``E_0 ... E_n`` are `frames`. *Link frame* i is ``E_0 Z_1 ... E_{i-1} Z_i``: its
-    z axis is joint axis i. Arrays are read-only; robots are equal when all their fields are.
+    ``Tz(q)`` for a prismatic joint; ``E_0 ... E_n`` are `frames`. *Link frame* i is ``E_0 Z_1 ... E_{i-1} Z_i``: its z
+    axis is joint axis i. Arrays are read-only; robots are equal when all their fields are.
 
     Attributes
     ----------
     name : name of the robot.
     links : (n+1, 4, 4) constant poses, mount to first joint, joint to joint, last joint to flange.
-    prismatic : (n,) bool, True where a joint slides.
-    q_min, q_max : (n,) position limits [rad or m]; infinite where there is none.
+    prismatic : (n,) bool, True for prismatic joints.
+    q_min, q_max : (n,) position limits [rad or m]; infinite where unlimited.
     qd_max, qdd_max : (n,) limits of speed and acceleration.
-    q_home : (n,) a posture inside the limits to start from.
+    q_home : (n,) default start posture, inside the limits.
     joint_names : n names, base to tool.
-    T_base_mount : (4, 4) where the arm is mounted in the frame ``base``.
-    T_flange_tool : (4, 4) the tool.
+    T_base_mount : (4, 4) pose of the arm's mount in the frame ``base``.
+    T_flange_tool : (4, 4) pose of the tool in the flange.
     gravity : (3,) acceleration of gravity [m/s^2], base axes.
     coupling : (n, n) gears G: ``q = G q_motor``, ``tau = G^-T tau_motor``.
     abb_axes : ABB's axis number of each joint, in kinematic order.
     side : "left", "right" or "".
-    source : where the numbers come from.
-    tau_max : (n,) limits of torque or force [N m or N]; infinite where there is none.
+    source : sources of the numbers.
+    tau_max : (n,) limits of torque or force [N m or N]; infinite where unlimited.
     inertias : (n, 10) of each link in its link frame, about its origin (see `robots.inertia`), or None when unknown.
     meshes : n + 1 tuples of `Mesh`: those of the mount, in the frame of the mount, then of link 1 ... n, each in its
         link frame; or empty.
+    drives : pairs of a name in `DRIVES` and n numbers, drive parameters for simulation; 0 is unknown.
 
     Raises
     ------
-    RobotError : when the fields contradict each other; names the field, the joint and the value.
+    RobotError : if fields are inconsistent; names the field, the joint and the value.
     """
 
     name: str
@@ -80,13 +83,15 @@ class Robot:
     tau_max: np.ndarray
     inertias: np.ndarray | None
     meshes: tuple[tuple[Mesh, ...], ...]
+    drives: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
     def __post_init__(self) -> None:
         """Make every array a read-only float64 copy (prismatic: bool) and check the description."""
         for field in fields(self):
             what, value = f"{field.name} of robot {self.name!r}", getattr(self, field.name)
             if str(field.type).startswith("np.ndarray"):
-                value = None if field.name == "inertias" and value is None else frozen(value, what)
+                if field.name != "inertias" or value is not None:
+                    value = frozen(_with_digits(field.name, numbers(value, what)), what)
             elif str(field.type).startswith("tuple"):
                 value = members(value, what)
             object.__setattr__(self, field.name, value)
@@ -94,6 +99,7 @@ class Robot:
         object.__setattr__(self, "abb_axes", _axis_numbers(self.abb_axes, self.name))
         meshes = tuple(members(link, f"meshes of one link of robot {self.name!r}") for link in self.meshes)
         object.__setattr__(self, "meshes", meshes if any(meshes) else ())
+        object.__setattr__(self, "drives", _drives(self.drives, self.name, self.n))
         check_robot(self)
 
     @property
@@ -103,7 +109,7 @@ class Robot:
 
     @property
     def ros_joint_names(self) -> tuple[str, ...]:
-        """n names in ROS messages, recordings and URDF: `joint_names`, but for a YuMi those of abb_robot_driver.
+        """n names in ROS messages, recordings and URDF: `joint_names`; for a YuMi those of abb_robot_driver.
 
         abb_robot_driver counts from base to tool: ABB's axis 7 of a left arm is ``yumi_robl_joint_3``.
         """
@@ -123,14 +129,31 @@ class Robot:
 
     @cached_property
     def chain(self) -> Chain:
-        """The compiled kinematics and dynamics of this robot."""
+        """Compiled kinematics of this robot."""
         from armlab.kernels import Chain
 
         return Chain(self.frames, self.prismatic)
 
     @cached_property
+    def rigid_body(self) -> RigidBody:
+        """Compiled dynamics of this robot, called by the functions of `armlab.dynamics`.
+
+        Raises
+        ------
+        RobotError : if the description has no masses.
+        """
+        from armlab.kernels import RigidBody
+
+        if self.inertias is None:
+            raise RobotError(
+                f"Expected masses and inertias of robot {self.name!r}, got none. Add <inertial> to each link in the "
+                "URDF, or mass, centre and inertia in the TOML file, or identify a model (fit_dynamics)."
+            )
+        return RigidBody(self.chain, self.gravity, self.inertias)
+
+    @cached_property
     def inverse_solver(self) -> InverseSolver:
-        """The compiled inverse kinematics of this robot, within its limits; `kinematics.inverse` calls it."""
+        """Compiled inverse kinematics of this robot, called by `kinematics.inverse`."""
         from armlab.kernels import InverseSolver
 
         return InverseSolver(self.chain, self.q_min, self.q_max, self.q_home)
@@ -159,10 +182,10 @@ class Robot:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 (hex) over the numbers of the description; names and sources do not count.
+        """SHA-256 (hex) of the numbers in the description, without names and sources.
 
-        Numbers are rounded to 12 decimals, so that machines whose sine differs in the last digit agree. Torque limits
-        and inertias count where there are any, meshes never.
+        Numbers are rounded to 12 decimals, so that machines with differently rounded sines agree. Torque limits
+        and inertias are included if present; meshes never are.
         """
         import hashlib  # OpenSSL costs 2 ms
 
@@ -179,9 +202,9 @@ class Robot:
         return digest.hexdigest()
 
     def with_tool(self, T_flange_tool: np.ndarray) -> Robot:
-        """Return the robot with another tool in place of its own: ``T_base_tool = T_base_flange @ T_flange_tool``.
+        """Return the robot with another tool: ``T_base_tool = T_base_flange @ T_flange_tool``.
 
-        The tool has no mass: what it weighs is added to the last link, see `robots.inertia`.
+        The tool has no mass; to include its weight, add a body to the last link (see `robots.inertia`).
 
         Parameters
         ----------
@@ -190,7 +213,7 @@ class Robot:
         return replace(self, T_flange_tool=T_flange_tool)
 
     def with_base(self, T_base_mount: np.ndarray) -> Robot:
-        """Return the robot mounted elsewhere; gravity stays as it is in base axes, meshes of the mount move with it.
+        """Return the robot with another mount; gravity is unchanged in base axes, and meshes of the mount move with it.
 
         Parameters
         ----------
@@ -210,41 +233,72 @@ class Robot:
     def __repr__(self) -> str:
         return f"Robot({self.name!r}, {self.n} joints)"
 
+    def _repr_html_(self) -> str:
+        numbers = zip(self.q_min, self.q_max, self.qd_max, self.tau_max, self.q_home, strict=True)
+        rows = [
+            (str(i + 1), name, "prismatic" if self.prismatic[i] else "revolute", *(f"{x:.4g}" for x in row))
+            for i, (name, row) in enumerate(zip(self.joint_names, numbers, strict=True))
+        ]
+        head = ("joint", "name", "kind", "from [rad, m]", "to", "speed [1/s]", "torque [N m, N]", "home")
+        return html_table(repr(self), head, rows, self.source.splitlines()[:3])
+
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the fields only: caches are rebuilt, arrays are read-only again."""
+        """Pickle only the fields; caches are rebuilt."""
         return Robot, tuple(getattr(self, field.name) for field in fields(self))
+
+
+def _with_digits(field: str, value: np.ndarray) -> np.ndarray:
+    """Orthonormalise the rounded rotations of a pose field."""
+    poses = ("links", "T_base_mount", "T_flange_tool", "T_link_mesh")
+    return se3.orthonormalise(value) if field in poses and value.shape[-2:] == (4, 4) else value
 
 
 def _flags(value: np.ndarray, name: str) -> np.ndarray:
     if not np.isin(value, (0.0, 1.0)).all():
-        raise RobotError(f"Expected prismatic of robot {name!r} as True and False, got {value.tolist()}.")
+        raise RobotError(f"Expected prismatic of robot {name!r} as Booleans, got {value.tolist()}.")
     flags = value.astype(bool)
     flags.flags.writeable = False
     return flags
 
 
+def _drives(pairs: tuple[Any, ...], name: str, n: int) -> tuple[tuple[str, tuple[float, ...]], ...]:
+    found = {}
+    for key, values in pairs:
+        if key not in DRIVES:
+            raise RobotError(f"Expected drives of robot {name!r} among {', '.join(DRIVES)}, got {key!r}.")
+        array = frozen(values, f"{key} of the drives of robot {name!r}")
+        if array.shape != (n,) or not np.all((array >= 0) & np.isfinite(array)):
+            raise RobotError(
+                f"Expected {n} finite numbers of at least 0 as {key} of the drives of robot {name!r}, "
+                f"got {array.tolist()}."
+            )
+        found[key] = tuple(array.tolist())
+    return tuple((key, found[key]) for key in DRIVES if key in found and any(found[key]))
+
+
 def _axis_numbers(value: tuple[Any, ...], name: str) -> tuple[int, ...]:
-    """Return plain integers: those of NumPy would not be written as TOML."""
+    """Return plain integers, because the TOML writer does not accept NumPy integers."""
     try:
         return tuple(map(index, value))
     except TypeError:
-        raise RobotError(f"Expected abb_axes of robot {name!r} as whole numbers, got {list(value)}.") from None
+        raise RobotError(f"Expected abb_axes of robot {name!r} as integers, got {list(value)}.") from None
 
 
-@dataclass(frozen=True, eq=False)
-class Mesh:
-    """One mesh of a link, named and never read. Meshes are equal when all their fields are.
+@dataclass(frozen=True, eq=False, repr=False)
+class Mesh(Shown):
+    """Reference to one mesh of a link; the file is never read. Meshes are equal when all their fields are.
 
     Attributes
     ----------
     kind : "visual" or "collision".
-    file : reference as the description has it: a path, or an address such as ``package://maker/link_1.stl``.
+    file : reference as written in the description: a path, or an address such as ``package://maker/link_1.stl``.
     T_link_mesh : (4, 4) pose of the mesh in its link frame, read-only.
-    scale : (3,) factors from the numbers of the file to metres, read-only.
+    scale : (3,) factors from file units to metres, read-only.
 
     Raises
     ------
-    RobotError : when the kind is unknown, the file has no name, the pose is none, or a factor is zero or not finite.
+    RobotError : if the kind is unknown, the file name is empty, the pose is invalid, or a factor is zero or not
+        finite.
     """
 
     kind: Literal["visual", "collision"]
@@ -255,7 +309,8 @@ class Mesh:
     def __post_init__(self) -> None:
         """Make the arrays read-only float64 copies and check the fields."""
         for name in ("T_link_mesh", "scale"):
-            object.__setattr__(self, name, frozen(getattr(self, name), f"{name} of mesh {self.file!r}"))
+            what = f"{name} of mesh {self.file!r}"
+            object.__setattr__(self, name, frozen(_with_digits(name, numbers(getattr(self, name), what)), what))
         if not isinstance(self.file, str) or not self.file:
             raise RobotError(f"Expected the file name of a mesh, got {self.file!r}.")
         if not isinstance(self.kind, str) or self.kind not in ("visual", "collision"):
@@ -276,7 +331,7 @@ class Mesh:
         return hash(self._key())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle through the constructor, so that the arrays are read-only again."""
+        """Pickle through the constructor, so that arrays are read-only again."""
         return Mesh, (self.kind, self.file, self.T_link_mesh, self.scale)
 
     def _key(self) -> tuple[Any, ...]:
@@ -284,14 +339,16 @@ class Mesh:
 
 
 def arm_length(robot: Robot) -> float:
-    """Return the length of the stretched arm from mount to tool [m], the measure of what is drawn on it; 1 for none."""
+    """Return the length of the outstretched arm from mount to tool [m] for scaling drawings; 1 for zero length."""
     steps = np.linalg.norm(np.concatenate([robot.links, robot.T_flange_tool[None]])[:, :3, 3], axis=1)
     strokes = np.nan_to_num(np.maximum(-robot.q_min, robot.q_max), posinf=0.0)[robot.prismatic]
     return float(steps.sum() + strokes.sum()) or 1.0
 
 
 def bends(a: np.ndarray, along_a: np.ndarray, b: np.ndarray, along_b: np.ndarray) -> list[np.ndarray]:
-    """Return where a link bends between two axes, a point and a unit vector each: ends of the common normal."""
+    """Return the corner points of a link between two axes (each a point and a unit vector), the ends of the common
+    normal.
+    """
     across = b - a
     cosine = along_a @ along_b
     sine2 = 1 - cosine**2
@@ -339,16 +396,17 @@ def check_joint_count(name: str, n: int) -> None:
 def _check_poses(robot: Robot) -> None:
     poses = {f"links[{i}]": link for i, link in enumerate(robot.links)}
     poses |= {"T_base_mount": robot.T_base_mount, "T_flange_tool": robot.T_flange_tool}
-    good = se3.is_pose(np.stack(list(poses.values())), POSE_TOLERANCE)
+    good = se3.is_pose(np.stack(list(poses.values())))
     for (field, pose), fits in zip(poses.items(), good):
         if not fits:
             rows = "; ".join(" ".join(f"{x:.9g}" for x in row) for row in pose)
             raise RobotError(
                 f"Expected {field} of robot {robot.name!r} to be a pose with a rotation orthonormal to "
-                f"{POSE_TOLERANCE:g}, got [{rows}]. Project it first if it is nearly one (lie.se3.project)."
+                f"{so3.ROTATION_TOLERANCE:g}, got [{rows}]. If it is nearly a rotation, project it first "
+                "(lie.se3.project)."
             )
     if not np.isfinite(robot.gravity).all():
-        raise RobotError(f"Expected a finite gravity of robot {robot.name!r}, got {robot.gravity}.")
+        raise RobotError(f"Expected finite gravity for robot {robot.name!r}, got {robot.gravity}.")
     if not np.isfinite(robot.coupling).all() or np.linalg.matrix_rank(robot.coupling) < robot.n:
         raise RobotError(f"Expected a coupling of robot {robot.name!r} that can be inverted, got rank below {robot.n}.")
 
@@ -386,29 +444,30 @@ def _check_names(robot: Robot) -> None:
             raise RobotError(f"Expected {robot.n} different {field} of robot {robot.name!r}, got {list(value)}.")
     if sorted(robot.abb_axes) != list(range(1, robot.n + 1)):
         raise RobotError(
-            f"Expected abb_axes of robot {robot.name!r} to hold 1 to {robot.n} once each, got {list(robot.abb_axes)}."
+            f"Expected abb_axes of robot {robot.name!r} to contain 1 to {robot.n} exactly once each, got "
+            f"{list(robot.abb_axes)}."
         )
     if robot.side not in ("left", "right", ""):
         raise RobotError(f'Expected side of robot {robot.name!r} to be "left", "right" or "", got {robot.side!r}.')
 
 
 def _check_bodies(robot: Robot) -> None:
-    """Inertias are those of bodies, meshes belong to the mount or to a link."""
+    """Inertias must be physically consistent, and meshes must belong to the mount or to a link."""
     if len(robot.meshes) not in (0, robot.n + 1):
         raise RobotError(
             f"Expected meshes in robot {robot.name!r} of the mount and {robot.n} links, got {len(robot.meshes)} tuples."
         )
     for mesh in (mesh for meshes in robot.meshes for mesh in meshes):
         if not isinstance(mesh, Mesh):
-            raise RobotError(f"Expected a robots.Mesh in meshes of robot {robot.name!r}, got {mesh!r}.")
+            raise RobotError(f"Expected a robots.Mesh in the meshes of robot {robot.name!r}, got {mesh!r}.")
     for i, pi in enumerate([] if robot.inertias is None else robot.inertias):
         fault = body_fault(pi)
         if fault:
-            raise RobotError(f"Expected the inertia of a body for link {i + 1} of robot {robot.name!r}, got {fault}.")
+            raise RobotError(f"Expected a consistent inertia of link {i + 1} of robot {robot.name!r}, got {fault}.")
 
 
 def body_fault(pi: np.ndarray) -> str:
-    """Return what makes inertial parameters (10,) those of no body, or "". The triangle rule is not asked."""
+    """Return why inertial parameters (10,) are not physically consistent, or ""; ignores the triangle inequality."""
     if not np.isfinite(pi).all():
         return f"{pi.tolist()}, which is not finite"
     if pi[0] < 0:

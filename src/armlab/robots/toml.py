@@ -1,4 +1,4 @@
-"""Robot files: TOML text to `Robot`, and back to the same bits. The format is described in docs/decisions."""
+"""Read and write robot files in TOML without loss. The format is described in docs/decisions."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from armlab._toml import parsed
+from armlab._files import parsed
 from armlab.errors import RobotError, ShapeError
-from armlab.lie import quaternion, se3, so3
+from armlab.lie import quaternion, se3
 from armlab.robots.build import GRAVITY, RAMP_TIME, Details, from_dh, from_links
-from armlab.robots.robot import POSE_TOLERANCE, Mesh, Robot
+from armlab.robots.robot import Mesh, Robot
 
 Vector = tuple[float, float, float]
 Parameters = tuple[float, float, float, float, float, float, float, float, float, float]
 ANGLES = ("alpha", "offset", "limits", "speed", "acceleration", "home")
-DIGITS_TOLERANCE = 1e-5  # a rotation matrix typed with six decimals is this far from orthonormal
 Fields = dict[str, str]
 
 
 class Pose(msgspec.Struct, forbid_unknown_fields=True):
-    """A constant pose: position [m], and a quaternion wxyz or a rotation matrix."""
+    """Constant pose: position [m], and a quaternion wxyz or a rotation matrix."""
 
     position: Vector = (0.0, 0.0, 0.0)
     quaternion: tuple[float, float, float, float] | None = None
@@ -33,7 +32,7 @@ class Pose(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Joint(msgspec.Struct, forbid_unknown_fields=True):
-    """One joint: its DH row, or the pose of the next joint; limits, home and gear."""
+    """Joint: its DH row or the pose of the next joint; limits, home and gear."""
 
     name: str
     kind: Literal["revolute", "prismatic"] = "revolute"
@@ -51,7 +50,7 @@ class Joint(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class LinkMesh(Pose, kw_only=True, forbid_unknown_fields=True):
-    """A mesh of link 1 ... n, or of the mount as link 0."""
+    """Mesh of link 1 ... n, or of the mount (link 0)."""
 
     link: int
     file: str
@@ -73,6 +72,7 @@ class File(msgspec.Struct, forbid_unknown_fields=True):
     tool: Pose = msgspec.field(default_factory=Pose)
     inertias: list[Parameters] | None = None
     mesh: list[LinkMesh] = []
+    drives: dict[str, list[float]] = {}
 
 
 def read_robot(text: str, path: str) -> Robot:
@@ -83,23 +83,23 @@ def read_robot(text: str, path: str) -> Robot:
             raise RobotError(_no_robot_file(str(meta["kind"])))
         return _build(msgspec.convert(_in_radians(fields), File))
     except RobotError as error:
-        raise RobotError(f"The robot file {path} describes no robot. {error}") from None
-    except (ValueError, ArithmeticError, RecursionError) as error:  # no TOML, wrong fields, numbers beyond a float
+        raise RobotError(f"The robot file {path} does not describe a robot. {error}") from None
+    except (ValueError, ArithmeticError, RecursionError) as error:  # invalid TOML, wrong fields, float overflow
         raise RobotError(
-            f"Expected a robot file in {path}, got one that cannot be read: {_as_written(str(error), fields)}. "
-            "The page Robot files of the documentation lists the fields."
+            f"Expected a robot file in {path}, got a file that cannot be read: {_as_written(str(error), fields)}. "
+            "The documentation page Robot files lists the fields."
         ) from None
 
 
 def _no_robot_file(kind: str) -> str:
-    text = f"It is a model file of kind {kind!r}, which armlab.models.load reads."
+    text = f"This is a model file of kind {kind!r}; read it with armlab.models.load."
     if kind == "kinematic_correction":
-        text += " Its robot: armlab.robots.save(armlab.models.load(path).robot, 'arm.toml')."
+        text += " To extract its robot: armlab.robots.save(armlab.models.load(path).robot, 'arm.toml')."
     return text
 
 
 def _as_written(message: str, fields: dict[str, Any]) -> str:
-    """Return the message of msgspec with the name used in the file, ``limits_deg`` for ``limits``."""
+    """Return the msgspec message with the field name used in the file, such as ``limits_deg`` for ``limits``."""
     place = re.search(r"\$\.joint\[(\d+)\]\.(\w+)", message)
     if place is None or f"{place[2]}_deg" not in fields["joint"][int(place[1])]:
         return message
@@ -114,7 +114,7 @@ def _in_radians(value: Any) -> Any:
         return value
     for key in ("limits_deg", "speed_deg", "acceleration_deg", "home_deg"):
         if key in value and value.get("kind") == "prismatic":
-            raise RobotError(f"Expected metres for prismatic joint {value.get('name')!r}, got {key}.")
+            raise RobotError(f"Expected metres for the prismatic joint {value.get('name')!r}, got {key}.")
 
     def radians(item: Any) -> Any:
         if isinstance(item, list):
@@ -139,12 +139,12 @@ def _build(file: File) -> Robot:
     if any(joint.next for joint in joints):
         for joint in joints:
             if joint.next is None or joint.alpha or joint.a or joint.d or joint.offset:
-                raise RobotError(f"Expected DH numbers or `next` alike in all joints, got a mixture at {joint.name!r}.")
+                raise RobotError(f"Expected DH numbers or `next` in all joints, got a mixture at {joint.name!r}.")
         poses = [("first", file.first or Pose()), *((f"next of {joint.name!r}", joint.next) for joint in joints)]
         links = [_matrix(pose, where) for where, pose in poses if pose]
         return from_links(file.name, links, prismatic, **details)
     if file.first:
-        raise RobotError("Expected `first` only beside joints with `next`, got DH numbers.")
+        raise RobotError("Expected `first` only together with `next`, got DH numbers.")
     columns = np.array([(joint.alpha, joint.a, joint.d, joint.offset) for joint in joints]).T
     return from_dh(file.name, *columns, prismatic=prismatic, modified=file.convention == "modified", **details)
 
@@ -168,6 +168,7 @@ def _details(file: File) -> Details:
         "tau_max": [joint.effort for joint in joints],
         "inertias": file.inertias,
         "meshes": _meshes(file),
+        "drives": file.drives,
     }
     if file.abb_axes is not None:
         details["abb_axes"] = file.abb_axes
@@ -192,7 +193,7 @@ def _coupling(file: File) -> np.ndarray:
     ratios = [joint.gear_ratio for joint in file.joint]
     if file.coupling is not None:
         if any(ratio is not None for ratio in ratios):
-            raise RobotError("Expected gears as coupling or as gear_ratio, got both.")
+            raise RobotError("Expected gears either as coupling or as gear_ratio, got both.")
         lengths = [len(row) for row in file.coupling]
         if set(lengths) != {len(ratios)}:
             raise RobotError(f"Expected {len(ratios)} numbers in every row of coupling, got {lengths}.")
@@ -204,22 +205,22 @@ def _coupling(file: File) -> np.ndarray:
 
 
 def _matrix(pose: Pose, where: str) -> np.ndarray:
-    """Return the pose as a matrix; digits missing in a typed rotation are restored."""
+    """Return the pose as a matrix; rounded rotations are orthonormalised."""
     if pose.quaternion is not None and pose.rotation is not None:
         raise RobotError(f"Expected quaternion or rotation in {where}, got both.")
     R = np.eye(3) if pose.rotation is None else np.array(pose.rotation)
     try:
         if pose.quaternion is not None:
             R = quaternion.to_matrix(pose.quaternion)
-        elif so3.is_rotation(R, DIGITS_TOLERANCE) and not so3.is_rotation(R, POSE_TOLERANCE):
-            R, _ = so3.project(R)
         return se3.from_rp(R, pose.position)
     except ShapeError as error:
         raise RobotError(f"Expected a pose in {where}, got none. {error}") from None
 
 
 def write_robot(robot: Robot) -> str:
-    """Return the TOML text of a robot: DH rows where they give the same bits, else the pose of each next joint."""
+    """Return the TOML text of a robot, with DH rows if they reproduce it exactly, otherwise with the pose of each next
+    joint.
+    """
     rows = [{"name": _text(name)} for name in robot.joint_names]
     dh = _dh_columns(robot)
     head: Fields = {"name": _text(robot.name)}
@@ -254,6 +255,8 @@ def _document(robot: Robot, head: Fields, rows: list[Fields]) -> str:
     meshes = [_mesh(i, mesh) for i, meshes in enumerate(robot.meshes) for mesh in meshes]
     if meshes:
         lines += ["", *_rows("mesh", meshes)]
+    if robot.drives:
+        lines += ["", "[drives]", *(f"{key} = {_list(values)}" for key, values in robot.drives)]
     for key, T in (("mount", robot.T_base_mount), ("tool", robot.T_flange_tool)):
         if not np.array_equal(T, np.eye(4)):
             lines += ["", f"[{key}]", *(f"{name} = {value}" for name, value in _pose_fields(T).items())]
@@ -279,7 +282,7 @@ def _mesh(i: int, mesh: Mesh) -> str:
 
 
 def _dh_columns(robot: Robot) -> np.ndarray | None:
-    """Return the columns alpha, a, d, offset (4, n) of the standard DH table that gives the links to the last bit."""
+    """Return the columns alpha, a, d, offset (4, n) of the standard DH table that reproduces the links exactly."""
     L = robot.links
     alpha = [_restore(-link[1, 2], link[2, 2]) for link in L[1:]]
     offset = [_restore(-link[0, 1], link[0, 0]) for link in L[:-1]]
@@ -289,7 +292,7 @@ def _dh_columns(robot: Robot) -> np.ndarray | None:
 
 
 def _restore(sine: float, cosine: float) -> float:
-    """Return the angle, preferring one of few digits, in degrees or radians, with the same sine and cosine."""
+    """Return the angle with the same sine and cosine, preferably with few digits in degrees or radians."""
     angle = math.atan2(sine, cosine)
     for short in (math.radians(float(f"{math.degrees(angle):.10g}")), float(f"{angle:.10g}")):
         if np.sin(short) == sine and np.cos(short) == cosine:
@@ -317,7 +320,7 @@ def _limits(robot: Robot, i: int) -> Fields:
 
 
 def _gear_ratios(robot: Robot) -> list[float] | None:
-    """Return motor turns per joint turn if they say all that G says."""
+    """Return motor revolutions per joint revolution if they reproduce G exactly."""
     gears = np.diag(robot.coupling)
     ratios = [float(f"{1 / gear:.10g}") if gear else 1.0 for gear in gears]
     same = np.array_equal(np.diag([1.0 / ratio for ratio in ratios]), robot.coupling)
@@ -325,7 +328,7 @@ def _gear_ratios(robot: Robot) -> list[float] | None:
 
 
 def _angles(name: str, *values: float, slides: bool = False) -> Fields:
-    """Return the field in degrees when a short number of degrees reads back to the same bits, else in SI."""
+    """Return the field in degrees if a short number of degrees reads back exactly, otherwise in SI units."""
     degrees = tuple(float(f"{math.degrees(value):.10g}") for value in values)
     if not slides and all(math.radians(short) == value for short, value in zip(degrees, values)):
         name, values = f"{name}_deg", degrees
@@ -340,7 +343,7 @@ def _pose_fields(T: np.ndarray) -> Fields:
 
 
 def _source_table(source: str) -> dict[str, str] | None:
-    """Return ``key: text`` lines as a table if all lines are such."""
+    """Return ``key: text`` lines as a table if all lines have that form."""
     pairs = [line.split(": ", 1) for line in source.split("\n")]
     if any(len(pair) != 2 for pair in pairs) or len({pair[0] for pair in pairs}) < len(pairs):
         return None
@@ -364,5 +367,5 @@ def _number(value: float) -> str:
 
 
 def _text(value: str) -> str:
-    """TOML's basic string is JSON's, but for the delete character."""
+    """Return a TOML basic string, which equals a JSON string except for the delete character."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,4 +1,4 @@
-"""Offline, zero-phase operators: they use the future and therefore are functions, without `step`."""
+"""Offline zero-phase operators: functions without `step`, because they use future samples."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from armlab.signals.streaming import Operator
 
 __all__ = ["central_diff", "decimate", "filtfilt", "lowpass_offline", "smooth_diff"]
 
-UNEVEN = 0.1  # relative deviation of a step beyond which samples are not even
-PASSED = 0.8  # share of the new half rate that decimation keeps
+UNEVEN = 0.1  # relative deviation of a time step beyond which samples are uneven
+PASSED = 0.8  # fraction of the new Nyquist frequency kept by decimation
 ORDER = 3  # of the polynomials of smooth_diff
 WINDOW = 1.25  # bandwidth times window
-NARROWEST, WIDEST = 1e-5, 0.3  # bandwidth over rate: with 125000 and with five samples
+NARROWEST, WIDEST = 1e-5, 0.3  # bandwidth over rate: windows of 125000 and of five samples
 
 
 def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -> np.ndarray:
-    """Filter along axis 0 with a Butterworth filter run forward and backward: no phase, twice the order.
+    """Filter along axis 0 with a Butterworth filter run forward and backward, for zero phase and twice the order.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
 
     Raises
     ------
-    ShapeError : when the record is too short for the filter, is not finite, or the cut-off is outside (0, rate / 2).
-    ConfigError : an order that is not a whole number of at least 1.
+    ShapeError : the record is too short or not finite, or the cut-off is outside (0, rate / 2).
+    ConfigError : order is not a positive integer.
     """
     from scipy.signal import butter, sosfiltfilt
 
@@ -43,17 +43,17 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
     if not 0.0 < cutoff < rate / 2 < np.inf:
         raise ShapeError(f"Expected a cut-off between 0 and {rate / 2:g} Hz (half the rate), got {cutoff:g} Hz.")
     if not 1 <= number(order, "the order", ConfigError) < np.inf or order % 1:
-        raise ConfigError(f"Expected a whole order of at least 1, got {order:g}. 4 is usual.")
+        raise ConfigError(f"Expected an integer order >= 1, got {order:g}. The default is 4.")
     sections = np.asarray(butter(int(order), cutoff / (rate / 2), output="sos"))
     needed = 6 * sections.shape[0] + 4
     if len(x) < needed:
-        raise ShapeError(f"Expected at least {needed} samples along axis 0, got shape {x.shape}. Record for longer.")
+        raise ShapeError(f"Expected at least {needed} samples along axis 0, got shape {x.shape}. Record longer.")
     _check_finite(x)
     return sosfiltfilt(sections, x, axis=0)
 
 
 def central_diff(x: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Differentiate along axis 0: second-order central differences on the true time stamps, one-sided at the ends.
+    """Differentiate along axis 0 by second-order central differences on the true timestamps, one-sided at the ends.
 
     Parameters
     ----------
@@ -69,16 +69,16 @@ def central_diff(x: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
-    """Run a streaming filter forward and backward along axis 0: its zero-phase twin, with the square of its gain.
+    """Run a streaming filter forward and backward along axis 0, for zero phase and squared gain.
 
-    The record is continued at both ends by its point reflection until the filter has settled. The memory of the
-    operator is cleared.
+    The record is extended at both ends by point reflection until the filter has settled. The memory of the operator is
+    cleared.
 
     Parameters
     ----------
     operator : ExpFilter, LowPass2 or Notch.
     x : (N, ...) samples, finite.
-    t : (N,) times [s], strictly increasing, for operators without dt or uneven samples.
+    t : (N,) times [s], strictly increasing; needed for operators without dt or uneven samples.
 
     Returns
     -------
@@ -86,14 +86,15 @@ def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> 
 
     Raises
     ------
-    ConfigError : the operator is no filter. ShapeError : values are not finite, times do not increase.
+    ConfigError : the operator is not a filter.
+    ShapeError : values are not finite, times do not increase.
 
     References
     ----------
     Gustafsson (1996), Determining the initial states in forward-backward filtering.
     """
     if not isinstance(operator, Operator):
-        raise ConfigError(f"Expected a filter, got {type(operator).__name__}. Give one, such as LowPass2(10.0).")
+        raise ConfigError(f"Expected a filter, got {type(operator).__name__}. For example, use LowPass2(10.0).")
     if not operator.settling:
         raise ConfigError(
             f"Expected a filter to run forward and backward, got {type(operator).__name__}. "
@@ -101,7 +102,7 @@ def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> 
         )
     x = _record(x)
     if len(x) < 2:
-        raise ShapeError(f"Expected at least 2 samples along axis 0, got shape {x.shape}. Record for longer.")
+        raise ShapeError(f"Expected at least 2 samples along axis 0, got shape {x.shape}. Record longer.")
     _check_finite(x)
     times = None if t is None else _check_times(t, len(x), 2)
     step = operator.dt if times is None else float(np.median(np.diff(times)))
@@ -117,37 +118,41 @@ def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> 
 
 
 def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
-    """Keep every `factor`-th sample along axis 0 after a zero-phase low-pass at 0.8 of the new half rate.
+    """Keep every `factor`-th sample along axis 0 after a zero-phase low-pass at 0.8 of the new Nyquist frequency.
 
     Parameters
     ----------
-    x : (N, ...) samples, finite. rate : of them [Hz]. factor : at least 1; the new rate is ``rate / factor``.
+    x : (N, ...) samples, finite.
+    rate : of the samples [Hz].
+    factor : at least 1; the new rate is ``rate / factor``.
 
     Returns
     -------
-    (ceil(N / factor), ...) samples, the first at the same time as before.
+    (ceil(N / factor), ...) samples; the first sample keeps its time.
 
     Raises
     ------
-    ConfigError : a factor that is not a whole number of at least 1. ShapeError : too short, not finite.
+    ConfigError : factor is not a positive integer.
+    ShapeError : too short, not finite.
     """
     if not 1 <= number(factor, "the factor", ConfigError) < np.inf or factor % 1:
-        raise ConfigError(f"Expected a whole factor of at least 1, got {factor:g}. Resample the record for others.")
+        raise ConfigError(f"Expected an integer factor >= 1, got {factor:g}. Use Table.resample for other rates.")
     x, factor = _record(x), int(factor)
     _check_finite(x)
     return x.copy() if factor == 1 else lowpass_offline(x, rate, PASSED * 0.5 * rate / factor)[::factor]
 
 
 def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
-    """Differentiate along axis 0 by cubic polynomials fitted to a sliding window (Savitzky-Golay): smooth, no phase.
+    """Differentiate along axis 0 by cubic polynomials fitted to a sliding window (Savitzky-Golay): zero phase.
 
-    The window has the odd number of samples whose gain over the ideal derivative is nearest to 3 dB of loss at
-    `bandwidth`; slower motion passes, faster noise does not.
+    The window has the odd number of samples for which the 3 dB bandwidth relative to the ideal derivative is nearest to
+    `bandwidth`.
 
     Parameters
     ----------
-    x : (N, ...) samples, finite. t : (N,) even times [s].
-    bandwidth : frequency [Hz] at which the derivative has lost 3 dB.
+    x : (N, ...) samples, finite.
+    t : (N,) even times [s].
+    bandwidth : 3 dB bandwidth of the derivative [Hz].
 
     Returns
     -------
@@ -155,7 +160,7 @@ def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : uneven times, a bandwidth that these samples cannot have, a record shorter than the window.
+    ShapeError : uneven times, an unattainable bandwidth, a record shorter than the window.
 
     References
     ----------
@@ -169,26 +174,26 @@ def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
     dt = float(np.mean(steps))
     if np.max(np.abs(steps - dt)) > UNEVEN * dt:
         raise ShapeError(
-            f"Expected even times, got steps from {steps.min():.4g} s to {steps.max():.4g} s. Resample the record "
+            f"Expected uniform times, got steps from {steps.min():.4g} s to {steps.max():.4g} s. Resample the record "
             "first, or use central_diff."
         )
     bandwidth = number(bandwidth, "the bandwidth [Hz]")
     window = _window(bandwidth * dt)
     if window > len(x):
         raise ShapeError(
-            f"Expected at least {window} samples for a bandwidth of {bandwidth:g} Hz, got {len(x)}. Record for longer."
+            f"Expected at least {window} samples for a bandwidth of {bandwidth:g} Hz, got {len(x)}. Record longer."
         )
     return np.asarray(savgol_filter(x, window, ORDER, deriv=1, delta=dt, axis=0, mode="interp"))
 
 
 def _window(bandwidth: float) -> int:
-    """Return the odd window whose derivative loses 3 dB nearest to `bandwidth` [cycles per sample]."""
+    """Return the odd window whose derivative has the 3 dB bandwidth nearest to `bandwidth` [cycles per sample]."""
     from scipy.signal import savgol_coeffs
 
     if not NARROWEST <= bandwidth < WIDEST:
         raise ShapeError(
-            f"Expected a bandwidth between {NARROWEST:g} and {WIDEST:g} of the sampling rate, got {bandwidth:.3g} of "
-            "it. Use central_diff for more."
+            f"Expected a bandwidth between {NARROWEST:g} and {WIDEST:g} of the sampling rate, got {bandwidth:.3g}. "
+            "Use central_diff for higher bandwidths."
         )
 
     def loss(window: int) -> float:
@@ -202,7 +207,7 @@ def _window(bandwidth: float) -> int:
 
 
 def _reflected(x: np.ndarray, pad: int) -> np.ndarray:
-    """Continue (N, ...) by its point reflection at both ends."""
+    """Extend (N, ...) by point reflection at both ends."""
     return np.concatenate([2 * x[:1] - x[pad:0:-1], x, 2 * x[-1:] - x[-2 : -pad - 2 : -1]])
 
 
@@ -216,13 +221,13 @@ def _record(x: np.ndarray) -> np.ndarray:
 def _check_times(t: np.ndarray, count: int, least: int) -> np.ndarray:
     t = numbers(t, "times", ShapeError)
     if t.shape != (count,) or count < least:
-        got = f"an array of shape {t.shape}. Give one time for each sample of a record that is long enough."
+        got = f"an array of shape {t.shape}. Pass one time per sample and a sufficiently long record."
     elif not np.isfinite(t).all():
         row = int(np.argmin(np.isfinite(t)))
-        got = f"{t[row]} in row {row}. Drop the rows without a time first."
+        got = f"{t[row]} in row {row}. First drop the rows without a time."
     elif not np.all(np.diff(t) > 0):
         row = int(np.argmin(np.diff(t) > 0)) + 1
-        got = f"{t[row]:.6g} s in row {row} after {t[row - 1]:.6g} s. Drop repeated and backward stamps first."
+        got = f"{t[row]:.6g} s in row {row} after {t[row - 1]:.6g} s. First drop repeated and backward timestamps."
     else:
         return t
     raise ShapeError(f"Expected at least {least} finite, strictly increasing times for {count} samples, got {got}")
@@ -232,6 +237,6 @@ def _check_finite(x: np.ndarray) -> None:
     bad = np.flatnonzero(~np.isfinite(x).all(axis=tuple(range(1, x.ndim))))
     if len(bad):
         raise ShapeError(
-            f"Expected finite samples, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}: a filter would "
-            "spread them over the whole record. Drop the rows or cut the record there."
+            f"Expected finite samples, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}. Drop the rows, or "
+            "split the record there."
         )

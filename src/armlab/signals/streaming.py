@@ -1,12 +1,15 @@
-"""Streaming operators: small objects with memory for the control loop, one sample in, one sample out.
+"""Streaming operators with memory for the control loop, which turn each input sample into one output sample.
 
-All have ``step(x)`` or ``step(x, t)``, ``run(x)`` or ``run(x, t)`` (equal to a loop of `step` bit for bit), and
-``reset(init)``. A sample is a number or an array; its shape is that of the first one. The step h is `dt`, or the true
-difference of the time stamps: filters keep their time constants whatever the jitter. A sample that is not finite gives
-NaN and leaves the memory as it is.
+All operators have ``step(x)`` or ``step(x, t)``, ``run(x)`` or ``run(x, t)`` (bit-identical to a loop over `step`), and
+``reset(init)``. A sample is a number or an array of constant shape. The step h is `dt` or the difference of the
+timestamps, so filters keep their time constants under jitter. A non-finite sample returns NaN and leaves the memory
+unchanged.
 """
 
 from __future__ import annotations
+
+from copy import deepcopy
+from typing import Self
 
 import numpy as np
 
@@ -18,25 +21,33 @@ __all__ = ["CausalDiff", "Differentiator", "ExpFilter", "Integrator", "LowPass2"
 
 RULES = ("trapezoid", "euler")
 BUTTERWORTH = float(np.sqrt(0.5))
-SETTLED = 12.0  # time constants after which a start is forgotten: 6e-6 of it is left
+SETTLED = 12.0  # time constants until the initial state has decayed to 6e-6
 
 
 class Operator:
-    """Operator with memory; the classes below are the ones to use.
+    """Base class of operators with memory. Copies and pickles keep the memory.
 
     Parameters
     ----------
-    kernel : does the work.
-    dt : step [s], NaN when every sample has a time stamp.
-    settling : time [s] after which a filter has forgotten its start; 0 for operators that are no filters.
+    kernel : the compiled operator.
+    dt : step [s], NaN if every sample has a time stamp.
+    settling : settling time of a filter [s]; 0 for other operators.
     """
 
     __slots__ = ("_kernel", "dt", "settling")
 
     def __init__(self, kernel: SignalOperator, dt: float, settling: float = 0.0) -> None:
         self._kernel = kernel
-        self.dt = dt
-        self.settling = settling
+        self.dt: float = dt
+        self.settling: float = settling
+
+    def __repr__(self) -> str:
+        rate = "time stamps" if np.isnan(self.dt) else f"dt = {self.dt:g} s"
+        return f"<{type(self).__name__}, {rate}, {self.skipped} samples skipped>"
+
+    def __copy__(self) -> Self:
+        """Return an independent operator with the same memory."""
+        return deepcopy(self)
 
     def step(self, x: np.ndarray | float, t: float | None = None) -> np.ndarray | float:
         """Advance by one sample and return the output, of the same shape.
@@ -44,57 +55,61 @@ class Operator:
         Parameters
         ----------
         x : sample, a number or an array.
-        t : time stamp [s], with every sample or with none; without it the step is dt.
+        t : time stamp [s], for every sample or for none; default: a step of dt.
 
         Raises
         ------
-        ShapeError : another shape than the first sample, a stamp that does not increase, stamps now and then.
+        ShapeError : a shape other than that of the first sample, times that do not increase, stamps on some samples
+            only.
         """
         return self._kernel.step(x, t)
 
     def run(self, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
-        """Step along samples (N, ...) and return the outputs (N, ...), from the memory as it is.
+        """Step through samples (N, ...) from the current memory, and return the outputs (N, ...).
 
         Parameters
         ----------
-        x : (N, ...) samples. t : (N,) time stamps [s] or None.
+        x : (N, ...) samples.
+        t : (N,) time stamps [s] or None.
         """
         return self._kernel.run(x, t)
 
     def reset(self, init: np.ndarray | float | None = None) -> None:
-        """Forget all samples, and the gaps; the next one is the first.
+        """Clear the memory and the gap counters; the next sample is the first.
 
         Parameters
         ----------
-        init : new initial value; the one given at construction when left out.
+        init : new initial value; default: that of the construction.
         """
         self._kernel.reset(init)
 
     @property
     def gaps(self) -> int:
-        """Steps longer than 1.5 dt, or than 1.5 times the first step where no dt was given."""
+        """Number of steps longer than 1.5 dt, or than 1.5 times the first step without dt."""
         return self._kernel.gaps
 
     @property
     def longest_gap(self) -> float:
-        """The longest of these steps [s]; 0 without any."""
+        """Longest of these steps [s]; 0 without gaps."""
         return self._kernel.longest_gap
 
     @property
     def skipped(self) -> int:
-        """Samples that were not finite."""
+        """Number of non-finite samples."""
         return self._kernel.skipped
 
 
 class Integrator(Operator):
     """Integral of a signal: ``I_k = I_{k-1} + h (x_k + x_{k-1}) / 2``, or ``+ h x_k`` with the Euler rule.
 
-    The first step returns init (trapezoid) or ``init + dt x_0`` (Euler). The macro @integrate of TFRT-7651 (Bagge
-    Carlson and Haage 2017, section 4.1).
+    The first step returns init (trapezoid) or ``init + dt x_0`` (Euler). This is the macro @integrate of TFRT-7651
+    (Bagge Carlson and Haage 2017, section 4.1).
 
     Parameters
     ----------
-    dt : step [s]. init : initial value. rule : "trapezoid" or "euler".
+    dt : step [s].
+    init : initial value.
+    rule : "trapezoid" or "euler".
     """
 
     __slots__ = ()
@@ -107,11 +122,12 @@ class Integrator(Operator):
 class Differentiator(Operator):
     """Backward difference ``(x_k - x_{k-1}) / h``; the first step returns 0, or ``(x_0 - init) / dt``.
 
-    The macro @differentiate of TFRT-7651. It amplifies noise by 1/h: `CausalDiff` filters too.
+    This is the macro @differentiate of TFRT-7651. It amplifies noise by 1/h; `CausalDiff` also filters.
 
     Parameters
     ----------
-    dt : step [s]. init : value before the first sample.
+    dt : step [s].
+    init : value before the first sample.
     """
 
     __slots__ = ()
@@ -121,14 +137,16 @@ class Differentiator(Operator):
 
 
 class ExpFilter(Operator):
-    """First-order low-pass ``y_k = a y_{k-1} + (1 - a) x_k`` with ``a = exp(-h / T)`` of the true step h.
+    """First-order low-pass ``y_k = a y_{k-1} + (1 - a) x_k`` with ``a = exp(-h / T)`` for the actual step h.
 
-    Starts at the first sample; with init it takes a step of dt from there. The macro @expfilt of TFRT-7651 has a as its
-    argument: `from_alpha`.
+    It starts at the first sample or, with init, one step dt before it. The macro @expfilt of TFRT-7651 takes a instead
+    of T; use `from_alpha`.
 
     Parameters
     ----------
-    time_constant : T [s]. dt : step [s]; time stamps are needed without it. init : initial value.
+    time_constant : T [s].
+    dt : step [s]; without it, samples need time stamps.
+    init : initial value.
     """
 
     __slots__ = ()
@@ -145,22 +163,26 @@ class ExpFilter(Operator):
 
         Parameters
         ----------
-        alpha : forgetting factor in (0, 1) per step of dt; higher is smoother. dt : step [s]. init : initial value.
+        alpha : forgetting factor in (0, 1) per step of dt; higher is smoother.
+        dt : step [s].
+        init : initial value.
         """
         if not 0 < number(alpha, "the forgetting factor alpha", ConfigError) < 1:
-            raise ConfigError(f"Expected alpha between 0 and 1, got {alpha!r}. Higher is smoother; 0.99 is usual.")
+            raise ConfigError(f"Expected alpha between 0 and 1, got {alpha!r}. Try 0.99; higher is smoother.")
         return cls(-_step(dt) / np.log(alpha), dt, init)
 
 
 class LowPass2(Operator):
-    """Causal Butterworth low-pass of second order: ``y'' + sqrt(2) w y' + w^2 y = w^2 x``, ``w = 2 pi cutoff``.
+    """Causal second-order Butterworth low-pass: ``y'' + sqrt(2) w y' + w^2 y = w^2 x``, ``w = 2 pi cutoff``.
 
-    Solved exactly for straight lines between the samples, so that jitter does not change it. Starts at rest at the
-    first sample, or at init. Delays slow signals by ``sqrt(2) / w``.
+    It is solved exactly for piecewise linear input, so jitter has no effect. It starts at rest at the first sample or
+    at init. It delays slow signals by ``sqrt(2) / w``.
 
     Parameters
     ----------
-    cutoff : frequency of half power [Hz]. dt : step [s]; time stamps are needed without it. init : initial value.
+    cutoff : half-power frequency [Hz].
+    dt : step [s]; without it, samples need time stamps.
+    init : initial value.
     """
 
     __slots__ = ()
@@ -171,13 +193,15 @@ class LowPass2(Operator):
 
 
 class CausalDiff(Operator):
-    """Derivative of what `LowPass2` lets through: a differentiator that does not amplify noise above its cut-off.
+    """Derivative of the output of `LowPass2`, without noise amplification above the cut-off.
 
-    Exact for straight lines after the filter has settled; starts at 0.
+    It is exact for ramps after settling, and starts at 0.
 
     Parameters
     ----------
-    cutoff : of the low-pass [Hz]. dt : step [s]; time stamps are needed without it. init : initial value of the signal.
+    cutoff : of the low-pass [Hz].
+    dt : step [s]; without it, samples need time stamps.
+    init : initial value of the signal.
     """
 
     __slots__ = ()
@@ -187,21 +211,22 @@ class CausalDiff(Operator):
 
 
 class Notch(Operator):
-    """Filter that stops one frequency: ``(s^2 + w^2) / (s^2 + w / Q s + w^2)``, ``w = 2 pi frequency``.
+    """Notch filter: ``(s^2 + w^2) / (s^2 + w / Q s + w^2)``, ``w = 2 pi frequency``.
 
-    Solved exactly for straight lines between the samples. Starts at rest at the first sample.
+    It is solved exactly for piecewise linear input. It starts at rest at the first sample.
 
     Parameters
     ----------
-    frequency : that is stopped [Hz]. quality : Q > 1/2, frequency over the width that is attenuated by 3 dB or more.
-    dt : step [s]; time stamps are needed without it.
+    frequency : notch frequency [Hz].
+    quality : Q > 1/2, frequency over the 3 dB bandwidth.
+    dt : step [s]; without it, samples need time stamps.
     """
 
     __slots__ = ()
 
     def __init__(self, frequency: float, quality: float = 2.0, dt: float | None = None) -> None:
         if not 0.5 < number(quality, "the quality", ConfigError) < np.inf:
-            raise ConfigError(f"Expected a quality above 0.5, got {quality!r}. A higher one stops a narrower band.")
+            raise ConfigError(f"Expected a quality above 0.5, got {quality!r}. Higher values give a narrower notch.")
         w, step = _corner(frequency, dt), _step(dt)
         super().__init__(SignalOperator("notch", w, 0.5 / quality, step), step, SETTLED * 2.0 * quality / w)
 

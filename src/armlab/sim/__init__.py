@@ -1,6 +1,6 @@
-"""The simulated arm and its EGM controller: the only place that knows a truth. All else sees what the wire carries.
+"""Simulated arm and EGM controller with known ground truth; the wire carries only measurements.
 
-Names are imported when they are first used: the help of ``armlab sim`` shows settings and needs no NumPy.
+Names are imported on first use, because the help of ``armlab sim`` shows settings and needs no NumPy.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # for type checkers and editors, what `__getattr__` does when a program runs
+if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` imports
     from armlab.sim import two_link
     from armlab.sim.arm.arm import SimulatedArm, record
     from armlab.sim.arm.mismatch import Mismatch
@@ -29,7 +29,7 @@ _PLACES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import what the package exports when it is first used."""
+    """Import a public name on first use."""
     if name == "two_link":
         return import_module("armlab.sim.two_link")
     if name in _PLACES:

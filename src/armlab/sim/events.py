@@ -1,11 +1,12 @@
-"""Events around a simulated controller: wrenches, grips, lead-through, switched states; together its `Surroundings`."""
+"""External events of a simulated controller: wrenches, grips, lead-through, state changes (`Surroundings`)."""
 
 from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -14,14 +15,22 @@ from armlab.lie import so3
 from armlab.robots import Robot
 
 MOTORS = {"undefined": 0, "on": 1, "off": 2}
-"""States of the motors by name."""
+"""Motor states by name."""
 
 RAPID = {"undefined": 0, "stopped": 1, "running": 2}
-"""States of RAPID by name. Real controllers are stuck at "undefined" after a restart although RAPID runs."""
+"""RAPID states by name. Real controllers may report "undefined" after a restart although RAPID runs."""
+
+
+class TimedState(Protocol):
+    """State over robot time [s]."""
+
+    def at(self, t: float) -> int:
+        """Return the state at robot time `t`."""
+        ...
 
 
 class StateScript:
-    """A piecewise constant state over robot time [s]: one name for ever, or parts as in "0:on,2.5:off,4:on"."""
+    """Piecewise constant state over robot time [s]: one name, or parts as in "0:on,2.5:off,4:on"."""
 
     def __init__(self, text: str, states: Mapping[str, int]) -> None:
         self._times: list[float] = []
@@ -35,19 +44,19 @@ class StateScript:
             except ValueError:
                 at = math.nan
             if not math.isfinite(at) or (self._times and at <= self._times[-1]):
-                raise ConfigError(f"Expected states as 0:on,2.5:off with times that increase, got {text!r}.")
+                raise ConfigError(f"Expected states as 0:on,2.5:off with increasing times, got {text!r}.")
             self._times.append(at)
             self._states.append(states[name])
 
     def at(self, t: float) -> int:
-        """Return the state at robot time `t`; before the first time it is the first state."""
+        """Return the state at robot time `t`; the first state also applies earlier."""
         return self._states[max(0, bisect.bisect_right(self._times, t + 1e-9) - 1)]
 
 
 class AppliedWrench:
-    """A wrench at the tool point, piecewise linear over time, zero before the first and after the last row.
+    """Wrench at the tool point, piecewise linear over time, and zero before the first and after the last row.
 
-    Sign and axes: exerted by the environment on the robot, base axes, about the tool point. A weight of 1 kg is
+    It is exerted by the environment on the robot, in base axes, about the tool point. A weight of 1 kg is
     ``[0, 0, -9.80665, 0, 0, 0]``.
 
     `t`: (N,) increasing seconds since guidance began. `wrench`: (N, 6) rows ``[f; m]`` [N, N m].
@@ -59,15 +68,15 @@ class AppliedWrench:
         if self._t.ndim != 1 or self._wrench.shape != (len(self._t), 6):
             raise ShapeError(
                 f"Expected times (N,) and wrenches (N, 6), got {self._t.shape} and {self._wrench.shape}. "
-                "Give one wrench per time."
+                "Pass one wrench per time."
             )
         bad = np.flatnonzero(~(np.isfinite(self._t) & np.isfinite(self._wrench).all(axis=1)))
         if bad.size:
-            raise ShapeError(f"Expected finite times and wrenches, got another value in row {bad[0] + 1}.")
+            raise ShapeError(f"Expected finite times and wrenches, got a non-finite value in row {bad[0] + 1}.")
         late = np.flatnonzero(np.diff(self._t) <= 0)
         if late.size:
             raise ShapeError(
-                f"Expected times that increase, got {self._t[late[0] + 1]:g} s after {self._t[late[0]]:g} s "
+                f"Expected increasing times, got {self._t[late[0] + 1]:g} s after {self._t[late[0]]:g} s "
                 f"in row {late[0] + 2}."
             )
 
@@ -89,17 +98,17 @@ STRENGTH = np.repeat([80.0, 8.0], 3)  # N, N m
 
 
 class Grip:
-    """A hand on the tool from `start` to `end` of guidance time [s]: a spring with a damper, of limited strength."""
+    """Hand on the tool from `start` to `end` in guidance time [s]: a spring-damper with limited force."""
 
     def __init__(self, start: float, end: float) -> None:
         if not -np.inf < start < end < np.inf:
-            raise ConfigError(f"Expected a grip from a time to a later one, got {start} to {end} s.")
+            raise ConfigError(f"Expected a grip that ends after it starts, got {start} to {end} s.")
         self._start, self._end = float(start), float(end)
         self._T_base_tool: np.ndarray | None = None
         self._before: tuple[float, np.ndarray] | None = None
 
     def at(self, t: float, T_base_tool: np.ndarray) -> np.ndarray | None:
-        """Return its wrench (6,) on the robot in base axes at the tool point, None while it does not hold."""
+        """Return its wrench (6,) on the robot in base axes at the tool point, or None while inactive."""
         if not self._start <= t < self._end:
             self._T_base_tool = self._before = None
             return None
@@ -119,7 +128,7 @@ _SHARE_OF_RANGE, _SHARE_OF_SPEED = 0.25, 0.1
 
 
 class HandPath:
-    """A joint path over time, smooth between its rows (cubic, continuous velocity), at rest outside of them.
+    """Joint path over time, smooth between its rows (cubic, continuous velocity) and at rest outside them.
 
     `t`: (N,) increasing seconds since the stream began, at least two. `q`: (N, n) postures [rad or m].
     """
@@ -129,17 +138,21 @@ class HandPath:
         if self._t.ndim != 1 or self._q.ndim != 2 or len(self._t) != len(self._q) or len(self._t) < 2:
             raise ShapeError(
                 f"Expected times (N,) and postures (N, n) with at least two rows, got {self._t.shape} and "
-                f"{self._q.shape}. Give one posture per time."
+                f"{self._q.shape}. Pass one posture per time."
             )
         if not (np.isfinite(self._t).all() and np.isfinite(self._q).all() and (np.diff(self._t) > 0).all()):
-            raise ShapeError("Expected finite postures at finite times that increase, got others. Correct the rows.")
+            raise ShapeError(
+                "Expected finite postures at finite, increasing times, got other values. Correct the rows."
+            )
         slopes = np.gradient(self._q, self._t, axis=0)
         slopes[[0, -1]] = 0.0
         self._slopes = slopes
 
     @classmethod
     def random(cls, robot: Robot, seed: int | Sequence[int] = 0, seconds: float = 600.0) -> HandPath:
-        """Return a smooth path from the home posture and back, within limits and below a tenth of the speed limits."""
+        """Return a random smooth path that starts and ends at home, within the limits and below a tenth of the speed
+        limits.
+        """
         draw = np.random.default_rng(seed)
         t = np.arange(0.0, seconds + 1e-9, 0.05)
         room = _SHARE_OF_RANGE * np.minimum(robot.q_max - robot.q_home, robot.q_home - robot.q_min) / _WAVES
@@ -156,7 +169,7 @@ class HandPath:
         return self._q.shape[1]
 
     def at(self, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return position and velocity, (n,) each."""
+        """Return position and velocity, each (n,)."""
         times = self._t
         if not times[0] <= t < times[-1]:
             return self._q[0 if t < times[0] else -1], np.zeros(self.n)
@@ -170,28 +183,29 @@ class HandPath:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What happens around the controller."""
+    """External events of one controller. Packets are sent only while a RAPID program with EGM `is_open`."""
 
     operator: AppliedWrench | None = None
     hand: HandPath | None = None
-    motors: StateScript = field(default_factory=lambda: StateScript("on", MOTORS))
-    rapid: StateScript = field(default_factory=lambda: StateScript("running", RAPID))
+    motors: TimedState = field(default_factory=lambda: StateScript("on", MOTORS))
+    rapid: TimedState = field(default_factory=lambda: StateScript("running", RAPID))
     external: int = 0
     grip: Grip | None = None
+    is_open: Callable[[], bool] = lambda: True
 
     def wrench(self, t: float, T_base_tool: np.ndarray) -> np.ndarray | None:
-        """Return the wrench of all hands (6,), base axes, at the tool point, at a guidance time [s]; None for none."""
+        """Return the total wrench (6,) of all hands in base axes at the tool point at a guidance time [s], or None."""
         both = self.operator and self.operator.at(t), self.grip and self.grip.at(t, T_base_tool)
         acting = [wrench for wrench in both if wrench is not None]
         return np.sum(acting, axis=0) if acting else None
 
     def leads(self, program: str, n: int) -> HandPath | None:
-        """Return the hand that leads the arm in a program, None where nobody does."""
+        """Return the hand that leads the arm in a program, or None."""
         hand = self.hand if program == "lead-through" else None
         if hand is not None and hand.n != n:
-            raise ShapeError(f"Expected a hand path of {n} joints, got one of {hand.n}.")
+            raise ShapeError(f"Expected a hand path of {n} joints, got a path of {hand.n}.")
         return hand
 
     def is_ready(self, t: float) -> bool:
-        """Return whether motors and RAPID let guidance run at a robot time [s]. RAPID stuck at UNDEFINED does."""
+        """Return whether motors and RAPID allow guidance at a robot time [s]. RAPID in state UNDEFINED allows it."""
         return self.motors.at(t) == MOTORS["on"] and self.rapid.at(t) != RAPID["stopped"]

@@ -1,8 +1,8 @@
-"""Two-link arm in a vertical plane: dynamics and kinematics in closed form, to try controllers on.
+"""Two-link arm in a vertical plane with closed-form dynamics and kinematics, for testing controllers.
 
-Point masses at the ends of two massless links, viscous and Coulomb friction in both joints. The angles count from
-hanging down, counter-clockwise, q_2 from the first link; x points right, y up. Every function takes leading axes, and
-the parameters of the arm, by default those of the ancestor's; another shape raises ShapeError.
+The arm has point masses at the ends of two massless links, and viscous and Coulomb friction in both joints. q_1 is zero
+when hanging down and increases counter-clockwise; q_2 is relative to the first link; x points right, y up. Functions
+broadcast over leading axes. The default arm is that of the predecessor; wrong shapes raise ShapeError.
 
 The equation of motion is ``M(q) qdd + h(q, qd) + G(q) + viscous qd + coulomb tanh(100 qd) = tau`` with::
 
@@ -10,7 +10,7 @@ The equation of motion is ``M(q) qdd + h(q, qd) + G(q) + viscous qd + coulomb ta
     h = m2 l1 l2 sin q2 (-2 qd1 qd2 - qd2^2, qd1^2)
     G = g ((m1 + m2) l1 sin q1 + m2 l2 sin(q1 + q2), m2 l2 sin(q1 + q2))
 
-The arm is that of TwoLink in DynamicMovementPrimitives.jl, with M_11 a product, gravity 9.82 m/s^2, no torque at rest.
+The arm is that of TwoLink in DynamicMovementPrimitives.jl, except for M_11, gravity 9.82 m/s^2 and zero torque at rest.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 _SHARPNESS = 100.0  # s/rad: Coulomb friction is complete above a few hundredths of a rad/s
-_AT_REACH = 1e-12  # relative: rounding at the stretched arm is no miss
+_AT_REACH = 1e-12  # relative: rounding tolerance of the stretched arm
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ class TwoLink:
     Attributes
     ----------
     m1, m2 : masses at the ends of the links [kg].
-    l1, l2 : lengths [m].
-    viscous : friction [N m s/rad].
-    coulomb : friction [N m].
-    gravity : downwards [m/s^2].
+    l1, l2 : lengths of the links [m].
+    viscous : viscous friction [N m s/rad].
+    coulomb : Coulomb friction [N m].
+    gravity : downward acceleration of gravity [m/s^2].
 
     Raises
     ------
-    ConfigError : a mass or length that is not above 0, a friction below 0, or a number that is not finite.
+    ConfigError : a mass or length is not above 0, a friction is below 0, or a number is not finite.
     """
 
     m1: float = 0.2
@@ -73,13 +73,13 @@ class TwoLink:
                 raise ConfigError(f"Expected {name} of the two-link arm above 0, got {getattr(self, name)}.")
         for name in ("viscous", "coulomb"):
             if not 0.0 <= getattr(self, name) < np.inf:
-                raise ConfigError(f"Expected {name} of the two-link arm from 0, got {getattr(self, name)}.")
+                raise ConfigError(f"Expected {name} of the two-link arm of at least 0, got {getattr(self, name)}.")
         if not np.isfinite(self.gravity):
             raise ConfigError(f"Expected a finite gravity of the two-link arm, got {self.gravity}.")
 
 
 ARM = TwoLink()
-"""The arm of the ancestor's demonstration."""
+"""The arm in the predecessor's demonstration."""
 
 
 def mass_matrix(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
@@ -87,7 +87,7 @@ def mass_matrix(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
 
     Parameters
     ----------
-    q : (..., 2) [rad].
+    q : (..., 2) joint positions [rad].
     """
     c2 = np.cos(_pair(q, "q")[..., 1])
     last, coupling = arm.m2 * arm.l2**2, arm.m2 * arm.l1 * arm.l2 * c2
@@ -99,21 +99,21 @@ def mass_matrix(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
 
 
 def inverse_dynamics(q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
-    """Return the torque (..., 2) [N m] of a motion: ``M qdd + h + G + friction``.
+    """Return the joint torques (..., 2) [N m] for a motion: ``M qdd + h + G + friction``.
 
     Parameters
     ----------
-    q, qd, qdd : (..., 2) [rad, rad/s, rad/s^2].
+    q, qd, qdd : (..., 2) joint motion [rad, rad/s, rad/s^2].
     """
     return np.einsum("...ij,...j", mass_matrix(q, arm), _pair(qdd, "qdd")) + _known(q, qd, arm)
 
 
 def forward_dynamics(q: ArrayLike, qd: ArrayLike, tau: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
-    """Return the acceleration (..., 2) [rad/s^2] under a torque: ``M^-1 (tau - h - G - friction)``.
+    """Return the acceleration (..., 2) [rad/s^2] for joint torques: ``M^-1 (tau - h - G - friction)``.
 
     Parameters
     ----------
-    q, qd, tau : (..., 2) [rad, rad/s, N m].
+    q, qd, tau : (..., 2) joint state and torque [rad, rad/s, N m].
     """
     free = _pair(tau, "tau") - _known(q, qd, arm)
     M = mass_matrix(q, arm)
@@ -133,18 +133,18 @@ def rhs(x: ArrayLike, tau: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
     """
     state = numbers(x, "x", ShapeError)
     if state.shape[-1:] != (4,):
-        raise ShapeError(f"Expected x of shape (..., 4), positions and velocities, got {state.shape}.")
+        raise ShapeError(f"Expected x of shape (..., 4) with positions and velocities, got {state.shape}.")
     q, qd = state[..., :2], state[..., 2:]
     qdd = forward_dynamics(q, qd, tau, arm)
     return np.concatenate([np.broadcast_to(qd, qdd.shape), qdd], axis=-1)
 
 
 def energy(q: ArrayLike, qd: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
-    """Return kinetic plus potential energy (...) [J], 0 at rest hanging down.
+    """Return kinetic plus potential energy (...) [J], which is 0 when hanging down at rest.
 
     Parameters
     ----------
-    q, qd : (..., 2) [rad, rad/s].
+    q, qd : (..., 2) joint position and velocity [rad, rad/s].
     """
     angles, speeds = _pair(q, "q"), _pair(qd, "qd")
     kinetic = 0.5 * np.einsum("...i,...ij,...j", speeds, mass_matrix(angles, arm), speeds)
@@ -157,7 +157,7 @@ def forward(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
 
     Parameters
     ----------
-    q : (..., 2) [rad].
+    q : (..., 2) joint positions [rad].
     """
     angles = _pair(q, "q")
     q1, q12 = angles[..., 0], angles.sum(axis=-1)
@@ -165,11 +165,11 @@ def forward(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
 
 
 def jacobian(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
-    """Return J (..., 2, 2) [m/rad], the velocity of the tip per joint velocity.
+    """Return the Jacobian (..., 2, 2) [m/rad]: tip velocity per joint velocity.
 
     Parameters
     ----------
-    q : (..., 2) [rad].
+    q : (..., 2) joint positions [rad].
     """
     angles = _pair(q, "q")
     q1, q12 = angles[..., 0], angles.sum(axis=-1)
@@ -187,12 +187,12 @@ def inverse(p: ArrayLike, elbow: Literal["down", "up"] = "down", arm: TwoLink = 
     Parameters
     ----------
     p : (..., 2) points [m].
-    elbow : "down" for q2 >= 0, "up" for q2 <= 0: the side of the line from shoulder to tip, seen with the tip at right.
+    elbow : "down" for q2 >= 0, "up" for q2 <= 0: side of the line from shoulder to tip, seen with the tip at right.
 
     Raises
     ------
-    ShapeError : another shape, or a point out of reach; tells its distance.
-    UnknownName : another elbow.
+    ShapeError : wrong shape, or a point out of reach; gives its distance.
+    UnknownName : `elbow` is neither "down" nor "up".
     """
     if elbow not in ("down", "up"):
         raise UnknownName.among("elbow", elbow, ("down", "up"))
@@ -202,8 +202,8 @@ def inverse(p: ArrayLike, elbow: Literal["down", "up"] = "down", arm: TwoLink = 
     out = ~((r >= near - _AT_REACH * far) & (r <= far * (1.0 + _AT_REACH)))
     if out.any():
         raise ShapeError(
-            f"Expected points between {near:g} m and {far:g} m from the shoulder, got one at {r[out][0]:.6g} m. "
-            "The arm does not reach it."
+            f"Expected points between {near:g} m and {far:g} m from the shoulder, got a point at {r[out][0]:.6g} m. "
+            "Move the point within reach."
         )
     cosine = np.clip((r**2 - arm.l1**2 - arm.l2**2) / (2.0 * arm.l1 * arm.l2), -1.0, 1.0)
     q2 = np.arccos(cosine) * (1.0 if elbow == "down" else -1.0)
@@ -219,7 +219,7 @@ def _pair(value: ArrayLike, name: str) -> np.ndarray:
 
 
 def _known(q: ArrayLike, qd: ArrayLike, arm: TwoLink) -> np.ndarray:
-    """Return h + G + friction: all torque that needs no acceleration."""
+    """Return h + G + friction, the torques that do not depend on acceleration."""
     angles, speeds = np.broadcast_arrays(_pair(q, "q"), _pair(qd, "qd"))
     qd1, qd2 = speeds[..., 0], speeds[..., 1]
     coupling = arm.m2 * arm.l1 * arm.l2 * np.sin(angles[..., 1])

@@ -1,4 +1,4 @@
-"""Where the numbers of a CDR message are: ROS 2 messages read and patched without building objects."""
+"""Positions of the numbers in a CDR message, for reading and patching ROS 2 messages without building objects."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _SIZES = {
 }
 _HEADER = 4  # encapsulation: kind of CDR and byte order; alignment counts from its end
 _MAX_DEPTH = 32
-_MAX_FIELDS = 100_000  # of a type with all in it
+_MAX_FIELDS = 100_000  # of a type, including nested types
 _MAX_NAME = 1000
-_EMPTY = 64  # fields of a message that may be there without a byte
-_PER_BYTE = 16  # fields per byte: a message in a message is one without a byte of its own
-_LETTERS = 16  # of a name, that count as a field
-NO_MEMBER = "structure_needs_at_least_one_member"  # a byte in ROS 2
+_EMPTY = 64  # fields of a message without a byte each, at most
+_PER_BYTE = 16  # fields per byte, because nested messages may add no byte
+_LETTERS = 16  # letters of a name that count as one field
+NO_MEMBER = "structure_needs_at_least_one_member"  # a dummy byte in ROS 2
 
 _BYTE = (1, ("uint8", 0))
 Definitions = Mapping[str, list[tuple[str, Any]]]
@@ -44,13 +44,15 @@ Definitions = Mapping[str, list[tuple[str, Any]]]
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A run of numbers in a message.
+    """Run of numbers in a message.
 
     Attributes
     ----------
     path : dotted name, for example "pose.position.x" or "position".
-    start, stop : bytes from the beginning of the message, encapsulation included.
-    dtype : NumPy type with byte order. count : how many. scalar : False for arrays and sequences.
+    start, stop : byte range from the beginning of the message, encapsulation included.
+    dtype : NumPy type with byte order.
+    count : number of values.
+    scalar : False for arrays and sequences.
     """
 
     path: str
@@ -63,7 +65,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Numbers and texts of one message.
+    """Numbers and strings of one message.
 
     Attributes
     ----------
@@ -81,29 +83,29 @@ class Layout:
 
 @lru_cache(maxsize=64)
 def definitions(name: str, text: str, encoding: str = "ros2msg") -> Definitions:
-    """Return the fields of a message type and of the types in it, from the text of its schema."""
+    """Return the fields of a message type and its nested types, parsed from the text of its schema."""
     from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
     if encoding not in ("ros2msg", "ros2idl"):
-        raise LogError(f"Expected a definition of {name} in ros2msg or ros2idl, got one in {encoding or 'nothing'!r}.")
+        raise LogError(
+            f"Expected a definition of {name} in ros2msg or ros2idl, got the encoding {encoding!r}. Use one of them."
+        )
     try:
         types = get_types_from_msg(text, name) if encoding == "ros2msg" else get_types_from_idl(text)
     except (TypesysError, ValueError, KeyError, RecursionError) as error:
-        reason = textwrap.shorten(str(error), 120)  # it repeats the whole text
-        raise LogError(
-            f"Expected a {encoding} definition of {name}, got a text that does not parse: {reason}."
-        ) from None
+        reason = textwrap.shorten(str(error), 120)  # the error repeats the whole text
+        raise LogError(f"Expected a {encoding} definition of {name}, got an invalid text: {reason}.") from None
     return bounded(name, with_bytes({typename: entry[1] for typename, entry in types.items()}))
 
 
 def with_bytes(types: Definitions) -> Definitions:
-    """Return the definitions with the byte that CDR of ROS 2 gives to messages without fields."""
+    """Return the definitions with the dummy byte that ROS 2 adds to messages without fields."""
     return {name: fields or [(NO_MEMBER, _BYTE)] for name, fields in types.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class _Size:
-    """Fields of a type with all in it, levels, letters of a name; bytes and fields where all sequences are empty."""
+    """Fields, depth and name length of a type with nested types; bytes and fields if all sequences are empty."""
 
     fields: int = 0
     depth: int = 0
@@ -113,7 +115,7 @@ class _Size:
 
 
 def bounded(name: str, types: Definitions) -> Definitions:
-    """Return the definitions of a type as they are, where a few types do not hold each other times without end."""
+    """Return the definitions of a type unchanged; raise if nesting makes it exponentially large."""
     known: dict[str, _Size] = {}
 
     def size(one: str, depth: int) -> _Size:
@@ -122,16 +124,18 @@ def bounded(name: str, types: Definitions) -> Definitions:
         if depth > _MAX_DEPTH:
             raise LogError(f"Expected message types nested at most {_MAX_DEPTH} deep, got more in {one[:80]}.")
         if one not in types:
-            raise LogError(f"Expected the definition of {one[:80]} in that of {name[:80]}, got none.")
+            raise LogError(
+                f"Expected the definition of {one[:80]} in the definition of {name[:80]}, but it is missing."
+            )
         found = _Size(fields=1, walked=1)
         for field, description in types[one]:
             element, count, is_sequence = held(description)
             inner = size(element, depth + 1) if element else _Size(fields=1, least=1, walked=1)
             if count < 0:
-                raise LogError(f"Expected a length from 0 of {field[:80]} in {one[:80]}, got a negative one.")
+                raise LogError(f"Expected a length from 0 of {field[:80]} in {one[:80]}, got a negative length.")
             if is_sequence and inner.walked > _PER_BYTE * inner.least:
                 raise LogError(
-                    f"Expected elements with a byte for each {_PER_BYTE} fields in {field[:80]} of {one[:80]}, got "
+                    f"Expected at most {_PER_BYTE} fields per byte in the elements of {field[:80]} of {one[:80]}, got "
                     f"{inner.walked} fields in {inner.least} bytes."
                 )
             found = _Size(
@@ -151,14 +155,18 @@ def bounded(name: str, types: Definitions) -> Definitions:
 
 def _refuse_large(name: str, size: _Size) -> None:
     most = {"fields": _MAX_FIELDS, "depth": _MAX_DEPTH, "longest": _MAX_NAME}
-    words = {"fields": "fields with all in it", "depth": "levels of messages", "longest": "letters in a name with dots"}
+    words = {
+        "fields": "fields, including nested ones",
+        "depth": "levels of nesting",
+        "longest": "letters in a dotted name",
+    }
     for what, limit in most.items():
         if getattr(size, what) > limit:
             raise LogError(f"Expected a message of at most {limit} {words[what]}, got more in {name[:80]}.")
 
 
 def held(description: Any) -> tuple[str, int, bool]:
-    """Return the message type that a field holds, nothing for numbers and texts, how many, and if it tells how many."""
+    """Return the message type of a field ("" for numbers and strings), the count, and whether the count is fixed."""
     # rosbags: 1 a basic type, 2 a message, 3 an array of fixed length, 4 a sequence
     kind, detail = int(description[0]), description[1]
     (node, name), length = (description, 1) if kind < 3 else detail
@@ -166,14 +174,16 @@ def held(description: Any) -> tuple[str, int, bool]:
 
 
 def layout(raw: bytes | memoryview, name: str, types: Definitions) -> Layout:
-    """Return where the numbers and texts of one message are."""
+    """Return the positions of the numbers and strings of one message."""
     if len(raw) < _HEADER or raw[0] != 0 or raw[1] not in (0, 1):
-        raise LogError(f"Expected a {name} in plain CDR, got {bytes(raw[:4]).hex(' ') or 'nothing'} at its beginning.")
+        raise LogError(
+            f"Expected a {name} in plain CDR, got data that begin with {bytes(raw[:4]).hex(' ') or 'no bytes'}."
+        )
     walk = _Walk(raw, "<" if raw[1] else ">", types)
     try:
         walk.message(name, "", 0)
     except (struct.error, UnicodeDecodeError, KeyError, IndexError) as error:
-        raise LogError(f"Expected a {name}, got {len(raw)} bytes that do not fit it ({error}).") from None
+        raise LogError(f"Expected a {name}, got {len(raw)} bytes that do not match it ({error}).") from None
     return Layout(tuple(walk.fields), walk.texts)
 
 
@@ -196,7 +206,9 @@ class _Walk:
     def value(self, description: Any, path: str, depth: int) -> None:
         self.left -= 1 + len(path) // _LETTERS
         if self.left < 0:
-            raise LogError(f"Expected a byte for each {_PER_BYTE} fields, got {len(self.raw)} for more up to {path}.")
+            raise LogError(
+                f"Expected at most {_PER_BYTE} fields per byte, got more in {len(self.raw)} bytes up to {path}."
+            )
         node, detail = int(description[0]), description[1]
         if node == 1 and detail[0] == "string":
             self.texts[path] = self.text()
@@ -233,7 +245,7 @@ class _Walk:
     def text(self) -> str:
         length = self.count()
         if length > len(self.raw) - self.at:
-            raise LogError(f"Expected a text of {length} bytes, got the end of the message.")
+            raise LogError(f"Expected a string of {length} bytes, got the end of the message.")
         raw = bytes(self.raw[self.at : self.at + length])
         self.at += length
         return raw.removesuffix(b"\0").decode()

@@ -281,7 +281,7 @@ def test_ten_sessions_that_end_at_once_end_the_run(one: Make, clock: str) -> Non
         hands.cycle()
         hands.cycle()
         hands.loop._have_ended()
-    assert hands.loop.reason == "sessions ended at once"
+    assert hands.loop.reason == "sessions ended immediately"
 
 
 def test_silence_counts_from_the_newest_packet(one: Make) -> None:
@@ -377,7 +377,10 @@ def test_a_reply_that_the_system_refuses_is_told_as_a_warning(one: Make) -> None
     hands.ports[0].works = False
     hands.cycle()
     host, port = CONTROLLER
-    what = f"A reply to {host}:{port} did not go out: the system refused it. The robot keeps the last one."
+    what = (
+        f"A reply to {host}:{port} was not sent, because the operating system refused it. "
+        "The robot keeps the last reply."
+    )
     assert hands.warned == [what]
     assert (hands.arms[0].replies, hands.arms[0].latency.count) == (0, 0)
     assert (hands.rows[0][2].seq_sent, hands.rows[0][2].send_ns) == (-1, -1)

@@ -21,11 +21,11 @@ from armlab.bridge.control.limits import (
     kept,
     numbers,
     refusal,
-    wanted,
+    requested,
 )
 from armlab.bridge.control.state_machine import Mode, StateMachine
-from armlab.bridge.control.torque import Admittance, TorqueModel, Torques, admittances
-from armlab.errors import CommandRefused, ConfigError
+from armlab.bridge.control.torque import Admittance, TorqueFunction, Torques, admittances
+from armlab.errors import CommandRefused, ConfigError, ModelMismatchError
 from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Beside, EgmCodec, Packet
@@ -35,11 +35,11 @@ from .test_state_machine import Bench
 
 
 def test_references_pass(robot: Robot) -> None:
-    q, qd, tau = wanted(Command([0.0] * 7, np.ones(7, dtype=np.float32), [1] * 7), robot)  # type: ignore[arg-type]
+    q, qd, tau = requested(Command([0.0] * 7, np.ones(7, dtype=np.float32), [1] * 7), robot)  # type: ignore[arg-type]
     assert (tau.dtype, tau.sum()) == (np.float64, 7.0)
     assert (q.dtype, qd.dtype) == (np.float64, np.float64)
-    assert wanted(Command(), robot) == (None, None, None)
-    [halves, whole, _] = wanted(Command(np.full(14, 0.5)[::2], np.ones(7, dtype=np.uint8)), robot)
+    assert requested(Command(), robot) == (None, None, None)
+    [halves, whole, _] = requested(Command(np.full(14, 0.5)[::2], np.ones(7, dtype=np.uint8)), robot)
     assert (halves.sum(), halves.flags.c_contiguous, whole.sum(), whole.dtype) == (3.5, True, 7.0, np.float64)
 
 
@@ -62,7 +62,7 @@ def test_references_pass(robot: Robot) -> None:
 )
 def test_what_is_no_reference_is_refused(robot: Robot, command: Any, words: str) -> None:
     with pytest.raises(CommandRefused, match=words):
-        wanted(command, robot)
+        requested(command, robot)
 
 
 @pytest.mark.parametrize("name", ["q", "qd", "tau", "q_ext", "rapid_data"])
@@ -80,7 +80,7 @@ def test_what_is_no_command_is_kept_to_be_refused(robot: Robot) -> None:
     assert kept(None) is None
     for odd in (3, Command([[1.0], [2.0, 3.0]])):  # type: ignore[list-item]
         with pytest.raises(CommandRefused):
-            wanted(kept(odd), robot)  # type: ignore[arg-type]
+            requested(kept(odd), robot)  # type: ignore[arg-type]
 
 
 def test_real_numbers() -> None:
@@ -189,31 +189,31 @@ def test_rounding_is_not_a_clamp(robot: Robot, limits: Limits) -> None:
 
 def test_without_the_capability_a_torque_is_refused_by_name(robot: Robot, limits: Limits) -> None:
     plain = Torques(robot, limits, frozenset(("position", "velocity")))
-    with pytest.raises(CommandRefused, match=r'can carry position, velocity only.*torque="admittance"'):
-        plain.wanted(None, None, np.zeros(7), robot.q_home, np.zeros(7))
-    with pytest.raises(CommandRefused, match="can carry nothing only"):
-        Torques(robot, limits, frozenset()).wanted(None, None, np.zeros(7), robot.q_home, np.zeros(7))
+    with pytest.raises(CommandRefused, match=r'carries position, velocity only.*torque="admittance"'):
+        plain.requested(None, None, np.zeros(7), robot.q_home, np.zeros(7))
+    with pytest.raises(CommandRefused, match="carries nothing only"):
+        Torques(robot, limits, frozenset()).requested(None, None, np.zeros(7), robot.q_home, np.zeros(7))
     with pytest.raises(CommandRefused, match=r"no torque limits.*tau_max"):
-        Torques(robot, Limits.of(robot), TORQUES).wanted(None, None, np.zeros(7), robot.q_home, np.zeros(7))
+        Torques(robot, Limits.of(robot), TORQUES).requested(None, None, np.zeros(7), robot.q_home, np.zeros(7))
 
 
 def test_a_torque_that_is_not_finite_is_refused(robot: Robot, limits: Limits) -> None:
     with pytest.raises(CommandRefused, match="NaN never"):
-        Torques(robot, limits, TORQUES).wanted(None, None, np.full(7, np.nan), robot.q_home, np.zeros(7))
+        Torques(robot, limits, TORQUES).requested(None, None, np.full(7, np.nan), robot.q_home, np.zeros(7))
 
 
 def test_admittance_by_hand(robot: Robot, limits: Limits) -> None:
     """qd = (tau - tau_model) / D."""
-    model: TorqueModel = lambda q, qd: q + 2.0 * qd  # noqa: E731
+    model: TorqueFunction = lambda q, qd: q + 2.0 * qd  # noqa: E731
     unit = Admittance(np.full(7, 5.0), model)
     torques = Torques(robot, limits, frozenset(("position", "velocity")), unit)
     q, qd = np.arange(7.0), np.ones(7)
-    asked, speed, tau = torques.wanted(None, None, np.full(7, 12.0), q, qd)
+    asked, speed, tau = torques.requested(None, None, np.full(7, 12.0), q, qd)
     assert (asked, tau) == (None, None)
     assert speed is not None
     np.testing.assert_allclose(speed, (12.0 - (q + 2.0)) / 5.0)
-    with pytest.raises(CommandRefused, match="tau alone"):
-        torques.wanted(q, None, q, q, qd)
+    with pytest.raises(CommandRefused, match="only tau"):
+        torques.requested(q, None, q, q, qd)
     plain = Admittance([5.0] * 7)  # type: ignore[arg-type]
     assert isinstance(plain.damping, np.ndarray)
     np.testing.assert_allclose(plain.velocity(q, q, qd), q / 5.0)
@@ -230,20 +230,31 @@ def test_admittances_of_each_arm() -> None:
     assert admittances("refuse", None, None, arms) == [None, None]
     first, second = admittances("admittance", np.arange(1.0, 14.0), None, arms)
     assert (len(first.damping), second.damping[0]) == (7, 8.0)
-    models: list[TorqueModel] = [lambda q, qd: q, lambda q, qd: qd, lambda q, qd: q + qd]
+    models: list[TorqueFunction] = [lambda q, qd: q, lambda q, qd: qd, lambda q, qd: q + qd]
     three = admittances("admittance", np.arange(1.0, 21.0), models, [*arms, arms[0]])
     assert [(one.damping[0], one.model) for one in three if one] == list(zip((1.0, 8.0, 14.0), models, strict=True))
     (alone,) = admittances("admittance", np.ones(7), models[0], arms[:1])
     assert alone.model is models[0]
     for torque, damping, model, words in (
-        ("always", None, None, "refuse, admittance"),
+        ("always", None, None, "refuse or admittance"),
         ("admittance", None, None, "13 joints"),
         ("admittance", np.ones(7), None, "13 joints"),
         ("refuse", np.ones(13), None, "only"),
-        ("admittance", np.ones(13), lambda q, qd: q, "one torque_model per arm"),
+        ("admittance", np.ones(13), lambda q, qd: q, "torque models, one per arm"),
     ):
         with pytest.raises(ConfigError, match=words):
             admittances(torque, damping, model, arms)
+
+
+def test_an_admittance_takes_an_identified_model_or_its_fit(fitted, truth) -> None:
+    robot, model = truth.robot, fitted.value
+    q, qd = robot.q_home + 0.1, np.full(robot.n, 0.2)
+    wanted = model.torque(q[None], qd[None])[0]
+    for given in (model, fitted, [fitted]):
+        (one,) = admittances("admittance", np.ones(robot.n), given, [robot])
+        np.testing.assert_array_equal(one.model(q, qd), wanted)
+    with pytest.raises(ModelMismatchError):
+        admittances("admittance", np.ones(6), fitted, [robots.load("ur5e")])
 
 
 def test_a_torque_alone_follows_the_arm_and_ends_in_a_hold(feed: Any, robot: Robot, limits: Limits) -> None:
@@ -282,11 +293,12 @@ def test_a_torque_alone_is_refused_beyond_the_limits_of_the_arm(feed: Any, robot
         assert not reply.free
     assert machine.mode is Mode.STOPPING
     low, high = limits.q_min[3], limits.q_max[3]
-    assert f"joint 4 ({robot.joint_names[3]}) is at {q[3]:.4f}, allowed is from {low:.4f} to {high:.4f}." in str(
-        machine.failure
+    assert (
+        f"joint 4 ({robot.joint_names[3]}) is at {q[3]:.4f}; the allowed range is from {low:.4f} to {high:.4f}."
+        in str(machine.failure)
     )
     outside, fast = Torques(robot, limits, TORQUES).outside, np.array([0, 99.0, 0, 0, 0, 0, 0])
-    words = f"joint 2 ({robot.joint_names[1]}) is moving at 99.0000, allowed is up to {limits.qd_max[1]:.4f}."
+    words = f"joint 2 ({robot.joint_names[1]}) is moving at 99.0000; the allowed range is up to {limits.qd_max[1]:.4f}."
     assert words in outside(robot.q_home, fast)
     for end, sign in ((limits.q_min, 1.0), (limits.q_max, -1.0)):
         assert outside(end, sign * limits.qd_max) == "", "the limits themselves are within"
@@ -368,13 +380,13 @@ def test_axes_move_within_their_limits_and_come_to_rest(robot: Robot) -> None:
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (Command(q_ext=np.array([0.3])), r"external axes, 2, got shape \(1,\)"),
+        (Command(q_ext=np.array([0.3])), r"Expected 2 values .* in the limits, .*got shape \(1,\)"),
         (Command(q_ext=np.array([0.3, np.nan])), "finite numbers in Command.q_ext"),
-        (Command(q_ext=np.array([17.0, -0.2])), r"axis 1 within 0.05 of where it is, 0.3000, got 17.0000"),
+        (Command(q_ext=np.array([17.0, -0.2])), r"axis 1 within 0.05 of its current position, 0.3000, got 17.0000"),
         (Command(q_ext=np.array(["a", "b"])), "numbers in Command.q_ext"),
         (Command(q_ext=np.array([0.3, 1.0 + 1j])), "numbers in Command.q_ext.*of type complex128"),
         (Command(rapid_data=["1.0"]), "numbers in Command.rapid_data.*of type <U3"),  # type: ignore[list-item]
-        (Command(rapid_data=[1.0] * 41), r"at most 40 numbers in a row in Command.rapid_data, got shape \(41,\)"),
+        (Command(rapid_data=[1.0] * 41), r"at most 40 numbers in Command.rapid_data, got shape \(41,\)"),
         (Command(rapid_data=[[1.0]]), r"shape \(1, 1\)"),
         (Command(rapid_data=[np.inf]), "finite numbers in Command.rapid_data"),
         (Command(rapid_digital=1), "True, False or None in Command.rapid_digital, got 1"),  # type: ignore[arg-type]
@@ -401,11 +413,11 @@ def test_jumps_missing_limits_and_robots_that_cannot_are_refused(robot: Robot) -
         ExternalReferences(None, ABLE).follow(Command(q_ext=here.q_ext), here, T, T)
     with pytest.raises(CommandRefused, match="cannot send external axes"):
         ExternalReferences(AXES, frozenset(("position",))).follow(Command(q_ext=here.q_ext), here, T, T)
-    with pytest.raises(CommandRefused, match=r"need RobotWare 7, this is RobotWare 6.10"):
+    with pytest.raises(CommandRefused, match=r"require RobotWare 7, but this is RobotWare 6.10"):
         external.follow(Command(rapid_digital=True), packet(robot, robotware="6.10"), T, T)
     with pytest.raises(CommandRefused, match="a codec that cannot send it"):
         ExternalReferences(AXES, frozenset(("position",))).follow(Command(rapid_data=[1.0]), here, T, T)
-    with pytest.raises(CommandRefused, match="external axes, 0, got"):
+    with pytest.raises(CommandRefused, match=r"Expected 0 values .* in the limits, .*got"):
         external.follow(Command(q_ext=here.q_ext), packet(robot, ()), T, T)
 
 

@@ -103,7 +103,7 @@ def test_one_false_packet_in_motion_is_a_hold_and_three_stop_the_run(bench: Foll
         assert bench.machine.mode is Mode.RUNNING, k
         bench(q=bench.q + 0.5)
     assert bench.machine.mode is Mode.STOPPING
-    assert bench.machine.reason == "the feedback is not plausible"
+    assert bench.machine.reason == "the feedback is implausible"
 
 
 def test_an_arm_that_does_not_follow_stops_the_run(robot: Robot) -> None:
@@ -155,7 +155,7 @@ def test_feedback_outside_the_range(robot: Robot) -> None:
     sentence = outside_range(q, robot)
     assert f"joint 5 ({robot.joint_names[4]})" in sentence
     assert f"{q[4]:.3f}" in sentence
-    assert "units" in sentence
+    assert "unit" in sentence
 
 
 def test_the_following_error_is_that_of_the_axes() -> None:
@@ -180,7 +180,7 @@ def packet(packets: Any, **fields: Any) -> Packet:
         ({"rapid": 0}, ""),
         ({"rapid": None}, ""),
         ({"motors": 2}, "motors are off"),
-        ({"motors": 0}, "no state of the motors"),
+        ({"motors": 0}, "its packets do not contain the motor state"),
         ({"rapid": 1}, "RAPID is stopped"),
         ({"mci": 2}, "EGMRunJoint"),
         ({"mci": 1}, "EGMRunJoint"),
@@ -198,11 +198,13 @@ def test_one_or_two_packets_without_a_state_end_no_motion(packets: Any) -> None:
     readiness = Readiness()
     for fields in ({}, {"motors": None}, {"mci": None}, {}, {"motors": None, "mci": None}, {"motors": None}):
         assert readiness.not_ready_reason(packet(packets, **fields)) == ""
-    assert "motors" in readiness.not_ready_reason(packet(packets, motors=None))
+    assert "the motor state" in readiness.not_ready_reason(packet(packets, motors=None))
     assert readiness.not_ready_reason(packet(packets)) == ""
     assert "motors are off" in readiness.not_ready_reason(packet(packets, motors=2))
     readiness.begin()
-    assert "motors" in readiness.not_ready_reason(packet(packets, motors=None)), "of a new session nothing is known"
+    assert "the motor state" in readiness.not_ready_reason(packet(packets, motors=None)), (
+        "of a new session nothing is known"
+    )
 
 
 def test_a_robot_that_reports_no_states_for_a_while_comes_to_rest_and_goes_on_from_there(bench: Follower) -> None:
@@ -213,7 +215,7 @@ def test_a_robot_that_reports_no_states_for_a_while_comes_to_rest_and_goes_on_fr
     assert len(q) == 34
     assert np.abs(np.diff(q, axis=0)).max() <= 0.2 * T + 1e-12, "no step to the feedback, which is behind"
     assert bench.machine.ready
-    assert bench.feed.events[-1] == "The states of the robot are back."
+    assert bench.feed.events[-1] == "The robot reports its states again."
 
 
 def test_a_packet_that_has_its_reply_is_answered_with_the_same_one(bench: Follower) -> None:
@@ -255,7 +257,13 @@ def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -
     assert bench.machine.mode is Mode.ENDED
     failure = bench.machine.failure
     assert isinstance(failure, NoRobot)
-    for words in ("within 7 s", "1 unparsable", f"127.0.0.1:{bench.port.port}", "this computer only", "firewall"):
+    for words in (
+        "within 7 s",
+        "1 unparsable",
+        f"127.0.0.1:{bench.port.port}",
+        "only from programs on this computer",
+        "firewall",
+    ):
         assert words in str(failure)
 
 
@@ -284,9 +292,9 @@ def died() -> str:
         ({}, 0.4, Mode.HOLDING, "", None),
         ({}, 0.6, Mode.WAITING, "", None),
         ({"resume": False}, 0.6, Mode.ENDED, "the controller stopped sending", None),
-        ({"patience": 3.0}, 3.5, Mode.ENDED, "no packet came", SessionEnded),
+        ({"patience": 3.0}, 3.5, Mode.ENDED, "no packet arrived", SessionEnded),
         ({"alive": lambda: "the simulated robot ended"}, 0.0, Mode.ENDED, "the simulated robot ended", None),
-        ({"alive": died}, 0.0, Mode.ENDED, "the robot is gone", LinkError),
+        ({"alive": died}, 0.0, Mode.ENDED, "the robot is lost", LinkError),
     ],
 )
 def test_silence_and_a_robot_that_is_gone(
@@ -342,4 +350,4 @@ def test_a_session_that_moves_on_starts_the_count_again(feed: Any, robot: Robot)
         sessions(bench, 1, 30)
     assert bench.machine.failure is None
     sessions(bench, 11, 2)
-    assert bench.machine.reason == "sessions ended at once"
+    assert bench.machine.reason == "sessions ended immediately"

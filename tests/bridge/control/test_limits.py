@@ -50,7 +50,7 @@ def test_a_limit_that_would_never_act_is_refused(robot: Robot, name: str) -> Non
     bad[3] = np.nan
     with pytest.raises(ConfigError, match=r"q_min below q_max|above 0"):
         replace(limits, **{name: bad})
-    with pytest.raises(ConfigError, match=r"of one shape \(n,\).* \(6,\)"):
+    with pytest.raises(ConfigError, match=r"all Limits to have the same shape \(n,\), got .* \(6,\)"):
         replace(limits, **{name: bad[:6]})
     bad[3] = limits.q_max[3] if name == "q_min" else limits.q_min[3] if name == "q_max" else 0.0
     with pytest.raises(ConfigError, match=r"q_min below q_max|above 0"):
@@ -130,7 +130,7 @@ def test_limits_of_axes_beyond_the_robot(robot: Robot) -> None:
     assert Limits.of(robot, external=axes).external is axes
     with pytest.raises(ConfigError, match="q_min below q_max"):
         Limits.of_axes([1.0], [-1.0], [0.5])
-    with pytest.raises(ConfigError, match="one shape"):
+    with pytest.raises(ConfigError, match=r"all Limits to have the same shape \(n,\), got qd_max of shape \(2,\)"):
         Limits.of_axes([-1.0], [1.0], [0.5, 0.5])
 
 
@@ -314,7 +314,9 @@ def test_full_speed_into_each_limit_stops_before_it(name: str) -> None:
     def controller(state: State) -> Command:
         return Command(qd=robot.qd_max * (1.0 if state.t < turn else -1.0))
 
-    with bridge.connect(f"sim://{name}?lockstep=true&seed=1", robot) as link:
+    # the ur5e's efforts do not brake all its joints in the 0.1 s that its description assumes
+    lagging = "&lagging=true" if name == "ur5e" else ""
+    with bridge.connect(f"sim://{name}?lockstep=true&seed=1{lagging}", robot) as link:
         run = link.run(controller, seconds=2.0 * turn + 1.0, limits=limits)
     assert run.statistics["sessions"] == 1
     q, sent = np.array([axes(row) for row in run.table["q"]]), run.table["q_sent"]

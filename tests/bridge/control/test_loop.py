@@ -11,7 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armlab import robots
 from armlab.bridge import Limits
+from armlab.bridge.control.arm import End
+from armlab.bridge.control.loop import DryRun
 from armlab.bridge.control.state_machine import Mode
 from armlab.bridge.net.sockets import Arrival
 from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
@@ -19,6 +22,7 @@ from armlab.log import Column
 from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Reference
+from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 from .conftest import CONTROLLER, MS, Make, drift
 
@@ -76,7 +80,7 @@ def test_an_interrupt_breaks_off_a_call_that_hangs_and_the_arm_comes_to_rest(
 
 def test_a_call_that_hangs_is_told_once_after_a_second(one: Make) -> None:
     sentence = (
-        "The controller has not returned for 1 s; the arm is held meanwhile. Ctrl-C breaks it off and ends the run."
+        "The controller has not returned for 1 s; the arm holds meanwhile. Ctrl-C interrupts it and ends the run."
     )
 
     def controller(state: State) -> Command:
@@ -343,7 +347,7 @@ def test_a_run_that_stops_already_ends_with_the_error(one: Make, fails: int) -> 
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (MemoryError("of whatever"), "raised MemoryError: no memory is left. The arm"),
+        (MemoryError("of whatever"), "raised MemoryError: out of memory. The arm"),
         (ValueError("bad luck"), "raised ValueError: bad luck. The arm"),
         (ValueError(), "raised ValueError. The arm"),
     ],
@@ -407,7 +411,7 @@ def test_an_error_that_cannot_be_told_brings_the_arm_to_rest(one: Make, monkeypa
     hands.run()
     assert hands.speed() == 0.0
     assert hands.loop.reason == "the bridge failed"
-    assert str(hands.loop.failure) == "Expected a cycle without errors, got Mute: its text cannot be read."
+    assert str(hands.loop.failure) == "Expected the cycle to run without errors, got Mute: unreadable text."
 
 
 def test_a_stop_of_which_the_system_sends_nothing_ends_the_run(one: Make) -> None:
@@ -423,7 +427,7 @@ def test_a_stop_of_which_the_system_sends_nothing_ends_the_run(one: Make) -> Non
         count += 1
     assert count == 501  # the first is the packet after which the interrupt is seen
     assert isinstance(hands.loop.failure, LinkError)
-    assert any("Expected the replies that bring the arm to rest to go out" in text for text in hands.warned)
+    assert any("Expected the replies that bring the arm to rest to be sent" in text for text in hands.warned)
 
 
 def sway(state: State) -> Command:
@@ -538,3 +542,22 @@ def test_progress_extra_columns_and_own_limits(play: Any, robot: Robot) -> None:
     assert 2 <= len(told) <= 8
     np.testing.assert_allclose(run.table["mine"][2:50], run.table["session_t"][2:50])
     assert np.abs(run.table["qd_sent"]).max() <= 0.01 * robot.qd_max.max() + 1e-9
+
+
+@pytest.mark.parametrize("name", ["yumi_right", "irb2400", "ur5e"])
+def test_a_dry_run_replies_as_a_cycle_does_and_leaves_no_trace(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    robot = robots.load(name)
+    codec = EgmCodec(robot, extension=True)
+    with caplog.at_level(0):
+        dry_run = DryRun(End(robot, None, codec), Limits.of(robot))  # type: ignore[arg-type]
+        sent: list[bytes] = []
+        dry_run.send = lambda data, to: not sent.append(data)  # type: ignore[method-assign]
+        dry_run()
+    assert len(sent) == 1
+    reply = RobotSideCodec(robot).decode_sensor(sent[0])
+    assert isinstance(reply, SensorMessage)
+    assert reply.q is not None
+    np.testing.assert_allclose(reply.q, robot.q_home, atol=1e-12)
+    assert dry_run._loop._arms[0].machine.mode is Mode.RUNNING
+    assert not dry_run._loop._arms[0].rows
+    assert (codec.robotware, caplog.records) == ("", [])

@@ -56,7 +56,7 @@ def test_shares_of_a_common_command() -> None:
 
 @pytest.mark.parametrize("name", ["q_ext", "rapid_data", "rapid_digital"])
 def test_what_is_for_one_arm_is_not_shared(name: str) -> None:
-    with pytest.raises(CommandRefused, match=f"no {name} in a Command of all joints"):
+    with pytest.raises(CommandRefused, match=f"no {name} in a Command for all joints"):
         split_command(Command(np.arange(14.0), **{name: np.zeros(1)}), [LEFT, RIGHT])  # type: ignore[arg-type]
 
 
@@ -125,6 +125,7 @@ def test_two_simulated_arms(tmp_path: Path) -> None:
         np.testing.assert_allclose(table["q_sent"][asked], table["q_ref"][asked])
         np.testing.assert_allclose(np.diff(table["q_sent"][asked], axis=0), sign * 1e-4, atol=2e-5)
         assert f"{name}, RobotWare" in run.report()
+        assert f"Log: {arm.path}." in run.report()
     assert len(bad.rows) == 10
     assert any(text.endswith(": A feed was dropped: it raised OSError: nobody reads.") for text in good.events)
     assert run.table["yumi_left.q"].shape == (len(run.table), 7)
@@ -336,6 +337,38 @@ def test_others_that_wait_are_answered_before_the_controller_is_called(two: Make
     hands.put(1, after=0)
     hands.loop.cycle()
     assert sent == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("pace", [0, 1])
+def test_all_that_wait_are_answered_before_a_row_is_recorded(two: Make, pace: int) -> None:
+    recorded: list[list[int]] = []
+    hands = two(drift, pace=(pace,))
+    for _ in range(3):
+        hands.cycle(1, 0)
+    hands.put(0)
+    hands.put(1, after=0)
+    hands.row = lambda *row: recorded.append([len(port.sent) for port in hands.ports])  # type: ignore[method-assign]
+    hands.loop.cycle()
+    assert recorded == [[4, 4], [4, 4]]
+
+
+def test_an_arm_that_stops_stops_the_other_before_its_waiting_packet_is_answered(two: Make) -> None:
+    def controller(state: State) -> Command:
+        if not coming:
+            return drift(state)
+        hands.ports[1].waiting.append(coming.pop())  # just now
+        return Command.stop()
+
+    coming: list[Any] = []
+    hands = two(controller)
+    for _ in range(30):
+        hands.cycle(1, 0)
+    hands.put(1)
+    hands.put(0, after=0)
+    coming.append(hands.ports[1].waiting.pop())
+    hands.loop.cycle()
+    assert len(hands.ports[1].sent) == 31
+    assert [arm.machine.mode for arm in hands.arms] == [Mode.STOPPING] * 2
 
 
 def test_time_begins_with_the_newest_session_of_all_arms_and_ages_are_told(two: Make) -> None:

@@ -79,7 +79,7 @@ def test_a_command_stays_when_what_the_controller_records_does_not_fit(robot: Ro
     np.testing.assert_array_equal(table["q_ref"], table["q"] + 1.0)
     assert "grip" not in table
     ((_, told),) = recording.events
-    assert told.startswith("A row was kept without what the controller recorded: Expected")
+    assert told.startswith("A row was stored without the controller's record: Expected")
     assert "grip" in told
 
 
@@ -103,6 +103,7 @@ def test_a_feed_that_raises_is_dropped(robot: Robot) -> None:
     recording = Recording(robot, None, None, wait=False, clock=lambda: 1, feeds=feeds, label="arm")
     state, tick = row(robot, 0)
     keep(recording, state, None, tick)
+    recording.catch_up()
     assert not feeds
     assert next(text for _, text in recording.events).startswith("arm: A feed was dropped: it raised ValueError: full")
     assert len(recording.table()) == 1
@@ -150,7 +151,7 @@ def test_report_and_table(play: Any, tmp_path: Path, in_file: bool) -> None:
         assert words in run.report()
     assert "Left out" not in run.report()
     other = replace(run, statistics={**run.statistics, "left_out": 3, "replies": 0}).report()
-    assert "Left out 3 replies: so many messages waited in the robot's queue." in other
+    assert "Skipped 3 replies because the robot's receive queue was full." in other
     assert "Arrival to reply" not in other
     assert len(run.table) == run.statistics["packets"]
     assert run.table.clock == "robot"
@@ -177,7 +178,7 @@ def test_who_was_served() -> None:
     assert served(counted) == [
         "Rows to the server labcomm: 9 (2 lost). To its clients: left 127.0.0.1:7 8, fused 127.0.0.1:8 5 (4 dropped).",
         "Rows to the server local: 9. To its clients: none.",
-        "Rows to the server other: 1. To its clients: unknown, it did not answer.",
+        "Rows to the server other: 1. To its clients: unknown, the server did not answer.",
         "Commands to yumi_left: labcomm 127.0.0.1:7 6.",
         "Commands to yumi_right: none.",
         "Commands of clients refused: local 1 3.",

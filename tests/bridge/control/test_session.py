@@ -44,6 +44,17 @@ def test_lost_packets_are_counted_and_dt_grows(feed: Any) -> None:
     assert feed.session.missed == 3
 
 
+def test_cycles_without_a_packet_are_counted_by_the_robots_clock(feed: Any) -> None:
+    """A simulator on a loaded computer: its numbers have no gap, its clock has."""
+    for k in range(30):
+        feed(after=(3 if k == 20 else 1) * PERIOD_NS)
+        feed.packets.cycle += 2 * (k == 19)
+    assert (feed.session.missed, feed.session.skipped) == (0, 2)
+    feed.packets()
+    feed(after=2 * PERIOD_NS)
+    assert (feed.session.missed, feed.session.skipped) == (1, 2), "a packet that was lost on the way is no such cycle"
+
+
 def test_the_period_is_measured(feed: Any) -> None:
     for _ in range(20):
         feed(after=2 * PERIOD_NS)
@@ -162,7 +173,7 @@ def test_each_kind_of_drop_is_told_once_per_session(feed: Any) -> None:
     feed.session.end()
     feed()
     feed.raw(bytes([255] * 40))
-    assert feed.events[-1].endswith(" It begins " + " ".join(["ff"] * 32) + "."), "not more than 32 bytes of it"
+    assert feed.events[-1].endswith(" First bytes: " + " ".join(["ff"] * 32) + "."), "not more than 32 bytes of it"
     feed(seqno=0)
     feed.raw(b"\xff")
     assert "unparsable" in feed.events[-1]

@@ -16,7 +16,6 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.doctor import report
-from armlab.bridge.doctor.egm_listener import EgmListener
 from armlab.bridge.doctor.machine import (
     Finding,
     Verdict,
@@ -37,6 +36,7 @@ from armlab.bridge.doctor.machine import (
 from armlab.bridge.doctor.report import (
     DEFAULT_PORTS,
     LONGEST,
+    EgmListener,
     addresses,
     examine,
     firewall,
@@ -116,7 +116,7 @@ def test_verdicts(found: Finding, verdict: str, value: str, advice: str) -> None
         (throttle, "950000\n", "ok", "95 %"),
         (throttle, "-1", "ok", "off"),
         (throttle, "0", "warning", "0 %"),
-        (throttle, "?", "ok", "not told"),
+        (throttle, "?", "ok", "not reported"),
         (throttle, None, "ok", ""),
         (firewall, None, "ok", ""),
         (firewall, "# comment\nENABLED=no\n", "ok", ""),
@@ -237,7 +237,7 @@ def streaming(*peers: Any) -> Iterator[None]:
 
 def listened(number: int, seconds: float = 0.01, robot: Robot | None = None) -> dict[str, Finding]:
     """What is found at one port, by the second word of its name."""
-    found = listen([number], seconds, [robot], asked=True)
+    found = listen([number], seconds, [robot], requested=True)
     return {finding.name.partition(", ")[2]: finding for finding in found}
 
 
@@ -245,7 +245,7 @@ def test_a_port_that_another_holds() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("0.0.0.0", 0))
         number = other.getsockname()[1]
-        (found,) = listen([number], 0.01, [None], asked=True)
+        (found,) = listen([number], 0.01, [None], requested=True)
     assert (found.name, found.verdict) == (f"port {number}", "failure")
     assert f"process {os.getpid()}" in found.advice
 
@@ -253,7 +253,7 @@ def test_a_port_that_another_holds() -> None:
 def test_silence_is_told_once_when_nobody_asked() -> None:
     one, two = free_port(), free_port()
     for asked in (False, True):
-        found = {finding.name: finding for finding in listen([one, two], 0.01, [None, None], asked=asked)}
+        found = {finding.name: finding for finding in listen([one, two], 0.01, [None, None], requested=asked)}
         assert found[f"port {one}"].verdict == "ok"
         assert found[f"port {one}, self-test"].verdict == "ok"
         assert found[f"port {one}, packets"].verdict == "warning"
@@ -324,7 +324,7 @@ def line(robot: Robot, heard: EgmListener) -> Line:
 def test_a_robot_that_is_ready(heard: EgmListener, line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     for k in range(100):
         line(k)
-    monkeypatch.setattr("armlab.bridge.doctor.egm_listener.time.monotonic_ns", lambda: line.now)
+    monkeypatch.setattr("armlab.bridge.doctor.report.time.monotonic_ns", lambda: line.now)
     found = judged(heard)
     assert {finding.verdict for finding in found.values()} == {"ok"}
     assert "100.0/s from 192.0.2.7:40000" in found["packets"].value
@@ -344,7 +344,7 @@ def test_silence(heard: EgmListener) -> None:
     for data in (b"", b"hello", b"\xff" * 40):
         heard.add(Arrival(data, SOURCE, 1))
         assert judged(heard)["first packet"].verdict == "failure"
-    assert judged(heard)["first packet"].value.startswith("no packet of a robot: ")
+    assert judged(heard)["first packet"].value.startswith("not a robot packet: ")
 
 
 @pytest.mark.parametrize(
@@ -385,7 +385,7 @@ ENDED = [{"seqno": 0}, {"seqno": 1, "motors": 2}, {"seqno": 0, "after": 10**9}]
 @pytest.mark.parametrize(
     ("packets", "name", "verdict", "value", "advice"),
     [
-        ([{"seqno": 0}, {"seqno": 70, "source": OTHER}], "senders", "failure", "2", "port of its own"),
+        ([{"seqno": 0}, {"seqno": 70, "source": OTHER}], "senders", "failure", "2", "a separate UDPUC device and port"),
         ([{"seqno": 0, "q": RIGHT.q_max + 1.0}], "posture", "failure", "q = ", "Usual causes"),
         ([{"seqno": 0, "motors": 2}], "guidance", "warning", "the motors are off", "enabling device"),
         ([{"seqno": 0, "rapid": 1}], "guidance", "warning", "RAPID is stopped", "from main"),

@@ -90,7 +90,7 @@ def test_stale_sources_are_told_and_a_required_one_is_missing() -> None:
         fusion.tick(now)
         missing.append(fusion.missing)
     assert missing == ["", "", "force", "force", ""]
-    assert told == ["The source force is stale: its last reading is 0.021 s old.", "The source force is back."]
+    assert told == ["The source force is stale: its last reading is 0.021 s old.", "The source force is fresh again."]
 
 
 def test_a_source_that_breaks_its_promises_grows_old() -> None:
@@ -168,7 +168,7 @@ def test_a_restart_of_the_numbers_maps_the_clock_anew() -> None:
     for k in range(60):
         held = fusion.tick(k * MS)["s"]
         assert abs(held.mapped_ns - k * MS) <= 5
-    assert told == ["The source s began anew: number 0 after 49."]
+    assert told == ["The source s restarted: number 0 after 49."]
 
 
 def test_wrong_sets_of_sources() -> None:

@@ -35,11 +35,11 @@ FIELDS = {"p": Column((3,), unit="m"), "grip": Column(unit="N")}
         ({"name": "a.b"}, ConfigError, "without dots"),
         ({"fields": {}}, ConfigError, "with fields"),
         ({"fields": {"f": Column((10**27,))}}, ConfigError, "at most 1024 numbers"),
-        ({"fields": {"f": Column((-1,))}}, ConfigError, r"the shape \(-1,\) of 'f' in the source"),
+        ({"fields": {"f": Column((-1,))}}, ConfigError, r"got shape \(-1,\) of 'f' in the source"),
         (
             {"fields": {"age": Column(unit="s")}},
             ConfigError,
-            "other names than those of the log's own columns, got age",
+            "field names other than the log's own columns, got age",
         ),
         ({"fields": {"p": Column((3,))}}, ShapeError, "unit"),
         ({"period": 0.0}, ConfigError, "above 0 s, got 0.0"),
@@ -79,7 +79,7 @@ def test_a_calibration_belongs_to_an_arm_of_the_run() -> None:
     check_source(Source("force", RAW, 0.004, calibration=SENSOR), arms[:1])
     with pytest.raises(ConfigError, match=r"robot= of the force sensor 'force', one of yumi_left, yumi_right"):
         check_source(Source("force", RAW, 0.004, calibration=SENSOR), arms)
-    with pytest.raises(ModelMismatchError, match="'force' to be of a robot of this run, got one of 'yumi_left'"):
+    with pytest.raises(ModelMismatchError, match="'force' to belong to a robot of this run, got one of 'yumi_left'"):
         check_source(source, arms[1:])
     with pytest.raises(ModelMismatchError):
         check_source(Source("force", RAW, 0.004, calibration=own, robot="yumi_right"), arms)
@@ -250,7 +250,7 @@ def test_json() -> None:
     second = sender.source.newest()
     assert (first.seq, first.source_ns, second.seq, second.source_ns) == (0, 0, 5, 12)
     assert sender.source.drops == 3
-    assert "could not be read" in sender.source.problem
+    assert "invalid datagram" in sender.source.problem
     sender.close()
 
 
@@ -328,9 +328,9 @@ def test_values_come_into_force_between_ticks_in_the_order_of_their_setters() ->
         ("gain", "3", "finite number"),
         ("gain", True, "finite number"),
         ("gain", 10**400, "from 0 to 10"),
-        pytest.param("gain", -(10**5000), "Its value stays", id="unprintable"),
-        ("count", 10**400, "Its value stays"),
-        ("force", [10**400, 1.0, 1.0], "Its value stays"),
+        pytest.param("gain", -(10**5000), "The value is kept", id="unprintable"),
+        ("count", 10**400, "The value is kept"),
+        ("force", [10**400, 1.0, 1.0], "The value is kept"),
         ("count", 2.5, "whole number"),
         ("count", 6, "from 0 to 5"),
         ("gentle", 1, "true or false"),
@@ -387,15 +387,15 @@ def test_a_flood_of_settings_ends() -> None:
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"name": "2x"}, "a word"),
+        ({"name": "2x"}, "free parameter name"),
         ({"name": "set"}, "free"),
-        ({"name": None}, "a word"),
-        ({"type": "double"}, "type float, int"),
-        ({"type": "float[0]"}, "type float, int"),
+        ({"name": None}, "free parameter name"),
+        ({"type": "double"}, "to be float, int"),
+        ({"type": "float[0]"}, "to be float, int"),
         ({"rights": "all"}, "rights"),
-        ({"minimum": 1.0, "maximum": 0.0}, "bounds in order"),
-        ({"minimum": math.nan}, "bounds in order"),
-        ({"default": "a"}, "default that may be set"),
+        ({"minimum": 1.0, "maximum": 0.0}, "minimum <= maximum"),
+        ({"minimum": math.nan}, "minimum <= maximum"),
+        ({"default": "a"}, "a valid default"),
         ({"minimum": 3.0}, "from 3 to inf"),
     ],
 )

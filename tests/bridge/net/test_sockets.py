@@ -138,7 +138,7 @@ def test_a_port_that_is_taken_names_who_has_it() -> None:
     with listening_socket("127.0.0.1", 0, "left", 2) as one:
         assert not one.getblocking()
         port = one.getsockname()[1]
-        words = rf"TCP port 127.0.0.1:{port} for right to be free, but it is in use by process {os.getpid()} \("
+        words = rf"TCP port 127.0.0.1:{port} for right to be free, got a port in use by process {os.getpid()} \("
         with pytest.raises(LinkError, match=words):
             listening_socket("127.0.0.1", port, "right", 2)
 
@@ -153,7 +153,7 @@ def test_small_messages_wait_for_no_acknowledgement() -> None:
 
 @pytest.mark.parametrize(("host", "port"), [("203.0.113.7", 7511), ("127.0.0.1", 70_000)])
 def test_an_address_that_is_none_of_ours(host: str, port: int) -> None:
-    with pytest.raises(LinkError, match=f"Expected TCP port {host}:{port} for left to be free, but"):
+    with pytest.raises(LinkError, match=f"Expected TCP port {host}:{port} for left to be free, got"):
         listening_socket(host, port, "left", 2)
 
 
@@ -183,6 +183,8 @@ def test_what_is_wrong_is_a_warning(robot: Robot, caplog: pytest.LogCaptureFixtu
     with caplog.at_level(logging.INFO, "armlab.bridge"):
         tell("All is well.")
         tell("The motors are off.", warn=True)
+        assert not caplog.records, "events wait for the reply"
+        recording.catch_up()
     assert [(record.levelname, record.getMessage()) for record in caplog.records] == [
         ("INFO", "All is well."),
         ("WARNING", "The motors are off."),
@@ -208,9 +210,9 @@ def test_of_a_kind_one_a_second() -> None:
     said = [(f"Joint {k} of 'a{k}' flaps.", 0.1 * k) for k in range(25)]
     assert told_of(*said) == [
         ("Joint 0 of 'a0' flaps.", 0),
-        ("Joint 9 of 'a9' flaps. (8 like it left out.)", 900_000_000),
-        ("Joint 19 of 'a19' flaps. (9 like it left out.)", 1_900_000_000),
-        ("Joint 24 of 'a24' flaps. (4 like it left out.)", 2_400_000_000),
+        ("Joint 9 of 'a9' flaps. (8 similar events skipped.)", 900_000_000),
+        ("Joint 19 of 'a19' flaps. (9 similar events skipped.)", 1_900_000_000),
+        ("Joint 24 of 'a24' flaps. (4 similar events skipped.)", 2_400_000_000),
     ]
 
 
@@ -222,7 +224,7 @@ def test_what_must_be_told_one_by_one_is_unless_it_floods() -> None:
     assert [text for text, _ in told_of(*others)] == [text for text, _ in others]
     told = told_of(*((f"zenoh {k} commands arm.", 0.004 * k) for k in range(1000)), each=True)
     assert len(told) == 4 * 50 + 1
-    assert told[50] == ("zenoh 249 commands arm. (199 like it left out.)", 996_000_000)
+    assert told[50] == ("zenoh 249 commands arm. (199 similar events skipped.)", 996_000_000)
 
 
 def test_a_clock_that_begins_anew() -> None:
@@ -252,4 +254,4 @@ def test_a_recording_keeps_what_waited(robot: Robot) -> None:
         recording.catch_up()
     recording.close({})
     assert 8 <= len(recording.events) <= 10
-    assert recording.events[-1] == (stamps[0], "The robot is ready and holds. (124 like it left out.)")
+    assert recording.events[-1] == (stamps[0], "The robot is ready and holds. (124 similar events skipped.)")

@@ -97,7 +97,7 @@ def test_a_command_becomes_the_controllers(cell: Cell) -> None:
     cell.say(OPERATOR, "command", arm="yumi_left", q=list(HOME))
     cell.row()
     assert cell.texts(OPERATOR, "answer") == [
-        "Expected no commands through local: `commands` does not name it. 1 commands refused so far."
+        "Expected no commands through local, because `commands` does not list it. 1 commands refused so far."
     ]
     rows = [m for m in cell.heard("labcomm") if isinstance(m, bytes)]
     assert read_row(cell.exchange.schema, rows[-1]).values["yumi_left.commander"] == "labcomm 1"
@@ -144,7 +144,10 @@ def test_stop_is_for_all_and_resume_for_operators(cell: Cell) -> None:
     cell.say("labcomm", "resume")
     cell.row()
     assert cell.exchange.arbiter.stopped == "labcomm 1"
-    assert cell.texts("labcomm", "answer") == ["Done.", "Expected an operator to resume: armlab bridge resume."]
+    assert cell.texts("labcomm", "answer") == [
+        "Done.",
+        "Expected an operator, got another client. Resume with armlab bridge resume.",
+    ]
     cell.say(OPERATOR, "resume")
     cell.row()
     assert cell.exchange.arbiter.stopped == ""
@@ -304,9 +307,9 @@ def test_parameters_and_counts_are_kept_up_to_date(exchange: Hub) -> None:
 def test_what_no_json_can_say_is_refused_and_the_next_goes_out(exchange: Hub, value: Any) -> None:
     with exchange.open(SERVER) as feed:
         end = LoopEnd(feed)
-        with pytest.raises(CommandRefused, match="Expected what JSON in UTF-8 can say"):
+        with pytest.raises(CommandRefused, match="Expected a request that can be encoded as UTF-8 JSON"):
             end.ask(SetRequest("a", {"gain": value}))
-        with pytest.raises(CommandRefused, match="armlab can read"):
+        with pytest.raises(CommandRefused, match="can be encoded as UTF-8 JSON"):
             encoded(SetRequest("a", {"gain": value}))
         assert end.ask(SetRequest("a", {"gain": 2.0}))
         exchange.poll()

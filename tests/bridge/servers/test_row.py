@@ -155,7 +155,7 @@ def test_the_head_of_a_row() -> None:
     assert [int.from_bytes(data[at : at + 8], "little") for at in (MONO, WALL)] == [77, 10**18 + 3]
     assert data.startswith(beginning(BOTH))
     assert beginning(RowSchema.of([LEFT])) != beginning(BOTH)
-    with pytest.raises(LinkError, match="Read whole messages"):
+    with pytest.raises(LinkError, match="with a stated size of"):
         read_head(BOTH, data + bytes(8))
 
 
@@ -201,9 +201,9 @@ def test_golden_text_and_id() -> None:
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ([RowField("a", "float32", (), "1", "", (), "a", 40)], "one after another"),
-        ([RowField("a", "float64", (), "1", "", (), "a", 44)], "one after another"),
-        ([RowField("a", "float64", (-1,), "1", "", (), "a", 40)], "one after another"),
+        ([RowField("a", "float32", (), "1", "", (), "a", 40)], "contiguous fields"),
+        ([RowField("a", "float64", (), "1", "", (), "a", 44)], "contiguous fields"),
+        ([RowField("a", "float64", (-1,), "1", "", (), "a", 40)], "contiguous fields"),
         ([RowField("a", "float64", (2000,), "1", "", (), "a", 40)], "at most 8192"),
         (
             [RowField("a", "float64", (), "1", "", (), "a", 40), RowField("a", "int64", (), "1", "", (), "a", 48)],

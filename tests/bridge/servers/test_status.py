@@ -102,7 +102,7 @@ def test_what_there_is_beside_the_arms(tmp_path: Path) -> None:
     assert recording == f"Recording: {watch.recording()}"
     assert lost == "Rows lost by this feed: 4"
     assert event.endswith("The robot is ready.")
-    assert watch.lines(NOW) == ["No row yet: no packet of a robot has come."]
+    assert watch.lines(NOW) == ["No rows yet, because no robot packet has arrived."]
 
 
 def test_files_of_another_computer_and_a_source_with_a_commander(tmp_path: Path) -> None:

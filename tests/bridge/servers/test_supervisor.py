@@ -63,10 +63,10 @@ def test_a_server_that_fails_is_left_dead() -> None:
             exchange.event("Now.")
             until(lambda ends=ends: len(told) > ends)
         assert servers.dead == {"a"}
-    assert told[-1] == "The server a ended with status 3. It stays dead; the loop goes on. It said: no luck"
+    assert told[-1] == "The server a ended with status 3. It is not restarted; the loop continues. Its output: no luck"
 
 
-@pytest.mark.parametrize(("well", "outcome"), [(0.0, "It starts again in 0.01 s."), (1e6, "It stays dead")])
+@pytest.mark.parametrize(("well", "outcome"), [(0.0, "It restarts in 0.01 s."), (1e6, "It is not restarted")])
 def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -> None:
     """One that ends once a day is never left dead; one that ends whenever it has started is."""
     exchange = Hub([LEFT], ["a"])
@@ -79,15 +79,15 @@ def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -
             os.kill(servers.processes()["a"], signal.SIGKILL)
             until(lambda ends=ends: len(told) > ends)
         assert servers.dead == (set() if well == 0.0 else {"a"})
-    assert told[0] == "The server a ended with status -9. It starts again in 0.01 s. It said: nothing"
+    assert told[0] == "The server a ended with status -9. It restarts in 0.01 s. Its output: nothing"
     assert outcome in told[-1]
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (command(FAILS), "ended with status 3. It said: no luck"),
-        (["/no/such/program"], "could not be started. It said: [Errno 2] No such file"),
+        (command(FAILS), "ended with status 3. Its output: no luck"),
+        (["/no/such/program"], "could not be started. Its output: [Errno 2] No such file"),
     ],
 )
 def test_a_server_that_never_listens_refuses_at_once(words: list[str], said: str) -> None:
@@ -123,7 +123,7 @@ def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) 
     exchange = Hub([LEFT], ["a", "b"])
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
-    look, idle, broken = Servers._look, exchange.idle, [False]
+    look, idle, broken = Servers._check, exchange.idle, [False]
 
     def fail(servers: Servers, child: Any) -> None:
         if broken[0] and child.name == "a":
@@ -137,7 +137,7 @@ def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) 
             raise ValueError("also odd")
         idle(longer_ns)
 
-    monkeypatch.setattr(Servers, "_look", fail)
+    monkeypatch.setattr(Servers, "_check", fail)
     monkeypatch.setattr(exchange, "idle", fail_to_idle)
     with Servers(exchange, {"a": command(WAITS), "b": command(WAITS)}, restarts=(0.01,)) as servers:
         servers.ready()
@@ -146,9 +146,9 @@ def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) 
         until(lambda: not broken[0])
         os.kill(other, signal.SIGKILL)
         until(lambda: any("The server b ended with status -9" in text for text in told))
-    assert "The server a could not be watched. It starts again in 0.01 s. It said: RuntimeError: odd" in told
+    assert "The server a could not be supervised. It restarts in 0.01 s. Its output: RuntimeError: odd" in told
     assert sum("The server a" in text for text in told) == 2
-    assert any("Requests of clients were not taken, ValueError: also odd" in text for text in told)
+    assert any("Client requests were not handled, ValueError: also odd" in text for text in told)
 
 
 def test_no_server_outlives_a_bridge_that_is_killed(tmp_path: Path) -> None:

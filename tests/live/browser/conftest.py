@@ -100,12 +100,20 @@ class Page:
             time.sleep(0.1)
 
     def click(self, label: str) -> None:
-        """Press the mouse on the button with this label."""
+        """Press the mouse on the button with this label, once it rests where the mouse would meet it."""
         button = f"[...document.querySelectorAll('button')].find(one => one.innerText.trim() === {json.dumps(label)})"
         self.wait(f"!!({button})")
-        box = self.value(f"(r => [r.x + r.width / 2, r.y + r.height / 2])({button}.getBoundingClientRect())")
+        script = f"""(button => {{
+            const r = button.getBoundingClientRect(), at = [r.x + r.width / 2, r.y + r.height / 2];
+            return [...at, button.contains(document.elementFromPoint(...at))];
+        }})({button})"""
+        last, until = None, time.monotonic() + PATIENCE
+        while (place := self.value(script)) != last or not place[2]:
+            assert time.monotonic() < until, f"the button {label!r} does not rest: {place}"
+            last = place
+            time.sleep(0.1)
         for kind in ("mousePressed", "mouseReleased"):
-            self.call("Input.dispatchMouseEvent", type=kind, x=box[0], y=box[1], button="left", clickCount=1)
+            self.call("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
 
     def picture(self, path: Path) -> None:
         """Keep a picture of the page."""

@@ -56,7 +56,7 @@ class View:
         self.player.advance(0.0)
 
     def run_until(self, condition: Callable[[], bool]) -> None:
-        for _ in range(200):
+        for _ in range(1000):  # only a test that fails takes all
             self.player.run(0.05)
             if condition():
                 return

@@ -308,7 +308,7 @@ def test_the_schema_is_that_of_the_kernel() -> None:
     kernel = (root / "native/wire/egm.cpp").read_text()
     named = dict(re.findall(r"namespace (Egm\w+) {\s*enum {(.*?)};\s*}", kernel, re.DOTALL))
     folder = root / "src/armlab/wire/egm"
-    text = "".join((folder / f"{name}.py").read_text() for name in ("codec", "robot_side", "pose_force"))
+    text = "".join((folder / f"{name}.py").read_text() for name in ("codec", "robot_side"))
     for kind in pb.DESCRIPTOR.message_types_by_name.values():
         if kind.name in named:
             fields = re.findall(r"(\w+) = (\d+)", named[kind.name])

@@ -90,11 +90,11 @@ def bad(name: str, value: Any) -> dict[str, Any]:
         ("boolean n", "no", "n: True or False expected"),
         ("string n", b"raw", "n: a string expected"),
         ("string n", "a\0b", "n: a string without NUL"),
-        ("string n", "\ud800", "n: a string that UTF-8 can write"),
+        ("string n", "\ud800", "n: a string encodable in UTF-8"),
         ("double n[7]", [0.0] * 6, "n: 7 values expected, 6 given"),
         ("double n[_]", 1.0, r"n: a list for double\[_\] expected, 1.0 given"),
         ("double n[_]", "12", "n: a list for"),
-        ("int n[_,_]", [[1], [2, 3]], "n: rows of one length expected, 1 and 2 given"),
+        ("int n[_,_]", [[1], [2, 3]], "n: rows of equal length expected, 1 and 2 given"),
         ("int n[_,_]", [[1], [None]], r"n\[1\]\[0\]: a int expected, None given"),
         ("int n[2,2]", np.zeros((2, 3), int), "n: 2 values expected, 3 given"),
         ("void n", {"a": 1}, r"n: the fields \(none\) expected, a given"),
@@ -141,7 +141,7 @@ def test_a_type_is_defined_before_its_values() -> None:
         Encoder().data(ROW, VALUE)
     with pytest.raises(UnknownName):
         Encoder("2012")
-    with pytest.raises(LabCommError, match="a name that UTF-8 can write"):
+    with pytest.raises(LabCommError, match="a name encodable in UTF-8"):
         Encoder().define(SampleType("\ud800", ROW.type))
 
 

@@ -34,16 +34,16 @@ def test_what_is_no_type_is_refused() -> None:
 @pytest.mark.parametrize(
     ("raw", "offset", "what"),
     [
-        ("", -1, "a whole type"),
-        ("10 01", -1, "a whole type"),
-        ("23 00", -1, "ends 1 bytes before"),
+        ("", -1, "a complete signature"),
+        ("10 01", -1, "a complete signature"),
+        ("23 00", -1, "ends 1 bytes earlier"),
         ("30", 0, "type code"),
         ("40", 0, "type code"),
         ("10 00 23", 1, "1 to 16 dimensions"),
         ("10 11", 1, "1 to 16 dimensions"),
         ("10 01 00 11 00", 3, "void"),
         ("11 01 01 61 11 00", 4, "void"),
-        ("11 02 01 61 23 01 61 23", 5, "different names"),
+        ("11 02 01 61 23 01 61 23", 5, "distinct field names"),
         ("10 02 87 68 87 68 21", 4, "product"),
         ("10 01 00" * 32 + "23", 96, "32 levels"),
         ("11 02 01 61" + "10 01 85 00 26" + "01 62 10 01 c0 00 26", 0, "bytes"),
@@ -101,12 +101,12 @@ def test_what_is_printed_is_read_again() -> None:
         ("int a;", 1, 1, "typedef"),
         ("sample int", 1, 11, "a name"),
         ("sample int a", 1, 13, '";"'),
-        ("sample\n  foo a;", 2, 3, "declared before"),
+        ("sample\n  foo a;", 2, 3, "previously declared"),
         ("sample int struct;", 1, 12, "a name"),
         ("sample int _;", 1, 12, "a name"),
-        ("sample int a; typedef int a;", 1, 27, "not taken"),
-        ("sample struct { } a;", 1, 17, "declared before"),
-        ("sample struct { int a; int a; } b;", 1, 28, "not taken"),
+        ("sample int a; typedef int a;", 1, 27, "an unused"),
+        ("sample struct { } a;", 1, 17, "previously declared"),
+        ("sample struct { int a; int a; } b;", 1, 28, "an unused"),
         ("sample struct { void a; } b;", 1, 17, "with a value"),
         ("typedef void v; sample struct { v a; } b;", 1, 33, "with a value"),
         ("sample void a[3];", 1, 8, "with a value"),
@@ -134,9 +134,9 @@ def test_what_cannot_be_read_or_printed() -> None:
         parse_lc("sample sample r;", "2013")
     with pytest.raises(LabCommError, match="without notes"):
         parse_lc("typedef (a:b) int x;", "2014i")
-    with pytest.raises(LabCommError, match="a name"):
+    with pytest.raises(LabCommError, match=r"\.lc name"):
         to_lc([SampleType("int", PRIMS["int"])])
-    with pytest.raises(LabCommError, match="a note"):
+    with pytest.raises(LabCommError, match=r"\.lc note"):
         to_lc([SampleType("n", PRIMS["int"], (("a", "two words"),))])
 
 

@@ -1,3 +1,3 @@
-"""The control loop: from a packet of an arm to the one reply to it, and the recording of both."""
+"""The control loop: one reply per packet, limits, sessions and recording."""
 
 __all__ = []

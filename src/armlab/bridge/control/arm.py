@@ -1,4 +1,4 @@
-"""`ArmSession`: one arm during a run. It takes packets from its port, sends the one reply to each, and records both."""
+"""`ArmSession`: one arm during a run. It receives packets, sends one reply to each, and records both."""
 
 from __future__ import annotations
 
@@ -25,11 +25,14 @@ from armlab.state import Command
 from armlab.wire.egm import Codec, Reference
 from armlab.wire.egm.types import StandingQueue
 
-_BINS = 20_000  # of one microsecond; the last one takes everything longer
+_BINS = 20_000  # of 1 us; the last bin collects all longer times
 
 
 class Latency:
-    """Times from arrival to reply in bins of 1 us, in constant memory."""
+    """Histogram of the times from arrival to reply: bins of 1 us, constant memory."""
+
+    count: int
+    longest: float
 
     def __init__(self) -> None:
         self._bins = [0] * _BINS
@@ -42,7 +45,7 @@ class Latency:
         self.longest = max(self.longest, 1e-3 * nanoseconds)
 
     def percentile(self, percent: float) -> float:
-        """Return the time [us] that `percent` of the times do not exceed; NaN when nothing was counted."""
+        """Return the percentile of the times [us]; NaN if there are none."""
         if not self.count:
             return float("nan")
         index = int(np.searchsorted(np.cumsum(self._bins), percent / 100.0 * self.count))
@@ -53,19 +56,21 @@ class Latency:
         return {name: self.percentile(percent) for name, percent in names.items()} | {"max": self.longest}
 
     def histogram(self) -> dict[str, list[int]]:
-        """Return limits that double from 2 us on, "below_us", and the "count" of times from the one before to each."""
+        """Return bin edges ("below_us": 2 us, doubling) and the "count" of times in each bin."""
         limits = [1 << k for k in range(1, _BINS.bit_length() + 1)]
         counts = [sum(self._bins[before:limit]) for before, limit in zip([0, *limits], limits, strict=False)]
         return {"below_us": limits, "count": counts}
 
 
-_CYCLES = 3  # in a row with messages left: fewer are replies on their way
+_CYCLES = 3  # in a row with messages left in the queue: fewer are replies in transit
 _REMEDY = "End other programs that send to this robot, then restart its EGM session."
-_MOST = 16  # replies left out in a row: whatever it tells, a robot gets one long before its time-out
+_MAX_SKIPPED = 16  # replies in a row: the robot gets a reply well before its time-out
 
 
 class QueueTrimming:
-    """Decides packet by packet whether its reply is left out. A queue that stays deep all the same is an event."""
+    """Skips replies to empty the robot's receive queue; reports a queue that stays full."""
+
+    left_out: int
 
     def __init__(self, on_event: Tell = nobody) -> None:
         self._on_event, self._standing = on_event, StandingQueue()
@@ -73,34 +78,32 @@ class QueueTrimming:
         self._depths: list[int] = []
 
     def leaves_out(self, depth: int, period: float) -> bool:
-        """Return whether the reply to this packet is left out: one for each message that was left in three cycles."""
+        """Return whether to skip the reply to this packet: one per message left in the queue for three cycles."""
         before, self._depth = self._depth, depth
         if depth <= 0 and before <= 0:
             return False
         if standing := self._standing.after(depth, period):
             self._on_event(f"{standing} Skipping {self.left_out} replies did not empty the queue. {_REMEDY}", warn=True)
-        self._owed = min(self._owed, max(depth, 0))  # a queue that is shorter, or another session's, owes no more
+        self._owed = min(self._owed, max(depth, 0))  # the queue may be shorter, or belong to a new session
         if not self._owed:
             self._depths = [*self._depths, depth] if depth > 0 else []
             if len(self._depths) < _CYCLES:
                 return False
-            self._owed = min(*self._depths, _MOST)
-            self._depths = []  # look anew afterwards: the next two packets still count what was left out
+            self._owed = min(*self._depths, _MAX_SKIPPED)
+            self._depths = []  # the next two packets still count the skipped messages
         self._owed -= 1
         self.left_out += 1
         return True
 
 
-_DROPS = 64  # refused datagrams per wake-up: a flood cannot hold the loop up
-_BACKLOG = 1000  # datagrams per wake-up, more than wait after any stall: all but the newest packet are overtaken
+_DROPS = 64  # refused datagrams per wake-up: a flood must not block the loop
+_BACKLOG = 1000  # datagrams per wake-up: longer than the queue after any stall
 _DEADLINE = 0.75  # of a period, from arrival to reply
-
-
 _SILENCE = 0.5  # s that end a session
 
 
 class End(NamedTuple):
-    """The port and codec of an arm; `admittance` makes velocities of torques, None where they are sent or refused."""
+    """Port and codec of an arm. `admittance` converts torques to velocities; None if torques are sent or refused."""
 
     robot: Robot
     port: Port
@@ -109,7 +112,21 @@ class End(NamedTuple):
 
 
 class ArmSession:
-    """One arm of a loop: everything that concerns it alone. Its methods are called under the loop's lock."""
+    """State of one arm of a loop. Its methods are called under the loop's lock."""
+
+    robot: Robot
+    port: Port
+    codec: Codec
+    recording: Recording
+    machine: StateMachine
+    session: Session
+    latency: Latency
+    prediction: Prediction
+    replies: int
+    overtaken: int
+    late: int
+    period: float
+    arrived_ns: int
 
     def __init__(
         self,
@@ -142,33 +159,33 @@ class ArmSession:
         self.period = session.period.seconds
         self._in_lockstep, self._resumes = settings.clock == "robot", settings.resume
         self.fusion = fusion
-        self.trimming = QueueTrimming(recording.event)
-        self.supervisor = Supervisor(end.port, session, machine, settings, recording.event)
+        self.trimming: QueueTrimming = QueueTrimming(recording.event)
+        self.supervisor: Supervisor = Supervisor(end.port, session, machine, settings, recording.event)
         self._wall_ns, self.arrived_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
         self._surpassed: list[Sample] = []
-        self._rows: list[Sample] = []
+        self.rows: list[Sample] = []
         self._arrival: Arrival | None = None
         self._details = getattr(end.codec, "details", None)  # a codec of the user's need not have it
         self.set_command(None)
 
     @property
     def stamp_ns(self) -> int:
-        """Now: wall clock at the start plus monotonic time since [ns]; in lockstep the robot's clock, at first 0."""
+        """Current time [ns]: the wall clock, or in lockstep the robot's clock (0 before the first packet)."""
         if self._in_lockstep and self.newest is None:
             return 0
         return self._robot_ns if self._in_lockstep and self._robot_ns else self._wall_ns + time.monotonic_ns()
 
     def set_command(self, command: Command | None) -> None:
-        """Keep what the controller commands this arm, which does not pace it, for the next packets."""
+        """Store the controller's command for an arm that does not pace the loop."""
         self._given, self._given_age = kept(command), 0.0
 
     def kept_command(self, sample: Sample, longest: float) -> Command | None:
-        """Return the command kept for this packet; None, hold, once it is too old."""
+        """Return the stored command, or None (hold) once it is older than `longest` [s]."""
         self._given_age += sample.dt
         return self._given if self._given_age <= longest else None
 
     def receive(self, arrival: Arrival | None, unanswered: Sample | None = None) -> Sample | None:
-        """Drain the port as far as a flood allows. Return the newest packet that counts, or the unanswered one."""
+        """Read all waiting datagrams (bounded); return the newest valid packet, else `unanswered`."""
         pending, taken, refused, woken_ns = unanswered, 0, 0, time.monotonic_ns()
         while arrival is not None:
             taken += 1
@@ -181,16 +198,16 @@ class ArmSession:
                 self._arrival, pending = arrival, sample
                 self._observe(sample, woken_ns)
             if refused == _DROPS or taken == _BACKLOG:
-                break  # before the next is taken from the port: it would be lost
+                break  # before the next one is read from the port: it would be lost
             arrival = self.port.receive()
         return pending
 
     def _observe(self, sample: Sample, woken_ns: int) -> None:
         if sample.fresh:
-            self.set_command(None)  # what it was told in another session: its age counts the packets, not the silence
+            self.set_command(None)  # a command of the last session: its age counts packets, not the silence
         if sample.fresh and sample.session > 1:
             self.supervisor.judge()
-        if sample.fresh and sample.session > 1 and not self._resumes:  # restarted before anyone saw the silence
+        if sample.fresh and sample.session > 1 and not self._resumes:  # restarted before the silence was detected
             self.machine.lose(self.session.reason, resume=False)
         else:
             self.machine.observe(sample)
@@ -200,7 +217,7 @@ class ArmSession:
         received_ns = self._wall_ns + arrival_ns
         sample.stamp_ns = robot_ns if self._in_lockstep and robot_ns else received_ns
         sample.deadline_ns = arrival_ns + _DEADLINE * 1e9 * self.period
-        sample.wake_ns = max(0, woken_ns - arrival_ns)  # one that came while the loop ran did not wait for it
+        sample.wake_ns = max(0, woken_ns - arrival_ns)  # 0 for a packet that arrived while the loop was running
         fused = self.fusion.fields(arrival_ns, self.robot, sample.packet.q) if self.fusion.sources else {}
         if self._details is not None and self._arrival is not None:
             fused = {**fused, "details": partial(self._details, self._arrival.data)}
@@ -216,31 +233,32 @@ class ArmSession:
         call_ns: int = 0,
         late: bool = False,
     ) -> None:
-        """Send the one reply to a packet; `record` later records it and those it has overtaken."""
+        """Send the only reply to a packet; `record` later records it and the packets it has overtaken."""
         seq = send_ns = -1
         self._went_out = self._left_out = False
         try:
             if reply is not None:
                 seq, send_ns = self._send(sample, reply)
-        finally:  # also when the codec raises: the robot has not got it
+        finally:  # also when the codec raises: nothing was sent
             if reply is not None and not self._went_out:
                 self.machine.take_back(self._left_out)
-        if self._went_out and command is self._given and isinstance(command, Command):
-            self._given = replace(command, rapid_data=None, rapid_digital=None)  # these go out once
+        given = self._given if self._went_out and command is self._given else None
+        if isinstance(given, Command) and (given.rapid_data is not None or given.rapid_digital is not None):
+            self._given = replace(given, rapid_data=None, rapid_digital=None)  # these go out once
         late = late or (not self._in_lockstep and send_ns > sample.deadline_ns)
-        self.was_late = late
+        self.was_late: bool = late
         self.late += late
         sample.command, sample.reply, sample.seq = command, reply if seq >= 0 else None, seq
         sample.send_ns, sample.call_ns, sample.late = send_ns, call_ns, late
         self.overtaken += len(self._surpassed)
-        self._rows += [*self._surpassed, sample]
+        self.rows += [*self._surpassed, sample]
         self._surpassed.clear()
         if seq >= 0:
             self.replies += 1
             self.latency.add(send_ns - sample.arrival_ns)
 
     def _send(self, sample: Sample, reply: Reply) -> tuple[int, int]:
-        """Send a reply. Return its number and when [ns], -1 and -1 when nothing went out."""
+        """Send a reply. Return its number and time [ns], or -1 and -1 if nothing was sent."""
         session, packet = self.session, sample.packet
         depth = -1 if self._in_lockstep else packet.queue_depth  # lockstep waits for every reply
         self._left_out = self.trimming.leaves_out(depth, self.period)
@@ -253,7 +271,10 @@ class ArmSession:
         now, seq = time.monotonic_ns(), session.seq
         if not self.port.send(data, session.source):
             host, port = session.source
-            what = f"A reply to {host}:{port} did not go out: the system refused it. The robot keeps the last one."
+            what = (
+                f"A reply to {host}:{port} was not sent, because the operating system refused it. "
+                "The robot keeps the last reply."
+            )
             self.recording.event(what, warn=True)
             return -1, -1
         self._went_out = True  # whatever fails from here on
@@ -261,12 +282,12 @@ class ArmSession:
         return seq, now
 
     def record(self) -> None:
-        """Record what was answered or overtaken since the last call: when no reply has to wait for that.
+        """Record the packets answered or overtaken since the last call; runs when no reply is due.
 
-        A row for which there is no memory is the first of the next call; one that was kept never comes again.
+        A row that fails for lack of memory is retried by the next call.
         """
-        while self._rows:
-            sample, wall_ns = self._rows[0], self._wall_ns
+        while self.rows:
+            sample, wall_ns = self.rows[0], self._wall_ns
             state, reply = sample.state, sample.reply
             beside = None if reply is None else reply.beside
             tick = Tick(
@@ -290,6 +311,6 @@ class ArmSession:
             )
             command = self.recording.keep(state, sample.command, tick)
             self._ticks = tick.number + 1
-            del self._rows[0]
+            del self.rows[0]
             self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)
             self.recording.publish(state, command, tick)

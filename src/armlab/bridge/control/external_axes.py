@@ -1,4 +1,4 @@
-"""`ExternalReferences`: the part of a command for external axes, within their limits, and for RAPID."""
+"""`ExternalReferences`: RAPID data, and references of external axes within their limits."""
 
 from __future__ import annotations
 
@@ -12,17 +12,19 @@ from armlab.errors import CommandRefused
 from armlab.state import Command
 from armlab.wire.egm import Beside, Packet
 
-_MOST_DATA = 40  # numbers that EgmRAPIDdata holds
-_OUTSIDE, _STEP, _FASTER = 0.1, 0.02, 2.0  # as those of the joints, see `feedback`
+_MOST_DATA = 40  # values in EgmRAPIDdata
+_OUTSIDE, _STEP, _FASTER = 0.1, 0.02, 2.0  # as in `feedback`
 _KNOWS_DATA = "7"  # RobotWare
 
 
 class ExternalReferences:
-    """References of the external axes beyond the robot's joints, and what goes to RAPID, packet by packet.
+    """References of the external axes and RAPID data, packet by packet.
 
-    External axes are asked for by the first `Command.q_ext` of a session. From then on each reply says where they
-    shall be: a controller without a new reference keeps the last one, speed included. Values for RAPID go out once.
+    The first `Command.q_ext` of a session enables the axes. Each later reply carries their reference; without a new
+    reference, the controller keeps the last one including its speed. RAPID data are sent once.
     """
+
+    moves: bool
 
     def __init__(self, limits: Limits | None, capabilities: frozenset[str]) -> None:
         self._limits, self._capabilities = limits, capabilities
@@ -35,24 +37,27 @@ class ExternalReferences:
 
     @property
     def memory(self) -> tuple[bool, bool, Any]:
-        """What the next references depend on. Set it back when the last ones did not go out."""
+        """State of the limiter; restore it if a reply was not sent."""
         return self.moves, self._entered, None if self._limiter is None else self._limiter.memory
 
     @memory.setter
     def memory(self, memory: tuple[bool, bool, Any]) -> None:
-        """Go on from what it was."""
+        """Restore a state."""
         self.moves, self._entered, sent = memory
         if self._limiter is not None:
             self._limiter.memory = sent
 
     def begin(self) -> None:
-        """Forget what was asked for: a new session."""
+        """Begin a session: disable the axes."""
         self.moves = self._entered = False
         self._plausible, self._since = 0, 0.0
         self._q: np.ndarray | None = None
 
     def observe(self, packet: Packet, dt: float) -> str:
-        """Check the feedback: only a plausible one is ever a reference. Return the first problem in a row."""
+        """Check the feedback, because implausible feedback must never become a reference.
+
+        Return the first problem in a row.
+        """
         limits, q = self._limits, packet.q_ext
         if limits is None or q.shape != limits.q_min.shape:
             return ""
@@ -61,15 +66,15 @@ class ExternalReferences:
         false = not ((q >= limits.q_min - _OUTSIDE) & (q <= limits.q_max + _OUTSIDE)).all()
         if false or (self._q is not None and (np.abs(q - self._q) > reach).any()):
             first, self._plausible = self._plausible > 0, 0
-            what = f"Expected external axes within their limits, no faster than they can be, got feedback of {q}."
-            return f"{what} It is not used." if first else ""
+            what = f"Expected external axes within their position and speed limits, got feedback of {q}."
+            return f"{what} This feedback is ignored." if first else ""
         self._plausible, self._q, self._since = self._plausible + 1, q, 0.0
         return ""
 
     def rest(self, packet: Packet) -> Beside | None:
-        """Return what goes with a reply while the robot follows no references: the axes stay where they are measured.
+        """Return the measured positions as the external references of a robot that follows no references.
 
-        The next position asked for must be near. Axes of another number are others, of which none was asked for.
+        The next commanded position must be near. A different number of axes disables them.
         """
         self._entered = False
         if not self.moves or self._limiter is None or self._q is None or packet.q_ext.shape != self._limiter.q.shape:
@@ -79,7 +84,10 @@ class ExternalReferences:
         return Beside(reply.q, reply.qd)
 
     def hold(self, dt: float, longest: float) -> Beside | None:
-        """Return what goes with a reply that holds: the axes come to rest, RAPID gets nothing. See `Limiter.step`."""
+        """Return the external references of a hold: the axes come to rest, and RAPID receives no data.
+
+        See `Limiter.step`.
+        """
         if not self.moves or self._limiter is None:
             return None
         reply = self._limiter.hold(dt, longest)
@@ -101,7 +109,7 @@ class ExternalReferences:
                 f"RobotWare {packet.robotware}" if "rapid_data" in self._capabilities else "a codec that cannot send it"
             )
             raise CommandRefused(
-                f"Expected no rapid_data and rapid_digital in the Command: they need RobotWare 7, this is {got}."
+                f"Expected no rapid_data and rapid_digital in the Command: they require RobotWare 7, but this is {got}."
             )
         digital = command.rapid_digital
         if digital is not None and not isinstance(digital, bool | np.bool_):
@@ -111,7 +119,7 @@ class ExternalReferences:
         data = _numbers("rapid_data", command.rapid_data)
         if data.ndim != 1 or len(data) > _MOST_DATA:
             raise CommandRefused(
-                f"Expected at most {_MOST_DATA} numbers in a row in Command.rapid_data, got shape {data.shape}."
+                f"Expected a vector of at most {_MOST_DATA} numbers in Command.rapid_data, got shape {data.shape}."
             )
         return data
 
@@ -121,19 +129,19 @@ class ExternalReferences:
             raise CommandRefused("Expected no q_ext in the Command: the codec of this link cannot send external axes.")
         if limits is None or limiter is None:
             raise CommandRefused(
-                "Expected no q_ext in the Command, since no limits of the external axes are known. "
+                "Expected no q_ext in the Command, because the limits of the external axes are unknown. "
                 "Run with limits=Limits.of(robot, external=Limits.of_axes(q_min, q_max, qd_max))."
             )
         wanted = _numbers("q_ext", q_ext)
         if not wanted.shape == measured.shape == limits.q_min.shape:
             raise CommandRefused(
-                f"Expected as many numbers in Command.q_ext and in the limits as the robot has external axes, "
-                f"{len(measured)}, got shape {wanted.shape} and limits of {len(limits.q_min)}."
+                f"Expected {len(measured)} values in Command.q_ext and in the limits, one per external axis of the "
+                f"robot, got shape {wanted.shape} and limits of {len(limits.q_min)}."
             )
         if not self._entered:
             if self._plausible < READY_AFTER or self._q is None:
                 raise CommandRefused(
-                    f"Expected external axes that report positions within their limits, {limits.q_min} to "
+                    f"Expected the external axes to report positions within their limits, {limits.q_min} to "
                     f"{limits.q_max}, three times in a row before they are moved, got {measured}."
                 )
             if not self.moves:
@@ -143,14 +151,14 @@ class ExternalReferences:
             if len(far):
                 k = int(far[0])
                 raise CommandRefused(
-                    f"Expected the first position of external axis {k + 1} within {limits.entry[k]:g} of where it is, "
-                    f"{held[k]:.4f}, got {wanted[k]:.4f}. Begin at state.q_ext."
+                    f"Expected the first position of external axis {k + 1} within {limits.entry[k]:g} of its current "
+                    f"position, {held[k]:.4f}, got {wanted[k]:.4f}. Begin at state.q_ext."
                 )
             self.moves = self._entered = True
         before, memory = limiter.q, limiter.memory
         reply = limiter.step(wanted, None, dt, longest)
         if reply.refused:
-            limiter.memory = memory  # nobody gets this reply: the hold that goes out begins where the last one ended
+            limiter.memory = memory  # this reply is not sent: the hold begins where the last one ended
             k = abs(reply.refused) - 1
             raise CommandRefused(
                 f"Expected a position of external axis {k + 1} near the last one sent, {before[k]:.4f}, got "
@@ -166,9 +174,9 @@ def joined(reply: Reply, beside: Beside | None) -> Reply:
 def _numbers(name: str, values: Any) -> np.ndarray:
     try:
         array = np.array(numbers(values), dtype=np.float64)
-    except Exception as error:  # what a controller returned may be anything
+    except Exception as error:  # a controller may return anything
         raise CommandRefused(f"Expected numbers in Command.{name}, got {values!r} ({error}).") from error
     if not np.isfinite(array).all():
-        raise CommandRefused(f"Expected finite numbers in Command.{name}, got {array}. NaN never goes to a robot.")
+        raise CommandRefused(f"Expected finite numbers in Command.{name}, got {array}. NaN is never sent to a robot.")
     array.flags.writeable = False
     return array

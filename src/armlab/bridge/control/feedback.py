@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armlab import kernels
 from armlab.bridge.control.limits import Limits, Reply, axes_of, joint_name
 from armlab.robots import Robot
 from armlab.wire.egm import Packet
@@ -12,26 +13,30 @@ from armlab.wire.egm.axes import Linkage
 READY_AFTER = 3
 """Plausible packets in a row before the robot counts as ready."""
 STOP_AFTER = 3.0
-"""Implausible packets that stop the run; each plausible one takes off an eighth."""
+"""Number of implausible packets that stops the run; each plausible packet subtracts an eighth."""
 
-_TAKES_OFF = 0.125
+_DECAY = 0.125
 
 _OUTSIDE = 0.1  # rad or m beyond the limits of a joint
-_LAG, _CATCHES_UP = 0.05, 0.2  # s: following error for each rad/s, and the time in which the arm catches up
-_RAMP, _RAMP_LAG = 1.0, 0.3  # s: EGM follows gradually at first (RampInTime), at full speed it cannot catch up soon
+_LAG, _CATCHES_UP = 0.05, 0.2  # s: following error per speed, and time constant of its decay
+_RAMP, _RAMP_LAG = 1.0, 0.3  # s: EGM ramps in (RampInTime); at full speed the arm stays behind for longer
 _FROZEN = 0.1  # s without any change
-_STEP, _FASTER = 0.02, 2.0  # rad or m, and times the speed limit: a feedback that moved further is a false one
+_STEP, _FASTER = 0.02, 2.0  # rad or m, and times the speed limit: a larger step is implausible
 
 
 class FeedbackCheck:
-    """Checks each feedback position against the limits, the last plausible one, and the reference that was sent.
+    """Checks each feedback position against the limits, the last plausible position, and the reference sent.
 
-    A frozen feedback is found by the reference that moves away from it. On a robot whose axes are not its joints all
-    of this is about the axes.
+    Frozen feedback is detected once the reference moves away from it. With coupled axes, all checks are in axis space.
     """
+
+    plausible: int
+    implausible: float
+    confirmed: bool
 
     def __init__(self, robot: Robot, limits: Limits) -> None:
         self._robot, self._linkage = robot, Linkage.of(robot)
+        self._bounds = np.stack((robot.q_min, robot.q_max, robot.qd_max))
         self._allowed = limits.jump if limits.following_error is None else limits.following_error
         self.begin()
 
@@ -44,7 +49,7 @@ class FeedbackCheck:
         self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
 
     def check(self, q: np.ndarray, dt: float, sent: Reply | None) -> str:
-        """Return why a feedback is not plausible, "" when it is."""
+        """Return why feedback is implausible, "" if plausible."""
         self._since += dt
         same = self._newest is not None and q.tobytes() == self._newest.tobytes()
         self._frozen = self._frozen + dt if same else 0.0
@@ -52,30 +57,26 @@ class FeedbackCheck:
         if sent is None:
             self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
         self._guided += dt
-        problem, robot, axes, before = "", self._robot, q, self.q
+        problem, axes, before = "", q, self.q
         if self._linkage is not None:
             axes, before = self._linkage.axes(q), None if before is None else self._linkage.axes(before)
-        beyond = np.maximum(robot.q_min - axes, axes - robot.q_max)
-        is_outside = not beyond[beyond.argmax()] <= _OUTSIDE
-        if is_outside:
-            problem = outside_range(q, robot)
-        elif before is not None:
-            excess = np.abs(axes - before) - (_STEP + _FASTER * robot.qd_max * self._since)
-            i = int(excess.argmax())
-            if not excess[i] <= 0.0:
-                problem = (
-                    f"Expected the feedback of {joint_name(robot, i)} to move no faster than the arm can, but it went "
-                    f"from {before[i]:.4f} to {axes[i]:.4f} in {1e3 * self._since:.1f} ms. "
-                    "Check the robot's controller."
-                )
+        found = kernels.implausible(axes, before, self._bounds, _OUTSIDE, _STEP, _FASTER * self._since)
+        if found > 0:
+            problem = outside_range(q, self._robot)
+        elif found < 0 and before is not None:
+            i = -found - 1
+            problem = (
+                f"Expected the feedback of {joint_name(self._robot, i)} to move no faster than the arm can, got a jump "
+                f"from {before[i]:.4f} to {axes[i]:.4f} in {1e3 * self._since:.1f} ms. Check the robot's controller."
+            )
         if sent is not None and not problem:
             problem = self._apart(axes, dt, sent)
         if problem:
             self.plausible, self.implausible = 0, self.implausible + 1.0
-            if not self.confirmed and not is_outside:
-                self.q, self._since = q, 0.0  # of two first ones that contradict each other neither is believed
+            if not self.confirmed and found <= 0:
+                self.q, self._since = q, 0.0  # the first two contradict each other: neither is trusted
         else:
-            self.plausible, self.implausible = self.plausible + 1, max(0.0, self.implausible - _TAKES_OFF)
+            self.plausible, self.implausible = self.plausible + 1, max(0.0, self.implausible - _DECAY)
             self.q, self._since = q, 0.0
             self.confirmed = self.confirmed or self.plausible >= READY_AFTER
         return problem
@@ -84,63 +85,66 @@ class FeedbackCheck:
         reference, speed = sent.q, sent.qd
         if self._linkage is not None:
             reference, speed = self._linkage.axes(reference), self._linkage.axes(speed)
-        error = np.abs(reference - q)
-        kept = 1.0 if self._ramps else max(0.0, 1.0 - dt / _CATCHES_UP)
-        self._fastest = np.maximum(kept * self._fastest, np.abs(speed))
-        allowed = self._allowed + _LAG * self._fastest
-        if self._guided > _RAMP and (error <= allowed).all():
+        kept, lag = 1.0 if self._ramps else max(0.0, 1.0 - dt / _CATCHES_UP), _LAG
+        self._fastest, i, is_near = kernels.following_error(
+            q, reference, speed, self._fastest, self._allowed, kept, lag
+        )
+        if self._ramps and self._guided > _RAMP and is_near:
             self._ramps = False
         if self._ramps:
-            allowed = self._allowed + _RAMP_LAG * self._fastest
-        i = int((error - allowed).argmax())
-        if error[i] <= allowed[i]:
+            lag = _RAMP_LAG
+            _, i, is_near = kernels.following_error(q, reference, speed, self._fastest, self._allowed, 1.0, lag)
+        if is_near:
             return ""
         if self._frozen > _FROZEN:
             cause = f"The feedback has not changed for {self._frozen:.2f} s: it is frozen."
         else:
             cause = (
-                "Usual causes are a collision, brakes that are on, and a MaxSpeedDeviation or gain of EGM that is too "
-                "small; Limits.of(robot, following_error=...) sets the limit."
+                "Usual causes are a collision, engaged brakes, or an EGM gain or MaxSpeedDeviation that is too small. "
+                "Limits.of(robot, following_error=...) sets the limit."
             )
+        allowed, error = self._allowed[i] + lag * self._fastest[i], abs(reference[i] - q[i])
         return (
-            f"Expected {joint_name(self._robot, i)} within {allowed[i]:.3f} of its reference {reference[i]:.4f}, but "
-            f"it is at {q[i]:.4f}: a following error of {error[i]:.3f}. {cause}"
+            f"Expected {joint_name(self._robot, i)} within {allowed:.3f} of its reference {reference[i]:.4f}, got "
+            f"{q[i]:.4f}: a following error of {error:.3f}. {cause}"
         )
 
 
 def outside_range(q: np.ndarray, robot: Robot) -> str:
-    """Return the sentence for feedback (n,) far outside the range of a joint, "" when there is none."""
+    """Return the error text for feedback (n,) far outside a joint's range, "" if inside."""
     q = axes_of(robot)(q)
     outside = np.maximum(robot.q_min - q, q - robot.q_max)
     i = int(outside.argmax())
     if outside[i] <= _OUTSIDE:
         return ""
     return (
-        f"Expected {joint_name(robot, i)} of {robot.name} between {robot.q_min[i]:.3f} and {robot.q_max[i]:.3f}, but "
-        f"the robot reports {q[i]:.3f}. Usual causes are another robot, another joint order and other units: check the "
-        "robot's description and its RobotWare."
+        f"Expected {joint_name(robot, i)} of {robot.name} between {robot.q_min[i]:.3f} and {robot.q_max[i]:.3f}, got "
+        f"feedback of {q[i]:.3f}. Usual causes are a different robot, joint order or unit: check the robot "
+        "description and the RobotWare version."
     )
 
 
 MCI_RUNNING = 3
-"""State of EGM while it guides."""
+"""MCI state of a robot under EGM guidance."""
 
 _MOTORS_ON = 1
-_RAPID_MOVES = (0, 2)  # undefined (0) stays after a restart of the controller although RAPID runs
-_ABSENT = 3  # packets in a row without a state count
+_RAPID_MOVES = (0, 2)  # undefined (0) stays after a controller restart although RAPID runs
+_ABSENT = 3  # consecutive packets without a state before they count
 
 
 def not_ready_reason(motors: int, rapid: int, mci: int) -> str:
-    """Return why the robot would not follow a reference, "" when it would; states as in a `Packet`."""
+    """Return why the robot would not follow a reference, or "" if it would; states as in a `Packet`."""
     if motors != _MOTORS_ON:
-        return "the motors are off" if motors else "its packets have no state of the motors"
+        return "the motors are off" if motors else "its packets do not contain the motor state"
     if rapid not in _RAPID_MOVES:
         return "RAPID is stopped"
     return "" if mci == MCI_RUNNING else "guidance has not begun (EGMRunJoint)"
 
 
 class Readiness:
-    """The states of the newest packets; one or two packets without a state do not end a motion."""
+    """States in the newest packets; one or two packets without a state do not end a motion."""
+
+    is_unknown: bool
 
     def __init__(self) -> None:
         self.begin()
@@ -150,7 +154,7 @@ class Readiness:
         self.is_unknown = False
 
     def not_ready_reason(self, packet: Packet) -> str:
-        """Return why the robot would not follow a reference, "" when it would."""
+        """Return why the robot would not follow a reference, "" if it would."""
         absent = not (packet.motors and packet.mci)
         self._absent = self._absent + 1 if absent else 0
         if self._absent in range(1, _ABSENT):

@@ -1,7 +1,4 @@
-"""What a reference may do: `Limits`; `wanted`, the references of a command, checked; `Limiter`, what is sent of them.
-
-The sentences for references that are refused: `refusal`, `jump_refusal`, `entry_refusal`.
-"""
+"""`Limits` of a run, the references of a command (`requested`), `Limiter`, and the texts for refused commands."""
 
 from __future__ import annotations
 
@@ -12,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armlab import kernels
+from armlab._display import Shown
 from armlab.errors import CommandRefused, ConfigError
 from armlab.robots import Robot
 from armlab.state import Command
@@ -19,33 +17,47 @@ from armlab.wire.egm import Beside
 from armlab.wire.egm.axes import Linkage
 
 ENTRY = 0.05
-"""How far the first position may be from where the arm holds, when nothing else is said [rad or m]."""
+"""Default distance of the first position from the held one [rad or m]."""
 
-_TORQUE_RISE = 0.1  # s from no torque to the largest
-_SPEED_RISE = 0.1  # s from rest to full speed, of axes of which no acceleration is known
+_TORQUE_RISE = 0.1  # s from zero to the torque limit
+_SPEED_RISE = 0.1  # s from rest to full speed, for axes of unknown acceleration
 
 
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """Limits on what is sent, per joint (n,).
+@dataclass(frozen=True, eq=False, repr=False)
+class Limits(Shown):
+    """Limits per joint of the references sent.
 
     Attributes
     ----------
-    q_min, q_max : positions [rad or m].
-    qd_max, qdd_max : speed and acceleration.
-    jump : how far a position may be from the last one sent, besides ``qd_max dt``.
-    entry : how far the first position may be from where the arm holds; no further than `jump`.
-    tau_max, tau_rate : torque [N m or N] and its change per second; None where torques are refused.
-    external : of the external axes beyond the robot's joints, see `Limits.of_axes`; None where commands to them are
-        refused.
-    following_error : how far the feedback may be from the reference, besides 0.05 s times its speed; `jump` when None.
-    lag : time constant with which the arm follows its reference [s]: 1/k for EGM's position loop of gain k (1/s), 0.2 s
-        for its default of 5. The reference brakes for its limits earlier by lag times its speed.
+    q_min : array, shape (n,), rad or m
+        Lowest positions.
+    q_max : array, shape (n,), rad or m
+        Highest positions.
+    qd_max : array, shape (n,), rad/s or m/s
+        Speeds.
+    qdd_max : array, shape (n,), rad/s^2 or m/s^2
+        Accelerations.
+    jump : array, shape (n,), rad or m
+        Largest step from the last position sent, beyond ``qd_max dt``.
+    entry : array, shape (n,), rad or m
+        Largest distance of the first position from the held position; at most `jump`.
+    tau_max : array, shape (n,), N m or N
+        Torques; None refuses torques.
+    tau_rate : array, shape (n,), N m/s or N/s
+        Torque rates; None refuses torques.
+    external : Limits
+        Limits of the external axes, see `Limits.of_axes`; None refuses commands to them.
+    following_error : array, shape (n,), rad or m
+        Largest distance of the feedback from the reference, beyond 0.05 s times its speed; default: `jump`.
+    lag : float, s
+        Time constant with which the arm follows its reference: 1/k for a gain k of EGM's position loop (0.2 s for
+        the default of 5 1/s). The reference brakes earlier by the lag times its speed.
 
     Raises
     ------
-    ConfigError : shapes that differ, NaN, q_min not below q_max, another limit that is not above 0, entry above jump,
-        or one of the torque limits without the other.
+    ConfigError
+        Different shapes, NaN, q_min not below q_max, any other limit not above 0, entry above jump, or only one of the
+        torque limits.
     """
 
     q_min: np.ndarray
@@ -72,16 +84,17 @@ class Limits:
         for name in ("q_min", "q_max", "qd_max", "qdd_max", "jump", "entry", "following_error", *torque):
             if len(shape) != 1 or np.shape(getattr(self, name)) != shape:
                 got = f"{name} of shape {np.shape(getattr(self, name))} and q_min of {shape}"
-                raise ConfigError(f"Expected Limits of one shape (n,), got {got}.")
-        if not np.all(self.q_min < self.q_max):  # also NaN, with which a limit would never act
+                raise ConfigError(f"Expected all Limits to have the same shape (n,), got {got}.")
+        if not np.all(self.q_min < self.q_max):  # also NaN, which disables a limit
             raise ConfigError(f"Expected Limits with q_min below q_max, got {self.q_min} and {self.q_max}.")
         for name in ("qd_max", "qdd_max", "jump", "entry", "following_error", *torque):
             if not np.all(getattr(self, name) > 0.0):
                 raise ConfigError(f"Expected Limits with {name} above 0 for each joint, got {getattr(self, name)}.")
         if not np.all(self.entry <= self.jump):
             raise ConfigError(
-                f"Expected Limits with entry up to jump for each joint, got {self.entry} and {self.jump}: a first "
-                "position further away would be refused as a jump. Begin nearer, and move there gradually."
+                f"Expected Limits with entry up to jump for each joint, got {self.entry} and {self.jump}, because a "
+                "first position further away would be rejected as a jump. Start closer and approach the position "
+                "gradually."
             )
 
     @classmethod
@@ -101,22 +114,31 @@ class Limits:
 
         Parameters
         ----------
-        margin : distance kept from the ends of the joints [rad or m].
-        speed : share of the robot's own speed and acceleration limits, in (0, 1].
-        entry : see `Limits`; of sliding joints at most 0.02 m.
-        tau_max : torque limits, one or (n,); the robot's own by default, none where it has none. The full torque is
-            reached in 0.1 s at the earliest.
-        external : of external axes, see `of_axes`.
-        following_error : one or (n,) [rad or m]; by default 0.1 rad, of prismatic joints 0.02 m.
-        lag : see `Limits`.
+        robot : Robot
+            The robot.
+        margin : float, rad or m
+            Distance to keep from the joint limits.
+        speed : float
+            Fraction of the robot's speed and acceleration limits, in (0, 1].
+        entry : float, rad or m
+            See `Limits`; at most 0.02 m for prismatic joints.
+        tau_max : float or array, shape (n,), N m or N
+            Torque limits, reached in 0.1 s at the earliest; default: those of the robot, if it has any.
+        external : Limits
+            Limits of the external axes, see `of_axes`.
+        following_error : float or array, shape (n,), rad or m
+            See `Limits`; default: 0.1 rad, 0.02 m for prismatic joints.
+        lag : float, s
+            See `Limits`.
 
         Raises
         ------
-        ConfigError : a share outside (0, 1], an entry above 0.1 rad, or a margin that is negative or leaves no room.
+        ConfigError
+            A fraction outside (0, 1], an entry above 0.1 rad, or a margin that is negative or leaves no joint range.
         """
         if not 0.0 < speed <= 1.0 or not entry > 0.0 or not margin >= 0.0:
             raise ConfigError(
-                f"Expected speed in (0, 1], entry above 0 and margin from 0, got {speed}, {entry} and {margin}."
+                f"Expected speed in (0, 1], entry above 0 and margin of at least 0, got {speed}, {entry} and {margin}."
             )
         q_min, q_max = robot.q_min + margin, robot.q_max - margin
         if not np.all(q_min < q_max):
@@ -136,23 +158,29 @@ class Limits:
         q_max: Sequence[float] | np.ndarray,
         qd_max: Sequence[float] | np.ndarray,
     ) -> Limits:
-        """Return the limits of external axes: full speed after 0.1 s, jumps up to 0.1, a first position within 0.05.
+        """Return limits of external axes that allow full speed after 0.1 s, jumps up to 0.1, and a first position
+        within 0.05.
 
         Parameters
         ----------
-        q_min, q_max : (k,) positions [rad or m].
-        qd_max : (k,) speed.
+        q_min : array, shape (k,), rad or m
+            Lowest positions.
+        q_max : array, shape (k,), rad or m
+            Highest positions.
+        qd_max : array, shape (k,), rad/s or m/s
+            Speeds.
 
         Raises
         ------
-        ConfigError : as `Limits`.
+        ConfigError
+            See `Limits`.
         """
         low, high, fastest = (np.asarray(values, dtype=np.float64) for values in (q_min, q_max, qd_max))
         return cls(low, high, fastest, fastest / _SPEED_RISE, np.full(low.shape, 0.1), np.full(low.shape, ENTRY))
 
 
 class Reply(NamedTuple):
-    """One reference after the limits."""
+    """One reference within the limits."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -165,11 +193,11 @@ class Reply(NamedTuple):
 
 
 Memory = tuple[np.ndarray, np.ndarray | None]
-"""Position, speed and acceleration sent last (3, n), and the position asked for."""
+"""Last position, velocity and acceleration sent (3, n), and the last commanded position."""
 
 
 class Limiter:
-    """The last reference sent, and the next one within the limits (law: `kernels.limit_reference`)."""
+    """Tracks the last reference sent; limits the next one (law: `kernels.limit_reference`)."""
 
     def __init__(self, limits: Limits, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
         self._reach = reach
@@ -184,7 +212,7 @@ class Limiter:
         return self.sent(self.memory)
 
     def sent(self, memory: Memory) -> np.ndarray:
-        """Return the position (n,) sent when `memory` was that of the limiter."""
+        """Return the position (n,) sent in a state `memory`."""
         return memory[0][0]
 
     @property
@@ -192,7 +220,7 @@ class Limiter:
         return not self.memory[0][1:].any()
 
     def rest(self, q: np.ndarray) -> Reply:
-        """Stand still at `q` (n,), wherever the last reference was: for an arm that does not follow references."""
+        """Stand still at `q` (n,) regardless of the last reference; used for an arm that follows no references."""
         q = np.minimum(np.maximum(q, self._reach[0]), self._reach[1])
         sent = np.stack((q, np.zeros_like(q), np.zeros_like(q)))
         sent.flags.writeable = False
@@ -200,7 +228,7 @@ class Limiter:
         return Reply(sent[0], sent[1], self._none)
 
     def follow(self, q: np.ndarray, qd: np.ndarray) -> Reply:
-        """Go along with an arm that moves freely: the next reference begins at its `q` and `qd` (n,)."""
+        """Track an arm that moves freely: the next reference begins at its `q` and `qd` (n,)."""
         sent = np.stack((q, qd, qd))
         sent.flags.writeable = False
         self.memory = sent, None
@@ -223,7 +251,7 @@ class Limiter:
 
 
 class LinkedLimiter(Limiter):
-    """A `Limiter` of axes: ABB limits positions, speeds and accelerations of axes, the controller speaks of joints."""
+    """`Limiter` in axis space, for robots with coupled axes: ABB limits axes, the controller commands joints."""
 
     def __init__(self, limits: Limits, linkage: Linkage, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
         super().__init__(limits, reach)
@@ -233,24 +261,24 @@ class LinkedLimiter(Limiter):
         return self._linkage.joints(memory[0][0])
 
     def rest(self, q: np.ndarray) -> Reply:
-        return self._linkage.heard(super().rest(self._linkage.axes(q)))
+        return self._linkage.from_axes(super().rest(self._linkage.axes(q)))
 
     def follow(self, q: np.ndarray, qd: np.ndarray) -> Reply:
-        return self._linkage.heard(super().follow(self._linkage.axes(q), self._linkage.axes(qd)))
+        return self._linkage.from_axes(super().follow(self._linkage.axes(q), self._linkage.axes(qd)))
 
     def step(self, q: np.ndarray | None, qd: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
         wanted, speed = (None if values is None else self._linkage.axes(values) for values in (q, qd))
-        return self._linkage.heard(super().step(wanted, speed, dt, longest))
+        return self._linkage.from_axes(super().step(wanted, speed, dt, longest))
 
 
 def limiter_of(limits: Limits, robot: Robot) -> Limiter:
-    """Return the limiter of a robot: of its joints, or of its axes where they differ."""
+    """Return the limiter of a robot, in the space of its axes."""
     linkage, reach = Linkage.of(robot), (robot.q_min, robot.q_max)
     return Limiter(limits, reach) if linkage is None else LinkedLimiter(limits, linkage, reach)
 
 
 def axes_of(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what makes positions (n,) of a robot's joints those that its limits are about: of ABB's axes."""
+    """Return the map from joint positions (n,) to the axis positions that the limits apply to."""
     linkage = Linkage.of(robot)
     return (lambda joints: joints) if linkage is None else linkage.axes
 
@@ -259,12 +287,12 @@ JointName = Callable[[int], str]
 """Name of a joint by its index, from 0."""
 
 _DOUBLE = np.dtype(np.float64)
-_REAL = "f", "i", "u"  # kinds of numbers; of others a conversion would make some
+_REAL = "f", "i", "u"  # dtype kinds; a conversion would turn others into numbers
 _NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
 
 
-def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-    """Return the position, velocity and torque (n,) that a command asks for, None for what it does not."""
+def requested(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
+    """Return the position, velocity and torque (n,) of a command (None if unset); raise if invalid."""
     if not isinstance(command, Command):
         raise CommandRefused(
             f"Expected the controller to return a Command or None, got {type(command).__name__}. "
@@ -272,7 +300,7 @@ def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarra
         )
     q, qd, tau, shape = command.q, command.qd, command.tau, robot.q_max.shape
     if type(q) is np.ndarray and q.dtype == _DOUBLE and q.shape == shape and qd is tau is None:
-        return np.ascontiguousarray(q), None, None  # the usual one
+        return np.ascontiguousarray(q), None, None  # the common case, fast
     return (
         None if q is None else _vector("q", q, robot),
         None if qd is None else _vector("qd", qd, robot),
@@ -283,14 +311,14 @@ def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarra
 def _vector(name: str, values: Any, robot: Robot) -> np.ndarray:
     try:
         array = numbers(values)
-    except Exception as error:  # what a controller returned may be anything
+    except Exception as error:  # a controller may return anything
         raise CommandRefused(
             f"Expected {robot.n} numbers in Command.{name} for {robot.name}, got {values!r} ({error})."
         ) from error
     if array.shape != (robot.n,):
         raise CommandRefused(
             f"Expected Command.{name} of shape ({robot.n},) for {robot.name}, got {array.shape}. "
-            f"Give one value per joint: {', '.join(robot.joint_names)}."
+            f"Pass one value per joint: {', '.join(robot.joint_names)}."
         )
     return np.ascontiguousarray(array, dtype=np.float64)
 
@@ -303,7 +331,7 @@ def numbers(values: Any) -> np.ndarray:
 
 
 def kept(command: Command | None) -> Command | None:
-    """Return a command with arrays of its own: while it serves, the controller may write the next one into its own."""
+    """Return a command with copied arrays, because the controller may reuse its arrays for the next command."""
     if not isinstance(command, Command):
         return command
     return replace(command, **{name: _copied(getattr(command, name)) for name in _NUMBERS})
@@ -312,12 +340,12 @@ def kept(command: Command | None) -> Command | None:
 def _copied(values: Any) -> Any:
     try:
         return None if values is None else np.array(values)
-    except Exception:  # what a controller returned may be anything
+    except Exception:  # a controller may return anything
         return values
 
 
 def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.ndarray, robot: Robot) -> str:
-    """Return the sentence for a reference that the limits refused."""
+    """Return the error text for a reference refused by the limits."""
     i = abs(refused) - 1
     joint, axes = joint_name(robot, i), axes_of(robot)
     if refused > 0 or q is None:  # only a position can jump
@@ -327,12 +355,12 @@ def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.
 
 
 def jump_refusal(q: np.ndarray, sent: np.ndarray, jump: np.ndarray, robot: Robot, name: JointName) -> str:
-    """Return the sentence for a position (n,) further than `jump` (n,) from the last one sent, "" when it is near."""
+    """Return the error text for a position (n,) further than `jump` (n,) from the last position sent, "" if near."""
     axes = axes_of(robot)
     q, sent = axes(q), axes(sent)
     excess = np.abs(q - sent) - jump
     i = int(np.argmax(excess))
-    return "" if excess[i] <= 0.0 else _jumped(q, sent, i, robot, name(i))  # NaN is not near
+    return "" if excess[i] <= 0.0 else _jumped(q, sent, i, robot, name(i))  # NaN is refused
 
 
 def _jumped(q: np.ndarray, sent: np.ndarray, i: int, robot: Robot, joint: str) -> str:
@@ -350,11 +378,11 @@ def entry_refusal(
     name: JointName | None = None,
     where: str = "holds",
 ) -> str:
-    """Return the sentence for a first position too far from where the arm holds (or is), "" when it is near enough."""
+    """Return the error text for a first position too far from the held (or actual) position, "" if near."""
     axes = axes_of(robot)
     q, held = axes(q), axes(held)
     distance = np.abs(q - held)
-    far = ~(distance <= entry) & ~np.isnan(q)  # from NaN all is far; NaN in the command is refused as such, and counts
+    far = ~(distance <= entry) & ~np.isnan(q)  # a NaN command is refused elsewhere; a NaN position counts as far
     if not far.any():
         return ""
     i = int(np.argmax(np.where(far, distance / entry, 0.0)))
@@ -366,7 +394,7 @@ def entry_refusal(
 
 
 def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = False) -> str:
-    """Return what a client calls joint i (from 0), with its place in what was sent."""
+    """Return the name of joint i (from 0) with its place in the client's message."""
     if first is not None:
         return f"{robot.ros_joint_names[i]} (number {first + i + 1} of the message)"
     if by_axis:
@@ -375,7 +403,7 @@ def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = F
 
 
 def causes(robot: Robot) -> str:
-    """Return the usual causes of a distant position, and the quantity of the numbers in the refusal."""
-    usual = "Usual causes are degrees instead of radians and another joint order."
+    """Return the usual causes of a distant position, and the coordinates in which it is reported."""
+    usual = "Usual causes are degrees instead of radians, or a different joint order."
     are_joints = Linkage.of(robot) is None
-    return usual if are_joints else f"{usual} The numbers are those of ABB's axes, of which one may be several joints."
+    return usual if are_joints else f"{usual} The numbers are positions of ABB's axes, which may combine joints."

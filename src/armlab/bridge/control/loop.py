@@ -1,10 +1,11 @@
-"""The loop: receive, decode, ask the controller, limit, send one reply, record. In this order, every packet.
+"""The control loop. For every packet, in this order: receive, decode, call the controller, limit, send one reply,
+record.
 
-One reply per packet, never more; none for a packet that a newer one has overtaken. One arm paces: the controller is
-called on its packets. Another arm is answered in its own tick with the newest command it was given. Everything but the
-controller runs under one lock, which the guard thread takes when the controller is overdue.
+Each packet gets at most one reply; a packet overtaken by a newer one gets none. One arm paces the loop: its packets
+call the controller. The other arms reply in their own ticks with their newest command. Everything except the controller
+runs under one lock, which the watchdog thread takes when the controller is overdue.
 
-`merge_states` makes one State of several arms, `split_command` gives each arm its part of a Command.
+`merge_states` combines the States of several arms; `split_command` gives each arm its part of a Command.
 """
 
 from __future__ import annotations
@@ -13,45 +14,72 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from copy import copy
+from itertools import accumulate, chain, pairwise
 from mmap import mmap
 from operator import attrgetter
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 
-from armlab.bridge.control.arm import ArmSession
+from armlab import kernels
+from armlab.bridge.control.arm import ArmSession, End
+from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.realtime import Lateness, Waiting, collect_if_due
 from armlab.bridge.control.session import Sample
-from armlab.bridge.control.state_machine import Mode
+from armlab.bridge.control.state_machine import PLAIN, SLOTS, Mode
 from armlab.bridge.control.supervision import Settings
+from armlab.bridge.inputs.fusion import Fusion
+from armlab.bridge.net.events import nobody
+from armlab.bridge.net.sockets import Arrival
 from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
 from armlab.robots import Robot
 from armlab.state import Command, State
+from armlab.wire.egm import Drop, Packet, Reference
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
-_JOINTS = ("q", "qd", "tau", "q_start", "q_planned", "q_sent", "qd_sent")
-_OF_PACE = (
+_joints = attrgetter("q", "qd", "tau", "q_start", "q_planned", "q_sent", "qd_sent")
+_of_pace = attrgetter(
     "dt", "seq", "missed", "session", "qd_source", "tau_source", "motors", "rapid", "mci", "converged", "utilization",
     "robotware", "robot_ns", "t_receive", "sources",
 )  # fmt: skip
+_values = attrgetter(*State.__slots__)
+_AGE = list(State.__slots__).index("age")
 
 
 def merge_states(states: Sequence[State], ages: Sequence[float], pace: int, t: float) -> State:
-    """Return the state of all arms: joint arrays one arm after another, each arm's own State in `arms` with its age.
+    """Return the state of all arms: concatenated joint arrays; `arms` holds the State of each arm with its age.
 
-    Time, sequence and state numbers are those of the pacing arm. What a fused state cannot say (poses, wrenches) is
-    NaN: look into `arms`.
+    Time, sequence and state numbers are those of the pacing arm. Poses and wrenches are NaN; they are in `arms`.
     """
-    fields: dict[str, Any] = {name: getattr(states[pace], name) for name in _OF_PACE}
-    for name in (*_JOINTS, "clamped"):
-        fields[name] = np.concatenate([getattr(state, name) for state in states])
-        fields[name].flags.writeable = False
-    return State(
-        t=t,
-        robot="+".join(state.robot for state in states),
-        arms=tuple(replace(one, age=age) if age > 0.0 else one for one, age in zip(states, ages, strict=True)),
-        **fields,
-    )
+    arrays = list(chain.from_iterable(zip(*map(_joints, states), strict=True)))
+    flat, clamped = np.concatenate(arrays), np.concatenate([state.clamped for state in states])
+    flat.flags.writeable = clamped.flags.writeable = False
+    ends = [0, *accumulate(map(len, arrays))][:: len(states)]
+    q, qd, tau, q_start, q_planned, q_sent, qd_sent = [flat[a:b] for a, b in pairwise(ends)]
+    (
+        dt, seq, missed, session, qd_source, tau_source, motors, rapid, mci, converged, utilization, robotware,
+        robot_ns, t_receive, sources,
+    ) = _of_pace(states[pace])  # fmt: skip
+    plain, robot = PLAIN, "+".join(state.robot for state in states)
+    arms = tuple(_aged(one, age) if age > 0.0 else one for one, age in zip(states, ages, strict=True))
+    return kernels.filled(
+        State,
+        SLOTS,
+        (
+            t, dt, q, qd, tau, None, seq, missed, session, qd_source, tau_source, q_start, q_planned, q_sent, qd_sent,
+            clamped, plain.T_frame_tool, plain.wrench_raw, plain.wrench, plain.q_ext, motors, rapid, mci, converged,
+            utilization, robotware, plain.rapid_data, plain.rapid_digital, robot_ns, t_receive, sources, robot, 0.0,
+            plain.details, arms,
+        ),
+    )  # fmt: skip
+
+
+def _aged(state: State, age: float) -> State:
+    values = list(_values(state))
+    values[_AGE] = age
+    return kernels.filled(State, SLOTS, tuple(values))
 
 
 def split_command(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequence[Command | None]:
@@ -64,14 +92,14 @@ def split_command(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequenc
     if not isinstance(asked, Command):
         names = " and ".join(robot.name for robot in robots)
         raise CommandRefused(
-            f"Expected the controller to return one Command of all joints, one per arm ({names}) or None, got "
+            f"Expected the controller to return one Command for all joints, one per arm ({names}) or None, got "
             f"{type(asked).__name__}{f' of {len(asked)}' if isinstance(asked, Sequence) else ''}. "
             "Write Command(q) with all joints, or a tuple of one Command per arm."
         )
     for name in ("q_ext", "rapid_data", "rapid_digital"):
         if getattr(asked, name) is not None:
             raise CommandRefused(
-                f"Expected no {name} in a Command of all joints: it does not say for which arm. "
+                f"Expected no {name} in a Command for all joints, because it does not name an arm. "
                 "Return a tuple of one Command per arm."
             )
     parts = [_parts(name, getattr(asked, name), robots) for name in ("q", "qd", "tau")]
@@ -82,34 +110,37 @@ def split_command(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequenc
 def _parts(name: str, values: Any, robots: Sequence[Robot]) -> Sequence[np.ndarray | None]:
     if values is None:
         return (None,) * len(robots)
-    array, ends = np.asarray(values), np.cumsum([robot.n for robot in robots])
+    array, ends = np.asarray(values), list(accumulate(robot.n for robot in robots))
     if array.shape != (ends[-1],):
         joints = " and ".join(f"{robot.n} of {robot.name}" for robot in robots)
         raise CommandRefused(
             f"Expected Command.{name} of shape ({ends[-1]},), {joints}, got {array.shape}. "
             "Write all joints one arm after another, or return a tuple of one Command per arm."
         )
-    return np.split(array, ends[:-1])
+    return [array[a:b] for a, b in pairwise([0, *ends])]
 
 
 Controller = Callable[[State], Command | Sequence[Command | None] | None]
-"""What decides: called with each state, returns a command or None for hold; with several arms also one per arm."""
+"""User's controller: maps each state to a command or None (hold); for several arms also to one command per arm."""
 
-_LOOK = 0.05  # s between two looks at silence; an interrupt waits no longer either
-_GRACE = 0.25  # of a period, that the controller has in any case
-_BLAME = 0.5  # of a period: a late cycle is the controller's fault when its call took longer
-_HANGS = 1_000_000_000  # ns in one call of the controller, after which nobody waits for its return
-_NAP = 2e-3  # s the guard waits for a packet
-_SPARE = 1_000_000  # ns to the next packet that leave time to collect garbage
+_CHECK_EVERY = 0.05  # s between two checks for silence or an interrupt
+_GRACE = 0.25  # of a period, granted to the controller in any case
+_BLAME = 0.5  # of a period: a longer call makes a late cycle the controller's fault
+_HANGS = 1_000_000_000  # ns in one call of the controller, after which it counts as hanging
+_NAP = 2e-3  # s the watchdog waits for a packet
+_SPARE = 1_000_000  # ns before the next packet, enough to collect garbage
 _PROGRESS = 0.1  # s between two calls of progress
-_STALE_PERIODS, _STALE = 3.0, 0.02  # an arm unheard for longer, the larger of the two, holds the others
+_STALE_PERIODS, _STALE = 3.0, 0.02  # a longer silence of one arm (the larger limit) holds the others
 _SERVES = 2.5  # periods of the pacing arm for which a command serves another arm
 _elapsed = attrgetter("machine.elapsed")  # robot time while an arm was ready [s]
-_RESERVE = 2**24  # bytes, given back by what ends the run: to bring the arms to rest and to tell why needs some
+_RESERVE = 2**24  # bytes freed at the end of the run: stopping the arms and reporting the cause need memory
 
 
 class Loop:
-    """Runs the arms of a link until all have ended."""
+    """Real-time loop over the arms of a link, until all have ended."""
+
+    interrupted: bool
+    reason: str
 
     def __init__(
         self,
@@ -128,37 +159,37 @@ class Loop:
         self.interrupted = self._has_failed = False
         self.reason = ""
         self._lock = threading.Lock()
-        self._reserve: mmap | None = None  # pages that nobody touches: address space, no memory
+        self._reserve: mmap | None = None  # untouched pages: address space, no memory
         self._next_progress = 0.0
-        self._looked_ns = time.monotonic_ns()
+        self._checked_ns = time.monotonic_ns()
         self._sessions: tuple[int, ...] = ()
         self._t0 = 0.0
-        # Shared with the guard. `_calling` becomes False only under the lock; `_pending` stays while it is True.
-        self._calling = self._taken = self._told = False
+        # Shared with the watchdog. `_calling` becomes False only under the lock; `_pending` stays while it is True.
+        self._calling = self._taken = self._reported = False
         self._called_ns, self._deadline_ns = 0, 0.0
         self._pending: Sample | None = None
 
     @property
     def failure(self) -> LinkError | None:
-        """What `run` of the link raises."""
+        """Error raised by `Link.run`."""
         return next((arm.machine.failure for arm in self._arms if arm.machine.failure is not None), None)
 
     def interrupt(self) -> None:
-        """Stop at the next packet; the second time, or to break off a call that hangs, raise KeyboardInterrupt."""
+        """Stop at the next packet; on the second call, or while the controller hangs, raise KeyboardInterrupt."""
         again, self.interrupted = self.interrupted, True
         if again or self._hangs:
             raise KeyboardInterrupt
 
     @property
     def _hangs(self) -> bool:
-        """Whether the controller has not returned for so long that it may never do."""
+        """Whether the controller may never return."""
         return self._calling and time.monotonic_ns() - self._called_ns > _HANGS
 
     def run(self) -> None:
         try:
             self._reserve = mmap(-1, _RESERVE)
         except OSError as error:
-            self.reason = "there is no memory for its end"
+            self.reason = "there is no memory to end the run"
             text = f"Expected {_RESERVE >> 20} MiB of memory to set aside for the end of the run: {error.strerror}. "
             raise LinkError(f"{text}End other programs, or raise the limit of this one.") from error
         ended = False
@@ -172,45 +203,37 @@ class Loop:
                     ended = self._has_failed  # again: the arms cannot be brought to rest
                     if not ended:
                         self._fail(error)
-        self._give_back()
+        self._free_reserve()
 
-    def _give_back(self) -> None:
+    def _free_reserve(self) -> None:
         if self._reserve is not None:
             self._reserve.close()
 
     def _fail(self, error: Exception) -> None:
-        """Stop after an error of a codec or a source of the user's, or ours: no arm goes on at its speed."""
-        self._give_back()
+        """Stop after an internal error, or an error in the user's codec or source, so that no arm keeps its speed."""
+        self._free_reserve()
         self._has_failed = True
-        failure = LinkError(f"Expected a cycle without errors, got {_named(error)}.")
+        failure = LinkError(f"Expected the cycle to run without errors, got {_named(error)}.")
         failure.__cause__ = error
-        with suppress(Exception):  # the arms come to rest, whoever cannot be told
+        with suppress(Exception):  # the arms come to rest even if the report fails
             self._stop("the bridge failed", failure)
-        self._pace.machine.failure = self.failure or failure  # also when the arms were to stop already
+        self._pace.machine.failure = self.failure or failure  # also when the arms were already stopping
         with suppress(Exception):
             self._pace.recording.event(str(failure), warn=True)
+            self._pace.recording.catch_up()
 
     def cycle(self) -> None:
-        """Wait for one packet, answer it, record it."""
-        found = self._waiting.next(_LOOK)
-        pending = asked = None
-        with self._lock:
-            if found is not None:
-                arm = self._arms[found[0]]
-                pending = arm.receive(found[1])
-                if pending is not None and arm is self._pace and self._may_ask(pending):
-                    asked = pending
-                    if self._others:
-                        self._serve_others()
-                elif pending is not None:
-                    self._answer(arm, pending)
-        if asked is not None:
-            self._call(asked)
+        """Wait for one packet, answer it and those of other arms that wait, record them."""
+        pending = self.answer(self._waiting.next(_CHECK_EVERY))
+        for _ in self._others:  # arms often send together: all replies go out before any bookkeeping
+            if self._have_ended() or (found := self._waiting.next(0.0)) is None:
+                break
+            pending = self.answer(found) or pending
         for arm in self._arms:
             arm.record()
         now_ns = time.monotonic_ns()
-        if pending is None or now_ns - self._looked_ns > 1e9 * _LOOK:  # often enough when only one arm is silent
-            self._looked_ns = now_ns
+        if pending is None or now_ns - self._checked_ns > 1e9 * _CHECK_EVERY:  # also when only one arm is silent
+            self._checked_ns = now_ns
             for arm in self._arms:
                 arm.supervisor.check_silence(arm.arrived_ns)
                 arm.recording.catch_up()
@@ -220,7 +243,7 @@ class Loop:
         if settings.seconds is not None and elapsed >= settings.seconds:
             self._stop("the time is up")
         if settings.progress is not None and elapsed >= self._next_progress:
-            self._tell_progress(settings.progress, elapsed)
+            self._report_progress(settings.progress, elapsed)
         spare_ns = time.monotonic_ns() + _SPARE
         for arm in () if self._in_lockstep else self._arms:
             next_ns = arm.prediction.next_ns
@@ -228,24 +251,40 @@ class Loop:
                 return
         collect_if_due()
 
-    def _tell_progress(self, progress: Callable[[float], None], elapsed: float) -> None:
+    def answer(self, found: tuple[int, Arrival] | None) -> Sample | None:
+        pending = accepted = None
+        with self._lock:
+            if found is not None:
+                arm = self._arms[found[0]]
+                pending = arm.receive(found[1])
+                if pending is not None and arm is self._pace and self._may_ask(pending):
+                    accepted = pending
+                    if self._others:
+                        self._serve_others()
+                elif pending is not None:
+                    self._answer(arm, pending)
+        if accepted is not None:
+            self._call(accepted)
+        return pending
+
+    def _report_progress(self, progress: Callable[[float], None], elapsed: float) -> None:
         self._next_progress = elapsed + _PROGRESS
         try:
             progress(elapsed)
         except Exception as error:
-            self._give_back()
+            self._free_reserve()
             failure = ControllerFailed(f"`progress` raised {_named(error)}. The arm was stopped.")
             failure.__cause__ = error
-            self._stop("the display of progress failed", failure)
+            self._stop("the progress callback failed", failure)
 
     def overdue(self) -> float:
-        """Return the seconds until the controller is overdue, 0 or less when it is. For the guard."""
+        """Called by the watchdog: return the seconds until the controller is overdue, at most 0 if it is."""
         if not self._calling:
             return 1.0
         return 0.0 if self._taken else 1e-9 * (self._deadline_ns - time.monotonic_ns())
 
     def answer_for_controller(self) -> None:
-        """Hold for the packet whose reply is overdue and for newer ones until the controller returns. For the guard."""
+        """Called by the watchdog: send hold replies until the controller returns."""
         if self._taken:
             time.sleep(_NAP)  # only the loop's own thread may wait on the ports
         with self._lock:
@@ -253,7 +292,7 @@ class Loop:
                 return
             try:
                 self._hold_for_controller()
-            except Exception as error:  # the guard must go on, and the run end
+            except Exception as error:  # the watchdog must survive to end the run
                 self._taken = True
                 self._fail(error)
 
@@ -264,15 +303,15 @@ class Loop:
         if pending is not None:
             pace.reply(pending, None, pace.machine.hold(pace.period), late=True)
         self._serve_others()
-        if self._hangs and not self._told:
-            self._told = True
-            sentence = f"The controller has not returned for {1e-9 * _HANGS:g} s; the arm is held meanwhile."
-            pace.recording.event(f"{sentence} Ctrl-C breaks it off and ends the run.", warn=True)
+        if self._hangs and not self._reported:
+            self._reported = True
+            sentence = f"The controller has not returned for {1e-9 * _HANGS:g} s; the arm holds meanwhile."
+            pace.recording.event(f"{sentence} Ctrl-C interrupts it and ends the run.", warn=True)
         for arm in self._arms:
             arm.record()
 
     def _may_ask(self, pending: Sample | None = None) -> bool:
-        """Whether the controller may be asked: all arms are ready, no source it requires is stale, all were heard."""
+        """Whether to call the controller: all arms are ready and recent, and no required source is stale."""
         for arm in self._arms:
             if not arm.machine.calls or arm.fusion.missing:
                 return False
@@ -284,7 +323,7 @@ class Loop:
         return True
 
     def _answer(self, arm: ArmSession, pending: Sample) -> None:
-        """Answer without the controller: with the newest command for an arm that does not pace, else hold."""
+        """Reply without the controller: the pacing arm holds, and the other arms get their newest command."""
         command = None
         if arm is self._pace:
             for other in self._others:
@@ -300,21 +339,21 @@ class Loop:
                 self._answer(arm, pending)
 
     def _call(self, pending: Sample) -> None:
-        """Ask the controller and answer; when the guard has answered meanwhile, the result is discarded."""
+        """Call the controller and reply; discard its result if the watchdog has replied meanwhile."""
         pace, controller, period_ns = self._pace, self._controller, 1e9 * self._pace.period
         state = self._state(pending) if self._others else pending.state
-        asked, failure = None, None
+        result, failure = None, None
         self._pending, self._taken = pending, False
         start = self._called_ns = time.monotonic_ns()
         self._deadline_ns = max(pending.deadline_ns, start + _GRACE * period_ns)
         self._calling = True
         try:
-            asked = controller(state) if controller is not None else None
-        except BaseException as error:  # also SystemExit: the arm must not go on at its last speed
+            result = controller(state) if controller is not None else None
+        except BaseException as error:  # also SystemExit: the arm must not keep its last speed
             by_hand = isinstance(error, KeyboardInterrupt) and self.interrupted
             if by_hand and not self._hangs:
                 raise  # the second Ctrl-C
-            self._give_back()
+            self._free_reserve()
             if not by_hand:
                 failure = ControllerFailed(f"The controller raised {_named(error)}. The arm was stopped.")
                 failure.__cause__ = error
@@ -326,13 +365,13 @@ class Loop:
             if failure is not None:
                 self._stop("the controller failed", failure)
             if not self._taken:
-                self._obey(pending, asked, call_ns)
-            if not self._in_lockstep:  # the controller, not the computer, makes too many cycles late
+                self._apply(pending, result, call_ns)
+            if not self._in_lockstep:  # only the controller is blamed, not a busy computer
                 blamed = self._taken or (pace.was_late and call_ns > _BLAME * period_ns)
                 too_late = self._lateness.add(time.monotonic_ns(), blamed, call_ns)
                 if too_late:
                     sentence = f"The controller was too slow: {too_late}. The arm was stopped."
-                    self._stop("the controller was late", ControllerLate(f"{sentence} Give work to another thread."))
+                    self._stop("the controller was late", ControllerLate(f"{sentence} Move work to another thread."))
 
     def _state(self, pending: Sample) -> State:
         pendings = [arm.newest or pending for arm in self._arms]
@@ -342,11 +381,11 @@ class Loop:
         ages = [1e-9 * (pending.stamp_ns - one.stamp_ns) for one in pendings]
         return merge_states([one.state for one in pendings], ages, self._pace_index, pending.state.t - self._t0)
 
-    def _obey(self, pending: Sample, asked: Any, call_ns: int) -> None:
-        """Answer the newest packet of the pacing arm with what the controller wants, keep the rest for the others."""
+    def _apply(self, pending: Sample, result: Any, call_ns: int) -> None:
+        """Reply to the newest packet of the pacing arm with its command; store the commands of the other arms."""
         pace = self._pace
         try:
-            commands = split_command(asked, self._robots, self._pace_index) if self._others else (asked,)
+            commands = split_command(result, self._robots, self._pace_index) if self._others else (result,)
         except CommandRefused as error:
             self._stop("a command was refused", error)
             commands = (None,) * len(self._arms)
@@ -354,15 +393,15 @@ class Loop:
         if arrival is not None:
             newest = pace.receive(arrival, pending) or pending
         is_same = newest.session == pending.session
-        for arm, command in zip(self._arms, commands, strict=True):
-            if arm is pace:
-                command = command if is_same else None
-                pace.reply(newest, command, pace.machine.answer(command, pace.period), call_ns=call_ns)
-            else:
-                arm.set_command(command if is_same else None)
+        command = commands[self._pace_index] if is_same else None
+        pace.reply(newest, command, pace.machine.answer(command, pace.period), call_ns=call_ns)
+        if self._others:
+            for arm, command in zip(self._arms, commands, strict=True):
+                if arm is not pace:
+                    arm.set_command(command if is_same else None)
 
     def _have_ended(self) -> bool:
-        """Whether all arms have ended; one that stops or has ended stops the others."""
+        """Whether all arms have ended; an arm that is stopping or has ended stops the others."""
         ended = True
         for arm in self._arms:
             mode = arm.machine.mode
@@ -372,17 +411,64 @@ class Loop:
         return ended
 
     def _stop(self, reason: str, failure: LinkError | None = None) -> None:
-        """Bring all arms to rest and end; the first reason stays. The pacing arm carries the failure."""
+        """Bring all arms to rest and end; the first reason is kept. The failure is stored in the pacing arm."""
         self.reason = self.reason or reason
         self._pace.machine.stop(reason, failure)
         for arm in self._others:
             arm.machine.stop(reason)
 
 
+_DRY_RUNS = 20  # before a run: Python specialises code that has run several times
+
+
+class DryRun:
+    """Dry run: answers a synthetic packet with the code of a real cycle in a separate loop, and discards the reply.
+
+    Run just before a packet is due, it reloads the code into the processor's caches, which other programs use between
+    packets. This shortens a reply by a third (benchmarks/bench_egm.py).
+    """
+
+    host, port, errors = "", 0, 0
+
+    def __init__(self, end: End, limits: Limits) -> None:
+        self.capabilities = end.codec.capabilities
+        self._codec, robot = copy(end.codec), end.robot
+        self._data = RobotSideCodec(robot).encode_robot(RobotMessage(0, 0, robot.q_home, robot.q_home))
+        settings, silent, itself = Settings(), SimpleNamespace(event=nobody), cast(Any, self)  # port, codec and waiting
+        arm_end = End(robot, itself, itself)
+        arm = ArmSession(arm_end, limits, settings, 0, cast(Any, silent), Fusion(()), commands=True, answer_stream=True)
+        self._arm, self._number = arm, 0
+        self._loop = Loop([arm], itself, lambda state: Command(state.q_start), settings)
+        for _ in range(_DRY_RUNS):
+            self()
+
+    def __call__(self) -> None:
+        self._number += 1
+        self._loop.answer((0, Arrival(self._data, ("", 0), time.monotonic_ns())))
+        self._arm.rows.clear()
+
+    def receive(self) -> None: ...
+
+    def send(self, data: bytes, to: tuple[str, int]) -> bool:
+        return True
+
+    def reset(self) -> None:
+        self._codec.reset()
+
+    def decode(self, data: bytes) -> Packet | Drop:
+        now, packet = time.monotonic_ns(), self._codec.decode(data)
+        if isinstance(packet, Drop):
+            return packet
+        return packet._replace(seqno=self._number, tm_ms=now // 1_000_000 % 2**32, robot_ns=now)
+
+    def encode(self, ref: Reference) -> bytes:
+        return self._codec.encode(ref)
+
+
 def _named(error: BaseException) -> str:
-    """Return type and text of an error, whatever it is."""
+    """Return type and text of any error."""
     try:
-        text = "no memory is left" if isinstance(error, MemoryError) else str(error)
+        text = "out of memory" if isinstance(error, MemoryError) else str(error)
     except Exception:
-        text = "its text cannot be read"
+        text = "unreadable text"
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -1,4 +1,4 @@
-"""`Recording`: rows and events of one arm in a run, in a file, or in memory when there is none; and to feeds."""
+"""`Recording`: rows and events of one arm during a run, stored in a file or in memory and passed on to feeds."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ _logger = logging.getLogger("armlab.bridge")
 
 
 class Feed(Protocol):
-    """What else takes the rows and events of a run: called in the loop after the reply was sent, so it must be quick.
+    """Additional consumer of the rows and events of a run; called in the loop after each reply, so it must be fast.
 
-    A feed that raises is dropped, with an event. One that has a method ``begin(tell, files, keep)`` gets at the start
-    where its own sentences are recorded, the files of the recording, and where changes of parameters are. What
-    ``summary()`` of one returns is kept with the numbers of the run.
+    A feed that raises is dropped, with an event. An optional method ``begin(tell, files, keep)`` is called at the start
+    with the event callback, the files of the recording and the callback for parameter changes. The dict returned by an
+    optional ``summary()`` is added to the statistics of the run.
     """
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
-        """Take one row: of each packet of each arm, which `state.robot` names."""
+        """Receive the row of one packet; `state.robot` names the arm."""
         ...
 
     def event(self, text: str, warn: bool = False) -> None:
-        """Take one sentence."""
+        """Receive one event."""
         ...
 
 
 def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | None]:
-    """Return the file of each arm: the name given, with the side (else the name) of the arm added when several."""
+    """Return the file of each arm; several arms add their side (else their name) to the stem."""
     if record is None:
         return [None] * len(robots)
     path = Path(record)
@@ -51,7 +51,9 @@ def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | Non
 
 
 class Recording:
-    """Where the rows of an arm go."""
+    """Recorder of one arm."""
+
+    path: Path | None
 
     def __init__(
         self,
@@ -70,26 +72,29 @@ class Recording:
         self._log = Log(robot, extra) if path is None else Tail(_KEPT_SECONDS, robot, extra)
         self._clock, self._label = clock, label
         self._feeds = [] if feeds is None else feeds
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._limited = Limited(self._keep)
+        self._held: deque[tuple[str, bool, int, bool]] = deque()  # events since the last row: no reply waits for them
         self.path = None if self._recorder is None else self._recorder.path
         self.events: deque[tuple[int, str]] = deque(maxlen=_KEPT_EVENTS)
-        self._early: list[Callable[[int], None]] = []  # what waits for its stamp
+        self._early: list[Callable[[int], None]] = []  # waiting for a time stamp
 
     def keep(self, state: State, command: Command | None, tick: Tick) -> Command | None:
-        """Keep one row in memory. Return the command as it could be kept with it, None when it could not be."""
+        """Store one row in memory. Return the command as stored, or None if it could not be stored."""
+        if self._held or self._limited.waiting:
+            self.catch_up()
         if self._early:
             self._stamp_early(tick.stamp_ns)
         try:
             self._log.row(state, command, tick)
-        except MemoryError:  # no fault of the command
+        except MemoryError:  # not the command's fault
             raise
-        except Exception as error:  # what a controller returned may be anything
+        except Exception as error:  # a controller may return anything
             command = self._keep_less(state, command, tick, error)
         return command
 
     def _keep_less(self, state: State, command: Any, tick: Tick, error: Exception) -> Command | None:
-        """Keep a row without what the controller recorded; without the command where this is none, which is refused."""
+        """Store a row without the controller's record and without an invalid command."""
         try:
             command = replace(command, record={})
             self._log.row(state, command, tick)
@@ -98,26 +103,26 @@ class Recording:
         except Exception:
             self._log.row(state, None, tick)
             return None
-        if str(error) not in self._told:
-            self._told.add(str(error))
-            self.event(f"A row was kept without what the controller recorded: {error}", warn=True)
+        if str(error) not in self._reported:
+            self._reported.add(str(error))
+            self.event(f"A row was stored without the controller's record: {error}", warn=True)
         return command
 
     def publish(self, state: State, command: Command | None, tick: Tick) -> None:
+        if self._feeds:  # first: clients wait for the row
+            self._call_feeds(lambda feed: feed.row(state, command, tick))
         if self._recorder is not None and not self._recorder.row(state, command, tick):
-            self._tell_stop(self._recorder)
+            self._report_stop(self._recorder)
         if self._feeds:
-            self._tell_feeds(lambda feed: feed.row(state, command, tick))
-        if self._limited.waiting:
             self.catch_up()
 
     def event(self, text: str, warn: bool = False, each: bool = False) -> None:
-        """Keep a sentence; it also goes to the logger ``armlab.bridge``, as a warning when something is wrong."""
+        """Store an event; it also goes to the logger ``armlab.bridge``, as a warning if `warn`."""
         self.note(f"{self._label}: {text}" if self._label else text, warn, each)
 
     def note(self, text: str, warn: bool = False, each: bool = False) -> None:
-        """Keep a sentence that concerns the whole run; see `event`, and `Limited` for those that come too often."""
-        self._limited(text, warn, self._clock(), each)
+        """Store an event of the whole run with the next row; see `event`, and `Limited` for the rate limit."""
+        self._held.append((text, warn, self._clock(), each))
 
     def parameter(self, change: Change) -> None:
         recorder = self._recorder
@@ -125,7 +130,9 @@ class Recording:
             self._stamped(lambda stamp: recorder.parameter(*change, stamp), self._clock())
 
     def catch_up(self) -> None:
-        """Keep sentences that waited, since others of their kind had come."""
+        """Store the events since the last row, and those that the rate limit has delayed."""
+        while self._held:
+            self._limited(*self._held.popleft())
         if self._limited.waiting:
             self._limited.due(self._clock())
 
@@ -133,7 +140,7 @@ class Recording:
         _logger.log(logging.WARNING if warn else logging.INFO, text)
         self._stamped(lambda stamp: self._write_event(text, stamp), stamp)
         if self._feeds:
-            self._tell_feeds(lambda feed: feed.event(text, warn))
+            self._call_feeds(lambda feed: feed.event(text, warn))
 
     def _write_event(self, text: str, stamp: int) -> None:
         self.events.append((stamp, text))
@@ -141,7 +148,7 @@ class Recording:
             self._recorder.event(text, stamp)
 
     def _stamped(self, write: Callable[[int], None], stamp: int) -> None:
-        """Write with a stamp; in lockstep, before the first packet, there is none: the first row gives it."""
+        """Write with a stamp; in lockstep, events before the first packet get the stamp of the first row."""
         if stamp:
             write(stamp)
         else:
@@ -152,28 +159,28 @@ class Recording:
         for write in waiting:
             write(stamp)
 
-    def _tell_feeds(self, tell: Callable[[Feed], None]) -> None:
+    def _call_feeds(self, call: Callable[[Feed], None]) -> None:
         for feed in tuple(self._feeds):
             try:
-                tell(feed)
+                call(feed)
             except Exception as error:  # a feed must not stop the loop
                 if feed in self._feeds:
                     self._feeds.remove(feed)
                 self.event(f"A feed was dropped: it raised {type(error).__name__}: {error}.", warn=True)
 
-    def _tell_stop(self, recorder: Recorder) -> None:
-        """Say once, while there is still something to be done about it, that nothing is written any more."""
-        if recorder.failed is not None and recorder.failed not in self._told:
-            self._told.add(recorder.failed)
+    def _report_stop(self, recorder: Recorder) -> None:
+        """Report a failed recording once, while it can still be repaired."""
+        if recorder.failed is not None and recorder.failed not in self._reported:
+            self._reported.add(recorder.failed)
             self.event(f"The recording stopped: {recorder.failed}", warn=True)
 
     def tail(self) -> Table:
-        """Return the last ten seconds."""
+        """Return the rows of the last ten seconds."""
         table = self._log.table()
         return table.between(table.t[-1] - _KEPT_SECONDS, float("inf")) if len(table) else table
 
     def table(self) -> Table:
-        """Return all rows: of the file once it is closed, else of memory."""
+        """Return all rows, from the closed file or from memory."""
         if self.path is None:
             return self._log.table()
         from armlab import log
@@ -181,16 +188,18 @@ class Recording:
         return log.read(self.path)
 
     def close(self, summary: Mapping[str, Any]) -> list[str]:
-        """Finish the file. Return what went wrong with it, in sentences."""
+        """Close the file. Return the problems of the recording as sentences."""
+        self.catch_up()
         self._limited.close()
-        self._stamp_early(time.time_ns())  # no packet came
+        self._stamp_early(time.time_ns())  # if no packet arrived
         recorder = self._recorder
         if recorder is None:
             return []
         recorder.close(dict(summary))
-        self._tell_stop(recorder)
+        self._report_stop(recorder)
+        self.catch_up()
         problems = [f"The recording stopped: {recorder.failed}"] if recorder.failed else []
         if recorder.dropped:
-            why = "they came after it stopped" if recorder.failed else "the disk was too slow"
+            why = "they arrived after it stopped" if recorder.failed else "the disk was too slow"
             problems.append(f"The recording lost {recorder.dropped} rows: {why}.")
         return problems

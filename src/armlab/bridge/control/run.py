@@ -1,4 +1,4 @@
-"""A run: its arms put together (`assemble`), and what it left behind (`finished`, `Run`, `statistics`)."""
+"""Assembly of the arms of a run (`assemble`), and its result (`finished`, `Run`, `statistics`)."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from armlab._display import Shown
 from armlab.bridge.control.arm import ArmSession, End
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.recording import Feed, Recording, paths
@@ -31,7 +33,7 @@ def checked_limits(
         given = list(limits) if isinstance(limits, list | tuple) else [limits]
     for one in given:
         if not isinstance(one, Limits):
-            raise ConfigError(f"Expected Limits, or one per arm in a list, got {one!r}. Use Limits.of(robot).")
+            raise ConfigError(f"Expected Limits, or a list with one Limits per arm, got {one!r}. Use Limits.of(robot).")
     if len(given) != len(robots):
         names = ", ".join(robot.name for robot in robots)
         raise ConfigError(f"Expected Limits for each of {names}, got {len(given)}. Use Limits.of(robot) for each.")
@@ -42,8 +44,9 @@ def checked_limits(
             )
         if commands and not np.isfinite([one.qd_max, one.qdd_max, one.jump]).all():
             raise ConfigError(
-                f"Expected limits on speed and acceleration of each joint of {robot.name}, got qd_max = {one.qd_max} "
-                f"and qdd_max = {one.qdd_max}: any jump would pass. Write them in the robot's file, or give `limits`."
+                f"Expected speed and acceleration limits for each joint of {robot.name}, got qd_max = {one.qd_max} "
+                f"and qdd_max = {one.qdd_max}, which would allow any jump. Add them to the robot's file, or pass "
+                "`limits`."
             )
     return given
 
@@ -61,12 +64,14 @@ def assemble(
     feeds: Sequence[Feed],
     sources: Sequence[Source],
 ) -> list[ArmSession]:
-    """Return the arms of one run, on one clock."""
+    """Return the arms of one run, with a common clock."""
     wall_ns = time.time_ns() - time.monotonic_ns()
-    told = list(feeds)  # one list: a feed that fails is dropped for all arms
+    active_feeds = list(feeds)  # shared: a feed that fails is dropped for all arms
     for name, column in (extra or {}).items():
         if not isinstance(column, Column):
-            raise ConfigError(f"Expected `extra` to name columns, as extra={{'{name}': Column('N')}}, got {column!r}.")
+            raise ConfigError(
+                f"Expected `extra` to map names to columns, as extra={{'{name}': Column('N')}}, got {column!r}."
+            )
     columns = {**Fusion(sources).columns, **(extra or {})}
     for source in sources:
         check_source(source, [end.robot for end in ends])
@@ -81,7 +86,7 @@ def assemble(
                 attachments=attachments,
                 wait=settings.clock == "robot",
                 clock=lambda index=index: arms[index].stamp_ns,
-                feeds=told,
+                feeds=active_feeds,
                 label=end.robot.name if len(ends) > 1 else "",
             )
             fusion = Fusion(sources, recording.event if not arms else nobody)
@@ -103,18 +108,18 @@ def assemble(
 
 
 def finished(arms: Sequence[ArmSession], reason: str, feeds: Sequence[Feed] = ()) -> Run:
-    """Close the recordings and return what the run left behind."""
+    """Close the recordings and return the result of the run."""
     runs = []
-    told = {}
+    summary = {}
     for feed in feeds:
-        told |= getattr(feed, "summary", dict)()
+        summary |= getattr(feed, "summary", dict)()
     for arm in arms:
         try:
             arm.record()
             lost = []
-        except Exception as error:  # the recording is finished all the same
+        except Exception as error:  # the recording must still be closed
             lost = [f"The last rows were not recorded: {type(error).__name__}."]
-        counted = {**statistics(arm, reason), **told}
+        counted = {**statistics(arm, reason), **summary}
         why = arm.machine.refusing
         refused = [f"The last command to {arm.robot.name} was refused. {why}"] if why else []
         problems = refused + lost + arm.recording.close(counted)
@@ -131,17 +136,22 @@ def finished(arms: Sequence[ArmSession], reason: str, feeds: Sequence[Feed] = ()
 _CLAMPS = ("position", "velocity", "acceleration", "braking", "torque", "torque rate")
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Shown):
     """The result of `Link.run`.
 
     Attributes
     ----------
-    reason : why it ended, in words.
-    path : the recording, None when rows were kept in memory or there are several arms.
-    statistics : what was counted; also kept in the recording as its summary. With several arms: under "arms", by name.
-    events : (wall clock ns, sentence).
-    arms : the Run of each arm when there are several, the pacing arm first.
+    reason : str
+        Why the run ended.
+    statistics : mapping
+        Counts and latencies, also stored in the recording as its summary; for several arms, under "arms" by name.
+    events : tuple of (int, str)
+        Wall clock [ns] and text of each event.
+    path : Path
+        The recording; None if the rows were kept in memory, or for several arms.
+    arms : tuple of Run
+        The Run of each arm if there are several, the pacing arm first.
     """
 
     reason: str
@@ -153,18 +163,21 @@ class Run:
 
     @cached_property
     def table(self) -> Table:
-        """What was measured, asked and sent, one row per packet; with several arms see `together`."""
+        """Measured, commanded and sent values, one row per packet; for several arms see `together`."""
         if self._recording is not None:
             return self._recording.table()
         return together({arm.statistics["robot"]: arm.table for arm in self.arms})
 
     def report(self) -> str:
-        """Return the run in a few lines: packets, latency, late cycles, drops, clamps per joint; see also `served`."""
+        """Return a summary in a few lines: packets, latency, late cycles, drops, clamps per joint, clients."""
         arms = [line for arm in self.arms or (self,) for line in arm._lines()]
         return "\n".join([*arms, *served((self.arms or (self,))[0].statistics)])
 
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(self.report())}</pre>"
+
     def _lines(self) -> list[str]:
-        """Return what there is to say of one arm."""
+        """Return the report of one arm."""
         s = self.statistics
         lines = [
             f"Ended: {self.reason}.",
@@ -176,14 +189,22 @@ class Run:
         if s["replies"]:
             latency = ", ".join(f"{name} {value:.0f}" for name, value in s["latency_us"].items())
             lines.append(f"Arrival to reply [us]: {latency}.")
+        if s["skipped"]:
+            share = 100.0 * s["skipped"] / (s["skipped"] + s["missed"] + s["packets"])
+            lines.append(
+                f"Cycles without a packet, by the controller's clock: {s['skipped']} ({share:.1f} %). A simulator "
+                "skips cycles on a busy computer."
+            )
         if s["left_out"]:
-            lines.append(f"Left out {s['left_out']} replies: so many messages waited in the robot's queue.")
+            lines.append(f"Skipped {s['left_out']} replies because the robot's receive queue was full.")
         drops = ", ".join(f"{number} {kind}" for kind, number in s["drops"].items())
         lines.append(f"Dropped datagrams: {drops or 'none'}. Socket errors: {s['socket_errors']}.")
         for kind, counts in s["clamps"].items():
             if any(counts):
                 worst = f", worst ratio {s['worst_ratio']:.2f}" if kind == "velocity" else ""
-                lines.append(f"Clamped by {kind}, times per joint: {', '.join(map(str, counts))}{worst}.")
+                lines.append(f"Clamped by {kind} (count per joint): {', '.join(map(str, counts))}{worst}.")
+        if self.path is not None:
+            lines.append(f"Log: {self.path}.")
         return lines + s["problems"]
 
 
@@ -200,6 +221,7 @@ def statistics(arm: ArmSession, reason: str) -> dict[str, Any]:
         "overtaken": arm.overtaken,
         "left_out": arm.trimming.left_out,
         "missed": session.missed,
+        "skipped": session.skipped,
         "late": arm.late,
         "refused": machine.refused,
         "drops": dict(session.drops),
@@ -213,7 +235,7 @@ def statistics(arm: ArmSession, reason: str) -> dict[str, Any]:
 
 
 def served(statistics: Mapping[str, Any]) -> list[str]:
-    """Return who was served and who commanded in a run with servers, and its parameters, in sentences."""
+    """Return the clients served, the commanding clients and the parameters of a run, as report lines."""
     lines = []
     for name, server in statistics.get("servers", {}).items():
         lost = f" ({server['lost']} lost)" if server["lost"] else ""
@@ -221,7 +243,7 @@ def served(statistics: Mapping[str, Any]) -> list[str]:
             f"{client} {sent}{f' ({dropped} dropped)' if dropped else ''}"
             for client, (sent, dropped) in (server["clients"] or {}).items()
         ]
-        unknown = "none" if server["clients"] is not None else "unknown, it did not answer"
+        unknown = "none" if server["clients"] is not None else "unknown, the server did not answer"
         lines.append(
             f"Rows to the server {name}: {server['rows']}{lost}. To its clients: {', '.join(clients) or unknown}."
         )
@@ -242,7 +264,8 @@ def _counted(clients: Mapping[str, int]) -> str:
 def together(tables: Mapping[str, Table]) -> Table:
     """Return the tables of several arms as one, with columns such as ``yumi_left.q``.
 
-    The rows are those of the first arm; the others have their last row at or before, and its age in ``<robot>.age``.
+    Rows are those of the first arm. Each other arm contributes its last row at or before that time; ``<robot>.age`` is
+    the age of that row.
     """
     named = [
         (robot, table.rename({name: f"{robot}.{name}" for name in table.names})) for robot, table in tables.items()

@@ -1,4 +1,4 @@
-"""`Session`: which packets count, where a session begins and ends, and why; `Sample`, one packet that counts."""
+"""`Session`: sequence numbers, start and end of EGM sessions, and dropped packets; `Sample`: one valid packet."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from statistics import median
 
 import numpy as np
 
+from armlab import kernels
 from armlab.bridge.control.limits import Reply
 from armlab.bridge.net.events import Tell, nobody
 from armlab.bridge.net.sockets import Arrival
@@ -16,23 +17,25 @@ from armlab.state import Command, State
 from armlab.wire.egm import Codec, Drop, Packet
 
 NOMINAL_PERIOD = 0.004
-"""Cycle time of EGM that is assumed before the first measurement [s]; a real controller has 4.032 ms."""
+"""EGM cycle time assumed before the first measurement [s]; a real controller uses 4.032 ms."""
 
-_LONGEST = 1.0  # s between two packets; a clock that steps further was set
+_LONGEST = 1.0  # s between two packets; a larger step means that the clock was set
 _WINDOW = 9  # samples of the median
-_TRUSTED = 1.5 * NOMINAL_PERIOD  # s, longest before the first window is complete: one gap is no cycle
+_TRUSTED = 1.5 * NOMINAL_PERIOD  # s, longest before the first window is complete: a gap is not a cycle
 _GAIN = 0.02
 _NEAR = 0.4  # of the estimate: wider than one tick of a clock in milliseconds, narrower than one skipped cycle
 _WRAP_MS = 2**32
-_SHORTEST = 2e-4  # s between two packets; those of a burst, or of a clock that is not believed, are no cycles
-_AHEAD, _BEHIND = 1e-3, 0.5  # s by which robot time may lead or trail arrival times: jitter, and a network that stood
-_STAYS = 10.0  # s: a lag of robot time that stays is no burst, it is a longer way, or a slow clock
-_DRIFT = 1e-4  # of crystals
-_WRONG, _WRONG_SHARE = 0.02, 0.01  # s, and of the time, that were not believed: less is a first packet that came late
+_SHORTEST = 2e-4  # s between two packets; shorter steps come from bursts or a wrong clock
+_AHEAD, _BEHIND = 1e-3, 0.5  # s by which robot time may lead or trail arrival: jitter, and a stalled network
+_STAYS = 10.0  # s: a longer lag of robot time is a longer route or a slow clock, not a burst
+_DRIFT = 1e-4  # of crystal oscillators
+_WRONG, _WRONG_SHARE = 0.02, 0.01  # s and fraction of time rejected; a delayed first packet causes less
 
 
 class Period:
-    """The robot's cycle time: the median of nine samples, then a slow average; relearnt when it changes."""
+    """The robot's cycle time: median of nine samples, then a slow average; re-estimated when it changes."""
+
+    seconds: float
 
     def __init__(self) -> None:
         self.seconds = NOMINAL_PERIOD
@@ -40,7 +43,7 @@ class Period:
         self._learnt = False
 
     def add(self, sample: float) -> bool:
-        """Add the time between two packets per difference of their numbers [s]; return whether the cycle changed."""
+        """Add the time between packets divided by the difference of their numbers [s]; return whether it changed."""
         if sample < _SHORTEST:
             return False
         self._recent.append(sample)
@@ -60,22 +63,25 @@ class Period:
 
 
 class RobotClock:
-    """Differences of robot time: feedBack.time, else the header's tm, else arrival; never faster than arrivals allow.
+    """Increments of robot time from feedBack.time, else from the header's tm, else from the arrival times.
 
-    A source that steps back, stands still or jumps by more than 1 s is not used for that step. A tm that is the same in
-    two packets is too coarse for the cycle, below 1 ms, and is not used again: its next step would count twice.
-    A reference may move on by no more than `believed`: robot time may lead arrival times, those of the fastest packets,
-    by 1 ms, and trail them by 0.5 s, in which a network that stood delivers what waited.
+    A clock that steps back, stands still or jumps by more than 1 s is not used for that step. A tm that repeats is too
+    coarse for the cycle and is not used again, because its next step would count twice. `believed` bounds the step of a
+    reference: robot time may lead the arrivals of the fastest packets by 1 ms and trail them by 0.5 s, for example
+    after a network stall.
     """
+
+    exact: bool
+    believed: float
 
     def __init__(self, checks_arrival: bool = True, on_event: Tell = nobody) -> None:
         self._checks_arrival, self._on_event = checks_arrival, on_event
         self.exact = self._is_coarse = False
         self.believed = 0.0
-        self._lead = self._cut_off = 0.0  # s of robot time beyond arrival time, and of what was not believed
+        self._lead = self._cut_off = 0.0  # s of robot time ahead of arrival, and of rejected robot time
         self._trails = 0.0  # s for which robot time has trailed
         self._trailed = False
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._last: tuple[int, int | None, int] | None = None  # robot ns, tm ms, arrival ns
 
     def step(self, packet: Packet, arrival_ns: int) -> float | None:
@@ -91,9 +97,9 @@ class RobotClock:
                 self.exact, claimed = True, dt
             else:
                 what = "stands still" if dt == 0.0 else f"was set by {dt:+.3f} s"
-                self._tell(
+                self._report_once(
                     "set" if dt else "still",
-                    f"The robot's clock {what}. This step is measured by the header's tm or by arrival.",
+                    f"The robot's clock {what}. This step is measured by the header's tm or by arrival times.",
                 )
         if claimed is None and packet.tm_ms is not None and tm_ms is not None and not self._is_coarse:
             dt = 1e-3 * ((packet.tm_ms - tm_ms) % _WRAP_MS)
@@ -105,7 +111,7 @@ class RobotClock:
         self.believed = dt = min(claimed, max(arrived + _AHEAD - self._lead, 1e-6))
         self._cut_off = max(self._cut_off + claimed - dt - _WRONG_SHARE * arrived, 0.0)
         if self._cut_off > _WRONG:
-            self._tell(
+            self._report_once(
                 "fast",
                 f"The robot's clock runs ahead of ours: it claims {1e3 * claimed:.1f} ms between packets that arrived "
                 f"{1e3 * arrived:.1f} ms apart. Steps are limited to the time between arrivals.",
@@ -114,37 +120,37 @@ class RobotClock:
         self._lead -= forgotten if self._lead > 0.0 else -forgotten
         self._lead = max(self._lead + dt - arrived, -_BEHIND)
         self._trails = self._trails + arrived if self._lead < -_WRONG else 0.0
-        if self._trails > _STAYS:  # the arrivals now are the fastest ones
+        if self._trails > _STAYS:  # the current arrivals are the new reference
             if self._trailed:
-                self._tell("slow", "The robot's clock runs behind ours: steps are those of the slower clock.")
+                self._report_once("slow", "The robot's clock runs behind ours: steps follow the slower clock.")
             self._lead, self._trails, self._trailed = 0.0, 0.0, True
         return claimed
 
-    def _tell(self, kind: str, text: str) -> None:
-        if kind not in self._told:
-            self._told.add(kind)
+    def _report_once(self, kind: str, text: str) -> None:
+        if kind not in self._reported:
+            self._reported.add(kind)
             self._on_event(text, warn=True)
 
 
 EGM_ERROR = "the controller reported an EGM error"
-"""Why a session ended, when the robot's controller ended it."""
+"""Reason for the end of a session when the robot controller reports an error."""
 
 _SEQUENCES = 2**32
-_HALF = 2**31  # ms ahead: a tm that is further is one of the past
-_FAR = 2**16  # packets ahead: less than 2**31 of them do not fit into the silence that ends a session
-_FILTER = 30.0  # Hz, of velocities from differences
-_OVERTAKEN_MS = 100  # a first packet that is older by less was overtaken on the way: it begins no session
+_HALF = 2**31  # ms: a tm further ahead is in the past
+_FAR = 2**16  # packets ahead; no more fit into the silence that ends a session
+_FILTER = 30.0  # Hz, for velocities from differences
+_OVERTAKEN_MS = 100  # a first packet older by less was overtaken in transit: it begins no session
 _SILENT_PERIODS = 5  # of the old source, before another port of the same host may begin a session
-_FOLLOWERS = 3  # packets out of order that go on from each other are a session of their own
-_REMEMBERED = 8  # sessions whose first packet may come again
-_OWN_SILENCE = 150_000_000  # ns without a reply: shorter than any CommTimeout in use
-_FOREIGN = Drop("foreign source", "only the first sender of a session is answered, each motion task needs its own port")
+_FOLLOWERS = 3  # consecutive packets out of order are a session of their own
+_REMEMBERED = 8  # sessions whose first packet may arrive again
+_OWN_SILENCE = 150_000_000  # ns without a reply: shorter than any usual CommTimeout
+_FOREIGN = Drop("foreign source", "only the first sender of a session is answered; each motion task needs its own port")
 _MOTORS_OFF, _RAPID_STOPPED, _MCI_ERROR, _MCI_RUNNING = 2, 1, 1, 3
 
 
 @dataclass(slots=True, eq=False)
 class Sample:
-    """One packet that counts, and what becomes of it in the loop: by default it is overtaken by a newer one."""
+    """One valid packet and its reply; a packet without a reply was overtaken by a newer one."""
 
     packet: Packet
     arrival_ns: int
@@ -157,8 +163,8 @@ class Sample:
     step: float  # s by which a reference may move on
     state: State = field(init=False)
     stamp_ns: int = 0  # of its row
-    deadline_ns: float = 0.0  # when its reply is late, on our monotonic clock
-    wake_ns: int = 0  # how long it waited for the loop
+    deadline_ns: float = 0.0  # of the reply, on our monotonic clock
+    wake_ns: int = 0  # from arrival to the loop
     command: Command | None = None
     reply: Reply | None = None
     seq: int = -1
@@ -168,24 +174,36 @@ class Sample:
 
 
 class Session:
-    """Follows one robot controller: sequence numbers, sources, sessions.
+    """Tracks one robot controller: sequence numbers, sources, sessions.
 
-    Numbers compare modulo 2**32. A packet with number 0 begins a session, also when its clock went back (the robot
-    restarted), unless its `tm` is that of the first packet of this session or one before: a late duplicate. So do the
-    first packet of all and the first after a silence. Packets that go on from each other but lie before the newest one
-    are a session whose beginning was lost: it begins with the third of them, once the others are silent for five
-    periods. Each session has replies from number 0, also when another port took over.
+    Numbers are compared modulo 2**32. The following packets start a session, whose replies are numbered from 0:
+
+    - the first packet, and the first after a silence;
+    - number 0, also with an earlier clock (the robot restarted), unless its `tm` equals that of this session's first
+      packet or a previous one: that is a late duplicate;
+    - the third consecutive packet older than the newest one, once the others are silent for five periods: the first
+      packet of that session was lost.
     """
+
+    number: int
+    active: bool
+    received: int
+    missed: int
+    skipped: int
+    seq: int
+    total_drops: int
+    period: Period
+    reason: str
 
     def __init__(self, codec: Codec, timeout: float = 0.5, on_event: Tell = nobody) -> None:
         self._codec, self._timeout_ns, self._on_event = codec, 1e9 * timeout, on_event
         self.number, self.active = 0, False
         self.source: tuple[str, int] | None = None
-        self.received = self.missed = self.seq = self.total_drops = 0
+        self.received = self.missed = self.skipped = self.seq = self.total_drops = 0
         self.drops: Counter[str] = Counter()
         self.period = Period()
         self.reason = ""
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._clock = self._new_clock()
         self._last: Sample | None = None
         self._first_tm: int | None = None
@@ -214,16 +232,16 @@ class Session:
         return self._begin(arrival) if missed < 0 else self._sample(packet, arrival, missed)
 
     def silent(self, now_ns: int) -> bool:
-        """Return whether the robot has been silent for so long that its session is over."""
+        """Return whether the robot has been silent for longer than the timeout."""
         return self.active and self._last is not None and now_ns - self._last.arrival_ns >= self._timeout_ns
 
     def replied(self, now_ns: int) -> None:
-        """Note that a reply left: the next has the next number."""
+        """Count a reply that was sent."""
         self.seq += 1
         self._replied_ns = now_ns
 
     def end(self) -> str:
-        """End the session and return why it ended, in words: the first cause that fits its last packet."""
+        """End the session and return the reason, which is the first cause that fits its last packet."""
         if self.active and self._last is not None:
             self.reason = self._why(self._last)
             self._on_event(f"Session {self.number} ended: {self.reason}.", warn=True)
@@ -234,7 +252,7 @@ class Session:
         packet = last.packet
         own = last.arrival_ns - max(self._replied_ns, self._begun_ns)
         causes = (
-            (packet.converged, "the convergence condition of EGMAct was met (a window of zero never is)"),
+            (packet.converged, "the convergence condition of EGMAct was met (a window of zero is never met)"),
             (packet.motors == _MOTORS_OFF, "the motors were switched off"),
             (packet.rapid == _RAPID_STOPPED, "RAPID was stopped"),
             (packet.mci == _MCI_ERROR, EGM_ERROR),
@@ -246,14 +264,14 @@ class Session:
         return next((text for holds, text in causes if holds), "the controller stopped sending")
 
     def _count(self, packet: Packet, last: Packet) -> int | Drop:
-        """Return the packets lost between two, -1 for a new session, or why the later one does not count."""
+        """Return the number of packets lost between two, -1 for a new session, or why the later one is dropped."""
         now, then = packet.tm_ms, last.tm_ms
-        is_late = now is not None and then is not None and (now - then) % _SEQUENCES >= _HALF  # of a session before
+        is_late = now is not None and then is not None and (now - then) % _SEQUENCES >= _HALF  # of an earlier session
         ahead = (packet.seqno - last.seqno) % _SEQUENCES
         if packet.seqno == 0 and ahead != 1:
             same_tm = now == self._first_tm if now is not None else last.seqno == 0
             if same_tm:
-                return Drop("duplicate", "the first packet of the session again")
+                return Drop("duplicate", "repetition of the first packet of the session")
             is_own = now is not None and self._first_tm is not None and 0 < self._first_tm - now < _OVERTAKEN_MS
             if not is_own and (now is None or now not in self._past_tms):
                 return -1
@@ -264,18 +282,18 @@ class Session:
         return ahead - 1
 
     def _goes_on(self, packet: Packet, arrival: Arrival) -> bool:
-        """Whether packets out of order are a session whose first packet was lost."""
+        """Whether out-of-order packets belong to a session whose first packet was lost."""
         before, count, since_ns = self._stray or (None, 0, 0)
         follows = before is not None and packet.seqno == (before.seqno + 1) % _SEQUENCES
         if before is not None and packet.tm_ms is not None and before.tm_ms is not None:
             follows = follows and 0 < (packet.tm_ms - before.tm_ms) % _SEQUENCES < _HALF
         count, since_ns = (count + 1, since_ns) if follows else (1, arrival.ns)
         self._stray = packet, count, since_ns
-        in_time = arrival.ns - since_ns > 0.5e9 * (_FOLLOWERS - 1) * self.period.seconds  # delayed ones come at once
+        in_time = arrival.ns - since_ns > 0.5e9 * (_FOLLOWERS - 1) * self.period.seconds  # delayed packets are a burst
         return count >= _FOLLOWERS and in_time and self._is_quiet(arrival)
 
     def _is_quiet(self, arrival: Arrival) -> bool:
-        """Whether the session has been silent for so long that another may take its place."""
+        """Whether another source may replace the session because the session is silent."""
         last = self._last
         return last is not None and arrival.ns - last.arrival_ns > _SILENT_PERIODS * 1e9 * self.period.seconds
 
@@ -289,7 +307,7 @@ class Session:
         self.period, self._clock, self._last = Period(), self._new_clock(), None
         self._past_tms.append(self._first_tm)
         self._first_tm, self._begun_ns = packet.tm_ms, arrival.ns
-        self._told.clear()
+        self._reported.clear()
         host, port = arrival.source
         self._on_event(
             f"Session {self.number} began: RobotWare {packet.robotware}, {len(packet.q)} joints, {host}:{port}."
@@ -297,7 +315,7 @@ class Session:
         return self._sample(packet, arrival, 0)
 
     def _new_clock(self) -> RobotClock:
-        return RobotClock(math.isfinite(self._timeout_ns), self._on_event)  # in lockstep arrivals keep no time
+        return RobotClock(math.isfinite(self._timeout_ns), self._on_event)  # lockstep: arrival times mean nothing
 
     def _sample(self, packet: Packet, arrival: Arrival, missed: int) -> Sample:
         last = self._last
@@ -306,6 +324,8 @@ class Session:
             dt = believed = self.period.seconds
         else:
             before, believed = self.period.seconds, self._clock.believed
+            if self._clock.exact:
+                self.skipped += max(round(dt / before) - 1 - missed, 0)
             if self.period.add(believed / (missed + 1)):
                 change = f"from {1e3 * before:.2f} to {1e3 * self.period.seconds:.2f} ms"
                 self._on_event(f"The cycle time of the robot changed {change}.", warn=True)
@@ -314,10 +334,8 @@ class Session:
         elif last is None:
             qd, source = np.zeros_like(packet.q), "difference"
             qd.flags.writeable = False
-        else:  # through a first-order low-pass, from rest
-            share = 1.0 - math.exp(-2.0 * math.pi * _FILTER * dt)
-            qd, source = last.qd + share * ((packet.q - last.packet.q) / dt - last.qd), "difference"
-            qd.flags.writeable = False
+        else:
+            qd, source = kernels.filtered_velocity(packet.q, last.packet.q, last.qd, dt, _FILTER), "difference"
         self.received += 1
         self.missed += missed
         self._stray = None
@@ -328,9 +346,9 @@ class Session:
     def _drop(self, drop: Drop, arrival: Arrival) -> None:
         self.drops[drop.reason] += 1
         self.total_drops += 1
-        if drop.reason not in self._told:
-            self._told.add(drop.reason)
+        if drop.reason not in self._reported:
+            self._reported.add(drop.reason)
             host, port = arrival.source
             bytes_ = arrival.data[:32].hex(" ")
-            what = f"Dropped a datagram from {host}:{port}, {drop.reason}: {drop.detail}. It begins {bytes_}."
+            what = f"Dropped a datagram from {host}:{port}, {drop.reason}: {drop.detail}. First bytes: {bytes_}."
             self._on_event(what, warn=True)

@@ -1,12 +1,12 @@
-"""The state machine of a run: `Mode`, and `StateMachine`, which says what is sent for each packet.
+"""State machine of a run: `Mode`, and `StateMachine`, which chooses the reply to each packet.
 
-WAITING -> HOLDING (not ready: feedback is sent back; ready: a frozen position) -> RUNNING -> STOPPING -> ENDED.
-LISTENING sends nothing, ever. *Hold* means everywhere: the sent velocity ramps to zero within the acceleration limits,
-then the position reached is repeated with speed zero.
+WAITING -> HOLDING (not ready: the feedback is echoed; ready: the position is frozen) -> RUNNING -> STOPPING -> ENDED.
+LISTENING never sends. *Hold* always means that the sent velocity ramps to zero within the acceleration limits and the
+position then stays constant.
 
-The step of a reference is the measured robot time since the last reference that went out. Feedback that is not
-plausible is never sent back and never held at: the robot becomes ready with the third plausible packet in a row, and
-three implausible ones in a row stop the run.
+The step of a reference is the measured robot time since the last reference sent. Implausible feedback is never echoed
+or held. The robot becomes ready after three plausible packets in a row; three implausible packets in a row stop the
+run.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from armlab import kernels
 from armlab.bridge.control.external_axes import ExternalReferences, joined
 from armlab.bridge.control.feedback import MCI_RUNNING, READY_AFTER, STOP_AFTER, FeedbackCheck, Readiness
-from armlab.bridge.control.limits import Limits, Reply, entry_refusal, limiter_of, refusal, wanted
+from armlab.bridge.control.limits import Limits, Reply, entry_refusal, limiter_of, refusal, requested
 from armlab.bridge.control.session import Sample
 from armlab.bridge.control.torque import Admittance, Torques
 from armlab.bridge.net.events import Tell, nobody
@@ -28,20 +29,20 @@ from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Packet
 
-_SETTERS = tuple(getattr(State, name).__set__ for name in State.__slots__)  # a third of the time of its constructor
-_PLAIN = State(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
+SLOTS = tuple(getattr(State, name) for name in State.__slots__)
+PLAIN = State(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 STOP_TIME = 0.5  # s at rest before a run ends
-_UNSENT = 500  # replies that do not go out end a stop: 2 s, after which the robot's own time-out has acted
+_UNSENT = 500  # unsent replies end a stop: after 2 s the robot's own time-out has acted
 _REFUSALS = 3  # in a row end the run
-_GAP = 3.0  # periods within which a reference may move on after a gap
+_GAP = 3.0  # periods: largest step of a reference after a gap
 _ENTRY_PATIENCE = 1.0  # s of refused entries before a warning
 _BITS = 1, 2, 4, 8, 16, 32  # of `Reply.clamped`
 
 
 class Mode(Enum):
-    """Where a run is."""
+    """Mode of a run."""
 
     WAITING = "waiting"
     LISTENING = "listening"
@@ -51,12 +52,23 @@ class Mode(Enum):
     ENDED = "ended"
 
 
-_ASKED, _UNANSWERED = (Mode.HOLDING, Mode.RUNNING), (Mode.WAITING, Mode.LISTENING)
+_CALLING, _UNANSWERED = (Mode.HOLDING, Mode.RUNNING), (Mode.WAITING, Mode.LISTENING)
 _LAST = (Mode.STOPPING, Mode.ENDED)
 
 
 class StateMachine:
-    """Decides, packet by packet, whether the controller is asked and what is sent."""
+    """Decides for each packet whether the controller is called and which reply is sent."""
+
+    ready: bool
+    t: float
+    elapsed: float
+    q_start: np.ndarray
+    reason: str
+    refusing: str
+    clamps: np.ndarray
+    worst_ratio: float
+    refused: int
+    guided: bool
 
     def __init__(
         self,
@@ -70,11 +82,12 @@ class StateMachine:
         admittance: Admittance | None = None,
     ) -> None:
         self._robot, self._limits = robot, limits
+        self._capabilities = capabilities
         self._torques = Torques(robot, limits, capabilities, admittance)
         self._answer_stream, self._on_event = answer_stream, on_event
         self._limiter, self._external = limiter_of(limits, robot), ExternalReferences(limits.external, capabilities)
         self._last = self._limiter.rest(np.full(robot.n, np.nan))
-        self._no_torque = self._last.q  # NaN: what a robot does not measure
+        self._no_torque = self._last.q  # NaN: unmeasured
         self.mode = Mode.WAITING if commands else Mode.LISTENING
         self.ready = False
         self.t = self.elapsed = self._rested = self._waited = 0.0
@@ -86,7 +99,7 @@ class StateMachine:
         self.refused = self._refused_in_a_row = self._unsent = 0
         self._packet: Packet | None = None
         self._feedback, self._readiness = FeedbackCheck(robot, limits), Readiness()
-        self._dt = self._passed = 0.0  # s since the last reference that went out, and since the last packet
+        self._dt = self._passed = 0.0  # s since the last reference sent, and since the last packet
         self._longest = np.inf
         self._before = self._memory
         self._qd = self._last.qd
@@ -94,11 +107,11 @@ class StateMachine:
 
     @property
     def calls(self) -> bool:
-        return self.ready and not self._doubtful and self.mode in _ASKED
+        return self.ready and not self._doubtful and self.mode in _CALLING
 
     @property
     def _may_be_guided(self) -> bool:
-        """Whether a robot that was ready has only stopped reporting its states: it holds, no step to the feedback."""
+        """Whether a robot has merely stopped reporting readiness; it then holds without a step to the feedback."""
         return self.guided and self._readiness.is_unknown
 
     @property
@@ -107,7 +120,7 @@ class StateMachine:
         return self._dt, self._rested, self._last, self._limiter.memory, self._torques.memory, external
 
     def observe(self, sample: Sample) -> None:
-        """Take one sample: readiness, time, transitions. The newest one observed is the one that `answer` answers."""
+        """Update readiness, time and mode with one sample; `answer` replies to the newest one."""
         packet, self._qd = sample.packet, sample.qd
         self._packet = packet
         if sample.fresh:
@@ -140,7 +153,7 @@ class StateMachine:
         if ready and self.ready:
             self.elapsed += sample.dt
         elif ready and was_unknown:
-            self._on_event("The states of the robot are back.")
+            self._on_event("The robot reports its states again.")
         elif ready:
             self._become_ready(packet)
         elif self.ready:
@@ -149,8 +162,8 @@ class StateMachine:
         self.ready = ready
 
     def state(self, sample: Sample, t_receive: int, fused: Mapping[str, Any]) -> State:
-        """Return what the controller sees of a sample just observed, the reply before it, and what is `fused`."""
-        packet, last, plain = sample.packet, self._last, _PLAIN
+        """Return the controller's view of the sample just observed, with the previous reply and `fused` fields."""
+        packet, last, plain = sample.packet, self._last, PLAIN
         (
             seqno, _, robot_ns, q, q_planned, q_ext, _, tau, tau_source, T_frame_tool, wrench_raw, motors, mci, rapid,
             converged, utilization, robotware, rapid_data, rapid_digital, _, _,
@@ -162,22 +175,20 @@ class StateMachine:
             utilization, robotware, rapid_data, rapid_digital, robot_ns, t_receive, plain.sources, self._robot.name,
             0.0, plain.details, (),
         )  # fmt: skip
-        state = object.__new__(State)
-        for write, value in zip(_SETTERS, values, strict=True):
-            write(state, value)
+        state: State = kernels.filled(State, SLOTS, values)
         for name, value in fused.items():
             object.__setattr__(state, name, value)
         return state
 
     def answer(self, command: Command | None, period: float) -> Reply | None:
-        """Return the reply to the newest packet observed, or None when nothing is sent."""
+        """Return the reply to the newest observed packet, or None to send nothing."""
         packet, self._before = self._packet, self._memory
         if packet is None or self.mode in _UNANSWERED:
             return None
-        if self.mode is Mode.ENDED and self._rested < STOP_TIME:  # one that rests is answered while other arms stop
+        if self.mode is Mode.ENDED and self._rested < STOP_TIME:  # an arm at rest still replies while others stop
             return None
         self._longest = _GAP * period
-        if self._dt == 0.0:  # this packet has its reply
+        if self._dt == 0.0:  # this packet was answered
             return self._last
         if not self.ready and self._may_be_guided:
             self._last = self._held()
@@ -197,13 +208,13 @@ class StateMachine:
             self.refusing = ""
             self._last = self._follow(Command() if command is None else command, packet)
         self._dt = 0.0
-        if any(self._last.clamped.tobytes()):  # a tenth of the time of its method `any`
+        if any(self._last.clamped.tobytes()):  # takes a tenth of the time of ndarray.any
             self.clamps += [(self._last.clamped & bit) != 0 for bit in _BITS]
             self.worst_ratio = min(self.worst_ratio, self._last.ratio)
         return self._last
 
     def hold(self, period: float) -> Reply | None:
-        """Return the reply to the newest packet when the controller is overdue: hold, and stay in the mode."""
+        """Return the hold reply to the newest packet while the controller is overdue; the mode is unchanged."""
         if not self.calls or self._dt == 0.0:
             return self.answer(None, period)
         self._before, self._longest = self._memory, _GAP * period
@@ -211,7 +222,7 @@ class StateMachine:
         return self._last
 
     def take_back(self, waits: bool = False) -> None:
-        """Forget the last reply, which did not go out: the next one goes on from the reference that the robot has."""
+        """Undo the last reply, which was not sent; the next reply continues from the robot's last reference."""
         self._dt, rested, self._last, self._limiter.memory, self._torques.memory, external = self._before
         if external is not None:
             self._external.memory = external
@@ -222,18 +233,18 @@ class StateMachine:
         self._rested, self._unsent = rested, self._unsent + 1
         if self._unsent >= _UNSENT:
             problem = (
-                f"Expected the replies that bring the arm to rest to go out, but {_UNSENT} of them did not go out. The "
-                "robot keeps the last reference until its own time-out. Check the network of this computer."
+                f"Expected the replies that bring the arm to rest to be sent, got {_UNSENT} unsent replies. The robot "
+                "keeps the last reference until its own timeout. Check the network of this computer."
             )
             self.mode, self.failure = Mode.ENDED, self.failure or LinkError(problem)
             self._on_event(problem, warn=True)
 
     def stop(self, reason: str, failure: LinkError | None = None) -> None:
-        """Bring the arm to rest and end; the first reason stays."""
+        """Bring the arm to rest and end; the first reason is kept."""
         if self.mode in _LAST:
             return
         self.reason, self.failure = reason, failure
-        self.mode = Mode.ENDED if self.mode in _UNANSWERED else Mode.STOPPING  # whatever becomes of the sentence
+        self.mode = Mode.ENDED if self.mode in _UNANSWERED else Mode.STOPPING  # first: the event may fail
         self._on_event(f"Stopping: {reason}.")
 
     def lose(self, reason: str, resume: bool) -> None:
@@ -248,9 +259,9 @@ class StateMachine:
 
     def _follow(self, command: Command, packet: Packet) -> Reply:
         try:
-            q, qd, tau = wanted(command, self._robot)
+            q, qd, tau = requested(command, self._robot)
             if tau is not None:
-                q, qd, tau = self._torques.wanted(q, qd, tau, packet.q, self._qd)
+                q, qd, tau = self._torques.requested(q, qd, tau, packet.q, self._qd, packet.tau is not None)
             if command.ends:
                 self.stop("the controller ended the run")
                 return self._held()
@@ -264,7 +275,7 @@ class StateMachine:
         return reply if beside is None else joined(reply, beside)
 
     def _moved(self, q: np.ndarray | None, qd: np.ndarray | None, tau: np.ndarray | None, packet: Packet) -> Reply:
-        """Return the reply for the joints to a command that is well formed."""
+        """Return the reply for the joints to a valid command."""
         if q is None and qd is None:
             if tau is not None:
                 return self._free(tau, packet)
@@ -285,7 +296,7 @@ class StateMachine:
         return reply
 
     def _free(self, tau: np.ndarray, packet: Packet) -> Reply:
-        """A torque alone: no position loop, as long as the arm stays within its limits."""
+        """Reply to a torque-only command, without a position loop while the arm stays within its limits."""
         problem = self._torques.outside(packet.q, self._qd)
         if problem:
             self._refuse(problem)
@@ -328,13 +339,17 @@ class StateMachine:
         self._refused_in_a_row, self._waited, self._warned = 0, 0.0, False
         if not self.guided:
             self.guided, self.t, self.q_start = True, 0.0, packet.q
+            if packet.tau is None and "torque" in self._capabilities:
+                self._on_event(
+                    "The robot reports no torques, so it accepts no torque commands and its contact force is unknown."
+                )
         self._on_event("The robot is ready and holds.")
 
     def _doubt(self, problem: str) -> None:
-        """Tell of a feedback that is not plausible; three in a row stop the run."""
+        """Report implausible feedback; three packets in a row stop the run."""
         if self._feedback.implausible <= 1.0:
             self._on_event(problem, warn=True)
         if self._feedback.implausible >= STOP_AFTER and (self.ready or self._feedback.q is None):
-            self.stop("the feedback is not plausible", LinkError(problem))
-            if not self.ready:  # nothing is sent back: in wrong units it would be a jump
+            self.stop("the feedback is implausible", LinkError(problem))
+            if not self.ready:  # feedback in wrong units must not be echoed: the arm would jump
                 self._rested, self.mode = 0.0, Mode.ENDED

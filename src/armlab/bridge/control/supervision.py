@@ -1,4 +1,4 @@
-"""When a run ends for reasons outside the controller: silence, a robot that is gone, sessions that end at once.
+"""Reasons to end a run outside the controller: silence, a lost robot, sessions that end immediately.
 
 `Settings` of a run.
 """
@@ -17,57 +17,58 @@ from armlab.bridge.net.sockets import Port
 from armlab.errors import ControllerFailed, LinkError, NoRobot, SessionEnded
 
 _CHECKLIST_AFTER = 5.0  # s without any packet
-_BRIEF = 0.1  # s under guidance: a session that ends sooner did not move the run on
-_BRIEF_IN_A_ROW = 10  # end the run: `Settings.seconds` counts time under guidance, of which they have none
+_BRIEF = 0.1  # s under guidance: a shorter session does not advance the run
+_BRIEF_IN_A_ROW = 10  # end the run: `Settings.seconds` counts only time under guidance
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How a loop runs."""
+    """Settings of a loop."""
 
     seconds: float | None = None
     resume: bool = True
     clock: Literal["wall", "robot"] = "wall"
     patience: float = 30.0
-    alive: Callable[[], str] = str  # says why the robot is gone, "" while it is not
+    alive: Callable[[], str] = str  # returns why the robot is lost, "" while it runs
     progress: Callable[[float], None] | None = None
 
 
 class Supervisor:
-    """Looks, whenever no packet came or a session begins, whether the session or the run is over."""
+    """Detects the end of a session or run; called when no packet has arrived and when a session begins."""
 
     def __init__(self, port: Port, session: Session, machine: StateMachine, settings: Settings, on_event: Tell) -> None:
         self._port, self._session, self._machine, self._settings = port, session, machine, settings
         self._on_event = on_event
         port.on_lost = self._stop_without_descriptors
-        self._told = False
+        self._reported = False
         self._elapsed, self._brief = 0.0, 0
 
-    def check_silence(self, heard_ns: int) -> None:
-        """End the session after silence, and the run when nothing more can come."""
+    def check_silence(self, last_packet_ns: int) -> None:
+        """End the session after silence, and the run if no packet can follow."""
         machine, session, now = self._machine, self._session, time.monotonic_ns()
         if session.silent(now):
             machine.lose(session.end(), self._settings.resume)
-        failure = None
         try:
-            gone = self._settings.alive()
+            lost, failure = self._settings.alive(), None
         except LinkError as error:
-            gone, failure = "the robot is gone", error
-        quiet = 1e-9 * (now - heard_ns)
-        if not gone and quiet > self._settings.patience:
-            gone, failure = "no packet came", self._silence()
-        if gone:
-            machine.stop(gone, failure)
+            lost, failure = "the robot is lost", error
+        quiet = 1e-9 * (now - last_packet_ns)
+        if not lost and quiet > self._settings.patience:
+            lost, failure = "no packet arrived", self._silence()
+        if lost:
+            machine.stop(lost, failure)
             session.end()
-            machine.lose(gone, resume=False)
-        elif quiet > _CHECKLIST_AFTER and not session.number and not self._told:
-            self._told = True
+            machine.lose(lost, resume=False)
+        elif quiet > _CHECKLIST_AFTER and not session.number and not self._reported:
+            self._reported = True
             self._on_event(f"No packet yet. {check_list(self._port)}", warn=True)
 
     def judge(self) -> None:
-        """End the run when too many sessions in a row ended at once. Called before the machine observes another one.
+        """End the run when too many sessions in a row ended immediately; called before the state machine observes a new
+        one.
 
-        Without guidance a robot may wait for its operator, and such a session does not count; in lockstep nobody comes.
+        Except in lockstep, a session without guidance does not count, because the robot may be waiting for its
+        operator.
         """
         machine, session = self._machine, self._session
         gained, self._elapsed = machine.elapsed - self._elapsed, machine.elapsed
@@ -83,37 +84,38 @@ class Supervisor:
         if self._brief >= _BRIEF_IN_A_ROW:
             kind = "packets" if machine.mode is Mode.LISTENING else "guidance"
             failure = SessionEnded(
-                f"Expected a session with {kind} for {_BRIEF:g} s or more, but {self._brief} in a row ended sooner, "
-                f"the last because {session.reason}. The event log of the robot's controller says more; a usual cause "
-                "is a reference that it refuses, too far away or too fast."
+                f"Expected a session with {kind} for {_BRIEF:g} s or more, got {self._brief} shorter sessions in a "
+                f"row; the last one ended because {session.reason}. Read the event log of the robot's controller; a "
+                "usual cause is a refused reference that is too far away or too fast."
             )
-            machine.stop("sessions ended at once", failure)
+            machine.stop("sessions ended immediately", failure)
 
     def _stop_without_descriptors(self) -> None:
-        """Bring the arm to rest over the socket that was bound again."""
+        """Bring the arm to rest via the re-bound socket."""
         self._machine.stop(
             "file descriptors were closed",
             ControllerFailed(
-                "The controller, or other code in this process, closed file descriptors that it had not opened, the "
-                "bridge's socket among them. The arm was stopped. Close only the files that the controller opens."
+                "The controller or other code in this process closed file descriptors it did not open, including the "
+                "bridge's socket. The arm was stopped. Close only the files that the controller opens."
             ),
         )
 
     def _silence(self) -> LinkError:
         session, seconds = self._session, self._settings.patience
         if session.number:
-            return SessionEnded(f"Expected another packet within {seconds:g} s, but none came: {session.end()}.")
+            return SessionEnded(f"Expected another packet within {seconds:g} s, got none: {session.end()}.")
         others = ", ".join(f"{number} {kind}" for kind, number in session.drops.items())
-        heard = f" Datagrams that are no packets of a robot came: {others}." if others else ""
+        received = f" Other datagrams arrived: {others}." if others else ""
         return NoRobot(
-            f"Expected packets from a robot within {seconds:g} s, but none came.{heard} {check_list(self._port)}"
+            f"Expected packets from a robot within {seconds:g} s, got none.{received} {check_list(self._port)}"
         )
 
 
 def check_list(port: Port) -> str:
-    """Return what to check when no packet comes, in sentences."""
-    loopback = " That address hears programs on this computer only." if port.host.startswith("127.") else ""
+    """Return what to check when no packet arrives."""
+    loopback = " That address receives only from programs on this computer." if port.host.startswith("127.") else ""
     return (
-        f"Listening on {port.host}:{port.port}.{loopback} Check that the controller's UDPUC device has this computer's "
-        f"address and port {port.port}, that RAPID runs EGMStreamStart or EGMRunJoint, and that no firewall drops UDP."
+        f"Listening on {port.host}:{port.port}.{loopback} Check that the controller's UDPUC device specifies this "
+        f"computer's address and port {port.port}, that RAPID runs EGMStreamStart or EGMRunJoint, and that no "
+        "firewall drops UDP."
     )

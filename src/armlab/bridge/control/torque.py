@@ -1,7 +1,7 @@
-"""Torques on their way to the robot: what is asked for, what may be sent, and an admittance for links without torques.
+"""Torque references: requests, limits, and an admittance for links without torques.
 
-A torque beside a position or velocity is a feed-forward. A torque alone takes the place of the position loop: the drive
-then adds gravity only, and the position sent is the one measured, from which a hold begins.
+A torque sent with a position or velocity is feed-forward. A torque alone replaces the position loop: the drive then
+adds gravity compensation only. The measured position is also sent, and a hold starts from it.
 """
 
 from __future__ import annotations
@@ -13,27 +13,30 @@ import numpy as np
 
 from armlab.bridge.control.limits import Limits, Reply
 from armlab.errors import CommandRefused, ConfigError
+from armlab.estimation.fit import Fit, value_of
+from armlab.models import TorqueModel
 from armlab.robots import Robot
 from armlab.wire.egm.axes import Linkage
 
-TorqueModel = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""From positions and velocities (n,) to the torques (n,) that a free motion needs."""
+TorqueFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Torques (n,) of a free motion from positions and velocities (n,)."""
+FreeTorque = TorqueFunction | TorqueModel | Fit[TorqueModel]
 
 _CLIPPED, _SLOWED = 16, 32
-_SLACK = 1e-9  # N m: rounding is not a clamp
+_SLACK = 1e-9  # N m: rounding does not count as a clamp
 
 
 @dataclass(frozen=True, eq=False)
 class Admittance:
-    """Velocities in place of torques: ``qd_ref = (tau_ref - tau_model(q, qd)) / D``."""
+    """Converts torques to velocities: ``qd_ref = (tau_ref - tau_model(q, qd)) / D``."""
 
     damping: np.ndarray
-    model: TorqueModel | None = None
+    model: TorqueFunction | None = None
 
     def __post_init__(self) -> None:
         damping = np.asarray(self.damping, dtype=np.float64)
         if damping.ndim != 1 or not np.all((damping > 0.0) & np.isfinite(damping)):
-            raise ConfigError(f"Expected a positive damping for each joint, in N m s/rad, got {self.damping}.")
+            raise ConfigError(f"Expected a positive damping for each joint [N m s/rad], got {self.damping}.")
         object.__setattr__(self, "damping", damping)
 
     def velocity(self, tau: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
@@ -41,7 +44,7 @@ class Admittance:
 
 
 class Torques:
-    """The last torque sent, and the next one within the limits.
+    """Tracks the last torque sent; limits the next one.
 
     ``tau = tau_last + clip(clip(tau_ref, +-tau_max) - tau_last, +-tau_rate T)``; without a reference the torque returns
     to zero at the same rate.
@@ -56,21 +59,37 @@ class Torques:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was sent: the arm does not follow references."""
+        """Reset the torque, because the arm follows no references."""
         self.memory: np.ndarray | None = None
 
-    def wanted(
-        self, q_ref: np.ndarray | None, qd_ref: np.ndarray | None, tau: np.ndarray, q: np.ndarray, qd: np.ndarray
+    def requested(
+        self,
+        q_ref: np.ndarray | None,
+        qd_ref: np.ndarray | None,
+        tau: np.ndarray,
+        q: np.ndarray,
+        qd: np.ndarray,
+        measured: bool = True,
     ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-        """Return the references (n,) for a command with a torque; an admittance makes a velocity of it."""
+        """Return the references (n,) of a command with a torque; an admittance converts it to a velocity.
+
+        `measured`: whether the robot reports torques; drives without them accept no torque commands.
+        """
         if not np.isfinite(tau).all():
             raise CommandRefused(f"Expected finite numbers in Command.tau, got {tau}. NaN never goes to a robot.")
         if self.admittance is None:
             self._check()
+            if not measured and "measured_torque" in self._capabilities:
+                raise CommandRefused(
+                    f"Expected no torque in the Command, because {self._robot.name} reports no torques and has no "
+                    "torque-controlled drives. A simulated arm needs masses in its description (<inertial> in a URDF, "
+                    "inertias in a "
+                    'TOML file); otherwise command q or qd, or run with torque="admittance".'
+                )
             return q_ref, qd_ref, tau
         if q_ref is not None or qd_ref is not None:
             raise CommandRefused(
-                "Expected tau alone in the Command, of which the admittance makes qd, got q or qd too."
+                "Expected only tau in the Command, because the admittance converts it to qd, got q or qd too."
             )
         return None, self.admittance.velocity(tau, q, qd), None
 
@@ -78,18 +97,18 @@ class Torques:
         if "torque" not in self._capabilities:
             able = ", ".join(sorted(self._capabilities)) or "nothing"
             raise CommandRefused(
-                f"Expected no torque in the Command, but tau is set and this link can carry {able} only. Command q or "
-                'qd, connect with a codec that carries torques (extension=True), or run with torque="admittance" and a '
+                f"Expected no torque in the Command, but tau is set and this link carries {able} only. Command q or "
+                'qd, connect with a codec that carries torques (extension=True), or run with torque="admittance" and '
                 "damping per joint."
             )
         if self._limits.tau_max is None:
             raise CommandRefused(
-                f"Expected no torque in the Command, since {self._robot.name} has no torque limits. "
+                f"Expected no torque in the Command, because {self._robot.name} has no torque limits. "
                 "Run with limits=Limits.of(robot, tau_max=...)."
             )
 
     def outside(self, q: np.ndarray, qd: np.ndarray) -> str:
-        """Return the sentence why a torque alone is not sent: the arm is beyond its limits; "" when it is not."""
+        """Return why a torque-only command is refused because the arm is outside its limits, or "" if it is inside."""
         limits = self._limits
         if self._linkage is not None:  # limits are those of axes
             q, qd = self._linkage.axes(q), self._linkage.axes(qd)
@@ -101,12 +120,12 @@ class Torques:
         what = f"at {q[i]:.4f}" if far[i] else f"moving at {qd[i]:.4f}"
         within = f"from {limits.q_min[i]:.4f} to {limits.q_max[i]:.4f}" if far[i] else f"up to {limits.qd_max[i]:.4f}"
         return (
-            f"Expected a torque alone while the arm is within its limits, but joint {i + 1} "
-            f"({self._robot.joint_names[i]}) is {what}, allowed is {within}. The arm holds its position."
+            f"Expected the arm to be within its limits for a torque-only command, but joint {i + 1} "
+            f"({self._robot.joint_names[i]}) is {what}; the allowed range is {within}. The arm holds its position."
         )
 
     def limited(self, reply: Reply, tau: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
-        """Return the reply with the torque that may be sent for `tau` (n,), which changes for `longest` at most [s]."""
+        """Return the reply with `tau` (n,) limited; the rate limit covers at most `longest` [s]."""
         tau_max, tau_rate = self._limits.tau_max, self._limits.tau_rate
         if (tau is None and self.memory is None) or tau_max is None or tau_rate is None:
             return reply
@@ -123,20 +142,30 @@ class Torques:
 
 
 def admittances(
-    torque: str, damping: np.ndarray | None, model: TorqueModel | Sequence[TorqueModel] | None, robots: Sequence[Robot]
+    torque: str, damping: np.ndarray | None, model: FreeTorque | Sequence[FreeTorque] | None, robots: Sequence[Robot]
 ) -> list[Admittance | None]:
-    """Return the admittance of each arm, None where torques are sent or refused."""
+    """Return the admittance of each arm, or None if torques are sent or refused."""
     if torque not in ("refuse", "admittance"):
-        raise ConfigError(f"Expected torque to be one of refuse, admittance, got {torque!r}.")
+        raise ConfigError(f"Expected torque to be refuse or admittance, got {torque!r}.")
     if torque == "refuse":
         if damping is not None or model is not None:
-            raise ConfigError('Expected damping and torque_model together with torque="admittance" only.')
+            raise ConfigError('Expected damping and torque_model only together with torque="admittance".')
         return [None] * len(robots)
     sizes = [robot.n for robot in robots]
     if damping is None or np.shape(damping) != (sum(sizes),):
-        raise ConfigError(f"Expected a damping for each of {sum(sizes)} joints, in N m s/rad, got {damping}.")
+        raise ConfigError(f"Expected damping for each of {sum(sizes)} joints [N m s/rad], got {damping}.")
     parts = np.split(np.asarray(damping, dtype=np.float64), np.cumsum(sizes)[:-1])
     models = list(model) if isinstance(model, Sequence) else [model] * len(robots)
-    if len(models) != len(robots) or (len(robots) > 1 and callable(model)):
-        raise ConfigError(f"Expected one torque_model per arm, {len(robots)} in all, got {len(models)}.")
-    return [Admittance(part, one) for part, one in zip(parts, models, strict=True)]
+    if len(models) != len(robots) or (len(robots) > 1 and model is not None and not isinstance(model, Sequence)):
+        raise ConfigError(f"Expected {len(robots)} torque models, one per arm, got {len(models)}.")
+    functions = [_function(one, robot) for one, robot in zip(models, robots)]
+    return [Admittance(part, one) for part, one in zip(parts, functions, strict=True)]
+
+
+def _function(model: FreeTorque | None, robot: Robot) -> TorqueFunction | None:
+    """Return the torque function of an identified model or its fit; functions are returned unchanged."""
+    known = value_of(model)
+    if not isinstance(known, TorqueModel):
+        return known
+    known.check_robot(robot)
+    return lambda q, qd: known.torque(q[None], qd[None])[0]

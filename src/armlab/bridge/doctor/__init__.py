@@ -1,3 +1,3 @@
-"""Checks before a run: computer, network, and what robots send."""
+"""Checks before a run: computer, network, and packets of robots."""
 
 __all__ = []

@@ -1,4 +1,4 @@
-"""Is this computer fit for a control loop? Each function is one check of `armlab doctor`."""
+"""Checks of this computer before a run: one function per finding of `armlab doctor`."""
 
 from __future__ import annotations
 
@@ -21,19 +21,23 @@ import numpy as np
 from armlab.bridge.control.realtime import LOOP_PRIORITY, priority
 
 Verdict = Literal["ok", "warning", "failure"]
-"""How good a finding is."""
+"""Severity of a finding."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What one check found.
+    """Result of one check.
 
     Attributes
     ----------
-    name : of the check.
-    verdict : "ok", "warning" (it works, with a risk) or "failure".
-    value : what was found, in words.
-    advice : what to do, "" when nothing is.
+    name : str
+        Name of the check.
+    verdict : str
+        "ok", "warning" (usable, with a risk) or "failure".
+    value : str
+        Observed value.
+    advice : str
+        Remedy; "" if not needed.
     """
 
     name: str
@@ -43,16 +47,16 @@ class Finding:
 
     @classmethod
     def judged(cls, name: str, problem: Verdict, is_bad: bool, value: str, advice: str) -> Finding:
-        """Return a finding that is `problem` with its advice when it is bad, else "ok" without."""
+        """Return a finding: `problem` with its advice if `is_bad`, else "ok"."""
         return cls(name, problem, value, advice) if is_bad else cls(name, "ok", value)
 
 
 _OLDEST = (3, 11)
 _CYCLE = 0.004  # s
-_LATE = 1e-3  # s: a wake-up later than this costs a reply at 1 kHz and is a quarter of a cycle of EGM
+_LATE = 1e-3  # s: a later wake-up misses a reply at 1 kHz and takes a quarter of an EGM cycle
 _FINE = 1e-6  # s
-_LONG = 0.1  # s of a full collection: more objects than imports make
-_CONFLICTS = (("viser", "rich", 15), ("viser", "websockets", 17))  # package, dependency, first version that is too new
+_LONG = 0.1  # s of a full collection: more objects than imports create
+_CONFLICTS = (("viser", "rich", 15), ("viser", "websockets", 17))  # package, dependency, first incompatible version
 _SYSTEM = Path("/sys/devices/system/cpu")
 _THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
 _ROS_SETTINGS = ("RMW_IMPLEMENTATION", "CYCLONEDDS_URI", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY")
@@ -76,7 +80,7 @@ def machine(seconds: float = 2.0) -> list[Finding]:
 
 
 def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
-    """Check the version of Python; tells armlab's own too."""
+    """Check the version of Python; also report that of armlab."""
     from armlab import __version__
 
     value = f"{'.'.join(map(str, version))} ({sys.executable}), armlab {__version__}"
@@ -84,7 +88,7 @@ def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
 
 
 def packages(version: Callable[[str], str] = importlib.metadata.version) -> Finding:
-    """Check that what armlab needs is installed, and that nothing installed is known not to go together."""
+    """Check for missing and known incompatible packages."""
     found: dict[str, str] = {}
     missing: list[str] = []
     for name in _required():
@@ -106,13 +110,13 @@ def packages(version: Callable[[str], str] = importlib.metadata.version) -> Find
 
 
 def _required() -> list[str]:
-    """Return the names of the packages that armlab needs, without those of extras."""
+    """Return the names of required packages, without extras."""
     lines = importlib.metadata.requires("armlab") or []
     return [re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in lines if "extra ==" not in line]
 
 
 def ros_on_path(environment: Mapping[str, str], path: Iterable[str]) -> Finding:
-    """Check that no ROS installation puts its own NumPy and protobuf before ours."""
+    """Check that no ROS installation shadows our NumPy and protobuf."""
     where = [name for name in ("PYTHONPATH", "LD_LIBRARY_PATH") if "/opt/ros" in environment.get(name, "")]
     where += ["sys.path"] if any("/opt/ros" in entry for entry in path) else []
     value = f"/opt/ros on {', '.join(where)}" if where else "not on the path"
@@ -121,53 +125,54 @@ def ros_on_path(environment: Mapping[str, str], path: Iterable[str]) -> Finding:
 
 
 def ros_nodes(environment: Mapping[str, str]) -> Finding:
-    """Tell by which settings a ROS 2 node started here would look for the bridge, and the bridge for it."""
-    told = [f"{name}={environment[name][:80]}" for name in _ROS_SETTINGS if environment.get(name)]
+    """Check the settings that let local ROS 2 nodes and the bridge discover each other."""
+    settings = [f"{name}={environment[name][:80]}" for name in _ROS_SETTINGS if environment.get(name)]
     domain = environment.get("ROS_DOMAIN_ID") or "0"
-    value = f"domain {domain}, nodes: {', '.join(told) or 'no settings'}; bridge: 127.0.0.1, no multicast"
+    value = f"domain {domain}, nodes: {', '.join(settings) or 'no settings'}; bridge: 127.0.0.1, no multicast"
     cyclone = environment.get("RMW_IMPLEMENTATION") == "rmw_cyclonedds_cpp"
     finds = environment.get("CYCLONEDDS_URI") or environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
-    advice = "Cyclone DDS asks by multicast only: start nodes with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST."
+    advice = "Cyclone DDS discovers nodes only by multicast: start nodes with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST."
     return Finding.judged("ROS 2", "warning", cyclone and not finds, value, advice)
 
 
 def clock(resolution: float = time.get_clock_info("monotonic").resolution) -> Finding:
     value = f"{1e9 * resolution:.0f} ns"
-    return Finding.judged("clock", "warning", resolution > _FINE, value, "Use a Linux with high-resolution timers.")
+    return Finding.judged(
+        "clock", "warning", resolution > _FINE, value, "Use a Linux kernel with high-resolution timers."
+    )
 
 
 def real_time() -> Finding:
-    """Check that the loop may run under SCHED_FIFO."""
-    told: list[str] = []
-    with priority(LOOP_PRIORITY, lambda text, warn=False, each=False: told.append(text)) as permitted:
+    """Check that the loop is permitted to run under SCHED_FIFO."""
+    with priority(LOOP_PRIORITY) as permitted:
         pass
     advice = (
-        "Add the line `@realtime - rtprio 60` to /etc/security/limits.d/realtime.conf, yourself to the group realtime, "
-        "and log in again; in a container: --cap-add SYS_NICE."
+        "Add the line `@realtime - rtprio 60` to /etc/security/limits.d/realtime.conf, add yourself to the group "
+        "realtime, and log in again; in a container: --cap-add SYS_NICE."
     )
     value = "SCHED_FIFO is permitted" if permitted else "SCHED_FIFO is not permitted: normal priority"
     return Finding.judged("real-time priority", "warning", not permitted, value, advice)
 
 
 def throttle(file: Path = _THROTTLE) -> Finding:
-    """Tell how much of its time a real-time thread may compute; wait="spin" never yields and needs all of it."""
+    """Report the share of time that a real-time thread may run; wait="spin" never yields and needs 100 %."""
     try:
         with file.open(encoding="ascii") as opened:
             runtime = int(opened.read())
     except (OSError, ValueError):
-        return Finding("real-time throttle", "ok", "not told by this kernel")
+        return Finding("real-time throttle", "ok", "unknown, not reported by this kernel")
     value = "off" if runtime < 0 else f"{1e-4 * runtime:.0f} % of the time"
-    advice = "Real-time threads may not compute at all: sysctl kernel.sched_rt_runtime_us=950000"
+    advice = "Real-time threads may not run at all: sysctl kernel.sched_rt_runtime_us=950000"
     return Finding.judged("real-time throttle", "warning", runtime == 0, value, advice)
 
 
 def governor(folder: Path = _SYSTEM) -> Finding:
-    """Check that the processors do not slow down between two packets."""
+    """Check that the processors keep their speed between two packets."""
     kinds: set[str] = set()
     for file in folder.glob("cpu[0-9]*/cpufreq/scaling_governor"):
         with suppress(OSError), file.open(encoding="ascii") as opened:
             kinds.add(opened.read().strip())
-    value = ", ".join(sorted(kinds)) or "not told by this kernel"
+    value = ", ".join(sorted(kinds)) or "unknown, not reported by this kernel"
     slow = bool(kinds - {"performance"})
     return Finding.judged("CPU governor", "warning", slow, value, "sudo cpupower frequency-set -g performance")
 
@@ -175,7 +180,7 @@ def governor(folder: Path = _SYSTEM) -> Finding:
 def wake_up(
     seconds: float = 2.0, sleep: Callable[[float], None] = time.sleep, now: Callable[[], float] = time.monotonic
 ) -> Finding:
-    """Measure how late a thread wakes up that sleeps from cycle to cycle, at the priority of the loop."""
+    """Measure the delay of periodic wake-ups at the priority of the loop."""
     late: list[float] = []
     with priority(LOOP_PRIORITY):
         due = now()
@@ -184,28 +189,30 @@ def wake_up(
             due += _CYCLE
             sleep(max(due - now(), 0.0))
             late.append(now() - due)
-            due = max(due, now() - _CYCLE)  # after a long stall the missed cycles are not made up for
+            due = max(due, now() - _CYCLE)  # cycles missed in a long stall are skipped
     if not late:
         return Finding("wake-up", "ok", "not measured")
     p50, p99, worst = np.percentile(late, [50, 99, 100])
     value = f"late by {1e6 * p50:.0f} us (p50), {1e6 * p99:.0f} us (p99), {1e6 * worst:.0f} us (max of {len(late)})"
-    advice = "Close other programs, see real-time priority and CPU governor; on a virtual machine expect late replies."
+    advice = (
+        "Close other programs, and see real-time priority and CPU governor; on a virtual machine, expect late replies."
+    )
     return Finding.judged("wake-up", "warning", bool(p99 > _LATE), value, advice)
 
 
 def garbage(collect: Callable[[], object] = gc.collect) -> Finding:
-    """Measure a full collection of garbage. The loop freezes what exists at its start and pays only for new objects."""
+    """Measure a full garbage collection. The loop freezes existing objects, so it only collects new ones."""
     objects = len(gc.get_objects())
     start = time.perf_counter()
     collect()
     cost = time.perf_counter() - start
     value = f"{objects} objects, {1e3 * cost:.1f} ms for a full collection"
-    advice = "Load large data before the run, not inside the controller: a collection there would cost several cycles."
+    advice = "Load large data before the run, not in the controller: a collection during the run takes several cycles."
     return Finding.judged("garbage", "warning", cost > _LONG, value, advice)
 
 
 def blas() -> Finding:
-    """Tell how many threads a product of matrices in a controller may use; results are the same bits with one only."""
+    """Report the number of threads for matrix products in a controller; results are bit-identical only with one."""
     from threadpoolctl import threadpool_info
 
     pools = [f"{pool['internal_api']} {pool['num_threads']}" for pool in threadpool_info()]
@@ -213,7 +220,7 @@ def blas() -> Finding:
 
 
 def other_programs(which: Callable[[str], str | None] = shutil.which) -> Finding:
-    """Tell which programs are there that other parts of armlab use; none is needed for a run."""
+    """Report optional programs used by other parts of armlab; a run needs none of them."""
     browser = next((name for name in ("chromium", "chromium-browser", "google-chrome") if which(name)), "no Chromium")
     zenoh = "Zenoh" if importlib.util.find_spec("zenoh") else "no Zenoh"
     return Finding("other programs", "ok", f"{browser}, {zenoh}")

@@ -1,3 +1,3 @@
-"""Values from other programs that a controller reads: sources, their fusion, and parameters."""
+"""Controller inputs from other programs: sources, their fusion, and parameters."""
 
 __all__ = []

@@ -1,6 +1,6 @@
-"""`Fusion`: the newest of every source at each tick, with its age, whether it is new, and its place on our clock.
+"""`Fusion`: newest reading of each source at each tick, with its age, freshness, and timestamp on our clock.
 
-Values are held, never waited for and never interpolated. What is too old is NaN in a State, while the log keeps it.
+Values are held; there is no waiting or interpolation. Stale values are NaN in a State; the log keeps them.
 """
 
 from __future__ import annotations
@@ -14,26 +14,31 @@ from typing import Any
 
 import numpy as np
 
+from armlab._display import Shown
 from armlab.bridge.inputs.sources import TICK_COLUMNS, Reading, Source, whole
 from armlab.bridge.net.events import Tell, nobody
 from armlab.errors import ConfigError
 from armlab.kinematics import forward
+from armlab.log import Column
 from armlab.robots import Robot
 
 _WINDOW = 10_000_000_000  # ns of the running minimum
-_BUCKET = 500_000_000  # ns of which the minimum is one point
-_STEP = 50_000_000  # ns that a clock was set when it departs further
-_LATE_IN_A_ROW = 10  # late by so many readings is a clock set back, not a delay
-_DRIFT_SPAN = 3_000_000_000  # ns before a drift is told from the delays
+_BUCKET = 500_000_000  # ns per point of the minimum
+_STEP = 50_000_000  # ns: a larger deviation means that the clock was set
+_LATE_IN_A_ROW = 10  # consecutive late readings mean a clock set back, not a delay
+_DRIFT_SPAN = 3_000_000_000  # ns before drift and delays can be separated
 _FASTEST_DRIFT = 1e-3
 
 
 class ClockMap:
-    """Maps the stamps of another clock to ours: the running minimum over 10 s of receive - source stamp, with drift.
+    """Maps timestamps of another clock to ours, using the running minimum over 10 s of (receive - source stamp), with
+    drift.
 
-    A packet can be late but never early, so the least difference is the offset of the clocks and the least delay.
-    A step above 50 ms begins anew.
+    Packets can be late but never early, so the minimum is the clock offset plus the smallest delay. A step above 50 ms
+    restarts the estimate.
     """
+
+    resets: int
 
     def __init__(self) -> None:
         self.resets = 0
@@ -45,7 +50,7 @@ class ClockMap:
         self._line: tuple[int, float] = (0, 0.0)  # source stamp and offset there
 
     def reset(self) -> None:
-        """Begin anew: the other clock was set, or its program restarted."""
+        """Restart the estimate because the other clock was set or its program restarted."""
         self.resets += 1
         self._forget()
 
@@ -73,7 +78,7 @@ class ClockMap:
         return offset + self._drift * (source_ns - start)
 
     def _fit(self) -> None:
-        """Fit a line under the points: their slope, touching the lowest."""
+        """Fit a line below the points: it has the least-squares slope and touches the lowest point."""
         start, first = self._points[0]
         steps = [(source - start, offset - first) for source, offset in self._points]
         self._drift = 0.0
@@ -84,23 +89,35 @@ class ClockMap:
         self._line = (start, first + min(step - self._drift * at for at, step in steps))
 
 
-_AHEAD = 1.0  # s that a reading may be younger than the packet of its tick: one that waited in the port
+_AHEAD = 1.0  # s by which a reading may be newer than the packet of its tick, which waited in the port
 
 
-@dataclass(frozen=True, slots=True)
-class Held:
-    """What a tick has of one source.
+@dataclass(frozen=True, slots=True, repr=False)
+class Held(Shown):
+    """Reading of one source, held at a tick; ``held["field"]`` returns a value.
 
     Attributes
     ----------
-    values : by field; NaN when stale or never seen. Also reached by ``held["field"]``.
-    kept : the last values whatever their age.
-    age : seconds since they were received, infinite when never seen.
-    fresh : they are new in this tick.
-    stale : older than the source's `max_age`.
-    gaps : readings lost so far.
-    seq, source_ns, receive_ns : of the reading; 0 when never seen.
-    mapped_ns : the source's stamp on our clock, 0 without one.
+    values : mapping
+        Values by field; NaN if stale or missing.
+    kept : mapping
+        Last values, regardless of their age.
+    age : float, s
+        Time since their arrival; infinite before the first reading.
+    fresh : bool
+        Whether they are new in this tick.
+    stale : bool
+        Whether they are older than the source's `max_age`.
+    gaps : int
+        Readings lost so far.
+    seq : int
+        Number of the reading; 0 before the first.
+    source_ns : int, ns
+        Timestamp on the source's clock; 0 without one.
+    receive_ns : int, ns
+        Arrival time on our monotonic clock; 0 before the first reading.
+    mapped_ns : int, ns
+        The source's timestamp converted to our clock; 0 without one.
     """
 
     values: Mapping[str, np.ndarray]
@@ -119,7 +136,9 @@ class Held:
 
 
 class Fusion:
-    """Several sources, looked at together."""
+    """Several sources, sampled together."""
+
+    sources: tuple[Source, ...]
 
     def __init__(self, sources: Sequence[Source], on_event: Tell = nobody) -> None:
         for source in sources:
@@ -127,26 +146,26 @@ class Fusion:
                 raise ConfigError(f"Expected sources of bridge.sources, got {type(source).__name__}.")
         names = [source.name for source in sources]
         if len(set(names)) < len(names) or sum(source.role == "pacing" for source in sources) > 1:
-            raise ConfigError(f"Expected sources with different names, at most one of them pacing, got {names}.")
+            raise ConfigError(f"Expected sources with different names and at most one pacing source, got {names}.")
         self.sources, self.missing, self._on_event = tuple(sources), "", on_event
-        self.columns = {
+        self.columns: dict[str, Column] = {
             f"{source.name}.{field}": column
             for source in sources
             for field, column in {**source.fields, **TICK_COLUMNS}.items()
         }
         self._nothing = {source.name: source.values({}) for source in sources}
         self._maps = {source.name: ClockMap() for source in sources}
-        self._last: dict[str, tuple[Reading, int]] = {}  # and its mapped stamp
+        self._last: dict[str, tuple[Reading, int]] = {}  # with the mapped stamp
         self._stale: set[str] = set()
-        self._told: dict[str, str] = {}
+        self._reported: dict[str, str] = {}
 
     def tick(self, now_ns: int) -> Mapping[str, Held]:
-        held = {source.name: self._look(source, now_ns) for source in self.sources}
-        self.missing = next((s.name for s in self.sources if s.role == "required" and held[s.name].stale), "")
+        held = {source.name: self._hold(source, now_ns) for source in self.sources}
+        self.missing: str = next((s.name for s in self.sources if s.role == "required" and held[s.name].stale), "")
         return MappingProxyType(held)
 
     def ticks(self, seconds: float) -> Iterator[Mapping[str, Held]]:
-        """Yield what each source has whenever the pacing one has something new: rows without a robot."""
+        """Yield the held readings at each new reading of the pacing source: rows without a robot."""
         pacing = next((source for source in self.sources if source.role == "pacing"), None)
         if pacing is None:
             raise ConfigError("Expected one source with the role pacing, got none. Add a bridge.TimerSource.")
@@ -160,7 +179,7 @@ class Fusion:
                 time.sleep(0.1 * pacing.period)
 
     def fields(self, now_ns: int, robot: Robot, q: np.ndarray) -> dict[str, Any]:
-        """Return the fields of a State at a tick: `sources`, and `wrench` where a source gives it calibrated or raw."""
+        """Return the fields of a State at a tick: `sources`, and `wrench` from a force sensor."""
         held = self.tick(now_ns)
         found: dict[str, Any] = {"sources": held}
         for source in self.sources:
@@ -175,7 +194,7 @@ class Fusion:
         return found
 
     def record(self, held: Mapping[str, Held], now_ns: int) -> dict[str, Any]:
-        """Return the values of the log's columns: what was kept, whatever its age."""
+        """Return the values of the log's columns, regardless of their age."""
         row: dict[str, Any] = {}
         for name, one in held.items():
             if not one.receive_ns:
@@ -189,13 +208,13 @@ class Fusion:
                 row[f"{name}.delay"] = 1e-9 * (one.receive_ns - one.mapped_ns)
         return row
 
-    def _look(self, source: Source, now_ns: int) -> Held:
+    def _hold(self, source: Source, now_ns: int) -> Held:
         name = source.name
         source.now_ns = now_ns
         last = self._last.get(name)
         reading = self._newest(source, None if last is None else last[0])
-        if source.problem and self._told.get(name) != source.problem:
-            self._told[name] = source.problem
+        if source.problem and self._reported.get(name) != source.problem:
+            self._reported[name] = source.problem
             self._on_event(f"The source {name} has a problem: {source.problem}.", warn=True)
         if reading is None:
             return Held(self._nothing[name], self._nothing[name], float("inf"), False, True)
@@ -204,7 +223,7 @@ class Fusion:
             last = self._last[name] = (reading, self._mapped(source, reading, None if last is None else last[0]))
         age = max(1e-9 * (now_ns - reading.receive_ns), 0.0)
         stale = age > source.max_age
-        self._tell_stale(source, stale, age)
+        self._report_stale(source, stale, age)
         values = self._nothing[name] if stale else reading.values
         return Held(
             values, reading.values, age, fresh, stale, reading.gaps, reading.seq, reading.source_ns,
@@ -212,7 +231,7 @@ class Fusion:
         )  # fmt: skip
 
     def _newest(self, source: Source, last: Reading | None) -> Reading | None:
-        """Return the latest reading of a source; the one before where it raises or gives something else."""
+        """Return the latest reading of a source, or the previous one if the source raises or the reading is invalid."""
         try:
             reading = source.newest()
             if reading is None or reading is last:
@@ -231,8 +250,8 @@ class Fusion:
         if wrong := [field for field, value in values.items() if value.dtype.kind not in "biuf"]:
             source.problem = f"expected numbers in {', '.join(wrong)}"
             return last
-        if ahead > _AHEAD:  # its age would stay 0 when the source dies
-            source.problem = f"expected a stamp of time.monotonic_ns(), got one {ahead:.3g} s ahead of it"
+        if ahead > _AHEAD:  # its age would stay 0 if the source stopped
+            source.problem = f"expected a timestamp from time.monotonic_ns(), got one {ahead:.3g} s ahead of it"
             return last
         return reading
 
@@ -242,18 +261,18 @@ class Fusion:
         clock = self._maps[source.name]
         if last is not None and reading.seq < last.seq:
             clock.reset()
-            self._on_event(f"The source {source.name} began anew: number {reading.seq} after {last.seq}.", warn=True)
+            self._on_event(f"The source {source.name} restarted: number {reading.seq} after {last.seq}.", warn=True)
             return clock.add(reading.source_ns, reading.receive_ns)
         before = clock.resets
         mapped = clock.add(reading.source_ns, reading.receive_ns)
         if clock.resets > before:
-            self._on_event(f"The clock of the source {source.name} was set; its stamps are mapped anew.", warn=True)
+            self._on_event(f"The clock of the source {source.name} was set; the mapping restarts.", warn=True)
         return mapped
 
-    def _tell_stale(self, source: Source, stale: bool, age: float) -> None:
+    def _report_stale(self, source: Source, stale: bool, age: float) -> None:
         if stale and source.name not in self._stale:
             self._stale.add(source.name)
             self._on_event(f"The source {source.name} is stale: its last reading is {age:.3f} s old.", warn=True)
         elif not stale and source.name in self._stale:
             self._stale.discard(source.name)
-            self._on_event(f"The source {source.name} is back.")
+            self._on_event(f"The source {source.name} is fresh again.")

@@ -1,4 +1,4 @@
-"""Parameters of a run: named, typed and bounded values that any client may set and a controller reads as attributes."""
+"""Parameters of a run: named, typed and bounded values that clients set and a controller reads as attributes."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from armlab._display import Shown
 from armlab.errors import CommandRefused, ConfigError, UnknownName
 
 _TYPES = ("float", "int", "bool", "text")
@@ -23,24 +24,35 @@ _LARGEST = sys.float_info.max
 _INTEGERS = 2**53  # beyond it a JSON reader may round
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One parameter as declared.
+@dataclass(frozen=True, slots=True, repr=False)
+class Parameter(Shown):
+    """Declaration of one parameter.
 
     Attributes
     ----------
-    name : a word, as in ``params.gain``.
-    default : its first value.
-    type : "float", "int", "bool", "text" or "float[k]" for k numbers.
-    unit : SI.
-    minimum, maximum : bounds of each number.
-    text : one sentence.
-    rights : who may set it: the "commander" of an arm, or "anyone".
-    live : may be set during a run.
+    name : str
+        Identifier, as in ``params.gain``.
+    default : object
+        Initial value.
+    type : str
+        "float", "int", "bool", "text" or "float[k]" for k numbers.
+    unit : str
+        SI unit.
+    minimum : float
+        Lower bound of each number.
+    maximum : float
+        Upper bound of each number.
+    text : str
+        Description, one sentence.
+    rights : str
+        Clients that may set the parameter: the "commander" of an arm, or "anyone".
+    live : bool
+        Whether the parameter may be set during a run.
 
     Raises
     ------
-    ConfigError : a declaration that is wrong in itself; names the parameter.
+    ConfigError
+        An invalid declaration; the message names the parameter.
     """
 
     name: str
@@ -56,28 +68,29 @@ class Parameter:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not _NAME.fullmatch(self.name) or hasattr(Parameters, self.name):
             raise ConfigError(
-                f"Expected the name of a parameter to be a word of letters, digits and _ that is free, "
-                f"got {self.name!r}. Choose another."
+                f"Expected a free parameter name of letters, digits and _, got {self.name!r}. Choose another one."
             )
         if self.type not in _TYPES and not _VECTOR.fullmatch(self.type):
-            raise ConfigError(f"Expected type float, int, bool, text or float[k] of {self.name}, got {self.type!r}.")
+            raise ConfigError(
+                f"Expected the type of {self.name} to be float, int, bool, text or float[k], got {self.type!r}."
+            )
         if self.rights not in ("commander", "anyone"):
-            raise ConfigError(f'Expected rights "commander" or "anyone" of {self.name}, got {self.rights!r}.')
+            raise ConfigError(f'Expected rights "commander" or "anyone" for {self.name}, got {self.rights!r}.')
         if not self.minimum <= self.maximum:  # also NaN
-            raise ConfigError(f"Expected bounds in order of {self.name}, got {self.minimum} and {self.maximum}.")
+            raise ConfigError(f"Expected minimum <= maximum for {self.name}, got {self.minimum} and {self.maximum}.")
         try:
             object.__setattr__(self, "default", self._checked(self.default))
         except CommandRefused as error:
-            raise ConfigError(f"Expected a default that may be set. {error}") from None
+            raise ConfigError(f"Expected a valid default of {self.name}. {error}") from None
 
     @property
     def _size(self) -> int:
-        """Numbers of a "float[k]", else 0."""
+        """Length k of a "float[k]", else 0."""
         match = _VECTOR.fullmatch(self.type)
         return int(match[1]) if match else 0
 
     def _checked(self, value: Any) -> Any:
-        """Return a value as it is kept: float, int, bool, str or a read-only array (k,)."""
+        """Return a value in its stored type: float, int, bool, str or a read-only array (k,)."""
         if self.type == "bool":
             if not isinstance(value, (bool, np.bool_)):
                 raise self._refused("true or false", value)
@@ -97,7 +110,7 @@ class Parameter:
         if not self.minimum <= value <= self.maximum:
             raise self._refused(f"a number from {self.minimum:g} to {self.maximum:g}", value)
         if abs(value) > _LARGEST:
-            raise self._refused("a number that a float can hold", value)
+            raise self._refused("a number within the range of a float", value)
         return int(value) if self.type == "int" else float(value)
 
     def _vector(self, value: Any) -> np.ndarray:
@@ -119,7 +132,7 @@ class Parameter:
             got = repr(value)[:80]
         except ValueError:  # an integer of too many digits
             got = f"a {type(value).__name__} too long to show"
-        return CommandRefused(f"Expected {expected} for the parameter {self.name}{unit}, got {got}. Its value stays.")
+        return CommandRefused(f"Expected {expected} for the parameter {self.name}{unit}, got {got}. The value is kept.")
 
 
 class Change(NamedTuple):
@@ -132,7 +145,7 @@ class Change(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What happened, for the events of a log."""
+        """Event text of the change."""
         value = self.value.tolist() if isinstance(self.value, np.ndarray) else self.value
         return f"Parameter {self.name} = {value!r}, set by {self.who} (setting {self.sequence})."
 
@@ -140,22 +153,25 @@ class Change(NamedTuple):
 class Parameters:
     """The parameters of a run; ``params.gain`` is the value in force.
 
-    A value that is set is checked at once and comes into force between two ticks; several that are set together do so
-    together, or none of them.
+    A new value is checked immediately and takes effect between two ticks. Values set together take effect together, or
+    all are refused.
 
     Parameters
     ----------
-    declared : what there is.
+    declared : iterable of Parameter
+        The declarations.
 
     Attributes
     ----------
-    declared : by name.
-    running : while True, parameters that are not `live` cannot be set.
+    declared : mapping
+        Declarations by name.
+    running : bool
+        If True, only `live` parameters may be set.
 
     Raises
     ------
-    ConfigError : a name declared twice.
-
+    ConfigError
+        A name declared twice.
     Examples
     --------
     >>> from armlab.bridge import Parameter, Parameters
@@ -169,7 +185,7 @@ class Parameters:
         found = list(declared)
         names = [parameter.name for parameter in found]
         if len(set(names)) < len(names):
-            raise ConfigError(f"Expected each parameter once, got {', '.join(names)}. Remove one of the same name.")
+            raise ConfigError(f"Expected each parameter once, got {', '.join(names)}. Remove the duplicates.")
         self.declared: Mapping[str, Parameter] = {parameter.name: parameter for parameter in found}
         self.running = False
         self._values = {parameter.name: parameter.default for parameter in found}
@@ -188,48 +204,60 @@ class Parameters:
         return dict(self._values)
 
     def last(self, name: str) -> Change | None:
-        """Return the last change of a parameter, None while it has its default.
+        """Return the last change of a parameter, or None while it has its default value.
 
         Parameters
         ----------
-        name : of the parameter.
+        name : str
+            Name of the parameter.
 
         Raises
         ------
-        UnknownName : no such parameter.
+        UnknownName
+            Undeclared name.
         """
         if name not in self.declared:
             raise UnknownName.among("parameter", name, self.declared)
         return self._last.get(name)
 
     def set(self, name: str, value: Any, who: str = "controller") -> None:
-        """Set one parameter; it comes into force at the next `apply`.
+        """Set one parameter, which takes effect at the next `apply`.
 
         Parameters
         ----------
-        name, value : what.
-        who : sets it, for the log.
+        name : str
+            Name of the parameter.
+        value : object
+            New value.
+        who : str
+            Client that sets the parameter, for the log.
 
         Raises
         ------
-        UnknownName, CommandRefused : see `set_together`.
+        UnknownName, CommandRefused
+            See `set_together`.
         """
         self.set_together({name: value}, who)
 
     def set_together(self, values: Mapping[str, Any], who: str = "controller", *, commander: bool = True) -> None:
-        """Set several parameters in the same tick, or none of them when one is refused.
+        """Set several parameters in the same tick; one invalid value refuses all.
 
         Parameters
         ----------
-        values : by name.
-        who : sets them, for the log.
-        commander : whether he has the rights of a commander.
+        values : mapping
+            Values by name.
+        who : str
+            Client that sets the parameters, for the log.
+        commander : bool
+            Whether the client has the rights of a commander.
 
         Raises
         ------
-        UnknownName : no such parameter.
-        CommandRefused : wrong type or shape, not finite, outside the bounds, without the right, not during a run, or
-            too many settings for one tick.
+        UnknownName
+            Undeclared name.
+        CommandRefused
+            Wrong type or shape, a value that is not finite or out of bounds, missing rights, a parameter that is not
+            live during a run, or too many settings in one tick.
         """
         checked = {}
         for name, value in values.items():
@@ -237,16 +265,16 @@ class Parameters:
             if parameter is None:
                 raise UnknownName.among("parameter", name, self.declared)
             if parameter.rights == "commander" and not commander:
-                raise CommandRefused(f"Expected the commander of an arm to set {name}, got {who}. Its value stays.")
+                raise CommandRefused(f"Expected the commander of an arm to set {name}, got {who}. The value is kept.")
             if self.running and not parameter.live:
-                raise CommandRefused(f"Expected {name} to be set before a run, got it from {who} during one.")
+                raise CommandRefused(f"Expected {name} to be set before a run, but {who} set it during a run.")
             checked[name] = parameter._checked(value)
         if len(self._waiting) >= _WAITING:
-            raise CommandRefused(f"Expected at most {_WAITING} settings in one tick, got more from {who}. Send fewer.")
+            raise CommandRefused(f"Expected at most {_WAITING} settings per tick, got more from {who}. Send fewer.")
         self._waiting.append((checked, who))
 
     def apply(self) -> tuple[Change, ...]:
-        """Bring what was set into force, in the order of arrival. Call it between two ticks; returns the changes."""
+        """Apply new values in the order of arrival; called between two ticks. Return the changes."""
         if not self._waiting:
             return ()
         changes = []

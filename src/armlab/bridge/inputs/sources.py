@@ -1,7 +1,7 @@
-"""What is fused with the arms: a `Source` and its kinds. None of them ever makes the loop wait.
+"""`Source` and its kinds: values from other programs, fused with the arms. A source never blocks the loop.
 
-A source holds its latest `Reading`; the loop looks at it in each tick (`fusion`). A user's own is a subclass of
-`Source` with the method `newest`.
+A source holds its latest `Reading`, which `fusion` reads in each tick. For your own source, subclass `Source` and
+define `newest`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from armlab.bridge.net.sockets import Arrival, Port
 from armlab.bridge.servers.row import LARGEST
 from armlab.errors import ConfigError, ModelMismatchError, UnknownName
+from armlab.estimation.fit import Fit, value_of
 from armlab.log import Column, Table
 from armlab.log.column import resolved
 from armlab.models import ForceSensor
@@ -33,19 +34,24 @@ TICK_COLUMNS = {
     "source_time": Column(unit="s"),
     "delay": Column(unit="s"),
 }
-"""Columns of each source in the log besides its fields; `delay` is from its own clock, mapped to ours, to arrival."""
+"""Log columns of each source in addition to its fields; `delay` is the time from the mapped source stamp to arrival."""
 
 
 class Reading(NamedTuple):
-    """What a source gave once.
+    """One reading of a source; timestamps and numbers have at most 64 bits.
 
     Attributes
     ----------
-    values : by field.
-    source_ns : its own clock, 0 when it has none.
-    receive_ns : our monotonic clock.
-    seq : its number.
-    gaps : readings lost so far, by its numbers. Each of them has at most 64 bits.
+    values : mapping
+        Values by field.
+    source_ns : int, ns
+        Timestamp on the source's clock; 0 without one.
+    receive_ns : int, ns
+        Arrival time on our monotonic clock.
+    seq : int
+        Number of the reading.
+    gaps : int
+        Number of readings lost so far, according to their sequence numbers.
     """
 
     values: Mapping[str, np.ndarray]
@@ -56,7 +62,7 @@ class Reading(NamedTuple):
 
 
 def whole(number: Any, unit: int = 1) -> int:
-    """Return a stamp or a number that somebody sent as an integer of a reading."""
+    """Convert a received timestamp or number to the integer of a reading."""
     plain = number.item() if isinstance(number, np.generic) else number
     if isinstance(plain, int | float) and abs(plain * unit) < 1 << 64:
         return int(plain * unit)
@@ -64,31 +70,47 @@ def whole(number: Any, unit: int = 1) -> int:
 
 
 class Source:
-    """A source of values beside the arms; the kinds differ in where `newest` comes from.
+    """Source of external values; a subclass defines `newest`.
 
     Parameters
     ----------
-    name : of the source; its columns in the log are ``<name>.<field>``.
-    fields : shape, unit and frame by field; names of the glossary mean what they mean there. A field ``wrench`` (6,),
-        calibrated, in base axes, becomes `State.wrench`; one in the sensor's own axes is a ``wrench_raw``, and becomes
-        `State.wrench` by its `calibration`.
-    period : nominal time between two readings [s].
-    max_age : age from which values are stale [s]; by default three periods or 20 ms, whichever is longer.
-    role : "required": the arms hold while it is stale; "pacing": `Fusion.ticks` follows it; "optional".
-    robot : name of the arm that the wrench belongs to, "" for any; by default that of the calibration.
-    calibration : of the force sensor whose ``wrench_raw`` (6,) this is: weight, bias, axes.
+    name : str
+        Name of the source; its columns in the log are ``<name>.<field>``.
+    fields : mapping
+        Shape, unit and frame by field; names of the glossary keep their meaning. A calibrated ``wrench`` (6,) in base
+        axes becomes `State.wrench`; a ``wrench_raw`` in sensor axes is converted with the `calibration`.
+    period : float, s
+        Nominal time between two readings.
+    max_age : float, s
+        Age at which values become stale; default: three periods or 20 ms, whichever is longer.
+    role : str
+        "required": the arms hold while it is stale; "pacing": `Fusion.ticks` follows it; "optional".
+    robot : str
+        Name of the arm that the wrench belongs to, "" for any; default: the arm of the calibration.
+    calibration : ForceSensor
+        Weight, bias and axes of the force sensor that sends ``wrench_raw`` (6,).
 
     Attributes
     ----------
-    now_ns : time of the tick that asks, our monotonic clock.
-    problem : what went wrong last, in words.
+    now_ns : int, ns
+        Time of the current tick on our monotonic clock.
+    problem : str
+        Last error text.
 
     Raises
     ------
-    ConfigError : a name with a dot or none, no fields, a period or an age that is not above 0, an unknown role, a
-        calibration without raw readings, a field of a size below 0 or larger than a row.
-    ShapeError, UnknownName : a field contradicts the glossary or lacks its unit.
+    ConfigError
+        An empty name or a name with a dot, no fields, a period or age not above 0, an unknown role, a calibration
+        without raw readings, or a field size that is negative or larger than a row.
+    ShapeError, UnknownName
+        A field that contradicts the glossary or lacks its unit.
     """
+
+    name: str
+    period: float
+    calibration: ForceSensor | None
+    problem: str
+    now_ns: int
 
     def __init__(
         self,
@@ -98,7 +120,7 @@ class Source:
         max_age: float | None = None,
         role: Literal["pacing", "required", "optional"] = "optional",
         robot: str = "",
-        calibration: ForceSensor | None = None,
+        calibration: ForceSensor | Fit[ForceSensor] | None = None,
     ) -> None:
         if not name or "." in name or not fields:
             raise ConfigError(f"Expected a source with fields and a name without dots, got {name!r} with {[*fields]}.")
@@ -108,40 +130,44 @@ class Source:
             )
         if role not in _ROLES:
             raise UnknownName.among("role of a source", role, _ROLES)
-        if calibration is not None:
-            _check_calibration(name, fields, calibration)
-        self.name, self.period, self.role, self.calibration = name, float(period), role, calibration
-        self.robot = robot if robot or calibration is None else calibration.robot_name
+        sensor: ForceSensor | None = value_of(calibration)
+        if sensor is not None:
+            _check_calibration(name, fields, sensor)
+        self.name, self.period, self.role, self.calibration = name, float(period), role, sensor
+        self.robot: str = robot if robot or sensor is None else sensor.robot_name
         taken = [field for field in fields if field in TICK_COLUMNS]
         if taken:
-            raise ConfigError(f"Expected other names than those of the log's own columns, got {', '.join(taken)}.")
+            raise ConfigError(f"Expected field names other than the log's own columns, got {', '.join(taken)}.")
         _check_shapes(name, fields)
-        self.fields = {field: resolved(column, field) for field, column in fields.items()}
+        self.fields: dict[str, Column] = {field: resolved(column, field) for field, column in fields.items()}
         self._missing = {field: np.full(column.shape, np.nan) for field, column in fields.items()}
-        self.max_age = max(3.0 * period, _DEFAULT_AGE) if max_age is None else float(max_age)
+        self.max_age: float = max(3.0 * period, _DEFAULT_AGE) if max_age is None else float(max_age)
         self.problem, self.now_ns = "", 0
 
     def start(self) -> None:
-        """Begin to receive; called before the run."""
+        """Start receiving; called before the run."""
 
     def close(self) -> None:
-        """End; called after the run, also one that failed."""
+        """Stop receiving; called after the run, even if it failed."""
 
     def newest(self) -> Reading | None:
-        """Return the latest reading, None before the first. Never waits, never raises."""
+        """Return the latest reading, or None before the first; must not block or raise."""
         raise NotImplementedError
 
     def values(self, given: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
-        """Return values by field as read-only arrays of the declared shapes; a field not given is NaN.
+        """Return values by field as read-only arrays of the declared shapes; missing fields are NaN.
 
         Parameters
         ----------
-        given : by field.
+        given : mapping
+            Values by field.
 
         Raises
         ------
-        UnknownName : a name that is no field.
-        ConfigError : no numbers, or another shape.
+        UnknownName
+            An undeclared field.
+        ConfigError
+            Values that are not numbers, or a wrong shape.
         """
         for name in given:
             if name not in self.fields:
@@ -162,16 +188,16 @@ class Source:
 
 
 def check_source(source: Source, robots: Sequence[Robot]) -> None:
-    """Check that a calibrated force sensor belongs to one of the arms of a run."""
+    """Check that a calibrated force sensor belongs to an arm of the run."""
     if source.calibration is None:
         return
     if not source.robot and len(robots) > 1:
         names = ", ".join(robot.name for robot in robots)
-        raise ConfigError(f"Expected robot= of the force sensor {source.name!r}, one of {names}, got none.")
+        raise ConfigError(f"Expected robot= of the force sensor {source.name!r}, one of {names}, got an empty name.")
     hashes = [robot.hash for robot in robots if source.robot in ("", robot.name)]
     if source.calibration.robot_hash and source.calibration.robot_hash not in hashes:
         raise ModelMismatchError(
-            f"Expected the calibration of the source {source.name!r} to be of a robot of this run, got one of "
+            f"Expected the calibration of the source {source.name!r} to belong to a robot of this run, got one of "
             f"{source.calibration.robot_name!r} ({source.calibration.robot_hash[:12]}). Calibrate on this robot."
         )
 
@@ -181,7 +207,7 @@ def _check_shapes(name: str, fields: Mapping[str, Column]) -> None:
         if any(size < 0 for size in column.shape) or math.prod(column.shape) * 8 > LARGEST:
             shape = str(column.shape)[:60]
             raise ConfigError(
-                f"Expected a field of sizes from 0 and at most {LARGEST // 8} numbers, as a row has, got the shape "
+                f"Expected field sizes from 0, and at most {LARGEST // 8} numbers per field, got shape "
                 f"{shape} of {field!r} in the source {name!r}."
             )
 
@@ -190,20 +216,24 @@ def _check_calibration(name: str, fields: Mapping[str, Column], calibration: obj
     raw = fields.get("wrench_raw")
     if not isinstance(calibration, ForceSensor) or "wrench" in fields or raw is None or raw.shape != (6,):
         raise ConfigError(
-            f"Expected a ForceSensor as the calibration of the source {name!r}, and a field wrench_raw (6,) but none "
-            f"called wrench, got {type(calibration).__name__} and the fields {', '.join(fields)}."
+            f"Expected a ForceSensor as the calibration of the source {name!r}, with a field wrench_raw (6,) and no "
+            f"field wrench, got {type(calibration).__name__} and the fields {', '.join(fields)}."
         )
 
 
 class ThreadSource(Source):
-    """Source with a thread: `work` runs until `_over` is set and leaves its readings in `_newest`. Subclass it.
+    """Source with a thread. Subclass it: `work` runs until `_over` is set and stores readings in `_newest`.
 
     Parameters
     ----------
-    name : of the source.
-    fields : columns by name.
-    period : seconds between two readings.
-    options : see `Source`.
+    name : str
+        Name of the source.
+    fields : mapping
+        Columns by field.
+    period : float, s
+        Nominal time between two readings.
+    options
+        See `Source`.
     """
 
     def __init__(self, name: str, fields: Mapping[str, Column], period: float, **options: Any) -> None:
@@ -213,7 +243,7 @@ class ThreadSource(Source):
         self._thread: threading.Thread | None = None
 
     def work(self) -> None:
-        """Receive readings, in the thread. A subclass defines it."""
+        """Receive readings in the thread; defined by a subclass."""
         raise NotImplementedError
 
     def start(self) -> None:
@@ -223,24 +253,32 @@ class ThreadSource(Source):
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread; one that hangs is left behind."""
+        """Stop the thread; a hanging thread is abandoned after 1 s."""
         self._over.set()
         if self._thread is not None:
             self._thread.join(1.0)
 
     def newest(self) -> Reading | None:
-        """Return the latest reading, None before the first."""
+        """Return the latest reading, or None before the first."""
         return self._newest
 
 
 class CallableSource(ThreadSource):
-    """A Python function called in a thread of its own, once per period.
+    """Python function called in a thread, once per period.
 
     Parameters
     ----------
-    name, fields, period, options : see `Source`.
-    function : called without arguments; returns values by field, or None when there is nothing new. When it raises, the
-        reading stays and grows old; `problem` says why.
+    name : str
+        Name of the source.
+    fields : mapping
+        Columns by field.
+    function : callable
+        Returns values by field, or None if there are no new values. If it raises, the reading is kept and `problem` is
+        set.
+    period : float, s
+        Time between two calls.
+    options
+        See `Source`.
     """
 
     def __init__(
@@ -264,18 +302,21 @@ class CallableSource(ThreadSource):
                 if given is not None:
                     values = self.values(given)
                     self._newest, seq = Reading(values, 0, time.monotonic_ns(), seq), seq + 1
-            except Exception as error:  # a user's function: its source grows old, the loop goes on
-                self.problem = f"{type(error).__name__}: {error}"
+            except Exception as error:  # of a user's function: the reading becomes stale, the loop continues
+                self.problem: str = f"{type(error).__name__}: {error}"
 
 
 class TimerSource(Source):
-    """Counter of periods: paces rows where there is no robot. Its one field is ``count``.
+    """Counter of periods, used to pace rows without a robot. Its only field is ``count``.
 
     Parameters
     ----------
-    name : of the source.
-    period : seconds between two counts.
-    options : see `Source`; `role` is "pacing" by default.
+    name : str
+        Name of the source.
+    period : float, s
+        Time between two counts.
+    options
+        See `Source`; default role: "pacing".
     """
 
     def __init__(self, name: str, period: float, **options: Any) -> None:
@@ -283,29 +324,34 @@ class TimerSource(Source):
         self._begun_ns = time.monotonic_ns()
 
     def start(self) -> None:
-        """Count from now."""
+        """Start counting."""
         self._begun_ns = time.monotonic_ns()
 
     def newest(self) -> Reading | None:
-        """Return the number of whole periods since the start, stamped with when the last of them was over."""
+        """Return the number of whole periods since the start, stamped with the end of the last one."""
         count = int((time.monotonic_ns() - self._begun_ns) / (1e9 * self.period))
         stamp_ns = self._begun_ns + int(1e9 * count * self.period)
         return Reading(self.values({"count": count}), stamp_ns, stamp_ns, count)
 
 
 class ReplaySource(Source):
-    """Replay of a recorded source: the same readings at the same ticks, through the same fusion.
+    """Replay of a recorded source: the same readings at the same ticks through the same fusion.
 
     Parameters
     ----------
-    name : of the source in the recording.
-    table : the recording.
-    period : seconds between two readings.
-    options : see `Source`.
+    name : str
+        Name of the source in the recording.
+    table : Table
+        The recording.
+    period : float, s
+        Nominal time between two readings.
+    options
+        See `Source`.
 
     Raises
     ------
-    UnknownName : the recording has no such source.
+    UnknownName
+        The recording does not contain the source.
     """
 
     def __init__(self, name: str, table: Table, period: float, **options: Any) -> None:
@@ -318,14 +364,14 @@ class ReplaySource(Source):
         super().__init__(name, fields, period, **options)
         self._values = {one.removeprefix(prefix): table[one] for one in names}
         self._ages_ns = np.rint(1e9 * table[f"{prefix}age"])
-        absent = np.full(len(table), np.nan)  # the source had no clock or numbers of its own
+        absent = np.full(len(table), np.nan)  # a source without clock or numbers
         self._counts = {one: table.values.get(f"{prefix}{one}", absent) for one in ("seq", "gaps", "source_time")}
         self._ticks_ns = table["receive_ns"] - table["receive_ns"][0]
         self._begun_ns: int | None = None
         self._row, self._newest = -1, None
 
     def newest(self) -> Reading | None:
-        """Return what the recording held at this time; it begins with the first tick."""
+        """Return the recorded reading at the current time, counted from the first tick."""
         if self._begun_ns is None:
             self._begun_ns = self.now_ns
         row = int(np.searchsorted(self._ticks_ns, self.now_ns - self._begun_ns, side="right")) - 1
@@ -337,38 +383,54 @@ class ReplaySource(Source):
         if row < 0 or not np.isfinite(self._ages_ns[row]) or self._begun_ns is None:
             return None
         receive_ns = self._begun_ns + int(self._ticks_ns[row]) - int(self._ages_ns[row])
-        told = [float(counts[row]) for counts in self._counts.values()]
-        seq, gaps, seconds = (one if np.isfinite(one) else 0.0 for one in told)
+        recorded = [float(counts[row]) for counts in self._counts.values()]
+        seq, gaps, seconds = (one if np.isfinite(one) else 0.0 for one in recorded)
         values = self.values({name: array[row] for name, array in self._values.items()})
         return Reading(values, round(1e9 * seconds), receive_ns, int(seq), int(gaps))
 
 
 _STAMPS = ("seq", "stamp_ns")
-_DRAINED = 64  # datagrams per tick: a flood cannot hold the loop up
-_BACKLOG = 2000  # at first: what came before the robot did
-_MOST_GAPS = 1 << 53  # whole numbers in the log
+_DRAINED = 64  # datagrams per tick: a flood must not block the loop
+_BACKLOG = 2000  # at first: datagrams that arrived before the robot's
+_MOST_GAPS = 1 << 53  # largest integer of the log
 
 
 class UdpSource(Source):
-    """Datagrams on a UDP port of this computer, as numbers in a fixed order or as JSON.
+    """Datagrams on a UDP port of this computer, as binary numbers or JSON.
 
-    Every datagram that waits is taken in a tick and the newest that can be read is used; the kernel stamps arrivals.
+    Each tick reads all waiting datagrams and uses the newest valid one; the kernel stamps arrivals.
 
     Parameters
     ----------
-    name, fields, period, options : see `Source`.
-    port, host : where to listen, from `start` on; port 0 lets the system choose.
-    layout : the numbers in order, name -> NumPy type such as ``"<f8"`` or ``">u4"``: each field once, and if sent
-        ``seq`` and ``stamp_ns``. Or "json": one object with these names.
+    name : str
+        Name of the source.
+    fields : mapping
+        Columns by field.
+    period : float, s
+        Nominal time between two readings.
+    port : int
+        Port to listen on from `start`; 0 lets the system choose.
+    layout : mapping or "json"
+        NumPy type by name in order, such as ``"<f8"`` or ``">u4"``: each field exactly once, optionally also ``seq``
+        and ``stamp_ns``. Alternatively "json": one object with these names.
+    host : str
+        Address to listen on.
+    options
+        See `Source`.
 
     Attributes
     ----------
-    drops : datagrams that could not be read; those before a newer one in the same tick are not looked at.
+    drops : int
+        Number of invalid datagrams; older datagrams of the same tick are not read.
 
     Raises
     ------
-    ConfigError : a layout without one of the fields, with another name or a type that is no number.
+    ConfigError
+        A layout with a missing field, an additional name, or a non-numeric type.
     """
+
+    host: str
+    drops: int
 
     def __init__(
         self,
@@ -392,7 +454,8 @@ class UdpSource(Source):
 
         Raises
         ------
-        LinkError : it cannot be bound.
+        LinkError
+            The port cannot be bound.
         """
         self._port = Port(self.host, self.port)
         self.port = self._port.port
@@ -404,7 +467,7 @@ class UdpSource(Source):
             self._port = None
 
     def newest(self) -> Reading | None:
-        """Return the latest reading, None before the first."""
+        """Return the latest reading, or None before the first."""
         waiting: list[Arrival] = []
         most = _BACKLOG if self._newest is None else _DRAINED
         while self._port is not None and len(waiting) < most:
@@ -417,7 +480,7 @@ class UdpSource(Source):
         return self._newest
 
     def _take(self, data: bytes, receive_ns: int, count: int) -> bool:
-        """Read the newest of `count` datagrams, so that those before it cost nothing. Return whether that went well."""
+        """Read the newest of `count` datagrams and skip the others; return whether the newest was valid."""
         last = self._newest
         try:
             given = self._json(data) if self._layout is None else self._numbers(data, self._layout)
@@ -426,9 +489,9 @@ class UdpSource(Source):
             values = self.values(given)
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
             self.drops += 1
-            self.problem = self.problem or f"a datagram could not be read, {type(error).__name__}: {error}"
+            self.problem: str = self.problem or f"invalid datagram, {type(error).__name__}: {error}"
             return False
-        lost = 0 if last is None else max(seq - last.seq - count, 0)  # a restart of the numbers loses nothing
+        lost = 0 if last is None else max(seq - last.seq - count, 0)  # restarted numbers are no loss
         gaps = 0 if last is None else min(last.gaps + lost, _MOST_GAPS)
         self._newest = Reading(values, stamp_ns, receive_ns, seq, gaps)
         return True
@@ -437,16 +500,16 @@ class UdpSource(Source):
         names = [name for name in layout if name not in _STAMPS]
         if not isinstance(layout, Mapping) or sorted(names) != sorted(self.fields):
             raise ConfigError(
-                f"Expected the layout of the source {self.name!r} to hold {', '.join(self.fields)} once each, and "
-                f"seq and stamp_ns where they are sent, got {layout!r}."
+                f"Expected the layout of the source {self.name!r} to contain {', '.join(self.fields)} exactly once "
+                f"each, and optionally seq and stamp_ns, got {layout!r}."
             )
         try:
             shapes = {name: column.shape for name, column in self.fields.items()}
             record = np.dtype([(name, code, shapes.get(name, ())) for name, code in layout.items()])
         except TypeError as error:
-            raise ConfigError(f"Expected types of numbers such as '<f8' in the layout, got {layout!r}.") from error
+            raise ConfigError(f"Expected numeric types such as '<f8' in the layout, got {layout!r}.") from error
         if any(record[name].base.kind not in "iuf" for name in layout):
-            raise ConfigError(f"Expected types of numbers such as '<f8' in the layout, got {layout!r}.")
+            raise ConfigError(f"Expected numeric types such as '<f8' in the layout, got {layout!r}.")
         return record
 
     @staticmethod

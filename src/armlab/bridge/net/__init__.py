@@ -1,3 +1,3 @@
-"""Sockets, and how the parts of a run report events."""
+"""Sockets, and rate-limited events."""
 
 __all__ = []

@@ -1,4 +1,4 @@
-"""How the parts of a run tell what a user should know: `Tell`, `nobody`, who does not listen, and `Limited`."""
+"""Events of a run: the callback type `Tell`, the null callback `nobody`, and the rate limit `Limited`."""
 
 from __future__ import annotations
 
@@ -8,48 +8,50 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-_EVERY = 1_000_000_000  # ns between two sentences of one kind
-_EACH = 50  # of a kind in that time that are told one by one: arms that the lease frees change hands ten times a second
-_KINDS = 64  # that are told apart at a time; more are a flood and share one turn
-_CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|\d[\d.]*")  # what differs between sentences of one kind
+_EVERY = 1_000_000_000  # ns between two events of one kind
+_EACH = 50  # events of a kind in that time with each=True: commanding clients may change ten times a second
+_KINDS = 64  # limited separately; further kinds share one limit
+_CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|\d[\d.]*")  # differs between events of one kind
 
 
 class Tell(Protocol):
-    """Takes sentences."""
+    """Callback for events."""
 
     def __call__(self, text: str, warn: bool = False, each: bool = False) -> None:
-        """Take one sentence; `warn` when something is wrong, `each` when others like it do not stand for it."""
+        """Report one event: `warn` marks a problem; `each` events are not summarised by later ones of their kind."""
         ...
 
 
 def nobody(text: str, warn: bool = False, each: bool = False) -> None:
-    """Ignore a sentence."""
+    """Ignore an event."""
 
 
 @dataclass(slots=True)
 class _Kind:
-    """When its turn began, how many were passed on in it, the one that waits since then, how many it has replaced."""
+    """Rate limit of one kind: start of its interval, events reported in it, pending event, events it replaced."""
 
-    told_ns: int
-    told: int = 1
-    waits: tuple[str, bool, int] | None = None
-    left_out: int = 0
+    reported_ns: int
+    reported: int = 1
+    pending: tuple[str, bool, int] | None = None
+    replaced: int = 0
 
 
 class Limited:
-    """Passes sentences on: of each kind the first at once, then at most one a second.
+    """Rate limit for events: the first event of each kind is reported immediately, then at most one per second.
 
-    Sentences are of one kind when they differ only in numbers and quoted words. Of those that come too soon the newest
-    waits for its turn, with its own stamp; it says how many it stands for. So something that flaps with every packet
-    fills no disk, and its last state is always known.
-    What must be told one by one is, up to fifty of a kind in a second; who sends more floods the log.
+    Events are of one kind if they differ only in numbers and quoted words. The newest event within a second is delayed
+    to the end of that second; it keeps its timestamp and counts the events it replaced. A condition that changes with
+    every packet therefore cannot fill the disk, and its last state is always reported. Events with ``each=True`` are
+    limited to fifty per kind and second.
     """
 
-    def __init__(self, tell: Callable[[str, bool, int], None]) -> None:
-        self._tell = tell
+    waiting: int
+
+    def __init__(self, report: Callable[[str, bool, int], None]) -> None:
+        self._report = report
         self._kinds: dict[str, _Kind] = {}
         self.waiting = 0
-        self._lock = threading.RLock()  # to tell may lead to another sentence
+        self._lock = threading.RLock()  # a report may cause another event
 
     def __call__(self, text: str, warn: bool, stamp_ns: int, each: bool = False) -> None:
         with self._lock:
@@ -62,15 +64,15 @@ class Limited:
             if kind is None:
                 self._kinds[name] = _Kind(stamp_ns)
             elif _is_over(kind, stamp_ns):
-                kind.told_ns, kind.told = stamp_ns, 1
-            elif each and kind.told < _EACH:
-                kind.told += 1
+                kind.reported_ns, kind.reported = stamp_ns, 1
+            elif each and kind.reported < _EACH:
+                kind.reported += 1
             else:
-                self.waiting += kind.waits is None
-                kind.left_out += kind.waits is not None
-                kind.waits = (text, warn, stamp_ns)
+                self.waiting += kind.pending is None
+                kind.replaced += kind.pending is not None
+                kind.pending = (text, warn, stamp_ns)
                 return
-            self._tell(text, warn, stamp_ns)
+            self._report(text, warn, stamp_ns)
 
     def due(self, now_ns: int) -> None:
         if self.waiting:
@@ -81,24 +83,24 @@ class Limited:
 
     def _publish(self, condition: Callable[[_Kind], bool], now_ns: int) -> None:
         with self._lock:
-            ready = [kind for kind in self._kinds.values() if kind.waits is not None and condition(kind)]
+            ready = [kind for kind in self._kinds.values() if kind.pending is not None and condition(kind)]
             for kind in sorted(ready, key=_stamp):
-                if kind.waits is not None:
-                    (text, warn, stamp_ns), left_out = kind.waits, kind.left_out
-                    kind.told_ns, kind.told, kind.waits, kind.left_out = now_ns, 1, None, 0
+                if kind.pending is not None:
+                    (text, warn, stamp_ns), replaced = kind.pending, kind.replaced
+                    kind.reported_ns, kind.reported, kind.pending, kind.replaced = now_ns, 1, None, 0
                     self.waiting -= 1
-                    self._tell(f"{text} ({left_out} like it left out.)" if left_out else text, warn, stamp_ns)
+                    self._report(f"{text} ({replaced} similar events skipped.)" if replaced else text, warn, stamp_ns)
 
     def _forget(self, now_ns: int) -> None:
-        """Forget kinds of which nothing was heard lately."""
+        """Forget the kinds without a recent event."""
         self._kinds = {
-            name: kind for name, kind in self._kinds.items() if kind.waits is not None or not _is_over(kind, now_ns)
+            name: kind for name, kind in self._kinds.items() if kind.pending is not None or not _is_over(kind, now_ns)
         }
 
 
 def _is_over(kind: _Kind, now_ns: int) -> bool:
-    return abs(now_ns - kind.told_ns) >= _EVERY  # a robot's clock may begin anew
+    return abs(now_ns - kind.reported_ns) >= _EVERY  # a robot's clock may be set back
 
 
 def _stamp(kind: _Kind) -> int:
-    return 0 if kind.waits is None else kind.waits[2]
+    return 0 if kind.pending is None else kind.pending[2]

@@ -1,4 +1,4 @@
-"""Sockets: the UDP port of an arm, TCP ports of servers, the pair between the loop and a server process."""
+"""Sockets: UDP port of an arm, TCP ports of servers, and the socket pair between the loop and a server process."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from armlab import kernels
-from armlab._descriptors import Descriptor, apart
+from armlab._files import Descriptor, apart
 from armlab.errors import LinkError
 
 _LISTENING = "0A"  # state of a TCP socket in /proc/net/tcp
 
 
 def process_using_port(port: int, kind: Literal["udp", "tcp"] = "udp") -> str:
-    """Return who holds a port, "process 4711 (armlab sim ...)", or "" when unknown, as of another user's process."""
+    """Return the process that uses a port, "process 4711 (armlab sim ...)", or "" if unknown (another user's)."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         inodes = _inodes(port, kind)
         for process in Path("/proc").iterdir():
@@ -29,7 +29,7 @@ def process_using_port(port: int, kind: Literal["udp", "tcp"] = "udp") -> str:
 
 
 def program(process: int) -> str:
-    """Return a process in words, "process 4711 (armlab sim ...)", without its command when that is hidden."""
+    """Return the number and command line of a process, as "process 4711 (armlab sim ...)"."""
     with contextlib.suppress(OSError), Path(f"/proc/{process}/cmdline").open("rb") as file:
         command = " ".join(file.read(200).replace(b"\0", b" ").decode(errors="replace").split())
         return f"process {process} ({command})"
@@ -50,7 +50,7 @@ def _has_socket(process: Path, inodes: set[str]) -> bool:
 
 
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux; absent from Python's socket module
-_FLUSHED = 2000  # datagrams: more than a receive buffer holds
+_FLUSHED = 2000  # datagrams: exceeds a receive buffer
 
 
 class Arrival(NamedTuple):
@@ -62,14 +62,16 @@ class Arrival(NamedTuple):
 
 
 class Port:
-    """A bound UDP port that never blocks; socket errors are counted."""
+    """Bound, non-blocking UDP port; socket errors are counted."""
 
     def __init__(self, host: str, port: int) -> None:
         self._errors = self._seen = 0
         self._is_closed = False
         self.on_lost: Callable[[], None] = lambda: None
         self._bind(socket.socket(socket.AF_INET, socket.SOCK_DGRAM), host, port)
-        self.host, self.port = self._socket.getsockname()
+        name: tuple[str, int] = self._socket.getsockname()
+        self.host: str = name[0]
+        self.port: int = name[1]
 
     def _bind(self, opened: socket.socket, host: str, port: int) -> None:
         self._socket = opened
@@ -105,17 +107,17 @@ class Port:
         return arrival
 
     def flush(self) -> None:
-        """Throw away what arrived while nobody listened: replies to old packets would be references to old places."""
+        """Discard waiting datagrams, because replies to old packets would send outdated references."""
         for _ in range(_FLUSHED):
             if self.receive() is None:
                 break
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
-        """Send one datagram. Return whether the system took it."""
+        """Send one datagram. Return whether the system accepted it."""
         return self._datagrams.send(data, to) or (self._was_lost() and self._datagrams.send(data, to))
 
     def _was_lost(self) -> bool:
-        """After an error: return whether other code had closed the socket, which is bound again then."""
+        """After an error, return whether other code had closed the socket, and bind it again if so."""
         self._seen = self._datagrams.errors
         if self._is_closed or self._descriptor.is_open:
             return False
@@ -132,22 +134,22 @@ def _why_not(host: str, port: int, error: Exception) -> str:
     if code == errno.EADDRINUSE:
         who = process_using_port(port)
         return (
-            f"Expected UDP port {host}:{port} to be free, but it is in use{f' by {who}' if who else ''}. "
+            f"Expected UDP port {host}:{port} to be free, got a port in use{f' by {who}' if who else ''}. "
             "End that program or choose another port."
         )
     if code == errno.EACCES:
-        return f"Expected to be allowed to listen on {host}:{port} ({error}). Choose a port above 1023."
+        return f"Expected permission to listen on {host}:{port} ({error}). Choose a port above 1023."
     return (
-        f"Expected a local address to listen on, got {host}:{port} ({error}). Use an address of this computer, "
-        "127.0.0.1 for a robot simulated on it."
+        f"Expected a local address to listen on, got {host}:{port} ({error}). Use an address of this computer; for a "
+        "robot simulated on it, 127.0.0.1."
     )
 
 
 def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.socket:
-    """Return a socket that listens and never blocks; what it accepts sends small messages at once."""
+    """Return a non-blocking listening socket; accepted connections send small messages without delay."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else one waits up to 40 ms for an acknowledgement
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else a message waits up to 40 ms for an ACK
     try:
         listener.bind((host, port))
         listener.listen(backlog)
@@ -155,22 +157,22 @@ def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.so
         listener.close()
         is_taken = getattr(error, "errno", None) == errno.EADDRINUSE
         who = process_using_port(port, "tcp") if is_taken else ""
-        why = f"it is in use{f' by {who}' if who else ''}" if is_taken else f"{error}"
+        why = f"a port in use{f' by {who}' if who else ''}" if is_taken else f"{error}"
         raise LinkError(
-            f"Expected TCP port {host}:{port} for {name} to be free, but {why}. End the program that has it or choose "
+            f"Expected TCP port {host}:{port} for {name} to be free, got {why}. End the program that uses it or choose "
             "another port."
         ) from error
     listener.setblocking(False)
     return listener
 
 
-_BUFFER = 4 * 2**20  # bytes that wait for a server
+_BUFFER = 4 * 2**20  # bytes queued for a server
 _SNDBUFFORCE = 32  # Linux: beyond the system's limit, where permitted
 _LARGEST = 2**17
 
 
 def pair() -> tuple[socket.socket, socket.socket]:
-    """Return two connected sockets that keep messages whole: ours, which never blocks, and the server's."""
+    """Return two connected sockets that preserve message boundaries: ours, which never blocks, and the server's."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, getattr(socket, "SOCK_SEQPACKET", socket.SOCK_DGRAM))
     ours.setblocking(False)
     for option in (socket.SO_SNDBUF, _SNDBUFFORCE):
@@ -180,7 +182,10 @@ def pair() -> tuple[socket.socket, socket.socket]:
 
 
 class Outlet:
-    """The way to one server process and back."""
+    """Connection to one server process."""
+
+    rows: int
+    lost: int
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -191,31 +196,31 @@ class Outlet:
         self._descriptor = Descriptor(-1)
 
     def open(self) -> socket.socket:
-        """Return a new socket for the server process; the old one, of a process that has ended, is closed."""
+        """Return a new socket for the server process; close the old one."""
         self.close()
         ours, theirs = pair()
         self._socket, self._descriptor = ours, Descriptor(ours.fileno())
         return theirs
 
     def close(self) -> None:
-        """Close our end: the server process ends then."""
+        """Close our end, which ends the server process."""
         gone, self._socket, self.where = self._socket, None, None
         if gone is not None:
             gone.detach()
             self._descriptor.close()
 
     def row(self, data: bytes) -> None:
-        """Send one row, or count it as lost. Never waits."""
+        """Send one row, or count it as lost; never block."""
         if self.send(data):
             self.rows += 1
         else:
             self.lost += 1
 
     def send(self, data: bytes) -> bool:
-        """Send one message; False when it was dropped: no process, or one that does not read. Never waits."""
+        """Send one message without blocking; return False if it is dropped (the process is gone or does not read)."""
         try:
             return self._socket is not None and self._socket.send(data) > 0
-        except OSError:  # full, or the process has gone: its supervisor sees to that
+        except OSError:  # full, or the process has ended: its supervisor restarts it
             return False
 
     def receive(self) -> bytes | None:
@@ -227,13 +232,13 @@ class Outlet:
 
 
 def is_here(place: str) -> bool:
-    """Return whether "HOST:PORT" is on this computer; a name that is to be looked up is not, but for localhost."""
+    """Return whether "HOST:PORT" is on this computer; host names other than localhost are not looked up."""
     host = place.rpartition(":")[0].strip("[]")
     return host == "localhost" or is_loopback(host)
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host is an address of this computer only; a name is not."""
+    """Return whether a host is a loopback address; False for names."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -246,9 +251,9 @@ _SIOCGIFADDR = 0x8915
 def local_addresses() -> dict[str, str]:
     """Return the IPv4 address of each network interface that has one."""
     found: dict[str, str] = {}
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
         for _, name in socket.if_nameindex():
             with contextlib.suppress(OSError):  # an interface without an address
-                answer = fcntl.ioctl(asked.fileno(), _SIOCGIFADDR, name.encode()[:15].ljust(256, b"\0"))
-                found[name] = socket.inet_ntoa(answer[20:24])
+                reply = fcntl.ioctl(control.fileno(), _SIOCGIFADDR, name.encode()[:15].ljust(256, b"\0"))
+                found[name] = socket.inet_ntoa(reply[20:24])
     return found

@@ -1,3 +1,3 @@
-"""Server processes: rows, parameters and events of a cell to other programs, their commands to the loop."""
+"""Server processes: send rows, parameters and events of a cell to other programs, and pass on their commands."""
 
 __all__ = []

@@ -1,7 +1,7 @@
-"""`Hub`: between the loop and the server processes; it is a feed of the loop.
+"""`Hub`: a feed of the loop that connects it to the server processes.
 
-Rows and events go out; commands and settings of parameters come back by the same sockets. A server that does not read
-loses rows, which are counted; it never holds the loop up.
+Rows and events go out; commands and parameter settings return through the same sockets. A server that does not read
+loses rows (they are counted) and never blocks the loop.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from armlab.bridge.arbiter import Arbiter, Order
+from armlab.bridge.arbiter import Arbiter, Order, Result
 from armlab.bridge.inputs.parameters import Change, Parameters
 from armlab.bridge.net.events import Tell
 from armlab.bridge.net.sockets import Outlet
@@ -26,20 +26,22 @@ from armlab.bridge.servers.messages import parameter_message, text_message
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.errors import ArmlabError, LinkError
 from armlab.log import Column, Tick
+from armlab.motion import JointTrajectory, Tolerance, TrajectoryController
 from armlab.robots import Robot, to_toml
 from armlab.state import Command, State
 
 OPERATOR = "local"
-"""The server whose clients are operators: its socket is the user's own."""
+"""Server of the operators: its socket belongs to the user."""
 
-_PATIENCE = 0.5  # s for a server to say what its clients got, when the arms rest
-_DRAINED = 16  # requests of a server per look
-_EVENTS = 1000  # that wait for a run to begin
-_SENTENCE = 1000  # characters of a report: what clients send may be quoted in it
+_PATIENCE = 0.5  # s for a server to report the counts of its clients, once the arms rest
+_DRAINED = 16  # requests of a server per poll
+_EVENTS = 1000  # waiting for a run to begin
+_SENTENCE = 1000  # characters of a report, which may quote a client's message
+_PARTS = 64  # of a trajectory
 
 
 class Hub:
-    """A feed (see `recording.Feed`) for processes: rows and events to all, their requests to arbiter and parameters."""
+    """Feed for server processes (see `recording.Feed`): distributes rows and events, and handles their requests."""
 
     def __init__(
         self,
@@ -53,9 +55,9 @@ class Hub:
         torque: Iterable[str] = (),
         read_only: Iterable[str] = (),
     ) -> None:
-        self.parameters = Parameters() if parameters is None else parameters
-        self.outlets = {name: Outlet(name) for name in servers}
-        self.schema = RowSchema.of(robots, sources)
+        self.parameters: Parameters = Parameters() if parameters is None else parameters
+        self.outlets: dict[str, Outlet] = {name: Outlet(name) for name in servers}
+        self.schema: RowSchema = RowSchema.of(robots, sources)
         self._writer = RowWriter(self.schema)
         self._about = {
             "run": secrets.token_hex(8),
@@ -63,16 +65,21 @@ class Hub:
             "robots": {robot.name: to_toml(robot) for robot in robots},
         }
         self._read_only = frozenset(read_only)
-        self._told: deque[tuple[str, bool, bool]] = deque(maxlen=_EVENTS)
+        self._events: deque[tuple[str, bool, bool]] = deque(maxlen=_EVENTS)
         self._record: Tell | None = None
         self._keep: Callable[[Change], None] = lambda change: None
         self._files = b""
         self._lock = threading.Lock()
         self._polled_ns = 0
-        self.arbiter = Arbiter(robots, allowed, poll=self.poll, tell=self.tell, answer=self.answer, torque=torque)
+        self._parts: dict[str, list[messages.TrajectoryRequest]] = {}
+        self._robots = {robot.name: robot for robot in robots}
+        self._limits = messages.limits_of_cell(robots, self._about)
+        self.arbiter: Arbiter = Arbiter(
+            robots, allowed, poll=self.poll, tell=self.tell, answer=self.answer, torque=torque, on_goal=self.report_goal
+        )
 
     def open(self, name: str) -> socket.socket:
-        """Return the socket for a server process that starts; it gets schema and parameters first."""
+        """Return the socket of a new server process, which first receives the schema and the parameters."""
         outlet = self.outlets[name]
         theirs = outlet.open()
         outlet.send(text_message("about", **self._about, schema=self.schema.text.decode()))
@@ -82,14 +89,14 @@ class Hub:
         return theirs
 
     def close(self) -> None:
-        """Close all outlets: the server processes end."""
+        """Close all connections, which ends the server processes."""
         for outlet in self.outlets.values():
             outlet.close()
 
     def begin(
         self, tell: Tell, files: Sequence[Path] = (), keep: Callable[[Change], None] = lambda change: None
     ) -> None:
-        """Take where the events of a run are recorded; it gives them back to `event`."""
+        """Start recording the events of a run through `tell`, which passes them back to `event`."""
         self._files = text_message("recording", files=[str(file.absolute()) for file in files])
         for outlet in self.outlets.values():
             outlet.send(self._files)
@@ -101,7 +108,7 @@ class Hub:
             self.tell(f"Parameters: {', '.join(f'{name} = {value}' for name, value in values.items())}.")
 
     def summary(self) -> dict[str, Any]:
-        """Return what is kept with the numbers of a run: parameters, who commanded, rows by server and client."""
+        """Return the statistics of a run: parameters, commanding clients, rows by server and client."""
         servers = {name: self._counted(outlet) for name, outlet in self.outlets.items()}
         self.parameters.running = False
         values = {
@@ -116,7 +123,7 @@ class Hub:
         }
 
     def _counted(self, outlet: Outlet) -> dict[str, Any]:
-        """Ask a server what its clients got; it has little time to answer."""
+        """Request the counts of a server's clients; wait at most 0.5 s."""
         outlet.clients, until = None, time.monotonic() + _PATIENCE
         if outlet.send(text_message("count")):
             while outlet.clients is None and time.monotonic() < until:
@@ -126,37 +133,45 @@ class Hub:
         return {"rows": outlet.rows, "lost": outlet.lost, "clients": outlet.clients}
 
     def tell(self, text: str, warn: bool = False, each: bool = False) -> None:
-        """Keep a sentence for the events of the run; from any thread."""
-        self._told.append((text, warn, each))
+        """Queue an event of the run; may be called from any thread."""
+        self._events.append((text, warn, each))
 
     def answer(self, client: str, text: str, refused: Iterable[str] = ()) -> None:
-        """Send a sentence to the client that asked."""
+        """Send a text to a client."""
         server, _, rest = client.partition(" ")
         if server in self.outlets:
             self.outlets[server].send(text_message("answer", client=rest, text=text, refused=list(refused)))
 
+    def report_goal(self, order: Order, result: Result) -> None:
+        """Send the beginning or the result of a goal to its server."""
+        server, _, rest = order.client.partition(" ")
+        if server in self.outlets:
+            status, ending, text = result
+            about = {"client": rest, "arm": order.arm, "goal": order.goal}
+            self.outlets[server].send(text_message("goal", **about, status=status, ending=ending, text=text))
+
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
-        """Send a row to every server and see what came back."""
+        """Send a row to every server and handle requests."""
         data = self._writer.row(state, command, tick, time.monotonic_ns(), self.arbiter.commander(state.robot))
         for outlet in self.outlets.values():
             outlet.row(data)
         self.poll()
 
     def event(self, text: str, warn: bool = False) -> None:
-        """Send a sentence to every server."""
+        """Send an event to every server."""
         data = text_message("event", stamp_ns=time.time_ns(), text=text, warn=warn)
         for outlet in self.outlets.values():
             outlet.send(data)
 
     def idle(self, longer_ns: int) -> None:
-        """See what came back when no packet of a robot made the loop look; for another thread."""
+        """Poll from another thread while no robot packets arrive."""
         if time.monotonic_ns() - self._polled_ns > longer_ns:
             self.poll()
 
     def poll(self) -> None:
-        """Take at most 16 requests of each server, then bring parameters into force. Never waits."""
+        """Handle at most 16 requests of each server, then apply parameters; never block."""
         if not self._lock.acquire(blocking=False):
-            return  # the other thread is at it
+            return  # the other thread polls
         try:
             self._polled_ns = time.monotonic_ns()
             for outlet in self.outlets.values():
@@ -173,8 +188,8 @@ class Hub:
                 message = parameter_message(self.parameters)
                 for outlet in self.outlets.values():
                     outlet.send(message)
-            while self._told:
-                text, warn, each = self._told.popleft()
+            while self._events:
+                text, warn, each = self._events.popleft()
                 if self._record is None:
                     self.event(text, warn)
                 else:
@@ -185,7 +200,7 @@ class Hub:
     def _take(self, outlet: Outlet, data: bytes) -> None:
         try:
             request = messages.read_request(data)
-        except LinkError:  # noise
+        except LinkError:  # not a request
             return
         client, is_operator = f"{outlet.name} {request.client}".rstrip(), outlet.name == OPERATOR
         match request:
@@ -199,17 +214,26 @@ class Hub:
                 self.arbiter.stop(client)
                 self.answer(client, "Done.")
             case messages.Leave():
+                self._parts.pop(client, None)
                 self.arbiter.leave(client)
+            case messages.Cancel():
+                self.arbiter.cancel(client, request.arm, request.goal)
             case _ if outlet.name in self._read_only:
                 refused = request.values if isinstance(request, messages.SetRequest) else ()
-                text = f"Expected no requests through {outlet.name}: it listens beyond this computer. Read."
+                text = f"{outlet.name} accepts clients from other computers without a secret. You may only read."
                 self.answer(client, text, refused)
+                if isinstance(request, messages.TrajectoryRequest):
+                    self.report_goal(Order(client, request.arm, goal=request.goal), ("aborted", "refused", text))
             case messages.SetRequest():
                 self._set(client, request, is_operator)
             case messages.CommandRequest():
                 q, qd, tau = (None if one is None else _numbers(one) for one in (request.q, request.qd, request.tau))
                 order = Order(client, request.arm, q, qd, tau, request.seq, request.first, request.by_axis)
                 self.arbiter.submit(order)
+            case messages.TrajectoryRequest():
+                self._take_trajectory(client, request)
+            case messages.Renew():
+                self.arbiter.renew(client, request.arm, request.goal)
             case messages.Release() if not is_operator:
                 self.arbiter.release(client, client)
             case messages.Resume() | messages.Release() if is_operator:
@@ -217,7 +241,37 @@ class Hub:
                 act(client)
                 self.answer(client, "Done.")
             case _:
-                self.answer(client, "Expected an operator to resume: armlab bridge resume.")
+                self.answer(client, "Expected an operator, got another client. Resume with armlab bridge resume.")
+
+    def _take_trajectory(self, client: str, part: messages.TrajectoryRequest) -> None:
+        """Store one part of a trajectory, and submit the trajectory with the last part."""
+        parts = [one for one in self._parts.pop(client, ()) if one.goal == part.goal]
+        if part.index == len(parts) < _PARTS:
+            parts.append(part)
+        if part.index < part.count - 1:
+            self._parts[client] = parts
+        else:
+            order = Order(client, part.arm, goal=part.goal)
+            if len(parts) != part.count:
+                why = f"Expected {part.count} parts of the trajectory, got {len(parts)}. Send it again."
+                self.report_goal(order, ("aborted", "refused", why))
+                return
+            points = b"".join(one.points for one in parts)
+            try:
+                self.arbiter.submit(order._replace(trajectory=self._trajectory(part, points)))
+            except (ArmlabError, ValueError) as error:
+                self.report_goal(order, ("aborted", "refused", str(error)))
+
+    def _trajectory(self, last: messages.TrajectoryRequest, points: bytes) -> TrajectoryController | None:
+        """Return the controller of a trajectory whose limits were checked by its server; None for an unknown arm."""
+        robot = self._robots.get(last.arm)
+        if robot is None:
+            return None
+        rows = np.frombuffer(points).reshape(-1, 1 + last.orders * robot.n)
+        columns = [rows[:, 1 + k * robot.n : 1 + (k + 1) * robot.n] for k in range(last.orders)]
+        trajectory = JointTrajectory(rows[:, 0], *columns, joints=robot.ros_joint_names)
+        path, goal = (Tolerance(*pair) for pair in np.frombuffer(last.tolerances).reshape(2, 2, robot.n))
+        return TrajectoryController(trajectory, self._limits[last.arm], path, goal, last.goal_time, last.begin)
 
     def _set(self, client: str, request: messages.SetRequest, is_operator: bool) -> None:
         try:

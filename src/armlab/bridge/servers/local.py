@@ -1,4 +1,4 @@
-"""The local feed, a Unix socket of the user's own: `LocalFeed`, its client, and `LocalServer`, a process."""
+"""Local feed over a Unix socket of the user: the client `LocalFeed`, and the server process `LocalServer`."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ _LARGEST = 2**17
 
 
 def socket_path(cell: str) -> Path:
-    """Return where the local feed of a cell is, in a folder of the user's own."""
+    """Return the socket path of a cell's local feed, in a private folder of the user."""
     given = os.environ.get("XDG_RUNTIME_DIR")
     folder = Path(given) / "armlab" if given else Path(tempfile.gettempdir()) / f"armlab-{os.getuid()}"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     about = folder.lstat()
     if not stat.S_ISDIR(about.st_mode) or about.st_uid != os.getuid() or about.st_mode & 0o077:
-        raise LinkError(f"Expected {folder} to be a folder that only you can enter. Remove it, or set XDG_RUNTIME_DIR.")
+        raise LinkError(f"Expected {folder} to be private (mode 0700). Remove it, or set XDG_RUNTIME_DIR.")
     return folder / f"{cell}.sock"
 
 
 def cells() -> list[str]:
-    """Return the names of the cells that run under this user."""
+    """Return the names of the user's running cells."""
     found = []
     for path in sorted(socket_path("x").parent.glob("*.sock")):
         with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as one:
@@ -59,28 +59,33 @@ def cells() -> list[str]:
 
 
 class LocalFeed:
-    """A client of the local feed; a context manager.
+    """Client of the local feed; a context manager.
 
     Parameters
     ----------
-    cell : name of the cell; "" when only one runs.
-    patience : time to wait for a message [s].
+    cell : str
+        Name of the cell; "" selects the only running one.
+    patience : float, s
+        Time to wait for a message.
 
     Raises
     ------
-    LinkError : no such bridge runs.
-    ConfigError : several bridges run, and `cell` is "".
+    LinkError
+        The bridge is not running.
+    ConfigError Several bridges are running, and `cell` is "".
     """
 
     def __init__(self, cell: str = "", patience: float = 5.0) -> None:
         if not cell:
             running = cells()
             if len(running) > 1:
-                raise ConfigError(f"Expected the name of a cell, since {', '.join(running)} run. Give --cell NAME.")
+                raise ConfigError(
+                    f"Expected the name of a cell, one of {', '.join(running)}, got none. Give --cell NAME."
+                )
             cell = running[0] if running else ""
         if not cell:
             raise LinkError(
-                "Expected a running bridge of this user, but found none. Start armlab bridge --config CELL."
+                "Expected one of your bridges to be running, found none. Start armlab bridge --config CELL."
             )
         self.cell = cell
         self._schema: RowSchema | None = None
@@ -91,7 +96,7 @@ class LocalFeed:
         except OSError as error:
             self._socket.close()
             raise LinkError(
-                f"Expected the bridge of the cell {cell!r} to run, but it cannot be reached ({error}). "
+                f"Expected a running bridge of the cell {cell!r}, but it cannot be reached ({error}). "
                 "Start armlab bridge --config CELL."
             ) from error
 
@@ -102,15 +107,16 @@ class LocalFeed:
         self.close()
 
     def close(self) -> None:
-        """Leave."""
+        """Disconnect."""
         self._socket.close()
 
     def wait(self, seconds: float) -> bool:
-        """Return whether a message comes within so many seconds.
+        """Return whether a message arrives in time.
 
         Parameters
         ----------
-        seconds : at most.
+        seconds : float, s
+            Longest wait.
         """
         return bool(select.select([self._socket], [], [], max(seconds, 0.0))[0])
 
@@ -119,31 +125,33 @@ class LocalFeed:
 
         Parameters
         ----------
-        request : see `messages`.
+        request : Request
+            See `messages`.
         """
         try:
             self._socket.send(msgspec.json.encode(request))
         except OSError as error:
-            raise LinkError(f"Expected the bridge to take a request, but {error}. It may have ended.") from error
+            raise LinkError(f"Expected the bridge to accept a request, got {error}. It may have ended.") from error
 
     def receive(self) -> Row | dict[str, Any]:
-        """Return the next message: a row, or what another message says, by name, with its "kind".
+        """Return the next message: a row, or the fields of another message, with its "kind".
 
         Raises
         ------
-        LinkError : the bridge has ended, or nothing came in time.
+        LinkError
+            The bridge has ended, or no message arrived in time.
         """
         while True:
             try:
                 data = self._socket.recv(_LARGEST)
             except TimeoutError:
                 raise LinkError(
-                    "Expected a message of the bridge in time, but none came. See whether it runs."
+                    "Expected a message from the bridge in time, got none. Check that the bridge is running."
                 ) from None
             except OSError:
                 data = b""
             if not data:
-                raise LinkError(f"Expected the bridge of {self.cell} to go on, but it closed the feed.")
+                raise LinkError(f"Expected the bridge of {self.cell} to keep running, but it closed the feed.")
             if data[:4] != MAGIC:
                 message = msgspec.json.decode(data)
                 if message["kind"] == "about":
@@ -155,15 +163,15 @@ class LocalFeed:
 
 _CLIENTS = 8
 _STATUS = 0.5  # s between two reports
-_EVENTS = 20  # that a new client gets
-_KEPT = 100  # clients that have left, of which is known what they got
-_RETRY = 0.005  # s until requests that wait are tried again
+_EVENTS = 20  # sent to a new client
+_KEPT = 100  # disconnected clients whose counts are kept
+_RETRY = 0.005  # s between two attempts to send waiting requests
 _FRESH = struct.Struct("<q")
-_TAKEN = 16  # messages of a client before the others have their turn
+_TAKEN = 16  # messages of a client before the next client
 
 
 class _Client:
-    """One connection: its name, and how often it wants rows, None for never."""
+    """One connection: its name and its row rate (None without rows)."""
 
     def __init__(self, connection: socket.socket, name: str) -> None:
         self.connection, self.name = connection, name
@@ -173,7 +181,7 @@ class _Client:
     def send(self, data: bytes) -> bool:
         try:
             return self.connection.send(data) > 0
-        except OSError:  # full or gone: the next read tells which
+        except OSError:  # full or closed: the next read finds out
             return False
 
     def row(self, data: bytes) -> None:
@@ -184,14 +192,14 @@ class _Client:
 
 
 class LocalServer:
-    """Passes rows and events on to at most 8 clients of this user, and their requests to the loop."""
+    """Passes rows and events to at most 8 clients of the user, and passes their requests to the loop."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._path = Path(options["path"])
         self._listener = _listen(self._path)
         self._clients: dict[socket.socket, _Client] = {}
         self._events: deque[bytes] = deque(maxlen=_EVENTS)
-        self._gone: dict[str, tuple[int, int]] = {}  # rows sent to clients that have left, and dropped for them
+        self._gone: dict[str, tuple[int, int]] = {}  # rows sent and dropped, by disconnected client
         self._count = 0
         self._reported = 0.0
         try:
@@ -212,7 +220,7 @@ class LocalServer:
             self._selector.register(one, selectors.EVENT_READ)
         self._loop.ask(Listening(where=[f"{self._path} (local)"]))
         try:
-            while self._turn():
+            while self._serve():
                 pass
         finally:
             self._close()
@@ -223,8 +231,8 @@ class LocalServer:
             one.close()
         self._path.unlink(missing_ok=True)
 
-    def _turn(self) -> bool:
-        """Serve whoever has something; False when the loop has gone."""
+    def _serve(self) -> bool:
+        """Handle all pending messages; return False once the loop has ended."""
         for key, _ in self._selector.select(_RETRY if self._loop.is_behind else _STATUS):
             if key.fileobj is self._listener:
                 self._accept()
@@ -247,7 +255,7 @@ class LocalServer:
         self._status.add(data)
         if now - self._reported > _STATUS:
             self._reported = now
-            self._tell_all(text_message("status", **self._status.summary()))
+            self._send_to_all(text_message("status", **self._status.summary()))
         arms = [offset for offset in self._fresh if _FRESH.unpack_from(data, offset)[0]]
         for client in self._clients.values():
             if client.pace is not None and client.pace.takes(arms, now):
@@ -261,19 +269,19 @@ class LocalServer:
                     client.send(data)
         elif kind == "event":
             self._events.append(data)
-            self._tell_all(data)
+            self._send_to_all(data)
         elif kind != "count":
             self._first[kind] = data
-            self._tell_all(data)
+            self._send_to_all(data)
 
-    def _tell_all(self, data: bytes) -> None:
+    def _send_to_all(self, data: bytes) -> None:
         for client in self._clients.values():
             client.send(data)
 
     def _accept(self) -> None:
         try:
             connection, _ = self._listener.accept()
-        except OSError:  # gone already, or too many files are open: the others are served
+        except OSError:  # disconnected again, or too many open files: the others are served
             return
         connection.setblocking(False)
         if len(self._clients) >= _CLIENTS:
@@ -324,16 +332,16 @@ class LocalServer:
 
 
 def _listen(path: Path) -> socket.socket:
-    """Return the listening socket, which only this user may open."""
+    """Return a listening socket that only the user may open."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
         try:
             probe.connect(str(path))
         except OSError:
-            path.unlink(missing_ok=True)  # nobody listens there any more
+            path.unlink(missing_ok=True)  # left behind
         else:
             process, _, _ = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
             raise LinkError(
-                f"Expected no other bridge at {path}, but one runs: {program(process)}. Give the cell another name."
+                f"Expected no other bridge at {path}, got {program(process)}. Choose another name for the cell."
             )
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     before = os.umask(0o177)

@@ -1,30 +1,34 @@
-"""What goes between the loop and a server process besides rows: JSON texts, of which each is one message."""
+"""JSON messages between the loop and a server process (everything except rows)."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 
+from armlab.bridge.control.limits import Limits
 from armlab.bridge.inputs.parameters import Parameters
 from armlab.errors import LinkError
+from armlab.robots import Robot
 
 _LARGEST = 65536  # bytes of a request
 
 
-_Joints = Annotated[list[float | None], msgspec.Meta(max_length=64)]  # more would only cost the loop time
+_Joints = Annotated[list[float | None], msgspec.Meta(max_length=64)]  # bounds the loop's work
 
 
 class _Message(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_fields=True):
-    """One request; `client` is whatever tells the connections of a server apart."""
+    """One request; `client` identifies the connection within its server."""
 
     client: str = ""
 
 
 class CommandRequest(_Message, tag="command", frozen=True):
-    """References for one arm; see `order.Order`. A number that is not finite stands as null."""
+    """References for one arm; see `arbiter.Order`. Non-finite numbers become null."""
 
     arm: str = ""
     q: _Joints | None = None
@@ -35,54 +39,100 @@ class CommandRequest(_Message, tag="command", frozen=True):
     by_axis: bool = False
 
 
+class TrajectoryRequest(_Message, tag="trajectory", frozen=True):
+    """Part `index` of `count` of a trajectory for one arm; the trajectory starts with the last part.
+
+    `points` are rows of float64: time, positions and, if given, velocities and accelerations. `tolerances` are four
+    rows: positions and velocities of the path, then of the goal. `begin` is the start time [s].
+    """
+
+    arm: str = ""
+    goal: str = ""
+    points: bytes = b""
+    orders: Annotated[int, msgspec.Meta(ge=1, le=3)] = 1
+    index: int = 0
+    count: int = 1
+    tolerances: bytes = b""
+    goal_time: float = 0.0
+    begin: float = 0.0
+
+
+class Renew(_Message, tag="renew", frozen=True):
+    """Renew the lease of a running trajectory, because its client is connected."""
+
+    arm: str = ""
+    goal: str = ""
+
+
+class Cancel(_Message, tag="cancel", frozen=True):
+    """Bring to rest an arm that follows the trajectory of a goal; open to all clients, like a stop."""
+
+    arm: str = ""
+    goal: str = ""
+
+
 class SetRequest(_Message, tag="set", frozen=True):
-    """Values of parameters by name, in force together or not at all."""
+    """Parameter values by name, applied together or refused together."""
 
     values: dict[str, Any] = {}
 
 
 class Stop(_Message, tag="stop", frozen=True):
-    """All arms hold until an operator resumes."""
+    """Hold all arms until an operator resumes."""
 
 
 class Resume(_Message, tag="resume", frozen=True):
-    """The operator ends a stop."""
+    """End a stop; for operators."""
 
 
 class Release(_Message, tag="release", frozen=True):
-    """The client's own arms are free; the operator's request frees all."""
+    """Free the client's arms; an operator frees all arms."""
 
 
 class Leave(_Message, tag="leave", frozen=True):
-    """The client has gone."""
+    """Report that the client has disconnected."""
 
 
 class Listening(_Message, tag="listening", frozen=True):
-    """The server is ready; where it listens, in words."""
+    """Report that the server is ready, with its addresses."""
 
     where: list[str] = []
 
 
 class Report(_Message, tag="report", frozen=True):
-    """What a client sent was no request, or it was closed: why, for the events of the run."""
+    """Report an invalid message or a closed connection as an event of the run."""
 
     text: str = ""
 
 
 class Counted(_Message, tag="counted", frozen=True):
-    """What the server's clients got so far, asked for by the message "count": rows sent and dropped, by client."""
+    """Reply to the message "count": rows sent and dropped so far, by client."""
 
     clients: dict[str, tuple[int, int]] = {}
 
 
 class Subscribe(_Message, tag="subscribe", frozen=True):
-    """A client of the local feed wants this many rows a second, 0 for none; None for every row."""
+    """Subscribe a client of the local feed to rows at a rate [1/s]; 0: no rows, None: every row."""
 
     rate: float | None = 30.0
 
 
-Request = CommandRequest | SetRequest | Stop | Resume | Release | Leave | Report | Listening | Counted | Subscribe
-"""What a server process or a client of the local feed may ask for."""
+Request = (
+    CommandRequest
+    | TrajectoryRequest
+    | Renew
+    | Cancel
+    | SetRequest
+    | Stop
+    | Resume
+    | Release
+    | Leave
+    | Report
+    | Listening
+    | Counted
+    | Subscribe
+)
+"""All requests from a server process or a client of the local feed."""
 
 _DECODER = msgspec.json.Decoder(Request)
 
@@ -94,16 +144,16 @@ def read_request(data: bytes) -> Request:
     try:
         return _DECODER.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LinkError(f"Expected a request in JSON, but {str(error).rstrip('.')}.") from None
+        raise LinkError(f"Expected a request in JSON, got {str(error).rstrip('.')}.") from None
 
 
 def text_message(kind: str, **fields: Any) -> bytes:
-    """Return a message of the loop as JSON."""
+    """Encode a message from the loop as JSON."""
     return msgspec.json.encode({"kind": kind, **fields}, enc_hook=_plain)
 
 
 def parameter_message(parameters: Parameters) -> bytes:
-    """Return all declarations and values in force, and the last who set each, as one message."""
+    """Return all declarations, values in force, and the client of each last change, as one message."""
     about = []
     for name, value in parameters.values().items():
         declared = parameters.declared[name]
@@ -132,3 +182,9 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return str(value)
+
+
+def limits_of_cell(robots: Iterable[Robot], about: Mapping[str, Any]) -> dict[str, Limits]:
+    """Return the limits of each arm, using the cell's speeds from `about`."""
+    speeds = about.get("speeds", {})
+    return {one.name: replace(Limits.of(one), qd_max=np.array(speeds.get(one.name, one.qd_max))) for one in robots}

@@ -1,4 +1,4 @@
-"""`Datagrams`: one JSON datagram per row for PlotJuggler's UDP server, and the process that sends them."""
+"""PlotJuggler server: one JSON datagram per row (`Datagrams`), and the process that sends them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError, UnknownName
 
 _FIELDS = ("q", "qd", "tau", "wrench", "wrench_hat", "q_sent", "qd_sent", "tau_sent", "q_ref", "qd_ref", "tau_ref")
-_LARGEST = 1400  # bytes towards other computers: one packet of a network
+_LARGEST = 1400  # bytes to other computers: one network packet
 _LARGEST_HERE = 65507
-_NUMBER = len("-1234567890123456789012.0")  # the longest; "-1.2345678901234567e-308" is shorter by one
+_NUMBER = len("-1234567890123456789012.0")  # the longest; "-1.2345678901234567e-308" is one shorter
 _STAMP = len('{"timestamp":1700000000.1234567}')
 
 
 class Datagrams:
-    """Makes JSON datagrams of rows; its `fields` are those wanted that fit into `largest` bytes with any numbers."""
+    """JSON datagrams of rows; `fields` are the requested fields that fit into `largest` bytes."""
 
     def __init__(self, schema: RowSchema, fields: Sequence[str] | None = None, largest: int = _LARGEST) -> None:
         self._schema = schema
@@ -43,14 +43,14 @@ class Datagrams:
             elif fields:
                 raise ConfigError(
                     f"Expected fields that fit into {largest} bytes for PlotJuggler on another computer, but {name} "
-                    "does not any more. Choose fewer."
+                    "does not fit. Choose fewer fields."
                 )
         self._parts = {robot: _FieldGroup(schema, robot, self.fields) for robot in schema.robots}
         self._sources = {one.source: _FieldGroup(schema, one.source) for one in others}
         self._fresh = [(robot, schema.fields[f"{robot}.fresh"].offset) for robot in schema.robots]
 
     def datagram(self, data: bytes) -> bytes:
-        """Return the datagram of a row: of the arm whose row it is, and of all sources besides."""
+        """Return the datagram of a row, with its fresh arms and all sources."""
         _, _, wall_ns = read_head(self._schema, data)
         found: dict[str, Any] = {"timestamp": 1e-9 * wall_ns}
         for robot, place in self._fresh:
@@ -62,7 +62,7 @@ class Datagrams:
 
 
 class _FieldGroup:
-    """The fields of an arm or of a source in a datagram: joints and axes are numbered from 1."""
+    """Fields of an arm or source in a datagram, with joints and axes numbered from 1."""
 
     def __init__(self, schema: RowSchema, source: str, names: Iterable[str] | None = None) -> None:
         known = places(schema, source)
@@ -81,7 +81,7 @@ class _FieldGroup:
 
 
 class PlotJugglerServer:
-    """Sends until the loop closes the feed."""
+    """Sends datagrams until the loop closes the feed."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         to, self._from = options["to"], options["host"]
@@ -91,7 +91,7 @@ class PlotJugglerServer:
         except ValueError:
             raise ConfigError(f"Expected an IPv4 address as `to` of plotjuggler, got {to}.") from None
         if not is_here and ipaddress.IPv4Address(self._from).is_loopback:
-            raise ConfigError(f"Expected --listen plotjuggler=ADDRESS too, since {to} is not this computer. Add it.")
+            raise ConfigError(f"Expected --listen plotjuggler=ADDRESS, because {to} is another computer. Add it.")
         self._loop = LoopEnd(feed, lambda: {"{}:{}".format(*self._to): (self._sent, self._lost)})
         self._datagrams = Datagrams(self._loop.schema, options["fields"], _LARGEST_HERE if is_here else _LARGEST)
 
@@ -99,7 +99,7 @@ class PlotJugglerServer:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
             out.bind((self._from, 0))
             out.setblocking(False)
-            out.connect(self._to)  # the system tells then that nobody listens there
+            out.connect(self._to)  # makes the system report a missing receiver
             to, fields = "{}:{}".format(*self._to), ", ".join(self._datagrams.fields)
             self._loop.ask(Listening(where=[f"to {to} (plotjuggler: {fields})"]))
             while (messages := self._loop.receive(None)) is not None:
@@ -107,11 +107,11 @@ class PlotJugglerServer:
                     try:
                         out.send(self._datagrams.datagram(row))
                         self._sent += 1
-                    except OSError:  # nobody listens there now
+                    except OSError:  # without a receiver
                         self._lost += 1
 
 
 def _size(field: RowField, owner: int) -> int:
-    """Return the most bytes that a field takes, with its name and that of its owner."""
+    """Return the maximum size of a field in bytes, including its name and the name of its owner."""
     count = math.prod(field.shape)
     return len(field.name) + owner + 16 + count * (_NUMBER + len(str(count)) + 4)

@@ -1,7 +1,7 @@
-"""Rows as bytes for other programs: `RowWriter` fills one, `read_row` takes it apart. `RowSchema` says what is in it.
+"""Binary rows for other programs: `RowSchema` defines the fields, `RowWriter` packs a row, `read_row` unpacks it.
 
 A row is little-endian: "ALR1", its length (uint32), the schema's id (8 bytes), its number (uint64), monotonic and wall
-clock (int64 ns), then the fields, each at a multiple of 8 bytes, at most 8 KiB together. The schema is canonical JSON;
+clock (int64 ns), and the fields, each at a multiple of 8 bytes. A row has at most 8 KiB. The schema is canonical JSON;
 its id is the first 8 bytes of its SHA-256.
 """
 
@@ -29,12 +29,12 @@ from armlab.wire.egm import Drop, Packet
 VERSION = 1
 HEAD = struct.Struct("<4sI8sQqq")
 TYPES = {"float64": "<f8", "int64": "<i8", "text": "S1"}
-WORDS = 48  # bytes of a commander's name: a server, a blank, 16 bytes in hexadecimal digits
-NOT_SENT = ("stamp_ns", "wake_ns")  # the head of a row has the first
+WORDS = 48  # bytes of a commander's name: server, space, 16 hexadecimal digits
+NOT_SENT = ("stamp_ns", "wake_ns")  # the head of a row has the first one
 
 
 def _arm_columns() -> Iterator[tuple[str, str, str, str, tuple[int, ...] | None]]:
-    """Yield name, type, source, form (see `kernels.RowPacker`) and shape, None per joint, of the fields of an arm."""
+    """Yield name, type, source, form (see `kernels.RowPacker`) and shape (None: per joint) of an arm's fields."""
     yield from ((name, "float64", source, "real", ()) for name, source in REALS.items())
     yield "age", "float64", "", "blank", ()
     for name, source in JOINTS.items():
@@ -53,7 +53,7 @@ UNITS = {"age": "s", "fresh": "1", "commander": "1"}
 
 
 LARGEST = 8192
-"""Bytes of a row."""
+"""Maximum size of a row [bytes]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +62,22 @@ class RowField:
 
     Attributes
     ----------
-    name : "yumi_left.q". type : "float64", "int64", or "text" (UTF-8, filled up with zero bytes).
-    shape : of the values; of a text its bytes. unit, frame : as in the glossary. labels : of the first axis.
-    source : robot or source that it comes from. offset : bytes from the beginning of the row.
+    name : str
+        Such as "yumi_left.q".
+    type : str
+        "float64", "int64", or "text" (UTF-8, padded with zero bytes).
+    shape : tuple of int
+        Shape of the values; for a text, its number of bytes.
+    unit : str
+        As in the glossary.
+    frame : str
+        As in the glossary.
+    labels : tuple of str
+        Labels along the first axis.
+    source : str
+        Robot or source of the field.
+    offset : int
+        Offset from the beginning of the row in bytes.
     """
 
     name: str
@@ -78,34 +91,36 @@ class RowField:
 
     @property
     def size(self) -> int:
-        """Bytes, filled up to a multiple of 8."""
+        """Bytes, padded to a multiple of 8."""
         count = math.prod(self.shape)
         return -(-count // 8) * 8 if self.type == "text" else 8 * count
 
 
 class RowSchema:
-    """What is in the rows of a run: robots, fields by name, `text` in canonical JSON with its `id`, `size` in bytes."""
+    """Schema of a run's rows: robots, fields by name, canonical JSON `text` with its `id`, `size` in bytes."""
+
+    size: int
 
     def __init__(self, robots: Sequence[str], fields: Iterable[RowField]) -> None:
-        self.robots = tuple(robots)
+        self.robots: tuple[str, ...] = tuple(robots)
         found = list(fields)
         self.fields: Mapping[str, RowField] = {field.name: field for field in found}
         self.size = HEAD.size
         for field in found:
             if field.type not in TYPES or field.offset != self.size or any(size < 0 for size in field.shape):
-                raise ConfigError(f"Expected the fields of a row one after another, got {str(field)[:200]}.")
+                raise ConfigError(f"Expected contiguous fields of known types in a row, got {str(field)[:200]}.")
             self.size += field.size
             if self.size > LARGEST:
                 raise ConfigError(f"Expected rows of at most {LARGEST} bytes, got {self.size} with {field.name[:60]}.")
         if len(self.fields) < len(found):
-            raise ConfigError("Expected each field of a row once, got one name twice. Rename a source.")
+            raise ConfigError("Expected each field of a row exactly once, got duplicate names. Rename a source.")
         about = {"version": VERSION, "robots": self.robots, "fields": [asdict(field) for field in found]}
-        self.text = json.dumps(about, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
-        self.id = hashlib.sha256(self.text).digest()[:8]
+        self.text: bytes = json.dumps(about, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+        self.id: bytes = hashlib.sha256(self.text).digest()[:8]
 
     @classmethod
     def of(cls, robots: Sequence[Robot], sources: Mapping[str, Mapping[str, Column]] | None = None) -> RowSchema:
-        """Return the schema of a cell: per robot the columns of its log, age and commander; then the sources."""
+        """Return the schema of a cell: for each robot its log columns, age and commander, followed by the sources."""
         fields: list[RowField] = []
         at = HEAD.size
 
@@ -137,14 +152,14 @@ class RowSchema:
         return cls([robot.name for robot in robots], fields)
 
     def require(self, robot: Robot, *, whole: bool = True) -> None:
-        """Refuse rows whose fields of an arm are not those of this one: who reads them takes them for granted."""
+        """Raise unless the rows have the fields of this arm, which readers rely on."""
         for name, wanted in RowSchema.of([robot]).fields.items():
             found = self.fields.get(name, None if whole else wanted)
             if found is None or (found.type, found.shape) != (wanted.type, wanted.shape):
                 got = "none" if found is None else f"{found.type} of shape {found.shape}"
                 raise LinkError(
                     f"Expected rows with {name}, {wanted.type} of shape {wanted.shape}, got {got}. Use the same "
-                    f"description of {robot.name}, and the same armlab, at both ends."
+                    f"description of {robot.name} and the same version of armlab at both ends."
                 )
 
     @classmethod
@@ -160,29 +175,37 @@ class RowSchema:
             written = msgspec.json.decode(text, type=Written)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise ConfigError(
-                f"Expected the schema of rows as JSON, but {error}. Take it from the same feed."
+                f"Expected the schema of rows as JSON, got {error}. Use the schema from the same feed."
             ) from None
         if written.version != VERSION:
-            raise ConfigError(f"Expected rows of version {VERSION}, got {written.version}. Install the same armlab.")
+            raise ConfigError(
+                f"Expected rows of version {VERSION}, got {written.version}. Install the same version of armlab."
+            )
         return cls(written.robots, written.fields)
 
 
 MAGIC = b"ALR1"
 
 MONO, WALL = HEAD.size - 16, HEAD.size - 8
-"""Places of the clocks in a row, int64 [ns]."""
+"""Offsets of the clocks in a row, int64 [ns]."""
 
-_BEGINNING = 16  # bytes until the number of the row
-_LETTERS = {"float64": "d", "int64": "q"}  # of `struct`
+_BEGINNING = 16  # bytes before the number of the row
+_LETTERS = {"float64": "d", "int64": "q"}  # codes of `struct`
 
 
 class Row(NamedTuple):
-    """One row taken apart.
+    """One unpacked row.
 
     Attributes
     ----------
-    seq : its number. mono_ns, wall_ns : when it was made. values : read-only arrays, numbers and texts by field name;
-        each is taken out of the bytes when it is asked for.
+    seq : int
+        Number of the row.
+    mono_ns : int, ns
+        Monotonic clock.
+    wall_ns : int, ns
+        Wall clock.
+    values : mapping
+        Read-only arrays, numbers and texts by field name; unpacked on access.
     """
 
     seq: int
@@ -192,7 +215,7 @@ class Row(NamedTuple):
 
 
 class _Values(Mapping[str, Any]):
-    """The values in a row: who wants three of a hundred fields at 500 rows a second pays for three."""
+    """Values of a row, unpacked on access because readers of 500 rows/s need only a few of a hundred fields."""
 
     __slots__ = ("_data", "_fields")
 
@@ -219,24 +242,24 @@ def read_row(schema: RowSchema, data: bytes) -> Row:
 
 
 def read_head(schema: RowSchema, data: bytes) -> tuple[int, int, int]:
-    """Return number, monotonic and wall clock [ns] of a row."""
+    """Return the number, the monotonic clock and the wall clock [ns] of a row."""
     if len(data) < HEAD.size or data[:4] != MAGIC:
         raise LinkError(f"Expected a row that begins with {MAGIC.decode()}, got {len(data)} bytes: {data[:8]!r}.")
     _, size, id_, seq, mono_ns, wall_ns = HEAD.unpack_from(data)
     if id_ != schema.id:
         raise LinkError(f"Expected a row of schema {schema.id.hex()}, got {id_.hex()}. Read the new schema first.")
     if size != len(data) or size != schema.size:
-        raise LinkError(f"Expected a row of {schema.size} bytes, got {len(data)} that say {size}. Read whole messages.")
+        raise LinkError(f"Expected a row of {schema.size} bytes, got {len(data)} with a stated size of {size}.")
     return seq, mono_ns, wall_ns
 
 
 def beginning(schema: RowSchema) -> bytes:
-    """Return what all rows of a schema begin with."""
+    """Return the common first bytes of all rows of a schema."""
     return HEAD.pack(MAGIC, schema.size, schema.id, 0, 0, 0)[:_BEGINNING]
 
 
 def clock_ms(robot_ns: int, session_t: float) -> int | None:
-    """Return the clock of a robot [ms], that of its session where it tells none; None where neither is a time."""
+    """Return the robot clock [ms], else the clock of its session; None if neither is valid."""
     if robot_ns:
         return robot_ns // 10**6
     ms = 1e3 * session_t
@@ -244,7 +267,7 @@ def clock_ms(robot_ns: int, session_t: float) -> int | None:
 
 
 def places(schema: RowSchema, source: str) -> dict[str, tuple[struct.Struct, int]]:
-    """Return form and offset of the numbers of a source by field: a few of each row are read in a tenth of the time."""
+    """Return the format and offset of a source's numeric fields; unpacking only these is ten times as fast."""
     return {
         field.name.removeprefix(f"{source}."): (
             struct.Struct(f"<{math.prod(field.shape)}{_LETTERS[field.type]}"),
@@ -256,14 +279,14 @@ def places(schema: RowSchema, source: str) -> dict[str, tuple[struct.Struct, int
 
 
 class _Part:
-    """The fields of one arm: where they are in the row, and what packs them."""
+    """Fields of one arm: their offsets in the row, and the packer."""
 
     def __init__(self, schema: RowSchema, robot: str) -> None:
         fields = {name: schema.fields[f"{robot}.{name}"] for name, *_ in _arm_columns()}
         self.start, self.commander = fields["session_t"].offset, fields["commander"].offset
         self.stop = self.commander + fields["commander"].size
         self.age, self.fresh = ((fields[name].offset - HEAD.size) // 8 for name in ("age", "fresh"))
-        self.heard_ns = 0
+        self.received_ns = 0
         places = []
         for name, type_, source, form, _ in _arm_columns():
             value = {"age": 0.0, "fresh": 1}.get(name, np.nan if type_ == "float64" else 0)
@@ -274,7 +297,7 @@ class _Part:
 
 
 class RowWriter:
-    """Fills the row of a run, arm by arm."""
+    """Packs the rows of a run, arm by arm."""
 
     def __init__(self, schema: RowSchema) -> None:
         self._schema, self._seq = schema, 0
@@ -289,7 +312,7 @@ class RowWriter:
         self._sources = [field for field in schema.fields.values() if field.source not in schema.robots]
 
     def row(self, state: State, command: Command | None, tick: Tick, mono_ns: int, commander: str = "") -> bytes:
-        """Return the row after a tick of one arm; what the others gave last is in it too, with its age."""
+        """Return the row after a tick of one arm, with the last values and ages of the other arms."""
         part = self._parts.get(state.robot)
         if part is None:
             raise UnknownName.among("robot of these rows", state.robot, self._parts)
@@ -299,17 +322,17 @@ class RowWriter:
         buffer[part.start : part.stop] = part.pack(state, command, tick)
         word = commander.encode(errors="replace")[:WORDS]
         buffer[part.commander : part.commander + WORDS] = word + bytes(WORDS - len(word))
-        part.heard_ns = tick.receive_ns
+        part.received_ns = tick.receive_ns
         for other in self._parts.values():
-            if other is not part and other.heard_ns:
-                self._numbers[other.age] = 1e-9 * (tick.receive_ns - other.heard_ns)
+            if other is not part and other.received_ns:
+                self._numbers[other.age] = 1e-9 * (tick.receive_ns - other.received_ns)
                 self._integers[other.fresh] = 0
         if self._sources:
             self._fill_sources(state)
         return bytes(buffer)
 
     def _fill_sources(self, state: State) -> None:
-        """Write what each source gave last, whatever its age."""
+        """Write the last values of each source, regardless of their age."""
         for field in self._sources:
             held = state.sources.get(field.source)
             if held is not None:
@@ -319,13 +342,13 @@ class RowWriter:
 
 
 class RowsAsPackets:
-    """What codecs of links that carry rows in place of packets of EGM have in common: see `wire.egm.Codec`."""
+    """Base of the codecs of links that carry rows instead of EGM packets; see `wire.egm.Codec`."""
 
     def __init__(self) -> None:
-        self.capabilities = frozenset({"position", "velocity"})
+        self.capabilities: frozenset[str] = frozenset({"position", "velocity"})
 
     def reset(self) -> None:
-        """Forget nothing: rows say all of themselves."""
+        """Do nothing, because rows are self-contained."""
 
     def _packet(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, **fields: Any) -> Packet | Drop:
         if not np.isfinite(q).all():
@@ -350,14 +373,14 @@ _NOTHING.flags.writeable = False
 
 
 class Pace:
-    """Takes a row when one of the arms that it is fresh for is due, so that no arm keeps another from its rows."""
+    """Rate limit of rows per arm; a row is accepted when an arm that it updates is due."""
 
     def __init__(self, every: float) -> None:
         self._every = every
         self._due: dict[Hashable, float] = {}
 
     def takes(self, arms: Iterable[Hashable], now: float) -> bool:
-        """Return whether a row is taken."""
+        """Return whether to accept a row."""
         due = [arm for arm in arms if now >= self._due.get(arm, now)]
         for arm in due:
             self._due[arm] = max(self._due.get(arm, now) + self._every, now)

@@ -1,4 +1,4 @@
-"""The process of one server: ``python -m armlab.bridge.servers.serve NAME SOCKET OPTIONS``, until the loop closes."""
+"""Entry point of a server process: ``python -m armlab.bridge.servers.serve NAME SOCKET OPTIONS``."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ SERVERS = {
     "ros1": "ros1.process.Ros1Process",
     "plotjuggler": "plotjuggler.PlotJugglerServer",
 }
-"""Class of each server, made of the loop's socket and the options; its `run` serves until the loop closes the feed."""
+"""Class of each server, constructed from the loop's socket and options; `run` serves until the socket is closed."""
 
 
 def serve(name: str, feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed."""
+    """Serve until the loop closes the socket."""
     module, _, server = f"armlab.bridge.servers.{SERVERS[name]}".rpartition(".")
     getattr(import_module(module), server)(feed, options).run()
 

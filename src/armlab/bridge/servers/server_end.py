@@ -1,4 +1,4 @@
-"""`LoopEnd`: the loop as a server process sees it: rows and texts come in, requests of clients go out."""
+"""`LoopEnd`: connection of a server process to the loop; rows and messages in, client requests out."""
 
 from __future__ import annotations
 
@@ -14,41 +14,53 @@ from typing import Any
 
 import msgspec
 
-from armlab.bridge.servers.messages import CommandRequest, Counted, Report, Request, SetRequest
+from armlab.bridge.servers.messages import (
+    CommandRequest,
+    Counted,
+    Renew,
+    Report,
+    Request,
+    SetRequest,
+    Stop,
+    TrajectoryRequest,
+)
 from armlab.bridge.servers.row import MAGIC, RowSchema
 from armlab.errors import CommandRefused, LinkError
 from armlab.robots import Robot, from_toml
 
 _LARGEST = 2**17
-_URGENT = 256  # requests that wait when the way to the loop is full
-_RETRY = 0.005  # s until they are tried again
-_AT_ONCE = 64  # messages that one look takes
-_LONGEST = 1.0  # s of one look
+_URGENT = 256  # waiting requests while the socket is full
+_RETRY = 0.005  # s between two attempts to send them
+_AT_ONCE = 64  # messages per call of `receive`
+_LONGEST = 1.0  # s of one wait
 
 Clients = Mapping[str, tuple[int, int]]
 
 
 class LoopEnd:
-    """A server process's end of its socket to the loop (the other is `hub.Hub`).
+    """A server process's end of the socket to the loop (the other end is `hub.Hub`).
 
-    `ask` may be called from any thread, everything else from one.
+    `ask` may be called from any thread, all other methods from one.
     """
+
+    lost: int
+    schema: RowSchema
 
     def __init__(self, feed: socket.socket, clients: Callable[[], Clients] = dict) -> None:
         self._feed = feed
-        self._clients: Callable[[], Clients] = dict  # the server is not there yet
-        self._urgent: deque[bytes] = deque(maxlen=_URGENT)
+        self._clients: Callable[[], Clients] = dict  # until the server exists
+        self._urgent: deque[bytes] = deque()
         self._lock = threading.Lock()
         self.parameters: dict[str, dict[str, Any]] = {}
         self.about: dict[str, Any] = {}
         self.lost = 0
-        self._buffer = memoryview(bytearray(_LARGEST))  # not a new one for each row: the system would map it each time
-        said: set[str] = set()
-        while not {"about", "parameters"} <= said:
+        self._buffer = memoryview(bytearray(_LARGEST))  # reused: the system would map a new one for each row
+        received: set[str] = set()
+        while not {"about", "parameters"} <= received:
             messages = self.receive(None)
             if messages is None:
-                raise LinkError("Expected the loop to say what its rows hold, but it closed the feed. Start it again.")
-            said |= {message["kind"] for message in messages if isinstance(message, dict)}
+                raise LinkError("Expected the loop to send its row schema, but it closed the feed. Start it again.")
+            received |= {message["kind"] for message in messages if isinstance(message, dict)}
         self._clients = clients
 
     def fileno(self) -> int:
@@ -56,16 +68,17 @@ class LoopEnd:
 
     @property
     def is_behind(self) -> bool:
-        """Whether requests wait until the loop has room for them."""
+        """Whether requests to the loop are waiting."""
         return bool(self._urgent)
 
     def robots(self) -> dict[str, Robot]:
         return {name: from_toml(text, f"the bridge of {name}") for name, text in self.about["robots"].items()}
 
     def receive(self, patience: float | None = 0.0) -> list[bytes | dict[str, Any]] | None:
-        """Return what has come, up to the first row: rows as bytes, texts as they say, by their "kind".
+        """Return received messages up to the first row: rows as bytes, others as a dict with "kind".
 
-        None when the loop has gone. Rows come one by one: to look whether there is a second one costs what a row costs.
+        None once the loop has ended. Rows are returned one at a time, because checking for another row takes as long as
+        a row.
         """
         self._wait(patience)
         found: list[bytes | dict[str, Any]] = []
@@ -86,23 +99,26 @@ class LoopEnd:
         return found
 
     def ask(self, request: Request) -> bool:
-        """Send a request to the loop; False when there is no room.
+        """Send a request to the loop; return False if its queue is full.
 
-        A command, a setting or a report is lost then, as newer ones follow; a stop or a release waits, and goes out by
-        `receive`.
+        A command, setting, renewal or report is then lost, because newer ones follow; a stop or release is sent later
+        by `receive`. Parts of trajectories leave room for these; the loop detects missing parts.
         """
         data = encoded(request)
         with self._lock:
             if not self._urgent and self._sent(data):
                 return True
-            if isinstance(request, CommandRequest | SetRequest | Report):
-                self.lost += 1
-            else:
+            room = _URGENT // 2 if isinstance(request, TrajectoryRequest) else _URGENT
+            if isinstance(request, Stop):
+                room *= 2  # nothing else takes its place
+            if not isinstance(request, CommandRequest | SetRequest | Report | Renew) and len(self._urgent) < room:
                 self._urgent.append(data)
+            else:
+                self.lost += 1
         return False
 
     def _wait(self, patience: float | None) -> None:
-        """Wait for a message, and send meanwhile what found no room."""
+        """Wait for a message; send waiting requests meanwhile."""
         until = math.inf if patience is None else time.monotonic() + patience
         while True:
             self._retry()
@@ -136,8 +152,8 @@ class LoopEnd:
 
 
 def encoded(request: Request) -> bytes:
-    """Return a request as it is sent to the loop."""
+    """Encode a request to the loop as bytes."""
     try:
         return msgspec.json.encode(request)
     except (ValueError, TypeError, OverflowError, RecursionError, msgspec.MsgspecError) as error:
-        raise CommandRefused(f"Expected what JSON in UTF-8 can say and armlab can read, but {error}.") from None
+        raise CommandRefused(f"Expected a request that can be encoded as UTF-8 JSON, got {error}.") from None

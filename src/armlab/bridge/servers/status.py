@@ -1,4 +1,4 @@
-"""State of the arms of a running bridge: `Status` counts it from rows, `Watch` puts it into words."""
+"""State of the arms of a running bridge: `Status` counts rows, `Watch` formats the state as text."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _BITS = {"position": 1, "velocity": 2, "acceleration": 4, "braking": 8}
 
 
 class _ArmCounts:
-    """What is counted of one arm."""
+    """Counts of one arm."""
 
     def __init__(self, schema: RowSchema, name: str) -> None:
         self._places = places(schema, name)
@@ -56,7 +56,7 @@ class _ArmCounts:
 
 
 class Status:
-    """Counts rows as they come."""
+    """Counts of all rows."""
 
     def __init__(self, schema: RowSchema) -> None:
         self._schema = schema
@@ -72,7 +72,7 @@ class Status:
             arm.add(data, mono_ns)
 
     def summary(self) -> dict[str, Any]:
-        """Return the counts: of the feed, and by name of each arm; round trips in microseconds, NaN without any."""
+        """Return the counts of the feed and of each arm by name; round trips in us, NaN if there are none."""
         arms = {}
         for name, arm in self._arms.items():
             seconds = 1e-9 * (arm.times[-1] - arm.times[0]) if len(arm.times) > 1 else 0.0
@@ -94,13 +94,16 @@ class Status:
         return {"rows": self._rows, "lost": lost, "arms": arms}
 
 
-_SILENT = 0.5  # s after which an arm sends no packets
+_SILENT = 0.5  # s without packets after which an arm counts as silent
 _EVENTS = 8
 _USED = ("motors", "rapid", "mci", "receive_ns", "seq_sent", "q_ref", "qd_ref", "wrench", "wrench_hat", "commander")
 
 
 class Watch:
-    """What is known of a bridge from its messages, in words."""
+    """State of a bridge as text, from its messages."""
+
+    cell: str
+    told: int
 
     def __init__(self, robot: str | None = None) -> None:
         self._robot = robot
@@ -133,7 +136,7 @@ class Watch:
             self.told += 1
 
     def arms(self, now_ns: int) -> list[dict[str, str]]:
-        """Return what there is to say of each arm, by heading."""
+        """Return one table row per arm: text by heading."""
         if self._row is None:
             return []
         return [self._arm(self._row, name, now_ns) for name in _names(self._row) if self._robot in (None, name)]
@@ -160,7 +163,7 @@ class Watch:
         }
 
     def recording(self) -> str:
-        """Return the files of the recording, their size, and for how long the disk has room."""
+        """Return the files of the recording, their size, and the remaining time until the disk is full."""
         found = {file: size for file in self._files if (size := _size(file)) is not None}
         sizes = list(found.values())
         if not sizes:
@@ -170,17 +173,17 @@ class Watch:
             self._sizes = (now, total)
         seconds, grown = now - self._sizes[0], total - self._sizes[1]
         room = shutil.disk_usage(next(iter(found)).parent).free
-        hours = f", room for {room / grown * seconds / 3600.0:.0f} h" if grown > 0 else ""
+        hours = f", space for {room / grown * seconds / 3600.0:.0f} h" if grown > 0 else ""
         return f"{', '.join(str(file) for file in self._files)}: {1e-6 * total:.1f} MB{hours}"
 
     def lines(self, now_ns: int) -> list[str]:
         return [
             ", ".join(value if key == "arm" else f"{key} {value}" for key, value in arm.items())
             for arm in self.arms(now_ns)
-        ] or ["No row yet: no packet of a robot has come."]
+        ] or ["No rows yet, because no robot packet has arrived."]
 
     def notes(self) -> list[str]:
-        """Return what there is to say beside the arms: the recording, rows that were lost, the last events."""
+        """Return the lines for the recording, the lost rows and the last events."""
         lost = [f"Rows lost by this feed: {self.lost}"] if self.lost else []
         return [f"Recording: {self.recording()}", *lost, *self.events]
 
@@ -191,10 +194,10 @@ def _names(row: Row) -> list[str]:
 
 
 def _size(file: Path) -> int | None:
-    """Return the bytes of a file, None when it is not on this computer, or not for us."""
+    """Return the size of a file in bytes, or None if it is unreadable or on another computer."""
     try:
         return file.stat().st_size
-    except (OSError, ValueError):  # no path at all
+    except (OSError, ValueError):  # ValueError: not a path
         return None
 
 
@@ -202,13 +205,13 @@ def _state(values: dict[str, Any], now_ns: int) -> str:
     age = 1e-9 * (now_ns - values["receive_ns"])
     if age > _SILENT:
         return f"no packet for {age:.1f} s"
-    asked = math.isfinite(values["q_ref"][0]) or math.isfinite(values["qd_ref"][0])
-    return arm_state(values["motors"], values["rapid"], values["mci"], values["seq_sent"] >= 0, asked)
+    is_commanded = math.isfinite(values["q_ref"][0]) or math.isfinite(values["qd_ref"][0])
+    return arm_state(values["motors"], values["rapid"], values["mci"], values["seq_sent"] >= 0, is_commanded)
 
 
-def arm_state(motors: int, rapid: int, mci: int, is_answered: bool, is_asked: bool) -> str:
-    """Return what an arm does that sends packets, or why it cannot move."""
-    doing = "listening" if not is_answered else "running" if is_asked else "holding"
+def arm_state(motors: int, rapid: int, mci: int, is_answered: bool, is_commanded: bool) -> str:
+    """Return the activity of an arm that sends packets, or why it cannot move."""
+    doing = "listening" if not is_answered else "running" if is_commanded else "holding"
     return not_ready_reason(motors, rapid, mci) or doing
 
 

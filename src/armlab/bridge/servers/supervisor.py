@@ -1,4 +1,4 @@
-"""`Servers`: one process per server, watched and started again; none of them can touch the loop."""
+"""`Servers`: one supervised process per server; restarted after a crash and isolated from the loop."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
-from armlab._descriptors import Descriptor
+from armlab._files import Descriptor
 from armlab.bridge.arbiter import Arbiter
 from armlab.bridge.control.loop import Controller
 from armlab.bridge.servers.hub import OPERATOR, Hub
@@ -25,55 +25,55 @@ from armlab.state import State
 __all__ = ["Offering", "PLACE", "RESTARTS", "Servers", "WELL", "server_command", "stoppable"]
 
 PLACE = "{fd}"
-"""Word of a command that stands for the number of the socket to the loop."""
+"""Placeholder in a command for the number of the socket to the loop."""
 
 RESTARTS = (1.0, 5.0, 30.0)
-"""Seconds after which a server that ended is started again; after the last it stays dead."""
+"""Delays before a crashed server is restarted [s]; after the last delay it is not restarted again."""
 
 WELL = 300.0
-"""Seconds that a server has listened after which its next end is the first of a new series."""
+"""Uptime after which the restart count of a server is reset [s]."""
 
-_LOOK = 0.05  # s
-_IDLE = 200_000_000  # ns without a packet of a robot, after which requests are taken here
-_QUOTED = 1000  # bytes of what a server said last
-_PATIENCE = 3.0  # s to end by itself before it is killed
+_CHECK_EVERY = 0.05  # s
+_IDLE = 200_000_000  # ns without a packet of a robot, after which requests are handled here
+_QUOTED = 1000  # bytes of a server's last error output
+_PATIENCE = 3.0  # s to exit before the process is killed
 
 
 def server_command(name: str, options: Mapping[str, Any]) -> list[str]:
-    """Return the command that starts a server of armlab."""
+    """Return the command line of an armlab server."""
     return [sys.executable, "-m", "armlab.bridge.servers.serve", name, PLACE, json.dumps(dict(options))]
 
 
 class _Child:
-    """One server: its command, its process, and what becomes of it."""
+    """One server: its command line, process and restarts."""
 
     def __init__(self, name: str, command: Sequence[str]) -> None:
         self.name, self.command = name, list(command)
         self.process: subprocess.Popen[bytes] | None = None
-        self.errors = Descriptor(-1)  # of the pipe from its standard error
+        self.errors = Descriptor(-1)  # pipe from its standard error
         self.ends = 0
         self.due: float | None = 0.0
         self.has_listened = False
-        self.since: float | None = None  # when it was first seen listening, of the process that runs
-        self.said = b""
+        self.since: float | None = None  # first seen listening, for the running process
+        self.output = b""
         self.failure = ""
 
     def read(self) -> None:
-        """Keep the end of what it writes to standard error."""
+        """Read its standard error, and keep the end."""
         if not self.errors.is_open:
             return
         with contextlib.suppress(BlockingIOError):
             while part := os.read(self.errors.number, 4096):
-                self.said = (self.said + part)[-_QUOTED:]
+                self.output = (self.output + part)[-_QUOTED:]
 
     @property
-    def words(self) -> str:
-        """What it said last, in one line."""
-        return " ".join(self.said.decode(errors="replace").split()) or "nothing"
+    def last_output(self) -> str:
+        """Its last error output as one line."""
+        return " ".join(self.output.decode(errors="replace").split()) or "nothing"
 
 
 class Servers:
-    """Starts the server processes of an exchange and keeps them running; a context manager."""
+    """Starts the server processes of a hub and restarts them; a context manager."""
 
     def __init__(
         self,
@@ -98,7 +98,7 @@ class Servers:
         self.close()
 
     def close(self) -> None:
-        """End all processes."""
+        """Stop all processes."""
         self._over.set()
         self._thread.join()
         self._exchange.close()
@@ -108,7 +108,7 @@ class Servers:
             child.errors.close()
 
     def ready(self, patience: float = 30.0) -> list[str]:
-        """Wait until every server listens, and return who listens where."""
+        """Wait until every server is listening; return their addresses."""
         until = time.monotonic() + patience
         while silent := [child.name for child in self._children if self._exchange.outlets[child.name].where is None]:
             failed = next((child for child in self._children if child.failure), None)
@@ -116,12 +116,12 @@ class Servers:
                 raise LinkError(f"Expected the server {failed.name} to listen, but it {failed.failure}")
             if time.monotonic() > until:
                 names = ", ".join(silent)
-                raise LinkError(f"Expected {names} to listen within {patience:g} s, but nothing came. Start again.")
-            self._over.wait(_LOOK)
+                raise LinkError(f"Expected {names} to listen within {patience:g} s, got no report. Start again.")
+            self._over.wait(_CHECK_EVERY)
         return [where for outlet in self._exchange.outlets.values() for where in outlet.where or ()]
 
     def processes(self) -> dict[str, int]:
-        """Return the process id of each server that runs."""
+        """Return the process id of each running server."""
         running = [child for child in self._children if child.process is not None and child.process.poll() is None]
         return {child.name: child.process.pid for child in running if child.process is not None}
 
@@ -129,17 +129,17 @@ class Servers:
         while not self._over.is_set():
             for child in [child for child in self._children if child.due is not None]:
                 try:
-                    self._look(child)
-                except Exception as error:  # of one server: the others are watched on
+                    self._check(child)
+                except Exception as error:  # of one server: the others stay supervised
                     self._fail(child, error)
             try:
                 self._exchange.idle(_IDLE)
             except Exception as error:
                 what = f"{type(error).__name__}: {error}"
-                self._exchange.tell(f"Requests of clients were not taken, {what}. The servers go on.", warn=True)
-            self._over.wait(_LOOK)
+                self._exchange.tell(f"Client requests were not handled, {what}. The servers continue.", warn=True)
+            self._over.wait(_CHECK_EVERY)
 
-    def _look(self, child: _Child) -> None:
+    def _check(self, child: _Child) -> None:
         if child.process is not None:
             child.read()
             if child.since is None and self._exchange.outlets[child.name].where is not None:
@@ -150,16 +150,16 @@ class Servers:
             self._start(child)
 
     def _fail(self, child: _Child, error: Exception) -> None:
-        """End a server that cannot be watched; it starts again as one that ended by itself."""
+        """Kill a server whose supervision failed; it is restarted as after a crash."""
         if child.process is not None:
             child.process.kill()
             child.process.communicate()
             child.process = None
-        child.said = f"{type(error).__name__}: {error}".encode()
-        self._plan(child, "could not be watched")
+        child.output = f"{type(error).__name__}: {error}".encode()
+        self._plan(child, "could not be supervised")
 
     def _start(self, child: _Child) -> None:
-        child.said = b""
+        child.output = b""
         theirs = self._exchange.open(child.name)
         command = [word.replace(PLACE, str(theirs.fileno())) for word in child.command]
         child.errors.close()
@@ -173,10 +173,10 @@ class Servers:
                 stdout=subprocess.DEVNULL,
                 stderr=errors,
                 pass_fds=[theirs.fileno()],
-                start_new_session=True,  # Ctrl-C reaches the bridge alone, which brings the arm to rest first
+                start_new_session=True,  # Ctrl-C interrupts only the bridge, which brings the arm to rest first
             )
         except OSError as error:
-            child.said = str(error).encode()
+            child.output = str(error).encode()
             self._plan(child, "could not be started")
         finally:
             os.close(errors)
@@ -189,10 +189,10 @@ class Servers:
         self._plan(child, f"ended with status {process.returncode}")
 
     def _plan(self, child: _Child, what: str) -> None:
-        """Say when a server that is gone starts again: never, if it has not listened before.
+        """Schedule the restart of a server that has ended; a server that never listened is not restarted.
 
-        Ends are counted as one series until a process has listened for long: a fault that comes back at once ends
-        the server, and one a day does not.
+        Restarts count as one series until a process has listened for `well` seconds. A fault that recurs immediately
+        ends the server; a fault that occurs once a day does not.
         """
         outlet = self._exchange.outlets[child.name]
         child.has_listened |= outlet.where is not None
@@ -201,19 +201,19 @@ class Servers:
         if since is not None and time.monotonic() - since >= self._well:
             child.ends = 0
         if not child.has_listened:
-            child.due, child.failure = None, f"{what}. It said: {child.words}"
+            child.due, child.failure = None, f"{what}. Its output: {child.last_output}"
             return
         if child.ends < len(self._restarts):
             delay = self._restarts[child.ends]
-            child.due, then = time.monotonic() + delay, f"It starts again in {delay:g} s."
+            child.due, then = time.monotonic() + delay, f"It restarts in {delay:g} s."
         else:
-            child.due, then = None, "It stays dead; the loop goes on."
+            child.due, then = None, "It is not restarted; the loop continues."
             self.dead.add(child.name)
         child.ends += 1
-        self._exchange.tell(f"The server {child.name} {what}. {then} It said: {child.words}", warn=True)
+        self._exchange.tell(f"The server {child.name} {what}. {then} Its output: {child.last_output}", warn=True)
 
     def _end(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
-        """Let a process end, now that its socket is closed."""
+        """Wait for a process to exit after its socket was closed."""
         try:
             process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
@@ -224,13 +224,13 @@ class Servers:
 
 
 class Offering:
-    """Offers the rows of runs to `armlab monitor` and views until it is closed.
+    """Provides the rows of runs to `armlab monitor` and viewers until it is closed.
 
-    Clients may stop the arms where the controller is made `stoppable`, and nothing else.
+    Clients may only read; they may also stop the arms if the controller is wrapped with `stoppable`.
     """
 
     def __init__(self, robots: Sequence[Robot], cell: str) -> None:
-        self.exchange = Hub(robots, [OPERATOR], about={"cell": cell})
+        self.exchange: Hub = Hub(robots, [OPERATOR], about={"cell": cell})
         self.exchange.arbiter.reserve("the controller of the run")
         self._servers = Servers(self.exchange, {OPERATOR: server_command(OPERATOR, {"path": str(socket_path(cell))})})
         self._servers.__enter__()
@@ -241,12 +241,12 @@ class Offering:
             raise
 
     def close(self) -> None:
-        """Close the feed; its clients are told that it has ended."""
+        """Close the feed, which ends it for its clients."""
         self._servers.close()
 
 
 def stoppable(controller: Controller, arbiter: Arbiter) -> Controller:
-    """Return the controller that holds while somebody has stopped the arms."""
+    """Wrap a controller so that it holds while a client has stopped the arms."""
 
     def controlled(state: State) -> Any:
         arbiter.poll()

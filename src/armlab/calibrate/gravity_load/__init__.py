@@ -1,3 +1,3 @@
-"""Calibration of sensors by a load in gravity: force sensors and accelerometers."""
+"""Gravity calibration of force sensors and accelerometers."""
 
 __all__ = []

@@ -1,4 +1,4 @@
-"""Diagnostics of readings of a load in gravity: unidentifiable directions, and likely causes of misfit."""
+"""Diagnostics of gravity calibrations: unidentifiable directions, and likely causes of misfit."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from armlab.calibrate.gravity_load.model import Load, Turn, WeightEquation
 from armlab.errors import NotConverged, NotExcited
 from armlab.lie import so3
 
-MISREAD, MISREAD_FAR = 1e-3, 0.1  # share of the variation of forces from which other readings are tried
-WIDE = 0.4  # share of gravity: where it moves farther over the tool, a wrong reading leaves much
-STILL = 1e-6  # share of gravity that counts as none, in its way over the tool axes
-HAND = 20.0  # Delta from which a hand is decided
-RICH = 0.1  # share of gravity over two directions from which readings must follow it
+MISREAD, MISREAD_FAR = 1e-3, 0.1  # relative residuals of the forces from which other conventions are tried
+WIDE = 0.4  # variation of gravity in tool axes beyond which a wrong convention leaves large residuals
+STILL = 1e-6  # variation of gravity in tool axes that counts as zero
+HAND = 20.0  # Delta from which the handedness is decided
+RICH = 0.1  # variation of gravity in two directions beyond which the readings must follow it
 UNEXPLAINED = 0.5
-ROUGH = 5.0  # noise given, times which residuals are called none
-FIRST_ORDER = 0.05  # rad: beyond it a covariance is a first-order statement
-FAR, ABSURD = 1.0, 10.0  # m: a centre of mass farther away may be, and is, a mistake of units
-OTHER_UNIT = 2.0  # factor that no weight and no gravity are wrong by
-HEAVY, LIGHT = 500.0, 1e-3  # kg that no arm carries, and no sensor feels
+ROUGH = 5.0  # residuals over the given noise beyond which they are not noise
+FIRST_ORDER = 0.05  # rad: beyond it, a covariance is only a first-order approximation
+FAR, ABSURD = 1.0, 10.0  # m: a centre of mass farther away possibly, or certainly, has wrong units
+OTHER_UNIT = 2.0  # factor beyond the errors of any weight and gravity
+HEAVY, LIGHT = 500.0, 1e-3  # kg, beyond the range of arms and sensors
 LOW_GRAVITY = 1.5  # m/s^2, less than on the Moon
-MANY = 1.0 / 3.0  # share of outliers from which the other hand is tried
+MANY = 1.0 / 3.0  # fraction of outliers from which the left-handed solution is tried
 STANDARD = 9.80665
 
 
 @dataclass(frozen=True, eq=False)
 class LoadUnknowns:
-    """Names, units and limits of the unknowns; puts a direction of them into words, see `check_spread`."""
+    """Names, units and limits of the unknowns; describes directions for `check_spread`."""
 
     equation: WeightEquation  # of the fit
-    load: Load  # that was found
-    limits: tuple[float, float, float]  # (angle [rad], share of the weight, length [m])
-    scale: str = "mass"  # what a unit of mass is called: "mass" in kg, or "scale" of an accelerometer
+    load: Load  # the estimate
+    limits: tuple[float, float, float]  # (angle [rad], fraction of the weight, length [m])
+    scale: str = "mass"  # name of the mass parameter: "mass" in kg, or "scale" of an accelerometer
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -62,7 +62,7 @@ class LoadUnknowns:
         return np.concatenate([all_[kind] for kind in self.equation.widths])
 
     def __call__(self, step: np.ndarray) -> str:
-        """Return for example "rotation about tool axis z, bias along it, 0.4 rad"."""
+        """Return a description such as "rotation about tool axis z, bias along it, 0.4 rad"."""
         parts = {kind: step[at] for kind, at in self.equation.places.items()}
         sizes = {kind: np.linalg.norm(step[at] / self.widths[at]) for kind, at in self.equation.places.items()}
         first = next(kind for kind in parts if sizes[kind] > 0.5 * max(sizes.values()))
@@ -100,12 +100,12 @@ def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str,
 
 
 def require_motion(equation: WeightEquation) -> float:
-    """Refuse too few samples and unexciting orientations; return how far gravity moves in its second direction."""
+    """Raise on samples that are too few or not exciting; return the variation of gravity in its second direction."""
     needed = (2 + equation.bias) if equation.pull is not None else (4 + equation.bias)
     if needed > equation.N:
         raise NotExcited(
-            f"Expected at least {needed} samples to fit the {equation.what}, got {equation.N}. Turn the tool about two "
-            "horizontal axes and measure again.",
+            f"Expected at least {needed} samples to fit the {equation.what}, got {equation.N}. Rotate the tool about "
+            "two horizontal axes and measure again.",
             [f"everything: {equation.N} samples"],
             [f"{equation.N} of at least {needed} samples"],
         )
@@ -120,21 +120,21 @@ def require_motion(equation: WeightEquation) -> float:
         if moved[1] > STILL:
             return moved[1]
         u = np.linalg.eigh(equation.turn.H)[1][:, 2]
-        still = "gravity seen from the tool does not move (rotations about the vertical only)"
+        still = "gravity in tool axes is constant (rotations about the vertical only)"
         line = f"rotation about {axis_text(u, 'tool')}{_along(equation)}"
     if moved[1] > STILL:
         return float(moved[1])
     direction = still if moved[0] <= STILL else line
     raise NotExcited(
-        f"Expected orientations that move gravity over the tool in two directions, got less: {direction}. "
-        "Turn the tool about a second horizontal axis.",
+        f"Expected orientations that vary gravity in tool axes in two directions, got less: {direction}. "
+        "Rotate the tool about a second horizontal axis.",
         [direction],
-        [f"gravity moves by {moved[1]:.1e} of itself"],
+        [f"gravity varies by {moved[1]:.1e} of itself"],
     )
 
 
 def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.ndarray, moved: float) -> None:
-    """Refuse readings that do not follow gravity though it moves well."""
+    """Raise on readings that do not follow gravity, if it varies enough."""
     count = np.count_nonzero(kept)
     power = float(equation.weights[kept] @ np.einsum("ij,ij->i", r[kept, :3], r[kept, :3]))
     if moved < RICH or 2 * count < 3 or (equation.noise is not None and power < 3 * count * ROUGH**2):
@@ -143,7 +143,7 @@ def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.
     if share < UNEXPLAINED:
         return
     raise NotConverged(
-        f"Expected readings that follow gravity as the tool turns, got {min(share, 1.0):.0%} of their variation "
+        f"Expected readings that follow gravity as the tool rotates, got {min(share, 1.0):.0%} of their variation "
         f"unexplained. {_cause(equation, kept)}",
         best=load,
         reason="mismatch",
@@ -151,7 +151,7 @@ def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.
 
 
 def _unexplained(equation: WeightEquation, load: Load, kept: np.ndarray) -> float:
-    """Return the share of the variation of the forces that a load leaves."""
+    """Return the fraction of the forces' variation unexplained by a load."""
     w = equation.weights[kept] / equation.weights[kept].sum()
     f = equation.y[kept, :3]
     r = f - load.gamma @ (equation.RA[kept] @ load.R)
@@ -161,18 +161,18 @@ def _unexplained(equation: WeightEquation, load: Load, kept: np.ndarray) -> floa
 
 
 def _cause(equation: WeightEquation, kept: np.ndarray) -> str:
-    """Return what is wrong with readings that do not follow gravity: their unit, where another one would do."""
+    """Return the cause of a misfit, such as another unit that would fit."""
     if equation.mass is not None and equation.pull is not None:
         turn = Turn.of(replace(equation, mass=None), kept)
         free = Load(turn.R, turn.m * equation.pull, np.zeros(3), np.zeros(3))
         times = turn.m / equation.mass
         if _unexplained(equation, free, kept) < UNEXPLAINED and abs(np.log(max(times, 1e-300))) > np.log(OTHER_UNIT):
-            return f"Readings {times:.3g} times what was expected would fit: check the units."
-    return "Check that sample i of both records is the same moment, and that the poses are those of the tool."
+            return f"Readings of {times:.3g} times the expected size would fit; check the units."
+    return "Check that sample i of both records is simultaneous and that the poses are those of the tool."
 
 
 def require_right_hand(equation: WeightEquation, kept: np.ndarray) -> str:
-    """Refuse sensors with a mirrored axis or a reversed sign; return a remark where that is undecided."""
+    """Raise on sensors with a mirrored axis or a reversed sign; return a remark if this is undecided."""
     if equation.pull is None:
         return ""
     turn = equation.turn if kept.all() else Turn.of(equation, kept)
@@ -180,17 +180,17 @@ def require_right_hand(equation: WeightEquation, kept: np.ndarray) -> str:
         return ""
     if turn.difference > -HAND:
         return (
-            f"undecided whether an axis of the sensor is mirrored or its sign reversed (Delta {turn.difference:.1f}, "
-            f"decided from {HAND:.0f}): turn the tool farther"
+            f"handedness and sign of the sensor are undecided (Delta {turn.difference:.1f}, decidable from "
+            f"{HAND:.0f}): rotate the tool farther"
         )
     error = mirrored(equation, turn)
     if _unexplained(equation, error.best, kept) > UNEXPLAINED:
-        return ""  # neither hand explains the readings
+        return ""  # neither handedness explains the readings
     raise error
 
 
 def require_lever(equation: WeightEquation, load: Load, sd: np.ndarray) -> None:
-    """Refuse torques in newton millimetres: a centre of mass that cannot be."""
+    """Raise on torques in newton millimetres, which imply an impossible centre of mass."""
     if not equation.torque:
         return
     away, unsure = np.linalg.norm(load.centre), np.linalg.norm(sd[equation.places["centre"]])
@@ -204,15 +204,15 @@ def require_lever(equation: WeightEquation, load: Load, sd: np.ndarray) -> None:
 
 
 def mirrored(equation: WeightEquation, turn: Turn) -> NotConverged:
-    """Return the refusal of a left-handed sensor with the fit that would be its."""
+    """Return the error for a left-handed sensor, including its fit."""
     pull = np.zeros(3) if equation.pull is None else equation.pull
     gamma = turn.other_m * pull
     R = turn.mirrored
     bias = np.mean(equation.y[:, :3] - gamma @ (equation.RA @ R), axis=0) * equation.bias
     return NotConverged(
-        "Expected readings in right-handed axes with the sign that was told, got the opposite: an axis is mirrored or "
-        f"the sign is reversed (Delta {turn.difference:.3g}), and data cannot tell which. Correct the axis that the "
-        "sensor's manual turns round, or give the other sign.",
+        "Expected readings in right-handed axes with the given sign, got the opposite. An axis is mirrored or the "
+        f"sign is reversed (Delta {turn.difference:.3g}); the data cannot distinguish them. Correct the axis that the "
+        "sensor's manual reverses, or pass the other sign.",
         best=Load(R, gamma, bias, np.full(3, np.nan)),
         reason="left_handed",
     )
@@ -220,25 +220,27 @@ def mirrored(equation: WeightEquation, turn: Turn) -> NotConverged:
 
 def remarks(words: LoadUnknowns, sd: np.ndarray, squares: float | None, moved: float) -> list[str]:
     equation, load = words.equation, words.load
-    lines = [f"gravity moves over the tool by {moved:.2g} of itself in its second direction"]
+    lines = [f"gravity in tool axes varies by {moved:.2g} of itself in its second direction"]
     if squares is not None:
-        lines.append(f"residuals {np.sqrt(squares):.3g} times the noise that was given")
+        lines.append(f"residuals {np.sqrt(squares):.3g} times the given noise")
     if equation.pull is None:
         lines.append(
-            "gravity unknown: the sign of the sensor cannot be seen and is the one that was given; an axis that is "
-            "mirrored would look the same, with the weight the other way"
+            "gravity unknown: the sign of the sensor is not identifiable and was kept as given; a mirrored axis with "
+            "reversed weight would fit equally well"
         )
     if equation.torque and np.linalg.norm(load.centre) > FAR:
-        lines.append(f"centre of mass {np.linalg.norm(load.centre):.3g} m away: N mm given as N m?")
+        lines.append(f"centre of mass {np.linalg.norm(load.centre):.3g} m away: N mm instead of N m?")
     if equation.pull is not None and equation.mass is None:
         lines += _odd_scale(float(load.gamma @ equation.pull / (equation.pull @ equation.pull)), words)
     if sd[:3].max() > FIRST_ORDER:
-        lines.append("the rotation is known to worse than 3 degrees: deviations are first-order statements there")
+        lines.append(
+            "the rotation is uncertain by more than 3 degrees: standard deviations are first-order approximations"
+        )
     return lines
 
 
 def _odd_scale(m: float, words: LoadUnknowns) -> list[str]:
-    """Return a suspicion of units where a mass or scale is none that is met."""
+    """Return a doubt about the units for an implausible mass or scale."""
     pull = words.equation.pull
     g = 0.0 if pull is None else float(np.linalg.norm(pull))
     if words.scale == "scale":
@@ -250,7 +252,7 @@ def _odd_scale(m: float, words: LoadUnknowns) -> list[str]:
 
 
 def require_order_of_tool(equation: WeightEquation, kept: np.ndarray) -> None:
-    """Refuse orientations that explain the forces much better when they are read in another way."""
+    """Raise if the orientations explain the forces much better in another convention."""
     if equation.pull is None:
         return
     now = equation.turn if kept.all() else Turn.of(equation, kept)
@@ -260,7 +262,7 @@ def require_order_of_tool(equation: WeightEquation, kept: np.ndarray) -> None:
         other = Turn.of(replace(equation, RA=np.ascontiguousarray(one.R)), kept)
         if other.power < MUCH_BETTER * now.power and other.m > 0.0:
             raise NotConverged(
-                f"Expected readings that follow gravity as the tool turns, got {now.power / now.signal:.2g} of their "
+                f"Expected readings that follow gravity as the tool rotates, got {now.power / now.signal:.2g} of their "
                 f"variation unexplained. {one.text.format(ROBOT)}",
                 best=other,
                 reason="mismatch",

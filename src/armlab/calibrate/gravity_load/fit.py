@@ -1,9 +1,9 @@
-"""Force sensors and accelerometers calibrated by gravity: axes, bias, and mass with its centre or scale.
+"""Gravity calibration of force sensors (axes, bias, mass, centre of mass) and accelerometers (axes, bias, scale).
 
     f_i = s m R^T R_base_tool,i^T g + b_f,        tau_i = c x (f_i - b_f) + b_tau,        R = R_tool_sensor
 
-Known gravity and forces alone have a closed form, which is the most likely value; torques sharpen the rotation, and
-everything is then fitted together. Umeyama (1991) for the closed form.
+For forces with known gravity, the maximum-likelihood solution has a closed form. Torques refine the rotation, and all
+parameters are then fitted jointly. Umeyama (1991) for the closed form.
 """
 
 from __future__ import annotations
@@ -58,30 +58,30 @@ def fit_force_sensor(
     robust: bool = False,
     limits: tuple[float, float, float] = LIMITS,
 ) -> Fit[ForceSensor]:
-    """Find axes, load and bias of a force sensor from its readings at rest in many orientations of the tool.
+    """Fit the axes, load and bias of a force sensor to readings at rest in many tool orientations.
 
     Parameters
     ----------
-    T_base_tool : (N, 4, 4) poses of the tool, or (N, 3, 3) its orientations, without contact.
+    T_base_tool : (N, 4, 4) poses of the tool, or (N, 3, 3) orientations, without contact.
     wrench : (N, 3) forces, or (N, 6) forces and torques, raw, sensor axes [N, N m].
-    gravity : (3,) base axes [m/s^2], or "unknown": then the weight in base axes is found with the rest.
-    sign : +1 when the sensor reads the weight that hangs on it, -1 when it reads the reaction.
-    bias : whether readings without weight may differ from zero.
-    mass : what hangs on the sensor [kg], where it is known.
+    gravity : (3,) base axes [m/s^2], or "unknown": the weight in base axes is then also estimated.
+    sign : +1 if the sensor reads the suspended weight, -1 if it reads the reaction.
+    bias : whether readings without weight may be non-zero.
+    mass : known mass of the load [kg]; default: estimated.
     noise : standard deviation of the force [N]; with torques (sd of force [N], of torque [N m]); or covariance (k, k)
-        or (N, k, k). Estimated when left out.
-    robust : find samples with contact; `Fit.outliers` marks them, and they do not count.
-    limits : largest standard deviation accepted along any direction: angle [rad], share of the weight, length [m].
+        or (N, k, k). Default: estimated.
+    robust : detect and exclude samples with contact; `Fit.outliers` marks them.
+    limits : largest accepted standard deviation along any direction: angle [rad], fraction of the weight, length [m].
 
     Returns
     -------
     Fit of a `models.ForceSensor`. Parameters: rotation vector of R_tool_sensor (covariance of R Exp(w), sensor axes),
-    mass or weight, bias, centre of mass. `centre` and the moments of `bias` are NaN where no torques were measured.
+    mass or weight, bias, centre of mass. Without torques, `centre` and the moments of `bias` are NaN.
 
     Raises
     ------
-    ShapeError : another shape, NaN rows, no rotations, a gravity, sign or mass that cannot be.
-    NotExcited : too few samples; an unidentifiable direction, in words.
+    ShapeError : wrong shapes, NaN rows, invalid rotations, gravity, sign or mass.
+    NotExcited : too few samples, or an unidentifiable direction, which is named.
     NotConverged : an axis mirrored or the sign reversed (`reason` "left_handed"); readings that do not follow gravity.
 
     References
@@ -91,16 +91,18 @@ def fit_force_sensor(
     RA, note = orientations(T_base_tool, "T_base_tool")
     y = _readings(wrench, len(RA))
     if sign not in (1, -1) or isinstance(sign, bool):
-        raise ShapeError(f"Expected the sign +1 or -1 of a force sensor, got {sign!r}. +1 reads the weight.")
+        raise ShapeError(
+            f"Expected the sign +1 or -1 of a force sensor, got {sign!r}. Use +1 for a sensor that reads the weight."
+        )
     pull = None if isinstance(gravity, str) and gravity == "unknown" else sign * gravity_of(gravity)
     if mass is not None and (pull is None or not 0.0 < float(numbers(mass, "mass", ShapeError)) < np.inf):
         raise ShapeError(
-            f"Expected a mass above zero [kg] together with a known gravity, got {mass!r} with gravity {gravity!r}. "
-            "Leave one of them out."
+            f"Expected a mass > 0 kg together with known gravity, got {mass!r} with gravity {gravity!r}. "
+            "Omit one of them."
         )
     known = None if mass is None else float(mass)
     classes, groups = CLASSES[: y.shape[1]], y.shape[1] // 3
-    sds = "forces as one standard deviation above zero [N]", "wrenches as (sd of force [N], sd of torque [N m])"
+    sds = "forces as one positive standard deviation [N]", "wrenches as (sd of force [N], sd of torque [N m])"
     cov = noise_of(noise, groups, (len(y),), "noise", sds[groups - 1])
     equation = WeightEquation(RA, y, pull, bool(bias), known, cov, classes, "force sensor")
 
@@ -119,7 +121,7 @@ def _readings(wrench: ArrayLike, N: int) -> np.ndarray:
     if y.ndim != 2 or y.shape[1] not in (3, 6) or len(y) != N:
         raise ShapeError(
             f"Expected readings of shape ({N}, 3) or ({N}, 6), one per pose, forces first, got {y.shape}. "
-            "Pair them by their time first."
+            "First match them by time."
         )
     finite(y, "wrench")
     return y
@@ -135,36 +137,36 @@ def fit_accelerometer(
     robust: bool = False,
     limits: tuple[float, float] = LIMITS[:2],
 ) -> Fit[Accelerometer]:
-    """Find axes and bias of an accelerometer from its readings at rest in many orientations of the tool.
+    """Fit the axes and bias of an accelerometer to readings at rest in many tool orientations.
 
         y_i = -scale R_tool_sensor^T R_base_tool,i^T g + b
 
     Parameters
     ----------
-    T_base_tool : (N, 4, 4) poses of the tool, or (N, 3, 3) its orientations, at rest.
+    T_base_tool : (N, 4, 4) poses of the tool, or (N, 3, 3) orientations, at rest.
     acc : (N, 3) readings, sensor axes [m/s^2]; upwards at rest.
-    scale : find the scale of the readings too; it is 1 otherwise.
+    scale : also estimate the scale of the readings; otherwise 1.
     gravity : (3,) base axes [m/s^2].
-    noise : standard deviation [m/s^2], or covariance (3, 3) or (N, 3, 3). Estimated when left out.
-    robust : find samples that were not at rest; `Fit.outliers` marks them, and they do not count.
-    limits : largest standard deviation accepted along any direction: angle [rad], share of gravity.
+    noise : standard deviation [m/s^2], or covariance (3, 3) or (N, 3, 3). Default: estimated.
+    robust : detect and exclude samples in motion; `Fit.outliers` marks them.
+    limits : largest accepted standard deviation along any direction: angle [rad], fraction of gravity.
 
     Returns
     -------
     Fit of a `models.Accelerometer`. Parameters: rotation vector of R_tool_sensor (covariance of R Exp(w), sensor axes),
-    scale where it is asked for, bias.
+    scale if estimated, bias.
 
     Raises
     ------
-    ShapeError : another shape, NaN rows, no rotations.
-    NotExcited : too few samples; an unidentifiable direction, in words.
+    ShapeError : wrong shapes, NaN rows, invalid rotations.
+    NotExcited : too few samples, or an unidentifiable direction, which is named.
     NotConverged : an axis mirrored or the sign reversed (`reason` "left_handed"); readings that do not follow gravity.
     """
     RA, note = orientations(T_base_tool, "T_base_tool")
     y = numbers(acc, "acc", ShapeError)
     if y.shape != (len(RA), 3):
         raise ShapeError(
-            f"Expected readings of shape ({len(RA)}, 3), one per pose, got {y.shape}. Pair them by their time first."
+            f"Expected readings of shape ({len(RA)}, 3), one per pose, got {y.shape}. First match them by time."
         )
     finite(y, "acc")
     g = gravity_of(gravity)
@@ -215,7 +217,7 @@ def fit_weight(
 def _solved_globally(
     equation: WeightEquation, robust: bool, moved: float, limits: tuple[float, float, float], scale: str
 ) -> NonlinearSolution[Load]:
-    """Return the best of all minima; where none is found, say why."""
+    """Return the best of all minima; raise with the cause if none was found."""
     start = equation.only(likely_samples(equation)).start() if robust else equation.start()
     try:
         found = _solved(equation, start, robust)
@@ -236,7 +238,9 @@ def _solved(equation: WeightEquation, start: Load, robust: bool) -> NonlinearSol
 def _better_of_mirrored(
     equation: WeightEquation, found: NonlinearSolution[Load], robust: bool
 ) -> NonlinearSolution[Load]:
-    """Return the better of a minimum and of that from its mirror image: fewer outliers, then smaller residuals."""
+    """Return the better of a minimum and the minimum from its mirror solution: fewer outliers first, then smaller
+    residuals.
+    """
     start = mirror_solution(equation, found.value)
     if start is None:
         return found
@@ -253,7 +257,7 @@ def _better_of_mirrored(
 
 
 def _explain(equation: WeightEquation, best: Load, moved: float, words: LoadUnknowns) -> None:
-    """Say why a descent did not converge: readings that do not follow gravity, or orientations that do not excite."""
+    """Raise with the cause of a failed descent: readings that do not follow gravity, or unexciting orientations."""
     (one,) = equation.evaluate(best)
     everything = np.ones(equation.N, dtype=bool)
     require_order_of_tool(equation, everything)
@@ -266,7 +270,7 @@ def _explain(equation: WeightEquation, best: Load, moved: float, words: LoadUnkn
 
 
 def _try_other_hand(equation: WeightEquation) -> None:
-    """Refuse where the mirror image of the forces leaves out far fewer samples than the forces do."""
+    """Raise if the mirrored forces have far fewer outliers than the original forces."""
     noise = equation.noise
     if noise is not None:
         noise = noise[:3] if noise.ndim == 1 else noise[..., :3, :3]
@@ -283,8 +287,8 @@ def _require_weight(equation: WeightEquation, load: Load) -> None:
     along = load.gamma @ equation.pull if equation.pull is not None else load.gamma @ load.gamma
     if along <= 0.0:
         raise NotExcited(
-            f"Expected a weight in the readings of the {equation.what}, got none above zero. Check sign and units of "
-            "the readings, and that the tool turns about a horizontal axis.",
+            f"Expected the readings of the {equation.what} to contain a weight, got zero weight. Check the sign and "
+            "units of the readings, and check that the tool rotates about a horizontal axis.",
             ["mass"],
             ["no weight"],
         )

@@ -1,9 +1,9 @@
-"""Model of a sensor that reads a load turned in gravity: residuals with their Jacobian, closed forms, starts.
+"""Model of a sensor that measures a load under gravity: residuals with Jacobian, closed forms, initial guesses.
 
     f_i = R^T R_base_tool,i^T gamma + b_f,        tau_i = c x (R^T R_base_tool,i^T gamma) + b_tau
 
-with gamma = s m g in base axes. An accelerometer reads the same with gamma = -(scale) g. Forces of a known gravity with
-isotropic noise have a closed form, which is the most likely load.
+with gamma = s m g in base axes. For an accelerometer, gamma = -(scale) g. For forces with known gravity and isotropic
+noise, the maximum-likelihood load has a closed form.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from armlab.lie import so3
 ROUNDING = 1e-11  # of the largest reading
 FLOOR = 1e-6  # noise relative to the readings below which it is rounding
 ROUNDS = 50
-SETTLED = 1e-3  # change of weights, relative to the largest
-SHORT = 1e-3  # of the median residual: below it a residual is none
-FAR = 4.0  # medians from which a residual is left out of the start
+SETTLED = 1e-3  # change of the weights, relative to the largest
+SHORT = 1e-3  # of the median residual: smaller residuals count as this
+FAR = 4.0  # medians beyond which a residual is excluded from the start
 NULL = 1e-9
-ALIKE = 0.5  # mean of the weight over the tool, relative to the weight, above which the twin is a minimum too
+ALIKE = 0.5  # ratio of the mean weight in tool axes to the weight beyond which the mirror solution is also a minimum
 
 
 class Load(NamedTuple):
@@ -41,10 +41,10 @@ class Load(NamedTuple):
 class WeightEquation:
     RA: np.ndarray  # (N, 3, 3) R_base_tool
     y: np.ndarray  # (N, 3) forces, or (N, 6) with torques
-    pull: np.ndarray | None  # (3,) s g, what one unit of mass adds to gamma; None when gamma itself is unknown
-    bias: bool  # whether there is one
-    mass: float | None  # known mass; None when it is to be found
-    noise: np.ndarray | None  # variances (k,), or covariance (k, k) or (N, k, k); None when it is to be estimated
+    pull: np.ndarray | None  # (3,) s g, derivative of gamma by the mass; None for unknown gravity
+    bias: bool  # whether the readings have a bias
+    mass: float | None  # known mass; None: estimated
+    noise: np.ndarray | None  # variances (k,), or covariance (k, k) or (N, k, k); None: estimated
     classes: tuple[str, ...]  # name of the noise class of each column of y
     what: str
 
@@ -114,7 +114,7 @@ class WeightEquation:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """1 over the mean variance (N,) of the force of each sample; 1 where noise is not given."""
+        """Inverse mean variance (N,) of the force of each sample; 1 for unknown noise."""
         if self.noise is None:
             return np.ones(self.N)
         variances = self.noise if self.noise.ndim == 1 else np.diagonal(self.noise, axis1=-2, axis2=-1)
@@ -122,11 +122,11 @@ class WeightEquation:
 
     @cached_property
     def turn(self) -> Turn:
-        """The rotation and the mass from all samples; known gravity."""
+        """Rotation and mass from all samples, for known gravity."""
         return Turn.of(self)
 
     def start(self) -> Load:
-        """Return the load in closed form; without torques and with isotropic noise the most likely one."""
+        """Return the closed-form load, which is optimal without torques and with isotropic noise."""
         R, gamma = self._unknown_gravity() if self.pull is None else (self.turn.R, self.turn.m * self.pull)
         u = gamma @ (self.RA @ R)
         w = self.weights[:, None] / self.weights.sum()
@@ -143,17 +143,17 @@ class WeightEquation:
         return Load(R, gamma, bias, found[:3])
 
     def centred(self, values: np.ndarray) -> np.ndarray:
-        """Return values (N, ...) minus their weighted mean when there is a bias that takes it."""
+        """Return values (N, ...) minus their weighted mean if there is a bias."""
         if not self.bias:
             return values
         return values - np.tensordot(self.weights / self.weights.sum(), values, axes=1)
 
     def _unknown_gravity(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return R and gamma from R f_i = R_i^T gamma, linear in both, centred where there is a bias."""
+        """Return R and gamma from R f_i = R_i^T gamma, linear in both, centred if there is a bias."""
         root = np.sqrt(self.weights)
         D = (self.centred(self.RA.transpose(0, 2, 1)) * root[:, None, None]).reshape(-1, 3)
         f = self.centred(self.y[:, :3]) * root[:, None]
-        F = np.einsum("nk,ij->nikj", f, np.eye(3)).reshape(-1, 9)  # times vec(R), column by column
+        F = np.einsum("nk,ij->nikj", f, np.eye(3)).reshape(-1, 9)  # multiplies vec(R), column by column
         (QD, _), (QF, RF) = np.linalg.qr(D), np.linalg.qr(F)
         v = np.linalg.svd(QD.T @ QF)[2][0]
         R = np.linalg.lstsq(RF, v, rcond=None)[0].reshape(3, 3).T
@@ -163,33 +163,34 @@ class WeightEquation:
 
 
 class Turn(NamedTuple):
-    """The rotation, mass and bias that minimise ``sum w_i |f_i - m R^T h_i - b|^2``, ``h_i = R_base_tool,i^T pull``.
+    """Closed-form rotation, mass and bias that minimise ``sum w_i |f_i - m R^T h_i - b|^2``, ``h_i = R_base_tool,i^T
+    pull``.
 
-    In closed form (Umeyama 1991): with weighted means taken off where there is a bias, ``H = sum w h h^T``,
-    ``S = sum w h f^T`` with the signed singular values s, R is the rotation nearest to S and
-    ``m = (s1 + s2 + s3) / tr H``. The best of the other hand has -s3 in the place of s3.
+    Closed form (Umeyama 1991): with weighted means subtracted if there is a bias, ``H = sum w h h^T`` and
+    ``S = sum w h f^T`` with signed singular values s, R is the rotation nearest to S and ``m = (s1 + s2 + s3) / tr H``.
+    The best left-handed solution has -s3 instead of s3.
     """
 
     R: np.ndarray  # (3, 3)
-    H: np.ndarray  # H, S: (3, 3) products of gravity over the tool with itself and with the forces
+    H: np.ndarray  # H, S: (3, 3) products of gravity in tool axes with itself and with the forces
     S: np.ndarray
     m: float  # mass
-    other_m: float  # that of the best of the other hand
-    power: float  # squares that are left
-    signal: float  # those that were there; both over the variance where noise is given
-    moved: list[float]  # by which share of itself gravity moves over the tool, along three axes, ascending
-    difference: float  # Delta, chi^2 of the best of the other hand minus that of the best rotation
+    other_m: float  # mass of the best left-handed solution
+    power: float  # residual sum of squares
+    signal: float  # total sum of squares; both over the variance if the noise is given
+    moved: list[float]  # relative variation of gravity in tool axes, along three axes, ascending
+    difference: float  # Delta, chi^2 of the best left-handed solution minus that of the best rotation
 
     @property
     def mirrored(self) -> np.ndarray:
-        """The best of the other hand (3, 3)."""
+        """Best left-handed solution (3, 3)."""
         U, _, V = np.linalg.svd(self.S)
         third = U[:, 2:] * V[2]
         return self.R - 2.0 * np.vdot(third, self.R) * third
 
     @classmethod
     def of(cls, equation: WeightEquation, kept: np.ndarray | None = None) -> Turn:
-        """Solve for the samples (N,) that are kept; all when None."""
+        """Solve with the selected samples (N,); None: all."""
         w = (equation.weights if kept is None else equation.weights * kept)[:, None]
         pull = np.zeros(3) if equation.pull is None else equation.pull
         h, f = pull @ equation.RA, equation.y[:, :3]
@@ -208,16 +209,16 @@ class Turn(NamedTuple):
         scale = 1.0
         if equation.noise is None:
             N = equation.N if kept is None else int(np.count_nonzero(kept))
-            floor = max(FLOOR**2 * signal / N, np.finfo(float).tiny)  # of exact readings; of none
+            floor = max(FLOOR**2 * signal / N, np.finfo(float).tiny)  # of noise-free readings; of zero readings
             scale = max(min(power, other_power) / max(3 * N - 7, 1), floor)
         return cls(R, H, S, m, other_m, power, signal, moved, (other_power - power) / scale)
 
 
 def likely_samples(equation: WeightEquation) -> np.ndarray:
-    """Return which samples (N,) a start should use: those near the regression of least absolute residuals.
+    """Return the samples (N,) for an initial guess, which are those near the least-absolute-residuals regression.
 
-    Forces are linear in the orientation of the tool, ``f_i = sum_k c_k (R_i)_k + b`` (in gravity over the tool where it
-    is known). ``sum |r_i|`` has one minimum wherever one begins, and a contact does not pull it.
+    Forces are linear in the orientation of the tool, ``f_i = sum_k c_k (R_i)_k + b`` (or in gravity in tool axes if it
+    is known). ``sum |r_i|`` is convex, and is robust against contacts.
     """
     X = equation.RA.reshape(equation.N, 9) if equation.pull is None else equation.pull @ equation.RA
     if equation.bias:
@@ -225,7 +226,7 @@ def likely_samples(equation: WeightEquation) -> np.ndarray:
     U, size, _ = np.linalg.svd(X, full_matrices=False)
     Q, f, w = U[:, size > NULL * size[0]], equation.y[:, :3], np.ones(equation.N)
     r = w
-    if 2 * Q.shape[1] > equation.N:  # it would go through half of the samples, whichever they are
+    if 2 * Q.shape[1] > equation.N:  # it would interpolate half of the samples
         return np.ones(equation.N, dtype=bool)
     for _ in range(ROUNDS):
         weighted = Q.T * w
@@ -238,10 +239,10 @@ def likely_samples(equation: WeightEquation) -> np.ndarray:
 
 
 def mirror_solution(equation: WeightEquation, load: Load) -> Load | None:
-    """Return the load with its weight reversed and the sensor turned by half a turn about it.
+    """Return the load with its weight reversed and the sensor rotated by half a turn about it.
 
-    Both read the same to first order in tilts: ``R^T (u x w) = (H R)^T (-u x w)`` with H the half turn about u; the
-    bias takes the mean. None where tilts are large, or there is no bias: nothing is alike then.
+    Both fit equally well to first order in the tilts: ``R^T (u x w) = (H R)^T (-u x w)`` with H the half turn about u;
+    the bias absorbs the mean. Returns None for large tilts or without a bias.
     """
     u = load.gamma @ equation.RA.mean(axis=0)
     length = float(np.linalg.norm(u))

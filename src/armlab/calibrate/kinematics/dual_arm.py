@@ -1,12 +1,12 @@
-"""Two arms that measure each other: both kinematics and where one stands in the base of the other.
+"""Calibration of two arms that measure each other: the kinematics of both and the pose of one base in the other.
 
     Z_i = T_a(q_a,i)^-1 T_basea_baseb T_b(q_b,i)
 
-What is measured is the tool of b, its pose or a point, seen from the tool of a. One system for both arms and all
-samples; nothing absolute is needed, and where the bases of the arms are is then a matter of convention.
+The measurement is the pose of, or a point on, the tool of b relative to the tool of a. One system of equations covers
+both arms and all samples. No absolute measurement is needed; without one, the pose of each arm's base is a convention.
 
-The tool of b seen from the tool of a is ``Z = T_a^-1 T_basea_baseb T_b``. A point p of b's tool, in a's base, moves in
-a's tool axes by what the frames of b and the base of b do to it, less what the frames of a do to a point there.
+The tool of b relative to the tool of a is ``Z = T_a^-1 T_basea_baseb T_b``. The motion of a point p on b's tool in a's
+tool axes is its motion due to the frames and the base of b, minus its motion due to the frames of a.
 """
 
 from __future__ import annotations
@@ -65,42 +65,43 @@ def fit_dual_arm(
     robust: bool = False,
     limits: tuple[float, float] = LIMITS,
 ) -> Fit[DualArmCorrection]:
-    """Calibrate two arms from what one sees of the other.
+    """Calibrate two arms from relative measurements of their tools.
 
     Parameters
     ----------
     robot_a, robot_b : nominal arms.
-    q_a, q_b : (N, n) joint positions of the same moments [rad or m].
-    pose : (N, 4, 4) of b's tool seen from a's tool; (4, 4) for a closed chain whose tools are held in a known pose.
+    q_a, q_b : (N, n) simultaneous joint positions [rad or m].
+    pose : (N, 4, 4) of b's tool relative to a's tool; (4, 4) for a closed chain with tools held in a known pose.
     position : (N, 3) of b's tool point, in a's tool axes [m].
-    closed : the tools are joined: b's tool does not move in a's. The pose may be unknown.
-    absolute_a : (N, 4, 4) of a's tool in a frame that is then the base of a.
-    visible : (N,), False where the relative measurement is missing.
-    noise : of the relative measurement, as in `fit_kinematics`. None: estimated.
-    noise_absolute : of `absolute_a`, (sd [m], sd [rad]) or a covariance; given where `noise` is.
-    harmonics : orders of joint errors of both arms, see `fit_kinematics`.
-    joint_terms_a, joint_terms_b : phi (N, n, L) of an arm, see `fit_kinematics`.
-    prior, weak, robust, limits : see `fit_kinematics`.
+    closed : the tools are joined: b's tool is fixed relative to a's. The pose may be unknown.
+    absolute_a : (N, 4, 4) of a's tool in a frame that then defines the base of a.
+    visible : (N,), False for missing relative measurements.
+    noise : of the relative measurement, as in `fit_kinematics`. Default: estimated.
+    noise_absolute : of `absolute_a`, (sd [m], sd [rad]) or a covariance; required with `noise`.
+    harmonics : orders of joint errors of both arms, as in `fit_kinematics`.
+    joint_terms_a, joint_terms_b : phi (N, n, L) of each arm, as in `fit_kinematics`.
+    prior, weak, robust, limits : as in `fit_kinematics`.
 
     Returns
     -------
-    Fit of `models.DualArmCorrection`. The parameters are the twists of the frames of a, of b, from their start; that of
-    T_basea_baseb, which has no nominal value, is counted from the value found.
+    Fit of `models.DualArmCorrection`. The parameters are the twists of the frames of a and b relative to their start.
+    The twist of T_basea_baseb, which has no nominal value, is relative to its estimate.
 
     Raises
     ------
-    NotExcited : unidentifiable directions, by name; of a closed chain always the overall scale and what both
-        tools have in common, unless weak="prior" holds them. NotConverged : samples that do not belong together.
-    ShapeError, ConfigError, UnknownName : see `fit_kinematics`.
+    NotExcited : unidentifiable directions, by name; for a closed chain always the overall scale and the common motion
+        of both tools, unless weak="prior" holds them.
+    NotConverged : inconsistent samples.
+    ShapeError, ConfigError, UnknownName : as in `fit_kinematics`.
 
     References
     ----------
-    Bennett and Hollerbach (1991), IEEE T-RA 7(5), closed chains and their scale.
+    Bennett and Hollerbach (1991), IEEE T-RA 7(5), for closed chains and their scale.
     """
     q_a, q_b = check_joints(robot_a, q_a, "q_a"), check_joints(robot_b, q_b, "q_b")
     if len(q_a) != len(q_b):
         raise ShapeError(
-            f"Expected as many rows of q_a as of q_b, got {len(q_a)} and {len(q_b)}. Both are of the same moments."
+            f"Expected equal numbers of rows of q_a and q_b, got {len(q_a)} and {len(q_b)}. Give simultaneous samples."
         )
     check_weak(weak)
     orders = check_harmonics(harmonics)
@@ -115,7 +116,7 @@ def fit_dual_arm(
     if absolute_a is not None:
         kinds += measured_kinds(len(q_a), {"pose": absolute_a}, None, noise_absolute)[0]
         if (noise is None) != (noise_absolute is None):
-            raise ConfigError("Expected noise and noise_absolute together, got one of them. Give both or none.")
+            raise ConfigError("Expected noise and noise_absolute together, got only one. Pass both or neither.")
     held = length_angle(prior, "prior") if weak == "prior" else None
     problem = DualProblem(arms[0], arms[1], tuple(kinds), absolute_a is not None, closed, np.zeros(0, dtype=bool), held)
     used = np.concatenate([arms[0].existing, arms[1].existing, np.ones(6, dtype=bool)])
@@ -126,7 +127,7 @@ def fit_dual_arm(
 
 
 def _without_bases(problem: DualProblem) -> np.ndarray:
-    """Return the unknowns that remain when gauge and bases are left out; T_basea_baseb says where the bases are."""
+    """Return the unknowns without the gauge and the bases; T_basea_baseb relates the bases."""
     a, b = problem.arm_a.unbound.copy(), problem.arm_b.unbound.copy()
     b[:6] = False
     a[:6] &= problem.absolute
@@ -136,13 +137,17 @@ def _without_bases(problem: DualProblem) -> np.ndarray:
 def _measured(
     a: Arm, b: Arm, pose: Any, position: Any, closed: bool, visible: Any, noise: Any
 ) -> tuple[list[Kind], np.ndarray]:
-    """Return the relative measurement and a first T_basea_baseb."""
+    """Return the relative measurement and an initial guess of T_basea_baseb."""
     if (pose is None) == (position is None) and not (closed and position is None):
-        raise ConfigError("Expected either pose or position of b's tool in a's, got both or none. Give one of them.")
+        raise ConfigError(
+            "Expected either the pose or the position of b's tool relative to a's tool, got both or neither. Give one."
+        )
     T_a, T_b = (arm.move(arm.first())[:, -1] for arm in (a, b))
     if closed:
         if position is not None:
-            raise ConfigError("Expected no position for a closed chain, got one. Give the pose (4, 4), or nothing.")
+            raise ConfigError(
+                "Expected no position for a closed chain, got position=. Pass pose= (4, 4), or neither of them."
+            )
         if pose is None:  # Z of T_b = T_basea_baseb^-1 T_a Z
             pose = se3.from_rp(*hand_eye(T_a, T_b)[:2])
         pose = np.broadcast_to(np.asarray(pose, dtype=float), (len(T_a), 4, 4))
@@ -150,13 +155,13 @@ def _measured(
     kind = kinds[0]
     if kind.name == "position" and kind.values.shape[1] > 1:
         raise ShapeError(
-            f"Expected position of shape ({len(T_a)}, 3), one point of b's tool, got {kind.values.shape}. Give one of "
+            f"Expected position of shape ({len(T_a)}, 3), one point on b's tool, got {kind.values.shape}. Pass one of "
             "the points."
         )
     rows = np.flatnonzero(kind.visible.reshape(len(T_a), -1)[:, 0])
     if len(rows) < 3:
         raise NotExcited(
-            f"Expected at least 3 samples in which b is seen from a, got {len(rows)}. Measure more.",
+            f"Expected at least 3 samples with a relative measurement, got {len(rows)}. Measure more.",
             ["everything"],
             [f"{len(rows)} of at least 3 samples"],
         )
@@ -179,19 +184,19 @@ class DualState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DualProblem:
-    """Two arms and what was measured."""
+    """Two arms and their measurements."""
 
     arm_a: Arm  # arm_a, arm_b: the arms
     arm_b: Arm
-    kinds: tuple[Kind, ...]  # relative pose or position, then perhaps the pose of arm a from outside
-    absolute: bool  # whether that is so
-    closed: bool  # whether b's tool does not move in a's
+    kinds: tuple[Kind, ...]  # relative pose or position, then optionally the absolute pose of arm a
+    absolute: bool  # whether the absolute pose is given
+    closed: bool  # whether b's tool is fixed relative to a's
     active: np.ndarray  # (d,) mask of the components of a step
     prior: tuple[float, float] | None  # (metres, radians) of the links, or None
 
     @property
     def size(self) -> int:
-        """Number of unknowns, gauge included: arm a, arm b, twist of T_basea_baseb."""
+        """Number of unknowns, including the gauge: arm a, arm b, twist of T_basea_baseb."""
         return self.arm_a.size + self.arm_b.size + 6
 
     @property
@@ -216,19 +221,19 @@ class DualProblem:
         return (*self.arm_a.units, *self.arm_b.units, *("m",) * 3, *("rad",) * 3)
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
-        """Return (d,) a length for metres and an angle for radians."""
+        """Return the limits (d,): a length for metres and an angle for radians."""
         arms = [arm.sizes(length, angle) for arm in (self.arm_a, self.arm_b)]
         return np.concatenate([*arms, np.repeat([length, angle], 3)])
 
     def values(self, state: DualState) -> np.ndarray:
-        """Return all unknowns (d,); frames by the twists that lead to them from the start, that of T as zero."""
+        """Return all unknowns (d,), with frames as twists from the start and a zero twist for T."""
         parts = []
         for arm, one in ((self.arm_a, state.a), (self.arm_b, state.b)):
             parts += [arm.corrections(one.frames).ravel(), one.amplitudes.ravel(), one.coefficients]
         return np.concatenate([*parts, np.zeros(6)])
 
     def gauge(self, state: DualState, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Return directions (d, g) that nothing sees, and their names: joints, and where the base of each arm is."""
+        """Return the unobservable directions (d, g) and their names: joints, and the base pose of each arm."""
         a, b = self.arm_a.size, self.arm_a.size + self.arm_b.size
         columns, names = [], []
         for arm, one, at, letter in ((self.arm_a, state.a, 0, "a"), (self.arm_b, state.b, a, "b")):
@@ -278,7 +283,7 @@ class DualProblem:
         return found
 
     def priors(self, state: DualState, local: bool = False) -> Iterator[Measurement]:
-        """Yield what is known before: amplitudes are small; links are nearly nominal, if they are to be held."""
+        """Yield the priors: small amplitudes and, if requested, nearly nominal links."""
         for arm, one, at in ((self.arm_a, state.a, 0), (self.arm_b, state.b, self.arm_a.size)):
             if arm.orders:
                 yield amplitude_prior(arm, one, self.size, at)
@@ -310,7 +315,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         return mask
 
     def nature(self, state: DualState) -> list[UnobservableDirection]:
-        """Return how b's tool is turned."""
+        """Return the orientation of b's tool."""
         problem = self.problem
         at = problem.arm_a.size + 6 * problem.arm_b.n + 3
         turns = np.zeros((problem.size, 3))
@@ -320,7 +325,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         ]
 
     def candidates(self, state: DualState) -> list[UnobservableDirection]:
-        """Return joints at rest, what both tools have in common, and the scale."""
+        """Return joints at rest, common motion of both tools, and the scale."""
         arm_a, arm_b = self.problem.arm_a, self.problem.arm_b
         a, size = arm_a.size, self.problem.size
         found = joints_at_rest(arm_a, state.a.frames, 0, size, " of arm a")
@@ -337,7 +342,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
             tools[end_a : end_a + 6], tools[end_b : end_b + 6] = np.eye(6), se3.adjoint_inv(Z)
             advice = "Measure the pose of one tool."
             found.append(UnobservableDirection("common change of both tools", tools, advice))
-        return [*found, UnobservableDirection("overall scale", scale, "Measure one length that is known.")]
+        return [*found, UnobservableDirection("overall scale", scale, "Measure one known length.")]
 
     def fit(self, found: NonlinearSolution[DualState]) -> Fit[DualArmCorrection]:
         problem, state = self.problem, found.value
@@ -348,7 +353,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         return self.result(found, state, self._value, ())
 
     def spaces(self) -> list[float]:
-        """Return the size [m] of the space in which each measurement was made; of a closed chain, in which a moved."""
+        """Return the size [m] of the workspace of each measurement (for a closed chain, that of arm a)."""
         problem = self.problem
         places = [kind.values[kind.visible.reshape(len(kind.values), -1)[:, 0]] for kind in problem.kinds]
         if problem.closed:

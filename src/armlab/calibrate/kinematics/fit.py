@@ -1,9 +1,9 @@
-"""Kinematic calibration: the frames of an arm, its tool and its base from measurements of an instrument.
+"""Kinematic calibration of the frames of an arm, its tool and its base from external measurements.
 
     T(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n,        E_j <- E_j Exp(x_j)
 
-Every frame may move by a twist, so that no arm is special, parallel axes included. Maximum likelihood over all kinds of
-measurement together; what they cannot see is in `excitation`, by name.
+Every frame may move by a twist, so all arms are treated alike, including those with parallel axes. The estimate
+maximises the likelihood over all kinds of measurement; `excitation` names unobservable directions.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from armlab.models import KinematicCorrection
 from armlab.robots import Robot
 
 LIMITS = (0.05, 0.05)
-"""Standard deviation [m, rad] along any direction that is the most accepted."""
+"""Largest accepted standard deviation [m, rad] along any direction."""
 
 MODELS, CHOICES = ("local_poe", "poe"), ("all", "offsets", "base_tool")
 
@@ -63,42 +63,44 @@ def fit_kinematics(
     robust: bool = False,
     limits: tuple[float, float] = LIMITS,
 ) -> Fit[KinematicCorrection]:
-    """Calibrate an arm: base, links, joint offsets, tool, and errors of the joints if asked.
+    """Calibrate the base, links, joint offsets, tool and, optionally, joint errors of an arm.
 
     Parameters
     ----------
-    robot : nominal arm, where the fit starts. A measurement frame far from its base is found first.
+    robot : nominal arm, the start of the fit. A distant measurement frame is located first.
     q : (N, n) joint positions [rad or m].
     pose : (N, 4, 4) measured poses of the tool.
-    position : (N, 3) of the tool point, or (N, K, 3) of K points that are fixed to the tool at unknown places [m].
-    distance : (N,) from `anchor`, a fixed point that is known roughly and estimated, to the tool point [m].
+    position : (N, 3) of the tool point, or (N, K, 3) of K points fixed to the tool at unknown positions [m].
+    distance : (N,) from `anchor`, a fixed, approximately known point, to the tool point [m].
     pair_distance : (i, j, d): samples i and j (M,), and the distances d (M,) of their tool points [m].
-    anchor : (3,) first guess of the fixed point, measurement frame [m].
+    anchor : (3,) initial guess of the fixed point, measurement frame [m].
     length_offset, length_scale : estimate ``measured = scale * true + offset`` of distances.
     visible : (N,) or (N, K), False where a measurement is missing; by kind where masks differ: {"position": mask}.
     noise : of a pose (sd [m], sd [rad]) or 6 sd; of a position one sd or 3 [m]; of a distance one sd; covariances
-        (k, k) or (N, k, k). An infinite sd drops a component. Several kinds: {"pose": ..., "distance": ...}. What is
-        left out is estimated.
-    model : "local_poe": steps of the frames; "poe": of the screws in the base and the home pose. The robot is the same.
+        (k, k) or (N, k, k). An infinite sd excludes a component. For several kinds: {"pose": ..., "distance": ...}. The
+        noise of missing kinds is estimated.
+    model : "local_poe": steps of the frames; "poe": of the screws in the base and the home pose. The result is the
+        same.
     free : "all"; "offsets": joint offsets, base and tool; "base_tool"; or a mask (n+1, 6) of the twists [v; w] of the
-        frames, joint j + 1 being the z axis of frame j.
-    harmonics : orders k of ``a_jk cos k q_j + b_jk sin k q_j`` added to q, amplitudes known before to 0.1 deg.
+        frames, with joint j + 1 the z axis of frame j.
+    harmonics : orders k of ``a_jk cos k q_j + b_jk sin k q_j`` added to q, with a prior of 0.1 deg on the amplitudes.
     joint_terms : phi (N, n, L), for example gravity torques: ``sum_l c_l phi_l`` is added to q.
-    prior : standard deviation of the links [m and rad, or a pair] for `weak="prior"`; none for base and tool.
-    weak : "refuse" directions with larger deviations than `limits`, or hold them by the "prior".
-    robust : find outliers among the samples.
-    limits : standard deviation [m, rad] that is the most accepted.
+    prior : standard deviation of the links [m and rad, or a pair] for `weak="prior"`; not for base and tool.
+    weak : "refuse" raises on directions beyond `limits`; "prior" holds them.
+    robust : detect outliers among the samples.
+    limits : largest accepted standard deviation [m, rad].
 
     Returns
     -------
-    Fit of `models.KinematicCorrection`. The parameters are the twists of the frames from the start, of equal ones the
-    smallest, then amplitudes, coefficients, points, anchor and what else was asked. `residuals` and `outliers` have a
-    row for each sample, then one for each pair; components that were not measured are NaN.
+    Fit of `models.KinematicCorrection`. The parameters are the twists of the frames from the start (with minimum norm
+    along the gauge), followed by amplitudes, coefficients, points, anchor and the optional unknowns. `residuals` and
+    `outliers` have one row per sample, followed by one row per pair; components that were not measured are NaN.
 
     Raises
     ------
-    NotExcited : unidentifiable directions, by name. NotConverged : samples that do not belong together.
-    ShapeError : wrong shapes, NaN that is not masked, what is no rotation, millimetres, degrees.
+    NotExcited : unidentifiable directions, by name.
+    NotConverged : inconsistent samples.
+    ShapeError : wrong shapes, NaN that is not masked, invalid rotations, millimetres, degrees.
     ConfigError, UnknownName : options that do not exist.
 
     References
@@ -107,7 +109,7 @@ def fit_kinematics(
     """
     q = check_joints(robot, q)
     if len(q) == 0:
-        raise NotExcited("Expected samples, got none. Measure poses of the arm.", ["everything"], ["no samples"])
+        raise NotExcited("Expected samples, got an empty q. Measure poses of the arm.", ["everything"], ["no samples"])
     _check_options(model, free, weak)
     orders, terms = check_harmonics(harmonics), check_terms(joint_terms, q.shape)
     given = {"pose": pose, "position": position, "distance": distance, "pair_distance": pair_distance}
@@ -135,14 +137,14 @@ def _check_options(model: str, free: Any, weak: str) -> None:
     if isinstance(free, str) and free not in CHOICES:
         raise UnknownName.among("choice of free frames", free, CHOICES)
     if model == "poe" and not (isinstance(free, str) and free == "all"):
-        raise ConfigError("Expected free='all' with model='poe', got a part of it. Use model='local_poe' for parts.")
+        raise ConfigError(f"Expected free='all' with model='poe', got {free!r}. Use model='local_poe'.")
 
 
 def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:
     if anchor is None:
         if needed:
             raise ConfigError(
-                "Expected a first guess of the fixed point for distances, got none. Give anchor=(x, y, z)."
+                "Expected an initial guess of the fixed point for distances, got no anchor. Pass anchor=(x, y, z)."
             )
         return np.zeros(3)
     found = numbers(anchor, "anchor", ShapeError)
@@ -152,7 +154,7 @@ def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:
 
 
 def _check_lengths(problem: KinematicProblem, start: State, length_offset: bool) -> None:
-    """Refuse distances below zero, and in millimetres."""
+    """Raise on negative distances, and on distances in millimetres."""
     lengths = [kind for kind in problem.kinds if "distance" in kind.name]
     if not lengths:
         return
@@ -161,15 +163,15 @@ def _check_lengths(problem: KinematicProblem, start: State, length_offset: bool)
         measured = kind.values[kind.visible]
         if len(measured) and not length_offset and measured.min() < 0:
             raise ShapeError(
-                f"Expected {kind.name} from 0, got {measured.min():.4g} m. Give length_offset=True where the "
-                "instrument does not begin at zero."
+                f"Expected {kind.name} >= 0, got {measured.min():.4g} m. Pass length_offset=True if the instrument "
+                "has an offset."
             )
         if len(measured):
             check_scale(float(np.mean(np.abs(measured - one.r[:, 0]))), float(np.mean(measured)), kind.name)
 
 
 def _used(problem: KinematicProblem, free: Any, anchored: bool, length: tuple[bool, bool]) -> np.ndarray:
-    """Return which unknowns (d,) there are, gauge included."""
+    """Return the mask (d,) of used unknowns, including the gauge."""
     arm = problem.arm
     frames = _free_frames(arm, free)
     if problem.tool_held:
@@ -184,12 +186,12 @@ def _with_rest(mask: np.ndarray, size: int) -> np.ndarray:
 
 
 def _free_frames(arm: Arm, free: Any) -> np.ndarray:
-    """Return the mask (n+1, 6) of what is free."""
+    """Return the mask (n+1, 6) of free components."""
     mask = np.ones((arm.n + 1, 6), dtype=bool)
     if not isinstance(free, str):
         mask = np.asarray(free)
         if mask.dtype != bool or mask.shape != (arm.n + 1, 6):
-            raise ShapeError(f"Expected free as True and False of shape ({arm.n + 1}, 6), got {mask.shape}.")
+            raise ShapeError(f"Expected free as Booleans of shape ({arm.n + 1}, 6), got {mask.shape}.")
         return mask.copy()
     if free != "all":
         mask[1:-1] = False
@@ -211,7 +213,7 @@ class ArmEstimation(KinematicEstimation[State]):
         return may_be_missing(self.problem, state)
 
     def fit(self, found: NonlinearSolution[State], smallest: bool, notes: Sequence[str]) -> Fit[KinematicCorrection]:
-        """Return value, covariance and excitation; of equal fits the one nearest to the start."""
+        """Return the value, covariance and excitation of the equivalent fit that is nearest to the start."""
         state = found.value
         if smallest:
             state = self._smallest(state)
@@ -227,7 +229,7 @@ class ArmEstimation(KinematicEstimation[State]):
         return far_links(self.problem.arm, state.arm.frames)
 
     def _smallest(self, state: State) -> State:
-        """Return the state, of those with the same measurements, that is nearest to the start."""
+        """Return the equivalent state nearest to the start."""
         problem, base, tool = self.problem, [], []
         if not any(kind.name == "pose" and len(kind.kept) == 6 for kind in problem.kinds):
             data = problem.measurements(state, local=True)

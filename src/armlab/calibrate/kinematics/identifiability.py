@@ -1,9 +1,9 @@
-"""Identifiability of an arm's parameters: gauge, directions that a kind of measurement never sees, joints at rest.
+"""Identifiability of an arm's parameters: gauge, directions never observed by a kind of measurement, joints at rest.
 
-Directions are in units of the limits. Three sorts of them are not seen. Gauge: what can go from one frame to the next.
-Missing by nature: a tool point says nothing of the tool's orientation, a distance nothing of where the base stands.
-Missing by the data: a joint that did not move, a tool point on the last axis, an unknown scale; these are refused, and
-so is every direction with a larger deviation than the limit.
+Directions are in units of the limits. Three classes are unobservable. Gauge: motion that can be moved from one frame to
+the next. Structural: a tool point does not determine the tool's orientation, and a distance does not determine the
+base. Data-dependent: a joint at rest, a tool point on the last axis, an unknown scale. Data-dependent directions and
+all directions with a standard deviation beyond their limit raise NotExcited.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from armlab.errors import NotExcited
 from armlab.estimation import Excitation
 from armlab.lie import se3, so3
 
-NULL = 1e-9  # relative singular value below which nothing is seen
-SEEN = 1e-8  # the same of a direction that is given, whose digits are rounded
-SAME = 0.9  # cosine above which a direction is the one that has a name
-PART = 0.3  # share of the largest component above which a component is named
+NULL = 1e-9  # relative singular value below which a direction is unobservable
+SEEN = 1e-8  # the same for a given direction, which has rounding errors
+SAME = 0.9  # cosine above which a direction matches a named one
+PART = 0.3  # fraction of the largest component above which a component is named
 UNSEEN = np.inf
-LITTLE = 0.35  # rad or m: a joint that moves less is named where something is missing
+LITTLE = 0.35  # rad or m: joints with less motion are named as a cause
 STILL = 1e-3
-TURNED, SHIFTED = 0.5, 0.3  # rad, and share of the reach, by which no link is away from its description
+TURNED, SHIFTED = 0.5, 0.3  # rad, and fraction of the reach: implausible deviations of a link
 
 
 @dataclass(frozen=True, eq=False)
 class UnobservableDirection:
-    """Directions (d, k) that may be unseen, what they are called, and what to do then."""
+    """Possibly unobservable directions (d, k) with their name and advice."""
 
     name: str
     directions: np.ndarray
@@ -39,20 +39,20 @@ class UnobservableDirection:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiabilityTest:
-    """Unknowns whose excitation is judged."""
+    """Unknowns with the data used to assess their excitation."""
 
     names: Sequence[str]  # names, units: of the d unknowns
     units: Sequence[str]
-    limits: np.ndarray  # (d,) the largest deviation that is accepted
-    gauge: np.ndarray  # (d, g) directions that nothing sees, with their names
+    limits: np.ndarray  # (d,) largest accepted standard deviations
+    gauge: np.ndarray  # (d, g) unobservable directions, with their names
     gauge_names: Sequence[str]
-    nature: Sequence[UnobservableDirection]  # what this kind of data may never see
-    # returns what data may fail to see; asked where something is weak
+    nature: Sequence[UnobservableDirection]  # structurally unobservable directions
+    # returns candidates that the data may not observe; called only for weak directions
     candidates: Callable[[], Sequence[UnobservableDirection]]
-    what: str  # is fitted
+    what: str  # name of the fitted quantity
 
     def excitation(self, J: np.ndarray, hold: bool) -> Excitation:
-        """Judge the whitened Jacobian (m, d) of the data."""
+        """Return the excitation of the whitened Jacobian (m, d), or raise NotExcited."""
         A = np.asarray(np.linalg.qr(J, mode="r")) * self.limits if len(J) > J.shape[1] else J * self.limits
         fixed, names = _independent(self.gauge / self.limits[:, None]), [f"gauge: {name}" for name in self.gauge_names]
         largest = float(np.linalg.norm(A))
@@ -83,7 +83,7 @@ class IdentifiabilityTest:
         )  # fmt: skip
 
     def words(self, v: np.ndarray, spread: float) -> str:
-        """Name a direction by its largest components, with their deviation."""
+        """Name a direction by its largest components, with their standard deviation."""
         order = [int(i) for i in np.argsort(-np.abs(v))[:3]]
         kept = [i for i in order if abs(v[i]) > PART * abs(v[order[0]])]
         text, i = " and ".join(self.names[i] for i in kept), order[0]
@@ -94,7 +94,7 @@ class IdentifiabilityTest:
 
 @dataclass(frozen=True, eq=False)
 class _Named:
-    """Weak directions with their names: `words` once for each cause, `each` and `vectors` (d, w) for each direction."""
+    """Weak directions: `words` has one name per cause; `each` and `vectors` (d, w) have one entry per direction."""
 
     words: list[str]
     spreads: list[str]
@@ -133,19 +133,19 @@ class _Named:
     def sentence(self, what: str) -> str:
         todo = " ".join(dict.fromkeys(text for text in self.advice if text))
         return (
-            f"Expected measurements that tell every direction of the {what}, got {len(self.words)} that they do not, "
-            f"or worse than the limit: {'; '.join(self.words)}. "
-            f"{todo or 'Measure at more and more different positions of all joints.'} "
-            "With weak='prior' the fit goes on and holds them near their nominal values."
+            f"Expected measurements that determine every direction of the {what}, but {len(self.words)} are "
+            f"undetermined or beyond the limit: {'; '.join(self.words)}. "
+            f"{todo or 'Measure at more positions of all joints with more variation.'} "
+            "With weak='prior' the fit holds them near their nominal values."
         )
 
 
 def _spread_text(spread: float) -> str:
-    return f"{spread:.2g} times the limit" if np.isfinite(spread) else "unseen"
+    return f"{spread:.2g} times the limit" if np.isfinite(spread) else "unobservable"
 
 
 def _independent(D: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis of the columns, in their order where they are independent."""
+    """Return an orthonormal basis of the columns, in the order of the independent columns."""
     if not D.shape[1]:
         return D
     lengths = np.linalg.norm(D, axis=0)
@@ -158,7 +158,7 @@ def _independent(D: np.ndarray) -> np.ndarray:
 
 
 def far_links(arm: Arm, frames: np.ndarray, whose: str = "") -> list[str]:
-    """Return what a report says of the link that is farthest from its description, if it is far."""
+    """Return a remark on the link farthest from its description if the difference is implausible."""
     twists = arm.corrections(frames)[1:-1]
     if not len(twists):
         return []
@@ -169,13 +169,13 @@ def far_links(arm: Arm, frames: np.ndarray, whose: str = "") -> list[str]:
     if share[j] < 1.0:
         return []
     return [
-        f"link {j + 1}{whose} is {shift[j]:.2g} m and {turn[j]:.2g} rad from its description: a reversed joint, an "
-        "offset of a joint, left-handed measurements, another arm?"
+        f"link {j + 1}{whose} is {shift[j]:.2g} m and {turn[j]:.2g} rad from its description: possible causes are a "
+        "reversed joint, a joint offset, left-handed measurements or another arm"
     ]
 
 
 def joints_at_rest(arm: Arm, frames: np.ndarray, at: int, size: int, whose: str = "") -> list[UnobservableDirection]:
-    """Return for each joint that moves little what goes through it from one frame to the next."""
+    """Return, for each joint that moves little, the directions that can be moved through it from frame to frame."""
     found = []
     reach = np.ptp(arm.q, axis=0)
     for j in np.flatnonzero(reach < LITTLE):
@@ -195,19 +195,19 @@ def joints_at_rest(arm: Arm, frames: np.ndarray, at: int, size: int, whose: str 
 
 
 def arm_scale(arm: Arm, frames: np.ndarray) -> np.ndarray:
-    """Return the direction (d,) in which all lengths of the arm grow."""
+    """Return the direction (d,) that scales all lengths of the arm."""
     direction = np.zeros(arm.size)
     direction[: 6 * len(frames)].reshape(-1, 6)[:, :3] = np.einsum("jba,jb->ja", frames[:, :3, :3], frames[:, :3, 3])
     return direction
 
 
 def never_seen(problem: KinematicProblem, state: State) -> list[UnobservableDirection]:
-    """Return what a kind of measurement may never see: where the base stands, how the tool is turned, all positions."""
+    """Return structurally unobservable directions: base position, tool orientation, all positions."""
     arm, size = problem.arm, problem.size
     frames, b = state.arm.frames, arm.size + 3 * problem.points
     shifts = np.zeros((size, 6))
     shifts[:6] = se3.adjoint_inv(frames[0])
-    shifts[b : b + 3] = np.hstack([np.eye(3), -so3.hat(state.anchor)])  # the anchor goes with the base
+    shifts[b : b + 3] = np.hstack([np.eye(3), -so3.hat(state.anchor)])  # the anchor moves with the base
     found = [
         UnobservableDirection(f"measurement frame, {verb} {letter}", shifts[:, [k]])
         for k, (verb, letter) in enumerate((verb, letter) for verb in ("shift along", "turn about") for letter in "xyz")
@@ -240,7 +240,7 @@ def may_be_missing(problem: KinematicProblem, state: State) -> list[Unobservable
         scale[a:b, 0] += np.tile(state.arm.frames[-1, :3, :3].T @ state.arm.frames[-1, :3, 3], problem.points)
     scale[b : b + 3, 0] = state.anchor
     scale[-1] = -state.length[1]
-    advice = "Measure one length that is known, or give the scale of the instrument."
+    advice = "Measure one known length, or pass the scale of the instrument."
     return [*found, UnobservableDirection("overall scale", scale, advice)]
 
 

@@ -1,4 +1,4 @@
-"""Measurements of a kinematic calibration, checked: each kind with its mask and its noise."""
+"""Validated measurements of a kinematic calibration, each kind with its mask and noise."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from armlab.lie import se3
 from armlab.robots import Robot
 
 KINDS = ("pose", "position", "distance", "pair_distance")
-DEGREES = 20.0  # rad that no joint turns
-CLASSES = {
+DEGREES = 20.0  # rad, beyond any joint
+CLASSES: dict[str, tuple[str, ...]] = {
     "pose": (*("pose position [m]",) * 3, *("pose rotation [rad]",) * 3),
     "position": ("position [m]",) * 3,
     "distance": ("distance [m]",),
@@ -29,8 +29,8 @@ class Kind:
     name: str  # one of KINDS
     values: np.ndarray  # (N, 4, 4), (N, K, 3), (N,), or (M,) for pairs
     visible: np.ndarray  # (N,), or (N, K) for positions
-    kept: np.ndarray  # components that are used
-    cov: np.ndarray | None  # of these, (k,), (k, k) or (N, k, k), or None when the noise is to be estimated
+    kept: np.ndarray  # used components
+    cov: np.ndarray | None  # of the used components, (k,), (k, k) or (N, k, k); None: estimated
     pairs: np.ndarray | None = None  # (2, M) samples of a pair distance
 
     @property
@@ -51,7 +51,7 @@ def check_joints(robot: Robot, q: Any, name: str = "q") -> np.ndarray:
     q = numbers(q, name, ShapeError)
     if q.ndim != 2 or q.shape[1] != robot.n:
         raise ShapeError(
-            f"Expected {name} of shape (N, {robot.n}) for robot {robot.name!r}, got {q.shape}. Give one row per sample."
+            f"Expected {name} of shape (N, {robot.n}) for robot {robot.name!r}, got {q.shape}. Pass one row per sample."
         )
     _finite(q, np.ones(len(q), dtype=bool), name)
     far = np.abs(q[:, ~robot.prismatic])
@@ -64,7 +64,7 @@ def check_joints(robot: Robot, q: Any, name: str = "q") -> np.ndarray:
 
 
 def check_terms(value: Any, shape: tuple[int, int], name: str = "joint_terms") -> np.ndarray:
-    """Return joint terms (N, n, L); L = 0 for None."""
+    """Return the joint terms (N, n, L); L = 0 for None."""
     if value is None:
         return np.zeros((*shape, 0))
     terms = numbers(value, name, ShapeError)
@@ -75,18 +75,18 @@ def check_terms(value: Any, shape: tuple[int, int], name: str = "joint_terms") -
 
 
 def check_harmonics(value: Any) -> tuple[int, ...]:
-    """Return orders of harmonics, whole numbers from 1, none twice."""
+    """Return the orders of the harmonics, which are distinct positive integers."""
     orders = numbers(list(value), "harmonics", ConfigError) if len(value) else np.zeros(0)
     if orders.ndim != 1 or np.any(orders < 1) or np.any(orders % 1) or len(set(orders.tolist())) != len(orders):
-        raise ConfigError(f"Expected harmonics as different whole numbers from 1, such as (1, 2), got {value!r}.")
+        raise ConfigError(f"Expected harmonics as distinct positive integers, such as (1, 2), got {value!r}.")
     return tuple(int(k) for k in orders)
 
 
 def measured_kinds(N: int, given: Mapping[str, Any], visible: Any, noise: Any) -> tuple[list[Kind], list[str]]:
-    """Return the kinds that were measured, and what must be reported of them."""
+    """Return the measured kinds and remarks for the report."""
     names = [name for name in KINDS if given.get(name) is not None]
     if not names:
-        raise ConfigError(f"Expected at least one of {', '.join(KINDS)}, got none. Say what was measured.")
+        raise ConfigError(f"Expected at least one of {', '.join(KINDS)}, got no measurement. Give one.")
     masks, noises = _by_kind(visible, names, "visible"), _by_kind(noise, names, "noise")
     kinds, notes = [], []
     for name in names:
@@ -110,14 +110,14 @@ def _by_kind(value: Any, names: list[str], what: str) -> dict[str, Any]:
         return dict(value)
     if value is not None and what == "noise" and len(names) > 1:
         raise ConfigError(
-            f"Expected the noise of each kind, such as noise={{{names[0]!r}: ..., {names[1]!r}: ...}}, got one. "
-            "Leave a kind out to have its noise estimated."
+            f"Expected separate noise for each kind, such as noise={{{names[0]!r}: ..., {names[1]!r}: ...}}, got one "
+            "value. Omit a kind to estimate its noise."
         )
     return dict.fromkeys(names, value)
 
 
 def _values(name: str, value: Any, N: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return measurements in their shape, and the pairs of pair distances."""
+    """Return the measurements in their shape, and the index pairs of pair distances."""
     if name == "pair_distance":
         return _pairs(value, N)
     array = numbers(value, name, ShapeError)
@@ -136,36 +136,38 @@ def _pairs(value: Any, N: int) -> tuple[np.ndarray, np.ndarray]:
         raise ShapeError("Expected pair_distance as (i, j, d): two arrays of sample numbers and the distances (M,).")
     ends = np.stack(parts[:2])
     if np.any(ends % 1) or ends.min(initial=0) < 0 or ends.max(initial=0) >= N or np.any(ends[0] == ends[1]):
-        raise ShapeError(f"Expected pairs of two different samples from 0 to {N - 1} in pair_distance, got others.")
+        raise ShapeError(
+            f"Expected pairs of distinct sample indices from 0 to {N - 1} in pair_distance, got invalid indices."
+        )
     return parts[2], ends.astype(int)
 
 
 def _mask(value: Any, values: np.ndarray, name: str) -> np.ndarray:
-    """Return which measurements are there: (N,), or (N, K) for positions."""
+    """Return the mask of present measurements: (N,), or (N, K) for positions."""
     shape = values.shape[:2] if name == "position" else values.shape[:1]
     if value is None:
         return np.ones(shape, dtype=bool)
     mask = np.asarray(value)
     if mask.dtype != bool or mask.shape not in (shape, shape[:1]):
-        raise ShapeError(f"Expected visible as True and False of shape {shape} for {name}, got {mask.shape}.")
+        raise ShapeError(f"Expected visible as Booleans of shape {shape} for {name}, got {mask.shape}.")
     return np.broadcast_to(mask.reshape(*mask.shape, *(1,) * (len(shape) - mask.ndim)), shape)
 
 
 def _finite(values: np.ndarray, seen: np.ndarray, name: str) -> None:
-    """Refuse NaN and infinity where something is visible, with their rows."""
+    """Raise on NaN and infinity in visible measurements, with their rows."""
     if not values.size:
         return
     good = np.isfinite(values.reshape(*seen.shape, -1)).all(axis=-1) | ~seen
     if not good.all():
         bad = np.flatnonzero(~good.reshape(len(good), -1).all(axis=1))
         raise ShapeError(
-            f"Expected finite {name}, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. Leave these samples out, or "
-            "mark what is missing by visible."
+            f"Expected finite {name}, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. Drop these samples, or "
+            "mark missing values with visible."
         )
 
 
 def _noise(value: Any, name: str, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the components that are used, and their covariance; a deviation of infinity drops a component."""
+    """Return the used components and their covariance; an infinite standard deviation excludes a component."""
     k = len(CLASSES[name])
     if value is None:
         return np.arange(k), None
@@ -187,7 +189,8 @@ def _noise(value: Any, name: str, shape: tuple[int, ...]) -> tuple[np.ndarray, n
     wanted = {6: "(sd of position [m], sd of rotation [rad]), 6 sd", 3: "one sd [m], 3 sd", 1: "one sd [m]"}[k]
     raise ShapeError(
         f"Expected noise of {name} as {wanted}, or a positive definite covariance ({k}, {k}) or "
-        f"({shape[0]}, {k}, {k}), got {np.array2string(noise, threshold=8)}. An infinite sd drops a component, not all."
+        f"({shape[0]}, {k}, {k}), got {np.array2string(noise, threshold=8)}. Use an infinite standard deviation only "
+        "for some components."
     )
 
 

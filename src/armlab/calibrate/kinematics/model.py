@@ -1,7 +1,7 @@
-"""Model of a kinematic calibration: unknowns of one arm, residuals of any kinds of measurement with their Jacobian.
+"""Model of a kinematic calibration: unknowns of one arm, and residuals of all kinds of measurement with Jacobian.
 
-The frames are those of `robots.Robot`, whose joint axes are z: ``T = E_0 Z_1 E_1 ... Z_n E_n``. A step moves each to
-``E_j Exp([v; w])``. What commutes with Z_j can go from E_{j-1} to E_j and no measurement sees it: the gauge.
+The frames are those of `robots.Robot`, with joint axes z: ``T = E_0 Z_1 E_1 ... Z_n E_n``. A step moves each to
+``E_j Exp([v; w])``. A motion that commutes with Z_j can be moved from E_{j-1} to E_j without effect; this is the gauge.
 """
 
 from __future__ import annotations
@@ -21,14 +21,17 @@ from armlab.lie import se3, so3
 from armlab.models.kinematic_correction import harmonic_basis
 from armlab.robots import Robot
 
-GAUGE = {False: (2, 5), True: (0, 1, 2, 5)}  # components of [v; w] that commute with Rz, with Tz
+GAUGE: dict[bool, tuple[int, ...]] = {
+    False: (2, 5),
+    True: (0, 1, 2, 5),
+}  # components of [v; w] that commute with Rz, with Tz
 SMALLEST_ROUNDS, SMALLEST_STEP = 20, 1e-12
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
-HARMONIC_PRIOR = np.radians(0.1)  # without it amplitudes run to degrees against the geometry
+HARMONIC_PRIOR = np.radians(0.1)  # otherwise amplitudes of degrees compensate the geometry
 
 
 class ArmState(NamedTuple):
-    """The unknowns of an arm: frames (n+1, 4, 4), amplitudes (n, 2 m), coefficients (L,)."""
+    """Unknowns of an arm: frames (n+1, 4, 4), amplitudes (n, 2 m), coefficients (L,)."""
 
     frames: np.ndarray
     amplitudes: np.ndarray
@@ -37,15 +40,15 @@ class ArmState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """What is known of an arm and its samples."""
+    """Nominal arm and its samples."""
 
     robot: Robot  # nominal
-    start: np.ndarray  # (n+1, 4, 4) its frames, the first perhaps moved to the measurement
+    start: np.ndarray  # (n+1, 4, 4) its frames, the first possibly moved to the measurement frame
     q: np.ndarray  # (N, n)
     waves: np.ndarray  # (N, n, 2 m) harmonics at q
     terms: np.ndarray  # (N, n, L)
     orders: tuple[int, ...]  # of the harmonics
-    chart: str = "local_poe"  # "local_poe", or "poe": steps turn the screws S_j in the base and the home pose M
+    chart: str = "local_poe"  # "local_poe", or "poe": steps move the screws S_j in the base and the home pose M
 
     @classmethod
     def of(cls, robot: Robot, q: np.ndarray, orders: tuple[int, ...], terms: np.ndarray, chart: str) -> Arm:
@@ -57,7 +60,7 @@ class Arm:
 
     @cached_property
     def size(self) -> int:
-        """Number of unknowns, gauge included."""
+        """Number of unknowns, including the gauge."""
         return 6 * (self.n + 1) + self.waves[0].size + self.terms.shape[2]
 
     @cached_property
@@ -70,12 +73,12 @@ class Arm:
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """Unit of every unknown; that of a joint term is rad (or m) per unit of the term."""
+        """Unit of every unknown; for a joint term, rad (or m) per unit of the term."""
         twists = (*("m",) * 3, *("rad",) * 3) * (self.n + 1)
         return (*twists, *("rad",) * self.waves[0].size, *("rad/unit",) * self.terms.shape[2])
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
-        """Return (d,) a length for metres, an angle for radians, what turns a joint by the angle for joint terms."""
+        """Return the limits (d,): a length for metres, an angle for radians, and the coefficient for joint terms."""
         twists = np.tile([*(length,) * 3, *(angle,) * 3], self.n + 1)
         parts = [twists, np.full(self.waves[0].size, angle)]
         if self.terms.shape[2]:
@@ -85,7 +88,7 @@ class Arm:
 
     @cached_property
     def unbound(self) -> np.ndarray:
-        """Mask (d,) of unknowns that remain when the gauge is left out: every frame but along the axis after it."""
+        """Mask (d,) of unknowns without the gauge, that is, every frame except along the following axis."""
         kept = np.ones(self.size, dtype=bool)
         for j, slides in enumerate(self.robot.prismatic):
             kept[[6 * j + k for k in GAUGE[bool(slides)]]] = False
@@ -93,7 +96,7 @@ class Arm:
 
     @cached_property
     def existing(self) -> np.ndarray:
-        """Mask (d,) without the harmonics of joints that slide."""
+        """Mask (d,) without the harmonics of prismatic joints."""
         kept = np.ones(self.size, dtype=bool)
         waves = np.repeat(~self.robot.prismatic, self.waves.shape[2])
         kept[6 * (self.n + 1) : 6 * (self.n + 1) + len(waves)] = waves
@@ -110,7 +113,7 @@ class Arm:
         return ArmState(moved, state.amplitudes + waves, state.coefficients + terms)
 
     def move(self, state: ArmState) -> np.ndarray:
-        """Return where the frames are at every sample (N, n+1, 4, 4), the last of which is the tool."""
+        """Return the frames at every sample (N, n+1, 4, 4); the last frame is the tool."""
         q = self.q
         if self.orders:
             q = q + np.sum(self.waves * state.amplitudes, axis=2)
@@ -119,7 +122,9 @@ class Arm:
         return frame_poses(Chain(state.frames, self.robot.prismatic), state.frames, q)
 
     def jacobian(self, state: ArmState, P: np.ndarray, point: np.ndarray, local: bool = False) -> np.ndarray:
-        """Return (N, 6, d), how a point (N, 3) fixed to the tool moves in axes of P; `local`: by steps of frames."""
+        """Return the motion (N, 6, d) of points (N, 3) fixed to the tool, in axes of P; `local`: due to steps of the
+        frames.
+        """
         J = twist_jacobian(P, point)
         turning = J[:, :, np.arange(self.n), np.where(self.robot.prismatic, 2, 5)]
         flat = J.reshape(len(P), 6, -1)
@@ -131,7 +136,7 @@ class Arm:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
 
     def gauge(self, frames: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Return directions (d, g) that nothing sees at these frames, and their names."""
+        """Return the unobservable directions (d, g) at these frames and their names."""
         joints, parts, names = self.moving
         back, count = se3.adjoint_inv(frames[1:]), np.arange(len(joints))
         G = np.zeros((self.size, len(joints)))
@@ -141,11 +146,11 @@ class Arm:
 
     @cached_property
     def moving(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-        """Joint and component (g,) of each twist that goes through a joint, and its name."""
+        """Joint and component (g,) of each twist that can be moved through a joint, and its name."""
         joints, parts, names = [], [], []
         for j, slides in enumerate(self.robot.prismatic):
             for k in GAUGE[bool(slides)]:
-                verb = "turn about" if k == 5 else "slide along" if k == 2 else f"shift {'xy'[k]} of"
+                verb = "rotate about" if k == 5 else "translate along" if k == 2 else f"shift {'xy'[k]} of"
                 joints.append(j)
                 parts.append(k)
                 names.append(f"{verb} the axis of joint {j + 1}")
@@ -155,9 +160,9 @@ class Arm:
         return se3.log(se3.inv(self.start) @ frames)
 
     def smallest(self, frames: np.ndarray, base: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return equal frames that are as near to the start as can be, and how the base was moved (4, 4).
+        """Return the equivalent frames nearest to the start, and the motion of the base (4, 4).
 
-        `base` (6, b) and `tool` (6, t) are twists that nothing sees: of the base, in measurement axes, and of the tool.
+        `base` (6, b) and `tool` (6, t) are unobservable twists of the base (in measurement axes) and of the tool.
         """
         frames, whole = np.array(frames), np.eye(4)
         rows, columns, _ = self.moving
@@ -180,7 +185,7 @@ class Arm:
         return frames, whole
 
     def corrected(self, frames: np.ndarray) -> Robot:
-        """Return the robot with these frames; gravity turns with the base."""
+        """Return the robot with these frames; gravity rotates with the base."""
         robot = self.robot
         links = np.array(robot.links)
         links[1:-1] = frames[1:-1]
@@ -197,10 +202,10 @@ class Arm:
 
 
 def frame_steps(frames: np.ndarray) -> np.ndarray:
-    """Return the steps of the frames (d, d) that belong to steps of the screws and the home pose in the base.
+    """Return the steps of the frames (d, d) equivalent to steps of the screws and the home pose in the base.
 
     With ``C_j = E_0 ... E_j`` the screw of joint j + 1 is ``Ad(C_j) e_z``; ``C_j Exp(x_j)`` for all j makes
-    ``E_j Exp(x_j - Ad(E_j^-1) x_{j-1})``. The column block of T is then ``Ad(C_j) - Ad(exp(S q) C_j)`` as it must be.
+    ``E_j Exp(x_j - Ad(E_j^-1) x_{j-1})``. The column block of T is then ``Ad(C_j) - Ad(exp(S q) C_j)``.
     """
     m = len(frames)
     steps = np.eye(6 * m)
@@ -210,7 +215,7 @@ def frame_steps(frames: np.ndarray) -> np.ndarray:
 
 
 def _turned(frames: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return frames (n+1, 4, 4) whose products E_0 ... E_j have moved by steps in their own axes."""
+    """Return frames (n+1, 4, 4) whose products E_0 ... E_j are moved by steps in their own axes."""
     moved = np.empty_like(frames)
     moved[0] = frames[0] @ steps[0]
     moved[1:] = se3.inv(steps[:-1]) @ frames[1:] @ steps[1:]
@@ -218,7 +223,7 @@ def _turned(frames: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 
 class State(NamedTuple):
-    """The unknowns: the arm, points (K, 3) in tool axes, anchor (3,), offset and scale (2,) of lengths."""
+    """Unknowns: the arm, points (K, 3) in tool axes, anchor (3,), offset and scale (2,) of lengths."""
 
     arm: ArmState
     points: np.ndarray
@@ -228,17 +233,17 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class KinematicProblem:
-    """One arm, what was measured, and which unknowns there are."""
+    """One arm with its measurements and unknowns."""
 
     arm: Arm  # the arm
-    kinds: tuple[Kind, ...]  # what was measured
+    kinds: tuple[Kind, ...]  # measurements
     active: np.ndarray  # (d,) mask of the components of a step
-    points: int  # number of tool points that are unknown
+    points: int  # number of unknown tool points
     prior: tuple[float, float] | None  # (metres, radians) of the links, or None
 
     @cached_property
     def size(self) -> int:
-        """Number of unknowns, gauge included: arm, points, anchor, offset and scale of lengths."""
+        """Number of unknowns, including the gauge: arm, points, anchor, offset and scale of lengths."""
         return self.arm.size + 3 * self.points + 5
 
     @property
@@ -247,7 +252,7 @@ class KinematicProblem:
 
     @property
     def rows(self) -> int:
-        """Number of rows of the residuals: samples, then pairs."""
+        """Number of residual rows: samples, then pairs."""
         return self.first_pair + max((len(kind.values) for kind in self.kinds if kind.pairs is not None), default=0)
 
     @property
@@ -256,7 +261,7 @@ class KinematicProblem:
 
     @property
     def tool_held(self) -> bool:
-        """True where several tool points are all that is known of the tool: they move, its frame does not."""
+        """Whether the tool is defined only by several tool points; these move, but its frame does not."""
         return self.points > 0 and all(kind.name == "position" for kind in self.kinds)
 
     @property
@@ -269,24 +274,24 @@ class KinematicProblem:
         return (*self.arm.units, *("m",) * (3 * self.points + 4), "-")
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
-        """Return (d,) a length for metres, an angle for radians and for the scale of lengths."""
+        """Return the limits (d,): a length for metres, and an angle for radians and for the scale of lengths."""
         lengths = np.full(3 * self.points + 4, length)
         return np.concatenate([self.arm.sizes(length, angle), lengths, [angle]])
 
     def values(self, state: State) -> np.ndarray:
-        """Return all unknowns (d,); frames by the twists that lead to them from the start."""
+        """Return all unknowns (d,), with frames as twists from the start."""
         arm = state.arm
         twists = self.arm.corrections(arm.frames).ravel()
         joints = [arm.amplitudes.ravel(), arm.coefficients]
         return np.concatenate([twists, *joints, state.points.ravel(), state.anchor, state.length])
 
     def gauge(self, state: State, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Return directions (d, g) that nothing sees and that move what is used only, and their names."""
+        """Return the unobservable directions (d, g) that move only used unknowns, and their names."""
         arm, a = self.arm, self.arm.size
         inner, names = arm.gauge(state.arm.frames)
         G = np.zeros((self.size, len(names)))
         G[:a] = inner
-        if self.tool_held:  # what goes through the last joint reaches the points, not the tool
+        if self.tool_held:  # motion through the last joint moves the points, not the tool
             tool = G[6 * arm.n : 6 * arm.n + 6].copy()
             G[6 * arm.n : 6 * arm.n + 6] = 0.0
             for k, point in enumerate(state.points):
@@ -312,7 +317,9 @@ class KinematicProblem:
         return [*found, *(chosen(one, self.active) for one in self.priors(state))]
 
     def measurements(self, state: State, local: bool = False) -> list[Measurement]:
-        """Return residuals of the data with their derivatives by all components; `local`: by steps of the frames."""
+        """Return residuals of the data and their derivatives with respect to all unknowns; `local`: to steps of the
+        frames.
+        """
         P = self.arm.move(state.arm)
         J = self.arm.jacobian(state.arm, P, P[:, -1, :3, 3], local)
         found: list[Measurement] = []
@@ -326,7 +333,7 @@ class KinematicProblem:
         return found
 
     def priors(self, state: State, local: bool = False) -> Iterator[Measurement]:
-        """Yield what is known before: amplitudes are small; links are nearly nominal, if they are to be held."""
+        """Yield the priors: small amplitudes and, if requested, nearly nominal links."""
         arm, d = self.arm, self.size
         if arm.orders:
             yield amplitude_prior(arm, state.arm, d)
@@ -354,7 +361,7 @@ class KinematicProblem:
         return found
 
     def _length(self, kind: Kind, state: State, p: np.ndarray, J: np.ndarray) -> Measurement:
-        """Return distances of tool points p (N, 3) from the anchor or, of pairs, from each other."""
+        """Return distances of tool points p (N, 3) from the anchor or, for pairs, from each other."""
         rows, (offset, scale) = np.flatnonzero(kind.visible), state.length
         if kind.pairs is None:
             sample, away, moved = rows, p[rows] - state.anchor, J[rows]
@@ -373,18 +380,18 @@ class KinematicProblem:
 
     @property
     def first_pair(self) -> int:
-        """Number of the first pair among samples: they come after the rows of q, or alone."""
+        """Sample index of the first pair, after the rows of q."""
         return 0 if all(kind.name == "pair_distance" for kind in self.kinds) else len(self.arm.q)
 
     def _wide(self, J: np.ndarray) -> np.ndarray:
-        """Return derivatives by the arm with zeros for the other unknowns."""
+        """Return derivatives with respect to the arm, padded with zeros for the other unknowns."""
         wide = np.zeros((*J.shape[:2], self.size))
         wide[:, :, : J.shape[2]] = J
         return wide
 
 
 def pose_residual(T: np.ndarray, measured: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals (N, 6) of poses and their derivatives, from the motion J (N, 6, d) of the tool, base axes."""
+    """Return residuals (N, 6) of poses and their derivatives, given the motion J (N, 6, d) of the tool in base axes."""
     R = T[:, :3, :3].transpose(0, 2, 1)
     turn = so3.log(R @ measured[:, :3, :3])
     r = np.concatenate([measured[:, :3, 3] - T[:, :3, 3], turn], axis=1)
@@ -405,7 +412,7 @@ def amplitude_prior(arm: Arm, state: ArmState, size: int, at: int = 0) -> Measur
 def link_prior(
     arm: Arm, state: ArmState, prior: tuple[float, float], size: int, at: int = 0, local: bool = False
 ) -> Measurement:
-    """Return the prior on the frames between the joints, none on base and tool; the arm's unknowns begin at `at`."""
+    """Return the prior on the frames between the joints, excluding base and tool; the arm's unknowns begin at `at`."""
     twists = arm.corrections(state.frames)[1:-1]
     steps = np.eye(6 * (arm.n + 1)) if local or arm.chart == "local_poe" else frame_steps(state.frames)
     J = np.zeros((arm.n - 1, 6, size))
@@ -415,7 +422,7 @@ def link_prior(
 
 
 def _mixture(row: np.ndarray, names: Sequence[str]) -> str:
-    """Name a combination by its largest parts."""
+    """Name a combination by its largest components."""
     order = [int(i) for i in np.argsort(-np.abs(row))]
     return " with ".join(names[i] for i in order[:3] if abs(row[i]) > 0.3 * abs(row[order[0]]))
 

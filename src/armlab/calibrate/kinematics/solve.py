@@ -1,10 +1,11 @@
-"""Solution shared by one arm and two: start, descent, identifiability, covariance without the gauge."""
+"""Solution shared by the calibration of one and two arms: start, descent, identifiability, gauge-free covariance."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -22,23 +23,23 @@ from armlab.lie import se3, so3
 from armlab.models import KinematicCorrection
 
 SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
-UNIT = 1e-3  # 1 mm and 1 mrad: of equal steps the smallest is taken
+UNIT = 1e-3  # 1 mm and 1 mrad, the units of the minimum-norm step
 WEAK = ("refuse", "prior")
-MISFIT = 0.1  # of the size of what was measured, or of half a turn: these samples do not belong together
-NO_NOISE = 1e-12  # m or rad: records that repeat themselves have none
-GAUGE = 1e-6  # component of an unidentifiable direction from which it moves a parameter
-ROUNDING = 1e-9  # of the largest coordinate: what moves less does not move
+MISFIT = 0.1  # of the measured size, or of half a turn: beyond it, samples are inconsistent
+NO_NOISE = 1e-12  # m or rad: below it, records are copies without noise
+GAUGE = 1e-6  # component of an unidentifiable direction beyond which a parameter depends on it
+ROUNDING = 1e-9  # of the largest coordinate: smaller motion is rounding
 NOBODY = np.zeros(0, dtype=int)
 FAR = 0.1  # m or rad from the nominal robot: another measurement frame
-MILLIMETRES = 30.0  # times too large: no arm is that far from its description
-STILL = 1e-4  # times: no other unit of length, but what did not move
+MILLIMETRES = 30.0  # ratio beyond the deviation of any arm from its description
+STILL = 1e-4  # ratio below any unit of length: the tool did not move
 
 S = TypeVar("S")
 Value = TypeVar("Value")
 
 
 def start_arm(arm: Arm, kinds: tuple[Kind, ...]) -> tuple[Arm, np.ndarray]:
-    """Return the arm at its start and tool points (K, 3), where several are unknown."""
+    """Return the arm at its start, and the tool points (K, 3) if several are unknown."""
     by_name = {kind.name: kind for kind in kinds}
     T = arm.move(arm.first())[:, -1]
     points = np.zeros((0, 3))
@@ -58,23 +59,24 @@ def start_arm(arm: Arm, kinds: tuple[Kind, ...]) -> tuple[Arm, np.ndarray]:
 
 
 def kabsch(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the pose (4, 4) with ``b = R a + p`` in the least squares of points (N, 3)."""
+    """Return the pose (4, 4) with ``b = R a + p`` by least squares on points (N, 3)."""
     U, _, V = np.linalg.svd((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
     return se3.from_rp(R, b.mean(axis=0) - R @ a.mean(axis=0))
 
 
 def check_scale(nominal: float, measured: float, what: str) -> None:
-    """Refuse lengths that are a thousand times what they should be, or a thousandth of it."""
+    """Raise on lengths that are wrong by about a factor of a thousand."""
     if measured > MILLIMETRES * nominal > 0:
         raise ShapeError(
             f"Expected {what} in metres, got numbers {measured / nominal:.3g} times as large as those of the nominal "
-            "robot. These seem to be millimetres: divide by 1000."
+            "robot. The numbers seem to be millimetres: divide by 1000."
         )
     if nominal > MILLIMETRES * measured > STILL * nominal:
         raise ShapeError(
             f"Expected {what} and the robot in metres, got numbers {measured / nominal:.3g} times as large as those of "
-            "the nominal robot. Its description, or the first guess of a fixed point, seems to be in millimetres."
+            "the nominal robot. The description of the robot, or the initial guess of a fixed point, seems to be in "
+            "millimetres."
         )
 
 
@@ -118,7 +120,9 @@ def _from_poses(arm: Arm, T: np.ndarray, kind: Kind) -> Arm:
 
 
 def hand_eye(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return X and Y of ``B_i = Y A_i X``: rotations from the mean of ``R_A (x) R_B``, translations linear."""
+    """Return X and Y of ``B_i = Y A_i X``: rotations come from the mean of ``R_A (x) R_B``, translations from a linear
+    system.
+    """
     RA, RB = A[:, :3, :3], B[:, :3, :3]
     K = np.einsum("iab,icd->acbd", RA, RB).reshape(9, 9) / len(A)
     U, _, V = np.linalg.svd(K)
@@ -131,7 +135,7 @@ def hand_eye(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _points(arm: Arm, T: np.ndarray, kind: Kind | None) -> np.ndarray:
-    """Return where the tool points (K, 3) are when poses say where the tool is."""
+    """Return the tool points (K, 3), given poses of the tool."""
     if kind is None or kind.values.shape[1] == 1:
         return np.zeros((0, 3))
     return np.stack([_in_tool(T, kind.values[:, k], kind.visible[:, k]) for k in range(kind.values.shape[1])])
@@ -176,32 +180,32 @@ def _misfit(T: np.ndarray, kind: Kind, k: int, point: np.ndarray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class KinematicEstimation(ABC, Generic[S]):
-    """One estimation problem: descent, identifiability and covariance."""
+    """Estimation problem: descent, identifiability and covariance."""
 
     problem: Any  # `KinematicProblem` or `DualProblem`: residuals with named unknowns
-    used: np.ndarray  # (d,) unknowns there are, gauge included
-    limits: tuple[float, float]  # (metres, radians) that are accepted
-    hold: bool  # go on where they are exceeded
-    start: Any  # state at which the descent begins
+    used: np.ndarray  # (d,) used unknowns, including the gauge
+    limits: tuple[float, float]  # accepted (metres, radians)
+    hold: bool  # hold weak directions by a prior
+    start: Any  # initial state
 
     @abstractmethod
     def nature(self, state: S) -> list[UnobservableDirection]:
-        """Return directions that these kinds of measurement may never see."""
+        """Return directions that are unobservable with these kinds of measurement."""
 
     @abstractmethod
     def candidates(self, state: S) -> list[UnobservableDirection]:
-        """Return directions that the data may fail to see."""
+        """Return candidate directions that may be unobservable."""
 
     @abstractmethod
     def spaces(self) -> list[float]:
-        """Return the size [m] of the space in which each measurement was made."""
+        """Return the size [m] of the workspace of each measurement."""
 
     @abstractmethod
     def rigid(self) -> np.ndarray:
-        """Return the mask (d,) of unknowns that are no kinematics: bases, tools, points."""
+        """Return the mask (d,) of non-kinematic unknowns: bases, tools, points."""
 
     def solve(self, robust: bool) -> NonlinearSolution[S]:
-        """Descend; where that fails, name the unidentifiable direction if there is one."""
+        """Descend; on failure, name the unidentifiable direction if there is one."""
         problem, start = self.problem, self.start
         self._check_count(start)
         task = NonlinearProblem(problem.evaluate, problem.retract, problem.sizes(UNIT, UNIT)[problem.active], "arm")
@@ -215,16 +219,15 @@ class KinematicEstimation(ABC, Generic[S]):
         return found
 
     def _check_majority(self, found: NonlinearSolution[S]) -> None:
-        """Refuse an arm that most samples contradict: as few of them as there are unknowns always fit exactly."""
+        """Raise if most samples contradict the arm; with as few samples as unknowns, the fit is always exact."""
         out = int(np.count_nonzero(found.outliers))
         if not out:
             return
         seen = np.unique(np.concatenate([one.sample for one in self.problem.measurements(found.value)]))
         if 2 * out > len(seen):
             raise NotConverged(
-                f"Expected most samples to fit one arm, got {out} of {len(seen)} that do not. Check that samples and "
-                "joint positions belong together, units, the order of the joints, and that the noise that was given is "
-                "not too small.",
+                f"Expected most samples to fit one arm, got {out} outliers among {len(seen)}. Check the units, the "
+                "joint order, and the pairing of samples and joint positions; the given noise may be too small.",
                 best=found.value,
                 history=found.history,
                 reason="mismatch",
@@ -239,12 +242,12 @@ class KinematicEstimation(ABC, Generic[S]):
         needed = int(np.count_nonzero(used)) - int(np.linalg.matrix_rank(G[used]))
         data = problem.measurements(start, local=True)
         needed -= sum(never_moves(self.nature(start), data, used))
-        needed -= problem.waves  # their prior is enough
+        needed -= problem.waves  # their prior suffices
         needed += any(kind.cov is None for kind in problem.kinds)
         if got < needed:
             raise NotExcited(
                 f"Expected at least {needed} numbers for the unknowns of the arm, got {got}. Measure at least "
-                f"{-(-needed // each)} samples, better twice as many.",
+                f"{-(-needed // each)} samples, preferably twice as many.",
                 ["everything"],
                 [f"{got} of {needed} numbers"],
             )
@@ -252,16 +255,15 @@ class KinematicEstimation(ABC, Generic[S]):
     def result(
         self, found: NonlinearSolution[S], state: S, value: Callable[[S, np.ndarray], Value], notes: Sequence[str]
     ) -> Fit[Value]:
-        """Return the fit at a state that measures the same as the solution; `value` takes it and the covariance."""
+        """Return the fit at a state equivalent to the solution; `value` is called with the state and the covariance."""
         problem, used = self.problem, self.used
         outside = np.flatnonzero(found.outliers)
         data = problem.measurements(state, local=True)
         check_misfit(data, self.spaces(), found.value, outside)
         excitation = self._judge_fit(data, state, found)
         cov, formal, check = self.covariance(data, state, found, excitation)
-        doubts, lines = doubts_of(
-            check, [*self._accuracy(data, state, found), *notes, *self.match(found), *self.doubts(state)]
-        )
+        doubts, lines = doubts_of(check, [*notes, *self.match(found), *self.doubts(state)])
+        accuracy = cache(partial(self._accuracy, data, found))  # for the report alone
         shown = ~np.any(np.abs(excitation.null_space) > GAUGE, axis=1)
         return Fit(
             value=value(state, cov),
@@ -273,7 +275,7 @@ class KinematicEstimation(ABC, Generic[S]):
             residuals=_table(data, problem.rows),
             n=problem.n,
             excitation=excitation,
-            summary=lambda fit: "\n".join([*lines, fit.table(shown)]),
+            summary=lambda fit: "\n".join([*accuracy(), *lines, fit.table(shown)]),
             outliers=found.outliers,
             classes=found.classes,
             formal_cov=formal,
@@ -282,18 +284,18 @@ class KinematicEstimation(ABC, Generic[S]):
 
     @abstractmethod
     def doubts(self, state: S) -> list[str]:
-        """Return what a report says of links far from their description."""
+        """Return remarks on links that are far from their description."""
 
     def match(self, found: NonlinearSolution[S]) -> list[str]:
-        """Return what a report says of the noise that was given, if it was."""
+        """Return remarks on residuals relative to the given noise."""
         if any(kind.cov is None for kind in self.problem.kinds) or not found.freedom:
             return []
-        return [f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise that was given"]
+        return [f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the given noise"]
 
     def judge(
         self, data: Sequence[Measurement], state: S, sigma: dict[str, float], outside: np.ndarray = NOBODY
     ) -> Excitation:
-        """Return the excitation at a state, or refuse."""
+        """Return the excitation at a state, or raise NotExcited."""
         problem, used = self.problem, self.used
         sigma = {name: max(size, NO_NOISE) for name, size in sigma.items()}
         G, gauge_names = problem.gauge(state, used)
@@ -305,8 +307,8 @@ class KinematicEstimation(ABC, Generic[S]):
         )  # fmt: skip
         return test.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
 
-    def _accuracy(self, data: Sequence[Measurement], state: S, found: NonlinearSolution[S]) -> list[str]:
-        """Return RMS residuals before, after, and of samples left out, which do not depend on the gauge."""
+    def _accuracy(self, data: Sequence[Measurement], found: NonlinearSolution[S]) -> list[str]:
+        """Return the RMS residuals before, after and held out; they are independent of the gauge."""
         kept = [_kept(one, np.flatnonzero(found.outliers)) for one in data]
         sizes = [_sizes(data, [one.r for one in data], kept)]
         sizes.append(_sizes(data, self._left_out(data, found), kept))
@@ -325,7 +327,7 @@ class KinematicEstimation(ABC, Generic[S]):
         ]
 
     def _left_out(self, data: Sequence[Measurement], found: NonlinearSolution[S]) -> list[np.ndarray]:
-        """Return residuals of each measurement from the fit to the others, ``(1 - U U^T)^-1 r``, to first order."""
+        """Return the first-order residuals of each measurement from a fit to the others, ``(1 - U U^T)^-1 r``."""
         sigma = {name: max(size, NO_NOISE) for name, size in zip(found.classes, found.sigma.tolist())}
         R = np.linalg.qr(found.rows.J, mode="r")
         _, singular, V = np.linalg.svd(R)
@@ -340,11 +342,11 @@ class KinematicEstimation(ABC, Generic[S]):
         return left
 
     def _instrument(self) -> dict[str, float]:
-        """Return the noise of a usual instrument, by class."""
+        """Return the noise of a typical instrument per class."""
         return dict.fromkeys([name for kind in self.problem.kinds for name in kind.classes], UNIT)
 
     def _judge_fit(self, data: Sequence[Measurement], state: S, found: NonlinearSolution[S]) -> Excitation:
-        """Return the excitation at the solution; where residuals, not the motion, leave directions open, say so."""
+        """Return the excitation at the solution; raise if large residuals leave directions undetermined."""
         sigma, outside = dict(zip(found.classes, found.sigma.tolist())), np.flatnonzero(found.outliers)
         try:
             return self.judge(data, state, sigma, outside)
@@ -354,9 +356,9 @@ class KinematicEstimation(ABC, Generic[S]):
             self.judge(data, state, self._instrument(), outside)
             sizes = ", ".join(f"{size:.3g} in {name}" for name, size in sigma.items())
             raise NotConverged(
-                f"Expected an arm that fits the measurements, got residuals of {sizes} (RMS): an instrument of 1 mm "
-                "would determine every direction. Look for wrong samples with robust=True, and check the order of the "
-                "joints and whether samples and joint positions belong together.",
+                f"Expected an arm that fits the measurements, got residuals of {sizes} (RMS); with an instrument "
+                "accuracy of 1 mm, every direction would be determined. Detect outliers with robust=True, and check "
+                "the joint order and the pairing of samples and joint positions.",
                 best=found.value,
                 reason="mismatch",
             ) from None
@@ -364,7 +366,7 @@ class KinematicEstimation(ABC, Generic[S]):
     def covariance(
         self, data: Sequence[Measurement], state: S, found: NonlinearSolution[S], excitation: Excitation
     ) -> tuple[np.ndarray, np.ndarray | None, ResidualCheck]:
-        """Return covariance (p, p) of what is used, zero along gauge and unidentifiable directions."""
+        """Return the covariance (p, p) of the used unknowns: zero along gauge and unidentifiable directions."""
         limits = self.problem.sizes(*self.limits)[self.used]
         priors = list(self.problem.priors(state, local=True))
         sigma = {name: max(size, NO_NOISE) for name, size in zip(found.classes, found.sigma.tolist())}
@@ -381,17 +383,17 @@ class KinematicEstimation(ABC, Generic[S]):
             seen = np.isfinite(excitation.spread)
             basis = limits[:, None] * excitation.vectors[:, seen] * excitation.spread[seen]
         unknown = frozenset(name for kind in self.problem.kinds if kind.cov is None for name in kind.classes)
-        return covariance_of(rows, basis, J @ basis, unknown, found.check.robust)
+        return covariance_of(rows, basis, J @ basis, unknown, found.robust)
 
 
 def _cut_to(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> list[UnobservableDirection]:
-    """Return directions that move something that is used, cut to it."""
+    """Return the directions restricted to the used unknowns, without zero directions."""
     found = [UnobservableDirection(one.name, one.directions[used], one.advice) for one in candidates]
     return [one for one in found if np.abs(one.directions).max(initial=0.0) > 0]
 
 
 def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any, outside: np.ndarray = NOBODY) -> None:
-    """Refuse samples that do not belong together; `sizes` of the spaces [m] are 0 for one at rest."""
+    """Raise on inconsistent samples; the workspace `sizes` [m] are 0 at rest."""
     for one, size in zip(data, sizes):
         kept = one.r[_kept(one, outside)]
         for unit, space in (("m", size), ("rad", np.pi)):
@@ -399,22 +401,22 @@ def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any,
             rms = float(np.sqrt(np.mean(off**2))) if off.size else 0.0
             if rms > MISFIT * space > 0.0 and len(kept) > 3:
                 raise NotConverged(
-                    f"Expected an arm that fits the measurements, got residuals of {rms:.3g} {unit} in a space of "
-                    f"{space:.3g} {unit}. Check units, the order of the joints, and whether samples and joint "
-                    "positions belong together.",
+                    f"Expected an arm that fits the measurements, got residuals of {rms:.3g} {unit} in a workspace of "
+                    f"{space:.3g} {unit}. Check the units, the joint order, and the pairing of samples and joint "
+                    "positions.",
                     best=best,
                     reason="mismatch",
                 )
 
 
 def spread_of(points: np.ndarray) -> float:
-    """Return the root mean square distance of points (N, 3) from their mean; 0 where that is rounding."""
+    """Return the root mean square distance of points (N, 3) from their mean; 0 if that is rounding."""
     spread = size_of(points)
     return spread if spread > ROUNDING * float(np.abs(points).max(initial=0.0)) else 0.0
 
 
 def corrected_arm(arm: Arm, state: ArmState, cov: np.ndarray, **more: Any) -> KinematicCorrection:
-    """Return the correction that an arm's unknowns make, with their covariance and what else was found."""
+    """Return the correction of an arm with covariance and further estimates."""
     return KinematicCorrection(
         robot=arm.corrected(state.frames), robot_name=arm.robot.name, robot_hash=arm.robot.hash, harmonics=arm.orders,
         amplitudes=state.amplitudes, coefficients=state.coefficients, cov=cov, **more,
@@ -424,7 +426,7 @@ def corrected_arm(arm: Arm, state: ArmState, cov: np.ndarray, **more: Any) -> Ki
 def never_moves(
     candidates: Sequence[UnobservableDirection], data: Sequence[Measurement], used: np.ndarray
 ) -> list[bool]:
-    """Tell of the first direction of each whether, cut to what is used, it is one that moves nothing measured."""
+    """Return whether the first direction of each, restricted to the used unknowns, moves no measurement."""
     if not candidates:
         return []
     V = np.stack([one.directions[:, 0] * used for one in candidates], axis=1)
@@ -437,7 +439,7 @@ def _kept(one: Measurement, outside: np.ndarray) -> np.ndarray:
 
 
 def _whitened(data: Sequence[Measurement], sigma: dict[str, float], outside: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield whitened derivatives (m, d) of the samples that are kept."""
+    """Yield whitened derivatives (m, d) of the included samples."""
     for one in data:
         kept = np.ones(len(one.r), dtype=bool) if one.prior else _kept(one, outside)
         roots, J = one.roots(sigma), one.J[kept]
@@ -451,10 +453,10 @@ def check_weak(weak: str) -> None:
 
 
 def length_angle(value: Any, what: str) -> tuple[float, float]:
-    """Return (metres, radians) from one number or two."""
+    """Return a pair (metres, radians) from one or two numbers."""
     pair = numbers(value, what, ConfigError)
     if pair.shape not in ((), (2,)) or not np.all(pair > 0) or not np.isfinite(pair).all():
-        raise ConfigError(f"Expected {what} as one or two numbers above zero [m, rad], got {value!r}.")
+        raise ConfigError(f"Expected {what} as one or two positive numbers [m, rad], got {value!r}.")
     length, angle = np.broadcast_to(pair, (2,))
     return float(length), float(angle)
 
@@ -472,7 +474,7 @@ def _sizes(data: Sequence[Measurement], r: Sequence[np.ndarray], kept: Sequence[
 
 
 def _table(data: Sequence[Measurement], rows: int) -> np.ndarray:
-    """Return residuals, a row per sample and then per pair, NaN where nothing was measured."""
+    """Return the residuals with one row per sample, then one per pair; NaN for missing measurements."""
     table = np.full((rows, sum(one.r.shape[1] for one in data)), np.nan)
     first = 0
     for one in data:

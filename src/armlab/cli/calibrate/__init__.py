@@ -1,14 +1,14 @@
-"""``armlab calibrate``: camera, sensors, arms from files of samples."""
+"""``armlab calibrate``: calibrate cameras, sensors and arms from sample files."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import App
 
 import armlab
 from armlab.cli.calibrate.arms import dual_arm, kinematics
+from armlab.cli.calibrate.camera import hand_eye
 from armlab.cli.calibrate.samples import (
     NOTHING,
     ArmOfPoses,
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 __all__ = []
 
 
-calibrate = App(name="calibrate", help="Calibrate a camera, a force sensor, an arm or a line scanner from samples.")
+calibrate: App = App(
+    name="calibrate", help="Calibrate a camera, a force sensor, an arm or a line scanner from samples."
+)
 calibrate.command(
     kinematics,
     help_epilogue="Example: armlab calibrate kinematics irb2400 samples.csv -o found.toml --corrected mine.toml",
@@ -42,56 +44,11 @@ calibrate.command(
 )
 
 
-@calibrate.command(
-    name="hand-eye", help_epilogue="Example: armlab calibrate hand-eye samples.csv --robust -o camera.toml"
+calibrate.command(
+    hand_eye,
+    name="hand-eye",
+    help_epilogue="Example: armlab calibrate hand-eye samples.csv --robust -o camera.toml",
 )
-def hand_eye(
-    *samples: SampleFile,
-    marker: Path | None = None,
-    setup: Literal["eye_to_hand", "eye_in_hand"] = "eye_to_hand",
-    robot: ArmOfPoses = None,
-    noise: Deviations = None,
-    noise_robot: tuple[float, float] | None = None,
-    robust: bool = False,
-    wanted: Wanted = NOTHING,
-) -> int:
-    """Find camera and marker from poses of the robot and of the marker, or from points of the marker.
-
-    A file has the poses T_base_tool and T_cam_marker, one sample per row: as T_cam_marker_x, _y, _z [m or mm in the
-    header], _qw, _qx, _qy, _qz; as T_cam_marker1_1 ... T_cam_marker4_4; in a MAT file as (N, 4, 4) or (4, 4, N).
-    Instead of T_cam_marker it may have points of the marker in camera axes, p_cam1_x, p_cam1_y, p_cam1_z, p_cam2_x ...;
-    in a MAT file p_cam (N, K, 3). A point that was not seen is empty.
-
-    Parameters:
-        marker: File with the places of the points on the marker, a row each: marker_x, marker_y, marker_z [m or mm in
-            the header]. They are found when left out.
-        setup: eye_to_hand: the camera stands, the marker is on the tool. eye_in_hand: the other way round.
-        noise: Deviations of the camera where they are known: m and rad of poses, m of points.
-        noise_robot: Deviations of the poses of the robot, m and rad, where it is not exact: samples cannot tell them.
-        robust: Find wrong samples and leave them out.
-    """
-    import numpy as np
-
-    from armlab.cli.calibrate.samples import read_samples
-
-    kinds: set[bool] = set()
-    known = None if marker is None else read_samples(marker)
-    body = None if known is None else known.vectors("marker", (3,))
-
-    def parts(read: Samples) -> tuple[np.ndarray, ...]:
-        kinds.add("T_cam_marker" in read and known is None)
-        seen = read.poses("T_cam_marker") if True in kinds else read.points("p_cam")
-        return measured_rows(read, (tool_poses(read, robot), seen))[:2]
-
-    def fit(T_base_tool: np.ndarray, seen: np.ndarray) -> Any:
-        told: dict[str, Any] = {"setup": setup, "noise": noise_of(noise), "noise_robot": noise_robot, "robust": robust}
-        if True in kinds:
-            return armlab.calibrate.fit_hand_eye(T_base_tool, seen, **told)
-        return armlab.calibrate.fit_hand_eye_points(
-            T_base_tool, seen, marker=body, visible=np.isfinite(seen).all(axis=2), **told
-        )
-
-    return run_fit("hand-eye", samples, parts, fit, wanted, () if known is None else (known.source,))
 
 
 @calibrate.command(name="force-sensor", help_epilogue="Example: armlab calibrate force-sensor rest.csv -o sensor.toml")
@@ -108,23 +65,23 @@ def force_sensor(
     robust: bool = False,
     wanted: Wanted = NOTHING,
 ) -> int:
-    """Find axes, load and bias of a force sensor from readings at rest in many orientations.
+    """Identify the axes, load and bias of a force sensor from readings at rest in many orientations.
 
-    A file has the poses T_base_tool, as for hand-eye, and force1 ... force3, or wrench_raw1 ... wrench_raw6 with
-    torques, N and N m, sensor axes; in a MAT file force (N, 3) or wrench_raw (N, 6).
+    A file contains the poses T_base_tool, as for hand-eye, and either force1 ... force3 or wrench_raw1 ... wrench_raw6
+    (with torques) in sensor axes [N, N m]. A MAT file contains force (N, 3) or wrench_raw (N, 6).
 
     Parameters:
-        wrench: Name of the readings in the file, where it is another one.
-        gravity: In base axes, m/s^2; downwards when left out.
-        unknown_gravity: Find the direction of gravity too.
-        sign: 1 when the sensor reads the weight that hangs on it, -1 when it reads the reaction.
-        mass: What hangs on the sensor, kg, where it is known.
-        no_bias: Readings without weight are zero.
-        noise: Deviation of forces, N, and of torques, N m, where they are known.
-        robust: Find samples with contact and leave them out.
+        wrench: Name of the column with the readings; default: see above.
+        gravity: Gravity in base axes [m/s^2]; default: downwards.
+        unknown_gravity: Also identify the direction of gravity.
+        sign: 1 if the sensor reads the weight of its load, -1 if it reads the reaction.
+        mass: Known mass of the load [kg].
+        no_bias: Assume that the readings have no bias.
+        noise: Known standard deviations of forces [N] and torques [N m].
+        robust: Detect samples with contact and exclude them.
     """
     if gravity is not None and unknown_gravity:
-        raise ConfigError("Expected --gravity or --unknown-gravity, got both. Leave one out.")
+        raise ConfigError("Expected --gravity or --unknown-gravity, got both. Omit one.")
     told = "unknown" if unknown_gravity else gravity
     more: dict[str, Any] = {} if told is None else {"gravity": told}
 
@@ -150,16 +107,16 @@ def accelerometer(
     robust: bool = False,
     wanted: Wanted = NOTHING,
 ) -> int:
-    """Find axes and bias of an accelerometer on the tool from readings at rest in many orientations.
+    """Identify the axes and bias of a tool-mounted accelerometer from readings at rest in many orientations.
 
-    A file has the poses T_base_tool, as for hand-eye, and acc1, acc2, acc3, m/s^2, sensor axes, upwards at rest; in a
-    MAT file acc (N, 3).
+    A file contains the poses T_base_tool, as for hand-eye, and acc1, acc2, acc3 in sensor axes [m/s^2], which point
+    upwards at rest. A MAT file contains acc (N, 3).
 
     Parameters:
-        gravity: In base axes, m/s^2; downwards when left out.
-        scale: Find the scale of the readings too.
-        noise: Deviation of a reading, m/s^2, where it is known.
-        robust: Find samples that were not at rest and leave them out.
+        gravity: Gravity in base axes [m/s^2]; default: downwards.
+        scale: Also identify the scale of the readings.
+        noise: Known standard deviation of a reading [m/s^2].
+        robust: Detect and exclude samples that were not at rest.
     """
     more: dict[str, Any] = {} if gravity is None else {"gravity": gravity}
 
@@ -180,14 +137,14 @@ def laser(
     robust: bool = False,
     wanted: Wanted = NOTHING,
 ) -> int:
-    """Find a line scanner on the tool from scans of flat plates.
+    """Calibrate a tool-mounted line scanner from scans of flat plates.
 
-    A file has the poses T_base_tool, as for hand-eye, the lines scans1 ... scans4 (point x, y, direction x, y in the
-    laser plane), and plane, the number of the plate.
+    A file contains the poses T_base_tool, as for hand-eye, the lines scans1 ... scans4 (point x, y and direction x, y
+    in the laser plane), and the plate number in the column plane.
 
     Parameters:
-        noise: Deviations of a point, m, and of the angle of a line, rad, where they are known.
-        robust: Find wrong scans and leave them out.
+        noise: Known standard deviations of a point [m] and of the angle of a line [rad].
+        robust: Detect and exclude wrong scans.
     """
     import numpy as np
 
@@ -197,7 +154,7 @@ def laser(
     def fit(T_base_tool: np.ndarray, scans: np.ndarray, plane: np.ndarray) -> Any:
         labels = plane.astype(int)
         if not np.array_equal(labels, plane):
-            raise LogError(f"Expected whole numbers in plane, one per plate, got {plane[labels != plane][0]:g}.")
+            raise LogError(f"Expected integers in the column plane, one per plate, got {plane[labels != plane][0]:g}.")
         return armlab.calibrate.fit_laser_plane(T_base_tool, scans, labels, noise=noise, robust=robust)
 
     return run_fit("laser", samples, parts, fit, wanted)

@@ -1,4 +1,4 @@
-"""``armlab calibrate kinematics`` and ``dual-arm``: one arm, or two that see each other, from files of samples."""
+"""``armlab calibrate kinematics`` and ``dual-arm``: calibrate one arm, or two arms that measure each other."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 import armlab
 from armlab.cli.calibrate.samples import NOTHING, Deviations, SampleFile, Wanted, measured_rows, run_fit
+from armlab.cli.support.options import load_robot
 from armlab.cli.support.output import check_output
 from armlab.errors import ConfigError, LogError
 
@@ -23,12 +24,12 @@ if TYPE_CHECKING:
 
 Harmonics = Annotated[
     list[int] | None,
-    Parameter(consume_multiple=True, help="Orders of joint errors that repeat with the turn, such as 1 2."),
+    Parameter(consume_multiple=True, help="Orders of the periodic joint errors, such as 1 2."),
 ]
 Weak = Annotated[
-    Literal["refuse", "prior"], Parameter(help="Unidentifiable directions: refuse, or fix them by a prior.")
+    Literal["refuse", "prior"], Parameter(help="Handling of unidentifiable directions: refuse, or fix them by a prior.")
 ]
-Robust = Annotated[bool, Parameter(help="Find wrong samples and leave them out.")]
+Robust = Annotated[bool, Parameter(help="Detect and exclude outliers.")]
 _NUMBERS = {"pose": 2, "position": 1, "distance": 1, "pair_distance": 1, "absolute_a": 2}
 
 
@@ -45,25 +46,25 @@ def kinematics(
     corrected: Path | None = None,
     wanted: Wanted = NOTHING,
 ) -> int:
-    """Calibrate an arm from joint positions and what was measured of its tool: poses, positions, distances.
+    """Calibrate an arm from joint positions and measured poses, positions or distances of its tool.
 
-    A file has q1 ... qn and one or several of: the measured pose, as for hand-eye; position1 ... position3; distance
-    from a fixed point; pair_distance, from the tool in sample pair_with of the file, the first being 0. What was not
-    measured in a sample is empty.
+    A file contains q1 ... qn and at least one kind of measurement: the pose, as for hand-eye; position1 ... position3;
+    distance, from a fixed point; or pair_distance, from the tool position in sample pair_with of the same file (counted
+    from 0). Leave missing measurements empty.
 
     Parameters:
-        robot: Name in the library, or a robot file: the nominal arm.
-        anchor: Roughly where the fixed point of distances is, m.
-        length_offset: Distances do not begin at zero, as those of a draw wire: find where.
-        noise: Deviations where they are known, in this order: m and rad of poses, m of positions, of distances, of
-            pairs.
-        free: What may be wrong: all; offsets: joint offsets, base and tool; base_tool.
-        corrected: Also write the corrected arm as a robot file, ends in .toml.
+        robot: Library name or robot file of the nominal arm.
+        anchor: Approximate position of the fixed point for distances [m].
+        length_offset: Identify a constant offset of the distances, for example of a draw-wire sensor.
+        noise: Known standard deviations, in this order: poses [m and rad], positions [m], distances [m], pair distances
+            [m].
+        free: Parameters to identify: all; offsets: joint offsets, base and tool; base_tool.
+        corrected: Also write the corrected arm as a robot file, .toml.
     """
-    arm = armlab.robots.load(robot)
+    arm = load_robot(robot)
     files = () if corrected is None else (corrected,)
     _check_robots(files, wanted)
-    length = 0  # of the samples before
+    length = 0  # of the previous samples
 
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
         nonlocal length
@@ -101,21 +102,21 @@ def dual_arm(
     corrected: tuple[Path, Path] | None = None,
     wanted: Wanted = NOTHING,
 ) -> int:
-    """Calibrate two arms from what one sees of the other, and where they stand.
+    """Calibrate two arms and their relative base pose from measurements of one tool by the other.
 
-    A file has the joint positions q_a1 ... q_an and q_b1 ... q_bn of the same moments, and the pose of b's tool seen
-    from a's tool, as for hand-eye, or its position1 ... position3. Where something outside measured a's tool too, it
-    has the pose absolute_a.
+    A file contains simultaneous joint positions q_a1 ... q_an and q_b1 ... q_bn, and the pose of tool b relative to
+    tool a, as for hand-eye, or its position1 ... position3. The optional pose absolute_a is tool a as measured by an
+    external device.
 
     Parameters:
-        robot_a: Name in the library, or a robot file: the nominal arm that sees.
-        robot_b: The same of the arm that is seen.
-        closed: The tools are joined, and nothing else was measured.
-        noise: Deviations where they are known: m and rad of poses, m of positions; then m and rad of absolute_a.
-        corrected: Also write the corrected arms as robot files, a and b, end in .toml.
+        robot_a: Library name or robot file of the measuring arm (nominal).
+        robot_b: Library name or robot file of the measured arm (nominal).
+        closed: The tools are rigidly joined, and there is no other measurement.
+        noise: Known standard deviations: poses [m and rad] or positions [m], then absolute_a [m and rad].
+        corrected: Also write the corrected arms a and b as robot files, .toml.
     """
     kinds = ("pose", "position", "absolute_a")
-    arms = armlab.robots.load(robot_a), armlab.robots.load(robot_b)
+    arms = load_robot(robot_a), load_robot(robot_b)
     _check_robots(corrected or (), wanted)
 
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
@@ -124,7 +125,7 @@ def dual_arm(
         return measured_rows(read, joints, seen, every=closed)[:-1]
 
     def fit(q_a: np.ndarray, q_b: np.ndarray, *measured: np.ndarray) -> Any:
-        told, visible = _kinds(dict(zip(kinds, measured, strict=False)))  # none of tools that are joined
+        told, visible = _kinds(dict(zip(kinds, measured, strict=False)))  # none for joined tools
         sizes = _noises(noise, list(told) or ["pose"])
         more: dict[str, Any] = {"noise": sizes.get("pose", sizes.get("position")), "closed": closed}
         more |= {"noise_absolute": sizes.get("absolute_a"), "weak": weak, "robust": robust}
@@ -138,7 +139,7 @@ def dual_arm(
 
 
 def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
-    """Return joints, poses, positions, distances, pair distances, and the other sample of each pair."""
+    """Return joints, poses, positions, distances, pair distances, and the partner sample of each pair."""
     import numpy as np
 
     q = read.vectors("q", (arm.n,))
@@ -151,15 +152,15 @@ def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
     other = pair[paired]
     if not np.all((other >= 0) & (other < len(q)) & (other % 1 == 0)) or np.any(place[other.astype(int)] < 0):
         raise LogError(
-            f"Expected in pair_with of {read.path} the number of another sample with joint positions, 0 to "
-            f"{len(q) - 1}, wherever there is a pair_distance, got others. Correct the file."
+            f"Expected pair_with of {read.path} to contain the number of another sample with joint positions, 0 to "
+            f"{len(q) - 1}, wherever there is a pair_distance, got other numbers. Correct the file."
         )
     pair[paired] = place[other.astype(int)]
     return (*found[:-1], pair)
 
 
 def _measurements(read: Samples, N: int, names: tuple[str, ...]) -> list[np.ndarray]:
-    """Return what was measured of each name, NaN where that is not in the file."""
+    """Return the measurements by name, NaN if not in the file."""
     import numpy as np
 
     if not any(name in read for name in names):
@@ -177,7 +178,7 @@ def _measurements(read: Samples, N: int, names: tuple[str, ...]) -> list[np.ndar
 
 
 def _seen(values: np.ndarray) -> np.ndarray:
-    """Return which measurements are there: (N,), or (N, K) of positions (N, K, 3)."""
+    """Return a mask of valid measurements: (N,), or (N, K) of positions (N, K, 3)."""
     import numpy as np
 
     lead = 2 if values.shape[2:] == (3,) else 1
@@ -185,7 +186,7 @@ def _seen(values: np.ndarray) -> np.ndarray:
 
 
 def _kinds(measured: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return what was measured at all, and where, by kind; what is whole needs no mask."""
+    """Return the available measurements and their masks by kind; complete measurements need no mask."""
     masks = {name: _seen(values) for name, values in measured.items()}
     there = {name: measured[name] for name, mask in masks.items() if mask.any()}
     return there, {name: masks[name] for name in there if not masks[name].all()}

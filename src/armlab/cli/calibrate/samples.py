@@ -1,8 +1,7 @@
-"""Samples of a calibration from CSV, MAT or MCAP: named poses, vectors, numbers; the fit of all files, its report."""
+"""Calibration samples from CSV, MAT or MCAP: named poses, vectors and numbers; fit of all files, and its report."""
 
 from __future__ import annotations
 
-import csv
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -15,6 +14,7 @@ from cyclopts import Parameter
 
 import armlab
 from armlab.cli.support.html_report import HtmlReport, Verdict
+from armlab.cli.support.options import Columns, load_robot
 from armlab.cli.support.output import note
 from armlab.cli.support.results import Results, parameters
 from armlab.errors import ConfigError, LogError
@@ -23,32 +23,39 @@ if TYPE_CHECKING:
     import numpy as np
 
     from armlab.estimation import Fit
+    from armlab.log.file_formats.column_names import ColumnNames
     from armlab.robots import Robot
 
-SampleFile = Annotated[Path, Parameter(help="CSV, MAT or MCAP; several are joined.")]
+SampleFile = Annotated[Path, Parameter(help="CSV, MAT or MCAP files; several files are joined.")]
 Deviations = Annotated[list[float] | None, Parameter(consume_multiple=True)]
-ArmOfPoses = Annotated[str | None, Parameter(help="Name or file of the arm: its joint positions q give T_base_tool.")]
+ArmOfPoses = Annotated[str | None, Parameter(help="Library name or file of the arm, to compute T_base_tool from q.")]
 _QUATERNION_LENGTH = 1e-3  # difference from one
 _CLOCKS = ("t", "time")
 _UNITS = {r"force\d*": "N", r"acc\d*": "m/s^2", r"(position|(pair_)?distance)\d*": "m", r"\w+_[xyz]": "m"}
-_TOGETHER = re.compile(r"(?!scans)(\w*?)(\d+|_[xyz])$")  # columns that have one unit
+_TOGETHER = re.compile(r"(?!scans)(\w*?)(\d+|_[xyz])$")  # columns that share a unit
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """What files of samples hold."""
+    """Contents of sample files."""
 
     path: Path  # of the file, for messages
     values: Mapping[str, np.ndarray]  # name -> array (N, ...)
     source: str  # name of the file and its SHA-256
-    units: Mapping[str, str] = field(default_factory=dict)  # name -> unit, where the file tells it
+    units: Mapping[str, str] = field(default_factory=dict)  # name -> unit, if given in the file
+    start: float = 0.0  # s, file clock at t = 0
 
     def __contains__(self, name: object) -> bool:
         text = str(name)
         return any(key in self.values for key in (text, f"{text}1", f"{text}1_1", f"{text}_x", f"{text}1_x"))
 
+    @property
+    def clock(self) -> np.ndarray:
+        """Times (N,) [s] on the clock of the file."""
+        return self.numbers("t") + self.start
+
     def numbers(self, name: str) -> np.ndarray:
-        """Return the column (N,) of a name."""
+        """Return a column (N,) by name."""
         array = self._found(name)
         array = array.reshape(-1) if max(array.shape, default=0) == array.size else array
         if array.ndim != 1:
@@ -56,7 +63,7 @@ class Samples:
         return array
 
     def vectors(self, name: str, sizes: Sequence[int] = ()) -> np.ndarray:
-        """Return the vectors (N, k) of a name."""
+        """Return vectors (N, k) by name."""
         import numpy as np
 
         if name not in self.values and f"{name}_x" in self.values:
@@ -70,11 +77,11 @@ class Samples:
             array = array.T
         if array.ndim != 2 or (sizes and array.shape[1] not in sizes):
             words = " or ".join(f"(N, {k})" for k in sizes) or "(N, k)"
-            raise LogError(f"Expected {name} of shape {words} in {self.path}, got {array.shape}. Name another column.")
+            raise LogError(f"Expected {name} of shape {words} in {self.path}, got {array.shape}. Give another column.")
         return array
 
     def points(self, name: str) -> np.ndarray:
-        """Return the points (N, K, 3) of a name: columns NAME1_x, NAME1_y, NAME1_z, NAME2_x ..., or one array."""
+        """Return points (N, K, 3) by name: columns NAME1_x, NAME1_y, NAME1_z, NAME2_x ..., or one array."""
         import numpy as np
 
         if f"{name}1_x" in self.values:
@@ -91,11 +98,13 @@ class Samples:
         return array
 
     def poses(self, name: str) -> np.ndarray:
-        """Return the poses (N, 4, 4) of a name."""
+        """Return poses (N, 4, 4) by name."""
         import numpy as np
 
         if name not in self.values and f"{name}_x" in self.values:
-            return self._quaternions(name)
+            ends = next((ends for ends in _ROTATIONS if f"{name}_{ends[0]}" in self.values), ("qw", "qx", "qy", "qz"))
+            columns = [self._found(f"{name}_{end}") for end in ("x", "y", "z", *ends)]
+            return pose_of(np.stack(columns, axis=1), _ROTATIONS[ends], f"{name}_{ends[0]} ... of {self.path}")
         if name not in self.values and f"{name}1_1" in self.values:
             places = [f"{name}{i}_{j}" for i in range(1, 5) for j in range(1, 5)]
             array = np.stack([self._found(place) for place in places], axis=1)
@@ -107,42 +116,44 @@ class Samples:
                 return T
         raise LogError(
             f"Expected poses {name} of shape (N, 4, 4) or (4, 4, N) with the last row 0 0 0 1 in {self.path}, got "
-            f"shape {array.shape} without. Save homogeneous transformations."
+            f"shape {array.shape} without it. Save homogeneous transformations."
         )
-
-    def _quaternions(self, name: str) -> np.ndarray:
-        import numpy as np
-
-        p, q = (
-            np.stack([self._found(f"{name}_{end}") for end in ends], axis=1)
-            for ends in (("x", "y", "z"), ("qw", "qx", "qy", "qz"))
-        )
-        length = np.linalg.norm(q, axis=1)
-        bad = np.flatnonzero(np.abs(length - 1.0) > _QUATERNION_LENGTH)
-        if len(bad):
-            raise LogError(
-                f"Expected quaternions of length 1 in {name}_qw ... {name}_qz of {self.path}, got {length[bad[0]]:.6g} "
-                f"in sample {bad[0]} ({len(bad)} such samples). Mend the file."
-            )
-        T = armlab.lie.se3.from_rp(armlab.lie.quaternion.to_matrix(q / length[:, None]), p)
-        T[np.isnan(np.hstack([p, q])).all(axis=1)] = np.nan  # not measured at all
-        return T
 
     def _found(self, name: str) -> np.ndarray:
         if name not in self.values:
             have = ", ".join(self.values) or "none"
-            raise LogError(f"Expected {name} in {self.path}, got {have}. Name its columns so; --help tells how.")
+            raise LogError(f"Expected {name} in {self.path}, got {have}. Rename its columns; see --help.")
         array = self.values[name]
         if array.dtype.kind not in "biuf":
-            raise LogError(f"Expected numbers in {name} of {self.path}, got words such as {str(array.flat[0])!r}.")
+            raise LogError(f"Expected numbers in {name} of {self.path}, got text such as {str(array.flat[0])!r}.")
         unit, wanted = self.units.get(name), next((u for word, u in _UNITS.items() if re.fullmatch(word, name)), None)
         if wanted is not None and unit not in (None, "", "1", wanted):
             raise LogError(f"Expected {name} of {self.path} in {wanted}, got {unit}. Convert it.")
         return array.astype(float)
 
 
-def read_samples(path: Path) -> Samples:
-    """Return the columns of a CSV file, a MAT file, or a recording."""
+def read_pair(paths: Sequence[Path], columns: str | None) -> list[Samples]:
+    """Return the columns of a robot's and a camera's file; `columns` names those of either file."""
+    from armlab.log.file_formats.column_names import ColumnNames
+
+    if columns is None:
+        return [read_samples(path) for path in paths]
+    names = ColumnNames.of(columns)
+    samples = [read_samples(path, names.of_several_files()) for path in paths]
+    for name in set(names.entries) - names.optional - {"t"}:
+        if not any(name.partition(":")[0] in one.values for one in samples):
+            raise LogError(
+                f"Expected the columns of {name} in {' or '.join(str(path) for path in paths)}, got neither. Correct "
+                "its source in --columns."
+            )
+    return samples
+
+
+def read_samples(path: Path, columns: str | ColumnNames | None = None) -> Samples:
+    """Return the columns of a CSV file, a MAT file or a recording; `columns` maps other column names."""
+    from armlab.log.file_formats.column_names import ColumnNames
+    from armlab.log.file_formats.delimited import rows_of, separator_of, text_table
+    from armlab.log.file_formats.description import renamed
     from armlab.log.file_formats.mat import read_mat
     from armlab.log.file_formats.opening import file_hash, is_text
     from armlab.log.topics.reader import is_foreign
@@ -150,40 +161,86 @@ def read_samples(path: Path) -> Samples:
     source = f"{path.name} sha256 {file_hash(path)}" if path.is_file() else ""
     if path.suffix.lower() == ".mat":
         return Samples(path, read_mat(path), source)
-    labels, separator = _header(path) if is_text(path) else ([], ",")
+    labels = []
+    if is_text(path):
+        labels = next(iter(rows_of(path, separator_of(path), 1)), [])
     _check_units(path, labels)
-    timed = any(label.split("[")[0].strip() in _CLOCKS for label in labels)
+    names = ColumnNames.of(columns) if isinstance(columns, str) else columns
+    timed = any(label.split("[")[0].strip() in _CLOCKS for label in labels) or "t" in (names.entries if names else ())
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the notes of the table say the same and are shown below
-        if labels and (separator != "," or not timed):
-            table = armlab.log.read_csv(path, rate=None if timed else 1.0, separator=separator)
+        warnings.simplefilter("ignore")  # equal to the notes of the table, which are shown below
+        if labels:
+            table = text_table(path, None if timed else 1.0, columns=names, keep_start=timed)
         else:
-            table = armlab.log.read(path)
+            table = renamed(path, armlab.log.read(path), names)
     for line in table.notes:
-        note(f"{path.name}: {line}")
-    if is_foreign(path) and "q" in table:
+        if not line.startswith("image: text"):
+            note(f"{path.name}: {line}")
+    if is_foreign(path) and "q" in table and columns is None:
         table = table.without(*(name for name in ("q", "qd", "tau") if name in table))
         note(
-            f"{path.name}: its joints are in an order of its own and are left out. For samples with joints, armlab log "
-            f"export {path.name} samples.csv --robot NAME puts them into the order of the robot."
+            f"{path.name}: its joints are in a different order and are ignored. For samples with joints, armlab log "
+            f"export {path.name} samples.csv --robot NAME reorders them."
         )
     units = {name: column.unit or "" for name, column in table.columns.items()}
-    return Samples(path, {"t": table.t, **table.values}, source, units)
+    values = {"t": table.t, **table.values}
+    for name in [name for name in values if ":" in name]:
+        values[name.partition(":")[0]] = pose_of(values.pop(name), name.partition(":")[2], f"{name} of {path}")
+    return Samples(path, values, source, units, table.t0_ns * 1e-9)
 
 
-def _header(path: Path) -> tuple[list[str], str]:
-    """Return the labels of a text file and what separates them; none where `log.read` says what is wrong."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            line = file.readline()
-    except (OSError, UnicodeDecodeError):
-        return [], ","
-    separator = next((mark for mark in ",;\t" if mark in line), ",")
-    return next(csv.reader([line], delimiter=separator), []), separator
+_ROTATIONS = {  # suffixes of the columns of a rotation -> format
+    ("qw", "qx", "qy", "qz"): "wxyz",
+    ("rx", "ry", "rz"): "rotvec",
+    ("roll", "pitch", "yaw"): "rpy",
+}
+_NUMBERS_OF = {"wxyz": 4, "xyzw": 4, "rotvec": 3, "rpy": 3, "euler_zyx": 3, "euler_xyz": 3, "euler_zyz": 3}
+_NUMBERS_OF["matrix"] = 13  # 16 with the position
+
+
+def pose_of(numbers: np.ndarray, form: str, what: str) -> np.ndarray:
+    """Return poses (N, 4, 4) from rows of position [m] and rotation; empty rows are NaN.
+
+    wxyz, xyzw: quaternion. rotvec: rotation vector, as in OpenCV and UR. rpy: roll, pitch, yaw with R = Rz(yaw)
+    Ry(pitch) Rx(roll), as in ROS and URDF. euler_zyx: R = Rz(a) Ry(b) Rx(c), angles in that order; euler_xyz,
+    euler_zyz likewise. matrix: 16 numbers, row by row. The suffix _deg means degrees.
+    """
+    import numpy as np
+
+    kind = form.removesuffix("_deg")
+    width = _NUMBERS_OF.get(kind)
+    if width is None or (form.endswith("_deg") and width != 3):
+        known = ", ".join(_NUMBERS_OF)
+        raise ConfigError(f"Expected a rotation as {known}, angles also with _deg, got {form!r} for {what}.")
+    if numbers.ndim != 2 or numbers.shape[1] != 3 + width:
+        raise LogError(f"Expected {3 + width} columns for a pose as {form}, got shape {numbers.shape} for {what}.")
+    if kind == "matrix":
+        return numbers.reshape(-1, 4, 4)
+    p, turn = numbers[:, :3], numbers[:, 3:] * (np.pi / 180.0 if form.endswith("_deg") else 1.0)
+    gone = np.isnan(numbers).all(axis=1)
+    if width == 4:
+        length = np.linalg.norm(turn, axis=1)
+        bad = np.flatnonzero(np.abs(length - 1.0) > _QUATERNION_LENGTH)
+        if len(bad):
+            raise LogError(
+                f"Expected quaternions of length 1 in {what}, got {length[bad[0]]:.6g} in sample {bad[0]} ({len(bad)} "
+                "such samples). Correct the file."
+            )
+        turn = turn / length[:, None]
+        R = armlab.lie.quaternion.to_matrix(turn if kind == "wxyz" else np.roll(turn, 1, axis=1))
+    elif kind == "rotvec":
+        R = armlab.lie.so3.exp(turn)
+    elif kind == "rpy":
+        R = armlab.lie.euler.from_rpy(turn[:, ::-1], "zyx")
+    else:
+        R = armlab.lie.euler.from_rpy(turn, kind.removeprefix("euler_"))  # pyright: ignore[reportArgumentType]
+    T = armlab.lie.se3.from_rp(R, p)
+    T[gone] = np.nan  # not measured
+    return T
 
 
 def _check_units(path: Path, labels: Sequence[str]) -> None:
-    """Refuse components of which some have a unit and others none: they would be read in different ones."""
+    """Reject components if only some have a unit, because they would be read in different units."""
     groups: dict[str, set[bool]] = {}
     for label in labels:
         found = _TOGETHER.match(label.split("[")[0].strip())
@@ -192,26 +249,26 @@ def _check_units(path: Path, labels: Sequence[str]) -> None:
     for name, told in groups.items():
         if len(told) > 1:
             raise LogError(
-                f"Expected a unit for all components of {name} in {path} or for none, got it for some. "
-                "Write it into every label."
+                f"Expected a unit for all components of {name} in {path} or for none, got a unit for some. "
+                "Write the unit in every label."
             )
 
 
 def _readings(array: np.ndarray) -> list[np.ndarray]:
-    """Return how numbers may be read as poses: samples first or last, rows or columns first."""
+    """Return all interpretations of an array as poses: samples first or last, rows or columns first."""
     import numpy as np
 
     if array.ndim == 3:
         found = [array] if array.shape[1:] == (4, 4) else []
         last = np.moveaxis(array, -1, 0)
-        return [*found, last, np.swapaxes(last, 1, 2)] if array.shape[:2] == (4, 4) else found  # HDF5 of other programs
+        return [*found, last, np.swapaxes(last, 1, 2)] if array.shape[:2] == (4, 4) else found  # foreign HDF5
     if array.ndim == 2 and array.shape[1] == 16:
         rows = array.reshape(-1, 4, 4)
         return [rows, np.swapaxes(rows, 1, 2)]
     return [array[None]] if array.shape == (4, 4) else []
 
 
-_DEGREES = 20.0  # rad that no joint turns
+_DEGREES = 20.0  # rad, above any joint range
 
 
 def run_fit(
@@ -223,27 +280,43 @@ def run_fit(
     sources: Sequence[str] = (),
     corrected: Callable[[Any], Mapping[Path, Robot]] = lambda fit: {},
 ) -> int:
-    """Read files of samples, fit all of them together, write what is wanted, and return the exit code.
+    """Read sample files, fit all of them together, write the requested output, and return the exit code.
 
-    `parts` takes arrays of equal length out of one file; `fit` takes these arrays, joined over the files. `corrected`
-    names the files of arms that come out of a fit.
+    `parts` extracts arrays of equal length from one file; `fit` takes these arrays, joined over the files. `corrected`
+    returns the corrected arms of a fit by file name.
     """
-    import numpy as np
-
     wanted.check(wanted.output, (".toml",))
     if not files:
-        raise ConfigError("Expected files of samples, got none. Give one or more CSV, MAT or MCAP files.")
-    read = [read_samples(path) for path in files]
-    hashes = [one.source.rsplit(" ", 1)[-1] for one in read]
-    twice = next((one.path for i, one in enumerate(read) if hashes[i] in hashes[:i]), None)
+        raise ConfigError("Expected sample files, got none. Pass one or more CSV, MAT or MCAP files.")
+    samples = [read_samples(path, wanted.columns) for path in files]
+    hashes = [one.source.rsplit(" ", 1)[-1] for one in samples]
+    twice = next((one.path for i, one in enumerate(samples) if hashes[i] in hashes[:i]), None)
     if twice is not None:
-        raise ConfigError(f"Expected different files, got {twice} again. Samples count once: leave it out.")
+        raise ConfigError(
+            f"Expected different files, got {twice} again. Each sample may be used only once: remove "
+            "the duplicate file."
+        )
+    return fit_samples(job, samples, parts, fit, wanted, sources, corrected)
+
+
+def fit_samples(
+    job: str,
+    read: Sequence[Samples],
+    parts: Callable[[Samples], tuple[np.ndarray, ...]],
+    fit: Callable[..., Any],
+    wanted: Wanted,
+    sources: Sequence[str] = (),
+    corrected: Callable[[Any], Mapping[Path, Robot]] = lambda fit: {},
+) -> int:
+    """Fit samples that have already been read; see `run_fit`."""
+    import numpy as np
+
     arrays = [parts(one) for one in read]
     for part in zip(*arrays, strict=True):
         widths = {array.shape[1:] for array in part}
         if len(widths) > 1:
             shapes = ", ".join(f"{array.shape} in {one.path.name}" for one, array in zip(read, part, strict=True))
-            raise LogError(f"Expected files that measured the same, got arrays of {shapes}. Calibrate them one by one.")
+            raise LogError(f"Expected files with the same measurements, got arrays of {shapes}. Calibrate each alone.")
     joined = [np.concatenate(part) for part in zip(*arrays, strict=True)]
     found = fit(*joined)
     return wanted.save(job, found, (*(one.source for one in read), *sources), corrected(found))
@@ -252,34 +325,34 @@ def run_fit(
 def measured_rows(
     read: Samples, needed: Sequence[np.ndarray], some: Sequence[np.ndarray] = (), *, every: bool = False
 ) -> tuple[np.ndarray, ...]:
-    """Return the rows in which something was measured; recordings have rows between the samples of a sensor.
+    """Return the rows with a measurement; recordings also contain rows between the samples of a sensor.
 
-    A row has all arrays of `needed`, and one of `some` unless `every`. Returns the rows of `needed`, those of `some`,
-    and their numbers in the file.
+    A row needs all arrays of `needed` and, unless `every` is set, one array of `some`. Returns these rows of both, and
+    their row numbers in the file.
     """
     import numpy as np
 
     parts = [*needed, *some]
     lengths = [len(part) for part in parts]
     if len(set(lengths)) > 1:
-        raise LogError(f"Expected as many samples of each kind in {read.path}, got {', '.join(map(str, lengths))}.")
+        raise LogError(f"Expected equal sample counts in {read.path}, got {', '.join(map(str, lengths))}.")
     seen = [~np.isnan(part).all(axis=tuple(range(1, part.ndim))) for part in parts]
     there = np.all(seen[: len(needed)], axis=0)
     if some and not every:
         there &= np.any(seen[len(needed) :], axis=0)
     if not there.any():
-        raise LogError(f"Expected rows in which all was measured in {read.path}, got none of {len(there)}.")
+        raise LogError(f"Expected complete rows in {read.path}, got none of {len(there)}.")
     _require_whole(read, needed, there)
     if not there.all():
         without = np.count_nonzero(~there)
-        note(f"{without} of {len(there)} rows of {read.path.name} have no measurement and do not count")
+        note(f"{without} of {len(there)} rows of {read.path.name} have no measurement and are ignored")
     if not every:
         there &= _first_times(read, needed, some, there)
     return (*(part[there] for part in parts), np.flatnonzero(there))
 
 
 def _require_whole(read: Samples, needed: Sequence[np.ndarray], there: np.ndarray) -> None:
-    """Refuse rows with some of the numbers of a pose or a vector, by their place in the file; points may be hidden."""
+    """Reject incomplete poses or vectors, stating their row in the file; points may be hidden."""
     import numpy as np
 
     for part in needed:
@@ -287,15 +360,15 @@ def _require_whole(read: Samples, needed: Sequence[np.ndarray], there: np.ndarra
             bad = np.flatnonzero(there & np.isnan(part).any(axis=tuple(range(1, part.ndim))))
             if len(bad):
                 raise LogError(
-                    f"Expected whole samples in {read.path}, got numbers missing in {len(bad)} of {len(there)} rows, "
-                    f"first in row {bad[0]} (from 0). Empty all of the measurement of such a row, or mend it."
+                    f"Expected complete samples in {read.path}, got missing numbers in {len(bad)} of {len(there)} "
+                    f"rows, first in row {bad[0]} (from 0). Clear or correct the whole measurement in these rows."
                 )
 
 
 def _first_times(
     read: Samples, needed: Sequence[np.ndarray], some: Sequence[np.ndarray], there: np.ndarray
 ) -> np.ndarray:
-    """Return which rows (N,) are no copy of an earlier one: the same sample twice tells nothing new of the noise."""
+    """Return the rows (N,) that do not repeat an earlier row; duplicates would bias the noise estimate."""
     import numpy as np
 
     flat = [np.ascontiguousarray(part.reshape(len(part), -1), dtype=float) for part in (*needed, *some)]
@@ -307,28 +380,28 @@ def _first_times(
         first[i] = row not in seen
         seen.add(row)
     if len(seen) < len(numbers):
-        note(f"{len(numbers) - len(seen)} of {len(numbers)} rows of {name} are copies of others and count once")
+        note(f"{len(numbers) - len(seen)} of {len(numbers)} rows of {name} are duplicates and are used once")
     kept = np.flatnonzero(first)
     for part in flat[len(needed) if some else 1 :]:
         if part.shape[1] >= 3:
             held = np.count_nonzero((part[kept][1:] == part[kept][:-1]).all(axis=1))
             if held:
-                note(f"{held} rows of {name} repeat the measurement of the row before: held values?")
+                note(f"{held} rows of {name} repeat the previous measurement; they may be held values")
     return first
 
 
 def noise_of(values: Sequence[float] | None) -> Any:
-    """Return the deviations as the fits take them: None, one number, or a tuple."""
+    """Return the deviations in the format of the fits: None, one number, or a tuple."""
     return None if values is None else values[0] if len(values) == 1 else tuple(values)
 
 
 def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
-    """Return T_base_tool (N, 4, 4) as it was recorded, or of the joint positions of a robot that is named."""
+    """Return T_base_tool (N, 4, 4), either recorded or computed from the joint positions of the given robot."""
     if robot is None:
         return read.poses("T_base_tool")
     import numpy as np
 
-    arm = armlab.robots.load(robot)
+    arm = load_robot(robot)
     q = read.vectors("q", (arm.n,))
     far = np.nanmax(np.abs(q[:, ~arm.prismatic]), initial=0.0)
     if far > _DEGREES:
@@ -339,22 +412,23 @@ def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
     return armlab.kinematics.forward(arm, q)
 
 
-_MANY = 0.3  # share of samples beyond which those left out are no outliers
+_MANY = 0.3  # largest plausible share of outliers
 _FEW = 1.5  # measurements per parameter
-_ROUGH = {"[m]": 0.01, "[rad]": 0.05}  # beyond it is no noise of a sensor, but records that do not fit
+_ROUGH = {"[m]": 0.01, "[rad]": 0.05}  # larger deviations are not sensor noise
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Wanted(Results):
-    """Output options of a calibration."""
+    """Options common to all calibrations: column names and output."""
 
+    columns: Columns = None
     output: Annotated[
-        Path | None, Parameter(alias="-o", help="Save the result with its covariance, ends in .toml.")
+        Path | None, Parameter(alias="-o", help="Save the result with its covariance to this .toml file.")
     ] = None
 
     def save(self, job: str, fit: Fit[Any], sources: tuple[str, ...], arms: Mapping[Path, Robot]) -> int:
-        """Print the fit, write the files that are wanted, corrected arms among them, and return the exit code."""
+        """Print the fit, write the requested files, including corrected arms, and return the exit code."""
         verdict = judge(fit)
         self.say({**numbers(fit), "sources": list(sources)}, fit.report(), verdict)
         saves: dict[Path, Callable[[Path], object]] = {
@@ -371,7 +445,7 @@ NOTHING = Wanted()
 
 
 def numbers(fit: Fit[Any]) -> dict[str, Any]:
-    """Return the fit as numbers for scripts."""
+    """Return the fit for scripts."""
     found = fit.excitation
     return {
         "parameters": parameters(fit),
@@ -386,29 +460,33 @@ def numbers(fit: Fit[Any]) -> dict[str, Any]:
 
 
 def judge(fit: Fit[Any]) -> Verdict:
-    """Return what can be relied on, what not, and what to do next."""
+    """Return the verdict, with advice."""
     import numpy as np
 
     found = Verdict()
     left, total = int(fit.outliers.sum()), len(fit.outliers)
-    found.good.append(f"{fit.n} samples identify all {fit.excitation.expected} directions asked for.")
+    found.good.append(f"{fit.n} samples identify all {fit.excitation.expected} requested directions.")
     if fit.excitation.held:
         found.good.clear()
         found.bad.append(f"A prior fixes what the samples do not identify: {'; '.join(fit.excitation.held)}.")
     if left > _MANY * total:
-        found.bad.append(f"{left} of {total} samples were left out: these are not a few mistakes.")
-        found.ahead.append("Look for the cause in pairing, clocks and units before you use the result.")
+        found.bad.append(f"{left} of {total} samples were excluded as outliers: too many.")
+        found.ahead.append("Check the pairing, clocks and units before you use the result.")
     elif left:
-        found.ahead.append(f"Look at the {left} samples that were left out.")
+        found.ahead.append(f"Inspect the {left} excluded samples.")
     found.bad.extend(f"{line[:1].upper()}{line[1:]}" for line in fit.doubts)
     for name, sigma in zip(fit.classes, fit.sigma.ravel().tolist(), strict=False):
         if sigma > _ROUGH.get(f"[{name.rpartition('[')[2]}", np.inf):
-            found.bad.append(f"Noise of {name} of {sigma:.2g} is no noise of a sensor: some samples are wrong, or all.")
-            found.ahead.append("Look for them with --robust, and check pairing, units and frames.")
+            found.bad.append(
+                f"Noise of {name} of {sigma:.2g} is too large for a sensor, so some samples are probably wrong."
+            )
+            found.ahead.append("Find outliers with --robust, and check the pairing, units and frames.")
     if np.isfinite(fit.residuals).sum() < _FEW * len(fit.names):
-        found.bad.append("There are hardly more measurements than parameters: noise and deviations are guesses.")
+        found.bad.append(
+            "There are few measurements per parameter, so the noise and standard deviations are unreliable."
+        )
         found.ahead.append("Take more samples.")
-    found.ahead.append(f"The worst direction is {fit.excitation.weakest}; samples that excite it improve most.")
+    found.ahead.append(f"The worst direction is {fit.excitation.weakest}: add samples that excite it.")
     return found
 
 
@@ -417,7 +495,10 @@ def _page(job: str, fit: Fit[Any], verdict: Verdict, sources: tuple[str, ...]) -
 
     page = HtmlReport(f"Calibration: {job}", f"From {'; '.join(sources)}.")
     page.verdict(verdict)
-    page.section("Residuals, ellipses, excitation", "In standard deviations of the noise; a straight line is normal.")
+    page.section(
+        "Residuals, ellipses, excitation",
+        "In standard deviations of the noise; a straight line indicates normally distributed residuals.",
+    )
     page.figure(png(armlab.plots.calibration(fit)), "residuals per sample, quantiles, ellipses, singular values")
     page.section("Parameters")
     rows = zip(fit.names, fit.parameters, fit.sd, fit.units, strict=True)
@@ -425,6 +506,6 @@ def _page(job: str, fit: Fit[Any], verdict: Verdict, sources: tuple[str, ...]) -
         ["parameter", "value", "deviation", "unit"],
         *([name, f"{value:.6g}", f"{sd:.2g}", unit] for name, value, sd, unit in rows),
     ])  # fmt: skip
-    page.section("In words")
+    page.section("Report")
     page.verbatim(fit.report())
     return page

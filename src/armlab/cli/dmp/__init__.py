@@ -1,4 +1,4 @@
-"""``armlab dmp``: movement primitives from logs, and played on a robot."""
+"""``armlab dmp``: fit movement primitives to logs, and play them on a robot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cyclopts import App, Parameter
 
 import armlab
 from armlab.cli import FAILED
-from armlab.cli.support.options import Force, Json, links_to
+from armlab.cli.support.options import Columns, Force, Json, links_to, load_robot
 from armlab.cli.support.output import check_output, note, print_json, progress, result
 from armlab.errors import ConfigError
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = []
 
 
-dmp = App(name="dmp", help="Movement primitives: fit one to logs of a motion, play it on a robot.")
+dmp: App = App(name="dmp", help="Fit movement primitives to logs, and play them on a robot.")
 
 
 @dmp.command(help_epilogue="Example: armlab dmp fit taught.mcap -o motion.toml")
@@ -30,6 +30,7 @@ def fit(
     output: Annotated[Path, Parameter(alias="-o")],
     kind: str = "joints",
     column: list[str] | None = None,
+    columns: Columns = None,
     robot: str | None = None,
     start: float | None = None,
     end: float | None = None,
@@ -43,43 +44,44 @@ def fit(
     json: Json = False,
     force: Force = False,
 ) -> int:
-    """Fit a movement primitive to the motion in a log, or to several demonstrations of it, and save it.
+    """Fit a movement primitive to the motion in a log, or to several demonstrations, and save it.
 
-    Rest before and after the motion is left out. Prints how far the motion of the primitive is from what was shown.
+    Periods of rest before and after the motion are skipped. Prints the RMS error between the primitive and the
+    demonstrations.
 
     Parameters:
-        logs: One log per demonstration: MCAP, CSV, MAT or Parquet; one for pose and periodic, two or more for promp.
-        output: File of the primitive, .toml.
-        kind: joints; pose: of the tool; periodic: a motion that repeats itself; promp: a distribution over several
-            demonstrations.
-        column: What moves: q when not given, for pose T_base_tool; several are put side by side.
-        robot: Name in the library or robot file: with pose, whose kinematics make poses of q; with a bag of another
-            program, whose joints are read.
-        start: Only from this time of the log on [s].
-        end: Only up to this time [s].
-        whole: Keep rest before and after the motion.
-        period: With periodic: duration of one turn [s].
-        frame: With pose: axes that the motion belongs to, base or goal, with which it turns; base when not given.
-        basis: Number of kernels: 50 when not given, 25 for periodic, 15 for promp.
-        schedule: Phase: canonical, time, or position for joints that never turn; canonical when not given.
-        scaling: Of the motion with its goal: goal, none, amplitude or rotate; goal when not given.
-        convention: lund or ijspeert; lund when not given.
+        logs: One log per demonstration: MCAP, CSV, MAT or Parquet; exactly one for pose and periodic, at least two for
+        promp.
+        output: Output file, .toml.
+        kind: joints; pose (of the tool); periodic (rhythmic motion); promp (distribution over several demonstrations).
+        column: Columns that form the motion; default: q, or T_base_tool with pose.
+        robot: Library name or robot file: computes the poses from q (with pose), and selects the joints of a foreign
+            bag.
+        start: Start of the motion in the log [s].
+        end: End of the motion in the log [s].
+        whole: Keep the rest before and after the motion.
+        period: With periodic: duration of one period [s].
+        frame: With pose: axes of the forcing term, base or goal; default: base.
+        basis: Number of kernels; default: 50, 25 for periodic, 15 for promp.
+        schedule: Phase: canonical, time, or position (for monotonic joint motion); default: canonical.
+        scaling: Scaling of the motion with its goal: goal, none, amplitude or rotate; default: goal.
+        convention: lund or ijspeert; default: lund.
     """
     from armlab.cli.dmp.teaching import MotionWindow, check_options, numbers_of, read_demonstration, taught, text_of
 
     given = {"basis": basis, "schedule": schedule, "scaling": scaling, "convention": convention}
     options = check_options(kind, given | {"frame": frame, "robot": robot, "period": period})
     if not logs:
-        raise ConfigError("Expected the log of a motion, got none. Name one or several files.")
+        raise ConfigError("Expected the log of a motion, got no file. Pass at least one.")
     check_output(output, force, [".toml"])
     window = MotionWindow(start, end, whole)
-    demos = [read_demonstration(path, kind, column or (), robot, window) for path in logs]
+    demos = [read_demonstration(path, kind, column or (), robot, window, columns, force) for path in logs]
     found = taught(kind, demos, options)
     if json:
         print_json(numbers_of(kind, found, len(demos)))
     else:
         result(text_of(kind, found, len(demos)))
-    note(f"primitive: {found.save(output, [source for demo in demos for source in demo.sources])}")
+    note(f"primitive: {found.save(output, list(dict.fromkeys(source for demo in demos for source in demo.sources)))}")
     return 0
 
 
@@ -102,29 +104,30 @@ def play(
     json: Json = False,
     force: bool = False,
 ) -> int:
-    """Play a movement primitive: on a robot, with --robot, or into a file, with --output.
+    """Play a movement primitive on a robot (--robot), or write it to a file (--output).
 
-    On a robot: walks to the start, runs it, records a log, and says how near the goal it came. A motion of joints waits
-    for an arm that is held up, and goes on when it is released. One too fast for the limits of the robot is stretched.
+    On a robot: moves to the start, runs the motion, records a log, and prints the distance from the goal. A joint
+    motion waits while the arm is held, and continues after release. A motion that exceeds the robot's speed limits is
+    slowed down.
 
     Parameters:
-        primitive: File of `armlab dmp fit`, or of any primitive that was saved.
-        robot: Name in the library, or a robot file.
-        link: egm://HOST:PORT for a robot; the simulated robot when not given.
-        output: Write the motion to this file instead, .csv, or .mcap with --robot; nothing moves. With --robot it holds
-            joints within the limits of the robot.
-        duration: Of the motion, or of a turn of a periodic one [s]; that of the demonstration when not given.
-        start: Where it begins, numbers with commas between: joint positions [rad or m], or position and quaternion
+        primitive: File of `armlab dmp fit`, or another saved primitive.
+        robot: Library name or robot file.
+        link: egm://HOST:PORT for a real robot; default: a simulated robot.
+        output: Write the motion to this file instead of moving the robot: .csv, or .mcap with --robot (which applies
+            the robot's limits).
+        duration: Duration of the motion, or of one period [s]; default: that of the demonstration.
+        start: Start of the motion, comma-separated: joint positions [rad or m], or position and quaternion
             w,x,y,z of the tool.
-        goal: Where it ends, likewise; of a periodic motion the middle.
-        via: TIME:Y,Y,... that a motion of joints passes, in the time of the demonstration [s].
-        amplitude: Of a periodic motion, over that of the demonstration.
-        turns: Of a periodic motion; 4 when not given.
-        speed: Share of the robot's speed limits that is allowed, in (0, 1]; that of the settings, 1 without.
-        firm: Tell the arm the path whatever it does, instead of waiting for an arm that is held up.
-        log: Recording of the motion; -2, -3 is added to a name that exists. dmp.mcap in the folder of the settings when
-            not given.
-        force: Replace an existing file of --output.
+        goal: Goal in the same form; for a periodic motion, its baseline.
+        via: Via-point TIME:Y,Y,... of a joint motion, with the time of the demonstration [s].
+        amplitude: Amplitude factor of a periodic motion.
+        turns: Number of periods of a periodic motion; default: 4.
+        speed: Fraction of the robot's speed limits, in (0, 1]; default: that of the settings, else 1.
+        firm: Send the path open loop instead of waiting for an arm that is held.
+        log: Recording of the motion; -2, -3 is appended if it exists. Default: dmp.mcap in the folder of the
+            settings.
+        force: Replace an existing --output file, and play a joint-space primitive of another robot.
     """
     from armlab.cli.dmp.playing import numbers_in, rehearsed, resolved, rolled_out
     from armlab.cli.support.settings import log_folder
@@ -133,14 +136,16 @@ def play(
     given |= {"start": numbers_in(start, "start"), "goal": numbers_in(goal, "goal")}
     if output is None:
         if robot is None:
-            raise ConfigError("Expected --robot NAME to move, or --output FILE to write the motion to, got neither.")
-        plan = _plan(primitive, given, robot, speed, firm)
+            raise ConfigError(
+                "Expected --robot NAME to move a robot, or --output FILE to write the motion, got neither."
+            )
+        plan = _plan(primitive, given, robot, speed, firm, force)
         return _move(*plan, links_to(robot, plan[:1], link), log or log_folder() / "dmp.mcap", json)
     check_output(output, force, [".csv", ".mcap"])
     if robot is None:
         arm, table = None, rolled_out(*resolved(armlab.models.load(primitive), given))
     else:
-        arm, motion, _ = _plan(primitive, given, robot, speed, firm)
+        arm, motion, _ = _plan(primitive, given, robot, speed, firm, force)
         table = rehearsed(motion)
     note(f"motion: {armlab.log.write(table, output, arm)}")
     if json:
@@ -149,19 +154,21 @@ def play(
 
 
 def _plan(
-    primitive: Path, given: dict[str, Any], robot: str, speed: float | None, firm: bool
+    primitive: Path, given: dict[str, Any], robot: str, speed: float | None, firm: bool, force: bool
 ) -> tuple[Robot, PlannedMotion, Limits]:
-    """Return the robot, its motion within the limits, and these."""
+    """Return the robot, its motion within the limits, and the limits themselves."""
     from armlab.cli.dmp.playing import motion_of, resolved
+    from armlab.cli.support.log_input import check_taught
     from armlab.cli.support.settings import load_settings
 
-    arm = armlab.robots.load(robot)
+    arm = load_robot(robot)
+    check_taught(primitive, arm, force)
     limits = armlab.bridge.Limits.of(arm, speed=load_settings().settings.speed if speed is None else speed)
     return arm, motion_of(*resolved(armlab.models.load(primitive), given), arm, limits, firm), limits
 
 
 def _move(robot: Robot, motion: PlannedMotion, limits: Limits, links: list[str], log: Path, json: bool) -> int:
-    """Walk to the start, run the motion, and say how near the goal it came."""
+    """Move to the start, run the motion, and print the distance from the goal."""
     from armlab.cli.dmp.playing import SETTLES, Walk, distance
 
     controller, seconds = motion.controller, motion.seconds

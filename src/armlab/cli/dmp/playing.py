@@ -1,4 +1,4 @@
-"""Playing a movement primitive of each kind: on an arm, or into a table."""
+"""Playback of each kind of movement primitive on an arm or as a table."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ if TYPE_CHECKING:
     from armlab.state import Command, State
 
 
-OPTIONS = {
+OPTIONS: dict[str, tuple[str, ...]] = {
     "dmp": ("duration", "start", "goal", "via"),
     "two_dof_dmp": ("duration", "start", "goal", "via"),
     "promp": ("duration", "start", "goal", "via"),
     "pose_dmp": ("duration", "start", "goal"),
     "periodic_dmp": ("duration", "goal", "amplitude", "turns"),
 }
-"""What is free in a run of each kind of primitive."""
+"""Run options by kind of primitive."""
 DT = 0.004  # s
-SOFT = 2.0  # rad/s^2 or m/s^2 on the way to the start
+SOFT = 2.0  # rad/s^2 or m/s^2, acceleration on the way to the start
 SETTLES = 1.0  # s after the end
-TURNS = 4.0  # of a periodic motion, when not given
+TURNS = 4.0  # default periods of a periodic motion
 
 
 @dataclass(frozen=True)
 class PlannedMotion:
-    """What leads an arm: from a posture q_start (n,), for so many seconds."""
+    """A controller with its start configuration q_start (n,) and its duration."""
 
     controller: Controller
     q_start: np.ndarray
@@ -45,30 +45,28 @@ class PlannedMotion:
 
 
 def numbers_in(text: str | None, option: str) -> np.ndarray | None:
-    """Return the numbers of a word such as ``0.1,0.2,-0.3``; None of None."""
+    """Parse numbers such as ``0.1,0.2,-0.3``; None for None."""
     try:
         return None if text is None else np.array([float(word) for word in text.split(",")])
     except ValueError:
-        raise ConfigError(
-            f"Expected --{option} as numbers with commas between, such as 0.1,0.2, got {text!r}."
-        ) from None
+        raise ConfigError(f"Expected --{option} as comma-separated numbers, such as 0.1,0.2, got {text!r}.") from None
 
 
 @as_given()
 def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Return the primitive that passes the via-points, and what is left to set of its run.
+    """Return the primitive with its via-points, and the remaining options of its run.
 
-    A distribution over motions becomes the primitive of its mean, which passes start, goal and points.
+    A distribution over motions is replaced by the primitive of its mean, conditioned on start, goal and via-points.
 
-    `given`: value by option, None where it was not given; via as words "TIME:Y,Y,...".
+    `given`: value by option, None if omitted; via as words "TIME:Y,Y,...".
     """
     kind = getattr(primitive, "KIND", type(primitive).__name__)
     if kind not in OPTIONS:
-        raise ConfigError(f"Expected a movement primitive, got a file of kind {kind!r}. armlab dmp fit makes one.")
+        raise ConfigError(f"Expected a movement primitive, got a file of kind {kind!r}. Use armlab dmp fit.")
     run = {name: value for name, value in given.items() if value is not None}
     for name in run:
         if name not in OPTIONS[kind]:
-            raise ConfigError(f"Expected --{', --'.join(OPTIONS[kind])} with a {kind}, got --{name}. Leave it out.")
+            raise ConfigError(f"Expected --{', --'.join(OPTIONS[kind])} for a {kind}, got --{name}. Omit it.")
     points = [_point(word) for word in run.pop("via", ())]
     if kind == "promp":
         return _mean(primitive, points, run, armlab.motion.fit_dmp), {}
@@ -96,12 +94,12 @@ def rolled_out(primitive: Any, run: Mapping[str, Any]) -> Table:
         dmp = primitive.dmp if isinstance(primitive, armlab.motion.TwoDofDmp) else primitive
         found = dmp.rollout(DT, duration=run.get("duration"), y0=run.get("start"), g=run.get("goal"))
     names = {"y": found.y, "yd": found.yd, "ydd": found.ydd}
-    return Table(found.t, names, {name: Column(unit="1") for name in names})  # rad or m, which no primitive knows
+    return Table(found.t, names, {name: Column(unit="1") for name in names})  # rad or m: the primitive has no unit
 
 
 @as_given()
 def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limits, firm: bool) -> PlannedMotion:
-    """Return what leads the arm: stretched in time until it keeps to the limits of velocity."""
+    """Return the motion of the arm, stretched in time to keep the velocity limits."""
     if isinstance(primitive, armlab.motion.PoseDmp):
         return _pose_motion(primitive, run, robot, limits)
     if isinstance(primitive, armlab.motion.PeriodicDmp):
@@ -110,7 +108,7 @@ def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limi
 
 
 def rehearsed(motion: PlannedMotion) -> armlab.log.Table:
-    """Return what the controller would tell an arm that does as it is told: q and qd (N, n) at 250 Hz."""
+    """Return the commands to an arm with perfect tracking: q and qd (N, n) at 250 Hz."""
     from armlab.state import State
 
     q, qd, unknown = motion.q_start, np.zeros_like(motion.q_start), np.full_like(motion.q_start, np.nan)
@@ -119,7 +117,7 @@ def rehearsed(motion: PlannedMotion) -> armlab.log.Table:
     for now in t:
         command = motion.controller(State(float(now), DT, q, qd, unknown))
         if command.q is None or command.qd is None:
-            raise LinkError(f"Expected a motion to its end, got none after {now:.2f} s: {motion.controller.reason}")
+            raise LinkError(f"Expected a complete motion, but it ended after {now:.2f} s: {motion.controller.reason}")
         q, qd = command.q, command.qd
         rows.append((q, qd))
     positions, velocities = np.array(rows).swapaxes(0, 1)
@@ -127,7 +125,7 @@ def rehearsed(motion: PlannedMotion) -> armlab.log.Table:
 
 
 def distance(robot: Robot, q: np.ndarray, goal: np.ndarray) -> dict[str, float]:
-    """Return how far an arm at q (n,) is from a goal, by unit: m and rad from (4, 4), rad from (n,)."""
+    """Return the distance of an arm at q (n,) from a goal, by unit: m and rad from (4, 4), rad from (n,)."""
     if goal.ndim == 1:
         return {"rad": float(np.abs(q - goal).max())}
     T_base_tool = armlab.kinematics.forward(robot, q)
@@ -136,7 +134,7 @@ def distance(robot: Robot, q: np.ndarray, goal: np.ndarray) -> dict[str, float]:
 
 
 class Walk:
-    """A controller: from where the arm stands to the posture q (n,), with minimum jerk; then the end of the run."""
+    """Minimum-jerk controller from the measured configuration to q (n,); ends the run on arrival."""
 
     def __init__(self, q: np.ndarray, qd_max: np.ndarray) -> None:
         self._q, self._qd_max, self._begin = q, qd_max, 0.0
@@ -160,11 +158,11 @@ def _point(word: str) -> tuple[float, np.ndarray]:
     try:
         return float(time), np.array([float(value) for value in values.split(",")])
     except ValueError:
-        raise ConfigError(f"Expected --via as TIME:Y,Y,... such as 0.8:0.1,0.2, got {word!r}.") from None
+        raise ConfigError(f"Expected --via as TIME:Y,Y,..., such as 0.8:0.1,0.2, got {word!r}.") from None
 
 
 def _mean(promp: ProMP, points: Sequence[tuple[float, np.ndarray]], run: Mapping[str, Any], fit: Any) -> Dmp:
-    """Return the primitive of the mean of the motions that pass start, goal and points, in the duration asked for."""
+    """Return the primitive of the mean motion through start, goal and points, in the given duration."""
     ends = [(when, run[name]) for name, when in (("start", 0.0), ("goal", promp.duration)) if name in run]
     for when, y in (*points, *ends):
         promp = promp.condition(when, y)
@@ -180,14 +178,14 @@ def _joint_motion(
     dmp = law if isinstance(law, Dmp) else law.dmp
     follows = dmp if firm else law if isinstance(law, TwoDofDmp) else TwoDofDmp(dmp)
     start, goal, wanted = run.get("start", dmp.y0), run.get("goal"), run.get("duration", dmp.duration)
-    follows.controller(robot, limits=limits, g=goal, duration=wanted)  # refuses before anything is computed
+    follows.controller(robot, limits=limits, g=goal, duration=wanted)  # raises before any computation
     pace = wanted / dmp.duration
-    seconds = pace * shortest_duration(dmp, limits.qd_max * pace, y0=start, g=goal)  # as asked, or stretched
+    seconds = pace * shortest_duration(dmp, limits.qd_max * pace, y0=start, g=goal)  # as requested, or stretched
     return PlannedMotion(follows.controller(robot, limits=limits, g=goal, duration=seconds), np.array(start), seconds)
 
 
 def _pose_motion(dmp: PoseDmp, run: Mapping[str, Any], robot: Robot, limits: Limits) -> PlannedMotion:
-    """The posture at the start is the one nearest to home; along the path each is the nearest to the one before."""
+    """Return the motion from the configuration nearest to home, by continuous inverse kinematics."""
     dmp.controller(robot, limits=limits, goal=run.get("goal"))
     seconds = float(run.get("duration", dmp.duration))
     T = dmp.rollout(DT, duration=seconds, start=run.get("start"), twist0=np.zeros(6), goal=run.get("goal")).T
@@ -195,7 +193,9 @@ def _pose_motion(dmp: PoseDmp, run: Mapping[str, Any], robot: Robot, limits: Lim
     for k, pose in enumerate(T):
         found = armlab.kinematics.inverse(robot, pose, q[-1], starts=1)
         if not found.success:
-            raise ShapeError(f"Expected a path that {robot.name} reaches, got one that it leaves after {k * DT:.2f} s.")
+            raise ShapeError(
+                f"Expected a path within the reach of {robot.name}, got a pose outside it after {k * DT:.2f} s."
+            )
         q.append(found.q)
     speed = np.abs(np.diff(q, axis=0)).max(axis=0) / DT
     seconds *= max(1.0, float(np.max(speed / limits.qd_max)))

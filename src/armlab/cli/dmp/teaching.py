@@ -1,4 +1,4 @@
-"""Fitting a movement primitive of each kind to demonstrations in logs."""
+"""Fits of movement primitives to demonstrations in logs, one per kind."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import armlab
+from armlab.cli.support.options import load_robot
 from armlab.cli.support.output import aligned
 from armlab.errors import ConfigError, UnknownName
 
@@ -25,16 +26,16 @@ KINDS: dict[str, tuple[str, ...]] = {
     "periodic": ("basis", "period", "robot"),
     "promp": ("basis", "robot"),
 }
-"""Options of `armlab dmp fit` that each kind of primitive has."""
+"""Options of `armlab dmp fit` by kind of primitive."""
 POSES = "T_base_tool"
-MOVES = 0.02  # of the largest speed: below it the arm still rests, or rests again
-STILL = 2e-3  # rad/s or m/s: noise of an arm at rest
-MARGIN = 0.1  # s of rest that is kept at both ends
+MOVES = 0.02  # of the largest speed: below it the arm rests
+STILL = 2e-3  # rad/s or m/s: velocity noise at rest
+MARGIN = 0.1  # s of rest kept at both ends
 
 
 @dataclass(frozen=True)
 class Demonstration:
-    """Times (N,) and positions (N, n), or poses (N, 4, 4), of one log; sources are what a saved file names."""
+    """Times (N,) and positions (N, n), or poses (N, 4, 4), of one log; sources are stored in the saved file."""
 
     t: np.ndarray
     y: np.ndarray
@@ -43,14 +44,14 @@ class Demonstration:
 
 @dataclass(frozen=True)
 class MotionWindow:
-    """Which part of a log is the motion: from `start` to `end` [s], and unless `whole` without the rest around it."""
+    """Part of a log with the motion: from `start` to `end` [s], without the rest around it unless `whole`."""
 
     start: float | None = None
     end: float | None = None
     whole: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse times that are none: nothing is before or after NaN."""
+        """Raise on NaN times."""
         for name in ("start", "end"):
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
@@ -58,37 +59,50 @@ class MotionWindow:
 
 
 def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that were given: those whose value is not None."""
+    """Return the options whose value is not None."""
     if kind not in KINDS:
         raise UnknownName.among("kind of primitive", kind, KINDS)
     chosen = {name: value for name, value in given.items() if value is not None}
     for name in chosen:
         if name not in KINDS[kind]:
             having = " or ".join(k for k, options in KINDS.items() if name in options)
-            raise ConfigError(f"Expected --{name} with --kind {having}, got it with --kind {kind}. Leave it out.")
+            raise ConfigError(f"Expected --{name} with --kind {having}, got --kind {kind}. Omit it.")
     if kind == "periodic" and "period" not in chosen:
-        raise ConfigError("Expected --period, the duration of one turn [s], with --kind periodic, got none.")
+        raise ConfigError(
+            "Expected --period SECONDS (duration of one period) with --kind periodic, got no period. Add it."
+        )
     return chosen
 
 
 def read_demonstration(
-    path: Path, kind: str, columns: Sequence[str], robot: str | None, window: MotionWindow
+    path: Path,
+    kind: str,
+    columns: Sequence[str],
+    robot: str | None,
+    window: MotionWindow,
+    where: str | None = None,
+    force: bool = False,
 ) -> Demonstration:
+    from armlab.cli.support.log_input import check_log, taught_on
     from armlab.log.topics.reader import is_foreign, read_joints
 
-    arm, foreign = None if robot is None else armlab.robots.load(robot), is_foreign(path)
+    arm, foreign = None if robot is None else load_robot(robot), is_foreign(path)
     if foreign and arm is None and kind != "pose" and "q" in (columns or ("q",)):
         raise ConfigError(
-            f"Expected --robot NAME with {path}, got none. Another program has its joints in an order of its own; they "
-            "are put into that of the robot, as it will play them."
+            f"Expected --robot NAME with {path}, got no robot. It determines the joint order of this foreign log."
         )
-    table = armlab.log.read(path) if arm is None or not foreign else read_joints(path, arm)
+    if arm is not None and not foreign:
+        check_log(path, arm, force)
+    if arm is not None and where is not None:
+        table = armlab.log.read_arm(path, arm, columns=where, needed=("q",), force=force)
+    else:
+        table = armlab.log.read(path, where) if arm is None or not foreign else read_joints(path, arm)
     if kind == "pose" and arm is not None:
         table = table.with_column(POSES, armlab.kinematics.forward(arm, table["q"]))
     elif kind == "pose" and not columns and POSES not in table:
         raise ConfigError(
             f"Expected poses of the tool in {path}, column {POSES}, got {', '.join(table.names)}. "
-            "Add --robot NAME, whose kinematics make them of q, or name their --column."
+            "Add --robot NAME to compute them from q, or give their --column."
         )
     names = columns or ((POSES,) if kind == "pose" else ("q",))
     part = table.between(
@@ -96,14 +110,17 @@ def read_demonstration(
     )
     y = _side_by_side(part, names)
     rows = slice(None) if window.whole else _moving(part.t, y, f"{' '.join(names)} of {path}")
-    return Demonstration(part.t[rows], y[rows], tuple(source for source in table.source if "sha256" in source))
+    sources = [source for source in table.source if "sha256" in source]
+    if tuple(names) == ("q",):
+        sources += taught_on(path, arm)
+    return Demonstration(part.t[rows], y[rows], tuple(sources))
 
 
 def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]) -> Fit[Any]:
     given = {("n_basis" if name == "basis" else name): value for name, value in options.items() if name != "robot"}
     if kind in ("pose", "periodic"):
         if len(demos) > 1:
-            raise ConfigError(f"Expected one log with --kind {kind}, got {len(demos)}. Fit one primitive to each.")
+            raise ConfigError(f"Expected one log with --kind {kind}, got {len(demos)}. Fit a primitive to each.")
         fit = armlab.motion.fit_pose_dmp if kind == "pose" else armlab.motion.fit_periodic_dmp
         return fit(demos[0].t, demos[0].y, **given)
     t, y = [demo.t for demo in demos], [demo.y for demo in demos]
@@ -113,7 +130,7 @@ def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]
 
 
 def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:
-    """Return what was found, for scripts."""
+    """Return the result for scripts."""
     value = found.value
     told = {"kind": kind, "demonstrations": demos, "samples": found.n}
     told["rms"] = np.sqrt((found.residuals**2).mean(axis=0))
@@ -129,18 +146,18 @@ def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:
 
 
 def text_of(kind: str, found: Fit[Any], demos: int) -> str:
-    """Return what was found, for people."""
+    """Return the result as text."""
     told, value = numbers_of(kind, found, demos), found.value
     shown = "1 demonstration" if demos == 1 else f"{demos} demonstrations"
-    length = f"turns of {value.period:.2f} s" if kind == "periodic" else f"{value.duration:.2f} s"
+    length = f"periods of {value.period:.2f} s" if kind == "periodic" else f"{value.duration:.2f} s"
     size = 6 if kind == "pose" else value.n
     count = "" if kind == "promp" else f" with {found.n} samples"
     head = f"{kind}: {length} of {size} coordinates from {shown}{count}; {told['kernels']} kernels"
     names = ("x", "y", "z", "turn x", "turn y", "turn z") if kind == "pose" else [str(i + 1) for i in range(size)]
     keys = {"joints": ("start", "goal"), "periodic": ("baseline",), "promp": ("start_sd", "goal_sd"), "pose": ()}[kind]
     columns: dict[str, Sequence[float]] = {key.removesuffix("_sd"): told[key] for key in keys}
-    titles = [f"{name} differs by (sd)" if kind == "promp" else name for name in columns]
-    rows = [("coordinate", *titles, "motion off by (RMS)")]
+    titles = [f"SD of {name}" if kind == "promp" else name for name in columns]
+    rows = [("coordinate", *titles, "motion error (RMS)")]
     rows += [
         (name, *(f"{values[i]:.4f}" for values in columns.values()), f"{told['rms'][i]:.2e}")
         for i, name in enumerate(names)
@@ -156,12 +173,12 @@ def _side_by_side(table: Table, names: Sequence[str]) -> np.ndarray:
 
 
 def _moving(t: np.ndarray, y: np.ndarray, what: str) -> slice:
-    """Return the rows of the motion, with a little of the rest at both ends."""
+    """Return the rows of the motion with a margin of rest at both ends."""
     if len(t) < 3:
         return slice(None)
     speed = np.abs(np.gradient(y, t, axis=0)).reshape(len(t), -1).max(axis=1)
     moving = np.flatnonzero(speed > max(MOVES * np.nanmax(speed), STILL))
     if not len(moving):
-        raise ConfigError(f"Expected a motion in {what}, got rest. Name another log or column.")
+        raise ConfigError(f"Expected a motion in {what}, got an arm at rest. Choose another log or column.")
     first, last = np.searchsorted(t, (t[moving[0]] - MARGIN, t[moving[-1]] + MARGIN))
     return slice(int(first), int(last))

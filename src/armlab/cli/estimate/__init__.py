@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 import armlab
-from armlab.cli.support.options import ForceMethod, as_given
+from armlab.cli.support.options import Columns, ForceMethod, as_given, load_robot
 from armlab.cli.support.output import aligned, note, print_json, progress, result
 from armlab.cli.support.results import PLAIN, Results
 from armlab.errors import LogError
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
 __all__ = []
 
 
-LEAST = 1.0  # s of a log in which the place of a contact is weighed
+LEAST = 1.0  # s, shortest log for locating contacts
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ContactPrior:
-    """What was known of the contact before.
+    """Prior knowledge about the contact.
 
     Attributes:
-        prior_force: How large a force is expected in each axis: its standard deviation [N].
-        prior_moment: The same of the moment [N m].
-        point: Where the contact is, in tool axes [m], when that is known: x y z, within the length of the arm.
+        prior_force: Expected size of the force per axis, as a standard deviation [N].
+        prior_moment: Expected size of the moment per axis, as a standard deviation [N m].
+        point: Known contact point in tool axes [m]: x y z, within the length of the arm.
     """
 
     prior_force: float = 20.0
@@ -56,47 +56,49 @@ def estimate(
     force_rate: Literal["smooth", "normal", "fast"] | None = None,
     bias: bool = False,
     tare: float | None = None,
+    columns: Columns = None,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     prior: ContactPrior = ContactPrior(),
     wanted: Results = PLAIN,
 ) -> int:
     """Estimate the contact force in a log with a model.
 
-    Prints, per axis, the range of the estimate, its mean 2-sigma band and how well the arm could see that axis (with
-    --method interval also the limits), then each interval of contact with its mean force and where it may be, then
-    what can be relied on and what cannot, with gaps and rows that were left out. The force is that of the environment
-    on the robot, in base axes, at the tool point.
+    Prints the range, mean 2-sigma band and observability of each axis (with --method interval also the limits). Lists
+    each contact with its mean force and possible location, and ends with a verdict that reports gaps and skipped rows.
+    The force is exerted by the environment on the robot, in base axes, at the tool point.
 
     Parameters:
-        robot: Name in the library, or a robot file; the one the model belongs to.
-        log: Recording with positions, velocities and torques.
+        robot: Library name or robot file; must be the robot of the model.
+        log: Recording of this robot with positions, velocities and torques.
         model: Model file of `armlab identify`.
-        method: map: most probable force, for motion. bounded: no contact unless proven, for an arm that also rests.
-            interval: bounded, with limits that hold. kf, observer: momentum, which needs no acceleration. ls, lund,
-            clip: to compare.
-        force_rate: Of the method kf: how fast the force may change.
-        bias: Of the method kf: friction that is unknown after a rest is a state of its own.
-        tare: Seconds from the beginning in which the arm rests without contact: friction is known until it moves.
-        output: Also write the estimate of every row, ends in .mcap or .csv.
-        prior: Of the contact.
+        method: map: most probable force, for continuous motion. bounded: no contact unless proven, for an arm that also
+            stops. interval: like bounded, with guaranteed limits. kf, observer: momentum methods, without acceleration.
+            ls, lund,
+            clip: for comparison.
+        force_rate: With method kf: expected rate of change of the force.
+        bias: With method kf: estimate a friction error per joint, reset after each stop.
+        tare: Time from the start in which the arm rests without contact [s]; the friction identified from it is valid
+            until the arm moves.
+        output: Also write the estimate of every row with q, qd and tau, .mcap (for armlab view) or .csv.
+        prior: Prior of the contact.
     """
     from armlab.cli.estimate import report as report_of
-    from armlab.cli.support.log_input import doubts, read_log
+    from armlab.cli.support.log_input import doubts, model_for, read_log
 
     wanted.check(output, (".mcap", ".csv"), [log])
-    arm = armlab.robots.load(robot)
-    known = armlab.models.load(model, "torque_model")
+    arm = load_robot(robot)
+    known = model_for(model, arm, wanted.force)
     options = {"force_rate": force_rate, "bias": bias}
     with as_given():
         estimator = armlab.contact.Estimator(known, arm, method, prior.deviations, prior.point, **options)
     with progress("estimate") as tell:
         tell(0, 1, "reading the log")
-        table = estimator.run(read_log(log, arm), tare=tare, progress=tell)
+        table = estimator.run(read_log(log, arm, wanted.force, columns), tare=tare, progress=tell)
         _check(table, log)
         found = armlab.contact.contacts(table)
-        tell(0, 2, "where the contact may be")
+        tell(0, 2, "contact location")
         believed = _believed(table, arm, method, prior) if found else None
-        tell(1, 2, "what can be relied on")
+        tell(1, 2, "verdict")
         verdict = report_of.judge(table, known, estimator.prior, found, doubts(table, arm, known))
         tell(1, 1, "done")
     _say(table, method, report_of.places(found, believed), verdict, wanted.json)
@@ -111,14 +113,14 @@ def estimate(
 
 
 def _believed(table: Table, arm: Robot, method: str, prior: ContactPrior) -> Hypotheses | None:
-    """Return what is believed of the place of contacts; nothing of methods whose torque error is not static."""
+    """Return the contact locations, or None for methods without a static torque error."""
     if method in ("observer", "kf") or table.t[-1] - table.t[0] < LEAST:
         return None
     return armlab.contact.hypotheses(table, arm, point=prior.point, prior=prior.deviations)
 
 
 def _say(table: Table, method: str, found: list[tuple[Contact, str]], verdict: Verdict, json: bool) -> None:
-    """Print the table per axis, the contacts with their places and the verdict, or all of it as JSON."""
+    """Print the table of the axes, the contacts with their locations, and the verdict; or print everything as JSON."""
     from armlab.cli.estimate.report import axes, limits, rows
     from armlab.cli.support.log_input import gaps, left_out
 
@@ -141,7 +143,7 @@ def _say(table: Table, method: str, found: list[tuple[Contact, str]], verdict: V
 
 
 def _check(table: Table, log: Path) -> None:
-    """Refuse a log without a row that could be estimated; say how many could not."""
+    """Reject a log without usable rows; report the number of unusable ones."""
     import numpy as np
 
     from armlab.cli.support.log_input import left_out
@@ -150,10 +152,10 @@ def _check(table: Table, log: Path) -> None:
     if invalid == len(table):
         never = [name for name in ("q", "qd", "tau") if not np.isfinite(table[name]).all(axis=1).any()]
         advice = (
-            "Record with the research extension, which sends torques."
+            "Record with the research extension, which sends torques. A simulated arm needs masses in its description."
             if never == ["tau"]
             else f"Never finite: {', '.join(never) or 'all three in one row'}. Record again."
         )
-        raise LogError(f"Expected rows with finite q, qd, tau in {log}, got none among {len(table)}. {advice}")
+        raise LogError(f"Expected rows with finite q, qd and tau in {log}, got none among {len(table)}. {advice}")
     if invalid:
         note(f"{invalid} of {len(table)} rows are not finite and have no estimate")

@@ -1,4 +1,4 @@
-"""Report of ``armlab estimate``: tables per axis and per contact, a verdict in words, the HTML page."""
+"""Report of ``armlab estimate``: tables of axes and contacts, the verdict and the HTML page."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ if TYPE_CHECKING:
 
 
 COLUMNS = ("wrench_hat", "wrench_hat_cov", "observability", "wrench_flags", "wrench_active", "wrench_interval")
+MOTION = ("q", "qd", "tau")  # lets armlab view show the arm of a written estimate
 AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 
 
 def axes(table: Table) -> list[dict[str, float | str]]:
-    """Return range, RMS, mean 2-sigma and observability of each axis of the wrench."""
+    """Return the range, RMS, mean 2-sigma band and observability of each wrench axis."""
     F, observability = table["wrench_hat"], table["observability"]
     sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
     return [
@@ -53,7 +54,7 @@ def _limits(table: Table, axis: int) -> dict[str, float]:
 
 
 def limits(table: Table, contact: Contact) -> list[tuple[float, float]]:
-    """Return the median limits of the force in x, y, z during a contact; nothing without the method "interval"."""
+    """Return the median limits of the force in x, y, z during a contact; empty without the method "interval"."""
     if "wrench_interval" not in table:
         return []
     inside = table["wrench_interval"][(table.t >= contact.start) & (table.t <= contact.end), :3]
@@ -62,7 +63,7 @@ def limits(table: Table, contact: Contact) -> list[tuple[float, float]]:
 
 
 def rows(table: Table) -> list[tuple[str, ...]]:
-    """Return the table per axis as words, its head first."""
+    """Return the table of the axes as text, header first."""
     words = {"min": "min", "max": "max", "rms": "rms", "two_sigma": "2-sigma", "observability": "observability"}
     if "wrench_interval" in table:
         words |= {"limit_low": "limit from", "limit_high": "limit to", "proven": "share beyond zero"}
@@ -71,11 +72,11 @@ def rows(table: Table) -> list[tuple[str, ...]]:
 
 
 def columns(table: Table, believed: Hypotheses | None) -> Table:
-    """Return what is written of an estimate: its columns, and the probability of each place of the contact.
+    """Return the output columns of an estimate, and the probability of each contact location.
 
-    Those are columns p_none, p_point, p_link_1 and so on, of the window nearest to the row.
+    The probabilities are p_none, p_point, p_link_1 and so on, from the window nearest to the row.
     """
-    written = table.select(*(name for name in COLUMNS if name in table))
+    written = table.select(*(name for name in (*COLUMNS, *MOTION) if name in table))
     if believed is not None:
         middles = 0.5 * (believed.t[1:] + believed.t[:-1])
         nearest = np.searchsorted(middles, table.t)
@@ -85,14 +86,14 @@ def columns(table: Table, believed: Hypotheses | None) -> Table:
 
 
 def places(contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[Contact, str]]:
-    """Return each contact with what is believed of its place, in words."""
+    """Return each contact with a description of its location."""
     return [(c, "" if believed is None else believed.during(c.start, c.end)) for c in contacts]
 
 
 def contact_rows(table: Table, contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[str, ...]]:
-    """Return the contacts as words, the head first; forces with their limits where the method tells any."""
+    """Return the contacts as text, header first; forces include limits if the method provides them."""
     found: list[tuple[str, ...]] = [
-        ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]", "where it may be")
+        ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]", "possible location")
     ]
     for c, place in places(contacts, believed):
         within = [f" ({low:+.2f} to {high:+.2f})" for low, high in limits(table, c)] or [""] * 3
@@ -102,17 +103,17 @@ def contact_rows(table: Table, contacts: Sequence[Contact], believed: Hypotheses
 
 
 SEEN, WEAK = 0.9, 0.5  # observability
-SLOW = 0.01  # rad/s: an arm below it in all joints rests
-OFTEN = 0.05  # share of the rows that is worth a sentence
+SLOW = 0.01  # rad/s: below it in all joints the arm rests
+OFTEN = 0.05  # share of rows that is reported
 HONEST = 0.90  # share inside 2 sigma
-NAMED = 3  # gaps, the longest, that are named
+NAMED = 3  # longest gaps that are listed
 
 
 def judge(
     table: Table, model: TorqueModel, prior: np.ndarray, contacts: Sequence[Contact], doubts: Sequence[str] = ()
 ) -> Verdict:
-    """Return what of the estimate can be relied on, what cannot, and what to do next; `prior`: (6,) variances."""
-    advice = ["Correct the log first: forces from what it says are not to be trusted."]
+    """Return the verdict on an estimate with advice; `prior`: variances (6,)."""
+    advice = ["Correct the log first: forces estimated from it are unreliable."]
     found = Verdict(bad=list(doubts), ahead=advice if doubts else [])
     if contacts:
         largest = max(contacts, key=lambda contact: float(np.linalg.norm(contact.force)))
@@ -122,7 +123,7 @@ def judge(
             f"{largest.end:.2f} s with {size:.2f} N, 2 sigma {largest.band:.2f} N."
         )
     else:
-        found.good.append("No contact: the force is never further from zero than free motion would show.")
+        found.good.append("No contact: the force never exceeds the level of free motion.")
     for part in (_seen, _whole, _flags):
         part(found, table)
     _reach(found, table, model, prior)
@@ -139,16 +140,16 @@ def _seen(found: Verdict, table: Table) -> None:
     weak = (observability[known] < WEAK).mean(axis=0)
     seen = [AXES[i] for i in range(6) if mean[i] >= SEEN]
     if seen:
-        found.good.append(f"Well seen: {', '.join(seen)} (mean observability {mean[mean >= SEEN].min():.2f} or more).")
+        found.good.append(f"Well observable: {', '.join(seen)} (mean {mean[mean >= SEEN].min():.2f} or more).")
     hidden = [f"{AXES[i]} ({100 * weak[i]:.0f} % of the time)" for i in range(6) if weak[i] > OFTEN]
     if hidden:
-        found.bad.append(f"Hardly seen, so that the prior speaks: {', '.join(hidden)}.")
+        found.bad.append(f"Poorly observable, dominated by the prior: {', '.join(hidden)}.")
         still = np.asarray((np.abs(table["qd"][known]) < SLOW).all(axis=1))
         hard = (observability[known] < WEAK).any(axis=1)
         if np.mean(still[hard]) > 0.5:
-            found.ahead.append("Sway the joints a little (identify.dither): at rest static friction hides the force.")
+            found.ahead.append("Move the joints slightly (identify.dither): at rest, static friction hides the force.")
         else:
-            found.ahead.append("Use a pose away from singular ones, or --point when it is known where the contact is.")
+            found.ahead.append("Use a pose away from singular ones, or --point for a known contact point.")
 
 
 def _whole(found: Verdict, table: Table) -> None:
@@ -164,8 +165,8 @@ def _whole(found: Verdict, table: Table) -> None:
         more = f", {len(holes) - NAMED} shorter ones" if len(holes) > NAMED else ""
         total = sum(seconds for _, seconds in holes)
         found.bad.append(
-            f"{'Gap' if len(holes) == 1 else f'{len(holes)} gaps'} in the log: {named}{more}; {total:.3g} s in all. "
-            "A contact in a gap is not seen; after more than five periods the estimate begins anew."
+            f"{'Gap' if len(holes) == 1 else f'{len(holes)} gaps'} in the log: {named}{more}; {total:.3g} s in total. "
+            "Contacts during gaps are missed; after a gap of more than five periods the estimate restarts."
         )
 
 
@@ -176,38 +177,39 @@ def _flags(found: Verdict, table: Table) -> None:
     share = {flag: float(np.mean((flags & flag) != 0)) for flag in (STUCK, INFEASIBLE, SINGULAR)}
     if share[SINGULAR]:
         found.bad.append(f"{100 * share[SINGULAR]:.1f} % of the rows are at singular poses and have no estimate.")
-        found.ahead.append("Choose a method with a prior (map, bounded) for such poses.")
+        found.ahead.append("For such poses, choose a method with a prior (map, bounded).")
     if share[STUCK] > OFTEN:
         found.bad.append(
-            f"In {100 * share[STUCK]:.0f} % of the rows every joint is inside its friction bound: a force may be "
-            "hidden there."
+            f"In {100 * share[STUCK]:.0f} % of the rows every joint torque is within its friction bound, which may "
+            "hide a force."
         )
         found.ahead.append(
-            "Read the limits there: in the tables, dotted in the figure, wrench_interval in the written estimate."
+            "Use the limits there: see the tables, the dotted lines in the figure, and wrench_interval in the output "
+            "file."
             if "wrench_interval" in table
-            else "Read the limits of --method interval there."
+            else "For these rows, use the limits of --method interval."
         )
     if share[INFEASIBLE]:
         found.bad.append(
             f"In {100 * share[INFEASIBLE]:.1f} % of the rows no wrench at the tool explains the torques: contact on "
-            "another link, or a model that is wrong there."
+            "another link, or a wrong model."
         )
 
 
 def _reach(found: Verdict, table: Table, model: TorqueModel, prior: np.ndarray) -> None:
-    """Say where the log leaves what the model was fitted to, and where the prior shrinks."""
+    """Report where the log exceeds the training range of the model, and where the prior shrinks the estimate."""
     if away := armlab.identify.extrapolation(model, table.dropna("q", "qd")).warnings:
         found.bad += away
-        found.ahead.append("Identify again with motions that go there, or trust these stretches less.")
+        found.ahead.append("Repeat the identification with motions in this range, or trust these segments less.")
     largest = np.nanmax(np.abs(table["wrench_hat"]) / np.sqrt(prior), axis=0)
     beyond = [AXES[i] for i in range(6) if largest[i] > 2]
     if beyond:
-        found.bad.append(f"Larger than twice the prior: {', '.join(beyond)}. The estimate is too small there.")
-        found.ahead.append("Give a larger --prior-force or --prior-moment.")
+        found.bad.append(f"Estimates larger than twice the prior: {', '.join(beyond)}. They are biased towards zero.")
+        found.ahead.append("Increase --prior-force or --prior-moment.")
 
 
 def _truth(found: Verdict, table: Table) -> None:
-    """Compare with a force sensor or a simulated operator, where the log has one."""
+    """Compare with a force sensor or a simulated operator if the log contains one."""
     try:
         compared = armlab.contact.compare(table)
     except UnknownName:
@@ -219,18 +221,18 @@ def _truth(found: Verdict, table: Table) -> None:
 def page(
     table: Table, verdict: Verdict, contacts: Sequence[Contact], believed: Hypotheses | None, about: str, tell: Tell
 ) -> HtmlReport:
-    """Return the page; `tell` is called with (done, total, what)."""
+    """Return the page; `tell` is the progress callback (done, total, what)."""
     page = HtmlReport("Contact wrench", about)
     page.verdict(verdict)
-    words = "By the environment on the robot, base axes, at the tool point, in N and N m. Observability: 1 the torques "
-    words += "determine the axis, 0 only the prior speaks."
+    words = (
+        "Wrench exerted by the environment on the robot, in base axes, at the tool point [N, N m]. Observability: "
+        "1 determined by the torques, 0 by the prior."
+    )
     if "wrench_interval" in table:
-        words += " Limits: the middle ones of all rows, and the share of rows in which they leave out zero."
+        words += " Limits: medians over all rows, and the share of rows in which they exclude zero."
     page.section("Per axis", words)
     page.table(rows(table))
-    page.section(
-        "Contacts", "" if contacts else "None: the force is never further from zero than free motion would show."
-    )
+    page.section("Contacts", "" if contacts else "None: the force never exceeds the level of free motion.")
     if contacts:
         page.table(contact_rows(table, contacts, believed))
     page.figures([(title, title, caption, draw) for title, caption, draw in _drawings(table, believed)], tell)
@@ -238,16 +240,16 @@ def page(
 
 
 def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str, Any]]:
-    """Return title, how to read it, and what draws it, of each figure."""
+    """Return the title, caption and drawing function of each figure."""
     shown = [
         (
             "Wrench over time",
-            "Line: estimate. Band: two sigma. Shaded: contact, where zero lies outside the 95 % ellipsoid.",
+            "Line: estimate. Band: two sigma. Shaded: contact, where zero is outside the 95 % ellipsoid.",
             lambda: armlab.plots.wrench(table),
         ),
         (
             "Observability over time",
-            "What the pose and the friction of the joints let through. Shaded: some axis below 0.5.",
+            "It depends on the pose and on joint friction. Shaded: at least one axis is below 0.5.",
             lambda: armlab.plots.observability(table),
         ),
         (
@@ -258,15 +260,16 @@ def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str,
     ]
     if believed is not None:
         where = (
-            "Where the contact may be",
-            "Probability of each place, in windows of one second. The bar on top: a link is not excluded, 400 to 1.",
+            "Contact location",
+            "Probability of each location, in windows of one second. Bar at the top: a link that is not excluded at "
+            "odds of 400 to 1.",
             lambda: armlab.plots.hypotheses(believed),
         )
         shown.insert(1, where)
     if "wrench_true" in table or "wrench" in table:
         coverage = (
             "Coverage by speed",
-            "Share of the axis's errors inside two sigma; a calibrated uncertainty contains 95.4 % at every speed.",
+            "Share of errors per axis inside two sigma; a calibrated uncertainty contains 95.4 % at every speed.",
             lambda: armlab.plots.coverage(table),
         )
         shown.insert(-1, coverage)

@@ -1,4 +1,4 @@
-"""``armlab identify``: from logs of free motion to a model file."""
+"""``armlab identify``: identify a torque model from logs of free motion."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 import armlab
+from armlab.cli.support.options import Columns, load_robot
 from armlab.cli.support.output import progress
 from armlab.cli.support.results import PLAIN, Results
 from armlab.errors import ConfigError, NotExcited, ShapeError
@@ -31,39 +32,41 @@ def identify(
     drives: bool = False,
     cutoff: float | None = None,
     test: Path | None = None,
+    columns: Columns = None,
     wanted: Results = PLAIN,
 ) -> int:
     """Identify gravity, inertia and friction from logs; save the model.
 
-    Prints a table per joint and a verdict: what is good, what is not, what to log next. A model that is not good
-    is saved with --force only, else the command ends with status 3; logs that do not determine it end it with status 1.
+    Prints a table per joint and a verdict with advice for the next log. A poor model is saved only with --force;
+    otherwise the command ends with status 3. The command ends with status 1 if the logs do not determine the model.
 
     Parameters:
         robot: Name in the library, or a robot file.
-        logs: Recordings of free motion without contact, with positions, velocities and torques; armlab excite makes
-            one.
-        output: Model file to write, ends in .toml.
-        method: irls: outliers count less. lts: a quarter of the stretches of time, those that fit worst, is left out.
-            wls, ols: every sample as it is, with or without a weight per joint.
-        gravity_only: Gravity and friction alone, from a log of slow motion (accelerations below 1 rad/s^2), for an arm
-            that may not move fast: enough for contact forces in slow motion. Without: also inertia, which takes a log
-            of fast motion.
-        drives: Also look for lines of torque ripple, friction over position and warm-up (logs from 20 minutes), joint
-            by joint; what wins on held-out stretches of time is kept. Where the logs do not determine them, the verdict
-            says so and the model has none.
-        cutoff: Corner of the regression in Hz. Default: chosen on held-out stretches of time; the report says why.
-        test: Another recording without contact: how good the model is where it was not fitted.
+        logs: Recordings of free motion without contact, with positions, velocities and torques, for example from armlab
+            excite.
+        output: Model file to write, .toml.
+        method: irls: robust (iteratively reweighted least squares). lts: trimmed (ignores the worst quarter of the
+            segments). wls, ols: not robust, with or without a weight per joint.
+        gravity_only: Identify only gravity and friction, from a log of slow motion (accelerations below 1 rad/s^2), for
+            an arm that must not move fast; sufficient for contact forces in slow motion. Default: also identify
+            inertia, which needs a log of fast motion.
+        drives: Also identify torque ripple, position-dependent friction and warm-up (logs of at least 20 minutes) per
+            joint; terms that reduce the held-out residual are kept. The verdict states whether the logs determine them.
+        cutoff: Cut-off frequency of the regression filter [Hz]; default: chosen by cross-validation (see the report).
+        test: Another recording without contact, used to test the model.
     """
     from armlab.cli.identify import report as report_of
     from armlab.cli.support.log_input import read_log
     from armlab.identify.record import check_once
 
-    arm = armlab.robots.load(robot)
+    arm = load_robot(robot)
     if not logs:
-        raise ConfigError("Expected at least one log to identify from, got none. Give the files of recorded motions.")
+        raise ConfigError(
+            "Expected at least one log to identify from, got none. Pass at least one recording of a motion."
+        )
     wanted.check(output, [".toml"])
-    tables = [read_log(path, arm) for path in logs]
-    unseen = None if test is None else read_log(test, arm)
+    tables = [read_log(path, arm, wanted.force, columns, fit=True) for path in logs]
+    unseen = None if test is None else read_log(test, arm, wanted.force, columns, fit=True)
     if test is not None and unseen is not None:
         names = [path.name for path in (*logs, test)]
         check_once(zip(names, (one.sha256 for one in (*tables, unseen))))
@@ -87,7 +90,7 @@ def identify(
 
 
 def _with_drives(fit: Fit[TorqueModel], tables: Sequence[Table]) -> Fit[TorqueModel]:
-    """Return the fit with parts of the drives that win; without them, and with the reason, where that is refused."""
+    """Return the fit with the drive terms that improve it; if that fails, the fit without them and the reason."""
     try:
         return replace(fit, value=armlab.identify.fit_friction(tables, fit.value).value)
     except (NotExcited, ShapeError) as error:

@@ -1,7 +1,8 @@
-"""``armlab payload``: payload identification from a log and the model of the arm alone."""
+"""``armlab payload``: identify a payload from a log and the model of the arm without it."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -9,6 +10,7 @@ from cyclopts import Parameter
 
 import armlab
 from armlab.cli.support.html_report import HtmlReport, Verdict
+from armlab.cli.support.options import Columns, load_robot
 from armlab.cli.support.output import progress
 from armlab.cli.support.results import PLAIN, Results, parameters
 
@@ -20,8 +22,8 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 
-LARGEST = 0.1  # share of the mass that its deviation may be
-LEAST = 3.0  # deviations that a mass must differ from nothing
+LARGEST = 0.1  # largest relative deviation of the mass
+LEAST = 3.0  # smallest mass in deviations
 
 
 def payload(
@@ -32,32 +34,33 @@ def payload(
     without: Path | None = None,
     mode: Literal["static", "dynamic"] = "static",
     gain: float = 0.05,
+    columns: Columns = None,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     wanted: Results = PLAIN,
 ) -> int:
-    """Identify a payload at the flange from motor torques: mass, centre and, with --mode dynamic, inertia.
+    """Identify a payload at the flange from motor torques: mass, centre of mass and, with --mode dynamic, inertia.
 
-    Prints each with its deviation, in flange axes.
+    Prints each quantity with its standard deviation, in flange axes.
 
     Parameters:
-        robot: Name in the library, or a robot file; the one the model belongs to.
-        log: Recording with the load, without contact, with positions, velocities and torques.
-        model: Model file of `armlab identify`, of the arm without the load.
-        without: Recording of the same motion without the load: what the model has wrong falls out.
-        mode: static: mass and centre. dynamic: inertia too, which needs fast motion of the wrist.
-        gain: How well the torque constants are known, as a share.
-        output: Also save the load, ends in .toml.
+        robot: Library name or robot file; must be the robot of the model.
+        log: Recording with the load and without contact; contains positions, velocities and torques.
+        model: Model file of `armlab identify` for the arm without the load.
+        without: Recording of the same motion without the load, which cancels model errors.
+        mode: static: mass and centre of mass. dynamic: also inertia, which needs fast wrist motion.
+        gain: Relative uncertainty of the torque constants.
+        output: Also save the payload to this .toml file.
     """
-    from armlab.cli.support.log_input import read_log
+    from armlab.cli.support.log_input import model_for, read_log
     from armlab.models.files import load_statistics
 
     wanted.check(output, (".toml",))
-    arm, known = armlab.robots.load(robot), armlab.models.load(model, "torque_model")
-    told = (
-        armlab.estimation.Fit.load(model) if load_statistics(model) else known
-    )  # the fit knows what is uncertain in friction
-    table = read_log(log, arm)
-    empty = None if without is None else read_log(without, arm)
+    arm = load_robot(robot)
+    known = model_for(model, arm, wanted.force)
+    # the fit includes the uncertainty of friction
+    told = replace(armlab.estimation.Fit.load(model), value=known) if load_statistics(model) else known
+    table = read_log(log, arm, wanted.force, columns, fit=True)
+    empty = None if without is None else read_log(without, arm, wanted.force, columns, fit=True)
     with progress("payload") as tell:
         tell(0, 1, f"{mode} fit to {len(table)} rows")
         fit = armlab.identify.fit_payload(table, told, arm, mode, empty, gain_sd=gain)
@@ -75,7 +78,7 @@ def payload(
 
 
 def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> Verdict:
-    """Return what can be relied on, what not, and what to do next."""
+    """Return the verdict, with advice."""
     import numpy as np
 
     from armlab.cli.identify.report import POOR
@@ -84,12 +87,12 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
     mass, sd = fit.value.mass, fit.sd[0]
     found = Verdict()
     if mass < LEAST * sd:
-        found.bad.append(f"{1e3 * mass:.0f} g cannot be told from no load: one deviation is {1e3 * sd:.0f} g.")
+        found.bad.append(f"{1e3 * mass:.0f} g is not distinguishable from no load: the deviation is {1e3 * sd:.0f} g.")
     elif sd > LARGEST * mass:
-        found.bad.append(f"The mass is known to {100 * sd / mass:.0f} % only.")
-        found.ahead.append("Record the same motion without the load and name it by --without.")
+        found.bad.append(f"The mass has a standard deviation of {100 * sd / mass:.0f} %.")
+        found.ahead.append("Record the same motion without the load and pass it with --without.")
     else:
-        found.good.append(f"The load of {1e3 * mass:.0f} g is known to {100 * sd / mass:.1f} %.")
+        found.good.append(f"The load is {1e3 * mass:.0f} g with a standard deviation of {100 * sd / mass:.1f} %.")
     joints = moving_joints([table], arm)
     left = np.std(fit.residuals, axis=0) / np.std(table["tau"][:, joints], axis=0)
     if left.max() <= POOR:
@@ -98,14 +101,14 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
         )
     else:
         worst = arm.joint_names[joints[left.argmax()]]
-        found.bad.append(
-            f"{worst}: arm and load together leave {100 * left.max():.0f} % of the torque's deviation unexplained."
+        found.bad.append(f"{worst}: arm and load together leave {100 * left.max():.0f} % of the torque SD unexplained.")
+        found.ahead.append(
+            "Check the torques in the log, and check that the model belongs to this arm with its current tool."
         )
-        found.ahead.append("Check the log's torques, and that the model is of this arm with the tool that it has now.")
     found.bad += fit.doubts
     found.ahead += armlab.identify.extrapolation(model, table).warnings
     found.ahead.append(
-        "Use the model of the arm as it is; nothing is to be read from the centre."
+        "Use the model of the arm unchanged, and ignore the centre of mass."
         if mass < LEAST * sd
         else "Add the load to the model of the arm: models.load(…).added_to(model)."
     )
@@ -117,13 +120,13 @@ def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict,
 
     page = HtmlReport(f"Load of {1e3 * fit.value.mass:.0f} g", about)
     page.verdict(verdict)
-    page.section("Load", "Flange axes; deviations of one sigma, unknown gains of the joints included.")
+    page.section("Load", "In flange axes; the standard deviations include the unknown joint gains.")
     rows = [("parameter", "value", "deviation", "unit")]
     rows += [(n, f"{x:.5g}", f"{s:.2g}", u) for n, x, s, u in zip(fit.names, fit.parameters, fit.sd, fit.units)]
     page.table(rows)
-    page.section("Torques", "Measured, and modelled with the load; the band is two sigma of the model.")
+    page.section("Torques", "Measured torque, and modelled torque with the load; the band is 2 sigma of the model.")
     drawn = armlab.plots.torque_fit(fit.value.added_to(model), table)
     page.figure(png(drawn), "measured and modelled torque of each joint")
-    page.section("As printed")
+    page.section("Report")
     page.verbatim(fit.report())
     return page

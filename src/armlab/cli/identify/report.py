@@ -1,4 +1,4 @@
-"""Report of ``armlab identify``: a verdict in words, figures for scripts, the HTML page."""
+"""Report of ``armlab identify``: verdict, figures for scripts, and the HTML page."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 
-FINE, POOR = 0.10, 0.25  # residual over the torque's deviation
+FINE, POOR = 0.10, 0.25  # residual over torque standard deviation
 HONEST = (0.92, 0.985)  # share inside 2 sigma
-WORSE = 1.5  # unseen over seen residual
+WORSE = 1.5  # held-out over training residual
 STRETCHED = 3.0  # alpha
-SLOW, SLOW_SHARE = 0.1, 0.15  # of the speed limit, and of the samples that shall be below it
-NARROW = 0.25  # of a joint's range
-MOVING = 0.01  # of the peak speed
+SLOW, SLOW_SHARE = 0.1, 0.15  # share of the speed limit, and required share of samples below it
+NARROW = 0.25  # share of a joint's range
+MOVING = 0.01  # share of the peak speed
 
 
 @dataclass(frozen=True, eq=False)
 class ModelTrial:
-    """The model on a log of free motion, where the true wrench is zero."""
+    """Evaluation of the model on a log of free motion, where the true wrench is zero."""
 
-    unseen: bool  # the log was not part of the fit
+    unseen: bool  # True for a separate test log
     estimate: Table  # columns of `contact.Estimator.run`, and wrench_true, all zeros
     log: Table  # of that motion
-    share: np.ndarray  # (n,) RMS of the torque error in motion over the torque's deviation
+    share: np.ndarray  # (n,) RMS torque error in motion over torque standard deviation
     force_rms: np.ndarray  # (3,) false force in motion [N]
     coverage: float  # share of the forces inside 2 sigma
 
@@ -57,7 +57,7 @@ def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Mod
 
 
 def judge(fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table], trial: ModelTrial) -> Verdict:
-    """Return what of the model can be relied on, what cannot, and what to log next."""
+    """Return the verdict on a model, with advice for the next log."""
     found = Verdict()
     found.bad += [sentence[0].upper() + sentence[1:] + "." * (sentence[-1] != ".") for sentence in fit.doubts]
     _judge_fit(found, fit, trial)
@@ -69,43 +69,43 @@ def judge(fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table], trial: M
 def _judge_fit(found: Verdict, fit: Fit[TorqueModel], trial: ModelTrial) -> None:
     quality = fit.value.quality
     held_out = quality.rms_cv / quality.torque_sd
-    judged = np.isfinite(held_out)  # joints that did not move have no figures
+    judged = np.isfinite(held_out)  # joints that did not move have none
     fine, poor = (held_out <= FINE) | ~judged, judged & (held_out > POOR)
     worst = int(np.nanargmax(held_out)) if judged.any() else 0
     if fine.all():
         found.good.append(
-            f"The model leaves {100 * np.nanmin(held_out):.1f} to {100 * np.nanmax(held_out):.1f} % of the torque's "
-            "deviation in motion that it has not seen."
+            f"Held-out residual: {100 * np.nanmin(held_out):.1f} to {100 * np.nanmax(held_out):.1f} % of the torque "
+            "standard deviation."
         )
     elif fine.any():
-        found.good.append(f"{_joints(fine)}: at most {100 * FINE:.0f} % of the torque's deviation is left unexplained.")
+        found.good.append(f"{_joints(fine)}: at most {100 * FINE:.0f} % of the torque SD is unexplained.")
     kept = _kept(fit.value)
     if kept:
-        found.good.append(f"Kept, because they win on held-out stretches of time: {', '.join(kept)}.")
+        found.good.append(f"Terms kept because they reduce the held-out residual: {', '.join(kept)}.")
     if poor.any():
-        found.bad.append(
-            f"{_joints(poor)}: up to {100 * held_out[worst]:.0f} % of the torque's deviation is left unexplained."
-        )
+        found.bad.append(f"{_joints(poor)}: up to {100 * held_out[worst]:.0f} % of the torque SD is unexplained.")
         found.ahead.append(
-            f"Look at the residuals of {_joints(poor)}: over speed they show friction, over position ripple or a load "
-            "that moves."
+            f"Look at the residuals of {_joints(poor)}: a pattern over speed indicates friction, a pattern over "
+            "position ripple or a moving load."
         )
     worse = quality.rms_cv > WORSE * quality.rms
     if worse.any():
-        found.bad.append(f"{_joints(worse)}: much worse in motion that the model has not seen. Too little was logged.")
-        found.ahead.append("Log for longer, or several motions: the model has more parameters than these logs tell.")
+        found.bad.append(f"{_joints(worse)}: much worse on held-out data. The logs are too short.")
+        found.ahead.append("Record longer logs or several motions: these logs do not determine all parameters.")
     if trial.unseen:
         worse = trial.share > WORSE * held_out
-        said = f"{100 * trial.share.min():.1f} to {100 * trial.share.max():.1f} % of the torque's deviation"
+        said = f"{100 * trial.share.min():.1f} to {100 * trial.share.max():.1f} % of the torque SD"
         if worse.any():
-            found.bad.append(f"{_joints(worse)}: worse in the test log ({said} left) than in held-out blocks.")
-            found.ahead.append("Log motions like those of the test log: its speeds, poses or load were not identified.")
+            found.bad.append(f"{_joints(worse)}: worse in the test log (residual {said}) than in held-out blocks.")
+            found.ahead.append(
+                "Record motions like those in the test log: its speeds, poses or load were not in the training data."
+            )
         else:
-            found.good.append(f"In the test log {said} is left, as in held-out blocks.")
+            found.good.append(f"Test log: residual {said}, as in held-out blocks.")
 
 
 def _kept(model: TorqueModel) -> list[str]:
-    """Name the parts of the drives beyond the usual ones."""
+    """Return the names of the additional drive terms."""
     kept = []
     if model.lines is not None:
         kept.append(f"ripple of {_joints(np.isin(np.arange(model.n), model.lines.joint))}")
@@ -131,23 +131,23 @@ def _judge_honesty(found: Verdict, model: TorqueModel, trial: ModelTrial) -> Non
         )
     else:
         shares = ", ".join(f"{100 * value:.0f} %" for value in coverage[~honest])
-        found.bad.append(f"{_joints(~honest)}: {shares} of the held-out torques lie inside 2 sigma, where 95 % should.")
+        found.bad.append(f"{_joints(~honest)}: {shares} of the held-out torques are within 2 sigma instead of 95 %.")
     if alpha > STRETCHED:
-        found.bad.append(f"The torque covariance had to be stretched {alpha:.1f} times to be true: its shape is wrong.")
+        found.bad.append(f"The torque covariance was scaled by {alpha:.1f} to reach 95 % coverage: its shape is wrong.")
     if model.momentum is not None:
         worst = float(np.sqrt(max(model.momentum.alpha2_observer, model.momentum.alpha2_kf)))
         if worst > STRETCHED:
-            found.bad.append(f"The momentum methods' covariance had to be stretched {worst:.1f} times to be true.")
+            found.bad.append(f"The momentum methods' covariance was scaled by {worst:.1f} to reach 95 % coverage.")
         ends = {model.momentum.alpha2_observer, model.momentum.alpha2_kf} & {*ALPHA2_BOUNDS}
         if ends:
-            found.bad.append(f"A momentum method's covariance sits at the bound {max(ends):g} of its scale.")
-    sentence = f"Without contact the {where} gives a force of {force} N RMS in x y z, where the truth is zero"
+            found.bad.append(f"A momentum method's covariance scale is at its bound {max(ends):g} of its scale.")
+    sentence = f"Without contact the estimated force in the {where} is {force} N RMS in x, y, z instead of zero"
     inside = f"{100 * trial.coverage:.0f} % inside 2 sigma"
     (found.good if trial.coverage >= HONEST[0] else found.bad).append(f"{sentence}; {inside}.")
     friction = model.friction
     wrong = (friction.viscous < 0) | (friction.coulomb_pos < 0) | (friction.coulomb_neg < 0) | (model.rotor < 0)
     if wrong.any():
-        found.bad.append(f"{_joints(wrong)}: negative friction or rotor inertia, which no drive has.")
+        found.bad.append(f"{_joints(wrong)}: negative friction or rotor inertia, which is not physical.")
 
 
 def _judge_motion(found: Verdict, fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table]) -> None:
@@ -157,30 +157,37 @@ def _judge_motion(found: Verdict, fit: Fit[TorqueModel], robot: Robot, tables: S
         found.good.append(f"The motion identifies all parameters (condition {excitation.condition:.0f}).")
     else:
         found.bad.append(f"The motion identifies some parameters poorly (condition {excitation.condition:.0f}).")
-        found.ahead.append(f"Log a longer or richer motion, as of armlab excite; weakest: {excitation.weakest}.")
+        found.ahead.append(
+            f"Record a longer or richer motion, for example with armlab excite; weakest direction: "
+            f"{excitation.weakest}."
+        )
     used = (training.q_max - training.q_min) / (robot.q_max - robot.q_min)
     narrow = used < NARROW
     if narrow.any():
         found.ahead.append(
-            f"{_joints(narrow)} moved over less than {100 * NARROW:.0f} % of the range: outside of it the model is "
-            "extrapolated. Log there before you work there."
+            f"{_joints(narrow)} moved over less than {100 * NARROW:.0f} % of the range: the model extrapolates "
+            "outside this range. Record motions there before you work there."
         )
     qd = np.concatenate([np.abs(table["qd"]) for table in tables])
     hasty = np.mean(qd < SLOW * robot.qd_max, axis=0) < SLOW_SHARE
     if hasty.any():
-        found.ahead.append(f"{_joints(hasty)}: hardly any slow motion. Log some, friction is known worst there.")
+        found.ahead.append(
+            f"{_joints(hasty)}: hardly any slow motion. Record some, because friction is least certain there."
+        )
     if not found.ahead:
-        found.ahead.append("Nothing: estimate forces with it, and identify again when tool, load or mounting change.")
+        found.ahead.append(
+            "None: use the model to estimate forces. Repeat the identification when the tool, load or mounting changes."
+        )
 
 
 def _joints(which: np.ndarray) -> str:
-    """Name joints by number: "joint 2", "joints 1, 3"."""
+    """Return a list of joint numbers as text: "joint 2", "joints 1, 3"."""
     numbered = [str(i + 1) for i in np.flatnonzero(which)]
     return f"joint{'s' if len(numbered) > 1 else ''} {', '.join(numbered)}"
 
 
 def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
-    """Return the figures of the report for scripts: of the fit, and per joint."""
+    """Return the figures of the report for scripts: overall, and per joint."""
     model = fit.value
     quality, friction, covariance = model.quality, model.friction, model.covariance
     columns = {
@@ -195,6 +202,7 @@ def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
         "coulomb_neg": friction.coulomb_neg,
         "offset": friction.offset,
         "stribeck": friction.stribeck,
+        "root": friction.root,
         "load": friction.load,
         "contact_doubt": model.contact_doubt,
         "delta": friction.delta,
@@ -217,25 +225,25 @@ def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
 
 
 def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table, about: str, tell: Tell) -> HtmlReport:
-    """Return the page; `tell` is called with (done, total, what)."""
+    """Return the page; `tell` is the progress callback (done, total, what)."""
     from armlab.identify.validation import parameter_rows
 
     page = HtmlReport(f"Torque model of {fit.value.robot_name}", about)
     page.verdict(verdict)
     page.section(
         "Residuals per joint",
-        "Of the estimator's causal filter, in motion, as % of the standard deviation (sd) of the measured torque: in "
-        "the data of the fit, in held-out blocks, and in the test log. Sigma is what the model states for the torque "
-        "error; gamma is how fast it falls with speed.",
+        "Residuals in motion after the estimator's causal filter, in % of the standard deviation (SD) of the measured "
+        "torque: training data, held-out blocks, test log. Sigma is the modelled standard deviation of the torque "
+        "error; gamma is its decay rate with speed.",
     )
     page.table(_residual_rows(fit, trial))
-    page.section("Friction per joint", "With standard deviations from a block bootstrap.")
+    page.section("Friction per joint", "Standard deviations are from a block bootstrap.")
     page.table(_friction_rows(fit, trial))
     page.figures([*_of_the_torque(fit, trial, log), *_of_the_force(fit, trial)], tell)
-    page.section("Parameters", "Identifiable parameters: of the links only these combinations act on the torques.")
+    page.section("Parameters", "Identifiable parameters: only these combinations affect the torques.")
     head = ("value", "standard deviation", "unit", "parameter")
     page.table([head, *parameter_rows(fit)], f"{len(fit.names)} parameters with standard deviations")
-    page.section("As printed")
+    page.section("Report")
     page.verbatim(fit.report(), "Report of the fit")
     return page
 
@@ -261,10 +269,11 @@ def _friction_rows(fit: Fit[TorqueModel], trial: ModelTrial) -> list[list[str]]:
         "coulomb_neg": ("coulomb-", "coulomb"),
         "offset": ("offset",),
         "stribeck": ("stribeck",),
+        "root": ("root",),
         "load": ("load",),
     }
     rows = [["joint", "viscous [N m s/rad]", "Coulomb + [N m]", "Coulomb - [N m]", "offset [N m]", "Stribeck [N m]"]]
-    rows[0] += ["load", "ripple [N m]", "presliding [rad]"]
+    rows[0] += ["root [N m sqrt(s/rad)]", "load", "ripple [N m]", "presliding [rad]"]
     for own, joint in zip(own_parameters(fit), numbers(fit, trial)["joints"], strict=True):
         row = [str(joint["joint"])]
         row += [f"{joint[name]:.3f}{_deviation(fit, own, kinds)}" for name, kinds in columns.items()]
@@ -273,7 +282,7 @@ def _friction_rows(fit: Fit[TorqueModel], trial: ModelTrial) -> list[list[str]]:
 
 
 def _deviation(fit: Fit[TorqueModel], own: dict[str, int], kinds: tuple[str, ...]) -> str:
-    """Return the deviation of one friction parameter with its sign; nothing when the fit does not have it."""
+    """Return the standard deviation of one friction parameter as text; empty if it was not identified."""
     place = next((own[kind] for kind in kinds if kind in own), None)
     return "" if place is None else f" ± {fit.sd[place]:.3f}"
 
@@ -284,32 +293,34 @@ def _of_the_torque(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list
     return [
         (
             "Measured and modelled torque",
-            "Torque of each joint over time, measured and modelled, and the residual",
-            f"{shown}. What is left should look like noise inside the band.",
+            "Measured and modelled torque of each joint against time, and the residual",
+            f"{shown}. The residual should look like noise inside the band.",
             lambda: armlab.plots.torque_fit(fit, trial.log),
         ),
         (
             "Residual over speed",
-            "Residual torque of each joint over its speed with two-sigma curves",
-            "Curves follow the cloud where the covariance is right. A step at zero is Coulomb friction that is wrong.",
+            "Residual torque of each joint against its speed with 2-sigma curves",
+            "The curves should envelop the points. A step at zero indicates wrong Coulomb friction.",
             lambda: armlab.plots.residual_speed(estimate, {"model": model.covariance}),
         ),
         (
             "Friction",
-            "Friction of each joint over its speed with uncertainty",
-            "Dark: uncertainty of the parameters. Light: with the torque error at that speed, 95 % of the points.",
+            "Friction of each joint against its speed with uncertainty",
+            "Dark band: uncertainty of the parameters. Light band: including the torque error at that speed; contains "
+            "95 % of the points.",
             lambda: armlab.plots.friction(fit, estimate),
         ),
         (
             "Torque ripple",
-            "Amplitude of the torque residual over cycles per turn",
-            "Peaks fixed in position are ripple of gears and motors; the dotted ones are in the model.",
+            "Amplitude of the torque residual against cycles per revolution",
+            "Peaks are ripple of gears and motors; dotted lines are included in the model.",
             lambda: armlab.plots.spectrum(model, log),
         ),
         (
             "Residual autocorrelation",
-            "Autocorrelation of the residuals over the lag",
-            "Correlated residuals make formal deviations too small; those of this report come from a block bootstrap.",
+            "Autocorrelation of the residuals against the lag",
+            "Correlated residuals make formal standard deviations too small; this report uses a block bootstrap "
+            "instead.",
             lambda: armlab.plots.autocorrelation(estimate),
         ),
     ]
@@ -321,24 +332,24 @@ def _of_the_force(fit: Fit[TorqueModel], trial: ModelTrial) -> list[Drawing]:
         (
             "Excitation",
             "Singular values of the regressor",
-            "Each point is a direction of the parameters. Those below the upper line need a richer motion.",
+            "Each point is a parameter direction. Directions below the upper line need a richer motion.",
             lambda: armlab.plots.excitation(fit.excitation),
         ),
         (
             "Force without contact",
-            "Estimated wrench over time with two-sigma band; the truth is zero",
-            f"{shown} through the estimator. The truth is zero: the band should contain it 95 % of the time.",
+            "Estimated wrench against time with a 2-sigma band; the true wrench is zero",
+            f"{shown} with the estimator. The band should contain zero 95 % of the time.",
             lambda: armlab.plots.wrench(trial.estimate),
         ),
         (
             "Observability",
-            "Observability per axis over time",
-            "1: the torques determine the axis. 0: only the prior speaks.",
+            "Observability of each axis against time",
+            "1: determined by the torques. 0: determined by the prior.",
             lambda: armlab.plots.observability(trial.estimate),
         ),
         (
             "Coverage by speed",
-            "Share of forces inside two sigma per bin of speed",
+            "Share of forces within 2 sigma per speed bin",
             "A calibrated uncertainty contains 95.4 % at every speed.",
             lambda: armlab.plots.coverage(trial.estimate),
         ),

@@ -1,4 +1,4 @@
-"""``armlab plot``: every figure that can be drawn from files."""
+"""``armlab plot``: draw figures from files."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from armlab.cli.plot import figures
 __all__ = []
 
 
-plot = App(
+plot: App = App(
     name="plot",
-    help="Figures of logs, models, robots and movement primitives; the names are those of armlab.plots.",
+    help="Plot logs, models, robots and movement primitives. The command names are those of the functions in "
+    "armlab.plots.",
     help_epilogue="Example: armlab plot torque_fit model.toml excite.mcap -o fit.svg. Prints the path of the figure.",
 )
 

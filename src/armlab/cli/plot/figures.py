@@ -1,4 +1,4 @@
-"""The commands of ``armlab plot``, one a figure: of logs, torque models, contact forces, fits, robots, primitives."""
+"""Commands of ``armlab plot``, one per figure: logs, torque models, contact forces, fits, robots, primitives."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from armlab.cli.plot.options import (
     poses_in,
     torque_model,
 )
-from armlab.cli.support.options import joints_in
+from armlab.cli.support.options import joints_in, load_robot
 from armlab.errors import ConfigError, LogError, ModelMismatchError, UnknownName
 
 
 def table(log: Path, *columns: str, split: bool = False, figure: LogFigure = OF_LOG) -> int:
-    """Draw columns of a log against time; commanded and sent values dashed, times when a limit acted shaded.
+    """Draw columns of a log against time; commanded and sent values are dashed, active limits shaded.
 
     Parameters:
         log: Recording, or any file that `armlab log show` reads.
-        columns: Names of columns; default: q, qd, tau and wrench_hat, as far as the log has them.
-        split: A panel for each joint.
+        columns: Names of the columns; default: q, qd, tau and wrench_hat if they are in the log.
+        split: One panel per joint.
     """
     path = figure.path(log, "table")
     return figure.save(path, armlab.plots.table(figure.read(log), *columns, split=split))
@@ -64,20 +64,20 @@ def scene(
     frames: float = 0.0,
     figure: LogFigure = OF_LOG,
 ) -> int:
-    """Draw paths of the tool, measured points, planes and frames in space.
+    """Draw tool paths, measured points, planes and frames in space.
 
     Parameters:
-        logs: Recordings with poses, or with q and --robot; one path each.
-        cloud: Measured points of a tracker.
-        plane: A plane of a tracker.
-        pose: A frame, MAT, with its name.
-        frames: Length of the frames along paths [m]; 0 for none.
+        logs: Recordings with poses, or with q and --robot; one path per log.
+        cloud: Points measured by a tracker.
+        plane: Plane measured by a tracker.
+        pose: Frame from a MAT file, labelled with the name of the file.
+        frames: Length of the frames along paths [m]; 0: no frames.
     """
     from armlab.log import nikon
 
     sources = [*logs, *(cloud or ()), *(plane or ()), *(pose or ())]
     if not sources:
-        raise ConfigError("Expected something to draw, got none. Give logs, or --cloud, --plane or --pose with a file.")
+        raise ConfigError("Expected data to draw, got none. Pass logs, or --cloud, --plane or --pose with a file.")
     path = figure.path(sources[0], "scene")
     items: list[Any] = [poses_in(figure.read(log, robot), log, column, robot) for log in logs]
     items += [nikon.read_cloud(one).p for one in cloud or ()]
@@ -87,7 +87,7 @@ def scene(
 
 
 def latency(log: Path, *, figure: LogFigure = OF_LOG) -> int:
-    """Draw how long the loop took to answer, and how often it was late.
+    """Draw histograms of the loop's response time, with missed and late ticks.
 
     Parameters:
         log: Recording of a run.
@@ -96,7 +96,7 @@ def latency(log: Path, *, figure: LogFigure = OF_LOG) -> int:
     read = figure.read(log)
     try:
         drawn = armlab.plots.latency(read)
-    except UnknownName as error:  # the log lacks a column; the user named none
+    except UnknownName as error:  # a default column is missing
         raise LogError(str(error)) from error
     return figure.save(path, drawn)
 
@@ -108,17 +108,17 @@ def torque_fit(model: Model, log: FreeMotion, *, figure: ModelFigure = OF_MODEL)
 
 
 def friction(model: Model, log: FreeMotion | None = None, *, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the friction of each joint against its velocity, with its uncertainty; a log is drawn as points."""
+    """Draw the friction of each joint against velocity with its uncertainty, and the samples of a log as points."""
     path = figure.path(model, "friction")
     fit = armlab.estimation.Fit.load(model, "torque_model")
     return figure.save(path, armlab.plots.friction(fit, None if log is None else figure.estimate(fit.value, log)))
 
 
 def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the friction of one joint over position and velocity; ranges that the log does not cover are hatched.
+    """Draw the friction of one joint against position and velocity; ranges without samples in the log are hatched.
 
     Parameters:
-        joint: Number from 1.
+        joint: Joint number, from 1.
     """
     path = figure.path(model, f"friction_map_{joint}")
     known = torque_model(model)
@@ -129,7 +129,7 @@ def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, fig
 
 
 def spectrum(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the spectrum of the torque residual over cycles per turn, without and with the ripple of the model."""
+    """Draw the spectrum of the torque residual per joint revolution with and without the ripple model."""
     path = figure.path(log, "spectrum")
     known, drawn = chosen_of(model, joints)
     return figure.save(path, armlab.plots.spectrum(known, figure.log_of(known, log), drawn))
@@ -158,7 +158,7 @@ def autocorrelation(model: Model, log: FreeMotion, *, joints: Joints = None, fig
 
 
 def wrench(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
-    """Draw the estimated contact wrench with its 2-sigma band; contact is shaded."""
+    """Draw the estimated contact wrench with its 2-sigma band and shaded contact."""
     path = figure.path(log, "wrench")
     return figure.save(path, armlab.plots.wrench(figure.estimated(log)))
 
@@ -167,26 +167,29 @@ def wrenches(*logs: Path, figure: LogFigure = OF_LOG) -> int:
     """Draw the estimated forces of several arms side by side, on one scale.
 
     Parameters:
-        logs: Output of `armlab estimate`, or recordings of runs that estimated; one per arm.
+        logs: Outputs of `armlab estimate`, or recordings with an estimate; one per arm.
     """
     if len({log.stem for log in logs}) < max(len(logs), 1):
-        raise ConfigError(f"Expected logs of different names, one per arm, got {', '.join(map(str, logs)) or 'none'}.")
+        raise ConfigError(
+            f"Expected logs with distinct names, one per arm, got {', '.join(map(str, logs)) or 'no log'}."
+        )
     path = figure.path(logs[0], "wrenches")
     return figure.save(path, armlab.plots.wrenches({log.stem: figure.estimated(log) for log in logs}))
 
 
 def observability(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
-    """Draw how well the torques showed each axis of the wrench; times when one is weak are shaded."""
+    """Draw the observability of each wrench axis; intervals with a weak axis are shaded."""
     path = figure.path(log, "observability")
     return figure.save(path, armlab.plots.observability(figure.estimated(log, "observability")))
 
 
 def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the share of errors inside 2 sigma, by speed: of the wrench against a sensor, of torques with --model.
+    """Draw the fraction of errors within 2 sigma by speed: wrench errors against a sensor, or torque errors with
+    --model.
 
     Parameters:
-        log: Recording of a run that estimated, with a force sensor; or of free motion, with --model.
-        model: Model file of `armlab identify`, whose torques are compared with those of the log.
+        log: Recording with a force estimate and a force sensor, or of free motion with --model.
+        model: Model file of `armlab identify`; compares its torques with the log.
     """
     path = figure.path(log, "coverage")
     if model is not None:
@@ -194,7 +197,7 @@ def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_M
     read = figure.read(log, figure.robot)
     if not {"wrench", "wrench_true"} & set(read.names):
         raise LogError(
-            f"Expected a force sensor in {log}, column wrench, to compare the estimate with, got none. "
+            f"Expected a force sensor in {log}, column wrench, as reference of the estimate, got no such column. "
             "Add --model MODEL to compare torques."
         )
     return figure.save(path, armlab.plots.coverage(read))
@@ -203,7 +206,7 @@ def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_M
 def hypotheses(
     model: Model, log: Annotated[Path, Parameter(help="Recording with contact.")], *, figure: ModelFigure = OF_MODEL
 ) -> int:
-    """Draw the probability that there is a contact, and where."""
+    """Draw the probabilities of the contact hypotheses: whether there is contact, and where."""
     path = figure.path(log, "hypotheses")
     known = torque_model(model)
     return figure.save(
@@ -215,19 +218,19 @@ def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     """Draw the uncertainty of a calibration and the excitation of its samples.
 
     Parameters:
-        fit: File of `armlab calibrate`; that command draws the residuals too, with --figure, for files keep none.
+        fit: File of `armlab calibrate`. The file has no residuals; draw them with armlab calibrate --figure.
     """
     path = figure.path(fit, "calibration")
     found = armlab.estimation.Fit.load(fit)
     if isinstance(found.value, armlab.models.TorqueModel):
         raise ModelMismatchError(
-            f"Expected the file of a calibration, got a torque model in {fit}. Draw its torque_fit or its friction."
+            f"Expected a calibration file, got a torque model in {fit}. Use armlab plot torque_fit or friction."
         )
     return figure.save(path, armlab.plots.calibration(found))
 
 
 def excitation(fit: Path, *, figure: FigureFile = BESIDE) -> int:
-    """Draw the singular values of a fit: how well its samples determine the parameters.
+    """Draw the singular values of a fit, which show how well its samples determine the parameters.
 
     Parameters:
         fit: File of `armlab identify` or `armlab calibrate`.
@@ -240,21 +243,19 @@ Posture = Annotated[Path | None, Parameter(help="Recording with q.")]
 
 
 def robot(robot: RobotName, log: Posture = None, *, tool_path: bool = False, figure: LogFigure = OF_LOG) -> int:
-    """Draw an arm as a stick figure: at home, or through a log, its end in full.
+    """Draw an arm as a stick figure in its home posture or along a log.
 
     Parameters:
-        tool_path: Draw the path of the tool through the log.
+        tool_path: Draw the tool path of the log.
     """
     path = figure.path(log or robot, "robot")
-    return figure.save(
-        path, armlab.plots.robot(armlab.robots.load(robot), figure.positions(log, robot), path=tool_path)
-    )
+    return figure.save(path, armlab.plots.robot(load_robot(robot), figure.positions(log, robot), path=tool_path))
 
 
 def workspace(robot: RobotName, *, figure: FigureFile = BESIDE) -> int:
-    """Draw where the tool of an arm can be: from the side, from above, in space."""
+    """Draw the workspace of an arm: side view, top view, and in space."""
     path = figure.path(robot, "workspace")
-    return figure.save(path, armlab.plots.workspace(armlab.robots.load(robot)))
+    return figure.save(path, armlab.plots.workspace(load_robot(robot)))
 
 
 def manipulability(
@@ -264,26 +265,26 @@ def manipulability(
     of: Literal["position", "rotation"] = "position",
     figure: LogFigure = OF_LOG,
 ) -> int:
-    """Draw how fast the tool can move in which direction: at home, or at up to eight places of a log.
+    """Draw the velocity ellipsoid of the tool in the home posture or at up to eight configurations of a log.
 
     Parameters:
-        of: position: velocity of the tool point. rotation: its angular velocity.
+        of: position: velocity of the tool point. rotation: angular velocity of the tool.
     """
     path = figure.path(log or robot, "manipulability")
-    return figure.save(path, armlab.plots.manipulability(armlab.robots.load(robot), figure.positions(log, robot), of))
+    return figure.save(path, armlab.plots.manipulability(load_robot(robot), figure.positions(log, robot), of))
 
 
 def dmp(
     primitive: Primitive,
     *demos: Path,
-    column: Annotated[str | None, Parameter(help="Column of those logs; default: q, for poses T_base_tool.")] = None,
+    column: Annotated[str | None, Parameter(help="Column of those logs; default: q, or T_base_tool for poses.")] = None,
     robot: PoseRobot = None,
     figure: FigureFile = BESIDE,
 ) -> int:
     """Draw a movement primitive of any kind against time, with its demonstrations.
 
     Parameters:
-        demos: Logs of the demonstrations, of the motion only; several for a distribution over motions.
+        demos: Logs of the demonstrations, without rest; several for a distribution over motions.
     """
     from armlab.cli.dmp.teaching import MotionWindow, read_demonstration
     from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
@@ -292,7 +293,7 @@ def dmp(
     motion = armlab.models.load(primitive)
     motion = motion.dmp if isinstance(motion, TwoDofDmp) else motion
     if not isinstance(motion, Dmp | PoseDmp | PeriodicDmp | ProMP):
-        raise ConfigError(f"Expected the file of a movement primitive, got another in {primitive}. Name the right one.")
+        raise ConfigError(f"Expected a movement-primitive file, got another kind of file: {primitive}. Choose another.")
     kind = "pose" if isinstance(motion, PoseDmp) else "joints"
     columns = () if column is None else (column,)
     taught = [read_demonstration(log, kind, columns, robot, MotionWindow()) for log in demos]
@@ -300,14 +301,14 @@ def dmp(
     if isinstance(motion, ProMP):
         return figure.save(path, armlab.plots.promp(motion, shown))
     if len(shown) > 1:
-        raise ConfigError(f"Expected one demonstration of a primitive that is no distribution, got {len(shown)}.")
+        raise ConfigError(f"Expected one demonstration (only promp takes several), got {len(shown)}. Remove some.")
     plots: Any = armlab.plots
     draw = {PoseDmp: plots.pose_dmp, PeriodicDmp: plots.periodic_dmp, Dmp: plots.dmp}[type(motion)]
     return figure.save(path, draw(motion, shown[0] if shown else None))
 
 
 def dmp_phase(primitive: Primitive, *, figure: FigureFile = BESIDE) -> int:
-    """Draw the phase plane of a movement primitive of joints: velocity against position."""
+    """Draw the phase plane of a joint-space movement primitive: velocity against position."""
     path = figure.path(primitive, "dmp_phase")
     return figure.save(path, armlab.plots.dmp_phase(armlab.motion.Dmp.load(primitive)))
 
@@ -322,13 +323,13 @@ def two_dof(
     goal: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     figure: FigureFile = BESIDE,
 ) -> int:
-    """Draw how a movement primitive waited for an arm that was held: arm, path, undisturbed motion, error.
+    """Draw the response of a movement primitive to a disturbance: arm, path, undisturbed motion, error.
 
     Parameters:
         log: Recording of `armlab dmp play`.
-        disturbed: START,END of a time when something held the arm [s], which is shaded.
-        duration: Of the run [s]; default: that of the demonstration.
-        goal: Of the run, numbers with commas between; default: that of the demonstration.
+        disturbed: Interval START,END of a disturbance [s], shaded.
+        duration: Duration of the run [s]; default: that of the demonstration.
+        goal: Goal of the run, comma-separated; default: that of the demonstration.
     """
     from armlab.cli.dmp.playing import numbers_in
 
@@ -336,10 +337,10 @@ def two_dof(
     motion = armlab.models.load(primitive)
     law = armlab.motion.TwoDofDmp(motion) if isinstance(motion, armlab.motion.Dmp) else motion
     if not isinstance(law, armlab.motion.TwoDofDmp):
-        raise ConfigError(f"Expected a primitive of joints, got another kind in {primitive}. Name the right file.")
+        raise ConfigError(f"Expected a joint-space primitive in {primitive}, got another kind. Choose another file.")
     read = armlab.log.read(log)
     if "path_error" not in read:
-        raise LogError(f"Expected a run that waits for its arm in {log}, got none. Record it without --firm.")
+        raise LogError(f"Expected a two-degree-of-freedom run in {log}, got no such columns. Record it without --firm.")
     spans = [numbers_in(word, "disturbed") for word in disturbed or ()]
     if any(span is None or len(span) != 2 for span in spans):
         raise ConfigError(f"Expected --disturbed as START,END, got {' '.join(disturbed or ())}.")

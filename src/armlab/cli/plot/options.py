@@ -1,4 +1,4 @@
-"""Options of ``armlab plot``: output file, part of a log, joints, model."""
+"""Options of ``armlab plot``: output file, log segment, joints, model."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import armlab
-from armlab.cli.support.options import joints_in
+from armlab.cli.support.options import Columns, joints_in, load_robot
 from armlab.cli.support.output import FIGURES, check_output, result, save_figure
 from armlab.errors import LogError
 
@@ -26,23 +26,23 @@ POSES = ("T_base_tool", "T_frame_tool")
 
 Model = Annotated[Path, Parameter(help="Model file of `armlab identify`.")]
 FreeMotion = Annotated[Path, Parameter(help="Recording of free motion, preferably not used in the fit.")]
-Estimate = Annotated[Path, Parameter(help="Output of `armlab estimate`, or recording of a run that estimated.")]
-RobotName = Annotated[str, Parameter(help="Name in the library, or robot file.")]
-PoseRobot = Annotated[str | None, Parameter(help="Name in the library or robot file: computes the poses from q.")]
+Estimate = Annotated[Path, Parameter(help="Output of `armlab estimate`, or recording with an estimate.")]
+RobotName = Annotated[str, Parameter(help="Library name or robot file.")]
+PoseRobot = Annotated[str | None, Parameter(help="Library name or robot file; computes the poses from q.")]
 PoseColumn = Annotated[str | None, Parameter(help="Column of poses; default: T_base_tool or T_frame_tool.")]
 Primitive = Annotated[Path, Parameter(help="File of `armlab dmp fit`.")]
-Joints = Annotated[str | None, Parameter(help="Numbers from 1 with commas between; default: all.")]
+Joints = Annotated[str | None, Parameter(help="Comma-separated numbers from 1; default: all.")]
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class FigureFile:
-    """Where the figure goes.
+    """Output of the figure.
 
     Attributes:
-        output: PNG, SVG or PDF; default: beside the input, with its name and that of the figure.
-        show: Open a window too.
-        force: Replace an existing file.
+        output: PNG, SVG or PDF; default: in the folder of the input, named after the input and the figure.
+        show: Also open a window.
+        force: Replace an existing file, and draw a recording of another robot.
     """
 
     output: Annotated[Path | None, Parameter(alias="-o")] = None
@@ -50,14 +50,14 @@ class FigureFile:
     force: bool = False
 
     def path(self, source: Path | str, name: str) -> Path:
-        """Return where a figure of a source goes; refuse, before it is drawn, a file that cannot be written."""
+        """Return the output path of a figure; raise early if it cannot be written."""
         beside = Path(source)
         path = beside.with_name(f"{beside.stem}_{name}.png") if self.output is None else self.output
         check_output(path, self.force, FIGURES)
         return path
 
     def save(self, path: Path, drawn: Any) -> int:
-        """Write a figure, print its path, open a window if asked; return the exit code."""
+        """Write a figure, print its path, open a window if requested; return the exit code."""
         save_figure(drawn, path)
         result(str(path))
         if self.show:
@@ -70,46 +70,54 @@ class FigureFile:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class LogPart:
-    """Which part of a log.
+    """Part of a log.
 
     Attributes:
         start: First time [s]; default: the beginning.
         end: Last time [s]; default: the end.
-        arm: Arm whose rows are read, of a recording of several.
+        arm: Arm to read from a recording of several.
+        where: Column names in a file from another program; see armlab log export.
     """
 
     start: float | None = None
     end: float | None = None
     arm: str | None = None
+    where: Annotated[Columns, Parameter(name="--columns")] = None
 
-    def read(self, path: Path, robot: str | None = None) -> Table:
-        """Return that part of a log."""
+    def read(self, path: Path, robot: str | None = None, model: TorqueModel | None = None) -> Table:
+        """Return the selected part of a log; reject a recording of another robot than the given one or the model's."""
+        from armlab.cli.support.log_input import check_log
         from armlab.log.topics.reader import is_foreign, read_joints
 
         if robot is not None and is_foreign(path):
-            whole = read_joints(path, armlab.robots.load(robot))
+            whole = read_joints(path, load_robot(robot))
         else:
-            whole = armlab.log.read(path, robot=self.arm)
+            if model is not None or robot is not None:
+                check_log(path, load_robot(robot or "") if model is None else model, getattr(self, "force", False))
+            whole = armlab.log.read(path, self.where, robot=self.arm)
         low, high = (-math.inf if self.start is None else self.start), (math.inf if self.end is None else self.end)
         if not len(whole):
-            raise LogError(f"Expected rows in {path}, got a log without any. Nothing was recorded.")
+            raise LogError(f"Expected rows in {path}, got an empty log. Choose another.")
         part, last = whole.between(low, high), whole.t[-1]
         if not len(part):
-            raise LogError(f"Expected rows of {path} from {low:g} to {high:g} s, got none: it ends at {last:.3f} s.")
+            raise LogError(
+                f"Expected rows of {path} from {low:g} to {high:g} s, got no rows: it ends at {last:.3f} s. Correct "
+                "--start or --end."
+            )
         return part
 
     def estimated(self, path: Path, column: str = "wrench_hat") -> Table:
-        """Return that part of a log in which a wrench was estimated."""
+        """Return the selected part of a log with an estimated wrench."""
         read = self.read(path)
         if column not in read:
             raise LogError(
                 f"Expected an estimated wrench in {path}, column {column}, got {', '.join(read.names)}. "
-                "Make one: armlab estimate ROBOT LOG --model MODEL -o force.mcap."
+                "Create one: armlab estimate ROBOT LOG --model MODEL -o force.mcap."
             )
         return read
 
     def positions(self, path: Path | None, robot: str) -> np.ndarray | None:
-        """Return the joint positions (N, n) of that part, rows in which none is missing; None without a log."""
+        """Return the joint positions (N, n) of the selected part without missing rows; None without a log."""
         import numpy as np
 
         if path is None:
@@ -121,34 +129,32 @@ class LogPart:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class LogFigure(LogPart, FigureFile):
-    """A figure of a part of a log."""
+    """Figure of part of a log."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ModelFigure(LogFigure):
-    """A figure of a torque model, and of a part of a log."""
+    """Figure of a torque model and part of a log."""
 
-    robot: Annotated[str | None, Parameter(help="Robot file, where the robot of the model is not in the library.")] = (
-        None
-    )
+    robot: Annotated[str | None, Parameter(help="Robot file, if the model's robot is not in the library.")] = None
 
     def robot_of(self, model: TorqueModel) -> Robot:
-        arm = armlab.robots.load(model.robot_name if self.robot is None else self.robot)
+        arm = load_robot(model.robot_name if self.robot is None else self.robot)
         model.check_robot(arm)
         return arm
 
     def log_of(self, model: TorqueModel, log: Path) -> Table:
-        """Return that part of a log, the joints of another program's in the order of the model's robot."""
+        """Return the selected part of a log, with foreign joints in the order of the model's robot."""
         if self.robot is not None:
-            self.robot_of(model)  # refuses another
-        return self.read(log, self.robot or model.robot_name)
+            self.robot_of(model)  # raises for another robot
+        return self.read(log, self.robot or model.robot_name, model)
 
     def estimate(self, model: TorqueModel, log: Path) -> Table:
         return armlab.contact.Estimator(model, self.robot_of(model)).run(self.log_of(model, log))
 
     def with_log(self, model: Path, log: Path) -> tuple[TorqueModel, Table]:
-        """Return the torque model of a file, and that part of a log."""
+        """Return the torque model in a file and the selected part of a log."""
         known = torque_model(model)
         return known, self.log_of(known, log)
 
@@ -163,19 +169,19 @@ def torque_model(path: Path) -> TorqueModel:
 
 
 def chosen_of(model: Path, joints: str | None) -> tuple[TorqueModel, list[int] | None]:
-    """Return the torque model of a file, and which of its joints to draw."""
+    """Return the torque model in a file and the joints to draw."""
     known = torque_model(model)
     return known, None if joints is None else joints_in(joints, known.n)
 
 
 def poses_in(table: Table, path: Path, column: str | None, robot: str | None) -> np.ndarray:
-    """Return the poses of the tool (N, 4, 4): of a robot, of a column, or of the usual ones."""
+    """Return the poses of the tool (N, 4, 4): from a robot, a given column, or a default column."""
     if robot is not None:
-        return armlab.kinematics.forward(armlab.robots.load(robot), table["q"])
+        return armlab.kinematics.forward(load_robot(robot), table["q"])
     name = column or next((name for name in POSES if name in table), None)
     if name is None:
         raise LogError(
             f"Expected poses of the tool in {path}, column {' or '.join(POSES)}, got {', '.join(table.names)}. "
-            "Add --robot NAME, whose kinematics make them of q, or name their --column."
+            "Add --robot NAME to compute them from q, or give their --column."
         )
     return table[name]

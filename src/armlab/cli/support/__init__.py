@@ -1,3 +1,3 @@
-"""Shared by the commands: options, settings, output, reports, figures, input logs."""
+"""Shared code of the commands: options, settings, output, reports, figures, input logs."""
 
 __all__ = []

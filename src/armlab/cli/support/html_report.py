@@ -1,4 +1,4 @@
-"""Reports as one self-contained HTML file: no script, no font, nothing from the network."""
+"""Reports as one self-contained HTML file without scripts; loads nothing from the network."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from armlab._whole_files import whole_file
+from armlab._files import whole_file
 
-Drawing = tuple[str, str, str, Callable[[], Any]]  # title, what it shows, how to read it, what draws it
+Drawing = tuple[str, str, str, Callable[[], Any]]  # title, alternative text, caption, drawing function
 
 _HEAD = """<!doctype html>
 <html lang="en">
@@ -48,15 +48,15 @@ summary {{ cursor: pointer; color: #555; }}
 
 @dataclass
 class Verdict:
-    """What a report says in words."""
+    """Verdict of a report."""
 
-    good: list[str] = field(default_factory=list)  # sentences about what can be relied on
-    bad: list[str] = field(default_factory=list)  # about what cannot
-    ahead: list[str] = field(default_factory=list)  # what to log, or do, next
+    good: list[str] = field(default_factory=list)  # positive findings
+    bad: list[str] = field(default_factory=list)  # negative findings
+    ahead: list[str] = field(default_factory=list)  # advice
 
     @property
     def parts(self) -> tuple[tuple[str, list[str]], ...]:
-        """Titles and sentences; only of what there is."""
+        """Titles and sentences of non-empty parts."""
         named = (("Good", self.good), ("Not good", self.bad), ("Next", self.ahead))
         return tuple((title, sentences) for title, sentences in named if sentences)
 
@@ -67,14 +67,14 @@ class Verdict:
 
 @dataclass
 class HtmlReport:
-    """A report that grows from top to bottom."""
+    """A report, built from top to bottom."""
 
-    title: str  # of the page
-    about: str  # the line below: which robot, which files, when
+    title: str  # title of the page
+    about: str  # subtitle: robot, files, time
     pieces: list[str] = field(default_factory=list)  # HTML so far
 
     def verdict(self, verdict: Verdict) -> None:
-        """Add the box with what is good, what is not, what to do next."""
+        """Add the box with the verdict."""
         body = "".join(
             f"<p><b>{title}</b></p><ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in sentences)}</ul>"
             for title, sentences in verdict.parts
@@ -82,11 +82,11 @@ class HtmlReport:
         self.pieces.append(f'<div class="verdict{" care" if verdict.bad else ""}">{body}</div>')
 
     def section(self, title: str, words: str = "") -> None:
-        """Begin a section, with a paragraph if there are words."""
+        """Begin a section, with an optional paragraph."""
         self.pieces.append(f"<h2>{escape(title)}</h2>" + (f'<p class="note">{escape(words)}</p>' if words else ""))
 
     def table(self, rows: Sequence[Sequence[str]], folded: str = "") -> None:
-        """Add a table; the first row is the head. Columns of words stand to the left, figures to the right."""
+        """Add a table; the first row is the head. Text columns are left-aligned, numbers right-aligned."""
         head, *body = rows
         words = [any(row[k][:1].isalpha() and row[k] != "nan" for row in body) for k in range(len(head))]
         head_cells = "".join(_cell("th", cell, text) for cell, text in zip(head, words, strict=True))
@@ -102,7 +102,7 @@ class HtmlReport:
         self.pieces.append(f'<figure><img src="data:image/png;base64,{data}" alt="{escape(alt)}">{below}</figure>')
 
     def figures(self, drawings: Sequence[Drawing], tell: Callable[[float, float, str], None]) -> None:
-        """Add a section with a picture for each drawing."""
+        """Add a section with a figure for each drawing."""
         from armlab.plots.style import png
 
         for k, (title, alt, caption, draw) in enumerate(drawings):
@@ -121,13 +121,13 @@ class HtmlReport:
         self.pieces.append(f"<details><summary>{escape(folded)}</summary>{piece}</details>" if folded else piece)
 
     def write(self, path: Path) -> None:
-        """Write the page; an existing file is replaced in one step or not at all."""
+        """Write the page atomically."""
         with whole_file(path) as part:
             part.write_text(self.html(), encoding="utf-8")
 
 
 def _cell(kind: str, text: str, words: bool) -> str:
-    """Return one cell; units stay whole, and a sign with the uncertainty behind it."""
+    """Return one cell; units and values with uncertainty are never wrapped."""
     whole = re.sub(r"\[[^]]*\]|± \S+", lambda found: found[0].replace(" ", "\N{NO-BREAK SPACE}"), text)
     opened = f'{kind} class="words"' if words else kind
     return f"<{opened}>{escape(whole)}</{kind}>"

@@ -1,4 +1,4 @@
-"""The log that a command reads: refused without torques or of another robot; doubts about implausible data."""
+"""Input logs of commands: reject logs without torques or of another robot, and report implausible data."""
 
 from __future__ import annotations
 
@@ -11,25 +11,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import armlab
-from armlab.cli.support.output import progress
-from armlab.errors import NotExcited, ShapeError
+from armlab.cli.support.output import note, progress
+from armlab.errors import ModelMismatchError, NotExcited, ShapeError
 
 if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.log.file_formats.description import Progress
+    from armlab.log.recording.metadata import Inspection
     from armlab.models import TorqueModel
     from armlab.robots import Robot
 
 
-BAND = 5.0  # Hz, in which velocity is compared with the slope of position
+BAND = 5.0  # Hz, band for comparing velocity with the derivative of position
 SHORTEST = 100  # rows
-LARGE = 50_000_000  # bytes, which take longer than a glance to read
-LOST = 1.5  # median steps: a longer one lacks rows
+LARGE = 50_000_000  # bytes; reading more takes seconds
+FEW = 0.01  # largest share of rows that a fit may skip
+LOST = 1.5  # median steps: a longer one is a gap
 
 
 @contextmanager
 def reading_bar(path: Path) -> Iterator[Progress | None]:
-    """Show a bar on a terminal while the block reads a large log; yields what `log.read` tells, None without a bar."""
+    """Show a progress bar while the block reads a large log; yields the callback of `log.read`, or None."""
     files = [path] if path.is_file() else [one for one in path.glob("*") if one.is_file()]
     if not sys.stderr.isatty() or sum(one.stat().st_size for one in files) < LARGE:
         yield None
@@ -38,17 +40,117 @@ def reading_bar(path: Path) -> Iterator[Progress | None]:
         yield lambda done, total, _: tell(done, max(total, 1), path.name)
 
 
-def read_log(path: Path, robot: Robot) -> Table:
-    """Return the log with q, qd and tau; where it has no velocity that is the slope of the position."""
+def read_log(path: Path, robot: Robot, force: bool = False, columns: str | None = None, *, fit: bool = False) -> Table:
+    """Return the log with q, qd and tau; a missing velocity is the derivative of the position.
+
+    `columns` gives other column names. With `fit`, a few incomplete rows are skipped.
+    """
     with reading_bar(path) as tell:
-        return armlab.identify.with_velocity(armlab.log.read_arm(path, robot, tell))
+        table = armlab.log.read_arm(path, robot, tell, force=force, columns=columns)
+    for line in table.notes if columns else ():
+        note(f"{path.name}: {line}")
+    needed = [name for name in ("q", "qd", "tau") if name in table] if fit else ["q"] if "qd" not in table else []
+    if needed:
+        table = _whole_rows(table, needed, path)
+    return armlab.identify.with_velocity(table)
+
+
+def _whole_rows(table: Table, names: list[str], path: Path) -> Table:
+    """Return the table without non-finite rows if there are only a few; rows without any number count as lost."""
+    values = np.hstack([table[name] for name in names])
+    lost = np.asarray(~np.isfinite(values).all(axis=1))
+    some = lost & np.isfinite(values).any(axis=1)
+    if not some.any() or np.count_nonzero(lost) > FEW * len(table):
+        return table
+    rows = ", ".join(str(row) for row in np.flatnonzero(some)[:5])
+    note(f"{np.count_nonzero(some)} of {len(table)} rows of {path.name} lack a number and are skipped: row {rows}")
+    return table.rows(np.logical_not(lost))
+
+
+@contextmanager
+def by_force(force: bool) -> Iterator[None]:
+    """Refuse another robot in the block and suggest --force; with `force`, end the block with a note."""
+    try:
+        yield
+    except ModelMismatchError as error:
+        if not force:
+            said = str(error)
+            more = "" if "--force" in said else ", or add --force to continue."
+            raise ModelMismatchError(said.rstrip(".") + more if more else said) from None
+        note(str(error))
+
+
+def check_log(path: Path, whose: Robot | TorqueModel, force: bool = False) -> None:
+    """Refuse a recording whose robot description is not that of the robot or model; other formats name no robot."""
+    from armlab.log.file_formats.opening import format_at
+    from armlab.log.recording.metadata import check_recorded, described
+    from armlab.robots import Robot
+
+    if not path.is_file() or format_at(path) != "MCAP":
+        return
+    held = armlab.log.inspect(path)
+    with by_force(force):
+        if isinstance(whose, Robot):
+            check_recorded(held, whose)
+        else:
+            names = list(_recorded(held))
+            name = names[0] if len(names) == 1 else whose.robot_name
+            if (recorded := described(held.attachments, name, str(path))) is not None:
+                whose.check_robot(recorded)
+
+
+def _recorded(held: Inspection) -> dict[str, str]:
+    """Return the robots of a recording by name, with their hashes."""
+    return {pairs["robot"]: pairs.get("robot_hash", "") for pairs in held.metadata.values() if pairs.get("robot")}
+
+
+_TAUGHT = "taught on "  # robot and hash, in the sources of a primitive of joints
+
+
+def taught_on(path: Path, robot: Robot | None) -> tuple[str, ...]:
+    """Return the line that names the robot of a demonstration: the given robot or that of the recording."""
+    from armlab.log.file_formats.opening import format_at
+
+    if robot is not None:
+        return (f"{_TAUGHT}{robot.name} {robot.hash}",)
+    if not path.is_file() or format_at(path) != "MCAP":
+        return ()
+    known = _recorded(armlab.log.inspect(path))
+    return tuple(f"{_TAUGHT}{name} {digest}" for name, digest in known.items() if digest and len(known) == 1)
+
+
+def check_taught(path: Path, robot: Robot, force: bool = False) -> None:
+    """Refuse a joint-space primitive for another robot description."""
+    from armlab.models.files import sources_of
+    from armlab.robots.comparison import check_same
+
+    advice = "Teach the motion on this robot, or add --force to continue."
+    for entry in sources_of(path):
+        if not entry.startswith(_TAUGHT):
+            continue
+        name, _, digest = entry.removeprefix(_TAUGHT).rpartition(" ")
+        with by_force(force):
+            check_same(robot, f"the primitive {path}", name, digest, None, advice)
+
+
+def model_for(path: Path, robot: Robot, force: bool = False) -> TorqueModel:
+    """Return the torque model in a file; reject a model of another robot description, or adapt it with `force`.
+
+    `force`: continue, and print a note about the differences.
+    """
+    model: TorqueModel = armlab.models.load(path, "torque_model")
+    with by_force(force):
+        model.check_robot(robot)
+        return model
+    return model.moved_to(robot)
 
 
 def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tuple[str, ...]:
-    """Return what of a log cannot be true: velocity that is not the slope of position, torques of the motors.
+    """Return implausible properties of a log: velocities that are not the derivatives of the positions, and motor
+    torques.
 
-    `identify.prepare` refuses such logs. One that is only estimated may rest, so it is looked at where it moves, in its
-    longest stretch without a gap. `contact.Estimator.run` has refused what is worse.
+    `identify.prepare` rejects such logs. A log used only for estimation may contain rest, so the check uses the motion
+    in its longest segment without a gap.
 
     `table`: with q, qd, tau (N, n).
     """
@@ -74,19 +176,19 @@ def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tupl
 
 
 def gaps(table: Table) -> list[tuple[float, float]]:
-    """Return (time of the row before, length) of each gap [s]: a step longer than one and a half of the usual."""
+    """Return (time of the preceding row, length) of each gap [s]: a step longer than 1.5 times the usual step."""
     steps = np.diff(table.t)
     after = np.flatnonzero(steps > LOST * np.median(steps)) if len(steps) else []
     return [(float(table.t[k]), float(steps[k])) for k in after]
 
 
 def left_out(table: Table) -> int:
-    """Return how many rows are not finite and have no estimate."""
+    """Return the number of rows that are not finite and have no estimate."""
     return int(np.count_nonzero(table["wrench_flags"] & armlab.contact.INVALID))
 
 
 def _longest_stretch(table: Table) -> slice:
-    """Return the rows of the longest stretch in which nothing is missing."""
+    """Return the rows of the longest segment without missing values."""
     whole = np.isfinite(np.hstack([table[name] for name in ("q", "qd", "tau")])).all(axis=1)
     step = np.diff(table.t)
     apart = step > LOST * np.median(step) if len(step) else np.zeros(0, dtype=bool)

@@ -1,16 +1,16 @@
-"""Values of options: checks of numbers, URLs of links, UDP ports."""
+"""Option values: number checks, link URLs, UDP ports."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Annotated, Literal
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 from cyclopts import Parameter
 
-import armlab
 from armlab.errors import ConfigError, ShapeError
 
 if TYPE_CHECKING:
@@ -18,15 +18,23 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, Parameter(help="Print JSON for scripts.")]
 Force = Annotated[bool, Parameter(help="Replace existing files.")]
-Seconds = Annotated[float | None, Parameter(help="Time after which to end [s].")]
-# contact.Method, which takes too long to import for a help text
-ForceMethod = Literal["map", "bounded", "interval", "observer", "kf", "clip", "ls", "lund"]
-Cell = Annotated[str, Parameter(help="Name of the cell; needed when several run.")]
+Seconds = Annotated[float | None, Parameter(help="Stop after this time [s].")]
+Columns = Annotated[
+    str | None,
+    Parameter(
+        help="Columns of a foreign file: q=joint_{1..6}_pos [deg],tau=current_{1..6}*12.5, "
+        "with unit and factor where needed; without a header, by position: t=1,q={2..7}. Or use a preset: ur, franka, "
+        "ros, abb, abb7."
+    ),
+]
+# contact.Method, whose import is too slow for a help text
+ForceMethod = Literal["map", "bounded", "interval", "observer", "kf", "clip", "ls", "lund", "ols"]
+Cell = Annotated[str, Parameter(help="Name of the cell; required if several cells are running.")]
 
 
 @contextmanager
 def as_given() -> Iterator[None]:
-    """Take what the library refuses as wrong use: the block, or function, works on the words of a command alone."""
+    """Turn library errors into usage errors; decorates functions that only process command words."""
     try:
         yield
     except ShapeError as error:
@@ -34,53 +42,107 @@ def as_given() -> Iterator[None]:
 
 
 def require_positive(option: str, value: float | None, unit: str = "") -> None:
-    """Refuse a number that is not above zero and finite; None was not given."""
+    """Reject a number that is not positive and finite; None means not given."""
     if value is not None and not (math.isfinite(value) and value > 0.0):
         raise ConfigError(f"Expected --{option} above 0{f' {unit}' if unit else ''} and finite, got {value:g}.")
 
 
 def require_seconds(value: float | None) -> None:
-    """Refuse a time to wait that is negative or none; None was not given."""
+    """Reject a negative or non-finite waiting time; None means not given."""
     if value is not None and not value >= 0.0:
-        raise ConfigError(f"Expected seconds of at least 0 s, got {value}.")
+        raise ConfigError(f"Expected a time of at least 0 s, got {value}.")
+
+
+_URDF_OPTIONS = ("base", "tip", "lock")
+_chosen: dict[str, str] = {}  # the arm of a URDF, for all robots of the command
+
+
+def take_robot_options(words: Sequence[str]) -> list[str]:
+    """Return the command words without --base, --tip and --lock, which `load_robot` then applies."""
+    _chosen.clear()
+    left, waiting = [], list(words)
+    while waiting:
+        word = waiting.pop(0)
+        name, equals, value = word.removeprefix("--").partition("=")
+        if not word.startswith("--") or name not in _URDF_OPTIONS:
+            left.append(word)
+            continue
+        if not equals:
+            if not waiting or waiting[0].startswith("--"):
+                raise ConfigError(
+                    f"Expected {'JOINT=VALUE' if name == 'lock' else 'a link'} after --{name}, got nothing."
+                )
+            value = waiting.pop(0)
+        _chosen[name] = f"{_chosen[name]},{value}" if name == "lock" and name in _chosen else value
+    return left
+
+
+def load_robot(word: str) -> Robot:
+    """Return the robot of a command; for a URDF, the arm selected by --base, --tip and --lock."""
+    from armlab.robots.files import load_chosen
+
+    return load_chosen(word, _chosen)
+
+
+def is_arm_chosen() -> bool:
+    """Return whether --base, --tip or --lock select an arm of a URDF."""
+    return bool(_chosen)
+
+
+def as_typed(word: str) -> list[str]:
+    """Return a robot with the options that chose its arm, for another command."""
+    return [word, *(part for name, value in _chosen.items() for part in (f"--{name}", value))]
+
+
+def mesh_option(word: str) -> list[str]:
+    """Return --robot for a description that may have meshes; else nothing."""
+    from armlab.robots.files import names
+
+    return [] if word in names() or word.endswith(".toml") else ["--robot", *as_typed(word)]
 
 
 def simulated(word: str) -> Robot:
-    """Return the robot that ``armlab sim`` simulates under a word."""
+    """Return the robot that ``armlab sim`` simulates for a word."""
     if word == "scara":
         from armlab.sim.arm.arm import scara
 
         return scara()
-    return armlab.robots.load(word)
+    return load_robot(word)
+
+
+def sim_url(robots: str, **options: object) -> str:
+    """Return the URL of the simulated robots (joined by +) with the selected arm."""
+    query = urlencode({**_chosen, **options})
+    return f"sim://{'+'.join(quote(word) for word in robots.split('+'))}{query and '?'}{query}"
 
 
 def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
-    """Return the url of each link to arms, of words with commas between; None simulates what was typed."""
-    from armlab.bridge.urls import addresses
+    """Return the URL of each link from comma-separated words; None means simulation."""
+    from armlab.bridge.urls import addresses, choosing_arm
 
-    same = f"sim://{'+'.join(quote(word) for word in robot.split('+'))}"
-    urls = [same] if link is None else link.split(",")
+    same = sim_url(robot)
+    urls = [same] if link is None else [choosing_arm(url, _chosen) for url in link.split(",")]
     for arm, address in zip(arms, addresses(urls, len(arms)), strict=True):
         if link is not None and address.scheme == "sim" and simulated(address.robot) != arm:
             raise ConfigError(
-                f"Expected a link to {robot}, got {link}, another arm. Name the arm as ROBOT, or give the link {same}."
+                f"Expected a link to {robot}, got {link}, another arm. Pass that arm as ROBOT, or use the link {same}."
             )
     return urls
 
 
 def joints_in(words: str, n: int) -> list[int]:
-    """Return numbers of joints from 0."""
+    """Parse joint numbers; the result is counted from 0."""
     numbers = [int(word) if word.strip().isdecimal() else 0 for word in words.split(",")]
     if not all(1 <= number <= n for number in numbers):
-        raise ConfigError(f"Expected joints as numbers from 1 to {n} with commas between, got {words!r}.")
+        raise ConfigError(f"Expected joint numbers from 1 to {n}, separated by commas, got {words!r}.")
     return [number - 1 for number in numbers]
 
 
-_ONE, _FIRST = 6510, 6511  # of one arm, of the first of several
+_ONE, _FIRST = 6510, 6511  # port of one arm, first port of several
 
 
 def ports_in(text: str) -> list[int]:
-    """Return the ports in a text such as ``6511,6512``."""
+    """Parse ports such as ``6511,6512``."""
     words = [word.strip() for word in text.split(",")]
     if not all(word.isascii() and word.isdigit() and 0 < int(word) < 65536 for word in words):
         raise ConfigError(f"Expected ports from 1 to 65535, such as --port 6511,6512, got {text!r}.")
@@ -88,8 +150,18 @@ def ports_in(text: str) -> list[int]:
 
 
 def known_ports(arms: Sequence[Robot]) -> list[int]:
-    """Return a port per arm: the one of the settings, else 6510 of one arm, 6511, 6512, ... of several."""
+    """Return a port per arm: from the settings, else 6510 for one arm, 6511, 6512, ... for several."""
     from armlab.cli.support.settings import load_settings
 
     known = load_settings().settings.ports
     return [known.get(arm.name, _ONE if len(arms) == 1 else _FIRST + k) for k, arm in enumerate(arms)]
+
+
+def seconds_in(text: str, option: str) -> float:
+    """Parse a duration such as ``20ms``, ``0.02s`` or ``0.02``, in seconds."""
+    found = re.fullmatch(r"([\d.eE+-]+)\s*(us|ms|s)?", text.strip())
+    with suppress(ValueError):
+        seconds = float(found[1]) * {"us": 1e-6, "ms": 1e-3}.get(found[2] or "s", 1.0) if found else math.nan
+        if seconds > 0.0 and math.isfinite(seconds):
+            return seconds
+    raise ConfigError(f"Expected --{option} as a time above 0, such as 20ms or 0.02s, got {text!r}.")

@@ -1,4 +1,4 @@
-"""Printing: results to standard output, messages and what happens during a run to standard error."""
+"""Printing: results to standard output, messages and run events to standard error."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from armlab._whole_files import whole_file
+from armlab._files import whole_file
+from armlab.cli import DOUBTFUL, FAILED
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
+    from armlab.bridge.doctor.machine import Finding
     from armlab.log import Tick
     from armlab.state import Command, State
 
@@ -24,22 +27,22 @@ FIGURES = (".png", ".svg", ".pdf")
 
 
 def result(text: str) -> None:
-    """Write a line of result to standard output."""
+    """Write a result line to standard output."""
     sys.stdout.write(f"{text}\n")
 
 
 def note(text: str) -> None:
-    """Write a message for the reader to standard error."""
+    """Write a message for the user to standard error."""
     sys.stderr.write(f"{text}\n")
 
 
 def print_json(data: Any) -> None:
-    """Write data as JSON to standard output: arrays become lists, values that are not finite null."""
+    """Write data as JSON to standard output: arrays become lists, non-finite values null."""
     sys.stdout.write(json.dumps(_plain(data), indent=2, ensure_ascii=False) + "\n")
 
 
 def aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
-    """Return rows of words as lines with aligned columns; `right` numbers the columns of figures."""
+    """Return rows of text as lines with aligned columns; `right` lists the right-aligned columns."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))] if rows else []
     lines = []
     for row in rows:
@@ -51,33 +54,35 @@ def aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
 def refuse_overwrite(path: Path, force: bool) -> None:
     """Raise `ConfigError` when `path` exists and `force` is not set."""
     if path.exists() and not force:
-        raise ConfigError(f"Expected a new file, got {path}, which exists. Choose another name or add --force.")
+        raise ConfigError(f"Expected a new file, but {path} already exists. Choose another name or add --force.")
 
 
 def check_output(path: Path, force: bool, endings: Sequence[str], inputs: Sequence[Path] = ()) -> None:
-    """Raise `ConfigError` before the work begins when its result could not be written."""
+    """Raise `ConfigError` before the work begins if the result could not be written."""
     if path.suffix.lower() not in endings:
         raise ConfigError(f"Expected a file name that ends in {' or '.join(endings)}, got {path}. Change the ending.")
     if not path.parent.is_dir():
-        raise ConfigError(f"Expected {path} in a folder that exists, got {path.parent}. Make the folder first.")
+        raise ConfigError(
+            f"Expected {path} in an existing folder, but {path.parent} does not exist. Create the folder first."
+        )
     if not os.access(path.parent, os.W_OK):
-        raise ConfigError(f"Expected {path} in a folder that you may write to, got {path.parent}. Choose another.")
+        raise ConfigError(f"Expected {path} in a writable folder, but {path.parent} is not writable. Choose another.")
     for one in inputs:
         if path.exists() and one.exists() and (_holds(path, one) or _holds(one, path)):
             raise ConfigError(
-                f"Expected a new file, got {path}, which is or holds what is read, {one}. Choose another name."
+                f"Expected a new file, got {path}, which is or contains the input {one}. Choose another name."
             )
     refuse_overwrite(path, force)
 
 
 def _holds(outer: Path, inner: Path) -> bool:
-    """Whether a file or folder is the other one, by whatever way, or has it inside."""
+    """Return whether one file or folder is or contains the other, after resolving links."""
     place = inner.resolve()
     return any(outer.samefile(one) for one in (place, *place.parents))
 
 
 def save_figure(drawn: Any, path: Path) -> None:
-    """Write a figure; an existing file is replaced in one step or not at all."""
+    """Write a figure atomically."""
     figure = drawn if hasattr(drawn, "savefig") else drawn.get_figure(root=True)
     with whole_file(path) as part:
         figure.savefig(part, format=path.suffix[1:].lower(), dpi=150)
@@ -85,9 +90,9 @@ def save_figure(drawn: Any, path: Path) -> None:
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[float, float, str], None]]:
-    """Show a bar on standard error while the block runs; yields a function (done, total, what) that moves it.
+    """Show a progress bar on standard error during the block; yields its callback (done, total, what).
 
-    Where standard error is not a terminal, each new `what` is one line.
+    If standard error is not a terminal, each new `what` is printed on a separate line.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -118,7 +123,7 @@ def progress(title: str) -> Iterator[Callable[[float, float, str], None]]:
 def _plain(data: Any) -> Any:
     if isinstance(data, dict):
         return {str(key): _plain(value) for key, value in data.items()}
-    if hasattr(data, "tolist"):  # of NumPy, which is not loaded for its sake
+    if hasattr(data, "tolist"):  # NumPy, without importing it
         return _plain(data.tolist())
     if isinstance(data, list | tuple):
         return [_plain(value) for value in data]
@@ -133,20 +138,21 @@ _QUIET = logging.NullHandler()
 
 
 class Narrator:
-    """Writes the events of a run to standard error, and what a listener should know of the first packets."""
+    """Writer of run events to standard error, with warnings about the first packets."""
 
     def __init__(self, listens: bool = False, q_home: dict[str, list[float]] | None = None) -> None:
         self._listens, self._q_home = listens, dict(q_home or {})
         self._guided: set[str] = set()
-        # Without a handler Python would write the warnings of the bridge to standard error, where they stand already.
+        # Without a handler Python would print the warnings of the bridge a second time.
         logging.getLogger("armlab.bridge").addHandler(_QUIET)
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
         if self._listens and state.mci == _MCI_RUNNING and state.robot not in self._guided:
             self._guided.add(state.robot)
             note(
-                f"warning: {state.robot} is in EGM guidance and waits for references. Nothing is sent here, so its "
-                "controller will report 41822 and stop. To record motion by hand, let RAPID run EGMStreamStart only."
+                f"warning: {state.robot} is in EGM guidance and waits for references. This command sends nothing, so "
+                "the controller will report 41822 and stop. To record motion by hand, let RAPID run EGMStreamStart "
+                "only."
             )
         home = self._q_home.pop(state.robot, None)
         if home is None:
@@ -155,9 +161,30 @@ class Narrator:
         worst = max(range(len(away)), key=away.__getitem__)
         if away[worst] > _HOME:
             note(
-                f"warning: {state.robot} does not begin in its home posture: joint {worst + 1} is {away[worst]:.2f} "
-                "rad or m away. The log is as good, but a replay will begin where this one did."
+                f"warning: {state.robot} does not start in its home posture: joint {worst + 1} is {away[worst]:.2f} "
+                "rad or m away. The log is valid, but a replay will start in the same posture."
             )
 
     def event(self, text: str, warn: bool = False) -> None:
         note(f"warning: {text}" if warn else text)
+
+
+def print_findings(findings: list[Finding], json: bool) -> int:
+    """Print findings and return the exit code."""
+    if json:
+        print_json([asdict(finding) for finding in findings])
+    else:
+        result("\n".join(_lines(findings)))
+    verdicts = {finding.verdict for finding in findings}
+    return FAILED if "failure" in verdicts else DOUBTFUL if "warning" in verdicts else 0
+
+
+def _lines(findings: list[Finding]) -> list[str]:
+    width = max(len(finding.name) for finding in findings)
+    lines: list[str] = []
+    for finding in findings:
+        lines.append(f"{finding.verdict:7}  {finding.name:{width}}  {finding.value}")
+        if finding.advice:
+            lines.append(f"{'':7}  {'':{width}}  -> {finding.advice}")
+    counts = [f"{sum(f.verdict == verdict for f in findings)} {verdict}" for verdict in ("ok", "warning", "failure")]
+    return [*lines, ", ".join(counts)]

@@ -1,4 +1,4 @@
-"""What commands that fit or estimate write besides their result: page, figure, JSON."""
+"""Additional output of commands that fit or estimate: HTML page, figure, JSON."""
 
 from __future__ import annotations
 
@@ -23,15 +23,14 @@ Tell = Callable[[float, float, str], None]
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Results:
-    """Files and the form of the printed result.
+    """Output files and format.
 
     Attributes:
-        report: Also write a self-contained HTML page with tables and figures, ends in .html; it loads nothing from the
-            network.
-        figure: Also draw the result into this PNG, SVG or PDF.
+        report: Also write a self-contained HTML page with tables and figures, .html; it loads nothing from the network.
+        figure: Also draw the result to this PNG, SVG or PDF.
         json: Print JSON for scripts.
-        force: Replace existing files, and save a result that is not good. With `identify`: also fit torques that are
-            not plausible.
+        force: Replace existing files, save a poor result, and accept a recording or model of another description of the
+            arm. With `identify`: also accept implausible torques.
     """
 
     report: Path | None = None
@@ -40,7 +39,7 @@ class Results:
     force: bool = False
 
     def check(self, output: Path | None, endings: Sequence[str], inputs: Sequence[Path] = ()) -> None:
-        """Refuse names of files that cannot be written, before the work begins."""
+        """Reject invalid output files before the work begins."""
         for path, known in ((output, endings), (self.report, (".html",)), (self.figure, FIGURES)):
             if path is not None:
                 check_output(path, self.force, known, inputs)
@@ -53,10 +52,10 @@ class Results:
             result(f"{text}\n\n{verdict.text()}")
 
     def keep(self, verdict: Verdict, saves: Mapping[Path, Callable[[Path], object]]) -> int:
-        """Save a result that is good, or any with --force, to files; return the exit code of the command."""
+        """Save a good result (any result with --force) to files; return the exit code of the command."""
         if saves and verdict.bad and not self.force:
             names = ", ".join(map(str, saves))
-            note(f"not saved, for the result is not good: {names}. Mend what it names, or add --force to save it.")
+            note(f"not saved because the result is poor: {names}. Follow the advice, or add --force to save it anyway.")
             return DOUBTFUL
         for path, save in saves.items():
             save(path)
@@ -64,7 +63,7 @@ class Results:
         return 0
 
     def write(self, draw: Callable[[Any], Any], page: Callable[[Tell], HtmlReport]) -> None:
-        """Write figure and page where they are wanted; `draw` gets the module `armlab.plots`."""
+        """Write the figure and the page if requested; `draw` takes the module `armlab.plots`."""
         if self.figure is not None:
             save_figure(draw(armlab.plots), self.figure)
             note(f"figure: {self.figure}")

@@ -1,4 +1,4 @@
-"""UserSettings: defaults of options from files and the environment."""
+"""`UserSettings`: option defaults from files and the environment."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from armlab._toml import TomlError, parsed
+from armlab._files import TomlError, parsed
 from armlab.errors import ConfigError
 
 
@@ -18,26 +18,28 @@ def read_text(path: Path, what: str) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise ConfigError(f"Expected {what} at {path}, but it cannot be read: {error.strerror}.") from None
+        raise ConfigError(f"Expected {what} at {path}, but the file cannot be read: {error.strerror}.") from None
     except UnicodeDecodeError:
-        raise ConfigError(f"Expected {what} at {path}, got a file that is no text in UTF-8.") from None
+        raise ConfigError(f"Expected {what} at {path}, got a file that is not UTF-8 text.") from None
 
 
 PREFIX = "ARMLAB_"
+_CREDENTIALS = ("ARMLAB_RWS_USER", "ARMLAB_RWS_PASSWORD")  # of a controller; never shown as settings
 _FILE = "armlab.toml"
-_PATHS = ("cell", "logs")  # relative to the file that says them
+_PATHS = ("cell", "logs")  # relative to the settings file
 
 _Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
 
 
 class UserSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a file of settings may hold.
+    """Contents of a settings file.
 
     Attributes
     ----------
-    cell : the cell of `armlab bridge`. logs : folder of recordings to which a command gives the name itself.
-    ports : name of a robot -> UDP port on which it is listened to.
-    speed : share of a robot's speed and acceleration limits that is allowed, in (0, 1].
+    cell : the cell of `armlab bridge`.
+    logs : folder of automatically named recordings.
+    ports : name of a robot -> its UDP port.
+    speed : fraction of a robot's speed and acceleration limits, in (0, 1].
     wait : how a run waits for packets.
     """
 
@@ -50,14 +52,14 @@ class UserSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class LoadedSettings:
-    """UserSettings, and who said them."""
+    """`UserSettings` and their origins."""
 
     settings: UserSettings  # the values in force
     origins: Mapping[str, str]  # name -> file, variable, or "default"
 
 
 def load_settings(environment: Mapping[str, str] | None = None) -> LoadedSettings:
-    """Return the settings that hold in this folder, with the variables of the process or other ones."""
+    """Return the settings in force in this folder, using the given environment or that of the process."""
     variables = os.environ if environment is None else environment
     values: dict[str, Any] = {}
     origins = dict.fromkeys(UserSettings.__struct_fields__, "default")
@@ -70,13 +72,13 @@ def load_settings(environment: Mapping[str, str] | None = None) -> LoadedSetting
 
 
 def user_file(environment: Mapping[str, str]) -> Path:
-    """Return where the user's own settings are: in the folder of the XDG base directories."""
+    """Return the path of the user's settings file, in the XDG base directory."""
     folder = environment.get("XDG_CONFIG_HOME") or "~/.config"
     return Path(folder).expanduser() / "armlab" / _FILE
 
 
 def log_folder() -> Path:
-    """Return the folder of recordings to which a command gives the name itself; it is made when it does not exist."""
+    """Return the folder of automatically named recordings; create it if missing."""
     folder = Path(load_settings().settings.logs)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
@@ -93,7 +95,7 @@ def _of_file(path: Path) -> dict[str, Any]:
 def _of_environment(variables: Mapping[str, str]) -> list[tuple[str, dict[str, Any]]]:
     found = []
     for variable in sorted(variables):
-        if not variable.startswith(PREFIX):
+        if not variable.startswith(PREFIX) or variable in _CREDENTIALS:
             continue
         name = variable.removeprefix(PREFIX).lower()
         value: Any = variables[variable]
@@ -104,12 +106,12 @@ def _of_environment(variables: Mapping[str, str]) -> list[tuple[str, dict[str, A
 
 
 def _checked(given: dict[str, Any], origin: str, folder: Path, strict: bool) -> dict[str, Any]:
-    """Return the entries with their types, paths from this folder."""
+    """Return validated entries, with paths relative to this folder."""
     try:
         settings = msgspec.convert(given, UserSettings, strict=strict)
     except msgspec.ValidationError as error:
         known = ", ".join(UserSettings.__struct_fields__)
-        raise ConfigError(f"Expected other settings in {origin}: {error}. Known: {known}.") from None
+        raise ConfigError(f"Expected valid settings in {origin}: {error}. Known: {known}.") from None
     values = {name: getattr(settings, name) for name in given}
     for name in _PATHS:
         if values.get(name) is not None:

@@ -1,8 +1,8 @@
-"""Parts of the drives beyond the friction of `fit_dynamics`, fitted to its residuals and kept where they win.
+"""Drive terms in addition to the friction of `fit_dynamics`, fitted to its residuals and kept if they improve the fit.
 
-Warm-up, when one log lasts 20 minutes or more; torque ripple; friction over position and speed. Each is joint by joint,
-on the unfiltered residual that the ones before leave. Ripple slower over position than the centres resolve is left to
-them. Theory: docs/theory/friction.md.
+The terms are warm-up (if one log lasts 20 minutes or more), torque ripple, and friction over position and speed. Each
+term is fitted per joint to the unfiltered residual of the preceding terms. Ripple that varies more slowly over position
+than the spacing of the centres is left to the friction map. Theory: docs/theory/friction.md.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from armlab._numbers import numbers
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit
+from armlab.estimation.fit import value_of
 from armlab.estimation.robust import block_seconds
 from armlab.identify.drives.regularised import RIDGE as LINE_RIDGE
 from armlab.identify.drives.regularised import held_out_error, refit, ridge_solution
@@ -36,22 +37,23 @@ from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.models.friction import FrictionMap, RadialBasis, RippleLines, speed_basis
 
-SLOWEST = 0.02  # of the peak speed: slower samples do not place centres
+SLOWEST = 0.02  # share of the peak speed: slower samples are ignored for centres
 
 
 def rbf_centres(q: np.ndarray, qd: np.ndarray, positions: int = 8, speeds: int = 5) -> RadialBasis:
-    """Return centres over the range of positions, evenly, and over the quantiles of speed, for every joint.
+    """Return centres that are evenly spaced over the position range and over the quantiles of speed for every joint.
 
-    Widths are the distances of neighbouring centres.
+    The widths are the distances between neighbouring centres.
 
     Parameters
     ----------
     q, qd : (N, n) positions [rad] and velocities [rad/s] of a record.
-    positions, speeds : number of centres of each, at least 2.
+    positions, speeds : numbers of centres, at least 2.
 
     Raises
     ------
-    ShapeError : shapes, NaN, fewer than 2 centres. NotExcited : a joint that does not move.
+    ShapeError : inconsistent shapes, NaN, fewer than 2 centres.
+    NotExcited : a joint that does not move.
     """
     q, qd = _record(q, qd)
     if min(positions, speeds) < 2:
@@ -61,7 +63,7 @@ def rbf_centres(q: np.ndarray, qd: np.ndarray, positions: int = 8, speeds: int =
     if len(still):
         names = [f"joint {i + 1}" for i in still]
         raise NotExcited(
-            f"Expected every joint to move, got rest of {', '.join(names)}. Record a motion of all joints.",
+            f"Expected every joint to move, but {', '.join(names)} rest. Record a motion of all joints.",
             names,
             ["rest"] * len(names),
         )
@@ -71,24 +73,24 @@ def rbf_centres(q: np.ndarray, qd: np.ndarray, positions: int = 8, speeds: int =
     for i in range(q.shape[1]):
         speed = np.abs(qd[:, i])
         speed = np.quantile(speed[speed > SLOWEST * peak[i]], levels)
-        apart = np.all(np.diff(speed) > SLOWEST * peak[i])  # constant speeds have quantiles on top of each other
+        apart = np.all(np.diff(speed) > SLOWEST * peak[i])  # constant speeds have equal quantiles
         quantiles[i] = speed if apart else peak[i] * levels
     widths, speed_widths = (np.asarray(np.gradient(centres, axis=1)) for centres in (grid, quantiles))
     return RadialBasis(grid, widths, quantiles, speed_widths)
 
 
 def rbf_regressor(q: np.ndarray, qd: np.ndarray, basis: RadialBasis, z: np.ndarray | None = None) -> np.ndarray:
-    """Return the functions of every joint (N, n, 2 P S), positive direction first: friction is regressor times k.
+    """Return the basis functions of every joint (N, n, 2 P S), positive direction first; friction is regressor times k.
 
     Parameters
     ----------
     q, qd : (N, n) positions [rad] and velocities [rad/s].
-    basis : of the same n joints.
-    z : (N, n) presliding state; the sign of qd when left out.
+    basis : radial basis of the same n joints.
+    z : (N, n) presliding state; default: the sign of qd.
 
     Raises
     ------
-    ShapeError : shapes that do not fit, NaN.
+    ShapeError : inconsistent shapes, NaN.
     """
     q, qd = _record(q, qd)
     z = np.sign(qd) if z is None else np.asarray(z, dtype=float)
@@ -102,22 +104,22 @@ def _record(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     q, qd = numbers(q, "q", ShapeError), numbers(qd, "qd", ShapeError)
     if q.ndim != 2 or q.shape != qd.shape or not len(q) or not np.isfinite(q).all() or not np.isfinite(qd).all():
         raise ShapeError(
-            f"Expected finite q and qd of one shape (N, n), got {q.shape} and {qd.shape}. Drop NaN rows first."
+            f"Expected finite q and qd of equal shape (N, n), got {q.shape} and {qd.shape}. Drop NaN rows first."
         )
     return q, qd
 
 
-RIDGE = 1e-3  # of the friction map, relative to the mean diagonal
-SHORTEST = 0.5  # s, of a block
-MOST_OF = 20  # blocks at least
-ROWS = 20000  # that a joint is fitted to: more are decimated
+RIDGE = 1e-3  # ridge of the friction map, relative to the mean diagonal
+SHORTEST = 0.5  # s, shortest block
+MOST_OF = 20  # minimum number of blocks
+ROWS = 20000  # rows per joint: more are decimated
 SPEEDS = 8
-HIGHEST = 1.25  # times the ripple line of the model, which is at twice the gear ratio
+HIGHEST = 1.25  # times the ripple line of the model at twice the gear ratio
 
 
 @dataclass(frozen=True, eq=False)
 class _DrivePart:
-    """Coefficients (p,) of one joint, lines (L,), covariance of both, and coefficients (5, p) without each fifth."""
+    """Coefficients (p,) of one joint, lines (L,), their covariance, and coefficients (5, p) without each fifth."""
 
     name: str
     k: np.ndarray
@@ -137,64 +139,66 @@ class _DrivePart:
 
 @dataclass(frozen=True, eq=False)
 class _JointRows:
-    """Thinned rows of one joint, with the number of the half second and of the fifth that they are in."""
+    """Decimated rows of one joint, with the index of their half second and of their fifth."""
 
     q: np.ndarray
     qd: np.ndarray
     s: np.ndarray
     half: np.ndarray
     fifth: np.ndarray
-    rate: float  # of the log
+    rate: float  # sampling rate of the log
     step: float  # s, between decimated rows
 
     def of(self, use: np.ndarray) -> _JointRows:
-        """Return the rows that are used (M,)."""
+        """Return the selected rows (M,)."""
         parts = self.q[use], self.qd[use], self.s[use], self.half[use], self.fifth[use]
         return _JointRows(*parts, self.rate, self.step)
 
     def blocks(self, left: np.ndarray) -> np.ndarray:
-        """Return block numbers (M,): blocks last longer than the residuals (M,) remember, and there are 20 or more."""
+        """Return at least 20 block numbers (M,); blocks exceed the autocorrelation of the residuals (M,)."""
         count = int(np.ceil(block_seconds(left[:, None], self.step) / SHORTEST))
         return self.half // max(1, min(count, (int(self.half[-1]) + 1) // MOST_OF))
 
     def refit(
         self, A: np.ndarray, y: np.ndarray, ridge: float, slopes: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return coefficients and covariance, from blocks by the memory of what the coefficients leave, not of y."""
+        """Return coefficients and covariance; the blocks follow from the autocorrelation of the residuals, not of y."""
         return refit(A, y, self.blocks(y - A @ ridge_solution(A, y, ridge)[0]), ridge, slopes)
 
     def folds(self, A: np.ndarray, others: np.ndarray, ridge: float) -> np.ndarray:
-        """Return coefficients (5, p) without each fifth, from residuals `others` (5, M) of models without it."""
+        """Return coefficients (5, p) fitted without each fifth, from residuals `others` (5, M) of models without it."""
         used = [self.fifth != number for number in range(FIFTHS)]
         return np.array([ridge_solution(A[use], y[use], ridge)[0] for use, y in zip(used, others)])
 
 
-def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[TorqueModel]:
-    """Fit warm-up, torque ripple and friction over position to what a model leaves of a log, and keep what wins.
+def fit_friction(table: Table | Sequence[Table], model: TorqueModel | Fit[TorqueModel]) -> Fit[TorqueModel]:
+    """Fit warm-up, torque ripple and friction over position to the residual of a model, and keep the terms that improve
+    it.
 
     Parameters
     ----------
-    table : one log or several of free motion with columns q, qd, tau (N, n); 20 minutes in one for warm-up. Joints that
-        rest, as in `friction_run`, keep what the model has.
-    model : identified torque model of the arm that was logged.
+    table : one log or several of free motion with columns q, qd, tau (N, n); warm-up needs one of 20 minutes. Joints at
+        rest, as in `friction_run`, keep their present terms.
+    model : identified torque model of the recorded arm, or its fit.
 
     Returns
     -------
-    Fit of `models.TorqueModel`: the model with the parts that won, the same model when none did. Its torque covariance
-    and quality are its own: parts fitted without a fifth of the log are judged on it, and what the model given lost on
-    held-out rows is added where it was identified from the same log. Parameters are the coefficients of the parts, in
-    N m, and the lines, with a covariance from the scatter of whole blocks and the pull of the ridge; parameters of
-    warm-up stay with `fit_warm_up`.
+    Fit of `models.TorqueModel`: the model with improving terms, or the same model. It has its own torque covariance and
+    quality: terms fitted without a fifth of the log are validated on that fifth, and the given model's own loss on
+    held-out rows is added if it was identified from the same log. Parameters are the coefficients of the terms, in N m,
+    and the lines, with a covariance from the scatter of blocks and the bias of the ridge; the parameters of warm-up are
+    in `fit_warm_up`.
 
     Raises
     ------
     ShapeError : NaN rows, wrong joint count, velocity that is not the derivative of position.
-    NotExcited : too short, all joints at rest, or one that moves but hardly slides past its presliding.
+    NotExcited : too short, all joints at rest, or one that hardly slides beyond its presliding distance.
 
     References
     ----------
     Bagge Carlson, Robertsson and Johansson (IROS 2015; ACC 2017, LPV spectral estimation).
     """
+    model = value_of(model)
     found = model_residuals(table, model)
     data = found.data
     if len(data.segments) == 1 and data.seconds >= MIN_SECONDS:
@@ -240,7 +244,7 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
 
 
 def _highest(model: TorqueModel, qd: np.ndarray, rate: float) -> np.ndarray:
-    """Return up to which line (n,) each joint is searched; warn where the sampling hides what is beyond."""
+    """Return the highest line (n,) to search for each joint; warn of aliasing above it."""
     wanted = HIGHEST * model.ripple.cycles
     seen = np.array([highest_seen(column, rate) for column in qd.T])
     hidden = np.flatnonzero(seen < wanted)
@@ -257,10 +261,10 @@ def _ripple(
     peak: float,
     name: str,
 ) -> tuple[_DrivePart, tuple[np.ndarray, np.ndarray]] | None:
-    """Return the lines of one joint that stay with their coefficients, and the Gaussians in speed of these.
+    """Return the selected lines of one joint with their coefficients and their Gaussians in speed.
 
-    They are found and chosen in `clean`, which friction over position has left, and fitted to the rows on which all of
-    them are slow; so far the Gaussians reach.
+    Lines are selected in `clean`, the residual of friction over position, and fitted to the rows in which all of them
+    are slow; this limits the range of the Gaussians.
     """
     cycles = ripple_lines(rows.q, rows.qd, clean, rows.rate, ends[1], max(ends[0], 1.0))
     if not len(cycles):
@@ -291,7 +295,7 @@ def _lines(
 
 
 def _map(basis: RadialBasis, maps: dict[int, np.ndarray], model: TorqueModel, rest: np.ndarray) -> FrictionMap:
-    """Return the map of some joints; those at rest (n,) keep that of the model."""
+    """Return the friction map of some joints; joints at rest (n,) keep the map of the model."""
     before = model.friction_map
     kept = rest if before is not None and before.basis.size == basis.size else np.zeros_like(rest)
     if before is not None and kept.any():

@@ -1,8 +1,8 @@
-"""Group lasso by an accelerated proximal gradient method with restart, stopped by its duality gap.
+"""Group lasso, solved by an accelerated proximal gradient method with restart until the duality gap is small.
 
     min_x  1/2 |y - A x|^2 + penalty sqrt(size) sum_g |x_g|
 
-over groups of `size` neighbouring columns: whole groups are zero or not.
+over groups of `size` neighbouring columns. The coefficients of a group are either all zero or all free.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ import numpy as np
 from armlab.errors import NotConverged
 from armlab.estimation.robust import shrinkage
 
-# Ridge regression on coloured residuals: coefficients, a covariance that takes no model of the noise, held-out errors.
+# Ridge regression on coloured residuals: coefficients, a covariance without a noise model, held-out errors.
 #
 #     x = H^-1 A^T y,    H = A^T A + r 1,    cov = H^-1 (S + r^2 v 1) H^-1
 #
-# with S the scatter of the moments of whole stretches of time.
+# with S the scatter of the moments of segments.
 
 
 RIDGE = 1e-6  # relative
 FOLDS = 5
 MOST_STRETCHES = 200  # for a covariance
-FULL = 1e-6  # least share of a direction that other stretches tell
+FULL = 1e-6  # smallest share of a direction determined by other segments
 
 
 def ridge_solution(A: np.ndarray, y: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, np.ndarray]:
-    """Return ridge coefficients (p,) and the matrix (p, p) of their equations, see `refit`."""
+    """Return ridge coefficients (p,) and their normal matrix (p, p); see `refit`."""
     H = A.T @ A
     H[np.diag_indices_from(H)] += ridge * np.trace(H) / max(len(H), 1)
     return np.linalg.solve(H, A.T @ y), H
@@ -38,12 +38,12 @@ def ridge_solution(A: np.ndarray, y: np.ndarray, ridge: float = RIDGE) -> tuple[
 def refit(
     A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE, beside: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ridge coefficients (p,) and their covariance (p, p) from the scatter of whole blocks.
+    """Return ridge coefficients (p,) and their covariance (p, p) from the scatter of blocks.
 
     ``H = A^T A + r 1, r = ridge mean(diag)``, ``cov = H^-1 (S + r^2 v 1) H^-1`` with S the scatter ``sum_b g_b g_b^T``
-    of the moments g_b of the residuals in a block: residuals that remember make it larger than the formal one. Where
-    blocks are few for the coefficients S is shrunk towards a multiple of H (`shrinkage`): it would have no spread in
-    most directions. v is the mean square of the coefficients: the ridge pulls weak ones that far.
+    of the moments g_b of the residuals per block. It exceeds the formal covariance if the residuals are correlated.
+    With few blocks S is shrunk towards a multiple of H (`shrinkage`), because it would be rank-deficient. v is the mean
+    square of the coefficients and represents the bias of the ridge for weakly determined coefficients.
     """
     x, H = ridge_solution(A, y, ridge)
     pull = ridge * np.trace(H) / max(len(H), 1) / (1.0 + ridge)
@@ -56,10 +56,11 @@ def refit(
 
 
 def _moments(A: np.ndarray, left: np.ndarray, H: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Return the moments (B, p) of stretches, each as large as that of the noise.
+    """Return the moments (B, p) of segments, which have the variance of the noise.
 
-    A stretch that identifies a coefficient nearly alone leaves none of its own noise: with M its share of H, the moment
-    is ``(1 - M)^(-1/2)`` times that of the residuals, in coordinates in which H is 1 (Bell and McCaffrey 2002).
+    If a single segment determines a coefficient, the residual contains none of the noise of that segment. With the
+    segment's share M of H, the moment is therefore ``(1 - M)^(-1/2)`` times that of the residuals, in coordinates with
+    H = 1 (Bell and McCaffrey 2002).
     """
     number = np.asarray(block) // (1 + int(np.max(block)) // MOST_STRETCHES)
     root = np.linalg.cholesky(H)
@@ -73,12 +74,13 @@ def _moments(A: np.ndarray, left: np.ndarray, H: np.ndarray, block: np.ndarray) 
 
 
 def scattered(H: np.ndarray, moments: np.ndarray) -> np.ndarray:
-    """Return ``H^-1 S H^-1`` (p, p), S the scatter of the moments, shrunk towards a multiple of H where they are few.
+    """Return ``H^-1 S H^-1`` (p, p) with S the scatter of the moments, shrunk towards a multiple of H for few moments.
 
-    `H`: (p, p) of the normal equations. `moments`: (B, p) gradients of independent stretches, of sum 0 or nearly so.
-    After Huber (1967), The behavior of maximum likelihood estimates under nonstandard conditions, for the sandwich.
+    `H`: (p, p) normal matrix. `moments`: (B, p) gradients of independent segments, which sum to about 0.
+    After Huber (1967), The behavior of maximum likelihood estimates under nonstandard conditions, for the sandwich
+    covariance.
     """
-    scale = np.sqrt(np.diag(H))  # parameters of many units
+    scale = np.sqrt(np.diag(H))  # parameters have different units
     root = np.linalg.cholesky(H / np.outer(scale, scale))
     scores = np.linalg.solve(root, (moments / scale).T).T
     chance, S = shrinkage(scores), scores.T @ scores
@@ -88,7 +90,7 @@ def scattered(H: np.ndarray, moments: np.ndarray) -> np.ndarray:
 
 
 def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE) -> float:
-    """Return the mean square of y - A x on blocks that x was not fitted to."""
+    """Return the mean square of y - A x on held-out blocks."""
     total, fold = 0.0, np.asarray(block) % FOLDS
     for k in range(FOLDS):
         out = fold == k
@@ -100,14 +102,14 @@ def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float
 GAP = 1e-6  # relative
 ROUNDS = 20000
 PATH = 20  # penalties
-SHORTEST = 1e-3  # of the largest penalty
+SHORTEST = 1e-3  # smallest penalty over the largest
 
 
 @dataclass(frozen=True, eq=False)
 class GroupLasso:
-    """A solution.
+    """Solution of a group lasso.
 
-    `x`: (p,) coefficients. `gap`: objective minus a lower bound of the least, relative to it.
+    `x`: (p,) coefficients. `gap`: relative duality gap.
     """
 
     x: np.ndarray
@@ -118,7 +120,7 @@ class GroupLasso:
 
 @dataclass(frozen=True, eq=False)
 class LassoSums:
-    """A^T A, A^T y and y^T y: all that the problem needs."""
+    """Sums A^T A, A^T y and y^T y, which define the problem."""
 
     gram: np.ndarray
     moment: np.ndarray
@@ -130,7 +132,7 @@ class LassoSums:
 
     @cached_property
     def steepness(self) -> float:
-        """Largest eigenvalue of A^T A: no gradient changes faster."""
+        """Largest eigenvalue of A^T A, the Lipschitz constant of the gradient."""
         return float(np.linalg.eigvalsh(self.gram)[-1]) if len(self.gram) else 0.0
 
     def minus(self, other: LassoSums) -> LassoSums:
@@ -146,7 +148,7 @@ def _norms(x: np.ndarray, size: int) -> np.ndarray:
 
 
 def group_lasso(sums: LassoSums, size: int, penalty: float, x: np.ndarray) -> GroupLasso:
-    """Solve from a first guess x (p,), by FISTA with adaptive restart, for columns in groups of `size`.
+    """Solve from an initial guess x (p,), by FISTA with adaptive restart, for columns in groups of `size`.
 
     After Yuan and Lin (2006); Beck and Teboulle (2009); O'Donoghue and Candes (2015), Adaptive restart.
     """
@@ -173,7 +175,7 @@ def group_lasso(sums: LassoSums, size: int, penalty: float, x: np.ndarray) -> Gr
 
 
 def _gap(sums: LassoSums, size: int, threshold: float, x: np.ndarray) -> tuple[float, float]:
-    """Return the objective and its relative distance from the dual one of the scaled residual."""
+    """Return the objective and its relative duality gap; the dual variable is the scaled residual."""
     error = sums.error(x)
     objective = 0.5 * error + threshold * float(_norms(x, size).sum())
     steepest = float(_norms(sums.moment - sums.gram @ x, size).max())
@@ -183,9 +185,9 @@ def _gap(sums: LassoSums, size: int, threshold: float, x: np.ndarray) -> tuple[f
 
 
 def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray) -> np.ndarray:
-    """Return which groups (G,) a group lasso keeps.
+    """Return which groups (G,) a group lasso selects.
 
-    The penalty is the largest of 20 whose held-out error is within one standard deviation of the least.
+    The penalty is the largest of 20 whose held-out error is within one standard deviation of the smallest.
     """
     fold = block % FOLDS
     parts = [LassoSums.of(A[fold == k], y[fold == k]) for k in range(FOLDS)]

@@ -1,8 +1,8 @@
-"""Search and fit of torque ripple lines on the residuals of one joint (models.friction.RippleLines has the law).
+"""Search and fit of torque ripple lines in the residuals of one joint (law: models.friction.RippleLines).
 
-Peaks of a least-squares periodogram over position, a group lasso over the lines found, and of these the lines
-without which the error on held-out blocks grows by more than 2 %. A line passes with the frequency c |qd| / (2 pi):
-only samples below a quarter of the sampling rate are used. Theory: docs/theory/friction.md.
+Candidates are the peaks of a least-squares periodogram over position. A group lasso selects among them; finally, a line
+is kept if the held-out error grows by more than 2 % without it. A line has the frequency c |qd| / (2 pi); only samples
+with frequencies below a quarter of the sampling rate are used. Theory: docs/theory/friction.md.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from armlab.identify.record import SLOW_SHARE, slow_enough
 from armlab.kernels import basis_weights
 
 P_VALUE = 1e-3
-NEIGHBOURS = 50  # grid points on either side that make the local median
+NEIGHBOURS = 50  # grid points on either side for the local median
 MAX_LINES = 10
-NEWTON = 3  # steps of Gauss and Newton from a line found to one that leaves least
-GAIN = 0.02  # share of the held-out variance that a part must remove
-CHUNK = 2**22  # numbers held at once
+NEWTON = 3  # Gauss-Newton steps to refine a line
+GAIN = 0.02  # minimum reduction of the held-out variance
+CHUNK = 2**22  # numbers in memory at once
 
 
 @dataclass(frozen=True, eq=False)
 class _LineSearch:
-    """Rows of one joint that may be used for a line: those on which it passes slowly enough."""
+    """Rows of one joint that are slow enough for a line."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -43,28 +43,28 @@ class _LineSearch:
 def ripple_lines(
     q: np.ndarray, qd: np.ndarray, y: np.ndarray, rate: float, highest: float, lowest: float = 1.0
 ) -> np.ndarray:
-    """Return the lines (L,) [cycles per revolution] in the residual of one joint, ascending.
+    """Return the ripple lines (L,) [cycles per revolution] in the residual of one joint, ascending.
 
-    A warning says from where on lines pass too fast for the sampling in more than half of the samples.
+    Warns about lines that alias in more than half of the samples.
 
     Parameters
     ----------
     q, qd, y : (N,) position [rad], velocity [rad/s], residual torque [N m].
-    rate : of sampling [Hz].
-    highest : largest c that is searched, 2.5 times the gear ratio.
-    lowest : smallest.
+    rate : sampling rate [Hz].
+    highest : largest c of the search, 2.5 times the gear ratio.
+    lowest : smallest c of the search.
 
     Raises
     ------
-    ShapeError : shapes, NaN, a rate that is not above 0.
+    ShapeError : inconsistent shapes, NaN, a rate that is not above 0.
     """
     q, qd, y = (numbers(x, "q, qd and y", ShapeError) for x in (q, qd, y))
     if q.ndim != 1 or q.shape != qd.shape or q.shape != y.shape or not np.isfinite([q, qd, y]).all():
-        raise ShapeError(f"Expected finite q, qd and y of one shape (N,), got {q.shape}, {qd.shape} and {y.shape}.")
+        raise ShapeError(f"Expected finite q, qd and y of equal shape (N,), got {q.shape}, {qd.shape} and {y.shape}.")
     if not 0 < rate < np.inf or not np.isfinite([highest, lowest]).all():
         raise ShapeError(
-            f"Expected a rate above 0 Hz and finite ends of the search, got {rate:g} Hz and {lowest:g} to {highest:g} "
-            "cycles. Give the sampling rate and 2.5 times the gear ratio."
+            f"Expected a rate above 0 Hz and finite search limits, got {rate:g} Hz and {lowest:g} to {highest:g} "
+            "cycles. Pass the sampling rate and 2.5 times the gear ratio."
         )
     turns = np.ptp(q) / (2 * np.pi) if len(q) else 0.0
     if not highest > lowest or turns * (highest - lowest) < 4.0:
@@ -73,16 +73,12 @@ def ripple_lines(
     if seen < highest:
         warn_of_fast_lines({"this joint": seen}, rate)
     search = _LineSearch(q, qd, y - np.mean(y), rate)
-    grid = np.arange(lowest, highest, 0.25 / turns)
-    grid = grid[[np.mean(search.slow(c)) >= 0.5 for c in grid]]
+    grid = _grid(search, turns, highest, lowest)
     found: list[float] = []
     while len(found) < MAX_LINES and len(grid):
         rest = _LineSearch(q, qd, _left(search, found), rate)
-        power = _periodogram(rest, grid)
-        floor = np.array([np.median(power[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1]) for k in range(len(grid))])
-        ratio = power / np.maximum(floor, 1e-300)
-        k = int(np.argmax(ratio))
-        if len(grid) * 2.0 ** -ratio[k] > P_VALUE:  # powers of noise are exponential: the median is at one half
+        k = _peak(rest, grid)
+        if k is None:
             break
         line = _refined(rest, grid[k], 0.25 / turns)
         if any(abs(line - c) < 0.5 / turns for c in found):
@@ -92,24 +88,55 @@ def ripple_lines(
     return np.sort(found)
 
 
+def strongest_line(
+    q: np.ndarray, qd: np.ndarray, y: np.ndarray, rate: float, lowest: float, highest: float
+) -> tuple[float, float]:
+    """Return the line that explains most of a residual, and its share of the residual power (0, 0 if none)."""
+    turns, search = np.ptp(q) / (2 * np.pi), _LineSearch(q, qd, y - np.mean(y), rate)
+    if turns * (highest - lowest) < 4.0:
+        return 0.0, 0.0
+    grid = _grid(search, turns, highest, lowest)
+    if not len(grid):
+        return 0.0, 0.0
+    line = _refined(search, float(grid[np.argmax(_periodogram(search, grid))]), 0.25 / turns)
+    slow = search.slow(line)
+    left = _left(_LineSearch(q[slow], qd[slow], search.y[slow], rate), [line])
+    return line, 1.0 - float(np.var(left) / np.var(search.y[slow]))
+
+
+def _grid(search: _LineSearch, turns: float, highest: float, lowest: float) -> np.ndarray:
+    grid = np.arange(lowest, highest, 0.25 / turns)
+    return grid[[np.mean(search.slow(c)) >= 0.5 for c in grid]]
+
+
+def _peak(search: _LineSearch, grid: np.ndarray) -> int | None:
+    """Return the grid index of the most prominent line, or None if it may be noise."""
+    power = _periodogram(search, grid)
+    floor = np.array([np.median(power[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1]) for k in range(len(grid))])
+    ratio = power / np.maximum(floor, 1e-300)
+    k = int(np.argmax(ratio))
+    # the power of noise is exponentially distributed: the median is at one half
+    return None if len(grid) * 2.0 ** -ratio[k] > P_VALUE else k
+
+
 def highest_seen(qd: np.ndarray, rate: float) -> float:
-    """Return the largest c [cycles per revolution] that passes below a quarter of the rate in half of the samples."""
+    """Return the largest c [cycles per revolution] below a quarter of the rate in half of the samples."""
     return float(2 * np.pi * SLOW_SHARE * rate / max(np.median(np.abs(qd)), 1e-12))
 
 
 def warn_of_fast_lines(seen: dict[str, float], rate: float) -> None:
-    """Warn that lines of torque ripple fold back and are not looked for."""
+    """Warn that ripple lines alias and are not searched for."""
     listed = ", ".join(f"{name} (above {c:.0f} cycles/rev)" for name, c in seen.items())
     warnings.warn(
         f"Expected torque ripple below {SLOW_SHARE * rate:.3g} Hz, a quarter of the sampling rate, in half of the "
-        f"samples at least, got faster ripple for {listed}: it folds back, and lines beyond are not looked for. Log "
-        "slower motion, as of identify.friction_run, or sample faster.",
+        f"samples at least, got faster ripple for {listed}: it aliases and is not searched for. Log slower motion, "
+        "such as identify.friction_run, or sample faster.",
         stacklevel=3,
     )
 
 
 def _left(search: _LineSearch, lines: list[float]) -> np.ndarray:
-    """Return the residual without lines whose amplitude and phase are constant in either direction."""
+    """Return the residual without lines that have constant amplitude and phase per direction."""
     if not lines:
         return search.y
     angle = np.outer(search.q, lines)
@@ -119,7 +146,7 @@ def _left(search: _LineSearch, lines: list[float]) -> np.ndarray:
 
 
 def _periodogram(search: _LineSearch, grid: np.ndarray) -> np.ndarray:
-    """Return the sum of squares per sample (len(grid),) that each line explains."""
+    """Return the explained sum of squares per sample (len(grid),) of each line."""
     power = np.empty(len(grid))
     step = max(1, CHUNK // len(search.q))
     for a in range(0, len(grid), step):
@@ -135,7 +162,7 @@ def _periodogram(search: _LineSearch, grid: np.ndarray) -> np.ndarray:
 
 
 def _refined(search: _LineSearch, c: float, width: float) -> float:
-    """Return the line near c that leaves least: phases of the two directions may differ."""
+    """Return the line near c with the smallest residual; phases of the two directions may differ."""
     from scipy.optimize import minimize_scalar
 
     slow = search.slow(c)
@@ -152,12 +179,12 @@ def _refined(search: _LineSearch, c: float, width: float) -> float:
 def ripple_regressor(
     q: np.ndarray, qd: np.ndarray, z: np.ndarray, cycles: np.ndarray, speeds: np.ndarray, widths: np.ndarray
 ) -> np.ndarray:
-    """Return the columns (N, L 2 S 2) of lines with amplitudes for both directions."""
+    """Return the columns (N, L 2 S 2) of lines with separate amplitudes per direction."""
     return _waves(q, ripple_amplitudes(qd, z, speeds, widths), cycles)[0]
 
 
 def ripple_amplitudes(qd: np.ndarray, z: np.ndarray, speeds: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Return the weights (N, 2 S) of both directions and of the Gaussians in speed."""
+    """Return the weights (N, 2 S) of both directions and the Gaussians in speed."""
     along = basis_weights(np.abs(qd), speeds, widths)
     sides = np.stack([0.5 * (1 + z), 0.5 * (1 - z)], axis=1)
     return (sides[:, :, None] * along[:, None, :]).reshape(len(along), -1)
@@ -166,10 +193,11 @@ def ripple_amplitudes(qd: np.ndarray, z: np.ndarray, speeds: np.ndarray, widths:
 def refine_lines(
     q: np.ndarray, amplitudes: np.ndarray, y: np.ndarray, cycles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return lines (L,) that leave least, their columns (N, p), and the slopes (N, L) of their sum over the lines.
+    """Return refined lines (L,), their columns (N, p), and the derivatives (N, L) of their sum with respect to the
+    lines.
 
-    The search finds a line with one amplitude in each direction; here it has all of them. Its error turns the phase at
-    the ends of the range: coefficients would seem too sure in a covariance without the slopes.
+    The search uses one amplitude per direction; the refinement uses all amplitudes. An error in a line changes the
+    phase at the ends of the range; without the derivatives, the covariance of the coefficients would be too small.
     """
     for _ in range(NEWTON):
         A, slopes, left = _bent(q, amplitudes, y, cycles)
@@ -182,7 +210,7 @@ def refine_lines(
 def _bent(
     q: np.ndarray, amplitudes: np.ndarray, y: np.ndarray, cycles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the columns of lines, the derivatives (N, L) of their best sum over the lines, and what it leaves."""
+    """Return the columns of lines, the derivatives (N, L) of their best sum by the lines, and the residual."""
     A, slopes = _waves(q, amplitudes, cycles)
     x = ridge_solution(A, y, RIDGE)[0]
     shape = len(cycles), -1
@@ -190,7 +218,7 @@ def _bent(
 
 
 def _waves(q: np.ndarray, amplitudes: np.ndarray, cycles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the columns (N, L 2 S 2) of lines and their derivatives over the lines."""
+    """Return the columns (N, L 2 S 2) of lines and their derivatives with respect to the lines."""
     angle = np.outer(q, cycles)
     wave = np.stack([np.cos(angle), np.sin(angle)], axis=2)
     turned = q[:, None, None] * np.stack([-np.sin(angle), np.cos(angle)], axis=2)
@@ -199,7 +227,7 @@ def _waves(q: np.ndarray, amplitudes: np.ndarray, cycles: np.ndarray) -> tuple[n
 
 
 def select_lines(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray) -> np.ndarray:
-    """Return which groups of columns (G,) stay: chosen by the group lasso, and worth 2 % of the held-out error each."""
+    """Return the column groups (G,) selected by the group lasso that are each worth 2 % of the held-out error."""
     scale = mad(y) or 1.0
     kept = select_groups(A / np.sqrt(np.mean(A**2)), y / scale, size, block)
     while kept.any():

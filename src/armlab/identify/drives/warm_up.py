@@ -1,10 +1,10 @@
-"""Friction that changes as drives warm up, from a long log without a temperature sensor (law: `WarmUp`).
+"""Warm-up of drive friction from a long log, without a temperature sensor (law: `WarmUp`).
 
     y = viscous qd + (of_viscous viscous) x qd + coulomb+ max(s, 0) + coulomb- min(s, 0) + offset + of_coulomb x c
 
-with c the Coulomb torque of the model. For a given time constant and thermal state at the start, x follows from the
-power of friction and all else is linear; power and x are settled by three rounds. x is constant over a second, so that
-sums over seconds are all that is kept of a log.
+with c the Coulomb torque of the model. For a given time constant and initial thermal state, x follows from the friction
+power and everything else is linear; power and x converge in three iterations. x is constant within a second, so only
+sums per second are stored for a log.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from armlab.errors import NotExcited
 from armlab.estimation import Excitation, Fit
+from armlab.estimation.fit import value_of
 from armlab.estimation.robust import block_seconds
 from armlab.identify.drives.regularised import scattered
 from armlab.identify.record import resting
@@ -38,19 +39,19 @@ MIN_SECONDS = 20 * 60.0
 TIMES = 60.0 * np.geomspace(2.0, 60.0, 12)  # s
 ROUNDS = 3
 HOTTEST = 3.0
-FEWEST = 40  # stretches for a covariance of eight parameters
-COLUMN = np.array([0, 1, 2, 3, 0, 4, 5])  # of the sums, for each linear parameter and y
-DEGREE = np.array([0, 0, 0, 0, 1, 1, 0])  # in x
-STEPS = 20  # of Gauss and Newton at most
-SMALL = 1e-6  # of a deviation
-GAIN = 0.02  # share of the variance that warm-up must explain
+FEWEST = 40  # segments for a covariance of eight parameters
+COLUMN = np.array([0, 1, 2, 3, 0, 4, 5])  # column of the sums for each linear parameter and y
+DEGREE = np.array([0, 0, 0, 0, 1, 1, 0])  # degree in x
+STEPS = 20  # maximum number of Gauss-Newton steps
+SMALL = 1e-6  # convergence limit in deviations
+GAIN = 0.02  # minimum share of the variance explained by warm-up
 NAMES = ("viscous", "coulomb+", "coulomb-", "offset", "of_viscous", "of_coulomb", "time", "start")
 UNITS = ("N m s/rad", "N m", "N m", "N m", "1", "1", "s", "1")
 
 
 @dataclass(frozen=True, eq=False)
 class _Seconds:
-    """Sums over the seconds of one joint: Gram matrix of the columns and y, power of the columns, number of rows."""
+    """Sums per second for one joint: Gram matrix of the columns and y, power of the columns, number of rows."""
 
     gram: np.ndarray  # (B, 6, 6) of qd, max(s, 0), min(s, 0), 1, c, y
     power: np.ndarray  # (B, 3) mean of qd qd, c qd, rest qd
@@ -71,7 +72,7 @@ class _Seconds:
 
 @dataclass(frozen=True, eq=False)
 class _Warm:
-    """What warms up: parameters (8,), their covariance, reference power, and parameters (5, 8) without each fifth."""
+    """Joint with warm-up: parameters (8,), covariance, reference power, and leave-one-fold-out parameters (5, 8)."""
 
     theta: np.ndarray
     cov: np.ndarray
@@ -80,7 +81,7 @@ class _Warm:
 
 
 def _linear(sums: _Seconds, x: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return viscous, coulomb+, coulomb-, offset, of_viscous viscous, of_coulomb, and the sum of squares left."""
+    """Return viscous, coulomb+, coulomb-, offset, of_viscous viscous, of_coulomb, and the residual sum of squares."""
     moments = (np.stack([used, used * x, used * x * x]) @ sums.gram.reshape(len(x), -1)).reshape(3, 6, 6)
     total = moments[DEGREE[:, None] + DEGREE, COLUMN[:, None], COLUMN]
     scale = np.sqrt(np.diag(total)[:6])
@@ -90,7 +91,7 @@ def _linear(sums: _Seconds, x: np.ndarray, used: np.ndarray) -> tuple[np.ndarray
 
 
 def _given(sums: _Seconds, time: float, start: float, used: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Return linear parameters, squares left and reference power for a time constant and thermal state at the start."""
+    """Return linear parameters, residual sum of squares and reference power for a time constant and start state."""
     power, x = sums.power.sum(axis=1), np.zeros(len(sums.rows))
     reference = float(np.median(power[sums.rows > 0]))
     k, left = np.zeros(6), np.inf
@@ -102,10 +103,7 @@ def _given(sums: _Seconds, time: float, start: float, used: np.ndarray) -> tuple
 
 
 def _joint(sums: _Seconds, used: np.ndarray, guess: np.ndarray | None = None) -> tuple[np.ndarray, float, float]:
-    """Return the eight parameters, squares left and reference power, from the seconds that are used (B,).
-
-    The time constant and the thermal state at the start begin at those of a guess, or at the best of a grid.
-    """
+    """Return eight parameters, the residual sum of squares and the reference power from the used seconds (B,)."""
     from scipy.optimize import minimize
 
     grid = [(T, x0) for T in TIMES for x0 in (0.0, 1.0)] if guess is None else [(guess[6], guess[7])]
@@ -124,36 +122,40 @@ def _joint(sums: _Seconds, used: np.ndarray, guess: np.ndarray | None = None) ->
     return np.array([*k[:4], of_viscous, k[5], T, x0]), left, reference
 
 
-def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel) -> Fit[TorqueModel]:
-    """Fit warm-up and, with it, viscous and Coulomb friction and offset of every joint, and keep it where it wins.
+def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel | Fit[TorqueModel]) -> Fit[TorqueModel]:
+    """Fit warm-up together with the viscous and Coulomb friction and offset of every joint, and keep it if it improves
+    the fit.
 
-    A joint keeps its friction unless warm-up leaves at least 2 % less on held-out minutes than friction without it.
+    Warm-up must reduce the residual on held-out minutes by at least 2 %; otherwise the friction of the joint is
+    unchanged.
 
     Parameters
     ----------
     table : a log of free motion of at least 20 minutes, q, qd, tau.
-    model : identified torque model of that arm.
+    model : identified torque model of that arm, or its fit.
 
     Returns
     -------
-    Fit of `models.TorqueModel` with torque covariance and quality of its own, see `fit_friction`; eight parameters of
-    every joint that warms up, with a covariance from the scatter of stretches of the log that are longer than its
-    residual remembers.
+    Fit of `models.TorqueModel` with its own torque covariance and quality, see `fit_friction`. It has eight parameters
+    per joint with warm-up; their covariance comes from the scatter of segments longer than the residual
+    autocorrelation.
 
     Raises
     ------
-    NotExcited : a shorter log. ShapeError : NaN, wrong joint count, velocity that is not the derivative of position.
+    NotExcited : a shorter log.
+    ShapeError : NaN, wrong joint count, velocity that is not the derivative of position.
 
     References
     ----------
     Bagge Carlson, Robertsson and Johansson, IROS 2015.
     """
+    model = value_of(model)
     found = model_residuals(table, model)
     data = found.data
     if data.seconds < MIN_SECONDS or np.any(np.diff(data.t) <= 0):
         raise NotExcited(
             f"Expected one log of at least {MIN_SECONDS / 60:g} min for warm-up, got {data.seconds / 60:.1f} min in "
-            f"{len(data.segments)} pieces. Record a longer run that begins cold.",
+            f"{len(data.segments)} segments. Record a longer run from a cold start.",
             ["warm-up"],
             [f"{data.seconds / 60:.1f} min"],
         )
@@ -194,7 +196,7 @@ def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torqu
 
 
 def _held_out(sums: _Seconds, guess: np.ndarray, reference: float, fifth: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the share of the squares on held-out seconds that warm-up removes, and parameters without each fifth."""
+    """Return the relative reduction of the held-out squared error by warm-up, and the leave-one-fold-out parameters."""
     plain, warm, thetas = 0.0, 0.0, []
     zero = np.zeros(len(sums.rows))
     for k in range(FIFTHS):
@@ -206,13 +208,13 @@ def _held_out(sums: _Seconds, guess: np.ndarray, reference: float, fifth: np.nda
 
 
 def _warm(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return viscous ... of_coulomb (6,) and the thermal state x (B,) that settles with its own friction."""
+    """Return viscous ... of_coulomb (6,) and the thermal state x (B,) for its own friction power."""
     k = np.array([*theta[:4], theta[4] * theta[0], theta[5]])
     return k, settled(sums.power, k, theta[6], theta[7], reference)
 
 
 def _along(k: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return v (B, 6): the residuals of a second are its columns times v."""
+    """Return v (B, 6); the residuals of a second are its columns times v."""
     constant = np.broadcast_to(k[1:4, None], (3, len(x)))
     return np.stack([k[0] + k[4] * x, *constant, k[5] * x, np.full(len(x), -1.0)], axis=1)
 
@@ -222,13 +224,13 @@ def _left(sums: _Seconds, theta: np.ndarray, reference: float, used: np.ndarray)
 
 
 def _squares(sums: _Seconds, k: np.ndarray, x: np.ndarray, used: np.ndarray) -> float:
-    """Return the sum of squares of the residuals in the seconds that are used."""
+    """Return the residual sum of squares over the used seconds."""
     v = _along(k, x)
     return float(np.einsum("b,bi,bij,bj->", used, v, sums.gram, v))
 
 
 def _slopes(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return v (B, 6) and its derivatives (B, 6, 8) over the parameters, by differences."""
+    """Return v (B, 6) and its derivatives (B, 6, 8) with respect to the parameters, by finite differences."""
 
     def at(values: np.ndarray) -> np.ndarray:
         return _along(*_warm(sums, values, reference))
@@ -239,11 +241,7 @@ def _slopes(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.nda
 
 
 def _polished(sums: _Seconds, theta: np.ndarray, reference: float) -> np.ndarray:
-    """Return the parameters that leave least, by Gauss-Newton steps: the thermal state depends on each of them.
-
-    Without this step viscous and Coulomb friction would be fitted to the thermal state of the previous round, and their
-    least-squares covariance would be invalid.
-    """
+    """Return the least-squares parameters from Gauss-Newton steps that include the dependence of the thermal state."""
     every = np.ones(len(sums.rows))
     least = _left(sums, theta, reference, every)
     for _ in range(STEPS):
@@ -264,7 +262,7 @@ def _polished(sums: _Seconds, theta: np.ndarray, reference: float) -> np.ndarray
 
 
 def _covariance(sums: _Seconds, theta: np.ndarray, reference: float) -> np.ndarray:
-    """Return the covariance (8, 8) from the scatter of stretches that are longer than the residual remembers."""
+    """Return the covariance (8, 8) from the scatter of segments longer than the residual autocorrelation."""
     v, J = _slopes(sums, theta, reference)
     means = np.einsum("bi,bi->b", v, sums.gram[:, 3]) / np.maximum(sums.rows, 1.0)
     length = max(1, round(min(block_seconds(means[:, None], BIN), BIN * len(means) / FEWEST) / BIN))
@@ -279,13 +277,13 @@ def _with_warm_up(model: TorqueModel, kept: dict[int, tuple[np.ndarray, float]])
     f, zero = model.friction, np.zeros(model.n)
     friction = {name: getattr(f, name).copy() for name in ("viscous", "coulomb_pos", "coulomb_neg", "offset")}
     warm = {name: zero.copy() for name in ("of_coulomb", "of_viscous", "time", "power", "start")}
-    warm["power"] += 1.0  # of drives that do not warm up
+    warm["power"] += 1.0  # for drives without warm-up
     for i, (theta, reference) in kept.items():
         viscous, positive, negative, offset, of_viscous, of_coulomb, time, start = theta
         for name, value in zip(friction, (viscous, positive, negative, offset)):
             friction[name][i] = value
         mean, before = 0.5 * (positive + negative), 0.5 * (f.coulomb_pos[i] + f.coulomb_neg[i])
-        relative = of_coulomb * before / mean if mean else 0.0  # of the Coulomb friction as it is now
+        relative = of_coulomb * before / mean if mean else 0.0  # relative to the present Coulomb friction
         for name, value in zip(warm, (relative, of_viscous, time, reference, start)):
             warm[name][i] = value
     return replace(model, friction=replace(f, **friction), warm_up=WarmUp(**warm))

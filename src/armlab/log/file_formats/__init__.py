@@ -1,3 +1,3 @@
-"""One module per file format: reading it into a `Table` and writing it."""
+"""One module per file format, which reads it as a `Table` and writes it."""
 
 __all__ = []

@@ -1,12 +1,12 @@
 """Logs of ABB controllers: test signals in text files (`read_abb`), and motor signals of orca or ExtCtrl (`from_orca`).
 
 The numbers of `read_abb` are those of RAPID's ``TestSignDefine channel, signal, unit, axis, time``. Position 4000,
-speed 4001, torque 4002 and external torque 4003 are of the arm's side of an axis (ABB's manual, as quoted in
+speed 4001, torque 4002 and external torque 4003 are on the arm side of an axis (ABB's manual, as quoted in
 ros-industrial/abb_libegm, issue 86); other signals keep their number. docs/how_to/exchange_logs.md shows a map.
 
 Logs of orca and ExtCtrl have one column per motor signal, ``irb2ext.robot[0].joint[2].posRawAbs``: motor angles in
-ABB's order of axes. `read_csv` reads them as lc2csv writes them, `read_labcomm` the stream itself; old names with ``_``
-for ``. [ ]`` are the same.
+ABB's axis order. `read_csv` reads the output of lc2csv, `read_labcomm` the stream itself; old names with ``_`` for
+``. [ ]`` are equivalent.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 
 from armlab import glossary, robots
-from armlab._toml import parsed
+from armlab._files import parsed
 from armlab.errors import ConfigError, LogError, RobotError, ShapeError, UnknownName
 from armlab.log.column import Column, alias
 from armlab.log.file_formats.delimited import rows_of
@@ -52,36 +52,38 @@ class _Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: bool = False) -> Table:
-    """Return the table in a text file of test signals, in SI, from base to tool.
+    """Read a text file of ABB test signals, in SI units and kinematic joint order.
 
-    Degrees, millimetres and ABB's order of axes are brought to ours; an axis that was not logged is missing (NaN).
-    Where ABB counts an axis from the foot (IRB 2400), q are the joints.
+    Degrees, millimetres and ABB's axis order are converted; axes that were not logged are missing (NaN). If ABB
+    measures an axis relative to the base (IRB 2400), q contains the joint positions.
 
     Parameters
     ----------
-    path : the text, one line per sample.
+    path : text file, one line per sample.
     map : TOML file: ``[columns]`` label -> signal, axis, arm; ``time`` the label of the clock and ``time_unit``, or
-        ``rate`` [Hz]; ``separator``, one character, a space for any number of them; ``skip`` lines at the beginning;
-        ``header = false`` where there are no labels: the columns are "1", "2", ...; ``arm`` where all are of one.
-    arm : which, of a map with several; a name of the library or a robot file.
-    raw : keep rows whose time does not advance; they are dropped else, counted in the notes and warned of.
+        ``rate`` [Hz]; ``separator``, one character (a space matches any number of spaces); ``skip`` lines at the start;
+        ``header = false`` without labels, so that the columns are "1", "2", ...; ``arm`` if all signals belong to one
+        arm.
+    arm : arm to select from a map with several; a library name or a robot file.
+    raw : keep rows with non-increasing time; default: drop them, with a note and a warning.
 
     Returns
     -------
-    Table : what there is of q, qd, tau and tau_ext (N, n); signal_<number>_axis_<axis> (N,) of other signals.
+    Table : available columns of q, qd, tau and tau_ext (N, n); signal_<number>_axis_<axis> (N,) of other signals.
 
     Raises
     ------
-    LogError : no text, such as the binary files of ABB's own programs; a label that the file does not have, a word
-        where a number should be, no clock. ConfigError : a map that cannot be read, without an arm, or with an axis
-        that the arm does not have. UnknownName : an arm that is not in the map.
+    LogError : not text, such as the binary files of ABB's programs; a missing label, text instead of a number, no
+        clock.
+    ConfigError : an invalid map, without an arm, or with an axis that the arm does not have.
+    UnknownName : `arm` is not in the map.
     """
     path, map = Path(path), Path(map)
     about = _read_map(map)
     if path.is_file() and not is_text(path):
         raise LogError(
-            f"Expected text at {path}, got another format. The binary files of ABB's signal viewers are read by them "
-            "alone: export text there."
+            f"Expected text at {path}, got another format. Export text from ABB's signal viewer, the only program "
+            "that can read its binary files."
         )
     robot, signals = _of_arm(about, map, arm)
     fields = _fields(path, about)
@@ -91,7 +93,9 @@ def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: 
     for label, one in signals.items():
         name = f"signal_{one.signal}_axis_{one.axis}"
         if name in arrays:
-            raise ConfigError(f"Expected each signal of an axis once in {map}, got {name} twice. Mend the map.")
+            raise ConfigError(
+                f"Expected each signal of an axis exactly once in {map}, got {name} twice. Correct the map."
+            )
         arrays[name] = (_numbers(path, about, fields, label), _unit(one, robot, map))
     return _joined(labelled_table(path, arrays, rate=about.rate, raw=raw), robot, map)
 
@@ -105,8 +109,8 @@ def _read_map(path: Path) -> _Map:
         raise ConfigError(f"Expected a map of the columns in {path}, got: {str(error).rstrip('.')}.") from None
     if bool(about.time) == (about.rate is not None) or len(about.separator) != 1 or about.skip < 0:
         raise ConfigError(
-            f"Expected either time or rate, one character as separator and skip from 0 in {path}, got time "
-            f"{about.time!r}, rate {about.rate}, {about.separator!r} and {about.skip}. Mend the map."
+            f"Expected either time or rate, one character as separator and skip >= 0 in {path}, got time "
+            f"{about.time!r}, rate {about.rate}, {about.separator!r} and {about.skip}. Correct the map."
         )
     return about
 
@@ -116,7 +120,9 @@ def _of_arm(about: _Map, path: Path, arm: str | None) -> tuple[Robot, dict[str, 
     arms = {label: one.arm or about.arm for label, one in about.columns.items()}
     names = sorted(set(arms.values()))
     if not all(names) or not names:
-        raise ConfigError(f'Expected an arm for every column of {path}, got none for some. Add arm = "yumi_left".')
+        raise ConfigError(
+            f'Expected an arm for every column of {path}, but some columns have none. Add arm = "yumi_left".'
+        )
     if arm is None and len(names) > 1:
         raise ConfigError(f"Expected the name of one arm (arm=) for {path}, which has {', '.join(names)}.")
     if arm is not None and arm not in names:
@@ -135,7 +141,7 @@ def _unit(one: _Signal, robot: Robot, path: Path) -> str:
 
 
 def _fields(path: Path, about: _Map) -> dict[str, list[str]]:
-    """Return the texts of each column by its label, by its number from 1 where there are no labels."""
+    """Return the texts of each column by label (without labels, by number from 1)."""
     rows = rows_of(path, about.separator)[about.skip :]
     if about.separator == " ":
         rows = [[field for field in row if field] for row in rows]
@@ -144,17 +150,17 @@ def _fields(path: Path, about: _Map) -> dict[str, list[str]]:
     labels = [label.strip() for label in rows[0]] if rows and about.header else []
     rows = rows[about.header :]
     if not rows:
-        raise LogError(f"Expected lines of numbers in {path}, got none after {about.skip} skipped. Mend the map.")
+        raise LogError(f"Expected lines of numbers in {path}, got none after {about.skip} skipped. Correct the map.")
     labels = labels or [str(number) for number in range(1, len(rows[0]) + 1)]
     for number, row in enumerate(rows, start=1 + about.skip + about.header):
         if len(row) != len(labels):
-            raise LogError(f"Expected {len(labels)} fields in line {number} of {path}, got {len(row)}. Mend the line.")
+            raise LogError(f"Expected {len(labels)} fields in line {number} of {path}, got {len(row)}. Correct it.")
     return dict(zip(labels, (list(column) for column in zip(*rows, strict=True)), strict=True))
 
 
 def _numbers(path: Path, about: _Map, fields: dict[str, list[str]], label: str) -> np.ndarray:
     if label not in fields:
-        raise LogError(f"Expected a column {label!r} in {path}, as the map says, got {', '.join(fields)}.")
+        raise LogError(f"Expected a column {label!r} in {path}, as stated in the map, got {', '.join(fields)}.")
     try:
         return np.array([field.strip() or "nan" for field in fields[label]], dtype=float)
     except ValueError as error:
@@ -162,8 +168,8 @@ def _numbers(path: Path, about: _Map, fields: dict[str, list[str]], label: str) 
 
 
 def _joined(table: Table, robot: Robot, path: Path) -> Table:
-    """Put the axes of each signal together: first in the order of the arm, then as joints."""
-    # The arm's side of an axis is behind its gears: what is left of them is the rod that moves two joints.
+    """Join the axes of each signal, first in the arm's axis order and then as joints."""
+    # On the arm side of the gears, only the coupling of a rod that moves two joints remains.
     behind = replace(robot, coupling=robot.coupling / np.diag(robot.coupling))
     values: dict[str, Any] = {}
     columns: dict[str, Column] = {}
@@ -186,32 +192,33 @@ def _joined(table: Table, robot: Robot, path: Path) -> Table:
     )
 
 
-MOTOR_SIGNALS = {"q": ("posRawAbs",), "qd": ("velFlt", "velRaw"), "tau": ("trqRaw",)}
+MOTOR_SIGNALS: dict[str, tuple[str, ...]] = {"q": ("posRawAbs",), "qd": ("velFlt", "velRaw"), "tau": ("trqRaw",)}
 MOTOR_UNITS = {"q": "rad", "qd": "rad/s", "tau": "N m"}
 
 
 def from_orca(table: Table, robot: Robot, arm: int) -> Table:
     """Return q, qd and tau of one arm: ``q = G q_motor``, ``qd = G qd_motor``, ``tau = G⁻ᵀ tau_motor``.
 
-    The order of axes comes first, then the gears G, whose torque keeps the power. Velocity is velFlt, velRaw where
-    there is none.
+    The axes are reordered first; then the gear matrix G is applied, which preserves power. The velocity is velFlt,
+    otherwise velRaw.
 
     Parameters
     ----------
-    table : of `read_csv` or `read_labcomm`. robot : its order of axes and its gears.
-    arm : number of the arm in the file, from 0: robot[0], robot[1].
+    table : table of `read_csv` or `read_labcomm`.
+    robot : robot with axis order and gears.
+    arm : index of the arm in the file, from 0: robot[0], robot[1].
 
     Returns
     -------
-    Table : what there is of q (N, n) [rad], qd [rad/s] and tau [N m], on the same clock.
+    Table : available columns of q (N, n) [rad], qd [rad/s] and tau [N m], on the same clock.
 
     Raises
     ------
-    LogError : no positions of this arm (lists the arms there are), a joint that is missing, or a unit that is not that
-        of a motor. ShapeError, RobotError : something else than a table, than a robot.
+    LogError : no positions of this arm (lists the available arms), a missing joint, or a wrong motor unit.
+    ShapeError, RobotError : `table` is not a table, `robot` is not a `Robot`.
 
-    Reference: Robotlib.jl, src/read_log.jl and README, whose ``q GR⁻ᵀ`` for torques is ``G⁻¹``: the same for gears
-    without coupling only.
+    Reference: Robotlib.jl, src/read_log.jl and README, whose ``q GR⁻ᵀ`` for torques is ``G⁻¹``, which is the same only
+    for gears without coupling.
     """
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)
@@ -227,7 +234,7 @@ def from_orca(table: Table, robot: Robot, arm: int) -> Table:
     if "q" not in values:
         arms = sorted({match[1] for name in table.names if (match := re.search(r"robot_(\d+)__joint_", alias(name)))})
         have = f"arms {', '.join(arms)}" if arms else f"columns {', '.join(table.names[:5])}, ..."
-        raise LogError(f"Expected columns robot[{arm}].joint[0].posRawAbs and so on, got {have}. Name another arm.")
+        raise LogError(f"Expected columns robot[{arm}].joint[0].posRawAbs and so on, got {have}. Give another arm.")
     return Table(
         table.t,
         values,
@@ -240,7 +247,7 @@ def from_orca(table: Table, robot: Robot, arm: int) -> Table:
 
 
 def _motors(table: Table, robot: Robot, arm: int, signal: str, unit: str) -> np.ndarray | None:
-    """Return the signal (N, n) of all motors in ABB's order, None where there is none; axes beyond n are external."""
+    """Return the signal (N, n) of all motors in ABB's order, or None; axes beyond n are external."""
     pattern = re.compile(rf"(?:^|_)robot_{re.escape(str(arm))}__joint_(\d{{1,3}})__{signal}$")
     found: dict[int, str] = {}
     for name in table.names:
@@ -257,7 +264,7 @@ def _motors(table: Table, robot: Robot, arm: int, signal: str, unit: str) -> np.
     if missing:
         raise LogError(
             f"Expected {signal} of {robot.n} joints of robot[{arm}] for {robot.name!r}, got none of joint {missing}. "
-            "Name the robot that was logged."
+            "Pass the robot that was logged."
         )
     for name in found.values():
         if table.units[name] not in ("1", unit):

@@ -1,8 +1,8 @@
-"""Delimited text: `read_csv`, `write_csv`, bounded lines, and ``run.csv.toml`` with what headings cannot say.
+"""Delimited text: `read_csv`, `write_csv`, bounded lines, and ``run.csv.toml`` with column descriptions.
 
-``t [s],q1 [rad],q2 [rad],grip [N]`` becomes the columns q (N, 2) and grip (N,). What `log.write` has written, with its
-description beside it, comes back as it was. Text that is nothing but numbers is JSON but for its brackets, and JSON is
-read five times as fast.
+``t [s],q1 [rad],q2 [rad],grip [N]`` becomes the columns q (N, 2) and grip (N,). Files written by `log.write` are read
+back exactly if their description file is present. Purely numeric text is parsed as JSON without brackets, which is five
+times as fast.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import gzip
 import io
 import re
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from itertools import islice, pairwise
 from pathlib import Path
@@ -22,10 +22,11 @@ import msgspec
 import numpy as np
 import tomli_w
 
+from armlab._files import parsed
 from armlab._numbers import number
-from armlab._toml import parsed
-from armlab.errors import LogError
+from armlab.errors import ConfigError, LogError
 from armlab.log.column import refuse_ragged
+from armlab.log.file_formats.column_names import ColumnNames, is_named
 from armlab.log.file_formats.description import (
     Description,
     Progress,
@@ -33,21 +34,23 @@ from armlab.log.file_formats.description import (
     labelled_table,
     names_of,
     put_together,
+    renamed,
 )
 from armlab.log.file_formats.opening import FIRST, format_of
 from armlab.log.table import Table
 
 LONGEST = 1 << 20
-"""Characters of a line: 40 000 numbers with all their digits."""
+"""Characters per line: 40 000 numbers in full precision."""
 
-_UNPACKED, _RATIO = 1 << 24, 200  # bytes of any file; above that, for each of its own: gzip reaches 1030, an arm that
-# stands still with 300 columns that never change 154, one that moves 25
-_LINES = 1 << 18  # of any file; above that, one for each byte: a time that advances takes three bytes or more
+# Limits of expansion: bytes that are always allowed, and the ratio beyond. gzip reaches 1030; recordings of a resting
+# arm with 300 constant columns 154, of a moving one 25.
+_UNPACKED, _RATIO = 1 << 24, 200
+_LINES = 1 << 18  # always allowed lines; beyond, one per byte: an increasing time takes at least three bytes
 _PIECE = 1 << 16
 
 
 def open_text(path: Path) -> BinaryIO:
-    """Open a text file, packed or not; what is read of a packed one is bounded."""
+    """Open a text file, compressed or not, with a bounded uncompressed size."""
     with path.open("rb") as file:
         found = format_of(file.read(FIRST))
     if found not in ("text", "gzip"):
@@ -60,14 +63,14 @@ def open_text(path: Path) -> BinaryIO:
 
 
 def rows_in(path: Path, separator: str) -> Iterator[list[str]]:
-    """Yield the fields of each line of a text file, packed or not."""
+    """Yield the fields of each line of a text file, compressed or not."""
     try:
         with open_text(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as file:
             yield from csv.reader(_lines(file, path), delimiter=separator)
     except OSError as error:
         raise LogError(f"Expected a log at {path}, got: {error.strerror or error}.") from None
     except (EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:
-        raise LogError(f"Expected delimited text in UTF-8 at {path}, got something else: {error}.") from None
+        raise LogError(f"Expected delimited UTF-8 text at {path}, got other data: {error}.") from None
 
 
 def _lines(file: io.TextIOWrapper, path: Path) -> Iterator[str]:
@@ -80,9 +83,9 @@ def _lines(file: io.TextIOWrapper, path: Path) -> Iterator[str]:
         yield line
 
 
-@lru_cache(maxsize=4)  # a reader opens a file several times
+@lru_cache(maxsize=4)  # readers open a file several times
 def _check_unpacked(path: Path, size: int, mtime_ns: int) -> None:
-    """Refuse a gzip file that unpacks to far more than its size: counted to the end before anything is made of it."""
+    """Reject a gzip file that expands far beyond its size, before any of it is parsed."""
     bytes_left, lines_left = max(_UNPACKED, _RATIO * size), max(_LINES, size)
     most = f"{bytes_left} bytes of text, {_RATIO} times its size, and {lines_left} lines"
     with gzip.open(path) as file:
@@ -90,21 +93,23 @@ def _check_unpacked(path: Path, size: int, mtime_ns: int) -> None:
             bytes_left -= len(piece)
             lines_left -= piece.count(b"\n") + piece.count(b"\r")
             if bytes_left < 0 or lines_left < 0:
-                raise LogError(f"Expected at most {most} in {path}, got more. If you trust it, unpack it with gunzip.")
+                raise LogError(
+                    f"Expected at most {most} in {path}, got more. If you trust the file, unpack it with gunzip."
+                )
 
 
 def sidecar_path(path: Path) -> Path:
-    """Return the name of the file beside a CSV file: ``run.csv.toml`` of ``run.csv``."""
+    """Return the name of the description file: ``run.csv.toml`` of ``run.csv``."""
     return path.with_name(f"{path.name}.toml")
 
 
 def describe(table: Table) -> str:
-    """Return the text of the file for a table."""
+    """Return the content of the description file of a table."""
     return tomli_w.dumps(msgspec.to_builtins(Description.of(table)))
 
 
 def read_sidecar(path: Path) -> Description | None:
-    """Return what the file beside a CSV file says, None where there is none."""
+    """Return the description of a CSV file, or None without one."""
     beside = sidecar_path(path)
     try:
         return msgspec.convert(parsed(beside.read_text(encoding="utf-8")), Description)
@@ -114,13 +119,11 @@ def read_sidecar(path: Path) -> Description | None:
         raise LogError(f"Expected to read {beside}, got: {error.strerror}.") from None
     except (ValueError, msgspec.ValidationError) as error:
         what = str(error).rstrip(".")
-        raise LogError(
-            f"Expected the columns of {path.name} in {beside}, got: {what}. Remove it, or mend it."
-        ) from None
+        raise LogError(f"Expected the columns of {path.name} in {beside}, got: {what}. Remove or correct it.") from None
 
 
-BLOCK = 1 << 18  # bytes of text at a time
-_ROWS = 1000  # at a time
+BLOCK = 1 << 18  # bytes of text per block
+_ROWS = 1000  # rows per block
 _EMPTY = ((b",,", b",null,"), (b",,", b",null,"), (b",\n", b",null\n"), (b"\n,", b"\nnull,"))  # fields
 _NUMERIC = b"0123456789+-.eE, \r\n"
 _EXACT = 2.0**53  # whole numbers up to here are exact as floats
@@ -133,26 +136,29 @@ def read_csv(
     *,
     rate: float | None = None,
     skip: int = 0,
-    separator: str = ",",
+    separator: str | None = None,
     every: int = 1,
     raw: bool = False,
+    columns: str | Mapping[str, str | Sequence[str]] | None = None,
 ) -> Table:
-    """Return the table in a text file with one header line; gzip is unpacked.
+    """Read the table in a text file with one header line; the file may be gzip-compressed.
 
-    A file that `write` made comes back as it was, by the file beside it, ``run.csv.toml``. Of others:
+    A file written by `log.write` is read back exactly if its description file ``run.csv.toml`` is present. For other
+    files:
 
-    Empty fields and "nan" are missing (NaN). Rows whose time does not advance are dropped, counted in the notes and
-    warned of by their lines. A column with a word in it is text. Leading "- " of a label, as some ROS exports have, is
-    dropped.
+    Empty fields and "nan" are missing (NaN). Rows with non-increasing time are dropped; a note and a warning state
+    their lines. A column that contains any text is a text column. A leading "- " of a label, as in some ROS exports, is
+    removed.
 
     Parameters
     ----------
-    path : the file. Its clock is the column t or time [s, ms, us, ns]; seconds where it has no unit.
-    rate : [Hz] of a file without a clock.
-    skip : lines before the header.
-    separator : between fields.
-    every : keep every so many rows; filter first where that folds noise (signals.decimate).
-    raw : keep rows whose time does not advance.
+    path : the file. Its clock is the column t or time [s, ms, us, ns]; default unit: s.
+    rate : sample rate [Hz] of a file without a clock.
+    skip : number of lines before the header.
+    separator : field separator; default: the first of ``, ; tab space`` in the header.
+    every : keep one row in so many; filter first if this aliases noise (signals.decimate).
+    raw : keep rows with non-increasing time.
+    columns : mapping for columns with other names, see `read`. A file without a header has columns 1, 2, ...
 
     Returns
     -------
@@ -160,75 +166,147 @@ def read_csv(
 
     Raises
     ------
-    LogError : no file, no text, no clock, lines of another length, a unit that is not known, names that come
-        twice, a decimal comma; each with the line or the column.
+    LogError : missing file, text, header or clock; lines of unequal length, an unknown unit, duplicate names, a decimal
+        comma; each with the line or the column.
     """
+    return text_table(path, rate, skip, separator, every, raw, columns)
+
+
+def text_table(
+    path: str | Path,
+    rate: float | None = None,
+    skip: int = 0,
+    separator: str | None = None,
+    every: int = 1,
+    raw: bool = False,
+    columns: Any = None,
+    keep_start: bool = False,
+) -> Table:
+    """Return the table of `read_csv`; with `keep_start` t keeps its offset in the file."""
     path, rate = Path(path), None if rate is None else number(rate, "the rate [Hz]", LogError)
-    if (rate is not None and not 0 < rate < np.inf) or skip < 0 or every < 1 or len(separator) != 1:
+    counts = all(isinstance(one, int) and one >= least for one, least in ((skip, 0), (every, 1)))
+    single = separator is None or (isinstance(separator, str) and len(separator) == 1)
+    if not (counts and single and (rate is None or 0 < rate < np.inf)):
         raise LogError(
-            f"Expected a rate above 0, skip from 0, every from 1 and one character as separator, got {rate}, {skip}, "
+            f"Expected rate > 0, skip >= 0, every >= 1 and one character as separator, got {rate}, {skip}, "
             f"{every} and {separator!r}."
         )
-    beside = read_sidecar(path)
+    beside, where = read_sidecar(path), None if columns is None else _where(columns)
+    separator = separator or separator_of(path, skip)
     header = rows_of(path, separator, skip + 1)[skip:]
     if beside is not None and rate is None and header == [beside.labels()]:
-        table = _as_written(path, beside)
+        table = renamed(path, _as_written(path, beside), where)
         return table if every == 1 else table.rows(slice(None, None, every))
-    notes = [] if beside is None else [f"{path.name}.toml describes other columns and is not used"]
-    names = names_of(path, [label.strip() for label in header[0]] if header else [])
-    found = _numbers_only(path, skip, separator)
-    if not found or not len(found[0]):  # words, or what is told by its line
-        texts = _texts(path, skip, separator)
+    notes = [] if beside is None else [f"{path.name}.toml describes different columns and is ignored"]
+    labels = [label.strip() for label in header[0]] if header else []
+    if _is_data(labels):
+        labels, skip = _numbered(path, labels, where), skip - 1
+    names = names_of(path, labels)
+    found = _numbers_only(path, skip, separator, len(labels))
+    if not found or not len(found[0]):  # text, or an error with its line
+        texts = _texts(path, skip, separator, len(labels))
         found = [_numbers(path, name, of_one, skip) for (name, _), of_one in zip(names, texts, strict=True)]
         for (name, _), of_one, array in zip(names, texts, found, strict=True):
             if array.dtype.kind == "U":
                 notes.append(f"{name}: text, because of {next(x for x in of_one if not _is_number(x))!r}")
     arrays = {name: (array, unit) for (name, unit), array in zip(names, found, strict=True)}
     return labelled_table(
-        path, arrays, rate=rate, every=every, notes=notes, row=lambda k: f"line {k + skip + 2}", raw=raw
+        path,
+        arrays,
+        rate=rate,
+        every=every,
+        notes=notes,
+        row=lambda k: f"line {k + skip + 2}",
+        raw=raw,
+        names=where,
+        keep_start=keep_start,
     )
 
 
+def _where(columns: Any) -> ColumnNames:
+    if isinstance(columns, ColumnNames):
+        return columns
+    if not is_named(columns):
+        raise ConfigError(f"Expected columns as 'q=joint_{{1..6}}' or {{'q': 'joint_{{1..6}}'}}, got {columns!r}.")
+    return ColumnNames.of(columns)
+
+
+def separator_of(path: Path, skip: int = 0) -> str:
+    """Return the field separator of the header."""
+    try:
+        with open_text(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as file:
+            line, below = ([*islice(_lines(file, path), skip, skip + 2), "", ""])[:2]
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError):
+        return ","  # `rows_in` raises
+    found = next((mark for mark in ",;\t" if mark in line), "")
+    words = len(line.split(" "))
+    return found or (" " if words > 1 and len(below.split(" ")) == words else ",")
+
+
+def _is_data(labels: Sequence[str]) -> bool:
+    """Return whether a line contains data instead of a header: all fields are numbers, or one has a fraction."""
+    are = [label for label in labels if label and _is_number(label) and label.lower() not in ("nan", "inf", "t")]
+    return bool(are) and (len(are) == len([one for one in labels if one]) or any("." in one for one in are))
+
+
+def _numbered(path: Path, first: Sequence[str], where: ColumnNames | None) -> list[str]:
+    """Return labels for a file without a header: 1, 2, ...; for the preset ros, the labels of ros2 topic echo --csv."""
+    joints = sum(not _is_number(text) for text in first[3:])
+    parts = (len(first) - 3) // joints - 1 if joints else 0
+    is_echo = 1 <= parts <= 3 and len(first) == 3 + joints * (parts + 1)
+    if where is None:
+        way = "Add one, such as t [s],q1 [rad],q2 [rad], or select columns by position: --columns 't=1,q={2..7}'."
+        raise LogError(
+            f"Expected a header with column names in {path}, got numbers ({', '.join(first[:4])}, ...). "
+            f"{'Read a JointState with --columns ros.' if is_echo else way}"
+        )
+    if "ros" not in where.presets or not is_echo:
+        return [str(k + 1) for k in range(len(first))]
+    stamp = ["header.stamp.secs", "header.stamp.nsecs", "header.frame_id"]
+    return stamp + [f"{w}_{k}" for w in ("name", "position", "velocity", "effort")[: parts + 1] for k in range(joints)]
+
+
 def rows_of(path: Path, separator: str, count: int | None = None) -> list[list[str]]:
-    """Return the fields of the first `count` lines of a text file, of all when None; packed or not."""
+    """Return the fields of the first `count` lines (default: all) of a text file, compressed or not."""
     return list(islice(rows_in(path, separator), count))
 
 
-def _numbers_only(path: Path, skip: int, separator: str) -> list[np.ndarray] | None:
-    """Return the columns of a file with only numbers and empty fields below its header; None of others."""
+def _numbers_only(path: Path, skip: int, separator: str, width: int) -> list[np.ndarray] | None:
+    """Return the columns of a file with only numbers and empty fields below its header, else None."""
     blocks = []
     try:
         with open_text(path) as file:
             lines = (line.decode("utf-8-sig") for line in iter(partial(file.readline, LONGEST + 1), b""))
             of_header = csv.reader(lines, delimiter=separator)
-            header = [next(of_header) for _ in range(skip + 1)][-1]
+            for _ in range(skip + 1):
+                next(of_header)
             while text := file.read(BLOCK):
                 rest = file.readline(LONGEST + 1)
                 if len(text) - text.rfind(b"\n") - 1 + len(rest) > LONGEST:
                     return None
-                blocks.append(_columns(_decoded(text + rest, separator), len(header)))
-    except LogError:  # there is too much of it
+                blocks.append(_columns(_decoded(text + rest, separator), width))
+    except LogError:  # too large
         raise
     except (OSError, EOFError, zlib.error, ValueError, OverflowError, StopIteration, csv.Error, msgspec.DecodeError):
         return None
-    return [_joined(parts) for parts in zip(*blocks, strict=True)] if blocks else [np.zeros(0) for _ in header]
+    return [_joined(parts) for parts in zip(*blocks, strict=True)] if blocks else [np.zeros(0)] * width
 
 
 def _decoded(text: bytes, separator: str) -> list[list[Any]]:
-    """Return the fields of some lines; None is an empty one."""
+    """Return the fields of some lines; empty fields are None."""
     mark = separator.encode()
     if text.translate(None, _NUMERIC.replace(b",", mark)) or separator in ".eE+-0123456789":
         raise ValueError("no numbers")
     lines = text.rstrip(b"\r\n")
     for old, new in ((mark, b","), (b"\r\n", b"\n"), *_EMPTY):
-        if old != new and old in lines:  # to look is ten times as fast as to replace
+        if old != new and old in lines:  # searching is ten times as fast as replacing
             lines = lines.replace(old, new)
     first, last = (b"null" if one else b"" for one in (lines.startswith(b","), lines.endswith(b",")))
     return msgspec.json.decode(b"[[%b%b%b]]" % (first, lines.replace(b"\n", b"],["), last))
 
 
 def _columns(rows: list[list[Any]], count: int) -> list[np.ndarray]:
-    """Return the columns of some rows; ValueError where a row has another number of fields."""
+    """Return the columns of some rows; raise ValueError for unequal row lengths."""
     block = np.array(rows, dtype=float).reshape(len(rows), count)
     columns = list(block.T)
     for place in np.flatnonzero((np.abs(block) >= _EXACT).any(axis=0)):
@@ -239,17 +317,17 @@ def _columns(rows: list[list[Any]], count: int) -> list[np.ndarray]:
 
 
 def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the blocks of a column as one; whole numbers where one block needs them and all have them."""
+    """Join the blocks of a column; the result is integer if one block needs integers and all have them."""
     if any(part.dtype.kind == "i" for part in parts):
         whole = [_whole(part) for part in parts]
         parts = whole if all(part.dtype.kind == "i" for part in whole) else parts
     return np.concatenate(parts)
 
 
-def _texts(path: Path, skip: int, separator: str, least: int = 2) -> list[list[str]]:
-    """Return the texts of each column below the header: as rows they would take twice the memory."""
-    rows = islice(rows_in(path, separator), skip, None)
-    columns = [[] for _ in next(rows, [])]
+def _texts(path: Path, skip: int, separator: str, width: int, least: int = 2) -> list[list[str]]:
+    """Return the texts of each column below the header, because rows would take twice the memory."""
+    rows = islice(rows_in(path, separator), skip + 1, None)
+    columns: list[list[str]] = [[] for _ in range(width)]
     even = _even(rows, len(columns), skip + 2, separator, path)
     while some := list(islice(even, _ROWS)):
         for column, texts in zip(columns, zip(*some, strict=True), strict=True):
@@ -264,7 +342,7 @@ def _texts(path: Path, skip: int, separator: str, least: int = 2) -> list[list[s
 
 
 def _even(rows: Iterable[list[str]], width: int, first: int, separator: str, path: Path) -> Iterator[list[str]]:
-    """Yield rows of this width; a line of another one is refused, but for empty ones at the end."""
+    """Yield rows of this width; reject others, except empty lines at the end."""
     other = None
     for line, row in enumerate(rows, start=first):
         if other is None and len(row) == width:
@@ -274,37 +352,37 @@ def _even(rows: Iterable[list[str]], width: int, first: int, separator: str, pat
         if any(row):
             raise LogError(
                 f"Expected {width} fields separated by {separator!r} in line {other[0]} of {path}, got "
-                f"{other[1]}. Name another separator, or mend the line."
+                f"{other[1]}. Pass another separator, or correct the line."
             )
 
 
 def _as_written(path: Path, beside: Description) -> Table:
-    """Return the table that `write` has written."""
+    """Return a table written by `log.write`."""
     kinds = ["real"]
     for column in beside.columns.values():
         kinds += [column.kind] * int(np.prod(column.shape, dtype=int))
-    parts = None if "text" in kinds else _numbers_only(path, 0, ",")
+    parts = None if "text" in kinds else _numbers_only(path, 0, ",", len(kinds))
     if parts is None:
-        fields = _texts(path, 0, ",", least=1)
+        fields = _texts(path, 0, ",", len(kinds), least=1)
         try:
             parts = [_typed(kind, texts) for kind, texts in zip(kinds, fields, strict=True)]
         except (ValueError, OverflowError) as error:
             raise LogError(
                 f"Expected the columns that {path.name}.toml describes in {path}, got: {str(error).rstrip('.')}."
             ) from None
-    else:  # beside a component that a float cannot hold the others stay whole, too
+    else:  # integers too large for a float keep the other components integer, too
         parts = [_whole(part) if kind in _WHOLE else part for kind, part in zip(kinds, parts, strict=True)]
     return beside.table(path, parts[0], put_together(beside, parts[1:], len(parts[0])))
 
 
 def _whole(array: np.ndarray) -> np.ndarray:
-    """Return whole numbers that a float holds exactly as integers, others as they are."""
+    """Return floats that are whole numbers as integers, and others unchanged."""
     exact = array.dtype.kind == "f" and bool((np.abs(array) < _EXACT).all() and (array == np.round(array)).all())
     return array.astype(np.int64) if exact else array
 
 
 def _words(texts: Sequence[str], where: str) -> np.ndarray:
-    """Return texts (N,); NumPy gives each the room of the longest, four bytes a letter."""
+    """Return texts (N,), each as wide as the longest, four bytes per character."""
     sizes = [len(text) // 2 + 1 for text in texts]
     refuse_ragged(len(texts), {where: max(sizes, default=0)}, sum(sizes))
     return np.array(texts, dtype=np.str_)
@@ -319,8 +397,8 @@ def _typed(kind: str, texts: Sequence[str]) -> np.ndarray:
 
 
 def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarray:
-    """Return the numbers (N,) of a column, NaN where empty; words where it has one. Large whole ones stay whole."""
-    filled = [text.strip() or "nan" for text in texts]  # Python knows more kinds of space than NumPy
+    """Return the numbers (N,) of a column with NaN for empty fields; a column with any text is returned as text."""
+    filled = [text.strip() or "nan" for text in texts]  # Python strips more kinds of space than NumPy
     try:
         array = np.array(filled, dtype=float)
         return _whole_numbers(texts, array) if (np.abs(array) >= _EXACT).any() else array
@@ -349,11 +427,11 @@ def _is_number(text: str) -> bool:
     return True
 
 
-ROWS_PER_BLOCK = 10_000  # rows
+ROWS_PER_BLOCK = 10_000
 
 
 def write_csv(table: Table, file: BinaryIO, progress: Progress) -> None:
-    """Write one line of headings, ``t [s],q1 [rad],...``, and one line per row; the shortest digits that read back."""
+    """Write a heading, ``t [s],q1 [rad],...``, and one line per row with the fewest digits that read back exactly."""
     file.write(b",".join(_quoted(label) for label in Description.of(table).labels()) + b"\n")
     columns = [values for _, _, values in components(table)]
     for start, stop in pairwise([*range(0, len(table), ROWS_PER_BLOCK), len(table)]):
@@ -366,7 +444,7 @@ def _words_of_rows(values: np.ndarray) -> list[bytes]:
     if values.dtype.kind == "U":
         return [_quoted(word, always=True) for word in values.tolist()]
     if values.dtype.kind == "f" and np.isinf(values).any():
-        return [b"" if value != value else repr(value).encode() for value in values.tolist()]  # NaN is not itself
+        return [b"" if value != value else repr(value).encode() for value in values.tolist()]  # NaN != NaN
     numbers = values.astype(np.int8) if values.dtype.kind == "b" else values
     words = msgspec.json.encode(numbers.tolist())[1:-1].split(b",")  # six times as fast as repr
     if values.dtype.kind == "f" and np.isnan(values).any():

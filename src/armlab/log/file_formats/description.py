@@ -1,4 +1,4 @@
-"""Columns as files describe them: descriptions of armlab's own tables, labels and units of other programs."""
+"""Column descriptions in files: those of armlab's own tables, and the labels and units of other programs."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import msgspec
@@ -17,16 +18,17 @@ import armlab
 from armlab import glossary
 from armlab.errors import ArmlabError, LogError
 from armlab.log.assembly import rows_in_order
-from armlab.log.column import OLD_NAMES, Column, heading
+from armlab.log.column import OLD_NAMES, UNITS, Column, heading
+from armlab.log.file_formats.column_names import Arrays, ColumnNames, fitting_presets, listed
 from armlab.log.file_formats.opening import origin
 from armlab.log.table import Table
 
 Key = TypeVar("Key", bound=Hashable)
 
-_LARGEST = 2**20  # numbers in a row: each has a heading
+_LARGEST = 2**20  # numbers per row: each has a heading
 
 Progress = Callable[[float, float, str], None]
-"""Is called with what is done, what there is to do, and what it is."""
+"""Progress callback (done, total, text)."""
 
 
 class _Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -38,7 +40,7 @@ class _Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is said of a table: version of armlab, wall clock and owner of the clock, notes, source, each column."""
+    """Description of a table: armlab version, wall clock and clock owner, notes, source, and every column."""
 
     armlab: str
     t0_ns: int
@@ -50,7 +52,7 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         count = sum(math.prod(max(size, 1) for size in column.shape) for column in self.columns.values())
         if count > _LARGEST or any(size < 0 for column in self.columns.values() for size in column.shape):
-            raise ValueError(f"Expected columns of at most {_LARGEST} numbers in a row together, with sizes from 0")
+            raise ValueError(f"Expected at most {_LARGEST} numbers per row in total, with sizes of at least 0")
 
     @classmethod
     def of(cls, table: Table) -> Description:
@@ -61,11 +63,11 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @classmethod
     def made(cls, columns: Mapping[str, Column], **about: Any) -> Description:
-        """Return the description with these columns and everything else by name."""
+        """Return the description with these columns and other entries by name."""
         return cls(columns=_columns(columns), **about)
 
     def selected(self, names: Collection[str]) -> Description:
-        """Return the description of some of the columns, in the same order."""
+        """Return the description of the selected columns in the same order."""
         kept = {name: column for name, column in self.columns.items() if name in names}
         return msgspec.structs.replace(self, columns=kept)
 
@@ -74,15 +76,15 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return {name: Column(**msgspec.structs.asdict(one)) for name, one in self.columns.items()}
 
     def labels(self) -> list[str]:
-        """Return the heading of each component, that of the clock first."""
+        """Return the heading of each component, the clock first."""
         return ["t [s]", *(label for name, column in self.described().items() for label in headings(name, column))]
 
     def json(self, **more: object) -> str:
-        """Return it as a text in ASCII, with `more` beside it; `of_json` reads it."""
+        """Return the description and `more` as ASCII JSON, for `of_json`."""
         return json.dumps({**msgspec.to_builtins(self), **more})
 
     def table(self, path: Path, t: np.ndarray, values: Mapping[str, np.ndarray]) -> Table:
-        """Return the table that was written to a file; it takes the arrays (N, ...) without a copy."""
+        """Return a table that was written to a file; the arrays (N, ...) are used without a copy."""
         described = self.described()
         try:
             whole = {
@@ -101,7 +103,7 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             )
         except (ArmlabError, ValueError, TypeError, OverflowError) as error:
             raise LogError(
-                f"Expected the columns that are described in {path}, got others: {str(error).rstrip('.')}."
+                f"Expected the columns described in {path}, got other columns: {str(error).rstrip('.')}."
             ) from None
 
 
@@ -113,7 +115,7 @@ def _columns(columns: Mapping[str, Column]) -> dict[str, _Column]:
 
 
 def of_json(text: str | bytes, path: Path) -> Description:
-    """Return the description in a text of `Description.json`."""
+    """Return the description from the text of `Description.json`."""
     try:
         entries = json.loads(text)
         known = {name: entries[name] for name in Description.__struct_fields__ if name in entries}
@@ -130,7 +132,7 @@ def headings(name: str, column: Column) -> Sequence[str]:
 
 
 def components(table: Table) -> Iterator[tuple[str, str, np.ndarray]]:
-    """Yield label, unit and values (N,) of each component of each column, that of the clock first."""
+    """Yield label, unit and values (N,) of each component of each column, the clock first."""
     yield "t", "s", table.t
     for name in table.names:
         array = table[name]
@@ -141,7 +143,7 @@ def components(table: Table) -> Iterator[tuple[str, str, np.ndarray]]:
 
 
 def put_together(about: Description, parts: Sequence[np.ndarray], rows: int) -> dict[str, np.ndarray]:
-    """Return columns (N, k) from their components in the order of `components`, without the clock's."""
+    """Return columns (N, k) from their components in the order of `components`, without the clock."""
     values, at = {}, 0
     for name, column in about.columns.items():
         size = int(np.prod(column.shape, dtype=int))
@@ -151,7 +153,7 @@ def put_together(about: Description, parts: Sequence[np.ndarray], rows: int) -> 
 
 
 def distinct(wanted: Mapping[Key, str], taken: Iterable[str] = ()) -> dict[Key, str]:
-    """Return names of which none comes twice or is `taken`: the later of equal ones have "_2", ... behind them."""
+    """Return unique names that are not in `taken`; duplicates get the suffix "_2", ..."""
     used, found = set(taken), {}
     for key in sorted(wanted, key=lambda key: wanted[key] != key):
         free, number = wanted[key], 1
@@ -164,7 +166,7 @@ def distinct(wanted: Mapping[Key, str], taken: Iterable[str] = ()) -> dict[Key, 
 
 
 def _parts(name: str, column: Column) -> Iterator[tuple[str, str]]:
-    """Yield label and unit of each component; of a unit with several, forces first, then moments."""
+    """Yield label and unit of each component; for a unit with several parts, forces before moments."""
     units = (column.unit or "1").split(", ")
     for place in np.ndindex(column.shape):
         unit = units[min(sum(index >= 3 for index in place), len(units) - 1)] if len(units) > 1 else units[0]
@@ -172,7 +174,7 @@ def _parts(name: str, column: Column) -> Iterator[tuple[str, str]]:
 
 
 def _stored(array: np.ndarray, kind: str) -> np.ndarray:
-    """Return values in the type of their kind; what does not fit is refused by the table."""
+    """Return values in the type of their kind; the table rejects wrong values."""
     if kind == "text":
         array = array.astype(np.str_)
     if kind == "flag" and array.dtype.kind in "iu":
@@ -182,35 +184,31 @@ def _stored(array: np.ndarray, kind: str) -> np.ndarray:
 
 
 CLOCKS = ("t", "time")
-"""Names of the clock of a file."""
+"""Names of clock columns."""
 
-_RAD = np.pi / 180.0
-UNITS = {
-    "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9), "rad": ("rad", 1.0), "deg": ("rad", _RAD),
-    "m": ("m", 1.0), "mm": ("m", 1e-3), "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", _RAD),
-    "rev/min": ("rad/s", np.pi / 30.0), "rpm": ("rad/s", np.pi / 30.0), "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3),
-    "rad/s^2": ("rad/s^2", 1.0), "deg/s^2": ("rad/s^2", _RAD), "m/s^2": ("m/s^2", 1.0), "N": ("N", 1.0),
-    "N m": ("N m", 1.0), "Nm": ("N m", 1.0), "N*m": ("N m", 1.0), "mN m": ("N m", 1e-3), "kg": ("kg", 1.0),
-    "A": ("A", 1.0), "mA": ("A", 1e-3), "V": ("V", 1.0), "W": ("W", 1.0), "degC": ("degC", 1.0), "Hz": ("Hz", 1.0),
-    "1": ("1", 1.0), "": ("", 1.0),
-}  # fmt: skip
 HEADING = re.compile(r"^(?P<label>.*?)(?:\s+\[(?P<unit>[^\[\]]*)\]|\[(?P<tight>[^\[\]\d][^\[\]]*)\])?$")
 NUMBERED = re.compile(
     r"^(?P<name>[A-Za-z]\w*?)(?:_?(?P<number>\d+(?:_\d+)*)|\[(?P<index>\d+)\])$"
 )  # q1, q_1, cov1_4, q[1]
 
 
+COMMANDS = "sent commands"  # of older libfranka; the names after it come a second time
+
+
 def names_of(path: Path, headings: Sequence[str]) -> list[tuple[str, str]]:
-    """Return name and unit, "" for none, of each heading: "q1 [deg]" and "q1[deg]" are q1 in deg."""
-    result, seen = [], set()
+    """Return name and unit ("" for none) of each heading: "q1 [deg]" and "q1[deg]" are q1 in deg."""
+    result, seen, group = [], set(), ""
     for label in headings:
         found = HEADING.match(label.removeprefix("- "))
         name, unit = (found["label"], found["unit"] or found["tight"] or "") if found else (label, "")
+        name = group + name
         if not name or name in seen:
             what = f"{name!r} twice" if name else "a column without a name"
-            raise LogError(f"Expected names that come once in the header of {path}, got {what}.")
+            raise LogError(f"Expected unique names in the header of {path}, got {what}.")
         seen.add(name)
         result.append((name, unit))
+        if name == COMMANDS:
+            group = "cmd."
     return result
 
 
@@ -223,27 +221,54 @@ def labelled_table(
     notes: Sequence[str] = (),
     row: Callable[[int], str] = "row {}".format,
     raw: bool = False,
+    keep_start: bool = False,
+    names: ColumnNames | None = None,
+    joints: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
 ) -> Table:
-    """Return the table of arrays by name, each with its unit; the clock is t or time, else made of the `rate` [Hz]."""
-    values, columns = _in_si(path, arrays)
+    """Return the table of arrays by name, each with its unit; the clock is t or time, or is computed from the `rate`
+    [Hz].
+
+    `names` maps other column names; `joints` labels them. With `keep_start` t keeps its offset in the file.
+    """
+    if names is not None:
+        arrays, joints = names.found(path, arrays)
+        notes = [*notes, *names.notes]
+    filled, apart = _rows_with_values(arrays, names)
+    values, columns = _in_si(path, arrays, keep_start)
+    columns |= {name: replace(columns[name], labels=labels) for name, labels in joints.items() if name in columns}
     t = _clock(path, values, columns, rate, row)
     t, in_order, dropped = rows_in_order(t, raw, row)
-    kept = np.flatnonzero(in_order)[::every]
+    kept = np.flatnonzero(in_order & filled)[::every]
     values, columns = _together(values, columns)
     try:
         return Table(
-            t[kept] - (t[kept[0]] if len(kept) else 0.0),
+            t[kept] - (t[kept[0]] if len(kept) and not keep_start else 0.0),
             {name: array[kept] for name, array in values.items()},
             columns,
-            notes=(*notes, *dropped),
+            notes=(*notes, *apart, *dropped),
             source=(origin(path),),
         )
     except ArmlabError as error:
-        raise LogError(f"Expected columns that fit the glossary in {path}, got others: {error}") from None
+        raise LogError(f"Expected columns that match the glossary in {path}, got other columns: {error}") from None
 
 
-def _in_si(path: Path, arrays: Mapping[str, tuple[np.ndarray, str]]) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
-    """Return the columns in SI with their units ("" where the file has none)."""
+def _rows_with_values(arrays: Arrays, names: ColumnNames | None) -> tuple[np.ndarray | bool, list[str]]:
+    """Return which rows have a value of a mapped column: PlotJuggler has a row for every message of every topic."""
+    mapped = [name for name in names.entries if name != "t" and name in arrays] if names else []
+    numbers = [arrays[name][0] for name in mapped if arrays[name][0].dtype.kind == "f"]
+    if not numbers or len(numbers) < len(mapped):
+        return True, []
+    filled = np.any([np.isfinite(array).reshape(len(array), -1).any(axis=1) for array in numbers], axis=0)
+    empty = int(np.count_nonzero(~filled))
+    if not empty or empty == len(filled):
+        return True, []
+    return filled, [f"{empty} rows without {', '.join(mapped)} are left out"]
+
+
+def _in_si(
+    path: Path, arrays: Mapping[str, tuple[np.ndarray, str]], keep_start: bool = False
+) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
+    """Return the columns in SI with their units ("" if not given in the file)."""
     values: dict[str, np.ndarray] = {}
     columns: dict[str, Column] = {}
     for name, (array, unit) in arrays.items():
@@ -252,14 +277,14 @@ def _in_si(path: Path, arrays: Mapping[str, tuple[np.ndarray, str]]) -> tuple[di
         known = kept if symbol is not None and symbol.unit == unit else UNITS.get(unit) or kept
         if known is None:
             raise LogError(
-                f"Expected a unit that armlab knows for {name!r} in {path}, got {unit!r}. Known: "
+                f"Expected a supported unit for {name!r} in {path}, got {unit!r}. Known: "
                 f"{', '.join(u for u in UNITS if u)}."
             )
         if array.dtype.kind == "U":
             values[name], columns[name] = array, Column(unit=known[0], kind="text")
             continue
         if name in CLOCKS and array.dtype.kind in "iu" and len(array):
-            array = array.astype(np.int64) - int(array.flat[0])  # before digits are lost
+            array = array.astype(np.int64) - (0 if keep_start else int(array.flat[0]))  # in integers, without rounding
         values[name] = array if known[1] == 1.0 else array * known[1]
         kind = {"i": "count", "u": "count", "b": "flag"}.get(values[name].dtype.kind)
         columns[name] = Column(unit=known[0], kind=None if symbol else kind)
@@ -273,27 +298,28 @@ def _glossary_units() -> set[str]:
 def _clock(
     path: Path, values: dict[str, np.ndarray], columns: dict[str, Column], rate: float | None, row: Callable[[int], str]
 ) -> np.ndarray:
-    """Take the clock (N,) [s] out of the columns, or make it of the rate."""
+    """Remove the clock (N,) [s] from the columns, or compute it from the rate."""
     name = next((clock for clock in CLOCKS if clock in values), None)
     if name is None:
         if rate is None:
-            raise LogError(
-                f"Expected a column t [s] in {path}, got {', '.join(values)}. Give rate= for samples that are even."
+            advice = fitting_presets({name: (array, "") for name, array in values.items()}) or (
+                "Pass rate= for evenly sampled data, or name the column, columns='t=NAME [ms]' (--columns t=NAME)."
             )
+            raise LogError(f"Expected a column t [s] in {path}, got {listed(values)}. {advice}")
         return np.arange(len(next(iter(values.values()), ()))) / rate
     t, unit = values.pop(name), columns.pop(name).unit
     if t.dtype.kind == "U" or unit not in ("s", ""):
-        raise LogError(f"Expected times in s, ms, us or ns in the column {name!r} of {path}, got {unit or 'words'}.")
+        raise LogError(f"Expected times in s, ms, us or ns in the column {name!r} of {path}, got {unit or 'text'}.")
     bad = np.flatnonzero(~np.isfinite(t))
     if len(bad):
-        raise LogError(f"Expected a time in every row of {path}, got none in {row(int(bad[0]))}.")
+        raise LogError(f"Expected a time in every row of {path}, got a missing time in {row(int(bad[0]))}.")
     return t
 
 
 def _together(
     values: dict[str, np.ndarray], columns: dict[str, Column]
 ) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
-    """Put q1, q2 ... into q (N, n), where the glossary knows q as an array; the others get their unit."""
+    """Join q1, q2 ... to q (N, n) for array names in the glossary; other columns get their unit."""
     groups: dict[str, dict[tuple[int, ...], str]] = {}
     for label, array in values.items():
         name, place = _place(label)
@@ -307,7 +333,7 @@ def _together(
         name = members.get(label)
         if name is None:
             unit = columns[label].unit or (None if label in glossary.columns() else "1")
-            result[label], described[label] = array, Column(unit=unit, kind=columns[label].kind)
+            result[label], described[label] = array, replace(columns[label], unit=unit)
         elif name not in result:
             group = groups[name]
             ordered = [values[group[at]] for at in sorted(group)]
@@ -317,7 +343,7 @@ def _together(
 
 
 def _place(label: str) -> tuple[str, tuple[int, ...]]:
-    """Return the name and the place of one component of an array of the glossary; an empty place for other labels."""
+    """Return name and index of one component of a glossary array; an empty index for other labels."""
     found = NUMBERED.match(label)
     known = glossary.columns().get(found["name"]) if found else None
     if found is None or known is None:
@@ -327,15 +353,15 @@ def _place(label: str) -> tuple[str, tuple[int, ...]]:
 
 
 def _whole(group: dict[tuple[int, ...], str]) -> bool:
-    """Tell whether every place of the array is there, counted from 1."""
+    """Return whether the array is complete, counted from 1."""
     most = np.max(list(group), axis=0)
-    if math.prod(most.tolist()) != len(group):  # before all places of a large number are listed
+    if math.prod(most.tolist()) != len(group):  # before listing all indices of a large one
         return False
     return set(group) == {tuple(k + 1 for k in at) for at in np.ndindex(*most)}
 
 
 def _shared_unit(name: str, members: list[Column]) -> str | None:
-    """Return the unit of components that are one column; None for that of the glossary."""
+    """Return the unit of the components of one column; None means the unit in the glossary."""
     units, known = {member.unit for member in members}, glossary.columns()[name].unit
     if units <= {"", *known.split(", ")}:
         return None
@@ -346,19 +372,24 @@ def _shared_unit(name: str, members: list[Column]) -> str | None:
 
 
 def foreign_table(
-    path: Path, arrays: Mapping[str, tuple[np.ndarray, str]], left_out: Sequence[str] = (), raw: bool = False
+    path: Path,
+    arrays: Mapping[str, tuple[np.ndarray, str]],
+    left_out: Sequence[str] = (),
+    raw: bool = False,
+    names: ColumnNames | None = None,
 ) -> Table:
-    """Return the table of arrays by name, with their units; names of the ancestors' logs are read as ours.
+    """Return the table of arrays by name, with their units; names in logs of the predecessor tools are mapped to ours.
 
-    The clock is t, time or timestamp. Arrays with as many columns are transposed, those of another size left out.
+    The clock is t, time or timestamp. Arrays with matching columns are transposed; arrays of another size are skipped.
     """
+    arrays, joints = (arrays, {}) if names is None else names.found(path, arrays)
     named = {OLD_NAMES.get(name, name): entry for name, entry in arrays.items()}
     clock = next((name for name in CLOCKS if name in named and _is_line(named[name][0])), None)
     if clock is None:
         have = ", ".join(f"{name} {array.shape}" for name, (array, _) in arrays.items()) or "none"
         raise LogError(
             f"Expected times t, time or timestamp in {path}, got {have}. Read the arrays by log.read_mat or h5py and "
-            "make a log of them: log.Table(t, {'q': q})."
+            f"build a table, log.Table(t, {{'q': q}}); or name the times, columns='t=NAME' (--columns t=NAME)."
         )
     rows = named[clock][0].size
     kept, other = {}, list(left_out)
@@ -368,17 +399,36 @@ def foreign_table(
             other.append(f"{name} {array.shape}")
         else:
             kept[name] = (fitting, unit)
-    notes = [f"left out: {', '.join(other)}"] if other else []
-    return labelled_table(path, kept, notes=notes, raw=raw)
+    notes = [f"skipped: {', '.join(other)}"] if other else []
+    return labelled_table(path, kept, notes=[*notes, *(names.notes if names else ())], raw=raw, joints=joints)
+
+
+def renamed(path: Path, table: Table, names: ColumnNames | None) -> Table:
+    """Return a table with columns renamed, and scaled by their factors, as in `names`."""
+    if names is None:
+        return table
+    found, joints = names.found(path, {name: (table[name], table.units[name]) for name in table.names})
+    found.pop("t", None)
+    same = {name: table.columns[name] for name, (array, _) in found.items() if array is table.values.get(name)}
+    values, columns = _in_si(path, {name: entry for name, entry in found.items() if name not in same})
+    new = {
+        name: replace(one, unit=one.unit or (None if name in glossary.columns() else "1"), labels=joints.get(name, ()))
+        for name, one in columns.items()
+    }
+    try:
+        whole = {name: values.get(name, entry[0]) for name, entry in found.items()}
+        return replace(table, values=whole, columns=same | new, notes=(*table.notes, *names.notes))
+    except ArmlabError as error:
+        raise LogError(f"Expected columns that match the glossary in {path}, got other columns: {error}") from None
 
 
 def _is_line(array: np.ndarray) -> bool:
-    """Tell whether an array has one axis at most that counts."""
+    """Return whether at most one axis of an array is longer than 1."""
     return array.size == max(array.shape, default=1)
 
 
 def _by_rows(array: np.ndarray, rows: int) -> np.ndarray | None:
-    """Return an array with one sample per row; None where no axis has as many."""
+    """Return an array with one sample per row, or None if no axis has this length."""
     if array.size == rows and array.ndim <= 2 and rows in array.shape:
         return array.ravel()
     if array.ndim and len(array) == rows:

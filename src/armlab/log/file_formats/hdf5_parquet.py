@@ -11,8 +11,9 @@ import msgspec
 import numpy as np
 
 from armlab._interrupts import deferred
-from armlab.errors import UnknownName
+from armlab.errors import LogError, UnknownName
 from armlab.log.column import Column
+from armlab.log.file_formats.column_names import ColumnNames
 from armlab.log.file_formats.description import (
     Description,
     Progress,
@@ -23,19 +24,20 @@ from armlab.log.file_formats.description import (
     names_of,
     of_json,
     put_together,
+    renamed,
 )
 from armlab.log.file_formats.opening import check_unpacked_size, needed, undamaged
 from armlab.log.table import Table
 
-CHUNK = 1 << 18  # bytes: what a reader of a few rows unpacks
+CHUNK = 1 << 18  # bytes: smallest unit of decompression
 
 
 def write_hdf5(table: Table, file: BinaryIO, progress: Progress) -> None:
-    """Write a dataset per column, shuffled and packed by gzip, with attributes unit, kind, frame and labels, if any."""
+    """Write one gzip-compressed dataset per column, with the attributes unit, kind, frame and labels (if any)."""
     h5py = needed("h5py", "for HDF5")
     names = distinct({name: name.replace("/", "_").strip(".") or "_" for name in table.names}, ["t"])
     about = msgspec.structs.asdict(Description.of(table))
-    memory = BytesIO()  # an error of the disk in the middle of a write would end the process in HDF5
+    memory = BytesIO()  # a disk error during a write would crash the process in HDF5
     with h5py.File(memory, "w") as whole:
         with deferred():
             for key in ("armlab", "t0_ns", "clock"):
@@ -51,7 +53,7 @@ def write_hdf5(table: Table, file: BinaryIO, progress: Progress) -> None:
 
 
 def _put_column(h5py: Any, one: Any, place: int, name: str, described: Any) -> None:
-    """Put what is said of a column on its dataset; what is not said takes no attribute and no time."""
+    """Write the description of a column to its dataset, omitting empty attributes."""
     one.attrs["place"] = place
     own = name if name != one.name.removeprefix("/") else ""
     texts = {"name": own, "unit": described.unit, "kind": described.kind, "frame": described.frame}
@@ -76,31 +78,40 @@ def _dataset(h5py: Any, whole: Any, name: str, array: np.ndarray) -> Any:
     return whole.create_dataset(name, data=array, chunks=chunks, compression="gzip", compression_opts=1, shuffle=True)
 
 
-def read_hdf5(path: Path, columns: Sequence[str] | None = None, *, raw: bool = False) -> Table:
-    """Return the table in an HDF5 file: one of `write_hdf5`, or the datasets of another program by `foreign_table`."""
-    h5py = needed("h5py", f"to read {path}, a file in HDF5")
+def read_hdf5(
+    path: Path, columns: Sequence[str] | None = None, *, raw: bool = False, names: ColumnNames | None = None
+) -> Table:
+    """Return the table in an HDF5 file, written by `write_hdf5` or converted by `foreign_table`."""
+    h5py = needed("h5py", f"to read the HDF5 file {path}")
     with undamaged(f"HDF5 file at {path}"), h5py.File(path, "r") as whole:
         check_unpacked_size(path, stored_size(h5py, whole))
         if "armlab" not in whole.attrs:
             arrays, left_out = _datasets(h5py, whole)
-            return foreign_table(path, arrays, left_out, raw)
-        about, names = _described(whole)
-        wanted = list(names) if columns is None else list(columns)
+            if not arrays and left_out:
+                raise LogError(
+                    f"Expected arrays of numbers in {path}, got {', '.join(left_out)}: a struct or another compound "
+                    "type. Save its fields one by one, in Julia: "
+                    'save("log.jld", "pos", log.pos, "vel", log.vel, "trq", log.trq, "timestamp", log.timestamp).'
+                )
+            return foreign_table(path, arrays, left_out, raw, names)
+        about, own = _described(whole)
+        wanted = list(own) if columns is None else list(columns)
         for name in wanted:
-            if name not in names:
-                raise UnknownName.among("column", name, names)
-        return about.table(path, whole["t"][()], {name: _values(whole[names[name]]) for name in wanted})
+            if name not in own:
+                raise UnknownName.among("column", name, own)
+        table = about.table(path, whole["t"][()], {name: _values(whole[own[name]]) for name in wanted})
+        return renamed(path, table, names)
 
 
 def stored_size(h5py: Any, whole: Any) -> int:
-    """Return the bytes of all datasets of a file once they are unpacked; a text counts as 16."""
+    """Return the uncompressed size of all datasets of a file in bytes; a text counts as 16 bytes."""
     sizes = []
     whole.visititems(lambda _, item: sizes.append(item.nbytes) if isinstance(item, h5py.Dataset) else None)
     return sum(sizes)
 
 
 def _described(whole: Any) -> tuple[Description, dict[str, str]]:
-    """Return the description in the attributes, and the dataset of each column."""
+    """Return the description from the attributes, and the dataset of each column."""
     names, described = {}, {}
     columns = [(own, one) for own, one in whole.items() if own != "t"]
     for own, one in sorted(columns, key=lambda entry: int(entry[1].attrs["place"])):
@@ -113,22 +124,43 @@ def _described(whole: Any) -> tuple[Description, dict[str, str]]:
 
 
 def _datasets(h5py: Any, whole: Any) -> tuple[Mapping[str, tuple[np.ndarray, str]], list[str]]:
-    """Return the numbers and texts of another program with their units, and the names of what else there is."""
+    """Return foreign numbers and texts with their units, and the names of all other datasets."""
     found: dict[str, tuple[np.ndarray, str]] = {}
     left_out: list[str] = []
 
     def visit(name: str, item: Any) -> None:
-        if not isinstance(item, h5py.Dataset):
-            return
+        if not isinstance(item, h5py.Dataset) or name.startswith(("_refs/", "_types/", "_creator")):
+            return  # metadata of .jld
+        if item.dtype.names and item.size == 1:
+            fields = _fields_of_struct(h5py, whole, item)
+            found.update({f"{name.replace('/', '.')}.{own}": (array, "") for own, array in fields.items()})
+            if fields:
+                return
         text = h5py.check_string_dtype(item.dtype)
         if item.dtype.kind in "biuf" or (text is not None and item.ndim == 1):
             unit = item.attrs.get("unit", item.attrs.get("units", ""))
             found[name.replace("/", ".")] = (_values(item), unit if isinstance(unit, str) else "")
-        elif not name.startswith("_"):  # _types, _refs and _creator of a .jld are its own business
+        else:
             left_out.append(name)
 
     whole.visititems(visit)
+    structs = {name.partition(".")[0] for name in found if "." in name}
+    if len(structs) == 1 and all("." in name for name in found):  # a single struct: its fields are columns
+        found = {name.partition(".")[2]: entry for name, entry in found.items()}
     return found, left_out
+
+
+def _fields_of_struct(h5py: Any, whole: Any, item: Any) -> dict[str, np.ndarray]:
+    """Return the numeric arrays in a Julia struct, which is a compound of numbers and references."""
+    row, found = item[()], {}
+    row = row.reshape(-1)[0] if isinstance(row, np.ndarray) else row
+    for name in item.dtype.names:
+        value = row[name]
+        if isinstance(value, h5py.Reference):
+            value = whole[value][()] if value and isinstance(whole[value], h5py.Dataset) else None
+        if isinstance(value, np.ndarray | np.generic) and np.asarray(value).dtype.kind in "biuf":
+            found[name.rstrip("_")] = np.asarray(value)  # Julia writes pos as pos_
+    return {name: array for name, array in found.items() if array.ndim}
 
 
 def _values(item: Any) -> np.ndarray:
@@ -136,11 +168,11 @@ def _values(item: Any) -> np.ndarray:
     return np.asarray(array) if array.dtype.kind in "biuf" else np.array(array.tolist(), np.str_).reshape(array.shape)
 
 
-ROWS = 150_000  # of a group: ten minutes at 250 Hz
+ROWS = 150_000  # rows per group: ten minutes at 250 Hz
 
 
 def write_parquet(table: Table, file: BinaryIO, progress: Progress) -> None:
-    """Write columns t, q1, q2, ... packed by zstd, bytes of numbers in streams, units in the metadata of fields."""
+    """Write columns t, q1, q2, ... with zstd and byte-stream split; units are in the field metadata."""
     pa, parquet = needed("pyarrow", "for Parquet"), needed("pyarrow.parquet", "for Parquet")
     parts = list(components(table))
     labels = list(distinct({place: label for place, (label, _, _) in enumerate(parts)}).values())
@@ -161,16 +193,18 @@ def write_parquet(table: Table, file: BinaryIO, progress: Progress) -> None:
             progress(min(start + ROWS, len(table)), len(table), "rows")
 
 
-def read_parquet(path: Path, columns: Sequence[str] | None = None, *, raw: bool = False) -> Table:
-    """Return the table in a Parquet file: one of `write_parquet`, or the columns of another program."""
-    what = f"to read {path}, a file in Parquet"
+def read_parquet(
+    path: Path, columns: Sequence[str] | None = None, *, raw: bool = False, names: ColumnNames | None = None
+) -> Table:
+    """Return the table in a Parquet file: from `write_parquet`, or foreign columns."""
+    what = f"to read the Parquet file {path}"
     pa, parquet = needed("pyarrow", what), needed("pyarrow.parquet", what)
     with undamaged(f"Parquet file at {path}"), parquet.ParquetFile(path) as file:
         check_unpacked_size(path, 8 * file.metadata.num_rows * file.metadata.num_columns)
         about = (file.schema_arrow.metadata or {}).get(b"armlab")
         if about is None:
-            return _foreign(pa, path, file, raw)
-        return _as_written(path, file, of_json(about, path), columns)
+            return _foreign(pa, path, file, raw, names)
+        return renamed(path, _as_written(path, file, of_json(about, path), columns), names)
 
 
 def _as_written(path: Path, file: Any, about: Description, columns: Sequence[str] | None) -> Table:
@@ -187,8 +221,8 @@ def _as_written(path: Path, file: Any, about: Description, columns: Sequence[str
     return about.table(path, t, put_together(about, parts, len(t)))
 
 
-def _foreign(pa: Any, path: Path, file: Any, raw: bool) -> Table:
-    """Return the columns of another program; what is neither number nor text is left out and named."""
+def _foreign(pa: Any, path: Path, file: Any, raw: bool, names: ColumnNames | None) -> Table:
+    """Return foreign columns; columns that are neither numeric nor text are skipped and listed."""
     table, left_out, arrays = file.read(), [], {}
     kinds = pa.types.is_floating, pa.types.is_integer, pa.types.is_string, pa.types.is_large_string
     for field, (name, unit) in zip(table.schema, names_of(path, table.schema.names), strict=True):
@@ -202,8 +236,8 @@ def _foreign(pa: Any, path: Path, file: Any, raw: bool) -> Table:
             continue
         said = (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
         arrays[name] = (_array_values(column), unit or said)
-    notes = [f"left out: {', '.join(left_out)}"] if left_out else []
-    return labelled_table(path, arrays, notes=notes, raw=raw)
+    notes = [f"skipped: {', '.join(left_out)}"] if left_out else []
+    return labelled_table(path, arrays, notes=notes, raw=raw, names=names)
 
 
 def _array_values(column: Any) -> np.ndarray:

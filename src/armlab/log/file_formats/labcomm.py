@@ -1,7 +1,7 @@
-"""`read_labcomm`: a LabComm stream in a file becomes a `Table`, whatever its dialect.
+"""`read_labcomm`: read a LabComm stream from a file as a `Table`, in any dialect.
 
-Each leaf of a sample is a column, ``robot_row.pos`` (N, 7), ``irb2ext.robot[0].joint[2].posRawAbs`` (N,): arrays of
-numbers stay arrays, structs in arrays are numbered from 0. One sample paces the rows, the others are held.
+Each leaf of a sample is a column, ``robot_row.pos`` (N, 7), ``irb2ext.robot[0].joint[2].posRawAbs`` (N,): numeric
+arrays remain arrays, structs in arrays are numbered from 0. One sample defines the rows; the others are held.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from armlab.wire.labcomm import Decoder, Limits, Sample
 from armlab.wire.labcomm.types import Array, Prim, Struct
 
 _PIECE = 1 << 20
-_CLOCKS = {"t_us": 1e-6, "tm": 1e-3, "t": 1.0, "time": 1.0}  # fields of a sample that are its clock, and their unit [s]
-_WRAP = 1 << 32  # of a tm: milliseconds in a signed int of 32 bits
+_CLOCKS = {"t_us": 1e-6, "tm": 1e-3, "t": 1.0, "time": 1.0}  # clock fields of a sample, and their unit [s]
+_WRAP = 1 << 32  # period of tm: milliseconds in a signed 32-bit integer
 _BRIDGE = ("robot_row", "command_row")
-_UNITS = {"pos": "rad", "vel": "rad/s", "trq": "N m"}  # of these samples of the bridge
+_UNITS = {"pos": "rad", "vel": "rad/s", "trq": "N m"}  # of the bridge's samples
 _KINDS = {"b": "flag", "i": "count", "f": "real", "U": "text"}
-_TYPES = {"boolean": np.bool_, "float": np.float64, "double": np.float64, "string": np.str_}  # others are whole numbers
+_TYPES = {"boolean": np.bool_, "float": np.float64, "double": np.float64, "string": np.str_}  # others are integers
 
 
 @dataclass(slots=True)
 class _Leaf:
-    """The values of one column so far, how many rows there were before each, and axes of those that are not empty."""
+    """Values of one column so far, the row count before each value, and the number of axes of non-empty values."""
 
     dtype: Any
     values: list[np.ndarray] = field(default_factory=list)
@@ -45,25 +45,25 @@ class _Leaf:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the largest value."""
-        axes = max((value.ndim for value in self.values), default=0)  # an empty list of lists has one
+        """Shape of the largest value."""
+        axes = max((value.ndim for value in self.values), default=0)  # an empty list of lists has one axis
         most = [value.shape for value in self.values if value.ndim == axes]
         return tuple(max(sizes) for sizes in zip(*most, strict=True))
 
     @property
     def size(self) -> int:
-        """Cells of eight bytes in a row; NumPy gives each text the room of the longest, four bytes a letter."""
+        """Eight-byte cells per row; each text is as wide as the longest, four bytes per character."""
         if self.dtype is np.str_:
             return max(value.itemsize for value in self.values) // 8 + 1
         return math.prod(self.shape)
 
     @property
     def held(self) -> int:
-        """Cells of the values themselves."""
+        """Number of cells of the values themselves."""
         return sum(value.nbytes // 8 + 1 for value in self.values)
 
     def add(self, value: Any, dtype: Any, row: int, label: str) -> None:
-        """Take a value, of another type too, which a sample has that is declared once more."""
+        """Append a value, possibly of another type if its sample was redeclared."""
         array = np.asarray(value, dtype=dtype)
         if dtype is not self.dtype:
             if np.str_ in (dtype, self.dtype):
@@ -73,7 +73,7 @@ class _Leaf:
             self.axes = array.ndim if self.axes is None else self.axes
             if self.axes != array.ndim:
                 raise LogError(
-                    f"Expected arrays of {self.axes} dimensions in {label}, got one of {array.ndim}. Its sample was "
+                    f"Expected arrays of {self.axes} dimensions in {label}, got {array.ndim}. Its sample was "
                     "declared twice."
                 )
         self.values.append(array)
@@ -81,18 +81,18 @@ class _Leaf:
 
 
 def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | None = None, raw: bool = False) -> Table:
-    """Return the table in a file with a LabComm stream, as the ancestors' loggers wrote it.
+    """Read the table in a file with a LabComm stream, as written by the predecessors' loggers.
 
-    A row per value of the sample that paces; the others are held, and missing before their first value. An array of
-    variable size has the columns of its largest, NaN where it was smaller. A stream that ends within a packet is read
-    up to there, with one warning and a note.
+    One row per value of the defining sample; the others are held, and missing before their first value. A variable-size
+    array has as many columns as its largest value and is padded with NaN. A stream that ends within a packet is read up
+    to that point, with one warning and a note.
 
     Parameters
     ----------
-    path : the file: definitions and values, in any dialect that announces itself.
-    sample : name of the sample that paces; the one with most values when None.
-    rate : [Hz] of its values. When None their clock is a field t_us [us], tm [ms], t or time [s] of the sample.
-    raw : keep rows whose time does not advance.
+    path : file with definitions and values, in any self-describing dialect.
+    sample : name of the sample that defines the rows; default: the one with most values.
+    rate : sample rate [Hz] of its values. Default: from a field t_us [us], tm [ms], t or time [s] of the sample.
+    raw : keep rows with non-increasing time.
 
     Returns
     -------
@@ -100,11 +100,10 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
 
     Raises
     ------
-    LogError : no file, no LabComm stream, a stream that is malformed (says at which byte), no values, no clock, a
-        sample that is declared twice, as numbers and texts or with arrays of other dimensions, values whose columns
-        would hardly hold anything.
-    UnknownName : no values of that sample; lists those that have some.
-    ShapeError : a rate that is not one number.
+    LogError : missing file, not a LabComm stream, a malformed stream (with its byte), no values, no clock, a sample
+        declared twice (as numbers and texts, or with arrays of different dimensions), or almost empty columns.
+    UnknownName : `sample` has no values; lists those that have.
+    ShapeError : `rate` is not one number.
     """
     path = Path(path)
     if rate is not None and not 0.0 < number(rate, "the rate [Hz]") < np.inf:
@@ -114,7 +113,7 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
     for one in samples:
         counts[one.name] = counts.get(one.name, 0) + 1
     if not counts:
-        raise LogError(f"Expected values of samples in the LabComm stream {path}, got definitions at most.")
+        raise LogError(f"Expected values of samples in the LabComm stream {path}, got only definitions.")
     if sample is not None:
         check_name(sample, "sample with values", counts)
     pace = max(counts, key=counts.__getitem__) if sample is None else sample
@@ -125,10 +124,10 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
             refuse_ragged(max(len(leaf.values), counts[pace]), {label: leaf.size}, leaf.held)
         refuse_ragged(counts[pace], sizes, sum(leaf.held for leaf in leaves.values()))
     except LogError as error:
-        raise LogError(f"Expected samples that make a table in {path}, got others: {error}") from None
+        raise LogError(f"Expected samples that form a table in {path}, got other samples: {error}") from None
     columns = {label: _column(leaf, counts[pace]) for label, leaf in leaves.items()}
     t = _clock(path, columns, pace, counts[pace], rate)
-    ends = f"{path.name} ends within a packet: its last {torn} bytes are left out"
+    ends = f"{path.name} ends within a packet: its last {torn} bytes are skipped"
     if torn:
         warnings.warn(ends, stacklevel=2)
     t, keep, dropped = rows_in_order(t, raw)
@@ -142,11 +141,11 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
             source=(f"{path.name} sha256 {file_hash(path)}",),
         )
     except ArmlabError as error:
-        raise LogError(f"Expected samples that fit the glossary in {path}, got others: {error}") from None
+        raise LogError(f"Expected samples that match the glossary in {path}, got other samples: {error}") from None
 
 
 def _samples(path: Path) -> tuple[list[Sample], int]:
-    """Return the values in the file, in order, and how many bytes at its end are no whole packet."""
+    """Return the values in the file, in order, and the number of incomplete bytes at its end."""
     decoder, found = Decoder(limits=Limits.file()), []
     try:
         with path.open("rb") as file:
@@ -160,13 +159,13 @@ def _samples(path: Path) -> tuple[list[Sample], int]:
         raise LogError(f"Expected a log at {path}, got: {error.strerror}.") from None
     except LabCommError as error:
         raise LogError(
-            f"Expected a whole LabComm stream in {path}, got a fault at byte {error.offset}: {error}"
+            f"Expected a valid LabComm stream in {path}, got an error at byte {error.offset}: {error}"
         ) from None
     return found, decoder.pending
 
 
 def _leaves(samples: Sequence[Sample], pace: str) -> dict[str, _Leaf]:
-    """Return the leaves of all samples by label, those of the sample that paces first."""
+    """Return the leaves of all samples by label, starting with the defining sample."""
     leaves: dict[str, _Leaf] = {}
     row = 0
     for one in sorted(samples, key=lambda one: one.name != pace)[:1]:
@@ -180,7 +179,7 @@ def _leaves(samples: Sequence[Sample], pace: str) -> dict[str, _Leaf]:
 
 
 def _parts(label: str, node: Any, value: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Yield label, type and value of each leaf; an array of numbers is one."""
+    """Yield the label, type and value of each leaf; a numeric array is one leaf."""
     if isinstance(node, Struct):
         for one in node.fields:
             yield from _parts(f"{label}.{one.name}", one.type, value[one.name])
@@ -204,7 +203,7 @@ def _elements(value: Any, depth: int) -> Iterator[tuple[str, Any]]:
 
 
 def _column(leaf: _Leaf, rows: int) -> np.ndarray:
-    """Return the values (rows, ...) of a leaf, each held until the next; whole numbers with holes are real."""
+    """Return the values (rows, ...) of a leaf, each held until the next; integers with gaps become real."""
     shape, axes = leaf.shape, len(leaf.shape)
     whole = leaf.rows[0] == 0 and all(value.shape == shape for value in leaf.values)
     if whole or leaf.dtype is np.str_:
@@ -230,7 +229,7 @@ def _clock(path: Path, columns: dict[str, np.ndarray], pace: str, rows: int, rat
     if name is None or stamps.ndim != 1 or stamps.dtype.kind not in "if" or not np.isfinite(stamps).all():
         raise LogError(
             f"Expected a clock ({', '.join(_CLOCKS)}) in the sample {pace!r} of {path}, got {', '.join(columns)}. "
-            f"Give the rate of its values: log.read_labcomm(path, rate=250.0)."
+            f"Pass the rate of its values: log.read_labcomm(path, rate=250.0)."
         )
     steps = np.diff(stamps, prepend=stamps[:1])
     if name == "tm":

@@ -1,11 +1,12 @@
-"""MATLAB files: arrays of versions 5 to 7.2 (read here) and 7.3 (HDF5, by h5py), and a `Table` in version 5.
+"""MATLAB files: read arrays of versions 5 to 7.2 and of 7.3 (HDF5, with h5py), and write a `Table` in version 5.
 
-SciPy trusts the sizes in a file: a damaged one can end the process. The format: MATLAB, "MAT-File Level 5 File Format".
+SciPy is not used because it trusts the sizes in a file, so that a corrupt file can crash the process. Format: MATLAB,
+"MAT-File Level 5 File Format".
 
-HDF5 keeps MATLAB's columns as rows: every array of a v7.3 file is transposed on reading.
+HDF5 stores MATLAB's columns as rows, so every array of a v7.3 file is transposed on reading.
 
-In MATLAB ``run = load('run.mat')`` gives ``run.t``, ``run.q`` (N, n), ``run.units.q``; ``run.names`` holds the true
-names of columns whose own are none in MATLAB, ``run.armlab`` everything else as JSON.
+In MATLAB ``run = load('run.mat')`` gives ``run.t``, ``run.q`` (N, n), ``run.units.q``. ``run.names`` holds the original
+names of columns whose names MATLAB does not allow; ``run.armlab`` holds all other metadata as JSON.
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from armlab.errors import LogError, UnknownName
-from armlab.log.file_formats.description import Description, Progress, distinct, foreign_table, of_json
+from armlab.log.file_formats.column_names import ColumnNames
+from armlab.log.file_formats.description import Description, Progress, distinct, foreign_table, of_json, renamed
 from armlab.log.file_formats.hdf5_parquet import stored_size
 from armlab.log.file_formats.opening import FIRST, check_unpacked_size, format_of, needed, undamaged
 from armlab.log.table import Table
 
-_HEADER = 128  # bytes of text, version and byte order before the first element
+_HEADER = 128  # bytes before the first element: text, version, byte order
 _MATRIX, _COMPRESSED = 14, 15  # kinds of elements
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _TEXTS = {1: "ascii", 2: "ascii", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
@@ -34,14 +36,14 @@ _CELL, _CHARS, _OPAQUE = 1, 4, 17  # classes of matrices
 _NUMERIC = range(6, 16)
 _CLASSES = range(1, 18)
 _COMPLEX = 0x0800
-_UNPACKED, _RATIO = 1 << 26, 200  # bytes of any file; above that, for each of its own
+_UNPACKED, _RATIO = 1 << 26, 200  # always allowed bytes, and ratio beyond
 
 
 def variables_in(data: bytes) -> dict[str, np.ndarray | None]:
-    """Return the variables of a file: real numbers as stored, texts and cells of texts, None for others."""
+    """Return the variables of a file: real numbers as stored, texts, and cells of texts; other variables are None."""
     order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER])
     if order is None:
-        raise LogError("Expected the byte order IM or MI, got another.")
+        raise LogError("Expected the byte-order mark IM or MI, got an invalid one.")
     left = max(_UNPACKED, _RATIO * len(data))
     found = {}
     for kind, body in _elements(memoryview(data)[_HEADER:], order):
@@ -56,14 +58,14 @@ def variables_in(data: bytes) -> dict[str, np.ndarray | None]:
 
 
 def _elements(view: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Yield kind and data of each element; it begins at a multiple of 8 bytes unless it is compressed."""
+    """Yield the kind and data of each element; elements are aligned to 8 bytes unless compressed."""
     at = 0
     while at < len(view):
         if len(view) - at < 8:
             raise LogError("Expected an element of 8 bytes or more, got the end of the file.")
         kind, size = struct.unpack_from(order + "II", view, at)
         start, end = at + 8, at + 8 + size
-        if kind >> 16:  # up to 4 bytes of data within the 8 of the tag
+        if kind >> 16:  # small element: up to 4 bytes of data inside the tag
             kind, size = kind & 0xFFFF, kind >> 16
             start, end = at + 4, at + 4 + size
             if size > 4:
@@ -75,7 +77,7 @@ def _elements(view: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
 
 
 def _unpacked(body: memoryview, order: str, most: int) -> tuple[int, memoryview]:
-    """Return kind and data of the element in compressed data, which begins with its size."""
+    """Return the kind and data of a compressed element, which starts with its uncompressed size."""
     packed = zlib.decompressobj()
     try:
         kind, size = struct.unpack(order + "II", packed.decompress(body, 8))
@@ -88,7 +90,7 @@ def _unpacked(body: memoryview, order: str, most: int) -> tuple[int, memoryview]
     except (zlib.error, struct.error) as error:
         raise LogError(f"Expected compressed data, got: {error}.") from None
     if len(data) != size or not packed.eof:
-        raise LogError(f"Expected {size} bytes of compressed data, got others.")
+        raise LogError(f"Expected {size} bytes of compressed data, got a different size.")
     return kind, memoryview(data)
 
 
@@ -112,7 +114,7 @@ def _matrix(body: memoryview, order: str) -> tuple[str, np.ndarray | None]:
 
 
 def _words(parts: Iterator[tuple[int, memoryview]], shape: tuple[int, ...], order: str) -> np.ndarray | None:
-    """Return a cell of texts; None of one that holds something else."""
+    """Return a cell of texts, or None for other contents."""
     words = []
     for kind, body in parts:
         text = None
@@ -125,12 +127,12 @@ def _words(parts: Iterator[tuple[int, memoryview]], shape: tuple[int, ...], orde
         if text is None:
             return None
         words.append(text)
-    _check_shape((len(words), max(map(len, words), default=0)))  # each takes the room of the longest
+    _check_shape((len(words), max(map(len, words), default=0)))  # each is as wide as the longest
     return np.array(words, dtype=np.str_).reshape(shape, order="F")
 
 
 def _text(kind: int, data: memoryview, shape: tuple[int, ...], order: str) -> str | None:
-    """Return a text in one row; None of several rows."""
+    """Return a one-row text, or None for several rows."""
     _check_shape(shape)
     if 0 in shape:
         return ""
@@ -138,7 +140,7 @@ def _text(kind: int, data: memoryview, shape: tuple[int, ...], order: str) -> st
         return None
     codec = _TEXTS.get(kind)
     if codec is None:
-        raise LogError(f"Expected letters, got an element of kind {kind}.")
+        raise LogError(f"Expected characters, got an element of kind {kind}.")
     suffix = {"<": "-le", ">": "-be"}[order] if codec[-2:] in ("16", "32") else ""
     return bytes(data).decode(codec + suffix, errors="replace")[: shape[-1]]
 
@@ -166,23 +168,24 @@ def _numbers(kind: int, data: memoryview, order: str) -> np.ndarray:
 def _next(parts: Iterator[tuple[int, memoryview]]) -> tuple[int, memoryview]:
     found = next(parts, None)
     if found is None:
-        raise LogError("Expected the rest of a variable, got its end.")
+        raise LogError("Expected the rest of a variable, but the data ended.")
     return found
 
 
 def read_mat(path: str | Path, name: str | None = None) -> dict[str, np.ndarray]:
     """Read the real numerical arrays of a ``.mat`` file, by name.
 
-    Text, cells, structs and complex numbers are left out.
+    Text, cells, structs and complex numbers are skipped.
 
     Parameters
     ----------
-    path : of the file, v5 to v7.3.
+    path : MAT file, v5 to v7.3.
     name : read only this variable.
 
     Raises
     ------
-    LogError : no MAT file, a truncated one, or one without arrays. UnknownName : it has no such array.
+    LogError : not a MAT file, truncated, or without arrays.
+    UnknownName : the array does not exist.
     MissingExtra : v7.3 without h5py.
     """
     path = Path(path)
@@ -191,12 +194,14 @@ def read_mat(path: str | Path, name: str | None = None) -> dict[str, np.ndarray]
     if name is not None and name not in found:
         raise UnknownName.among("variable", name, found)
     if not found:
-        raise LogError(f"Expected arrays in {path}, got none. Text, cells and structs are not read.")
+        raise LogError(
+            f"Expected arrays in {path}, got none. Save numeric arrays; text, cells and structs are not read."
+        )
     return found if name is None else {name: found[name]}
 
 
 def read_variables(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Return the arrays of real numbers and of text in a MAT file by name, and the names of what else it has."""
+    """Return the real numeric and text arrays of a MAT file by name, and the names of all other variables."""
     try:
         with path.open("rb") as file:
             head = file.read(FIRST)
@@ -208,7 +213,7 @@ def read_variables(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
         found = _version_5(path)
     else:
         raise LogError(
-            f"Expected a MAT file at {path}, got one that begins with {head[:10]!r}. Save it from MATLAB with save."
+            f"Expected a MAT file at {path}, got a file that begins with {head[:10]!r}. Save it from MATLAB with save."
         )
     return {k: v for k, v in found.items() if v is not None}, [k for k, v in found.items() if v is None]
 
@@ -216,9 +221,9 @@ def read_variables(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
 def _version_5(path: Path) -> dict[str, np.ndarray | None]:
     try:
         found = variables_in(path.read_bytes())
-    except (LogError, ValueError, OverflowError) as error:  # sizes that do not fit each other, letters that are none
+    except (LogError, ValueError, OverflowError) as error:  # inconsistent sizes, invalid characters
         what = str(error).rstrip(".")
-        raise LogError(f"Expected a whole MAT file at {path}, got a damaged one: {what[:200]}.") from None
+        raise LogError(f"Expected a valid MAT file at {path}, got a corrupt one: {what[:200]}.") from None
     return {name: value for name, value in found.items() if name and not name.startswith("__")}
 
 
@@ -230,7 +235,7 @@ def _hdf5(path: Path) -> dict[str, np.ndarray | None]:
 
 
 def _dataset(item: Any, h5py: Any) -> np.ndarray | None:
-    """Return an array of version 7.3 as MATLAB shows it."""
+    """Return an array of version 7.3 in MATLAB's orientation."""
     if not isinstance(item, h5py.Dataset) or "MATLAB_empty" in item.attrs:
         return None
     array = item[()]
@@ -242,8 +247,8 @@ def _dataset(item: Any, h5py: Any) -> np.ndarray | None:
     return array.T.copy()
 
 
-LARGEST = 2**31 - 2**16  # bytes of a variable, with room for what stands before its numbers
-LONGEST = 59  # characters of a name: 63 with what may be put behind it
+LARGEST = 2**31 - 2**16  # bytes per variable, including its header
+LONGEST = 59  # characters per name: 63 with the largest suffix
 TAKEN = ("t", "units", "names", "armlab")
 KEYWORDS = (
     "break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if",
@@ -252,7 +257,7 @@ KEYWORDS = (
 
 
 def matlab_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the variable of each column: its name where MATLAB allows that, else one like it."""
+    """Return the variable name of each column: its own name if MATLAB allows it, otherwise a similar name."""
     return distinct({name: _valid(name) for name in names}, TAKEN)
 
 
@@ -264,7 +269,7 @@ def write_mat(table: Table, file: BinaryIO, progress: Progress) -> None:
         if table[name].nbytes > LARGEST:
             raise LogError(
                 f"Expected columns below 2 GB for a MAT file of version 5, got {table[name].nbytes / 1e9:.1f} GB in "
-                f"{name!r}. Write HDF5, a name that ends in .h5."
+                f"{name!r}. Write HDF5 by using a name that ends in .h5."
             )
     names = matlab_names(table.names)
     variables: dict[str, Any] = {"t": table.t}
@@ -278,28 +283,29 @@ def write_mat(table: Table, file: BinaryIO, progress: Progress) -> None:
     savemat(_Told(file, whole, progress), variables, long_field_names=True, oned_as="column")
 
 
-def read_mat_table(path: Path, *, raw: bool = False) -> Table:
-    """Return the table in a MAT file: one of `write_mat`, or the arrays of another program by `foreign_table`."""
+def read_mat_table(path: Path, *, raw: bool = False, names: ColumnNames | None = None) -> Table:
+    """Return the table in a MAT file, written by `write_mat` or converted by `foreign_table`."""
     found, left_out = read_variables(path)
     text = found.get("armlab")
     if text is None or text.dtype.kind != "U" or text.shape != (1, 1):
-        return foreign_table(path, {name: (value, "") for name, value in found.items()}, left_out, raw)
+        return foreign_table(path, {name: (value, "") for name, value in found.items()}, left_out, raw, names)
     about = of_json(str(text[0, 0]), path)
-    names = matlab_names(about.columns)
-    missing = [name for name, own in {"t": "t", **names}.items() if own not in found]
+    of_matlab = matlab_names(about.columns)
+    missing = [name for name, own in {"t": "t", **of_matlab}.items() if own not in found]
     if missing:
-        raise LogError(f"Expected the variables that are described in {path}, got none for {', '.join(missing)}.")
-    return about.table(path, np.ravel(found["t"]), {name: found[own] for name, own in names.items()})
+        raise LogError(f"Expected the variables described in {path}, but there are none for {', '.join(missing)}.")
+    table = about.table(path, np.ravel(found["t"]), {name: found[own] for name, own in of_matlab.items()})
+    return renamed(path, table, names)
 
 
 def _valid(name: str) -> str:
-    """Return a name that MATLAB allows, the same where it does."""
+    """Return a valid MATLAB name, unchanged if possible."""
     valid = re.sub(r"\W", "_", name, flags=re.ASCII)
     return (valid if valid[:1].isalpha() and valid not in KEYWORDS else f"x{valid}")[:LONGEST]
 
 
 def _cells(values: np.ndarray) -> np.ndarray:
-    """Return numbers as they are, texts as a cell of each."""
+    """Return numbers unchanged, texts as a cell array."""
     if values.dtype.kind != "U":
         return values
     cells = np.empty(values.shape if values.ndim > 1 else (len(values), 1), dtype=object)
@@ -308,7 +314,7 @@ def _cells(values: np.ndarray) -> np.ndarray:
 
 
 class _Told:
-    """A file that reports each percent of the bytes that go into it."""
+    """File that reports progress for each percent of the bytes written."""
 
     def __init__(self, file: BinaryIO, whole: int, progress: Progress) -> None:
         self._file, self._whole, self._progress = file, whole, progress

@@ -1,4 +1,4 @@
-"""Opening a file: its format by its first bytes, its hash, bounds on what it unpacks to, packages it needs."""
+"""Opening files: format detection, hash, bounds on the uncompressed size, optional packages."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from typing import Any
 from armlab.errors import ArmlabError, LogError, MissingExtra
 
 FIRST = 1024
-"""Bytes from which `format_of` tells the format: HDF5 may have 512 of another program before it."""
+"""Bytes needed by `format_of`: HDF5 may start with a user block of 512 bytes."""
 
 BAGS = ("rosbag2", "SQLite (rosbag2)", "ROS 1 bag")
-"""Formats that programs of ROS record, besides MCAP."""
+"""Formats recorded by ROS programs, besides MCAP."""
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -36,7 +36,7 @@ _FIRST_BYTES = {
 
 
 def format_of(first: bytes) -> str:
-    """Return the name of the format that begins so: "MCAP", "LabComm", ..., "text", "empty" or "unknown"."""
+    """Return the format of the first bytes: "MCAP", "LabComm", ..., "text", "empty" or "unknown"."""
     if not first:
         return "empty"
     for magic, name in _FIRST_BYTES.items():
@@ -46,17 +46,17 @@ def format_of(first: bytes) -> str:
         return "LabComm"
     if first[512:520] == _HDF5:
         return "HDF5"
-    text = b"\0" not in first and first[0] >= 9  # no control character begins a text
+    text = b"\0" not in first and first[0] >= 9  # text does not start with a control character
     return "text" if text else "unknown"
 
 
 def is_text(path: str | Path) -> bool:
-    """Tell whether a file is there and begins as text or gzip, which `log.read_csv` reads."""
+    """Return whether a file exists and starts as text or gzip, for `log.read_csv`."""
     return format_at(path) in ("text", "gzip")
 
 
 def format_at(path: str | Path) -> str:
-    """Return the name of the format of a file, "rosbag2" of a folder that is one; "" where nothing can be read."""
+    """Return the format of a file, "rosbag2" for a rosbag2 folder; "" if unreadable."""
     path = Path(path)
     if path.is_dir() and ((path / "metadata.yaml").is_file() or bag_files(path)):
         return "rosbag2"
@@ -70,17 +70,17 @@ def format_at(path: str | Path) -> str:
 
 
 def bag_files(folder: Path) -> list[Path]:
-    """Return the files of a rosbag2 in order, run/run_0.mcap, run/run_1.mcap, ...; those of no other folder."""
+    """Return the files of a rosbag2 in order, run/run_0.mcap, run/run_1.mcap, ...; empty for other folders."""
     name = re.escape(folder.resolve().name)
     numbers = {one: re.fullmatch(rf"{name}_(\d+)\.(mcap|db3)", one.name) for one in folder.iterdir()}
     return [one for _, one in sorted((int(found[1]), one) for one, found in numbers.items() if found)]
 
 
 def check_readable(path: str | Path) -> None:
-    """Check that a file is there and is a recording in MCAP."""
+    """Check that a file exists and is an MCAP recording."""
     try:
-        if Path(path).is_fifo():  # opening it would wait for a writer
-            raise LogError(f"Expected a log at {path}, got a pipe; a log is read in any order, so it must be a file.")
+        if Path(path).is_fifo():  # opening a FIFO waits for a writer
+            raise LogError(f"Expected a log at {path}, got a pipe. Pass a file, because reading needs random access.")
         with Path(path).open("rb") as file:
             first = file.read(FIRST)
     except OSError as error:
@@ -92,31 +92,31 @@ def check_readable(path: str | Path) -> None:
         raise LogError(f"Expected a log at {path}, got an empty file.")
     shown = f"{found} ({first[:8].hex(' ')})" if found == "unknown" else found
     raise LogError(
-        f"Expected a log in MCAP at {path}, got a file of format {shown}; MCAP files begin with 89 4d 43 41 50."
+        f"Expected an MCAP log at {path}, got a file of format {shown}; MCAP files begin with 89 4d 43 41 50."
     )
 
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Put the file into the sentence of a LogError that does not name it: what reads bytes does not know whose."""
+    """Add the file to a LogError that does not name it."""
     try:
         yield
     except LogError as error:
         if re.search(rf"(?<!\w){re.escape(str(path))}(?!\w)", str(error)):
             raise
-        raise LogError(f"Expected a whole log in {path}, got a fault: {error}") from None
+        raise LogError(f"Expected a valid log in {path}, got an error: {error}") from None
 
 
 @contextmanager
 def undamaged(what: str, raised: Any = Exception) -> Iterator[None]:
-    """Make one sentence of what readers raise on damaged files: OSError, RuntimeError, KeyError, their own."""
+    """Turn errors raised for corrupt files (OSError, RuntimeError, KeyError, reader-specific) into one sentence."""
     try:
         yield
     except ArmlabError:
         raise
     except raised as error:
         words = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise LogError(f"Expected a whole {what}, got a damaged one: {words[:200]}.") from None
+        raise LogError(f"Expected a valid {what}, got a corrupt one: {words[:200]}.") from None
 
 
 @contextmanager
@@ -127,30 +127,31 @@ def opened(path: Path) -> Iterator[memoryview]:
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     except (OSError, ValueError) as error:
         raise LogError(f"Expected a log at {path}, got: {error}.") from None
-    yield memoryview(mapped)  # released with the last array that looks at it
+    yield memoryview(mapped)  # released with the last array that uses it
 
 
-_ANY, _RATIO = 1 << 26, 1000  # bytes of any file; above that, for each of its own: constant columns reach it
+_ANY, _RATIO = 1 << 26, 1000  # always allowed bytes, and ratio beyond: constant columns reach it
 
 
 def check_unpacked_size(path: Path, size: int) -> None:
-    """Refuse a file whose arrays are far larger than itself."""
+    """Reject a file that expands far beyond its size."""
     most = max(_ANY, _RATIO * path.stat().st_size)
     if size > most:
         raise LogError(
-            f"Expected arrays of at most {most} bytes in {path}, {_RATIO} times its size, got {size}. If you trust it, "
-            "write it without compression."
+            f"Expected arrays of at most {most} bytes in {path}, {_RATIO} times its size, got {size}. If you trust "
+            "the file, write it without compression."
         )
 
 
 def needed(module: str, purpose: str, otherwise: str = "") -> Any:
-    """Return a module of the extra `data`."""
+    """Import a module of the extra `data`."""
     try:
         return import_module(module)
     except ImportError:
         package, rest = module.partition(".")[0], f", {otherwise}" if otherwise else ""
         raise MissingExtra(
-            f"Expected {package} {purpose}, got none. Install it: pip install 'armlab[data]'{rest}."
+            f"Expected the package {package} {purpose}, but it is not installed. Install it: pip install "
+            f"'armlab[data]'{rest}."
         ) from None
 
 
@@ -161,7 +162,7 @@ def file_hash(path: str | Path) -> str:
 
 
 def origin(path: str | Path) -> str:
-    """Return the first entry of the source of a table: name of a file and its hash; of a folder, over its files."""
+    """Return the first source entry of a table: file name and hash; for a folder, over its files."""
     path = Path(path)
     if not path.is_dir():
         return f"{path.name} sha256 {file_hash(path)}"

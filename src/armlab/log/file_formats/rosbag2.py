@@ -1,7 +1,8 @@
-"""A `Table` in a rosbag2, in standard message types that ROS 2 tools show; and the same table out of it.
+"""Write a `Table` as a rosbag2 of standard message types, and read it back.
 
-Every topic has a message per row. Joint positions, velocities and torques are JointState, wrenches WrenchStamped, poses
-PoseStamped; other columns are numbers, arrays of numbers or texts of std_msgs. `/t` keeps the clock to the last bit.
+Every topic has one message per row. Joint positions, velocities and torques are stored as JointState, wrenches as
+WrenchStamped, poses as PoseStamped, and other columns as std_msgs numbers, arrays or texts. `/t` stores the clock
+exactly.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from armlab.log.recording.ros_messages import POSE_FIELDS, WRENCH_FIELDS, blank,
 from armlab.log.table import Table
 from armlab.wire import cdr
 
-EXACT = 1e-12  # most that RᵀR of a rotation is off, or its quaternion would be another one
+EXACT = 1e-12  # largest error of RᵀR that a quaternion represents exactly
 JOINTS = "sensor_msgs/msg/JointState"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -49,7 +50,7 @@ class BagTopic:
 
 
 def whole_poses(table: Table) -> list[str]:
-    """Return the columns of poses that a quaternion can hold, rows without any value apart."""
+    """Return the pose columns that quaternions can represent exactly; empty rows are ignored."""
     found = []
     for name, column in table.columns.items():
         if column.kind == "pose" and column.shape == (4, 4):
@@ -60,7 +61,7 @@ def whole_poses(table: Table) -> list[str]:
 
 
 def topics_of(columns: Mapping[str, Column], poses: Iterable[str]) -> list[BagTopic]:
-    """Return the topics of a table; the same ones when it is read."""
+    """Return the topics of a table; the same for writing and reading."""
     rest, topics = dict(columns), [BagTopic("/t", "std_msgs/msg/Float64", {"t": ("data",)})]
     for ending in ("", "_ref", "_sent"):
         parts = {f"{name}{ending}": field for name, field in (("q", "position"), ("qd", "velocity"), ("tau", "effort"))}
@@ -94,7 +95,7 @@ def messages_of(topic: BagTopic, table: Table, stamps: np.ndarray, joint_names: 
 
 
 def columns_of(topic: BagTopic, columns: Mapping[str, Column], raws: Sequence[bytes]) -> dict[str, np.ndarray]:
-    """Return the columns (N, ...) in the messages of a topic."""
+    """Return the columns (N, ...) from the messages of a topic."""
     if topic.type == TEXT:
         (name,) = topic.fields
         return {name: _texts(raws, columns[name].shape)}
@@ -102,12 +103,15 @@ def columns_of(topic: BagTopic, columns: Mapping[str, Column], raws: Sequence[by
     fields: dict[str, np.ndarray] = {}
     if raws:
         if len({len(raw) for raw in raws}) > 1:
-            raise LogError(f"Expected messages of one length on {topic.name}, got several. The bag is not of armlab.")
+            raise LogError(
+                f"Expected messages of equal length on {topic.name}, got several lengths. The bag was not "
+                "written by armlab."
+            )
         block = np.frombuffer(b"".join(raws), dtype=np.uint8).reshape(len(raws), len(raws[0]))
         reader = MessageReader(topic.type, _types(topic.type), wanted)
         read = read_blocks(len(raws), [(np.arange(len(raws)), block)], reader)
         if read.bad:
-            raise LogError(f"Expected whole messages on {topic.name}, got {read.bad} damaged ones: {read.reason}")
+            raise LogError(f"Expected valid messages on {topic.name}, got {read.bad} corrupt ones: {read.reason}")
         fields = assembled(len(raws), read.pieces)
     return {name: _decoded(topic, paths, fields, len(raws), columns[name]) for name, paths in topic.fields.items()}
 
@@ -139,7 +143,7 @@ def _type(name: str, column: Column, poses: Iterable[str]) -> str:
 
 
 def _encoded(topic: BagTopic, array: np.ndarray) -> np.ndarray:
-    """Return the numbers (N, k) of a column in the order of its fields."""
+    """Return the numbers (N, k) of a column in field order."""
     if topic.type != POSE:
         return array.reshape(len(array), int(np.prod(array.shape[1:], dtype=int)))
     missing = np.asarray(np.isnan(array).all(axis=(1, 2)))
@@ -156,7 +160,7 @@ def _per_field(paths: Sequence[str], array: np.ndarray) -> Iterator[tuple[str, n
 
 
 def _sample(topic: BagTopic, table: Table, counts: Mapping[str, int], joint_names: Sequence[str]) -> bytes:
-    """Return a message of the topic with zeros."""
+    """Return a zero message of the topic."""
     name = next(iter(topic.fields))
     if topic.type.endswith("MultiArray"):
         message = _multi_array(topic.type, table[name].shape[1:])
@@ -189,7 +193,7 @@ def _text(value: Any) -> bytes:
 
 
 def _texts(raws: Sequence[bytes], shape: Sequence[int]) -> np.ndarray:
-    """Return texts (N, ...); an array of them is a list in JSON."""
+    """Return texts (N, ...); arrays are stored as JSON lists."""
     words = [raw[8 : 7 + struct.unpack_from("<I", raw, 4)[0]].decode() for raw in raws]
     whole = [json.loads(word) for word in words] if shape else words
     return np.array(whole, dtype=np.str_).reshape(len(raws), *shape)
@@ -201,15 +205,15 @@ def _types(name: str) -> cdr.Definitions:
 
 
 STORAGES = ("mcap", "sqlite3")
-VERSION = 8  # of metadata.yaml: the last in which the quality of service is a text, as releases before Jazzy read it
-BLOCK = 10_000  # rows
+VERSION = 8  # metadata.yaml version: the last with quality of service as text, which releases before Jazzy require
+BLOCK = 10_000  # rows per block
 LAST = 2**31 * 10**9  # ns: a header's stamp holds seconds in 31 bits
 
 
 def write_rosbag2(
     table: Table, folder: Path, storage: str, progress: Progress, joint_names: Sequence[str] = ()
 ) -> None:
-    """Write a new folder with metadata.yaml and one file of messages, all of standard types of ROS 2."""
+    """Write a new folder with metadata.yaml and one file of messages, all of standard ROS 2 types."""
     import sqlite3
 
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -236,7 +240,7 @@ def write_rosbag2(
 
 
 def _stamps(table: Table) -> np.ndarray:
-    """Return the wall clock of each row [ns], from 0 and increasing, so that the order of rows is that of stamps."""
+    """Return the wall clock of each row [ns], non-negative and increasing so that stamps keep the row order."""
     if not len(table):
         return np.zeros(0, dtype=np.int64)
     if np.abs(table.t).max() >= LAST / 1e9:
@@ -247,14 +251,14 @@ def _stamps(table: Table) -> np.ndarray:
     start = max(int(table.t0_ns), -int(stamps[0]))
     if start + int(stamps[-1]) >= LAST:
         raise LogError(
-            f"Expected a log before the year 2038 for a rosbag2, whose stamps end there, got t0_ns {table.t0_ns}. "
-            "Write another format."
+            "Expected a log recorded before the year 2038 for a rosbag2, whose stamps end then, got t0_ns "
+            f"{table.t0_ns}. Write another format."
         )
     return stamps + start
 
 
 def is_ours(folder: Path) -> bool:
-    """Tell whether `write_rosbag2` has made a folder: its metadata.yaml holds the description of a table."""
+    """Return whether `write_rosbag2` wrote a folder, that is, whether its metadata.yaml describes a table."""
     try:
         return re.search(rb"(?m)^\s+armlab:", (folder / "metadata.yaml").read_bytes()) is not None
     except OSError:
@@ -262,14 +266,14 @@ def is_ours(folder: Path) -> bool:
 
 
 def read_rosbag2(path: Path) -> Table:
-    """Return the table in a rosbag2 that `write_rosbag2` has written."""
+    """Return the table in a rosbag2 written by `write_rosbag2`."""
     from rosbags.rosbag2 import Reader
 
     with undamaged(f"rosbag2 in {path}"), Reader(path) as bag:
         text = (getattr(bag.storage.metadata, "custom", None) or {}).get("armlab")
         if text is None:
             topics = ", ".join(f"{one.topic} ({one.msgtype})" for one in bag.connections) or "none"
-            raise LogError(f"Expected a rosbag2 that armlab has written in {path}, got another one; topics: {topics}.")
+            raise LogError(f"Expected a rosbag2 written by armlab in {path}, got another rosbag2; topics: {topics}.")
         return _table(path, bag, text)
 
 

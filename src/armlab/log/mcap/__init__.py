@@ -1,3 +1,3 @@
-"""MCAP files: records, writing, decoding, repair."""
+"""MCAP files: records, writing, decoding, recovery."""
 
 __all__ = []

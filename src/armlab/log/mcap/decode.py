@@ -1,9 +1,9 @@
-"""Columns of numbers out of the messages of MCAP files: layouts that messages share, and blocks of rows.
+"""Numeric columns of MCAP messages, decoded in blocks of rows that share a layout.
 
-The chunk indexes give the number of messages. The first message of a channel is walked field by field. All messages of
-equal length whose bytes outside the numbers are the same hold their numbers in the same places, so those of a whole
-chunk are copied at once, into arrays of their final size (`Room`). Messages with another layout are read in blocks of
-equal length (`decode_messages`).
+The chunk indexes give the number of messages. The first message of a channel is parsed field by field. Messages of
+equal length with equal bytes outside the numbers have the same layout. The numbers of a whole chunk can therefore be
+copied in one step into arrays of their final size (`Room`). Messages with other layouts are read in blocks of equal
+length (`decode_messages`).
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from armlab.log.file_formats.description import Progress
 from armlab.log.mcap.records import DAMAGE, MESSAGE, Chunk, Contents, messages_in, pieces, records, records_at, unpacked
 from armlab.wire import cdr
 
-_MAX_VARIANTS = 8  # layouts remembered per channel and length; text that differs in every message is read one by one
+_MAX_VARIANTS = 8  # cached layouts per channel and length; messages with ever-changing strings are read one by one
 
-# Numbers of one type that follow each other in a message: (path, count) of each.
+# Consecutive numbers of one type in a message: (path, count) of each.
 Run = tuple[tuple[str, int], ...]
 Values = dict[Run, np.ndarray]
 Piece = tuple[np.ndarray, Values]
@@ -36,7 +36,7 @@ Piece = tuple[np.ndarray, Values]
 
 @dataclass(slots=True)
 class Variant:
-    """Messages of one length with equal bytes in `fixed`: start, stop and type of the runs of their numbers."""
+    """Layout of messages of equal length with equal bytes in `fixed`: start, stop and type of the runs of numbers."""
 
     first: np.ndarray
     fixed: list[tuple[int, int]]
@@ -46,14 +46,14 @@ class Variant:
         """Return the numbers (k, count) of messages (k, length), in the machine's byte order."""
         found = {}
         for run, (start, stop, dtype) in self.runs.items():
-            array = block[:, start:stop].copy().view(dtype)  # the block's memory is used again
+            array = block[:, start:stop].copy().view(dtype)  # the block's memory is reused
             found[run] = array.astype(array.dtype.newbyteorder("="), copy=False)
         return found
 
 
 @dataclass(slots=True)
 class MessageReader:
-    """What is wanted of one channel, all when None, what names its numbers, and the layouts seen so far."""
+    """Requested fields of one channel (None: all), the function that names its numbers, and the cached layouts."""
 
     type: str
     types: cdr.Definitions
@@ -64,7 +64,7 @@ class MessageReader:
 
 @dataclass(slots=True)
 class Read:
-    """Messages that fit: rows (k,) of all, numbers by layout; how many do not fit, and why the first of these."""
+    """Rows (k,) and numbers by layout of valid messages; count of invalid messages and reason for the first."""
 
     rows: np.ndarray
     pieces: list[Piece]
@@ -74,7 +74,7 @@ class Read:
 
 @dataclass(slots=True)
 class _Bad:
-    """Rows of messages that do not fit, and why the first does not: as many sentences as messages are too many."""
+    """Rows of invalid messages, and the reason for the first."""
 
     rows: list[int] = field(default_factory=list)
     first: int = 0
@@ -87,13 +87,13 @@ class _Bad:
 
 
 def of_length(lengths: np.ndarray) -> list[np.ndarray]:
-    """Return the rows (k,), in order, of the messages of each length."""
+    """Return the ordered rows (k,) of the messages of each length."""
     order = np.argsort(lengths, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1) if len(order) else []
 
 
 def read_blocks(count: int, blocks: Iterable[tuple[np.ndarray, np.ndarray]], reader: MessageReader) -> Read:
-    """Read rows (k,) and bytes (k, length) of messages of one length each; only a new layout is walked."""
+    """Read rows (k,) and bytes (k, length) of messages in groups of equal length; only new layouts are parsed."""
     pieces: list[Piece] = []
     bad = _Bad()
     for rows, block in blocks:
@@ -107,7 +107,7 @@ def read_blocks(count: int, blocks: Iterable[tuple[np.ndarray, np.ndarray]], rea
 
 
 def _read_block(block: np.ndarray, rows: np.ndarray, reader: MessageReader, bad: _Bad) -> Iterator[Piece]:
-    """Yield (rows, numbers) of messages of one length, layout by layout; what does not fit goes to `bad`."""
+    """Yield (rows, numbers) of messages of equal length, layout by layout; add invalid messages to `bad`."""
     known = reader.variants.setdefault(block.shape[1], [])
     for variant in list(known):
         same = _same(block, variant)
@@ -128,13 +128,13 @@ def _read_block(block: np.ndarray, rows: np.ndarray, reader: MessageReader, bad:
             same = _same(block, variant)
             yield rows[same], variant.numbers(block[same])
             block, rows = block[~same], rows[~same]
-        else:  # one by one: all against all would be quadratic
+        else:  # one by one, because comparing all pairs would be quadratic
             yield rows[:1], variant.numbers(block[:1])
             block, rows = block[1:], rows[1:]
 
 
 def _same(block: np.ndarray, variant: Variant) -> np.ndarray:
-    """Return the mask (k,) of messages whose bytes outside the numbers are those of the variant."""
+    """Return the mask (k,) of messages that equal the variant in all bytes outside the numbers."""
     same = np.ones(len(block), dtype=bool)
     for start, stop in variant.fixed:
         equal = block[:, start:stop] == variant.first[start:stop]
@@ -144,7 +144,7 @@ def _same(block: np.ndarray, variant: Variant) -> np.ndarray:
 
 
 def variant_of(first: np.ndarray, reader: MessageReader) -> Variant:
-    """Walk one message: its bytes outside the numbers, and the wanted numbers as runs."""
+    """Parse one message into its bytes outside the numbers and the requested numbers as runs."""
     raw = first.tobytes()
     found = cdr.layout(raw, reader.type, reader.types)
     fixed, at = [], 0
@@ -158,7 +158,7 @@ def variant_of(first: np.ndarray, reader: MessageReader) -> Variant:
 
 
 def _runs(fields: Iterable[cdr.Field]) -> Iterator[tuple[Run, tuple[int, int, str]]]:
-    """Yield the numbers of one type that follow each other, with start, stop and type."""
+    """Yield runs of consecutive numbers of one type, with start, stop and type."""
     run: list[tuple[str, int]] = []
     start, stop, dtype = 0, 0, ""
     for one in fields:
@@ -174,7 +174,7 @@ def _runs(fields: Iterable[cdr.Field]) -> Iterator[tuple[Run, tuple[int, int, st
 
 
 def joined(pieces: Iterable[Piece]) -> list[Piece]:
-    """Return pieces with the same columns as one, in the order of the first of each."""
+    """Merge pieces with the same columns, in the order of first occurrence."""
     alike: dict[tuple[Run, ...], list[Piece]] = {}
     for piece in pieces:
         alike.setdefault(tuple(piece[1]), []).append(piece)
@@ -190,7 +190,7 @@ def joined(pieces: Iterable[Piece]) -> list[Piece]:
 
 
 def assembled(count: int, pieces: Sequence[Piece]) -> dict[str, np.ndarray]:
-    """Put the numbers of several layouts into their rows, by dotted name; NaN where a layout has none."""
+    """Assemble the numbers of several layouts by row and dotted name; NaN for fields missing in a layout."""
     if len(pieces) == 1 and np.array_equal(pieces[0][0], np.arange(count)):
         return _split(pieces[0][1])
     if all(found.keys() == pieces[0][1].keys() for _, found in pieces):
@@ -206,10 +206,10 @@ def assembled(count: int, pieces: Sequence[Piece]) -> dict[str, np.ndarray]:
 
 
 def _filled(count: int, parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Return arrays (k, width) in their rows of one (count, largest width), NaN elsewhere."""
+    """Assemble arrays (k, width) by row into (count, largest width), NaN elsewhere."""
     width = max(array.shape[1] for _, array in parts)
     whole = sum(len(rows) for rows, _ in parts) == count and all(array.shape[1] == width for _, array in parts)
-    kind = np.result_type(*{array.dtype for _, array in parts})  # counts with holes are real numbers already
+    kind = np.result_type(*{array.dtype for _, array in parts})  # integers with gaps are already floats
     target = np.empty((count, width), kind) if whole else np.full((count, width), np.nan)
     for rows, array in parts:
         target[rows, : array.shape[1]] = array
@@ -234,9 +234,9 @@ _PREFIX = np.dtype(
 
 @dataclass(slots=True)
 class Part:
-    """Some messages of one channel: sequence numbers (k,), log times (k,) and numbers by layout.
+    """Messages of one channel in part of a file: sequence numbers (k,), log times (k,) and numbers by layout.
 
-    `bad` more do not fit their type, the first of them for the `reason`.
+    `bad` messages do not match their type; `reason` belongs to the first of them.
     """
 
     sequence: np.ndarray
@@ -249,7 +249,7 @@ class Part:
 def decode_chunk(
     view: memoryview, chunk: Chunk, data: bytes, readers: Mapping[int, MessageReader], indexed: bool
 ) -> dict[int, Part]:
-    """Return the messages in the records of a chunk; without whole indexes, the records are walked."""
+    """Return the messages in the records of a chunk; without complete indexes, the records are parsed one by one."""
     raw = np.frombuffer(data, dtype=np.uint8)
     offsets = {}
     for number in readers if indexed else ():
@@ -262,7 +262,7 @@ def decode_chunk(
 
 
 def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
-    """Tell whether messages of the channel begin at the offsets, in increasing order and wholly inside."""
+    """Return whether messages of the channel begin at the offsets, in increasing order and completely inside."""
     if not len(offsets):
         return True
     if offsets[0] < 0 or offsets[-1] > len(raw) - _PREFIX.itemsize or (np.diff(offsets) <= 0).any():
@@ -274,7 +274,7 @@ def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
 
 
 def walked(data: bytes, numbers: Collection[int]) -> dict[int, np.ndarray]:
-    """Return where the messages of some channels begin by walking the records."""
+    """Return the offsets of the messages of some channels by parsing the records."""
     found: dict[int, list[int]] = {number: [] for number in numbers}
     for kind, start, stop in records(memoryview(data), 0, len(data)):
         if kind == MESSAGE and stop - start >= 22:
@@ -285,19 +285,19 @@ def walked(data: bytes, numbers: Collection[int]) -> dict[int, np.ndarray]:
 
 
 def _items(raw: np.ndarray, offsets: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Return the items (k,) of a type that begin at the offsets, wherever they are."""
+    """Return the items (k,) of a type at arbitrary offsets."""
     places = max(len(raw) - dtype.itemsize + 1, 0)
     return np.ndarray((places,), dtype=dtype, buffer=raw, strides=(1,))[offsets]
 
 
 def _blocks(raw: np.ndarray, offsets: np.ndarray, length: int) -> np.ndarray:
-    """Return the bytes (k, length) that begin at the offsets."""
+    """Return the bytes (k, length) at the offsets."""
     found = _items(raw, offsets, np.dtype((np.void, length))) if length else np.zeros(len(offsets), np.uint8)
     return found.view(np.uint8).reshape(len(offsets), -1)[:, :length]
 
 
 def decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: MessageReader) -> Part:
-    """Return the messages whose records begin at the offsets (k,) of some bytes."""
+    """Return the messages with records at the offsets (k,) of a byte array."""
     if not len(offsets):
         return Part(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64))
     prefix = _items(raw, offsets, _PREFIX)
@@ -309,12 +309,12 @@ def decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: MessageReader)
 
 
 _RECORD = 31  # bytes of a record before its message: kind, length, channel, sequence, two times
-_LARGEST = 1 << 31  # bytes of a chunk; a larger size is a damaged one
-_TRIES = 8  # chunks in which the first messages of the channels are looked for
+_LARGEST = 1 << 31  # bytes of a chunk; a larger size is corrupt
+_TRIES = 8  # chunks searched for the first message of each channel
 
 
 class Room:
-    """Arrays for the messages of some channels."""
+    """Preallocated arrays for the messages of some channels."""
 
     def __init__(self, view: memoryview, chunks: Sequence[Chunk], readers: Mapping[int, MessageReader]) -> None:
         self._columns: dict[int, _Columns] = {}
@@ -323,7 +323,7 @@ class Room:
             count = _counts(chunks, number)
             message = messages.get(number, b"")
             if message or not count.any():
-                with suppress(*DAMAGE):  # of the message, and of sizes that there is no memory for
+                with suppress(*DAMAGE):  # corrupt messages, and sizes beyond memory
                     self._columns[number] = _columns(chunks, count, message, reader)
         columns = self._columns.values()
         self._first = list(zip(*(one.first for one in columns), strict=True)) or [()] * len(chunks)
@@ -331,7 +331,7 @@ class Room:
         self._copier = MessageCopier([one.told(number) for number, one in self._columns.items()])
 
     def copy(self, place: int, data: bytes) -> dict[int, range]:
-        """Copy the messages of a chunk; return the rows of the channels whose messages all are as expected."""
+        """Copy the messages of a chunk; return the rows of the channels with a uniform layout."""
         first, count = self._first[place], self._count[place]
         copied = self._copier.copy(data, first, count)
         return {
@@ -341,7 +341,7 @@ class Room:
         }
 
     def part(self, number: int, rows: range) -> Part:
-        """Return rows of a channel. From here on its arrays are read-only: a table takes them as they are."""
+        """Return rows of a channel; the arrays become read-only because a table uses them without a copy."""
         columns, which = self._columns[number], slice(rows.start, rows.stop)
         numbers: Values = {}
         for path, array in columns.numbers.items():
@@ -354,7 +354,7 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Arrays of one channel: an example, places in it, and by chunk the first row and the count, -1 if wrong."""
+    """Arrays of one channel: an example message, its offsets, and per chunk the first row and count (-1: invalid)."""
 
     first: list[int]
     count: list[int]
@@ -366,19 +366,19 @@ class _Columns:
     numbers: dict[str, np.ndarray]
 
     def told(self, number: int) -> tuple[Any, ...]:
-        """Return what `MessageCopier` has to know of the channel."""
+        """Return the arguments of `MessageCopier` for the channel."""
         arrays = self.sequence, self.log_ns, list(self.numbers.values())
         return number, self.message, self.fixed, self.places, *arrays
 
 
 def _counts(chunks: Sequence[Chunk], number: int) -> np.ndarray:
-    """Return how many messages of a channel each chunk has, by its index."""
+    """Return the number of messages of a channel per chunk, from the index."""
     places = np.array([chunk.indexes.get(number, (0, 0)) for chunk in chunks], dtype=np.int64).reshape(-1, 2)
     return (places[:, 1] - places[:, 0]) // 16
 
 
 def _columns(chunks: Sequence[Chunk], count: np.ndarray, message: bytes, reader: MessageReader) -> _Columns:
-    """Return arrays for so many messages like this one, none where there are none."""
+    """Return arrays for the given number of messages of this form, or None for zero messages."""
     room = np.array([min(chunk.size, _LARGEST) // (_RECORD + len(message)) for chunk in chunks], dtype=np.int64)
     count = np.where(count > room, -1, count)
     ends = count.clip(0).cumsum()
@@ -399,7 +399,7 @@ def _columns(chunks: Sequence[Chunk], count: np.ndarray, message: bytes, reader:
 
 
 def _first_messages(view: memoryview, chunks: Sequence[Chunk], channels: Collection[int]) -> dict[int, bytes]:
-    """Return the first message of each channel that has one in the first chunks."""
+    """Return the first message of each channel that occurs in the first chunks."""
     found: dict[int, bytes] = {}
     for chunk in [one for one in chunks if one.indexes.keys() & set(channels)][:_TRIES]:
         missing = chunk.indexes.keys() & set(channels) - found.keys()
@@ -413,12 +413,12 @@ def _first_messages(view: memoryview, chunks: Sequence[Chunk], channels: Collect
     return found
 
 
-_BATCH = 8  # chunks that a thread reads in one call
+_BATCH = 8  # chunks per call of a reading thread
 
 
 @dataclass(slots=True)
 class Decoded:
-    """Messages of one channel: sequence and log time (N,), fields (N, count) by dotted name, NaN for none."""
+    """Messages of one channel: sequence and log time (N,), fields (N, count) by dotted name, NaN if missing."""
 
     sequence: np.ndarray
     log_ns: np.ndarray
@@ -428,7 +428,7 @@ class Decoded:
 def decode(
     view: memoryview, found: Contents, wanted: Mapping[int, Sequence[str]], progress: Progress | None = None
 ) -> tuple[dict[int, Decoded], list[str]]:
-    """Return the wanted fields of the wanted channels, and one sentence per damaged chunk or channel.
+    """Return the requested fields of the channels and one sentence per corrupt chunk or channel.
 
     `wanted`: channel -> dotted names of fields.
     """
@@ -436,7 +436,7 @@ def decode(
     for number, paths in wanted.items():
         channel = found.channels[number]
         if channel.encoding != "cdr":
-            raise LogError(f"Expected messages in cdr on {channel.topic}, got {channel.encoding!r}.")
+            raise LogError(f"Expected messages encoded as cdr on {channel.topic}, got {channel.encoding!r}.")
         types = cdr.definitions(channel.type, channel.schema)
         readers[number] = MessageReader(channel.type, types, frozenset(paths))
     return decode_by(view, found, readers, progress)
@@ -445,7 +445,7 @@ def decode(
 def decode_by(
     view: memoryview, found: Contents, readers: Mapping[int, MessageReader], progress: Progress | None = None
 ) -> tuple[dict[int, Decoded], list[str]]:
-    """Return what the readers of some channels read, and one sentence per damaged chunk or channel."""
+    """Return the results of the channels' readers and one sentence per corrupt chunk or channel."""
     chunks = [chunk for chunk in found.chunks if not found.indexed or chunk.indexes.keys() & readers.keys()]
     reading = _Reading(view, chunks, readers, found.indexed, Room(view, chunks, readers))
     parts: dict[int, list[range | Part]] = {number: [] for number in readers}
@@ -473,12 +473,12 @@ def decode_by(
 
 
 def skipped(count: int, topic: str, reason: str) -> str:
-    """Return the sentence on messages that are left out, and why the first of them is."""
+    """Return the sentence about skipped messages with the reason for the first."""
     return f"{count} message{'s' if count > 1 else ''} on {topic} skipped: {shorten(reason, 300)}"
 
 
 def messages(view: memoryview, found: Contents, channel: int) -> Iterator[tuple[int, int, bytes]]:
-    """Yield (sequence, log time, message) of one channel, times as int64 has them; damaged chunks are left out."""
+    """Yield (sequence, log time, message) of one channel, times as int64; corrupt chunks are skipped."""
     for piece in pieces(found):
         if piece is None or not found.indexed or channel in piece.indexes:
             for number, sequence, log_ns, _, message in messages_in(records_at(view, found, piece)):
@@ -487,7 +487,7 @@ def messages(view: memoryview, found: Contents, channel: int) -> Iterator[tuple[
 
 
 def message_counts(view: memoryview, found: Contents) -> Counter[int]:
-    """Return how many messages that can be read each channel has."""
+    """Return the number of readable messages per channel."""
     counts: Counter[int] = Counter()
     for piece in pieces(found):
         if piece is not None and found.indexed:
@@ -499,7 +499,7 @@ def message_counts(view: memoryview, found: Contents) -> Counter[int]:
 
 @dataclass(frozen=True, slots=True)
 class _Reading:
-    """The chunks of a file and the room that their messages are copied into."""
+    """Chunks of a file and the arrays for their messages."""
 
     view: memoryview
     chunks: Sequence[Chunk]
@@ -508,7 +508,7 @@ class _Reading:
     room: Room
 
     def batch(self, places: range) -> tuple[dict[int, list[range | Part]], list[str]]:
-        """Read some chunks; return rows of the room and other messages by channel, and the damaged chunks."""
+        """Read some chunks; return rows of the room and other messages by channel, and the corrupt chunks."""
         found: dict[int, list[range | Part]] = {number: [] for number in self.readers}
         damage = []
         for place in places:
@@ -527,7 +527,7 @@ class _Reading:
 
 
 def _decoded(room: Room, number: int, found: Sequence[range | Part]) -> tuple[Decoded, int, str]:
-    """Join what was read of one channel; return also how many messages are left out, and why the first of them is."""
+    """Join the parts of a channel; also return the number of skipped messages and the reason for the first."""
     merged: list[range | Part] = []
     for one in found:
         before = merged[-1] if merged else None

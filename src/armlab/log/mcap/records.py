@@ -1,4 +1,4 @@
-"""The records of an MCAP file, finished or torn, and its chunks. Follows the MCAP specification, version 0."""
+"""Records and chunks of a finished or truncated MCAP file, following the MCAP specification, version 0."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from armlab.errors import LogError
 if TYPE_CHECKING:
     import zstandard
 
-_MAX_CHUNK = 1 << 31  # bytes; a larger size is a damaged one
-_MAX_OPEN = 1 << 28  # bytes; of a chunk that does not tell its size
-_UNPACKED, _RATIO = 1 << 24, 200  # bytes of any file; above that, for each of its own: zstd reaches 15 000
+_MAX_CHUNK = 1 << 31  # bytes; a larger size is corrupt
+_MAX_OPEN = 1 << 28  # bytes of a chunk of unknown size
+_UNPACKED, _RATIO = 1 << 24, 200  # unpacked bytes of any file, and the ratio for larger ones; zstd reaches 15 000
 _PIECE = 1 << 20
 _REPEATED, _RESERVED = 1, 3  # kinds of zstd blocks
 _of_thread = threading.local()
@@ -24,9 +24,9 @@ _of_thread = threading.local()
 
 @dataclass(slots=True)
 class Chunk:
-    """A chunk of messages: places [start, stop) of its record, its data and, by channel, the entries of its indexes.
+    """A chunk of messages: byte range [start, stop) of its record, its data and, by channel, its index entries.
 
-    `is_open`: its writer died before it wrote times, size and checksum.
+    `is_open`: its writer crashed before writing the times, size and checksum.
     """
 
     start: int
@@ -42,17 +42,17 @@ class Chunk:
 
 
 def most_unpacked(size: int) -> int:
-    """Return the bytes that all chunks of a file may unpack to."""
+    """Return the limit on the unpacked bytes of all chunks of a file."""
     return max(_UNPACKED, _RATIO * size)
 
 
 def end_of_blocks(view: memoryview, at: int) -> int:
-    """Return where the last whole block of the zstd frame at this place ends; `at` when there is none."""
+    """Return the end of the last complete block of the zstd frame at a position, or `at` if there is none."""
     import zstandard
 
     header = bytes(view[at : at + 18])
     try:
-        zstandard.get_frame_parameters(header)  # the size alone does not look at the magic number
+        zstandard.get_frame_parameters(header)  # frame_content_size does not check the magic number
         start = at + zstandard.frame_header_size(header)
     except zstandard.ZstdError as error:
         raise LogError(f"Expected zstd data at byte {at}, got: {error}.") from None
@@ -80,12 +80,12 @@ def unpacked(view: memoryview, chunk: Chunk) -> bytes:
     if len(data) != chunk.size:
         raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {len(data)}.")
     if chunk.crc and zlib.crc32(data) != chunk.crc:
-        raise LogError(f"Expected checksum {chunk.crc:08x} of the chunk at byte {chunk.start}, got another.")
+        raise LogError(f"Expected checksum {chunk.crc:08x} of the chunk at byte {chunk.start}, got a different one.")
     return data
 
 
 def _unpacked_open(packed: bytes, most: int) -> bytes:
-    """Return the whole records in the blocks of an unfinished zstd frame, of about so many bytes."""
+    """Return the complete records in the blocks of an unfinished zstd frame, up to about `most` bytes."""
     import zstandard
 
     pieces, size = [], 0
@@ -94,7 +94,7 @@ def _unpacked_open(packed: bytes, most: int) -> bytes:
             while size < most and (piece := reader.read(_PIECE)):
                 pieces.append(piece)
                 size += len(piece)
-    except zstandard.ZstdError:  # what was read before stays
+    except zstandard.ZstdError:  # the bytes read before are kept
         pass
     data = b"".join(pieces)
     end = 0
@@ -107,7 +107,7 @@ def _unpacked_open(packed: bytes, most: int) -> bytes:
 
 
 def _decompressor() -> zstandard.ZstdDecompressor:
-    """Return the decompressor of this thread: its tables are as large as a chunk."""
+    """Return the decompressor of this thread, which is cached because its tables are as large as a chunk."""
     import zstandard
 
     if not hasattr(_of_thread, "decompressor"):
@@ -123,7 +123,7 @@ def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
             import zstandard
 
             declared = zstandard.frame_content_size(packed)
-            if declared not in (-1, chunk.size):  # before anything of that size is allocated
+            if declared not in (-1, chunk.size):  # before allocating that size
                 raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {declared}.")
             return _decompressor().decompress(packed, max_output_size=chunk.size)
         if chunk.compression == "lz4":
@@ -133,7 +133,9 @@ def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
     except LogError:
         raise
     except ImportError:
-        raise LogError("Expected the package lz4 for this file; install it with `pip install lz4`.") from None
+        raise LogError(
+            "Expected the package lz4 for this file, but it is not installed. Install it: pip install lz4."
+        ) from None
     except Exception as error:  # the codecs' own errors share no base class
         raise LogError(f"Expected {chunk.compression} data in the chunk at byte {chunk.start}, got: {error}.") from None
     raise LogError(f"Expected compression zstd, lz4 or none, got {chunk.compression!r} at byte {chunk.start}.")
@@ -145,10 +147,10 @@ ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFS
 _FOOTER_SIZE = 9 + 20
 _MESSAGE = struct.Struct("<HIQQ")
 OPEN = (1 << 64) - 1
-"""Length of a chunk that its writer never finished."""
-_PRIVATE = 128  # from here on kinds of records are the writer's own affair
+"""Length field of a chunk that was never finished."""
+_PRIVATE = 128  # from here on, record kinds are private to the writer
 
-# What reading damaged bytes can raise.
+# Exceptions raised by reading corrupt bytes.
 DAMAGE = (
     struct.error, UnicodeDecodeError, ValueError, IndexError, KeyError, OverflowError, MemoryError, RecursionError,
     LogError,
@@ -159,7 +161,7 @@ DAMAGE = (
 class Channel:
     """A channel: topic, type, schema and its encoding, encoding of the messages, and a map of strings.
 
-    Bytes of a schema that are no UTF-8, as those of protobuf, are escaped as surrogates.
+    Schema bytes that are not UTF-8, as in protobuf, are escaped as surrogates.
     """
 
     topic: str
@@ -172,7 +174,7 @@ class Channel:
 
 @dataclass(slots=True)
 class Attached:
-    """An attachment: name, kind, time, and where its data are [start, stop)."""
+    """An attachment: name, kind, time, and the byte range of its data [start, stop)."""
 
     name: str
     media_type: str
@@ -182,10 +184,11 @@ class Attached:
 
 @dataclass(slots=True)
 class Contents:
-    """What an MCAP file contains.
+    """Content of an MCAP file.
 
-    `finished`: it ends with a footer; `torn`: bytes after the last whole record; `indexed`: the indexes of the chunks
-    name every message; `loose`: places of messages outside chunks; `damaged`: kind of a record left out, and why.
+    `finished`: the file ends with a footer; `torn`: bytes after the last complete record; `indexed`: the chunk indexes
+    list every message; `loose`: positions of messages outside chunks; `damaged`: kind of each skipped record and the
+    reason.
     """
 
     finished: bool = False
@@ -203,9 +206,9 @@ class Contents:
 
 
 def contents(view: memoryview) -> Contents:
-    """Return what the file contains, by its summary where that is whole, else record by record."""
+    """Return the content, from the summary if it is intact, otherwise record by record."""
     if bytes(view[: len(MAGIC)]) != MAGIC:
-        raise LogError(f"Expected an MCAP file, got {bytes(view[:8]).hex(' ') or 'nothing'} at its beginning.")
+        raise LogError(f"Expected an MCAP file, got a file that begins with {bytes(view[:8]).hex(' ') or 'no bytes'}.")
     try:
         found = _by_summary(view)
     except DAMAGE:
@@ -214,7 +217,7 @@ def contents(view: memoryview) -> Contents:
 
 
 def records(view: memoryview, at: int, stop: int) -> Iterator[tuple[int, int, int]]:
-    """Yield (kind, start, stop) of the body of each record that lies wholly in [at, stop)."""
+    """Yield (kind, start, stop) of the body of each record completely within [at, stop)."""
     while at + 9 <= stop:
         kind, length = struct.unpack_from("<BQ", view, at)
         body = at + 9
@@ -225,7 +228,7 @@ def records(view: memoryview, at: int, stop: int) -> Iterator[tuple[int, int, in
 
 
 def _by_summary(view: memoryview) -> Contents | None:
-    """Return the contents from a whole summary section, or None."""
+    """Return the content from an intact summary section, or None."""
     end = len(view) - len(MAGIC) - _FOOTER_SIZE
     if end < len(MAGIC) or bytes(view[-len(MAGIC) :]) != MAGIC or view[end] != FOOTER:
         return None
@@ -248,7 +251,7 @@ def _by_summary(view: memoryview) -> Contents | None:
         elif kind == STATISTICS:
             (chunk_count,) = struct.unpack_from("<I", view, body + 22)
     header = next(records(view, len(MAGIC), len(view)), None)
-    if header is not None:  # else its length is damaged, and the summary is all the same whole
+    if header is not None:  # otherwise its length is corrupt, but the summary is intact
         found.profile, at = _text(view, header[1])
         found.library, _ = _text(view, at)
     whole = found.channels and found.chunks and chunk_count == len(found.chunks)
@@ -258,7 +261,7 @@ def _by_summary(view: memoryview) -> Contents | None:
 
 
 def _by_walking(view: memoryview) -> Contents:
-    """Return the contents record by record; what is damaged is left out and named."""
+    """Return the content record by record; corrupt records are skipped and listed."""
     found = Contents()
     at = len(MAGIC)
     for kind, body, stop in records(view, at, len(view)):
@@ -282,18 +285,18 @@ def _by_walking(view: memoryview) -> Contents:
 
 
 def _check_sizes(found: Contents, view: memoryview) -> None:
-    """Refuse chunks that together unpack to far more than the file; each that does so alone is left out as damaged."""
+    """Raise if all chunks together unpack to far more than the file size; skip single chunks that do."""
     most = most_unpacked(len(view))
     whole = sum(chunk.size for chunk in found.chunks if chunk.size <= most)
     if whole > most:
         raise LogError(
             f"Expected chunks that unpack to at most {most} bytes, got {whole} in a file of {len(view)}. If you trust "
-            "the file, write it without compression: mcap compress --compression none."
+            "the file, rewrite it without compression: mcap compress --compression none."
         )
 
 
 def _open_chunk(found: Contents, view: memoryview, at: int) -> int:
-    """Take the chunk at this place if its writer died over it; return where what can be read of the file ends."""
+    """Add the chunk at this position if it is unfinished; return the end of the readable part of the file."""
     try:
         kind, length = struct.unpack_from("<BQ", view, at)
         compression, data = _text(view, at + 9 + 28)
@@ -313,7 +316,7 @@ def _take(found: Contents, view: memoryview, kind: int, body: int, stop: int) ->
         found.library, _ = _text(view, at)
     elif kind in (SCHEMA, CHANNEL):
         number = int.from_bytes(view[body : body + 2], "little")
-        if number not in (found._schemas if kind == SCHEMA else found.channels):  # else the summary repeats it
+        if number not in (found._schemas if kind == SCHEMA else found.channels):  # otherwise repeated in the summary
             _register(found, view, kind, body, stop)
     elif kind == CHUNK:
         found.chunks.append(_chunk(view, body, stop))
@@ -327,12 +330,12 @@ def _take(found: Contents, view: memoryview, kind: int, body: int, stop: int) ->
         _metadata(found, view, body)
     elif kind == MESSAGE:
         found.loose.append((body, stop))
-    elif kind == 0 or DATA_END < kind < _PRIVATE:  # what was it before its first byte changed?
-        raise LogError(f"Expected a kind of record from {HEADER} to {DATA_END}, got {kind}.")
+    elif kind == 0 or DATA_END < kind < _PRIVATE:  # a corrupt first byte
+        raise LogError(f"Expected a record kind from {HEADER} to {DATA_END}, got {kind}.")
 
 
 def _find_channels(found: Contents, view: memoryview) -> None:
-    """Read schemas and channels inside the chunks: without a summary they are nowhere else."""
+    """Read schemas and channels from the chunks; without a summary they are stored nowhere else."""
     used = {channel for chunk in found.chunks for channel in chunk.indexes}
     for number, chunk in enumerate(found.chunks):
         if number and used and used <= found.channels.keys():
@@ -371,7 +374,7 @@ def _chunk(view: memoryview, body: int, stop: int) -> Chunk:
 
 
 def _indexed_chunk(view: memoryview, body: int) -> Chunk:
-    """Return the chunk that a ChunkIndex points at."""
+    """Return the chunk referenced by a ChunkIndex."""
     _, _, start, length, size = struct.unpack_from("<QQQQI", view, body)
     chunk = _chunk(view, start + 9, start + length)
     for at in range(body + 36, body + 36 + size, 10):
@@ -402,7 +405,7 @@ def _text(view: memoryview, at: int, errors: str = "strict") -> tuple[str, int]:
     (length,) = struct.unpack_from("<I", view, at)
     at += 4
     if length > len(view) - at:
-        raise LogError(f"Expected a text of {length} bytes at byte {at}, got the end of the file.")
+        raise LogError(f"Expected a string of {length} bytes at byte {at}, got the end of the file.")
     return bytes(view[at : at + length]).decode(errors=errors), at + length
 
 
@@ -420,12 +423,12 @@ def _map(view: memoryview, at: int, stop: int) -> dict[str, str]:
 
 
 def pieces(found: Contents) -> list[Chunk | None]:
-    """Return what the messages of a file are in, in the order of reading: the chunks, then None for others."""
+    """Return the chunks of a file in reading order, then None for messages outside chunks."""
     return [*found.chunks, *([None] if found.loose else [])]
 
 
 def records_at(view: memoryview, found: Contents, piece: Chunk | None) -> bytes | None:
-    """Return the records of a piece, None when it is damaged."""
+    """Return the records of a chunk, or None if it is corrupt."""
     if piece is None:
         return b"".join(bytes(view[start - 9 : stop]) for start, stop in found.loose)
     try:
@@ -435,7 +438,7 @@ def records_at(view: memoryview, found: Contents, piece: Chunk | None) -> bytes 
 
 
 def messages_in(data: bytes | None) -> Iterator[tuple[int, int, int, int, bytes]]:
-    """Yield (channel, sequence, log time, publish time, message) of the messages among records, if there are any."""
+    """Yield (channel, sequence, log time, publish time, message) of the messages in the records, if any."""
     data = data or b""
     for kind, start, stop in records(memoryview(data), 0, len(data)):
         if kind == MESSAGE and stop - start >= _MESSAGE.size:

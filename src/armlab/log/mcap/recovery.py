@@ -1,4 +1,4 @@
-"""`recover` writes a whole file from an unfinished or damaged one; copying parts of MCAP files into a new one."""
+"""Recovery of unfinished or corrupt MCAP files, and helpers that copy parts of MCAP files."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from armlab.log.mcap.writer import McapWriter
 
 @contextlib.contextmanager
 def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
-    """Open a file under another, free name; it gets its own when the block has ended well, else nothing is left."""
+    """Open a file under a temporary name; rename it after success, remove it otherwise."""
     try:
-        file = part.open("xb", buffering=0)  # never over a file, which may be the one that is read
+        file = part.open("xb", buffering=0)  # never replaces a file, which may be the input
     except OSError as error:
         raise LogError(f"Expected to create {part}, got: {error.strerror}.") from None
     try:
@@ -36,9 +36,9 @@ def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
 
 
 def _rename(part: Path, target: Path) -> None:
-    """Give the finished copy its name, unless something has got it in the meantime."""
+    """Rename the finished copy to its final name, unless that name has come into use."""
     try:
-        os.link(part, target)  # never over a file, as a rename would
+        os.link(part, target)  # never replaces a file, as a rename would
     except FileExistsError:
         raise
     except OSError:  # a file system without hard links
@@ -47,21 +47,20 @@ def _rename(part: Path, target: Path) -> None:
 
 
 def copied_channel(writer: McapWriter, channel: Channel) -> int:
-    """Write a channel of another file and return its number in the new one."""
+    """Write a channel of another file, and return its id in the new file."""
     schema = writer.schema(channel.type, channel.schema_encoding, channel.schema.encode(errors="surrogateescape"))
     return writer.channel(channel.topic, channel.encoding, schema, channel.metadata)
 
 
-_EVENTS = "rcl_interfaces/msg/Log"  # on the real clock also where the rows are not, as in lockstep
+_EVENTS = "rcl_interfaces/msg/Log"  # on the wall clock even if the rows are not, as in lockstep
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What `recover` did.
+    """Result of `recover`.
 
-    `path`: the whole file; `messages`: how many it holds; `torn`: bytes at the end of the original that were lost;
-    `lost_chunks`: chunks left out because they were damaged; `seconds`: from the first to the last message, events
-    apart.
+    `path`: the recovered file; `messages`: number of messages; `torn`: bytes lost at the end of the original;
+    `lost_chunks`: corrupt chunks skipped; `seconds`: time from the first to the last message, without events.
     """
 
     path: Path
@@ -72,28 +71,28 @@ class Recovery:
 
 
 def recover(path: str | Path, to: str | Path | None = None, *, progress: Progress | None = None) -> Recovery:
-    """Write a whole copy of an unfinished or damaged MCAP file: every message that can still be read.
+    """Write a complete copy of an unfinished or corrupt MCAP file with every readable message.
 
     Parameters
     ----------
-    path : the file; it is not changed.
-    to : where to write, ``<name>.recovered.mcap`` beside the file when None; never over a file that exists.
-    progress : called with (bytes done, bytes in all, what).
+    path : the file; not modified.
+    to : output file; default: ``<name>.recovered.mcap`` beside the input. It must not exist.
+    progress : called with (bytes done, total bytes, what).
 
     Raises
     ------
-    LogError : the file is not MCAP or holds no readable message; the copy cannot be written or exists.
+    LogError : not an MCAP file, no readable message, or the output exists or cannot be written.
     """
     path = Path(path)
     check_readable(path)
     target = path.with_name(f"{path.stem}.recovered.mcap") if to is None else Path(to)
     if target.exists():
-        raise LogError(f"Expected no file at {target}, got one; move it away or give another name.")
+        raise LogError(f"Expected no file at {target}, but it already exists. Move it or choose another name.")
     with opened(path) as view:
         with naming(path):
             found = contents(view)
         if not found.channels:
-            raise LogError(f"Expected messages in {path}, got none that can be read in {len(view)} bytes.")
+            raise LogError(f"Expected messages in {path}, got no readable message in {len(view)} bytes.")
         with new_file(target, target.with_name(f"{target.name}.part"), replace=False) as file:
             messages, lost, seconds = _copy(view, found, file, progress)
     lost += sum(kind == CHUNK for kind, _ in found.damaged)
@@ -101,7 +100,7 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
 
 
 def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress | None) -> tuple[int, int, float]:
-    """Write all that can be read; return messages, chunks lost, and seconds from first to last, events apart."""
+    """Write everything readable; return the message count, lost chunks, and duration [s] without events."""
     writer = McapWriter(file, found.profile, found.library)
     for name, pairs in found.metadata.items():
         writer.metadata(name, pairs)
@@ -122,7 +121,7 @@ def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress 
                 if found.channels[channel].type != _EVENTS:
                     times = [min(log, *times), max(log, *times)] if times else [log, log]
                 count += 1
-        writer.close_chunk()  # chunk for chunk, as the recorder wrote them
+        writer.close_chunk()  # preserves the chunks of the recorder
         if progress and piece:
             progress(piece.stop, len(view), "copied")
     writer.finish()

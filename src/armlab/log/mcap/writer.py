@@ -1,8 +1,8 @@
-"""`McapWriter`: an MCAP file that is readable up to the last `push`, whatever happens to the process.
+"""`McapWriter`: an MCAP file that is readable up to the last `push`, even after a crash.
 
-The chunk in progress is already in the file: its header says that it is open (length 2^64 - 1, as other writers do),
-behind it grows one zstd frame, block by block. What `push` has given to the kernel survives the end of the process;
-`close_chunk` then writes the true header over the open one. Follows the MCAP specification, version 0.
+The current chunk is already in the file. Its header marks it as open (length 2^64 - 1, as in other writers) and is
+followed by one zstd frame that grows block by block. Data passed to the kernel by `push` survives a crash;
+`close_chunk` later overwrites the open header. The writer follows the MCAP specification, version 0.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, Protocol
 
-from armlab._descriptors import Descriptor
+from armlab._files import Descriptor
 from armlab.log.mcap import records as kinds
 
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -29,11 +29,11 @@ _CHUNK = struct.Struct("<BQQQQII4sQ")  # record, times, size, checksum, "zstd", 
 _CHUNK_BODY = _CHUNK.size - 9
 _OPENED = _CHUNK.pack(kinds.CHUNK, kinds.OPEN, 0, 0, 0, 0, 4, b"zstd", kinds.OPEN)
 _ENTRY = struct.Struct("<QQ")
-_KEPT = 2**16  # bytes of the index of the chunks in memory, five minutes of one arm
+_KEPT = 2**16  # bytes of the chunk index in memory, five minutes of one arm
 
 
 class _WritableFile(Protocol):
-    """What a writer needs of a file; `write` returns how many bytes the system took."""
+    """File interface used by the writer; `write` returns the number of bytes written."""
 
     def write(self, data: Any, /) -> int: ...
 
@@ -44,7 +44,7 @@ class _WritableFile(Protocol):
 
 @dataclass(slots=True)
 class _OpenChunk:
-    """The chunk in progress: where it begins, its zstd frame, and what its header and indexes will say."""
+    """Current chunk: its position, its zstd frame, and the data of its header and indexes."""
 
     start: int
     frame: Any
@@ -58,9 +58,9 @@ class _OpenChunk:
 
 
 class _Index:
-    """Records that come last in a file. Those of a day have 20 MB: they wait on the disk, in a file without a name.
+    """Records for the end of the file, buffered in an unnamed temporary file, because a day's worth takes 20 MB.
 
-    Where other code closes its descriptor, the file is gone; `taken` then raises.
+    If other code closes its descriptor, the data is lost and `taken` raises.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -83,10 +83,10 @@ class _Index:
             self._newest.clear()
 
     def taken(self) -> Iterator[bytes]:
-        """Give all of it, once."""
+        """Yield all data once."""
         if self._file is not None:
             if not self._file.is_open:
-                raise OSError(errno.EBADF, "the descriptor of its index was closed; armlab log recover makes a new one")
+                raise OSError(errno.EBADF, "the descriptor of its index was closed; armlab log recover rebuilds it")
             os.lseek(self._file.number, 0, os.SEEK_SET)
             while part := os.read(self._file.number, _KEPT):
                 yield part
@@ -94,7 +94,7 @@ class _Index:
 
 
 class McapWriter:
-    """Writes an MCAP file with chunks in zstd, message indexes and a summary."""
+    """Writes an MCAP file with zstd chunks, message indexes and a summary."""
 
     def __init__(self, file: _WritableFile, profile: str, library: str) -> None:
         import zstandard
@@ -103,7 +103,7 @@ class McapWriter:
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._block = zstandard.COMPRESSOBJ_FLUSH_BLOCK
         self._chunk: _OpenChunk | None = None
-        self._schemas: dict[tuple[str, str, bytes], tuple[int, bytes]] = {}  # number and record
+        self._schemas: dict[tuple[str, str, bytes], tuple[int, bytes]] = {}  # id and record
         self._channels: list[bytes] = []
         self._counts: dict[int, int] = {}
         self._times: tuple[int, int] | None = None  # first and last of all chunks
@@ -114,11 +114,11 @@ class McapWriter:
 
     @property
     def size(self) -> int:
-        """Bytes in the chunk in progress: where the next record in it will be."""
+        """Bytes in the current chunk, which is the offset of its next record."""
         return 0 if self._chunk is None else self._chunk.size
 
     def metadata(self, name: str, pairs: Mapping[str, str]) -> None:
-        """Write a map of texts under a name."""
+        """Write a map of strings under a name."""
         self.close_chunk()
         record = _record(kinds.METADATA, _text(name), _map(pairs))
         self._metadata.append(_record(kinds.METADATA_INDEX, struct.pack("<QQ", self._at, len(record)), _text(name)))
@@ -138,7 +138,7 @@ class McapWriter:
         self._put(record)
 
     def schema(self, name: str, encoding: str, text: bytes) -> int:
-        """Write a schema, unless it was before, and return its number."""
+        """Write a schema unless it has been written before, and return its id."""
         key = name, encoding, text
         if key not in self._schemas:
             self.close_chunk()
@@ -149,7 +149,7 @@ class McapWriter:
         return self._schemas[key][0]
 
     def channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
-        """Write a channel and return its number."""
+        """Write a channel and return its id."""
         self.close_chunk()
         number = len(self._channels) + 1
         self._channels.append(
@@ -160,13 +160,13 @@ class McapWriter:
         return number
 
     def message(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes | bytearray) -> None:
-        """Add a message with its times [ns] to the chunk in progress; it is in the file after `push`."""
+        """Add a message with its times [ns] to the current chunk; it reaches the file with `push`."""
         length = _MESSAGE_PREFIX + len(data)
         record = _MESSAGE.pack(kinds.MESSAGE, length, channel, sequence, log_ns, publish_ns) + data
         self.records(record, {channel: _ENTRY.pack(log_ns, self.size)}, log_ns, log_ns)
 
     def records(self, data: bytes, entries: Mapping[int, bytes], first_ns: int, last_ns: int) -> None:
-        """Add messages that are records already, as `kernels.RowEncoder` makes them, and their range of times [ns]."""
+        """Add encoded message records, from `kernels.RowEncoder`, and their range of times [ns]."""
         chunk = self._chunk
         if chunk is None:
             chunk = self._chunk = _OpenChunk(self._at, self._compressor.compressobj(), first_ns)
@@ -178,12 +178,12 @@ class McapWriter:
         chunk.first_ns, chunk.last_ns = min(chunk.first_ns, first_ns), max(chunk.last_ns, last_ns)
 
     def push(self) -> None:
-        """Give all messages to the kernel: they survive the end of this process (not of the machine)."""
+        """Pass all messages to the kernel; they then survive a crash of this process, but not of the machine."""
         if self._chunk is not None and self._chunk.pending:
             self._push(self._chunk, self._block)
 
     def close_chunk(self) -> None:
-        """Finish the chunk in progress, if any: its last bytes, its true header, its indexes."""
+        """Finish the current chunk (if any) by writing its last bytes, its final header and its indexes."""
         from zstandard import COMPRESSOBJ_FLUSH_FINISH
 
         chunk, self._chunk = self._chunk, None
@@ -209,7 +209,7 @@ class McapWriter:
         self._put(b"".join(indexes))
 
     def finish(self) -> None:
-        """Write the chunk in progress, the summary and the footer."""
+        """Write the current chunk, the summary and the footer."""
         self.close_chunk()
         self._put(_record(kinds.DATA_END, struct.pack("<I", 0)))
         schemas = [record for _, record in self._schemas.values()]
@@ -230,7 +230,7 @@ class McapWriter:
         self._put(packed)
 
     def _write_header(self, start: int, header: bytes) -> None:
-        """Write the true header of a chunk over the open one, or leave that: a half of each hides the rows."""
+        """Overwrite the open header of a chunk completely or not at all, because a mixture would hide the rows."""
         try:
             self._file.seek(start)
             self._write(header)
@@ -244,7 +244,7 @@ class McapWriter:
     def _put(self, data: bytes) -> None:
         try:
             self._write(data)
-        except BaseException:  # what the disk took of it would be read as messages that nobody counted
+        except BaseException:  # a partial write would be read as messages missing from the index
             with contextlib.suppress(OSError):
                 self._file.truncate(self._at)
             raise
@@ -262,14 +262,14 @@ class McapWriter:
 
 
 def _write_all(write: Callable[[Any], int], data: bytes | bytearray) -> None:
-    """Write all of it: a write that is not buffered may take less."""
+    """Write all data, because an unbuffered write may be partial."""
     done = write(data)
     while done < len(data):
         done += write(memoryview(data)[done:])
 
 
 def _folder(file: _WritableFile) -> Path | None:
-    """Return the folder of a file, None for one without."""
+    """Return the folder of a file, or None."""
     name = getattr(file, "name", None)
     return Path(name).parent if isinstance(name, str) else None
 
@@ -279,7 +279,7 @@ def _record(kind: int, *parts: bytes) -> bytes:
 
 
 def _text(text: str) -> bytes:
-    raw = text.encode(errors="backslashreplace")  # the name of a file that is no UTF-8, in a command line
+    raw = text.encode(errors="backslashreplace")  # file names in command lines may not be UTF-8
     return struct.pack("<I", len(raw)) + raw
 
 

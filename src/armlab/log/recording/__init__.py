@@ -1,3 +1,3 @@
-"""Recordings of armlab: what a link writes while it runs, and cutting, merging and inspecting such files."""
+"""Recordings of armlab: written by a running link, and cut, merged and inspected offline."""
 
 __all__ = []

@@ -1,4 +1,4 @@
-"""Where the columns of a recording are in its MCAP file, and which of its messages are the rows."""
+"""Locations of a recording's columns in its MCAP file, and its row messages."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from armlab.log.recording.rows import with_holes
 from armlab.log.table import Table
 
 CLOCK_COLUMNS = ("t", "robot_ns", "session_t", "session")
-"""Columns from which the clock of a recording is made."""
+"""Columns that define the clock of a recording."""
 
-_QUATERNION_LENGTH = 1e-3  # difference from one
+_QUATERNION_LENGTH = 1e-3  # accepted error of the norm
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One column in a file: its channel, the fields of the message that hold it, its description."""
+    """One column in a file: its channel, its message fields, its description."""
 
     channel: int
     fields: tuple[str, ...]
@@ -40,7 +40,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """The rows of one robot in a recording (N,), those too that its table leaves out: `kept` masks the others."""
+    """All rows of one robot in a recording (N,); `kept` is the mask of the rows in its table."""
 
     channel: int
     sequence: np.ndarray
@@ -52,16 +52,16 @@ class Rows:
 
 
 def clocks(found: Contents) -> dict[int, str]:
-    """Return the channels whose messages are rows, with their topics: one per robot."""
+    """Return the channels whose messages are rows, with their topics, one per robot."""
     return {number: channel.topic for number, channel in found.channels.items() if CLOCK_KEY in channel.metadata}
 
 
 def clock_channel(found: Contents, path: Path, robot: str | None) -> int:
-    """Return the channel whose messages are the rows of a robot; the only one when None."""
+    """Return the channel whose messages are the rows of a robot (None: the only robot)."""
     robots = clocks(found)
     if not robots:
         topics = ", ".join(f"{c.topic} ({c.type})" for c in found.channels.values()) or "none"
-        raise LogError(f"Expected a recording of armlab in {path}, got an MCAP file without columns; topics: {topics}.")
+        raise LogError(f"Expected an armlab recording in {path}, got an MCAP file without columns; topics: {topics}.")
     names = {topic.strip("/").rpartition("/")[0]: number for number, topic in robots.items()}
     if robot is not None:
         if topic_name(robot) not in names:
@@ -76,7 +76,7 @@ def clock_channel(found: Contents, path: Path, robot: str | None) -> int:
 
 
 def sources_of(found: Contents, clock: int) -> dict[str, Source]:
-    """Return where each column of the robot of this clock channel is."""
+    """Return the location of each column of the clock channel's robot."""
     prefix = found.channels[clock].topic.rpartition("/")[0] + "/"
     sources: dict[str, Source] = {}
     for number, channel in sorted(found.channels.items(), key=lambda item: item[0] == clock):  # its columns last
@@ -95,14 +95,14 @@ def _source(channel: int, topic: str, key: str, text: str) -> Source:
         column = Column(shape, about["unit"], about["frame"], labels, about["kind"])
         fields = tuple(about["fields"])
         if not all(isinstance(one, str) for one in fields):
-            raise TypeError("fields that are no texts")
+            raise TypeError("fields that are not strings")
         return Source(channel, fields, column, about.get("missing"), about.get("encoding", ""))
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise LogError(f"Expected a description of a column in {key} of {topic}, got {text!r} ({error}).") from None
 
 
 def _values(name: str, source: Source, decoded: Decoded, rows: Decoded, damage: list[str]) -> np.ndarray | None:
-    """Return a column brought to the rows of the table; None when no message holds it. Adds to the damage."""
+    """Return a column aligned with the rows of the table, or None if no message has it. Adds to the damage."""
     parts = [decoded.fields.get(path) for path in source.fields]
     there = [part for part in parts if part is not None]
     if len(there) < len(parts) or not parts:
@@ -112,7 +112,7 @@ def _values(name: str, source: Source, decoded: Decoded, rows: Decoded, damage: 
     if source.encoding:
         array, lost = _poses(array, name)
         if lost:
-            damage.append(f"{lost} rows of {name} are missing: their quaternions are not of length 1")
+            damage.append(f"{lost} rows of {name} are missing: their quaternions do not have unit norm")
     size = int(np.prod(source.column.shape))
     if array.shape[1] != size:
         raise LogError(f"Expected {size} values in a row of {name}, got {array.shape[1]}.")
@@ -121,7 +121,7 @@ def _values(name: str, source: Source, decoded: Decoded, rows: Decoded, damage: 
 
 
 def _poses(array: np.ndarray, name: str) -> tuple[np.ndarray, int]:
-    """Return positions and quaternions xyzw (k, 7) as matrices (k, 16), and how many are no pose: they are NaN."""
+    """Return positions and quaternions xyzw (k, 7) as matrices (k, 16), NaN if invalid, and the invalid count."""
     if array.shape[1] != 7:
         raise LogError(f"Expected 7 numbers per pose in {name}, got {array.shape[1]}.")
     no_pose = np.abs(np.linalg.norm(array[:, 3:], axis=1) - 1.0) > _QUATERNION_LENGTH  # false where missing
@@ -131,7 +131,7 @@ def _poses(array: np.ndarray, name: str) -> tuple[np.ndarray, int]:
 
 
 def _on_rows(array: np.ndarray, sequence: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Put values into the rows with the same sequence number; NaN in the others."""
+    """Align values with the rows of equal sequence number; other rows are NaN."""
     if np.array_equal(sequence, rows):
         return array
     order = np.argsort(rows, kind="stable")
@@ -144,7 +144,7 @@ def _on_rows(array: np.ndarray, sequence: np.ndarray, rows: np.ndarray) -> np.nd
 
 
 def kept_clock(found: Contents, sources: Mapping[str, Source], t0_ns: int, clock: str) -> tuple[int, str]:
-    """Return the wall clock of t = 0 and whose clock `t` is, as written beside a column `t`, else as given."""
+    """Return the wall clock at t = 0 and the name of its clock, as stored with a column `t`, otherwise as given."""
     about = found.channels[sources["t"].channel].metadata if "t" in sources else {}
     return int(about.get(T0_KEY, t0_ns)), about.get(CLOCK_NAME_KEY, clock)
 
@@ -152,7 +152,7 @@ def kept_clock(found: Contents, sources: Mapping[str, Source], t0_ns: int, clock
 def columns_at(
     view: memoryview, found: Contents, clock: int, sources: Mapping[str, Source], progress: Progress | None = None
 ) -> tuple[dict[str, np.ndarray], Decoded, list[str]]:
-    """Return the columns that messages hold, the messages of the clock, and what is damaged."""
+    """Return the columns in the messages, the clock messages, and the damage."""
     fields: dict[int, list[str]] = {clock: []}
     for source in sources.values():
         fields.setdefault(source.channel, []).extend(source.fields)
@@ -163,7 +163,7 @@ def columns_at(
 
 
 def rows_of(view: memoryview, found: Contents, path: Path, robot: str | None = None) -> Rows:
-    """Return the rows of a robot in a recording, without their columns."""
+    """Return the rows of a robot in a recording without their columns."""
     clock = clock_channel(found, path, robot)
     sources = sources_of(found, clock)
     needed = {name: sources[name] for name in CLOCK_COLUMNS if name in sources}
@@ -176,13 +176,13 @@ def rows_of(view: memoryview, found: Contents, path: Path, robot: str | None = N
 
 
 def earlier(view: memoryview, found: Contents) -> tuple[str, ...]:
-    """Return where the rows of a file had come from that `write`, `cut` or `merge` made."""
+    """Return the origins of the rows of a file written by `write`, `cut` or `merge`."""
     chain = summary_of(view, found).get("source", [])
     return tuple(str(entry) for entry in chain) if isinstance(chain, list) else ()
 
 
 def summary_of(view: memoryview, found: Contents) -> dict[str, Any]:
-    """Return what was counted at the end of a recording, empty without."""
+    """Return the summary at the end of a recording, or an empty summary."""
     for one in found.attachments:
         if one.name == "summary.json":
             try:
@@ -194,9 +194,9 @@ def summary_of(view: memoryview, found: Contents) -> dict[str, Any]:
 
 
 def torn_sentence(path: Path, found: Contents, table: Table) -> str:
-    """Return what was recovered from an unfinished file and how to repair it."""
+    """Return the sentence about the recovered part of an unfinished file and how to repair it."""
     seconds = float(table.t[-1] - table.t[0]) if len(table) else 0.0
     return (
-        f"{path.name} was not finished: recovered {len(table)} rows ({seconds:.3f} s), {found.torn} bytes torn; "
-        f"`armlab log recover {path.name}` writes a whole file"
+        f"{path.name} was not finished: recovered {len(table)} rows ({seconds:.3f} s), {found.torn} bytes truncated; "
+        f"`armlab log recover {path.name}` writes a complete file"
     )

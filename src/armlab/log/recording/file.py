@@ -1,4 +1,4 @@
-"""The MCAP file of a recording: opened once, never over another, complete up to the last row when killed."""
+"""MCAP file of a recording; it never replaces an existing file, and is complete up to the last row after a crash."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from armlab import __version__
-from armlab._descriptors import Descriptor, apart
+from armlab._files import Descriptor, apart
 from armlab.errors import ConfigError, LogError
 from armlab.kernels import RowEncoder
 from armlab.log.mcap.writer import McapWriter
@@ -26,20 +26,22 @@ _FLAGS = os.O_WRONLY | getattr(os, "O_CLOEXEC", 0)
 
 
 class PersistentFile:
-    """A new file, opened for writing, not buffered.
+    """A new file, opened for unbuffered writing.
 
-    Where the descriptor no longer belongs to it, it is opened again by its path, and writing goes on at its place.
+    If other code closes its descriptor, the file is reopened by its path, and writing continues at the same position.
     """
 
+    closed: bool
+
     def __init__(self, path: str | Path) -> None:
-        self.name = str(Path(path).absolute())
+        self.name: str = str(Path(path).absolute())
         self.closed = False
         self._at = 0
-        self._lock = threading.Lock()  # of the descriptor: threads that write and sync may both find it closed
+        self._lock = threading.Lock()  # guards the descriptor: writing and syncing threads may both find it closed
         self._descriptor = Descriptor(os.open(self.name, _FLAGS | os.O_CREAT | os.O_EXCL, 0o666))
 
     def fileno(self) -> int:
-        """Return the descriptor, which may be another one next time."""
+        """Return the file descriptor, which may change."""
         with self._lock:
             if self.closed:
                 raise OSError(errno.EBADF, os.strerror(errno.EBADF))
@@ -48,23 +50,23 @@ class PersistentFile:
             return self._descriptor.number
 
     def write(self, data: bytes | bytearray | memoryview) -> int:
-        """Write, and return how many bytes the system took."""
+        """Write, and return the number of bytes written."""
         done = os.write(self.fileno(), data)
         self._at += done
         return done
 
     def seek(self, at: int) -> int:
-        """Go on at another place, counted in bytes from the beginning."""
+        """Move to a position in bytes from the beginning."""
         self._at = os.lseek(self.fileno(), at, os.SEEK_SET)
         return self._at
 
     def truncate(self, size: int) -> int:
-        """Cut the file to a size; the place stays."""
+        """Truncate the file to a size; the position is unchanged."""
         os.ftruncate(self.fileno(), size)
         return size
 
     def close(self) -> None:
-        """Close the file. A second call does nothing."""
+        """Close the file. Idempotent."""
         with self._lock:
             self._descriptor.close()
             self.closed = True
@@ -73,12 +75,12 @@ class PersistentFile:
         number = apart(os.open(self.name, _FLAGS))
         if not self._descriptor.same_file(number):
             os.close(number)
-            raise FileNotFoundError(errno.ENOENT, "its descriptor was closed, and another file has its name")
+            raise FileNotFoundError(errno.ENOENT, "its descriptor was closed, and its name belongs to another file")
         os.lseek(number, self._at, os.SEEK_SET)
         return Descriptor(number)
 
 
-MAX_CHUNK_ROWS = 250  # a second at 250 Hz: what a damaged chunk can cost, also after a stall
+MAX_CHUNK_ROWS = 250  # one second at 250 Hz, the loss by a corrupt chunk, even after a stall
 _EVENT_TYPE = "rcl_interfaces/msg/Log"
 _PARAMETER_TYPE = "armlab_msgs/msg/Parameter"
 
@@ -88,14 +90,14 @@ def recording_path(path: str | Path) -> Path:
     path = Path(path)
     if path.suffix.lower() != ".mcap":
         raise ConfigError(
-            f"Expected the name of a recording, ending in .mcap, got {path}. Change the ending; armlab log export and "
-            "log.write make files of other formats."
+            f"Expected a recording name with the extension .mcap, got {path}. Change the extension; armlab log export "
+            "and log.write create files in other formats."
         )
     return path
 
 
 def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
-    """Open a file that does not exist yet, ``run.mcap``, else ``run-2.mcap``, ...; return its path, too."""
+    """Open a new file ``run.mcap``, or ``run-2.mcap``, ... if it exists; return also its path."""
     path = Path(path)
     number, candidate = 1, path
     try:
@@ -111,10 +113,14 @@ def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
 
 
 class RecordingFile:
-    """One recording: topics of one arm in an MCAP file (profile ros2, zstd), from its construction on the disk.
+    """One recording: topics of one arm in an MCAP file (profile ros2, zstd), on disk from construction.
 
-    `clock`: of a layout with a column `t`: wall clock of t = 0 [ns], and whose clock `t` is.
+    `clock`: for a layout with a column `t`: wall clock of t = 0 [ns], and the name of the clock of `t`.
     """
+
+    path: Path
+    rows: int
+    last_stamp_ns: int
 
     def __init__(
         self,
@@ -137,14 +143,14 @@ class RecordingFile:
             for name, data in attachments.items():
                 self.attach(name, data)
             self._encoder = RowEncoder(self._register(robot))
-            self._opening = f"recording {robot.name}"  # an event too, stamped with whatever comes first
+            self._opening = f"recording {robot.name}"  # an event, with the stamp of the first message
             self.sync()
         except OSError as error:
             self.abandon()
             raise LogError(f"Expected to write the log {self.path}, got: {error.strerror}.") from None
 
     def _register(self, robot: Robot) -> list[ros.Plan]:
-        """Register all schemas and channels; return how the messages of rows are written."""
+        """Register all schemas and channels; return the encoding plan for the row messages."""
 
         def channel(name: str, message_type: str, metadata: dict[str, str]) -> int:
             schema = self._writer.schema(message_type, "ros2msg", ros.definition(message_type).encode())
@@ -161,7 +167,7 @@ class RecordingFile:
         return plans
 
     def write(self, rows: Sequence[bytes], first: int | None = None) -> None:
-        """Write the messages of rows, numbered from `first` or by ticks: they survive the end of this process."""
+        """Write the messages of rows, numbered from `first` or by ticks; they survive a crash of this process."""
         if self._opening and rows:
             self._open(_stamp(rows[0]))
         at = 0
@@ -177,7 +183,7 @@ class RecordingFile:
                 self.close_chunk()
 
     def event(self, text: str, stamp_ns: int, tick: int = 0) -> None:
-        """Write one line for the events."""
+        """Write one event."""
         if self._opening:
             self._open(stamp_ns)
         self._writer.message(self._events, tick & 0xFFFFFFFF, stamp_ns, stamp_ns, ros.event(stamp_ns, text))
@@ -188,7 +194,7 @@ class RecordingFile:
         self.event(text, stamp_ns)
 
     def parameter(self, sequence: int, name: str, value: Any, who: str, stamp_ns: int) -> None:
-        """Write the value of a parameter that came into force."""
+        """Write a new parameter value."""
         data = ros.parameter(stamp_ns, sequence, name, value, who)
         self._writer.message(self._parameters, sequence & 0xFFFFFFFF, stamp_ns, stamp_ns, data)
         self._writer.push()
@@ -199,17 +205,17 @@ class RecordingFile:
         self._writer.attach(self.last_stamp_ns, name, media, data)
 
     def to_disk(self) -> None:
-        """Bring everything to the disk, unless the file is closed. Any thread may call it."""
+        """Sync everything to disk, unless the file is closed. Thread-safe."""
         if not self._file.closed:
             os.fsync(self._file.fileno())
 
     def sync(self) -> None:
-        """Close the chunk and bring everything to the disk: what was written so far survives a power loss."""
+        """Close the chunk and sync everything to disk, so that the rows so far survive a power loss."""
         self.close_chunk()
         os.fsync(self._file.fileno())
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write the summary and the footer, bring file and folder to the disk, and close."""
+        """Write the summary and the footer, sync the file and its folder to disk, and close."""
         if self._opening:
             self._open(self.last_stamp_ns)
         self.close_chunk()
@@ -223,12 +229,12 @@ class RecordingFile:
             os.close(folder)
 
     def abandon(self) -> None:
-        """Close the file as it is, after a write error."""
+        """Close the file without a footer, after a write error."""
         with contextlib.suppress(OSError):
             self._file.close()
 
     def close_chunk(self) -> None:
-        """Finish the chunk in progress, if any: other programs can read it then."""
+        """Finish the current chunk, if any, so that other programs can read it."""
         self._writer.close_chunk()
         self._chunk_rows = 0
 
@@ -238,5 +244,5 @@ def _stamp(row: bytes) -> int:
 
 
 def _plain(value: Any) -> Any:
-    """Make NumPy values plain for JSON."""
+    """Convert NumPy values to plain Python for JSON."""
     return value.tolist() if hasattr(value, "tolist") else str(value)

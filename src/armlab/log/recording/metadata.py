@@ -1,7 +1,7 @@
-"""Metadata, attachments and events of a recording, and secrets that are taken out of them.
+"""Metadata, attachments and events of a recording, with secrets removed.
 
-An attached file without secrets stays the same, to the byte. Otherwise its values are written anew: secret ones as
-``***``, and without comments. A file that cannot be parsed is left out.
+An attached file without secrets is kept byte for byte. Otherwise its values are rewritten without comments, with secret
+values replaced by ``***``. A file that cannot be parsed is omitted.
 """
 
 from __future__ import annotations
@@ -26,43 +26,45 @@ import numpy as np
 import tomli_w
 
 from armlab import __version__
-from armlab._toml import parsed
-from armlab.errors import LogError, RobotError
+from armlab._files import parsed
+from armlab.errors import LogError, ModelMismatchError, RobotError
 from armlab.log.file_formats.opening import check_readable, naming, opened, undamaged
 from armlab.log.mcap.decode import message_counts, messages
 from armlab.log.mcap.records import DAMAGE, Contents, contents
 from armlab.log.recording.columns import clocks, summary_of
+from armlab.log.recording.ros_messages import topic_name
 from armlab.robots import Robot, from_toml, to_toml
+from armlab.robots.comparison import check_same
 from armlab.wire import cdr
 
 SECRET = re.compile(r"token|password|passwd|secret|api[-_ ]?key", re.IGNORECASE)
-"""What a name has inside whose value is secret."""
+"""Pattern that matches the names of secret values."""
 
-_TOLD = re.compile(rf"((?:{SECRET.pattern})[\w.-]*+[\"']?\s*[=:]\s*)\S[^\n]*", re.IGNORECASE)  # within a text
+_TOLD = re.compile(rf"((?:{SECRET.pattern})[\w.-]*+[\"']?\s*[=:]\s*)\S[^\n]*", re.IGNORECASE)  # within a string
 _HIDDEN = "***"
 _LEFT_OUT = b"# left out: it may hold a secret, and its values could not be told apart\n"
-_TOP = " "  # name of a section for what comes before the first of an INI file
+_TOP = " "  # section name for the lines before the first section of an INI file
 
 
 def redacted(name: str, data: bytes) -> bytes:
-    """Return a file without its secrets."""
+    """Return a file with its secrets removed."""
     if Path(name).suffix.lower() not in _FORMATS:
         return bytes(data)
-    plain = data.replace(b"\0", b"").decode("latin-1")  # finds the names in UTF-16, too
+    plain = data.replace(b"\0", b"").decode("latin-1")  # also finds names in UTF-16
     mentions = SECRET.search(plain) is not None
-    if not mentions and "\\" not in plain:  # "\u0074oken" is a name, too
+    if not mentions and "\\" not in plain:  # "\u0074oken" is also a name
         return bytes(data)
     read, write = _FORMATS[Path(name).suffix.lower()]
     try:
         held = read(data.decode("utf-8-sig"))
         told = _without(held, {})
         return write(told).encode() if mentions or told != held else bytes(data)
-    except Exception:  # what parsers raise on texts of others is nowhere listed: configparser an AttributeError
+    except Exception:  # parsers raise undocumented errors on invalid input, such as AttributeError in configparser
         return _LEFT_OUT
 
 
 def _without(value: Any, known: dict[int, Any]) -> Any:
-    """Return a value of tables, lists and texts without secrets; what stands in several places of it, once."""
+    """Return a value made of tables, lists and strings without secrets; shared parts are converted once."""
     if id(value) in known:
         return known[id(value)]
     if isinstance(value, dict):
@@ -74,8 +76,8 @@ def _without(value: Any, known: dict[int, Any]) -> Any:
         items = known[id(value)] = []
         items += [_without(one, known) for one in value]
         return items
-    if isinstance(value, tuple | set):  # pairs of YAML, whose keys are not told from other values
-        raise TypeError("no table, list, text or number")
+    if isinstance(value, tuple | set):  # YAML pairs, in which keys and values are indistinguishable
+        raise TypeError("not a table, list, string or number")
     return _TOLD.sub(rf"\1{_HIDDEN}", value) if isinstance(value, str) else value
 
 
@@ -98,7 +100,7 @@ def _to_yaml(documents: list[Any]) -> str:
 
 
 class _Ini(RawConfigParser):
-    """Settings in sections, each value a text; names keep their case."""
+    """INI parser with string values and case-sensitive names."""
 
     def __init__(self) -> None:
         super().__init__(strict=False, allow_no_value=True, default_section="")
@@ -135,7 +137,7 @@ _PATIENCE = 2.0  # s for git
 
 
 def metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[str, str]:
-    """Return the metadata record of a recording; values of secret options are replaced."""
+    """Return the metadata record of a recording without secret options."""
     return {
         "version": __version__,
         "revision": revision(Path.cwd()),
@@ -150,9 +152,9 @@ def metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[
 
 
 def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return what is attached to a recording, name -> bytes: the robot's description, and settings without secrets."""
+    """Return the attachments of a recording as bytes by name: the robot's description, and settings without secrets."""
     found: dict[str, bytes] = {}
-    with suppress(RobotError):  # a name that cannot stand in a file must not cost the recording
+    with suppress(RobotError):  # an invalid robot name must not stop the recording
         found[ROBOT] = to_toml(robot).encode()
     for name, data in attachments.items():
         found[name] = redacted(name, data)
@@ -160,7 +162,7 @@ def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]
 
 
 def described(attachments: Mapping[str, bytes], name: str, origin: str) -> Robot | None:
-    """Return the robot of a name as the attachments of a recording describe it, None where none of them does."""
+    """Return the robot with a given name from the attachments of a recording, or None."""
     found = (
         from_toml(text.decode(errors="replace"), f"{origin}, {file}")
         for file, text in attachments.items()
@@ -171,10 +173,10 @@ def described(attachments: Mapping[str, bytes], name: str, origin: str) -> Robot
 
 @cache
 def revision(folder: Path) -> str:
-    """Return the commit of the git repository that a folder is in, with + where files differ; empty without one."""
+    """Return the commit of the folder's git repository, with + for modified files; empty without a repository."""
     words = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
     try:
-        alone = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}  # it only looks
+        alone = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}  # read-only access
         done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=_PATIENCE, env=alone)
     except (OSError, subprocess.TimeoutExpired):
         return ""
@@ -182,7 +184,7 @@ def revision(folder: Path) -> str:
 
 
 def _without_secrets(words: list[str]) -> list[str]:
-    """Replace what follows an option whose name tells a secret, and what such an option equals."""
+    """Replace the values of command-line options with secret names."""
     kept: list[str] = []
     hide = False
     for word in words:
@@ -200,7 +202,7 @@ One = TypeVar("One")
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One line of the events: its wall clock [ns] and its text."""
+    """Event: wall clock [ns] and text."""
 
     stamp_ns: int
     text: str
@@ -208,7 +210,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A value of a parameter that came into force: wall clock [ns], number (0 at the start), what, and who set it."""
+    """Parameter change: wall clock [ns], number (0 at the start), name, value and author."""
 
     stamp_ns: int
     sequence: int
@@ -219,7 +221,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic of the file: name, message type, number of messages."""
+    """Topic of the file: name, message type, number of messages."""
 
     name: str
     type: str
@@ -228,12 +230,12 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """What a recording holds besides its table.
+    """Content of a recording other than its table.
 
-    `path`, `size`: the file and its bytes; `finished`, `torn`: closed properly; bytes torn off at the end; `metadata`:
-    records of string maps by name; "armlab" says what wrote the file, for which robot; `topics`, `events`,
-    `parameters`: in order; `attachments`: bytes by name; `summary`: counts written at the end, empty if there is none;
-    `robots`: whose rows it holds.
+    `path`, `size`: the file and its bytes; `finished`: whether the file was closed properly; `torn`: bytes lost at the
+    end; `metadata`: records of string maps by name, "armlab" with the writing program and the robot; `topics`,
+    `events`, `parameters`: in order; `attachments`: bytes by name; `summary`: counts written at the end, or empty;
+    `robots`: robots with rows.
     """
 
     path: Path
@@ -250,11 +252,11 @@ class Inspection:
 
 
 def inspect(path: str | Path) -> Inspection:
-    """Return metadata, topics, events, attachments and the summary of an MCAP file, finished or torn.
+    """Return metadata, topics, events, attachments and the summary of an MCAP file, finished or unfinished.
 
     Raises
     ------
-    LogError : the file is missing, of another format, or damaged beyond use.
+    LogError : the file is missing, of another format, or corrupt beyond use.
     """
     path = Path(path)
     check_readable(path)
@@ -276,15 +278,32 @@ def inspect(path: str | Path) -> Inspection:
         )
 
 
+def check_recorded(held: Inspection, robot: Robot) -> None:
+    """Raise `ModelMismatchError` unless a recording has rows of a robot and describes it with the same numbers."""
+    about = {topic_name(pairs["robot"]): pairs for pairs in held.metadata.values() if pairs.get("robot")}
+    names = held.robots if len(held.robots) > 1 else tuple(about)  # those of topics, in which some letters cannot stand
+    pairs = about.get(topic_name(robot.name), about[names[0]] if len(names) == 1 else {})
+    name, digest = pairs.get("robot", robot.name), pairs.get("robot_hash", "")
+    advice = "Pass the robot that was recorded, or continue with this one with force=True (--force)."
+    if digest:
+        recorded = described(held.attachments, name, str(held.path))
+        check_same(robot, f"the recording {held.path}", name, digest, recorded, advice)
+    elif names and topic_name(robot.name) not in names:
+        got = " and ".join(repr(about[name]["robot"] if name in about else name) for name in names)
+        raise ModelMismatchError(
+            f"Expected a recording of {robot.name!r}, got a recording of {got} in {held.path}. {advice}"
+        )
+
+
 def _made(
     view: memoryview, found: Contents, type_: str, make: Callable[[int, bytes, cdr.Layout], One]
 ) -> tuple[One, ...]:
-    """Return what is made of stamp [ns], bytes and layout of each message of a type; damaged ones are left out."""
+    """Return `made` (stamp [ns], bytes, layout) for each message of a type; corrupt messages are skipped."""
     made: list[One] = []
     for number, channel in found.channels.items():
         if channel.type != type_ or channel.encoding != "cdr":
             continue
-        with suppress(LogError):  # a type of another program's, which its schema does not tell
+        with suppress(LogError):  # a foreign type without a usable schema
             types = cdr.definitions(channel.type, channel.schema, channel.schema_encoding)
             for _, stamp_ns, raw in messages(view, found, number):
                 with suppress(*DAMAGE):

@@ -1,7 +1,7 @@
-"""`Log` and `Tail`: rows in memory. `Recorder`: rows in an MCAP file, without ever holding up the loop.
+"""`Log` and `Tail`: rows in memory. `Recorder`: rows in an MCAP file, without blocking the loop.
 
-The loop never wakes the writing thread: that would cost a system call per cycle, and the thread would compete with the
-controller for the interpreter. The thread polls the queue instead.
+The loop never wakes the writing thread, which would cost a system call per cycle and competition for the interpreter.
+Instead, the thread polls the queue.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from armlab.log.table import Table
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-_TAIL_RATE = 500.0  # rows per second a Tail has room for; EGM's fastest is 250
+_TAIL_RATE = 500.0  # rows per second of a Tail; EGM's fastest rate is 250
 _TAIL_ROWS = 1 << 40  # more than any memory
 
 
 class Log:
-    """Log in memory that grows without copying: the standard columns and the user's.
+    """In-memory log that grows without copying; holds the standard columns and those of the user.
 
     Parameters
     ----------
@@ -57,14 +57,14 @@ class Log:
         return len(self._rows)
 
     def push(self, **values: Any) -> None:
-        """Append one row by column name; what is not given is missing.
+        """Append one row by column name; omitted values are missing.
 
-        Field names of the ancestor's logs (pos vel trq pos_o vel_o trq_o timestamp seqnum) are read as ours.
-        `t` is the row's time [s], given for every row or for none; without it the clock is the time of the call.
+        The field names of the predecessor's logs (pos vel trq pos_o vel_o trq_o timestamp seqnum) are accepted as
+        aliases. `t` is the row's time [s], given for every row or for none; default: the time of the call.
 
         Raises
         ------
-        UnknownName, ShapeError : before anything is stored.
+        UnknownName, ShapeError : raised before anything is stored.
         """
         values = {OLD_NAMES.get(name, name): value for name, value in values.items()}
         stamp = self._start_ns + time.monotonic_ns()
@@ -73,7 +73,7 @@ class Log:
         self._pushed += 1
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
-        """Append what the bridge knows of one tick.
+        """Append the bridge data of one tick.
 
         Raises
         ------
@@ -82,7 +82,7 @@ class Log:
         self._rows.append(self._layout.pack(state, command, tick))
 
     def table(self) -> Table:
-        """Return the rows so far; the table stays valid while pushing goes on."""
+        """Return the rows so far as an independent table."""
         values = self._layout.unpack(self._rows.copy())
         columns = {name: slot.column for name, slot in self._layout.slots.items()}
         return recording_table(values, columns, values.pop("stamp_ns"))
@@ -90,16 +90,17 @@ class Log:
     def save(self, path: str | Path, *, note: str = "") -> Path:
         """Write the rows so far to a finished recording and return its path.
 
-        ``log.read(log.save(path))`` is `table()`, but that poses go through quaternions.
+        ``log.read(log.save(path))`` equals `table()`, except that poses are stored as quaternions.
 
         Parameters
         ----------
-        path : ending in .mcap; ``-2``, ``-3`` is added when it exists, as a recorder does. note : kept in the metadata.
+        path : with the extension .mcap; ``-2``, ``-3`` is appended if it exists.
+        note : kept in the metadata.
 
         Raises
         ------
-        ConfigError : another ending; `write` makes files of other formats from `table()`.
-        LogError : it cannot be written; nothing is left then.
+        ConfigError : an extension other than .mcap; `write` creates other formats from `table()`.
+        LogError : the file cannot be written; no partial file remains.
         """
         rows = self._rows.copy()
         file = RecordingFile(recording_path(path), self._robot, self._layout, {}, note)
@@ -116,16 +117,16 @@ class Log:
 
 
 class Tail(Log):
-    """The last seconds of a log: a ring of fixed size.
+    """The last seconds of a log in a ring buffer of fixed size.
 
     Parameters
     ----------
-    seconds : how much is kept.
+    seconds : retained duration [s].
     robot, extra : as in `Log`.
     """
 
     def __init__(self, seconds: float, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
-        self.seconds = positive(seconds, "length of a Tail [s]", "A minute is 60.")
+        self.seconds: float = positive(seconds, "length of a Tail [s]", "Try 60.")
         super().__init__(robot, extra)
         self._rows = deque(maxlen=int(min(self.seconds * _TAIL_RATE, _TAIL_ROWS)) + 1)
 
@@ -136,9 +137,9 @@ class Tail(Log):
 
 
 class Syncing:
-    """Thread that syncs a file when asked.
+    """Thread that syncs a file on request.
 
-    What is written while the disk is slow is in the kernel's memory: it survives the end of the process, and goes to
+    While the disk is slow, written data stays in the kernel's memory. It survives a crash of the process and reaches
     the disk with the next sync.
     """
 
@@ -151,12 +152,12 @@ class Syncing:
         self._thread.start()
 
     def ask(self) -> None:
-        """Have the file synced soon."""
+        """Request a sync."""
         self._check()
         self._asked.set()
 
     def close(self) -> None:
-        """End the thread, after the sync in progress."""
+        """End the thread after the current sync."""
         self._closed = True
         self._asked.set()
         self._thread.join()
@@ -178,41 +179,47 @@ class Syncing:
             self._error = error
 
 
-WRITE_PERIOD = 0.04  # s; what the end of the process costs
-FLUSH_PERIOD = 0.8  # s; what a loss of power costs
+WRITE_PERIOD = 0.04  # s, maximum loss by a crash of the process
+FLUSH_PERIOD = 0.8  # s, maximum loss by a power failure
 QUEUE_ROWS = 2500  # 10 s at 250 Hz
-MANY_ROWS = 1250  # that wait: they are written at once
+MANY_ROWS = 1250  # queued rows that are written immediately
 MOST_COMPLAINTS = 100
 
 
 class Recorder:
-    """Recording of one arm: `row()` in the loop, a thread that writes every 40 ms what has come.
+    """Recording of one arm: `row()` in the loop, and a thread that writes the queued rows every 40 ms.
 
     Parameters
     ----------
-    path : file to write, ending in .mcap; ``-2``, ``-3`` is added when it exists. The attribute `path` is the real one.
+    path : output file, with the extension .mcap; ``-2``, ``-3`` is appended if it exists. The attribute `path` is
+        final.
     robot : the arm; its name is the first part of every topic.
-    extra : columns of the controller's own (``Command.record``); `wrench_hat` and `wrench_hat_cov` need none.
-    attachments : name -> bytes kept in the file, for example the robot's description and the model used.
+    extra : additional columns of the controller (``Command.record``); `wrench_hat` and `wrench_hat_cov` are built in.
+    attachments : name -> bytes stored in the file, for example the robot's description and the model.
     note : the user's words, kept in the metadata.
-    wait : let `row()` wait when the queue is full instead of dropping: for links in lockstep, which keep no real time.
+    wait : block `row()` while the queue is full instead of dropping: for links in lockstep, without real time.
 
     Attributes
     ----------
-    rows, dropped : rows accepted and rows lost. failed : why the recorder stopped, or None.
+    rows, dropped : rows accepted and rows lost.
+    failed : why the recorder stopped, or None.
 
     Raises
     ------
-    ConfigError : a name of another ending. LogError : the file cannot be created or written.
-    ShapeError, UnknownName : a declared column is not acceptable.
+    ConfigError : another extension.
+    LogError : the file cannot be created or written.
+    ShapeError, UnknownName : an invalid declared column.
 
     Notes
     -----
-    A row is packed into bytes and queued (10 s of rows). When the queue is full the arriving row is dropped and
-    counted, and two events mark the hole. The thread gives all rows to the kernel every 40 ms: a killed process loses
-    those that have come since. Another has the file synced every 0.8 s, what a loss of power costs at most: a disk that
-    is slow to sync holds up no row. A write error stops the recorder, never the loop.
+    A row is packed into bytes and queued (10 s of rows). If the queue is full, new rows are dropped and counted, and
+    two events mark the gap. A thread passes all rows to the kernel every 40 ms, so a killed process loses at most the
+    rows since then. Another thread syncs the file every 0.8 s, which bounds the loss in a power failure; a slow sync
+    does not delay rows. A write error stops the recorder, but never the loop.
     """
+
+    rows: int
+    dropped: int
 
     def __init__(
         self,
@@ -227,7 +234,7 @@ class Recorder:
         self._layout = RowLayout(robot, extra)
         self._pack, self._known = self._layout.pack, self._layout.extra.keys()
         self._file = RecordingFile(recording_path(path), robot, self._layout, dict(attachments or {}), note)
-        self.path = self._file.path
+        self.path: Path = self._file.path
         self.rows = 0
         self.dropped = 0
         self.failed: str | None = None
@@ -251,13 +258,13 @@ class Recorder:
         self.close()
 
     def row(self, state: State, command: Command | None, tick: Tick) -> bool:
-        """Queue one row; False when it was dropped. Neither blocks (unless `wait`) nor raises.
+        """Queue one row; return False if dropped. Neither blocks (unless `wait`) nor raises.
 
         Parameters
         ----------
-        state : what the controller saw.
-        command : what it returned, None when it was not called.
-        tick : what the bridge knows of the tick.
+        state : input of the controller.
+        command : output of the controller, None if it was not called.
+        tick : bridge data of the tick.
         """
         if self._closed or (len(self._queue) >= MANY_ROWS and not self._has_room()) or self.failed is not None:
             return self._drop(tick)
@@ -265,8 +272,8 @@ class Recorder:
             row = self._pack(state, command, tick)
             if command is not None and not command.record.keys() <= self._known:
                 unknown = ", ".join(sorted(map(str, command.record.keys() - self._known)))
-                self._complain(f"not written, as not declared with extra=: {unknown}", tick)
-        except Exception as error:  # whatever it is: a row that cannot be packed must not stop the loop
+                self._complain(f"not written, because not declared with extra=: {unknown}", tick)
+        except Exception as error:  # any error: an invalid row must not stop the loop
             self._complain(f"row not written: {str(error) or type(error).__name__}", tick)
             return self._drop(tick)
         if self._hole is not None:
@@ -276,26 +283,29 @@ class Recorder:
         return True
 
     def event(self, text: str, stamp_ns: int) -> None:
-        """Queue one line for the events of the recording, unless it has stopped."""
+        """Queue one event unless the recording has stopped."""
         if self.failed is None:
             self._queue.append(partial(self._file.event, text, stamp_ns))
 
     def parameter(self, sequence: int, name: str, value: Any, who: str, stamp_ns: int) -> None:
-        """Queue the value of a parameter that came into force, unless the recording has stopped.
+        """Queue a new parameter value unless the recording has stopped.
 
         Parameters
         ----------
-        sequence : number of the setting. name, value : what. who : set it. stamp_ns : wall clock.
+        sequence : number of the change.
+        name, value : the parameter.
+        who : author of the change.
+        stamp_ns : wall clock.
         """
         if self.failed is None:
             self._queue.append(partial(self._file.parameter, sequence, name, value, who, stamp_ns))
 
     def close(self, summary: Mapping[str, Any] | None = None) -> None:
-        """Write what is queued, the summary and the footer, and close the file. A second call does nothing.
+        """Write the queue, the summary and the footer, and close the file. Idempotent.
 
         Parameters
         ----------
-        summary : kept in the file as summary.json, with the recorder's own counts.
+        summary : stored in the file as summary.json, with the recorder's own counts.
         """
         if self._closed:
             return
@@ -306,14 +316,14 @@ class Recorder:
         self._wake.set()
         self._thread.join()
         self._guarded(self._syncing.close)
-        self.dropped += self.rows - self._file.rows  # rows that were queued when the disk failed
+        self.dropped += self.rows - self._file.rows  # rows queued at the disk failure
         self.rows = self._file.rows
         counts = {"rows": self.rows, "dropped": self.dropped, "holes": self._holes}
         if self.failed is None:
             self._guarded(lambda: self._file.finish({**(summary or {}), **counts}))
 
     def _run(self) -> None:
-        """Write what comes, until the recorder is closed."""
+        """Write queued items until the recorder is closed."""
         self._guarded(self._write_queue)
 
     def _write_queue(self) -> None:
@@ -321,7 +331,7 @@ class Recorder:
         while not is_last:
             self._wake.wait(WRITE_PERIOD)
             self._wake.clear()
-            is_last = self._closed  # looked at before the queue is emptied: what came until then is in it
+            is_last = self._closed  # read before the queue is drained, so that earlier rows are included
             self._write([self._queue.popleft() for _ in range(len(self._queue))])
             if time.monotonic() >= due:
                 self._file.close_chunk()
@@ -329,7 +339,7 @@ class Recorder:
                 due = time.monotonic() + FLUSH_PERIOD
 
     def _write(self, items: list[bytes | Callable[[], None]]) -> None:
-        """Write rows and what came between them, in their order."""
+        """Write rows and the items between them in order."""
         rows: list[bytes] = []
         for item in items:
             if isinstance(item, bytes):
@@ -341,19 +351,19 @@ class Recorder:
         self._file.write(rows)
 
     def _guarded(self, work: Callable[[], None]) -> None:
-        """Do work on the file; an error stops the recorder and is kept as a sentence."""
+        """Run a step on the file; an error stops the recorder and is stored in `failed`."""
         try:
             work()
-        except Exception as error:  # the loop goes on, so this thread has nobody to raise to
+        except Exception as error:  # the loop continues, and no caller could catch the error
             try:
                 reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
                 self.failed = f"The log {self.path} stopped after {self._file.rows} rows: {reason}."
-            except Exception:  # there may be no memory for words
+            except Exception:  # there may be no memory for a message
                 self.failed = self._stopped
             self._file.abandon()
 
     def _has_room(self) -> bool:
-        """Have a long queue written soon. Return whether there is room for a row, with `wait` once there is."""
+        """Trigger early writing of a long queue; return whether there is room for a row (`wait`: wait for room)."""
         self._wake.set()
         while self._wait and len(self._queue) >= QUEUE_ROWS and self.failed is None:
             time.sleep(0.001)
@@ -363,7 +373,7 @@ class Recorder:
         self.dropped += 1
         if self._hole is None:
             self._hole = (tick.number, tick.number, 0)
-            self.event(f"rows are dropped from tick {tick.number} on, {len(self._queue)} rows wait", tick.stamp_ns)
+            self.event(f"dropping rows from tick {tick.number} on, {len(self._queue)} rows queued", tick.stamp_ns)
         first, _, count = self._hole
         self._hole = (first, tick.number, count + 1)
         return False
@@ -372,10 +382,10 @@ class Recorder:
         hole, self._hole = self._hole, None
         if hole is not None:
             self._holes.append(hole)
-            self.event(f"{hole[2]} rows were dropped, ticks {hole[0]} to {hole[1]}", stamp_ns)
+            self.event(f"{hole[2]} rows dropped, ticks {hole[0]} to {hole[1]}", stamp_ns)
 
     def _complain(self, text: str, tick: Tick) -> None:
-        """Write an event the first time it comes; a text that is always new must not fill the disk."""
+        """Write an event on its first occurrence, because ever-changing texts must not fill the disk."""
         if text not in self._complained and len(self._complained) < MOST_COMPLAINTS:
             self._complained.add(text)
             self.event(text, tick.stamp_ns)

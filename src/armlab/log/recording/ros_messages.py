@@ -1,4 +1,4 @@
-"""The topics of a recording: which columns go into which ROS 2 message, and the messages as patched templates."""
+"""Topics of a recording: mapping of columns to ROS 2 messages, which are encoded by patching templates."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from armlab.log.recording.rows import CODES, COUNTS, FLAGS, REALS, SELDOM, RowLa
 from armlab.wire import cdr
 
 CLOCK_KEY = "armlab.clock"  # channel metadata: the messages of this channel are the rows of the table
-# channel metadata of a column t: whose clock it is, and the wall clock of t = 0 [ns]
+# channel metadata of a column t: name of its clock, and the wall clock of t = 0 [ns]
 CLOCK_NAME_KEY, T0_KEY = "armlab.clock_name", "armlab.t0_ns"
-COLUMN_KEY = "column."  # channel metadata "column.<name>": JSON, how to rebuild the column <name>
+COLUMN_KEY = "column."  # channel metadata "column.<name>": JSON description of the column <name>
 
-_TICK_NUMBERS = (*(name for name in COUNTS if name != "stamp_ns"), *CODES)  # messages are stamped in their header
+_TICK_NUMBERS = (*(name for name in COUNTS if name != "stamp_ns"), *CODES)  # messages have the stamp in their header
 _OWN_TYPES = {
     "armlab_msgs/msg/Tick": "std_msgs/Header header\n"
     + "".join(f"int64 {name}\n" for name in _TICK_NUMBERS)
@@ -35,13 +35,13 @@ _OWN_TYPES = {
 }
 WRENCH_FIELDS = tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz")
 _ESTIMATE = {"wrench_hat": ("wrench",), "wrench_hat_cov": ("covariance",)}
-_RAW = ".wrench_raw"  # the end of the column of a force sensor in its own axes, behind the name of its source
+_RAW = ".wrench_raw"  # suffix of a force sensor's column in its own axes, after the name of its source
 POSE_FIELDS = tuple(f"pose.position.{axis}" for axis in "xyz") + tuple(f"pose.orientation.{axis}" for axis in "xyzw")
 
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic below a robot's name: which fields of its messages hold each column.
+    """One topic below a robot's name, with the message fields of each column.
 
     Sequences of `optional` columns may be empty; the messages of the `clock` are the rows of the table.
     """
@@ -55,7 +55,7 @@ class Topic:
     clock: bool = False
 
     def metadata(self, slots: Mapping[str, Slot]) -> dict[str, str]:
-        """Return the channel metadata from which a reader rebuilds the columns without knowing armlab."""
+        """Return the channel metadata that lets any reader rebuild the columns."""
         data = {CLOCK_KEY: "rows"} if self.clock else {}
         for name, paths in self.fields.items():
             column, missing = slots[name].column, slots[name].missing
@@ -63,7 +63,7 @@ class Topic:
             about |= {"frame": column.frame, "kind": column.kind, "labels": list(column.labels)}
             if missing is not None:
                 about["missing"] = missing
-            if paths == POSE_FIELDS:  # a pose of the user's own is kept as its 16 numbers
+            if paths == POSE_FIELDS:  # a user-defined pose keeps its 16 numbers
                 about["encoding"] = "position xyz, quaternion xyzw"
             data[COLUMN_KEY + name] = json.dumps(about)
         return data
@@ -94,34 +94,34 @@ def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
     found += [
         _sensor(name) if name.endswith(_RAW) and layout.slots[name].size == 6 else column_topic(name) for name in own
     ]
-    names = distinct({place: topic.name for place, topic in enumerate(found)})  # of columns "a.b" and "a_b"
+    names = distinct({place: topic.name for place, topic in enumerate(found)})  # columns "a.b" and "a_b" collide
     return [replace(topic, name=names[place]) for place, topic in enumerate(found)]
 
 
 def _sensor(name: str) -> Topic:
-    """Return the topic of a force sensor that is a source of its own, as measured: ``wrench/<source>``."""
+    """Return the topic of a force sensor that is a separate source, as measured: ``wrench/<source>``."""
     source = name.removesuffix(_RAW)
     return Topic(f"wrench/{topic_name(source)}", "geometry_msgs/msg/WrenchStamped", {name: WRENCH_FIELDS}, source)
 
 
 def column_topic(name: str) -> Topic:
-    """Return the topic of one column by itself."""
+    """Return the topic of a single column."""
     return Topic(f"columns/{topic_name(name)}", "armlab_msgs/msg/Column", {name: ("values",)})
 
 
 def clock_metadata(t0_ns: int, clock: str) -> dict[str, str]:
-    """Return what is written beside a column `t`: the wall clock of t = 0 [ns], and whose clock it is."""
+    """Return the metadata of a column `t`: the wall clock of t = 0 [ns], and the name of the clock."""
     return {T0_KEY: str(t0_ns), CLOCK_NAME_KEY: clock}
 
 
 def topic_name(name: str) -> str:
-    """Return a name with everything that ROS does not allow in a topic replaced by ``_``."""
+    """Return a name with every character invalid in a ROS topic replaced by ``_``."""
     return re.sub(r"\W", "_", name, flags=re.ASCII) or "_"
 
 
 @cache
 def store() -> Any:
-    """Return the message types that are known: those of ROS 2 Humble and ours."""
+    """Return the known message types: those of ROS 2 Humble and of armlab."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     known = get_typestore(Stores.ROS2_HUMBLE)
@@ -132,7 +132,7 @@ def store() -> Any:
 
 @cache
 def definition(name: str) -> str:
-    """Return the ``ros2msg`` schema of a message type, the texts of the types it uses included."""
+    """Return the ``ros2msg`` schema of a message type, including nested types."""
     return store().generate_msgdef(name, ros_version=2)[0]
 
 
@@ -147,7 +147,7 @@ def event(stamp_ns: int, text: str, level: int = 20) -> bytes:
 
 
 def parameter(stamp_ns: int, sequence: int, name: str, value: Any, who: str) -> bytes:
-    """Return an armlab_msgs/msg/Parameter message, its value as JSON."""
+    """Return an armlab_msgs/msg/Parameter message with its value as JSON."""
     types = store().types
     stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
     text = json.dumps(getattr(value, "tolist", lambda: value)())
@@ -157,7 +157,7 @@ def parameter(stamp_ns: int, sequence: int, name: str, value: Any, who: str) -> 
 
 
 def _in_utf8(text: str) -> str:
-    """Return a text that can be written: half a character, as from JSON or a file name, must not end a recording."""
+    """Return an encodable string, because a lone surrogate (from JSON or a file name) must not end a recording."""
     return text.encode(errors="backslashreplace").decode()
 
 
@@ -165,7 +165,7 @@ Plan = tuple[int, bool, list[tuple[int, bytes, bool]], list[tuple[bytes, list[tu
 
 
 def plan(channel: int, topic: Topic, slots: Mapping[str, Slot]) -> Plan:
-    """Return how `kernels.RowEncoder` writes the messages of a topic: templates that rosbags serialised, and copies."""
+    """Return the `kernels.RowEncoder` plan for the messages of a topic: templates from rosbags, copy operations."""
     held = {name: slots[name] for name in topic.fields}
     columns = [(slot.start, slot.nothing, name in topic.optional) for name, slot in held.items()]
     optional = [name for name in held if name in topic.optional]
@@ -177,7 +177,7 @@ def plan(channel: int, topic: Topic, slots: Mapping[str, Slot]) -> Plan:
 
 
 def _variant(topic: Topic, slots: Mapping[str, Slot], absent: Set[str]) -> tuple[bytes, list[tuple[int, int, int]]]:
-    """Serialise a message in which the sequences of some columns are empty, and find its numbers."""
+    """Serialise a message with empty sequences for some columns, and locate its numbers."""
     counts = {name: 0 if name in absent else slot.size for name, slot in slots.items()}
     raw = _serialised(topic, counts)
     found = cdr.layout(raw, topic.type, cdr.definitions(topic.type, definition(topic.type)))
@@ -194,7 +194,7 @@ def _variant(topic: Topic, slots: Mapping[str, Slot], absent: Set[str]) -> tuple
 
 
 def _merged(copies: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
-    """Join copies that continue each other in the message and in the row."""
+    """Merge copy operations that are contiguous in the message and in the row."""
     merged: list[tuple[int, int, int]] = []
     for to, start, count in copies:
         if merged and (to, start) == (merged[-1][0] + merged[-1][2], merged[-1][1] + merged[-1][2]):
@@ -205,7 +205,7 @@ def _merged(copies: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
 
 
 def _serialised(topic: Topic, counts: Mapping[str, int]) -> bytes:
-    """Return a message of the topic with zeros, its sequences as long as `counts` says."""
+    """Return a message of the topic with zeros and sequences of length `counts`."""
     message = blank(topic.type)
     message.header.frame_id = topic.frame_id
     if topic.labels:
@@ -218,7 +218,7 @@ def _serialised(topic: Topic, counts: Mapping[str, int]) -> bytes:
 
 
 def blank(name: str) -> Any:
-    """Return a message of a type with zeros and with empty texts and sequences of numbers or texts."""
+    """Return a message of a type with zeros and empty strings and sequences."""
     values = {}
     for field_name, (node, detail) in store().fielddefs[name][1]:
         if int(node) == 2:

@@ -1,8 +1,8 @@
-"""One row of a recording as bytes: packed in the loop in a few microseconds, taken apart elsewhere."""
+"""One row of a recording as bytes, which is packed in the loop within a few microseconds and unpacked offline."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -16,17 +16,17 @@ from armlab.log.table import QD_SOURCES, TAU_SOURCES
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-# Marks of values that are not there, in counts and in flags. A clock that reads zero was not sent.
+# Markers of missing values in counts, clocks and flags.
 NO_COUNT, NO_CLOCK, NO_FLAG = -1, 0, 255
 
-# The columns of a tick, for recordings and for the rows of servers: column -> the object and attribute that hold it.
+# The columns of a tick, for recordings and for the rows of servers: column -> object and attribute.
 COUNTS = {
     "stamp_ns": "tick.stamp_ns", "tick": "tick.number", "seq": "state.seq", "seq_sent": "tick.seq_sent",
     "session": "state.session", "missed": "state.missed", "drops": "tick.drops", "robot_ns": "state.robot_ns",
     "receive_ns": "tick.receive_ns", "send_ns": "tick.send_ns", "step_ns": "tick.step_ns", "wake_ns": "tick.wake_ns",
     "motors": "state.motors", "mci": "state.mci", "rapid": "state.rapid",
 }  # fmt: skip
-CODES = {"qd_source": QD_SOURCES, "tau_source": TAU_SOURCES}
+CODES: dict[str, tuple[str, ...]] = {"qd_source": QD_SOURCES, "tau_source": TAU_SOURCES}
 REALS = {"session_t": "state.t", "dt": "state.dt", "utilization": "state.utilization"}
 FLAGS = {"converged": "state.converged", "late": "tick.late"}
 JOINTS = {
@@ -36,7 +36,7 @@ JOINTS = {
 }  # fmt: skip
 ESTIMATE = {"wrench_hat": Column((6,)), "wrench_hat_cov": Column((6, 6))}
 # column -> source, form (see `kernels.RowPacker`) and shape
-FIXED = {
+FIXED: dict[str, tuple[str, str, tuple[int, ...]]] = {
     "wrench_raw": ("state.wrench_raw", "doubles", (6,)),
     "wrench": ("state.wrench", "doubles", (6,)),
     "T_frame_tool": ("state.T_frame_tool", "doubles", (4, 4)),
@@ -51,28 +51,29 @@ _SELDOM = {
     "rapid_digital_sent": ("tick.rapid_digital_sent", "said", ()),
 }
 SELDOM = tuple(_SELDOM)
-"""Columns of axes that are commanded and of values from and to RAPID: the end of a row, which most rows lack."""
+"""Columns of commanded axes and of values exchanged with RAPID; they form the end of a row, which most rows omit."""
 
-_DTYPES = {"count": "<i8", "code": "<i8", "flag": "u1", "bits": "u1"}  # of a form; others are real numbers
+_DTYPES = {"count": "<i8", "code": "<i8", "flag": "u1", "bits": "u1"}  # by form; others are floats
 
 
 class Tick(NamedTuple):
-    """What the bridge knows of one tick besides `State` and `Command`.
+    """Bridge data of one tick in addition to `State` and `Command`.
 
     Attributes
     ----------
     number : tick number of the bridge, increasing.
-    seq_sent : sequence number of the reply, -1 when nothing was sent.
+    seq_sent : sequence number of the reply, -1 if none was sent.
     stamp_ns : wall clock at start plus monotonic time since start, int64 nanoseconds.
-    receive_ns, send_ns : arrival, and the moment before sending (-1 when nothing was sent).
+    receive_ns, send_ns : arrival, and the moment before sending (-1 if nothing was sent).
     step_ns : time spent in the controller.
-    late : the controller missed its deadline. drops : datagrams refused so far.
-    q_sent, qd_sent, tau_sent : (n,) what went out after the limits, None when nothing did.
-    clamped : (n,) bits of the limits that acted, None when there were none to apply.
-    record : values of declared columns that the bridge knows, besides those of the Command.
-    q_ext_sent, rapid_data_sent, rapid_digital_sent : what went to external axes and to RAPID, None for nothing.
-    wake_ns : from the arrival of the packet, by the kernel's stamp where there is one, to the loop running, -1 when not
-        known.
+    late : whether the controller missed its deadline.
+    drops : datagrams dropped so far.
+    q_sent, qd_sent, tau_sent : (n,) references sent after the limits, or None.
+    clamped : (n,) bits of the active limits, or None.
+    record : values of declared columns known to the bridge, in addition to those of the Command.
+    q_ext_sent, rapid_data_sent, rapid_digital_sent : values sent to external axes and to RAPID, or None.
+    wake_ns : wake-up latency from the packet's arrival, by the kernel's stamp if available, to the running loop; -1 if
+        unknown.
     """
 
     number: int
@@ -96,7 +97,7 @@ class Tick(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """Where one column is in a row: bytes [start, stop) of type `dtype`; `missing` marks a value that is not there."""
+    """Position of one column in a row: bytes [start, stop) of type `dtype`; `missing` marks missing values."""
 
     column: Column
     start: int
@@ -111,22 +112,27 @@ class Slot:
 
     @property
     def nothing(self) -> bytes:
-        """The bytes of a row that nothing was given for."""
+        """Bytes of a missing value."""
         missing = np.nan if self.dtype == "<f8" else self.missing or 0
         return np.full(self.size, missing, self.dtype).tobytes()
 
 
 class RowLayout:
-    """Layout of the rows of one arm: the standard columns, and those declared in `extra`.
+    """Layout of the rows of one arm: the standard columns and the columns declared in `extra`.
 
-    `pack` makes one row of State, Command or None, and Tick. Values are copied; what is None or empty is missing.
+    `pack` encodes one row of State, Command or None, and Tick. Values are copied; None and empty values count as
+    missing.
     """
+
+    size: int
 
     def __init__(self, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
         if not isinstance(robot, Robot):
             raise RobotError.no_robot(robot)
-        self.n = robot.n
-        self.extra = {name: resolved(column, name) for name, column in {**ESTIMATE, **(extra or {})}.items()}
+        self.n: int = robot.n
+        self.extra: dict[str, Column] = {
+            name: resolved(column, name) for name, column in {**ESTIMATE, **(extra or {})}.items()
+        }
         self.slots: dict[str, Slot] = {}
         self.size = 0
         self._places: list[tuple[str, str, str, str, bytes, Any]] = []
@@ -143,7 +149,7 @@ class RowLayout:
         for name, (source, form, shape) in _SELDOM.items():
             self._add(name, source, form, Column(shape), detail="rapid_data")
         self._empty = b"".join(place[4] for place in self._places)
-        self.pack = RowPacker((State, Command, Tick), self._places, SELDOM[0]).pack
+        self.pack: Callable[[Any, Any, Any], bytes] = RowPacker((State, Command, Tick), self._places, SELDOM[0]).pack
 
     def _add_standard(self, robot: Robot) -> None:
         for name, source in COUNTS.items():
@@ -171,7 +177,7 @@ class RowLayout:
         self.size = stop
 
     def pack_values(self, values: Mapping[str, Any]) -> bytes:
-        """Return one row as bytes from values by column name; what is not given is missing."""
+        """Return one row as bytes from values by column name; omitted values are missing."""
         row = bytearray(self._empty)
         for name, value in values.items():
             slot = self.slots.get(name)
@@ -201,9 +207,9 @@ class RowLayout:
 
 
 def with_holes(values: np.ndarray, missing: int | None) -> np.ndarray:
-    """Return the values with NaN (so as floats) where they equal the mark for missing.
+    """Return the values as floats with NaN instead of the missing marker.
 
-    A clock keeps its mark, zero: as floats its nanoseconds would be wrong by a hundred.
+    A clock keeps its missing marker 0, because nanoseconds as floats would be wrong by about a hundred.
     """
     if missing is None or missing == NO_CLOCK:
         return values

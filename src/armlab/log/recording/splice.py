@@ -1,4 +1,4 @@
-"""`cut` and `merge`: a segment of a recording, or several recordings, as one whole file."""
+"""`cut` and `merge`: write a segment of a recording, or several recordings, as one complete file."""
 
 from __future__ import annotations
 
@@ -26,20 +26,32 @@ from armlab.log.recording.file import recording_path
 from armlab.log.recording.ros_messages import COLUMN_KEY, clock_metadata, column_topic, definition, topic_name
 from armlab.log.recording.rows import Slot
 
-_SECONDS = struct.Struct("<4sIIIB3xI4xd")  # a message of the column t: stamp, empty name of its frame, one number
+_SECONDS = struct.Struct("<4sIIIB3xI4xd")  # a message of the column t: stamp, empty frame name, one number
 _NUMBERS = 1 << 32  # of MCAP's sequence
 _NEVER = (1 << 63) - 1
 
 
 def seconds_channel(prefix: str, clock: dict[str, str]) -> Channel:
-    """Return the channel of the column `t`: times that are not those of the messages."""
+    """Return the channel of the column `t`, used for times other than those of the messages."""
     topic = column_topic("t")
     metadata = topic.metadata({"t": Slot(resolved(Column(), "t"), 0, 8, "<f8")}) | clock
     return Channel(f"{prefix}{topic.name}", topic.type, definition(topic.type), "ros2msg", "cdr", metadata)
 
 
 class SplicedRows:
-    """The rows of one robot in a file: which are taken, at what times `t` of the new file, under which numbers."""
+    """Selected rows of one robot in a file, with their times `t` and numbers in the new file."""
+
+    path: Path
+    prefix: str
+    name: str
+    robot_hash: str
+    rows: Rows
+    seconds: int | None
+    seconds_number: int
+    t: np.ndarray
+    t0_ns: int
+    inside: bool
+    is_over: bool
 
     def __init__(self, path: Path, prefix: str, robot_hash: str, rows: Rows, seconds: int | None) -> None:
         self.path, self.prefix, self.name, self.robot_hash = path, prefix, prefix.strip("/"), robot_hash
@@ -52,13 +64,13 @@ class SplicedRows:
         twice = len(rows.t) - len(self._place)
         if twice:
             raise LogError(
-                f"Expected rows with numbers of their own in {path}, got {twice} that come again. "
-                "Write it anew: log.write(log.read(path), 'new.mcap', robot)."
+                f"Expected distinct row numbers in {path}, got {twice} repeated numbers. "
+                "Rewrite it: log.write(log.read(path), 'new.mcap', robot)."
             )
 
     @property
     def start_ns(self) -> int:
-        """Wall clock of the first row; of a recording without rows, which sets no clock for others, the end of time."""
+        """Wall clock of the first row; the maximum for a recording without rows, so that it sets no clock."""
         return self._wall(0) if self.rows.kept.any() else _NEVER
 
     @property
@@ -68,35 +80,35 @@ class SplicedRows:
 
     @property
     def rows_left(self) -> int:
-        """Number of rows of the table that are taken."""
+        """Number of selected rows of the table."""
         return int(self.rows.kept[self._first : self._last].sum())
 
     @property
     def ticks(self) -> tuple[int, int]:
-        """Numbers of the first and the last row that are taken, as in the file."""
+        """Numbers of the first and the last selected row in the original file."""
         numbers = self.rows.sequence[self._first : self._last]
         return (int(numbers[0]), int(numbers[-1])) if len(numbers) else (0, -1)
 
     def cut(self, start: float, stop: float) -> None:
-        """Take the rows with start <= t < stop only, and what was written between them."""
+        """Select the rows with start <= t < stop, and the messages between them."""
         kept = np.flatnonzero(self.rows.kept)
         t = self.rows.t[kept]
         wanted = kept[(t >= start) & (t < stop)]
         if len(wanted) == 0:
             self._first, self._last = 0, 0
-        else:  # what came before the first row of the table, and after the last, belongs to them
+        else:  # messages before the first and after the last row of the table belong to them
             self._first = int(wanted[0]) if wanted[0] > kept[0] else 0
             self._last = int(wanted[-1]) + 1 if wanted[-1] < kept[-1] else len(self.rows.t)
         self.inside = self._first == 0 and self._last > 0
 
     def follow(self, first: SplicedRows, before: SplicedRows) -> None:
-        """Put the rows on the clock of the first recording of the robot, numbered on from the one before."""
+        """Convert the rows to the clock of the robot's first recording, and continue the previous numbering."""
         self.t, self.t0_ns = self.rows.t + (self.rows.t0_ns - first.t0_ns) / 1e9, first.t0_ns
         own, last = self.t[self.rows.kept], before.t[before.rows.kept]
         if len(own) and len(last) and own[0] <= last[-1]:
             raise LogError(
-                f"Expected {self.path} of {self.name} to begin after {before.path} has ended at {last[-1]:.6g} s, got "
-                f"{own[0]:.6g} s. Cut one of them, or put them together in Python: log.concat and Table.shifted."
+                f"Expected {self.path} of {self.name} to begin after the end of {before.path} at {last[-1]:.6g} s, got "
+                f"{own[0]:.6g} s. Cut one of them, or join them in Python: log.concat and Table.shifted."
             )
         if len(self.rows.sequence) and len(before.rows.sequence):
             highest = int(before.rows.sequence.max()) + before._offset
@@ -107,7 +119,7 @@ class SplicedRows:
         return (sequence + self._offset) % _NUMBERS
 
     def arrive(self, sequence: int, log_ns: int) -> bytes | None:
-        """Take notice that a row begins; return the message that holds its t, None when the row is not taken."""
+        """Process the start of a row; return the message with its t, or None if the row is not selected."""
         place = self._place.get(sequence)
         if place is None:
             return None
@@ -129,7 +141,7 @@ Message = tuple[int, int, int, int, bytes]  # channel, sequence, log and publish
 
 @dataclass(slots=True)
 class Source:
-    """One recording: its bytes, contents and robots, where its rows come from, and channels in the new file."""
+    """One recording: its bytes, contents and robots, the origins of its rows, and its channels in the new file."""
 
     path: Path
     view: memoryview
@@ -150,7 +162,7 @@ class Source:
         return max(arm.end_ns for arm in self.arms)
 
     def keep(self, robot: str) -> None:
-        """Take the rows and events of one robot only; metadata and attachments are of the whole file, and stay."""
+        """Select the rows and events of one robot; metadata and attachments of the whole file are kept."""
         topic = self.found.channels[clock_channel(self.found, self.path, robot)].topic
         others = tuple(arm.prefix for arm in self.arms if not topic.startswith(arm.prefix))
         self.arms = [arm for arm in self.arms if arm.prefix not in others]
@@ -158,9 +170,9 @@ class Source:
         self.found.channels = {number: one for number, one in channels if not one.topic.startswith(others)}
 
     def taken(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> tuple[Message, ...]:
-        """Return what becomes of a message in the new file: nothing, it, or it and `t`.
+        """Return the messages for the new file: nothing, the message, or the message and `t`.
 
-        What lies between the first and the last row that are taken is taken; of parameters, what was set before, too.
+        Messages between the first and the last selected row and earlier parameter values are kept.
         """
         route = self._routes.get(channel)
         if route is None:
@@ -179,7 +191,7 @@ class Source:
         return (message,) if seconds is None else (message, (arm.seconds_number, place, log_ns, publish_ns, seconds))
 
     def _route(self, channel: int) -> tuple[int | None, SplicedRows | None, bool, bool, bool]:
-        """Return channel in the new file, its arm, and whether its messages are rows, parts of rows, parameters."""
+        """Return the new channel, its arm, and whether its messages are rows, parts of rows, or parameters."""
         about = self.found.channels.get(channel)
         if about is None:
             return None, None, False, False, False
@@ -191,16 +203,16 @@ class Source:
 
 @contextmanager
 def opened_source(path: Path) -> Iterator[Source]:
-    """Open a recording, finished or torn."""
+    """Open a recording, finished or unfinished."""
     check_readable(path)
     with opened(path) as view:
         with undamaged(f"recording in {path}", DAMAGE):
             with naming(path):
                 found = contents(view)
-            clock_channel(found, path, None) if not clocks(found) else None  # says that it is no recording
+            clock_channel(found, path, None) if not clocks(found) else None  # raises for other files
             arms = [_arm(path, view, found, topic) for topic in clocks(found).values()]
         if not found.finished:
-            warnings.warn(f"{path.name} was not finished: what can be read of it is taken", stacklevel=3)
+            warnings.warn(f"{path.name} was not finished: using the readable part", stacklevel=3)
         yield Source(path, view, found, arms, (f"{path.name} sha256 {file_hash(path)}", *earlier(view, found)))
 
 
@@ -214,7 +226,7 @@ def _arm(path: Path, view: memoryview, found: Contents, topic: str) -> SplicedRo
 
 
 def metadata(sources: list[Source]) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the maps of all sources by name; one that has another content under a known name gets a number."""
+    """Yield the maps of all sources by name; different contents with the same name get a numbered name."""
     known: dict[str, dict[str, str]] = {}
     for source in sources:
         for name, pairs in source.found.metadata.items():
@@ -224,7 +236,7 @@ def metadata(sources: list[Source]) -> Iterator[tuple[str, dict[str, str]]]:
 
 
 def attachments(sources: list[Source]) -> Iterator[tuple[int, str, str, bytes]]:
-    """Yield (time, name, kind, data) of the attachments of all sources, without their summaries."""
+    """Yield (time, name, kind, data) of the attachments of all sources, except their summaries."""
     known: dict[str, bytes] = {}
     for source in sources:
         for one in source.found.attachments:
@@ -235,7 +247,7 @@ def attachments(sources: list[Source]) -> Iterator[tuple[int, str, str, bytes]]:
 
 
 def _own_name(name: str, content: Any, known: dict[str, Any]) -> str | None:
-    """Return the name, with a number where it stands for something else; None for what is there already."""
+    """Return the name, numbered if it is used for other content; None if the content is already present."""
     stem, dot, ending = name.partition(".")
     number, own = 1, name
     while own in known:
@@ -248,7 +260,7 @@ def _own_name(name: str, content: Any, known: dict[str, Any]) -> str | None:
 
 
 def summary(sources: list[Source], operation: str) -> dict[str, Any]:
-    """Return what is counted of the new file: rows, what was dropped between them, and where they come from."""
+    """Return the summary of the new file: rows, dropped rows, and origins."""
     holes = [hole for source in sources for hole in _holes(source)]
     originals: dict[str, Any] = {}
     for source in sources:
@@ -264,7 +276,7 @@ def summary(sources: list[Source], operation: str) -> dict[str, Any]:
 
 
 def _holes(source: Source) -> list[list[Any]]:
-    """Return the holes between the rows that are taken: ticks, rows, number of the first in the new file, and robot."""
+    """Return the gaps between the selected rows: ticks, rows, number of the first in the new file, and robot."""
     found = []
     for first, last, rows, *more in summary_of(source.view, source.found).get("holes", []):
         begin, robot = (more[0] if more else first), (more[1] if len(more) > 1 else None)
@@ -285,29 +297,29 @@ def cut(
     robot: str | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Write the stretch start <= t < stop of a recording to a finished one, and return its path.
+    """Write the segment start <= t < stop of a recording to a finished file, and return its path.
 
     ``log.read(cut(path, to, a, b)).sha256 == log.read(path).between(a, b).sha256``: `t` is not shifted, and no value
-    goes through another format. Metadata and attachments stay, and the events that were written between the rows. The
-    history of the parameters stays from the beginning, so that what was in force is known.
+    is converted. Metadata, attachments and the events between the rows are kept. The parameter history is kept from
+    the beginning, so that all parameter values are known.
 
     Parameters
     ----------
-    path : a recording, finished or not; of several robots each is cut on its own clock.
-    to : the new file, ending in .mcap; an existing one is replaced in one step or not at all.
+    path : a recording, finished or not; several robots are cut on their own clocks.
+    to : the new file, with the extension .mcap; an existing file is replaced atomically.
     start, stop : seconds of the table.
-    robot : whose rows and events are taken, of a recording of several; all when None.
-    progress : called with (bytes done, bytes in all, what).
+    robot : select the rows and events of one robot; default: all robots.
+    progress : called with (bytes done, total bytes, what).
 
     Raises
     ------
-    LogError : the file is no recording of armlab or has no rows there; the new one cannot be written.
-    UnknownName : no such robot in it.
-    ConfigError : a name that does not end in .mcap, or a stretch that ends before it begins.
+    LogError : the file is not a recording of armlab or has no rows in the segment, or the output cannot be written.
+    UnknownName : unknown robot.
+    ConfigError : an extension other than .mcap, or stop <= start.
     """
     path, to = Path(path), recording_path(to)
     if not start < stop:
-        raise ConfigError(f"Expected a stretch from a time to a later one, got {start:g} s to {stop:g} s.")
+        raise ConfigError(f"Expected start < stop, got {start:g} s to {stop:g} s.")
     with opened_source(path) as source:
         if robot is not None:
             source.keep(robot)
@@ -316,33 +328,34 @@ def cut(
         if not any(arm.rows_left for arm in source.arms):
             t = np.concatenate([arm.rows.t[arm.rows.kept] for arm in source.arms])
             has = f"{t.min():g} s to {t.max():g} s" if len(t) else "no rows at all"
-            raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {path}, got none; it has {has}.")
+            raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {path}, got none. It has {has}.")
         _write(to, [source], f"between({start:g}, {stop:g})", progress)
     return to
 
 
 def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | None = None) -> Path:
-    """Write several recordings to one, and return its path.
+    """Merge several recordings into one, and return its path.
 
-    Recordings of one robot are put one after another, by their wall clocks in whatever order they are named; the gaps
-    between them stay, as in `concat`, and a column that one lacks is missing there. Recordings of several robots that
-    ran at the same time, such as both arms of a bridge, stand side by side: ``log.read(to, robot="yumi_left")``.
+    Recordings of one robot are joined in the order of their wall clocks; gaps between them remain, as in `concat`. A
+    column missing in one recording is missing in its rows. Recordings of robots that ran simultaneously, such as both
+    arms of a bridge, are stored side by side: ``log.read(to, robot="yumi_left")``.
 
     Parameters
     ----------
     paths : two recordings or more, finished or not.
-    to : the new file, ending in .mcap; an existing one is replaced in one step or not at all.
-    progress : called with (bytes done, bytes in all, what).
+    to : the new file, with the extension .mcap; an existing file is replaced atomically.
+    progress : called with (bytes done, total bytes, what).
 
     Raises
     ------
-    LogError : a file is no recording of armlab; two of one robot overlap, or were made of other descriptions of it, or
-    have columns of one name that differ; robots that did not run at the same time; the new file cannot be written.
-    ConfigError : fewer than two files, or a name that does not end in .mcap.
+    LogError : a file is not a recording of armlab; recordings of one robot overlap, have different descriptions of it,
+        or incompatible columns with the same name; robots that did not run simultaneously; the output cannot be
+        written.
+    ConfigError : fewer than two files, or an extension other than .mcap.
     """
     to = recording_path(to)
     if len(paths) < 2:
-        raise ConfigError(f"Expected two recordings or more to merge, got {len(paths)}.")
+        raise ConfigError(f"Expected at least two recordings to merge, got {len(paths)}.")
     with contextlib.ExitStack() as stack:
         sources = [stack.enter_context(opened_source(Path(path))) for path in paths]
         sources.sort(key=lambda source: source.start_ns)
@@ -359,20 +372,20 @@ def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | N
 
 
 def _line_up(arms: list[SplicedRows]) -> None:
-    """Put the recordings of one robot on the clock of the first, their messages numbered on."""
+    """Convert the recordings of one robot to the clock of the first, with continued numbering."""
     first, before = arms[0], arms[0]
     for arm in arms[1:]:
         if arm.robot_hash != first.robot_hash:
             raise LogError(
-                f"Expected recordings with one description of {arm.name}, got another in {arm.path} than in "
-                f"{first.path}: its hash is {arm.robot_hash[:12]}, not {first.robot_hash[:12]}."
+                f"Expected recordings with the same description of {arm.name}, got a different one in {arm.path} than "
+                f"in {first.path}: its hash is {arm.robot_hash[:12]}, not {first.robot_hash[:12]}."
             )
         arm.follow(first, before)
         before = arm if len(arm.rows.t) else before
 
 
 def _check_together(arms: dict[str, list[SplicedRows]]) -> None:
-    """Refuse robots that did not run at the same time: what could a file of both say?"""
+    """Raise if robots did not run simultaneously."""
     spans = {
         name: (min(arm.start_ns for arm in pieces), max(arm.end_ns for arm in pieces))
         for name, pieces in arms.items()
@@ -384,8 +397,8 @@ def _check_together(arms: dict[str, list[SplicedRows]]) -> None:
     early = min(spans, key=lambda name: spans[name][1])
     if spans[late][0] > spans[early][1]:
         raise LogError(
-            f"Expected robots that ran at the same time, got {late}, which began "
-            f"{(spans[late][0] - spans[early][1]) / 1e9:.3f} s after {early} had ended. Leave one out."
+            f"Expected robots that ran simultaneously, got {late}, which began "
+            f"{(spans[late][0] - spans[early][1]) / 1e9:.3f} s after the end of {early}. Remove one."
         )
 
 
@@ -405,11 +418,11 @@ def _write(to: Path, sources: list[Source], operation: str, progress: Progress |
         writer.attach(max(source.end_ns for source in sources), "summary.json", "application/json", told)
         writer.finish()
     if lost:
-        warnings.warn(f"{lost} damaged chunks were left out of {to.name}", stacklevel=3)
+        warnings.warn(f"{lost} corrupt chunks are missing in {to.name}", stacklevel=3)
 
 
 def _register(writer: McapWriter, sources: list[Source]) -> None:
-    """Write the channels of all sources, one per topic, and those of the column t."""
+    """Write the channels of all sources, one per topic, and the channels of the column t."""
     known = {}
     for source in sources:
         for number, channel in source.found.channels.items():
@@ -420,8 +433,8 @@ def _register(writer: McapWriter, sources: list[Source]) -> None:
             first, source.numbers[number], where = known[channel.topic]
             if first != channel:
                 raise LogError(
-                    f"Expected messages of one kind on {channel.topic}, got those in {source.path} to differ from "
-                    f"those in {where}: in type, in units or in the names of the joints."
+                    f"Expected messages of the same kind on {channel.topic}, but those in {source.path} differ from "
+                    f"those in {where} in type, units or joint names."
                 )
         for arm in source.arms:
             channel = seconds_channel(arm.prefix, clock_metadata(arm.t0_ns, arm.rows.clock))
@@ -431,7 +444,7 @@ def _register(writer: McapWriter, sources: list[Source]) -> None:
 
 
 def _copy(writer: McapWriter, sources: list[Source], progress: Progress | None) -> int:
-    """Copy the messages chunk by chunk, in the order of their times; return how many chunks are damaged."""
+    """Copy the messages chunk by chunk, ordered by time; return the number of corrupt chunks."""
     total, done, lost = sum(len(source.view) for source in sources), 0, 0
     for source, piece in _in_order(sources):
         data = records_at(source.view, source.found, piece)
@@ -449,7 +462,7 @@ def _copy(writer: McapWriter, sources: list[Source], progress: Progress | None) 
 
 
 def _in_order(sources: list[Source]) -> Iterator[tuple[Source, Any]]:
-    """Yield what the messages are in by time; what is of one file, or of one robot, stays in its order."""
+    """Yield the chunks by time, keeping the order within each file and for each robot."""
     latest: dict[str, int] = {}
     keyed = []
     for source in sources:

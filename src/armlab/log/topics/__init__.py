@@ -1,3 +1,3 @@
-"""Logs of other programs, topic by topic: MCAP, rosbag2 and ROS 1 bags."""
+"""Topic-based logs of other programs: MCAP, rosbag2 and ROS 1 bags."""
 
 __all__ = []

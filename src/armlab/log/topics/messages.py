@@ -1,4 +1,4 @@
-"""The messages of another program's log, topic by topic: ROS 2 in MCAP and sqlite3, ROS 1, JSON, protobuf."""
+"""Messages of foreign logs by topic: ROS 2 (MCAP and sqlite3), ROS 1, JSON, protobuf."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Numbers = dict[str, Any]
 """Dotted name -> a number, or a list of them."""
 
 _MAX_DEPTH = 32
-_MAX_NAMES = 4096  # in one message; more are the parts of a cloud or a map
-_LARGEST = 2**63  # larger integers are real numbers, as far as these go
+_MAX_NAMES = 4096  # per message; larger messages are point clouds or maps
+_LARGEST = 2**63  # larger integers are converted to floats, within their range
 _PROTOBUF_MESSAGE, _PROTOBUF_NUMBERS = 11, {1, 2, 3, 4, 5, 6, 7, 8, 13, 14, 15, 16, 17, 18}
 
 
 def decode_one_by_one(
     messages: Iterable[tuple[int, int, bytes]], numbers: Callable[[bytes], Numbers]
 ) -> tuple[decode.Decoded, int, str]:
-    """Return the numbers of (sequence, log time, bytes), how many messages are left out, and why the first is."""
+    """Return the numbers of (sequence, log time, bytes), the number of skipped messages, and the first reason."""
     sequence: list[int] = []
     log_ns: list[int] = []
     columns: dict[str, tuple[list[int], list[Any]]] = {}
@@ -61,7 +61,7 @@ def _size(value: Any) -> int:
 
 
 def _array(count: int, rows: list[int], values: list[Any], width: int) -> np.ndarray:
-    """Return numbers or lists of numbers in these of the rows as (N, k), NaN where there is none."""
+    """Assemble numbers or lists of numbers by row as (N, k), with NaN elsewhere."""
     if len(rows) == count and all(isinstance(value, bool) for value in values):
         return np.array(values)[:, None]
     if len(rows) == count and all(isinstance(value, int) for value in values):
@@ -76,7 +76,7 @@ def _array(count: int, rows: list[int], values: list[Any], width: int) -> np.nda
 
 
 def numbers_in_json(raw: bytes) -> Numbers:
-    """Return the numbers of a message in JSON; lists of numbers stay whole, texts are left out."""
+    """Return the numbers of a JSON message; lists of numbers are kept, strings are skipped."""
     found: Numbers = {}
     try:
         _collect(msgspec.json.decode(raw), "", found, 0)
@@ -102,7 +102,7 @@ def _collect(value: Any, path: str, found: Numbers, depth: int) -> None:
 
 
 def numbers_in_protobuf(name: str, definition: bytes) -> Callable[[bytes], Numbers]:
-    """Return what takes messages in protobuf apart."""
+    """Return the decoder for protobuf messages."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
 
     try:
@@ -111,7 +111,7 @@ def numbers_in_protobuf(name: str, definition: bytes) -> Callable[[bytes], Numbe
             pool.Add(file)
         kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
     except (message.DecodeError, KeyError, TypeError, ValueError) as error:
-        raise LogError(f"Expected the definition of {name} in protobuf, got something else: {error}.") from None
+        raise LogError(f"Expected a protobuf definition of {name}, got an invalid one: {error}.") from None
 
     def numbers(raw: bytes) -> Numbers:
         found: Numbers = {}
@@ -140,16 +140,16 @@ def _collect_protobuf(message: Any, path: str, found: Numbers, depth: int) -> No
 
 
 def _is_repeated(field: Any, value: Any) -> bool:
-    """Tell whether a field is a list or a map; protobuf has asked this in two ways."""
+    """Return whether a field is a list or a map; supports both protobuf APIs."""
     return bool(getattr(field, "is_repeated", hasattr(value, "__len__") and not isinstance(value, str | bytes)))
 
 
-_PACKAGES = {  # of messages about the programs, not about the robot
+_PACKAGES = {  # packages about programs, not about the robot
     "action_msgs", "diagnostic_msgs", "lifecycle_msgs", "rcl_interfaces", "rosgraph_msgs", "rosapi_msgs",
     "statistics_msgs", "type_description_interfaces", "visualization_msgs",
 }  # fmt: skip
 _HEADER = "std_msgs/msg/Header"
-_TYPES = {  # texts, pictures, clouds, maps
+_TYPES = {  # strings, images, point clouds, maps
     "std_msgs/msg/String", "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/PointCloud",
     "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/OccupancyGrid", "std_msgs/msg/Empty",
 }  # fmt: skip
@@ -157,7 +157,7 @@ _TYPES = {  # texts, pictures, clouds, maps
 
 @dataclass(slots=True)
 class TopicMessages:
-    """What is read of the topics of a log: names, messages, topics left out, and sentences on damage."""
+    """Content read from the topics of a log: names, messages, skipped topics, and sentences about damage."""
 
     fields: dict[str, TopicFields] = field(default_factory=dict)
     parts: dict[str, list[decode.Decoded]] = field(default_factory=dict)
@@ -165,17 +165,17 @@ class TopicMessages:
     damage: list[str] = field(default_factory=list)
 
     def reader(self, topic: str, type_: str, types: cdr.Definitions) -> decode.MessageReader:
-        """Return what reads the messages of a topic, with names by joint and frame."""
+        """Return the reader of a topic's messages, with names by joint and frame."""
         fields = self.fields.setdefault(topic, TopicFields(type_, types))
         return decode.MessageReader(type_, types, None, fields.named)
 
     def add(self, topic: str, decoded: decode.Decoded) -> None:
-        """Take the messages of a topic; those without a number are none."""
+        """Add the messages of a topic; messages without numbers are ignored."""
         if len(decoded.sequence):
             self.parts.setdefault(topic, []).append(decoded)
 
     def decoded(self) -> Iterator[tuple[str, TopicFields, decode.Decoded]]:
-        """Yield topic, names and all messages of each; what its parts together cannot be goes to the damage."""
+        """Yield each topic with its column names and all messages; inconsistent parts are reported as damage."""
         for topic, parts in self.parts.items():
             try:
                 whole = _joined(parts)
@@ -186,7 +186,7 @@ class TopicMessages:
 
 
 def is_measurement(type_: str) -> bool:
-    """Tell whether messages of a type hold numbers about the robot."""
+    """Return whether messages of a type have numbers about the robot."""
     return type_ not in _TYPES and type_.partition("/")[0] not in _PACKAGES
 
 
@@ -197,7 +197,7 @@ def read_mcap_topics(
     into: TopicMessages,
     progress: Progress | None = None,
 ) -> None:
-    """Read topics of an MCAP file in CDR, JSON and protobuf."""
+    """Read topics of an MCAP file encoded as CDR, JSON or protobuf."""
     readers: dict[int, decode.MessageReader] = {}
     others: dict[int, Callable[[bytes], dict[str, Any]]] = {}
     for number, channel in found.channels.items():
@@ -232,13 +232,13 @@ def _other_encoding(channel: Channel) -> Callable[[bytes], dict[str, Any]]:
         return numbers_in_json
     if channel.encoding == "protobuf":
         return numbers_in_protobuf(channel.type, channel.schema.encode(errors="surrogateescape"))
-    raise LogError(f"Expected messages in cdr, json or protobuf, got {channel.encoding!r}.")
+    raise LogError(f"Expected messages encoded as cdr, json or protobuf, got {channel.encoding!r}.")
 
 
 def read_rosbags_topics(
     bag: Any, wanted: Callable[[str, str], bool], into: TopicMessages, progress: Progress | None = None
 ) -> None:
-    """Read topics of a bag that `rosbags` has opened: rosbag2 in any storage, or ROS 1."""
+    """Read topics of a bag opened by `rosbags`: rosbag2 in any storage, or ROS 1."""
     readers: dict[int, tuple[Any, decode.MessageReader, Callable[[bytes], bytes]]] = {}
     for connection in bag.connections:
         if not wanted(connection.topic, connection.msgtype):
@@ -256,7 +256,9 @@ def read_rosbags_topics(
     stamps: dict[int, list[int]] = {number: [] for number in readers}
     connections = [connection for connection, _, _ in readers.values()]
     total = max(sum(one.msgcount for one in connections), 1)
-    found: Iterator[Any] = bag.messages(connections) if connections else iter(())  # of none it gives all
+    found: Iterator[Any] = (
+        bag.messages(connections) if connections else iter(())
+    )  # rosbags yields all messages for an empty selection
     for done, (connection, stamp, raw) in enumerate(found):
         raws[connection.id].append(raw)
         stamps[connection.id].append(stamp)
@@ -270,7 +272,7 @@ def read_rosbags_topics(
 
 
 def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes]]:
-    """Return the definitions of a connection's type, from the bag or of ROS 2 itself, and what makes messages CDR."""
+    """Return the definitions of a connection's type (from the bag or ROS 2), and the converter of messages to CDR."""
     from rosbags.interfaces import ConnectionExtRosbag1
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -280,7 +282,7 @@ def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes
     if isinstance(connection.ext, ConnectionExtRosbag1):
         converter = get_typestore(Stores.EMPTY)
         held = {**converter.fielddefs, **get_types_from_msg(definition.data, name)}
-        if _HEADER in held:  # its seq is not in ROS 2
+        if _HEADER in held:  # its seq does not exist in ROS 2
             held[_HEADER] = held[_HEADER][0], [one for one in held[_HEADER][1] if one[0] != "seq"]
         converter.register(held)
         fields = {one: [(key, _signed(about)) for key, about in entry[1]] for one, entry in held.items()}
@@ -290,12 +292,15 @@ def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes
         encoding = "ros2idl" if definition.format.name == "IDL" else "ros2msg"
         return cdr.definitions(name, definition.data, encoding), bytes
     if name not in store().fielddefs:
-        raise LogError(f"Expected a definition of {name} in the bag, got none. Record it as MCAP, which holds it.")
+        raise LogError(
+            f"Expected a definition of {name} in the bag, got no definition. Record it as MCAP, which stores "
+            "definitions."
+        )
     return cdr.definitions(name, store().generate_msgdef(name, ros_version=2)[0]), bytes
 
 
 def _signed(description: Any) -> Any:
-    """Return the description of a field of ROS 1, whose byte has a sign."""
+    """Return the description of a ROS 1 field, with signed bytes."""
     kind, detail = description
     if int(kind) > 2:
         return kind, (_signed(detail[0]), detail[1])
@@ -305,7 +310,7 @@ def _signed(description: Any) -> Any:
 def _decoded(
     raws: Sequence[bytes], stamps: np.ndarray, to_cdr: Callable[[bytes], bytes], reader: decode.MessageReader
 ) -> tuple[decode.Decoded, int, str]:
-    """Return the numbers of messages that are in memory, how many are left out, and why one of them is."""
+    """Return the numbers in messages held in memory, the number of skipped messages, and a reason."""
     whole: list[bytes] = []
     kept: list[int] = []
     reason = ""
@@ -313,9 +318,9 @@ def _decoded(
         try:
             whole.append(to_cdr(raw))
             kept.append(row)
-        except Exception as error:  # rosbags raises its own errors, those of struct and assertions
+        except Exception as error:  # rosbags raises its own errors, struct errors and assertions
             why = str(error).rstrip(".") or type(error).__name__
-            reason = reason or f"Expected a {reader.type}, got {len(raw)} bytes that do not fit it ({why})."
+            reason = reason or f"Expected a {reader.type}, got {len(raw)} bytes that do not match it ({why})."
     same = decode.of_length(np.array([len(raw) for raw in whole], dtype=np.int64))
     blocks = ((rows, _block([whole[row] for row in rows.tolist()])) for rows in same)
     read = decode.read_blocks(len(whole), blocks, reader)
@@ -328,12 +333,12 @@ def _decoded(
 
 
 def _block(raws: Sequence[bytes]) -> np.ndarray:
-    """Return messages of one length as bytes (k, length)."""
+    """Return messages of equal length as bytes (k, length)."""
     return np.frombuffer(b"".join(raws), dtype=np.uint8).reshape(len(raws), len(raws[0]))
 
 
 def _joined(parts: Sequence[decode.Decoded]) -> decode.Decoded:
-    """Return the messages of several files or channels as one."""
+    """Return the messages of several files or channels joined."""
     if len(parts) == 1:
         return parts[0]
     ends = np.cumsum([len(part.sequence) for part in parts]).tolist()

@@ -1,4 +1,4 @@
-"""Logs of other programs: which topics are read, and tables of their streams."""
+"""Reading logs of other programs: selection of topics, and tables of their streams."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from armlab.robots import Robot
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 _SAME_RATE = 0.01  # relative
-_ANOTHER_CLOCK = 1.0  # s between when a message was made and when it was recorded, beside that of the rows
+_ANOTHER_CLOCK = 1.0  # s of delay between creation and recording, relative to the rows
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What the caller of `read` asked for: columns, robot, topic whose stamps are the rows, rows in any order."""
+    """Options of `read`: columns, robot, topic whose stamps define the rows, unordered rows."""
 
     columns: Sequence[str] | None = None
     robot: Robot | None = None
@@ -50,10 +50,12 @@ class Choice:
 
 
 def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, notes: Sequence[str]) -> Table:
-    """Return the table of the streams of a log; values are held from message to message, their age beside them."""
+    """Return the table of a log's streams; values are held between messages, with their age in extra columns."""
     streams = [one for one in streams if len(one.log_ns)]
     if not streams:
-        raise LogError(f"Expected topics with numbers in {path}, got none{''.join(f'; {note}' for note in notes)}.")
+        raise LogError(
+            f"Expected topics with numbers in {path}, got no such topic{''.join(f'; {note}' for note in notes)}."
+        )
     clock = None if choice.clock is None else _topic(choice.clock, streams)
     arm, told = _arm(path, streams, choice.robot, clock)
     if choice.robot is not None:
@@ -67,12 +69,12 @@ def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, note
     try:
         table = _table(rows, named, notes, choice.raw)
     except ArmlabError as error:
-        raise LogError(f"Expected columns that armlab can hold in {path}, got others: {error}") from None
+        raise LogError(f"Expected supported columns in {path}, got invalid columns: {error}") from None
     return table if choice.columns is None else table.select(*choice.columns)
 
 
 def tables_of_streams(path: Path, streams: Sequence[Stream], choice: Choice) -> dict[str, Table]:
-    """Return each stream as a table of its own, by topic; of several of one topic the first column is named too."""
+    """Return each stream as a table by topic; if a topic has several, their first column is part of the name."""
     tables: dict[str, Table] = {}
     counts = Counter(one.topic for one in streams)
     for one in streams:
@@ -82,7 +84,7 @@ def tables_of_streams(path: Path, streams: Sequence[Stream], choice: Choice) -> 
         try:
             tables[name] = _table(own[0], own, notes, choice.raw)
         except ArmlabError as error:
-            raise LogError(f"Expected columns that armlab can hold in {path}, got others: {error}") from None
+            raise LogError(f"Expected supported columns in {path}, got invalid columns: {error}") from None
     return tables
 
 
@@ -90,14 +92,14 @@ def _topic(clock: str, streams: Sequence[Stream]) -> str:
     topics = {one.topic for one in streams}
     found = [name for name in (clock, f"/{clock}") if name in topics]
     if not found:
-        raise UnknownName.among("topic with numbers in this file", clock, topics)
+        raise UnknownName.among("topic with numeric data in this file", clock, topics)
     return found[0]
 
 
 def _arm(
     path: Path, streams: Sequence[Stream], robot: Robot | None, clock: str | None
 ) -> tuple[Stream | None, list[str]]:
-    """Return the JointState that is the arm's q, qd and tau, and notes about its joints."""
+    """Return the JointState with the arm's q, qd and tau, and notes about its joints."""
     states = [one for one in streams if one.type == JOINTS]
     if robot is not None:
         if not states:
@@ -119,23 +121,25 @@ def _arm(
     if len(best) > 1:
         arms = "; ".join(f"{one.topic} ({', '.join(one.joints)})" for one in best)
         raise LogError(
-            f"Expected one arm in {path}, got several: {arms}. Say which by robot=, a robot or the first part of its "
-            "topics, or by clock=, its topic."
+            f"Expected one arm in {path}, got several: {arms}. Select one with robot= (a robot or the first part of "
+            "its topic names) or clock= (its topic)."
         )
     if not best:
         return None, []
     others = [name for name in best[0].joints if robot is not None and name not in _places(robot, best[0])]
-    note = f"left out of {best[0].topic}, no joints of {robot.name if robot else ''}: {', '.join(others)}"
+    note = f"skipped in {best[0].topic}, not joints of {robot.name if robot else ''}: {', '.join(others)}"
     return best[0], [note] if others else []
 
 
 def _places(robot: Robot, stream: Stream) -> list[str]:
-    """Return the joints of a stream that are the robot's, in its order; empty where one is missing.
+    return joints_among(robot, stream.joints)
 
-    The names are those of ROS or of the description. A prefix that all of them have in front, as drivers of two arms
-    give, does not count.
+
+def joints_among(robot: Robot, names: Sequence[str]) -> list[str]:
+    """Return the names that are joints of the robot, in its order; empty if one is missing.
+
+    The names are ROS names or those of the description. A common prefix, as used by drivers for two arms, is ignored.
     """
-    names = stream.joints
     for wanted in (robot.ros_joint_names, robot.joint_names):
         prefixes = ["", *dict.fromkeys(name.removesuffix(wanted[0]) for name in names if name.endswith(wanted[0]))]
         for prefix in prefixes:
@@ -149,8 +153,8 @@ def _mismatch(path: Path, robot: Robot, stream: Stream) -> str:
     only_here = ", ".join(name for name in robot.ros_joint_names if name not in there)
     only_there = ", ".join(name for name in stream.joints if name not in here) or "none"
     return (
-        f"Expected the joints of {robot.name} on {stream.topic} of {path}, got others. Only in the robot: {only_here}; "
-        f"only in the log: {only_there}. Name the robot that was recorded, or leave robot= out."
+        f"Expected the joints of {robot.name} on {stream.topic} of {path}, got other joints. Only in the robot: "
+        f"{only_here}; only in the log: {only_there}. Pass the recorded robot, or omit robot=."
     )
 
 
@@ -160,7 +164,7 @@ def _in_order(stream: Stream, robot: Robot) -> Stream:
 
 
 def _named(streams: Sequence[Stream], arm: Stream | None) -> tuple[list[Stream], list[str]]:
-    """Return the streams with the names that columns have in the table, and notes about them."""
+    """Return the streams with the column names of the table, and notes about them."""
     wrenches = [one for one in streams if one.type == WRENCH]
     names: dict[tuple[int, str], str] = {}
     notes = []
@@ -190,7 +194,7 @@ def _is(one: Stream, arm: Stream | None) -> bool:
 
 
 def _wanted(named: Sequence[Stream], columns: Sequence[str], clock: str | None) -> list[Stream]:
-    """Return what is needed of the streams: the wanted columns, and the clock."""
+    """Return the required streams: the requested columns and the clock."""
     known = {name for one in named for name in one.values}
     for name in columns:
         if name.removesuffix("_age") not in known and name not in known:
@@ -205,7 +209,7 @@ def _wanted(named: Sequence[Stream], columns: Sequence[str], clock: str | None) 
 
 
 def _rows(path: Path, streams: Sequence[Stream], clock: str | None) -> Stream:
-    """Return the stream whose stamps are the rows."""
+    """Return the stream whose stamps define the rows."""
     several = [one for one in streams if len(one.log_ns) > 1]
     order = [*sorted(several, key=lambda one: "q" not in one.values), *streams]
     if clock is not None:
@@ -213,8 +217,8 @@ def _rows(path: Path, streams: Sequence[Stream], clock: str | None) -> Stream:
         return next((one for one in order if "q" in one.values), order[0])
     if any(abs(one.rate - order[0].rate) > _SAME_RATE * order[0].rate for one in several):
         raise LogError(
-            f"Expected topics of one rate in {path}, got several: {rate_text(streams)}. Name the topic whose stamps "
-            f"are the rows, for example clock={order[0].topic!r}, or read columns of one, "
+            f"Expected topics with the same rate in {path}, got several rates: {rate_text(streams)}. Select the topic "
+            f"whose stamps are the rows, for example clock={order[0].topic!r}, or read columns of one, "
             f"columns={list(order[0].values)}."
         )
     return order[0]
@@ -234,7 +238,9 @@ def _table(rows: Stream, streams: Sequence[Stream], notes: Sequence[str], raw: b
 
 
 def _on_clock(stream: Stream, rows: Stream) -> np.ndarray:
-    """Return when each message was made [ns] by the clock of the rows: its header, or recorded less their delay."""
+    """Return the creation time of each message [ns] on the clock of the rows: from its header, or the recording time
+    minus the delay.
+    """
     if rows.stamp_ns is None:
         return stream.log_ns
     delay = np.median(rows.log_ns - rows.stamp_ns)
@@ -244,14 +250,14 @@ def _on_clock(stream: Stream, rows: Stream) -> np.ndarray:
 
 
 def _joined(table: Table, other: Stream, stamps: np.ndarray, rows: np.ndarray) -> Table:
-    """Return the table with the columns of another stream, held from message to message."""
+    """Return the table joined with the columns of another stream, held between messages."""
     columns = {name: replace(one, shape=()) for name, one in other.columns.items()}
     if len(stamps) == len(table) and len(rows) == len(table) and np.array_equal(stamps, rows):
         return replace(table, values={**table.values, **other.values}, columns={**table.columns, **columns})
-    if other.topic.endswith("/tf_static"):  # never changes, whenever it was told
+    if other.topic.endswith("/tf_static"):  # static, whenever it was published
         stamps = np.minimum(stamps, table.t0_ns)
     order = np.argsort(stamps, kind="stable")
-    order = order[np.append(np.diff(stamps[order]) > 0, True)]  # of equal stamps the last
+    order = order[np.append(np.diff(stamps[order]) > 0, True)]  # the last of equal stamps
     values: Mapping[str, np.ndarray] = {name: array[order] for name, array in other.values.items()}
     t = (stamps[order] - table.t0_ns) / 1e9
     return table.join(Table(t, values, columns, t0_ns=table.t0_ns))
@@ -261,7 +267,7 @@ Wanted = Callable[[str, str], bool]
 
 
 def is_foreign(path: Path) -> bool:
-    """Return whether a path is a log of another program: a bag, or an MCAP file that armlab has not written."""
+    """Return whether a path is a foreign log: a bag, or an MCAP file not written by armlab."""
     kind = format_at(path)
     if kind == "MCAP":
         with opened(path) as view, naming(path):
@@ -271,7 +277,7 @@ def is_foreign(path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """What the files of a log hold: the choice with its robot, the topics, and files that were not finished."""
+    """Content of a log's files: options including the robot, topics, and unfinished files."""
 
     files: Sequence[Path]
     choice: Choice
@@ -280,7 +286,7 @@ class _Held:
 
 
 def read_foreign(path: Path, choice: Choice, robot: Robot | str | None, progress: Progress | None = None) -> Table:
-    """Return the table of another program's log: an MCAP file, a rosbag2, a ROS 1 bag."""
+    """Return the table of a foreign log: an MCAP file, a rosbag2 or a ROS 1 bag."""
     held = _held(path, choice, robot, progress)
     streams, notes = _streams(held.topics)
     reason = held.topics.left_out.get(choice.clock or "")
@@ -294,7 +300,7 @@ def read_foreign(path: Path, choice: Choice, robot: Robot | str | None, progress
 
 
 def read_joints(path: Path, robot: Robot, progress: Progress | None = None) -> Table:
-    """Return q, and qd and tau as far as they are there, of an arm in another program's log, in its own order."""
+    """Return q (and qd and tau if available) of an arm in a foreign log, in the joint order of the arm."""
     for columns in (["q", "qd", "tau"], ["q", "tau"], ["q", "qd"]):
         with suppress(UnknownName):
             return read_foreign(path, Choice(columns), robot, progress)
@@ -304,29 +310,32 @@ def read_joints(path: Path, robot: Robot, progress: Progress | None = None) -> T
 def read_topics(
     path: str | Path, *, robot: Robot | str | None = None, progress: Progress | None = None
 ) -> dict[str, Table]:
-    """Return the topics of another program's log one by one, each on its own clock, t = 0 at its first message.
+    """Return the topics of a foreign log one by one, each on its own clock, with t = 0 at its first message.
 
-    Columns have the names that `read` gives them, but those of every JointState are q, qd and tau. Transforms of one
-    topic that do not come together, and joints that never do, are tables of their own. The notes of each tell what is
-    damaged in the file, and the topics that are left out.
+    Columns are named as in `read`, except that the columns of every JointState are q, qd and tau. Transforms or joints
+    that share a topic but are not published together become separate tables. The notes of each table list damage in the
+    file and skipped topics.
 
     Parameters
     ----------
-    path : an MCAP file, a rosbag2, a ROS 1 bag. robot : of `read`. progress : called with (done, total, what).
+    path : an MCAP file, a rosbag2 or a ROS 1 bag.
+    robot : as in `read`.
+    progress : called with (done, total, what).
 
     Raises
     ------
-    LogError : it is no such log, or damaged beyond use. UnknownName : no such robot.
+    LogError : not such a file, or corrupt beyond use.
+    UnknownName : unknown robot.
     """
     path = Path(path)
     if format_at(path) not in ("MCAP", *BAGS):
         check_readable(path)
     held = _held(path, Choice(), robot, progress)
     streams, notes = _streams(held.topics)
-    notes += [f"{file.name} was not finished: {found.torn} bytes torn" for file, found in held.torn.items()]
+    notes += [f"{file.name} was not finished: {found.torn} bytes lost" for file, found in held.torn.items()]
     source, of_file = tuple(origin(one) for one in held.files), (*notes, *_left_out(held.topics))
     if notes or not streams:
-        warnings.warn("; ".join(of_file[:3]) or f"{path.name} has no topic with numbers", stacklevel=2)
+        warnings.warn("; ".join(of_file[:3]) or f"{path.name} has no topics with numeric data", stacklevel=2)
     tables = tables_of_streams(path, streams, held.choice)
     return {name: replace(one, notes=(*of_file, *one.notes), source=source) for name, one in tables.items()}
 
@@ -365,7 +374,7 @@ def _held_in_mcap(files: Sequence[Path], choice: Choice, robot: Robot | str | No
 
 
 def _streams(topics: TopicMessages) -> tuple[list[Stream], list[str]]:
-    """Return the streams of all topics, and what was wrong with some."""
+    """Return the streams of all topics, and the faults found."""
     streams: list[Stream] = []
     notes: list[str] = []
     for topic, fields, decoded in topics.decoded():
@@ -377,26 +386,26 @@ def _streams(topics: TopicMessages) -> tuple[list[Stream], list[str]]:
 
 def _left_out(topics: TopicMessages) -> list[str]:
     listed = ", ".join(f"{topic} ({why})" for topic, why in topics.left_out.items())
-    return [f"left out: {listed}"] if listed else []
+    return [f"skipped: {listed}"] if listed else []
 
 
 def _reader(path: Path, pieces: Sequence[Path]) -> Any:
     if path.is_dir() and not (path / "metadata.yaml").is_file():
-        path = pieces[0]  # in sqlite3
+        path = pieces[0]  # sqlite3
     kind = format_at(path)
     if kind == "ROS 1 bag":
         from rosbags.rosbag1 import Reader as Ros1Reader
 
         return Ros1Reader(path)
     if kind != "rosbag2" and path.suffix != ".db3":
-        raise LogError(f"Expected the folder of a rosbag2 or a file in it that ends in .db3, got {path}. Rename it.")
+        raise LogError(f"Expected the folder of a rosbag2 or a .db3 file in it, got {path}. Rename it.")
     from rosbags.rosbag2 import Reader
 
     return Reader(path)
 
 
 def _plain_mcap(bag: Any) -> list[Path]:
-    """Return the MCAP files of an open rosbag2 whose messages are not packed one by one."""
+    """Return the MCAP files of an open rosbag2 without per-message compression."""
     inner = getattr(bag, "storage", None)
     if getattr(getattr(inner, "metadata", None), "compression_mode", None) == "message":
         return []
@@ -405,7 +414,7 @@ def _plain_mcap(bag: Any) -> list[Path]:
 
 
 def _chosen(topics: dict[str, str], choice: Choice, robot: Robot | str | None) -> tuple[Choice, Wanted]:
-    """Return the choice with its robot, of the library or the first part of its topics, and which topics are read."""
+    """Return the options with the robot (from the library or the first part of its topics) and the topic filter."""
     inside = set(topics)
     if isinstance(robot, str):
         prefix = f"/{robot.strip('/')}/"
@@ -413,7 +422,7 @@ def _chosen(topics: dict[str, str], choice: Choice, robot: Robot | str | None) -
         known = robot in robots.names() or robot.endswith((".toml", ".urdf"))
         if not namespace and not known:
             names = {topic.split("/")[1] for topic in topics if topic.count("/") > 1} | set(robots.names())
-            raise UnknownName.among("robot of the library, or first part of topics in this file", robot, names)
+            raise UnknownName.among("library robot or the first part of a topic name in this file", robot, names)
         inside = namespace or inside
         choice = replace(choice, robot=robots.load(robot) if known else None)
     elif robot is not None:
@@ -424,7 +433,7 @@ def _chosen(topics: dict[str, str], choice: Choice, robot: Robot | str | None) -
 
 
 def _needed(topics: dict[str, str], columns: Sequence[str] | None) -> set[str]:
-    """Return the topics that may hold the columns; all, where one is held by none, so that the error can list them."""
+    """Return the topics that may contain the columns; all topics if a column is unknown, for the error message."""
     if columns is None:
         return set(topics)
     needed: set[str] = set()
@@ -434,11 +443,11 @@ def _needed(topics: dict[str, str], columns: Sequence[str] | None) -> set[str]:
         if not held:
             return set(topics)
         needed |= held
-    together = {topics[one] for one in needed} & {JOINTS, WRENCH}  # each is named by what the others are
+    together = {topics[one] for one in needed} & {JOINTS, WRENCH}  # their names depend on each other
     return needed | {one for one, kind in topics.items() if kind in together}
 
 
 def names_robots(path: Path) -> bool:
-    """Tell whether a log tells by its topics whose rows it has, so that `read` takes robot=; a table alone does not."""
+    """Return whether the topics of a log identify robots, so that `read` accepts robot=; plain tables do not."""
     kind = format_at(path)
     return kind == "MCAP" or (kind in BAGS and not (kind == "rosbag2" and is_ours(path)))

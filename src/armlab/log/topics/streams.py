@@ -1,8 +1,8 @@
-"""Names for the numbers in ROS messages (by joint, by frame, wrenches, poses), and each topic as streams of columns.
+"""Column names for the numbers in ROS messages (by joint, frame, wrench, pose), and streams of columns from topics.
 
 The messages of a topic become fields (N, k) by dotted name (`mcap.decode`), and these become columns of a
-`Table`. A Wrench is one column (N, 6), a Pose or Transform one of matrices (N, 4, 4), at any depth of a message; a
-JointState is position, velocity and effort by joint; everything else keeps its dotted name.
+`Table`. At any depth of a message, a Wrench becomes one column (N, 6), and a Pose or Transform one column of matrices
+(N, 4, 4). A JointState becomes position, velocity and effort by joint; all other fields keep their dotted names.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ _POSES = {
 _HEADER = "std_msgs/msg/Header"
 _MARKED = {JOINTS, _HEADER, "std_msgs/msg/MultiArrayLayout", *_SIX, *_POSES}
 _TRANSFORMS = "geometry_msgs/msg/TransformStamped"
-_LENGTH = 1e-3  # difference of a quaternion's length from one
-_BYTES = 64  # a longer run of bytes is a picture, not a measurement
+_LENGTH = 1e-3  # accepted error of a quaternion's norm
+_BYTES = 64  # a longer byte array is an image, not a measurement
 _INDEX = re.compile(r"\[[^\]]*\]")
 
 
 @dataclass(slots=True)
 class TopicFields:
-    """Names the numbers of one type of message, and keeps what its texts tell.
+    """Assigns names to the numbers of one message type, using the names stored in its strings.
 
-    `parts`: dotted name without indices -> type of each message inside that is read as a whole; `joints`: prefix of a
+    `parts`: dotted name without indices -> type of each nested message that forms one column; `joints`: prefix of a
     JointState -> lists of names; `frames`: dotted name of a header or pair of frames -> its frame.
     """
 
@@ -59,7 +59,7 @@ class TopicFields:
             self.parts[""] = self.type
         self._find(self.type, "")
 
-    def _find(self, name: str, path: str) -> None:  # cdr bounds the definitions
+    def _find(self, name: str, path: str) -> None:  # recursion is bounded by cdr
         for field_name, description in self.types.get(name, ()):
             inner, *_ = cdr.held(description)
             there = f"{path}.{field_name}" if path else field_name
@@ -69,7 +69,7 @@ class TopicFields:
                 self._find(inner, there)
 
     def named(self, found: cdr.Layout) -> list[cdr.Field]:
-        """Return the numbers of a message with the names of joints and frames in place of their numbers."""
+        """Return the numbers of a message with joint and frame names in place of indices."""
         pairs, fields = {}, []
         for path, text in found.texts.items():
             if path.endswith("frame_id") and isinstance(text, str):
@@ -89,7 +89,7 @@ class TopicFields:
         return fields
 
     def _by_joint(self, one: cdr.Field, found: cdr.Layout) -> Sequence[cdr.Field]:
-        """Return the numbers of a JointState one by one, each with the name of its joint."""
+        """Return the numbers of a JointState one by one, with the names of their joints."""
         prefix, _, last = one.path.rpartition(".")
         if last not in JOINT_PARTS or self.parts.get(_INDEX.sub("", prefix)) != JOINTS:
             return [one]
@@ -108,7 +108,7 @@ class TopicFields:
 def columns_of_fields(
     topic: TopicFields, fields: Mapping[str, np.ndarray]
 ) -> tuple[dict[str, np.ndarray], dict[str, Column], list[str]]:
-    """Return the columns by dotted name, their descriptions, and what was wrong with some; fields are (N, k)."""
+    """Return the columns by dotted name, their descriptions, and the faults found; fields are (N, k)."""
     groups: dict[tuple[str, str], dict[str, np.ndarray]] = {}
     for path, array in fields.items():
         prefix = _whole(topic, path)
@@ -127,7 +127,7 @@ def columns_of_fields(
 
 
 def _whole(topic: TopicFields, path: str) -> str | None:
-    """Return the shortest part of a dotted name that is read as a whole; None where none is."""
+    """Return the shortest prefix of a dotted name that forms one column, or None."""
     dots = [k for k, letter in enumerate(path) if letter == "." and path.count("[", 0, k) == path.count("]", 0, k)]
     for stop in (0, *dots):
         if topic.parts.get(_INDEX.sub("", path[:stop]), _TRANSFORMS) != _TRANSFORMS:
@@ -138,7 +138,7 @@ def _whole(topic: TopicFields, path: str) -> str | None:
 def _made(
     topic: TopicFields, prefix: str, kind: str, parts: Mapping[str, np.ndarray], notes: list[str]
 ) -> dict[str, tuple[np.ndarray, Column]]:
-    """Return the columns of one message inside a message, or of one run of numbers."""
+    """Return the columns of one nested message, or of one run of numbers."""
     inner = {path[len(prefix) :].lstrip(".") if kind else "": array for path, array in parts.items()}
     if kind == JOINTS:
         return _joint_columns(topic, prefix, inner, notes)
@@ -150,7 +150,9 @@ def _made(
             return {prefix: (array, Column(unit=unit, frame=frame))}
         matrices, lost = _matrices(array)
         if lost:
-            notes.append(f"{lost} poses of {prefix or 'the message'} are missing: no quaternion of length 1")
+            notes.append(
+                f"{lost} poses of {prefix or 'the message'} are missing: their quaternions do not have unit norm"
+            )
         return {prefix: (matrices, Column(unit=unit, frame=frame, kind="pose"))}
     return {path: (_scalars(array), _number(array)) for path, array in parts.items()}
 
@@ -177,7 +179,7 @@ def _joint_columns(
 
 
 def _matrices(array: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return positions and quaternions xyzw (N, 7) as matrices (N, 4, 4), NaN where the quaternion is none."""
+    """Return positions and quaternions xyzw (N, 7) as matrices (N, 4, 4), with NaN for invalid quaternions."""
     wrong = ~(np.abs(np.linalg.norm(array[:, 3:], axis=1) - 1.0) <= _LENGTH)
     given = np.isfinite(array).all(axis=1)
     quaternions = np.where(wrong[:, None], [0.0, 0.0, 0.0, 1.0], array[:, 3:])[:, [3, 0, 1, 2]]
@@ -187,7 +189,7 @@ def _matrices(array: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _frame(topic: TopicFields, prefix: str) -> str:
-    """Return the frame of the header that is nearest above a part of a message."""
+    """Return the frame of the nearest enclosing header."""
     above = prefix
     while True:
         above = above.rpartition(".")[0]
@@ -208,14 +210,14 @@ def _number(array: np.ndarray) -> Column:
     return Column(unit="1", kind=kind)
 
 
-_NAMELESS = ("data", "value")  # fields of std_msgs; the only field of another type may say what it is
+_NAMELESS = ("data", "value")  # fields of std_msgs; the only field of another type has a meaningful name
 _WALL = 10**18  # ns, 2001: later stamps are those of a wall clock
 _PAIR = re.compile(r"^(?P<list>[^\[]*)\[(?P<parent>[^\]>]*)>(?P<child>[^\]]*)\]\.transform$")
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """Columns whose values came together on a topic, when each was recorded, and made, if it has a header."""
+    """Columns of one topic with common times: recording time and, if there is a header, creation time."""
 
     topic: str
     type: str
@@ -237,13 +239,13 @@ class Stream:
         return (len(stamps) - 1) / length if length > 0 else 0.0
 
     def rows(self, which: np.ndarray) -> Stream:
-        """Return some of its rows, by mask or index."""
+        """Return a subset of the rows by mask or index."""
         stamps = None if self.stamp_ns is None else self.stamp_ns[which]
         values = {name: array[which] for name, array in self.values.items()}
         return replace(self, log_ns=self.log_ns[which], stamp_ns=stamps, values=values)
 
     def ordered(self, joints: Sequence[str]) -> Stream:
-        """Return the JointState with these of its joints in this order."""
+        """Return the JointState with the given joints in the given order."""
         places = [self.joints.index(name) for name in joints]
         values = {name: array[:, places] for name, array in self.values.items()}
         columns = {name: replace(column, labels=tuple(joints)) for name, column in self.columns.items()}
@@ -251,12 +253,12 @@ class Stream:
 
 
 def stem(topic: str) -> str:
-    """Return the name of a topic in front of the names of columns: "/ft/wrench" is "ft.wrench"."""
+    """Return the prefix of a topic for column names: "/ft/wrench" is "ft.wrench"."""
     return topic.strip("/").replace("/", ".")
 
 
 def rate_text(streams: Sequence[Stream]) -> str:
-    """Return topics with their rates, fastest first, for an error."""
+    """Return the topics and their rates, fastest first, for an error message."""
     lines = {}
     for one in sorted(streams, key=lambda one: -one.rate):
         rate = f"{one.rate:.4g} Hz" if one.rate else f"{len(one.log_ns)} message"
@@ -266,7 +268,7 @@ def rate_text(streams: Sequence[Stream]) -> str:
 
 
 def streams_of(topic: str, fields: TopicFields, decoded: Decoded) -> tuple[list[Stream], list[str]]:
-    """Return the streams of a topic, one per publisher of transforms or joints, and what was wrong with some values."""
+    """Return the streams of a topic (one per publisher of transforms or joints) and the faults found in values."""
     values, columns, notes = columns_of_fields(fields, decoded.fields)
     notes = [f"{topic}: {note}" for note in notes]
     if not values:
@@ -289,7 +291,7 @@ def streams_of(topic: str, fields: TopicFields, decoded: Decoded) -> tuple[list[
 
 
 def _stamps(fields: Mapping[str, np.ndarray], header: str) -> np.ndarray | None:
-    """Return the stamps (N,) [ns] of a header; None without, or where some are not set."""
+    """Return the stamps (N,) [ns] of a header, or None without a header or if some are unset."""
     seconds, rest = fields.get(f"{header}.stamp.sec"), fields.get(f"{header}.stamp.nanosec")
     if seconds is None or rest is None or not np.isfinite(seconds).all() or not np.isfinite(rest).all():
         return None
@@ -300,7 +302,7 @@ def _stamps(fields: Mapping[str, np.ndarray], header: str) -> np.ndarray | None:
 
 
 def _by_joints(whole: Stream, lists: Sequence[tuple[str, ...]]) -> list[Stream]:
-    """Return a stream per set of joints that come together: an arm and its gripper may share a topic."""
+    """Return a stream per set of joints published together, because an arm and its gripper may share a topic."""
     groups: list[set[str]] = []
     for names in lists:
         meeting = [group for group in groups if group & set(names)]
@@ -318,7 +320,7 @@ def _by_joints(whole: Stream, lists: Sequence[tuple[str, ...]]) -> list[Stream]:
 
 
 def _by_frames(whole: Stream, fields: Mapping[str, np.ndarray], order: np.ndarray) -> list[Stream]:
-    """Return a stream per set of transforms that come together."""
+    """Return a stream per set of transforms published together."""
     groups: dict[bytes, list[str]] = {}
     for name, array in whole.values.items():
         if _PAIR.match(name):

@@ -1,3 +1,3 @@
-"""Parts of a movement primitive: its equation, its runs, and its fit to demonstrations."""
+"""Components of a movement primitive: equation, runs, and fit to demonstrations."""
 
 __all__ = ()

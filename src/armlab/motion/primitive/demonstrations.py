@@ -1,4 +1,4 @@
-"""Demonstrations: which are accepted, and their mean size, start and goal."""
+"""Demonstrations: validation, mean displacement, start and goal."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from armlab.motion.primitive.equation import UNSCALED
 from armlab.motion.primitive.run import rotation
 
 FEWEST = 3  # samples
-LISTED = 10  # row numbers that a message names
-BACK = 1e-3  # of the displacement: a step back or a rest that is no turn
-PAUSE = 0.05  # of the duration without progress that is a pause
+LISTED = 10  # row numbers in a message
+REVERSAL = 1e-3  # of the displacement: smaller steps back are not a reversal
+PAUSE = 0.05  # of the duration: shorter rests are not a pause
 
 
 @dataclass(frozen=True)
 class Demo:
-    """One demonstration: t (N,) from 0 [s], y (N, n), and weights of the samples (N,), of mean 1.
+    """One demonstration: t (N,) from 0 [s], y (N, n), and sample weights (N,) with mean 1.
 
-    A coordinate is contiguous in memory: most of what is done with y goes along time.
+    Coordinates are contiguous in memory, because most operations on y run along time.
     """
 
     t: np.ndarray
@@ -34,7 +34,6 @@ class Demo:
 
     @property
     def duration(self) -> float:
-        """From the first to the last sample [s]."""
         return float(self.t[-1])
 
     @cached_property
@@ -44,42 +43,46 @@ class Demo:
 
     @cached_property
     def acceleration(self) -> np.ndarray:
-        """Differences of the velocity (N, n)."""
+        """Finite differences of the velocity (N, n)."""
         return np.gradient(self.velocity, self.t, axis=0)
 
     @cached_property
     def behind(self) -> np.ndarray:
-        """Whether each coordinate is behind (N, n) where it was by more than BACK of its way; all where it has none."""
+        """Whether each coordinate has moved back by more than REVERSAL (N, n); all True without displacement."""
         way = self.y[-1] - self.y[0]
         forward = self.y * np.sign(way)
-        return np.maximum.accumulate(forward, axis=0) - forward > np.where(way != 0, BACK * abs(way), -1.0)
+        return np.maximum.accumulate(forward, axis=0) - forward > np.where(way != 0, REVERSAL * abs(way), -1.0)
 
     def steps_back(self, i: int) -> int | None:
-        """Return the first sample at which coordinate i is behind, or None."""
+        """Return the first sample at which coordinate i moves back, or None."""
         back = np.flatnonzero(self.behind[:, i])
         return int(back[0]) if len(back) else None
 
     def pauses(self, i: int) -> int | None:
-        """Return the first sample of a pause of coordinate i on its way, None where there is none."""
+        """Return the first sample of a pause of coordinate i, or None."""
         p = np.maximum.accumulate((self.y[:, i] - self.y[0, i]) / (self.y[-1, i] - self.y[0, i]))
-        inside = np.flatnonzero((p > BACK) & (p < 1.0 - BACK))
+        inside = np.flatnonzero((p > REVERSAL) & (p < 1.0 - REVERSAL))
         later = np.searchsorted(self.t, self.t[inside] + PAUSE * self.duration).clip(max=len(p) - 1)
-        still = np.flatnonzero(p[later] - p[inside] < BACK)
+        still = np.flatnonzero(p[later] - p[inside] < REVERSAL)
         return int(inside[still[0]]) if len(still) else None
 
 
 def read_demos(t: Any, y: Any, sample_weights: Any) -> list[Demo]:
-    """Return the demonstrations of one pair of arrays or of lists of them."""
+    """Return the demonstrations from one pair of arrays or from lists of them."""
     many = isinstance(t, Sequence) and len(t) > 0 and np.ndim(t[0]) == 1
     if not many:
         return [_demo(t, y, sample_weights, "")]
     weights = [None] * len(t) if sample_weights is None else sample_weights
     if not (isinstance(y, Sequence) and isinstance(weights, Sequence) and len(y) == len(weights) == len(t)):
-        raise ShapeError(f"Expected as many y and sample_weights as the {len(t)} t, got others. Give equal lists.")
+        raise ShapeError(
+            f"Expected {len(t)} arrays in y and sample_weights, as in t, got lists of other lengths. Give equal lists."
+        )
     demos = [_demo(*parts, f" of demonstration {k}") for k, parts in enumerate(zip(t, y, weights))]
     widths = {demo.y.shape[1] for demo in demos}
     if len(widths) > 1:
-        raise ShapeError(f"Expected demonstrations of as many coordinates, got {sorted(widths)}. Fit them apart.")
+        raise ShapeError(
+            f"Expected demonstrations with equal numbers of coordinates, got {sorted(widths)}. Fit them separately."
+        )
     return demos
 
 
@@ -98,11 +101,13 @@ def _demo(t: ArrayLike, y: ArrayLike, weights: ArrayLike | None, which: str) -> 
     rows = np.flatnonzero(np.diff(times) <= 0) + 1
     if len(rows):
         raise ShapeError(
-            f"Expected times that increase{which}, got repeated or earlier ones in rows {_listed(rows)}. Drop them."
+            f"Expected increasing times{which}, got repeated or earlier times in rows {_listed(rows)}. Drop them."
         )
     given = np.ones(len(times)) if weights is None else numbers(weights, f"sample_weights{which}", ShapeError)
     if given.shape != times.shape or not np.isfinite(given).all() or given.min() < 0 or not given.any():
-        raise ShapeError(f"Expected sample_weights (N,){which}, finite and not negative, got others. 1 is usual.")
+        raise ShapeError(
+            f"Expected sample_weights (N,){which}, finite, >= 0 and not all 0, got shape {given.shape}. Correct them."
+        )
     return Demo(times - times[0], np.asfortranarray(values), given / given.mean())
 
 
@@ -113,7 +118,7 @@ def _listed(rows: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class ReferenceMotion:
-    """Means over the demonstrations, and the factors s (M, n) from the reference to each."""
+    """Means over the demonstrations, and the factors s (M, n) from the reference to each demonstration."""
 
     duration: float
     y0: np.ndarray
@@ -134,7 +139,7 @@ class ReferenceMotion:
 
 
 def aligned(demos: list[Demo], scaling: str) -> list[Demo]:
-    """Return demonstrations rotated and scaled to the mean displacement, where the scaling is "rotate"."""
+    """Return demonstrations rotated and scaled to the mean displacement if the scaling is "rotate"."""
     if scaling != "rotate":
         return demos
     if demos[0].y.shape[1] != 3:
@@ -143,8 +148,8 @@ def aligned(demos: list[Demo], scaling: str) -> list[Demo]:
     mean, start = np.mean(ways, axis=0), np.mean([demo.y[0] for demo in demos], axis=0)
     if not np.linalg.norm(mean) > UNSCALED * max(np.ptp(demo.y, axis=0).max() for demo in demos):
         raise ShapeError(
-            "Expected demonstrations that end away from their start for scaling 'rotate', got hardly any displacement. "
-            "Use scaling 'none' or 'amplitude'."
+            "Expected demonstrations with a displacement for scaling 'rotate', got demonstrations that end close to "
+            "their start. Use scaling 'none' or 'amplitude'."
         )
     if len(demos) == 1:
         return demos

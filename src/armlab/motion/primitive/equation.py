@@ -1,4 +1,4 @@
-"""The equation of a movement primitive: its phase, its kernels, its forcing."""
+"""Equation of a movement primitive: phase, kernels and forcing."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ CONVENTIONS = ("lund", "ijspeert")
 SCHEDULES = ("canonical", "time", "position")
 SPACINGS = ("time", "phase")
 SCALINGS = ("goal", "none", "amplitude", "rotate")
-ROUNDING = 1e-12  # of the largest number of a demonstration: a coordinate moved by less stood still
+ROUNDING = 1e-12  # of the largest number of a demonstration: smaller motion of a coordinate is rounding
 PER_COORDINATE = ("y0", "v0", "g", "extent", "peak_acceleration", "monotone")
 
-UNSCALED = 0.05  # of the range of the demonstration: displacement below which the goal does not scale a coordinate
+UNSCALED = 0.05  # of the range of the demonstration: with less displacement, the goal does not scale a coordinate
 
 
 def time_constants(convention: str, duration: float, alpha_z: float) -> tuple[float, float]:
-    """Return alpha_x and tau_d [s] of a convention for a motion of `duration` [s]."""
+    """Return alpha_x and tau_d [s] of a convention for a duration [s]."""
     check_name(convention, "convention", CONVENTIONS)
     return (1.0, duration / 3.0) if convention == "lund" else (alpha_z / 3.0, duration)
 
@@ -34,8 +34,9 @@ def time_constants(convention: str, duration: float, alpha_z: float) -> tuple[fl
 def placed(schedule: str, spacing: str, n_basis: int, decay: float, factor: float) -> tuple[np.ndarray, np.ndarray]:
     """Return centres and widths (n_basis,) of kernels in the phase.
 
-    Spacing "time" is even in time, with widths of `factor` distances; "phase" is even in the phase, as in
-    DynamicMovementPrimitives.jl. The phase ends at exp(-decay), with decay = alpha_x duration / tau_d.
+    Spacing "time" is uniform in time; each width is `factor` times the distance between centres. Spacing "phase" is
+    uniform in the phase, as in DynamicMovementPrimitives.jl. The phase ends at exp(-decay), with decay = alpha_x
+    duration / tau_d.
     """
     check_name(schedule, "schedule", SCHEDULES)
     check_name(spacing, "spacing", SPACINGS)
@@ -51,7 +52,7 @@ def placed(schedule: str, spacing: str, n_basis: int, decay: float, factor: floa
 
 
 def normalised(u: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return Gaussian kernels over their sum, as a soft-max, and their derivatives with u; u (..., 1)."""
+    """Return normalised Gaussian kernels (computed as a softmax) and their derivatives with respect to u (..., 1)."""
     exponents = -0.5 * ((u - centres) / widths) ** 2
     psi = np.exp(exponents - exponents.max(axis=-1, keepdims=True))
     psi /= psi.sum(axis=-1, keepdims=True)
@@ -59,9 +60,9 @@ def normalised(u: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> tuple[
     return psi, psi * (slope - (psi * slope).sum(axis=-1, keepdims=True))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Equation:
-    """Fields and laws of a `Dmp`; see there."""
+    """Fields and laws of `Dmp`."""
 
     weights: np.ndarray
     centres: np.ndarray
@@ -93,7 +94,6 @@ class Equation:
     }
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         given = [name for name in ("demo_weights", "limits") if getattr(self, name) is not None]
         freeze_arrays(self, "weights", "centres", "widths", *PER_COORDINATE, *given)
         object.__setattr__(self, "monotone", self.monotone > 0)
@@ -122,9 +122,11 @@ class Equation:
                     f"{getattr(self, name).shape}."
                 )
         if (self.widths <= 0).any():
-            raise ShapeError("Expected widths above zero, got another. They are standard deviations.")
+            raise ShapeError(f"Expected widths (standard deviations) above 0, got {self.widths.min():g}. Correct them.")
         if self.limits is not None and (self.limits.shape != (2, n) or (self.limits[0] > self.limits[1]).any()):
-            raise ShapeError(f"Expected limits (2, {n}), lowest before highest, got shape {self.limits.shape}.")
+            raise ShapeError(
+                f"Expected limits (2, {n}), with the lowest before the highest, got shape {self.limits.shape}."
+            )
         if self.demo_weights is not None and self.demo_weights.shape[1:] != (m, n):
             raise ShapeError(f"Expected demo_weights of shape (M, {m}, {n}), got {self.demo_weights.shape}.")
 
@@ -140,7 +142,9 @@ class Equation:
 
     @property
     def unscaled(self) -> tuple[int, ...]:
-        """Coordinates that scaling "goal" leaves alone: displaced by rounding, or below a twentieth of their range."""
+        """Coordinates that scaling "goal" does not scale, because their displacement is negligible or below a twentieth
+        of their range.
+        """
         if self.scaling != "goal":
             return ()
         rounding = ROUNDING * max(self.extent.max(), np.abs([self.y0, self.g]).max())
@@ -153,25 +157,26 @@ class Equation:
         return self._primitive_of(self.weights)
 
     def _primitive_of(self, weights: np.ndarray) -> Any:
-        """Return an `armlab.kernels.Primitive` with other weights (n_basis, n)."""
+        """Return an `armlab.kernels.Primitive` with the given weights (n_basis, n)."""
         stiffness, pace = self.alpha_z * self.beta_z, self.tau_d / self.duration
         return kernels.Primitive(
             self.centres, self.widths, weights, self.alpha_z, stiffness, self.alpha_x, pace, self.schedule
         )
 
     def phase(self, t: ArrayLike, tau_d: float | None = None) -> np.ndarray:
-        """Return the phase (...) at times (...) since the start: ``exp(-alpha_x t / tau_d)``, or time over duration.
+        """Return the phase (...) at times (...) since the start: ``exp(-alpha_x t / tau_d)``, or time / duration.
 
         Parameters
         ----------
-        t : times [s]. tau_d : time constant [s] of the run; that of the demonstration when left out.
+        t : times [s].
+        tau_d : time constant [s] of the run; default: that of the demonstration.
 
         Raises
         ------
-        ConfigError : schedule "position", whose phase is the motion's own.
+        ConfigError : schedule "position", whose phase depends on the motion.
         """
         if self.schedule == "position":
-            raise ConfigError("Expected a phase of time, got schedule 'position': see Rollout.x.")
+            raise ConfigError("Expected a time-dependent phase, got schedule 'position'. Use Rollout.x.")
         s = numbers(t, "t", ShapeError) / (self.tau_d if tau_d is None else tau_d)
         return np.exp(-self.alpha_x * s) if self.schedule == "canonical" else s * (self.tau_d / self.duration)
 
@@ -198,7 +203,8 @@ class Equation:
 
         Parameters
         ----------
-        y, yd : (..., n). x : phases as for `forcing`.
+        y, yd : (..., n).
+        x : phases as in `forcing`.
         """
         y, yd = vector(y, "y", self.n), vector(yd, "yd", self.n)
         spring = self.alpha_z * (self.beta_z * (self.g - y) - self.tau_d * yd)
@@ -209,14 +215,17 @@ class Equation:
 
         Parameters
         ----------
-        x : phase. The spring is linear; of the forcing the slope in x is taken.
+        x : phase of the linearisation.
 
         Raises
         ------
         ConfigError : schedule "position".
         """
         if self.schedule == "position":
-            raise ConfigError("Expected a phase of time to linearise around, got schedule 'position'.")
+            raise ConfigError(
+                "Expected a time-dependent phase to linearise around, got schedule 'position'. Use 'canonical' or "
+                "'time'."
+            )
         at, n, tau, step = number(x, "x"), self.n, self.tau_d, 1e-6
         A, B = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros((2 * n + 1, n))
         A[:n, n : 2 * n] = np.eye(n)

@@ -20,10 +20,10 @@ from armlab.motion.primitive.weights import ENDS, Learned, WeightProblem, block_
 
 METHODS = ("trajectory", "acceleration", "lwr")
 WIDTH, LWR_WIDTH = 0.8, 0.55  # standard deviations of kernels over their distance
-MANY = 3  # demonstrations from which their weights have a covariance
+MANY = 3  # demonstrations needed for a covariance of their weights
 MAX_CONDITION = 1e11
-LONGEST_HOLD = 100.0
-SMALL = 0.05  # size of a demonstration over that of the reference that tells nothing of the weights
+MAX_HOLD = 100.0
+UNINFORMATIVE = 0.05  # size relative to the reference below which a demonstration does not determine the weights
 
 
 def fit_dmp(
@@ -49,45 +49,47 @@ def fit_dmp(
     raw_kernels: bool = False,
     limits: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> Fit[Dmp]:
-    """Fit a movement primitive to one demonstration or to several.
+    """Fit a movement primitive to one or several demonstrations.
 
-    "trajectory" minimises ``sum |y - y_dmp|^2`` over the weights and the free ends: linear, and without derivatives of
-    what was measured; with schedule "position" by Gauss and Newton. "acceleration" minimises ``sum |f - s psi w x|^2``
-    with ``f = tau_d^2 ydd - alpha_z (beta_z (g - y) - tau_d yd)`` by central differences, "lwr" gives each kernel the
-    mean ``sum psi x f / sum psi x^2``; their covariance takes the residual of f as white, which it is not. Several
-    demonstrations share the weights; each keeps its own duration and ends.
+    "trajectory" minimises ``sum |y - y_dmp|^2`` over the weights and the free ends. The problem is linear and needs no
+    derivatives of measurements; with schedule "position", it is solved by Gauss-Newton steps. "acceleration" minimises
+    ``sum |f - s psi w x|^2`` with ``f = tau_d^2 ydd - alpha_z (beta_z (g - y) - tau_d yd)`` by central differences.
+    "lwr" sets the weight of each kernel to the weighted mean ``sum psi x f / sum psi x^2``. For the last two methods,
+    the covariance assumes white residuals of f, which is not the case in practice. Several demonstrations share the
+    weights, but each keeps its own duration and ends.
 
     Parameters
     ----------
     t, y : (N,) increasing times [s] and (N, n) positions [rad or m]; or lists of them, one per demonstration.
     method : "trajectory", "acceleration" or "lwr".
-    n_basis : kernels, 3 to 1000.
-    schedule : of the phase: "canonical", "time", or "position" for motions that never turn or pause.
+    n_basis : number of kernels, 3 to 1000.
+    schedule : of the phase: "canonical", "time", or "position" for motions without reversals or pauses.
     spacing : "time": kernels equally spaced in time; "phase": those of DynamicMovementPrimitives.jl.
     scaling : of the forcing with the goal: "goal", "none", "amplitude" or "rotate" (n = 3).
     convention : of alpha_x and tau_d: "lund" or "ijspeert".
-    alpha_z, beta_z : constants of the spring; beta_z is a quarter of alpha_z, critically damped, when left out.
-    ridge : penalty of the squared weights; `cov` is that of the noise alone, without what the penalty pulls them off.
-    pin : of "y0", "v0", "g": taken from the first and last samples instead of fitted. A free goal is hardly separable
-        from the forcing.
-    hold : seconds of rest at the goal after the end, over the duration; 0 where the motion ends with velocity. Of
-        "trajectory".
-    y0, v0, g : (n,) when they are known otherwise.
-    sample_weights : (N,) or a list of them, not negative.
-    bandwidth : of smoothed derivatives [Hz], of "acceleration" and "lwr" with even times.
-    raw_kernels : weigh by kernels that are not divided by their sum, of "lwr".
-    limits : the lowest (n,) and the highest (n,) goal that runs and steppers of the primitive accept, in the unit of y;
-        every goal when left out.
+    alpha_z, beta_z : constants of the spring; default of beta_z: alpha_z / 4, critically damped.
+    ridge : penalty on the squared weights; `cov` covers the noise, not the bias of the penalty.
+    pin : any of "y0", "v0", "g": taken from the first and last samples instead of fitted. A free goal is hardly
+        separable from the forcing.
+    hold : duration of rest at the goal after the end, over the duration of the motion; 0 if the motion ends with
+        velocity. For "trajectory".
+    y0, v0, g : (n,) known start, velocity and goal.
+    sample_weights : (N,) or a list of them, non-negative.
+    bandwidth : of smoothed derivatives [Hz], for "acceleration" and "lwr" with uniform times.
+    raw_kernels : weight by kernels that are not normalised, for "lwr".
+    limits : lowest (n,) and highest (n,) goal accepted by runs and steppers of the primitive, in the unit of y;
+        default: no limits.
 
     Returns
     -------
-    Fit of a `Dmp`. `residuals` (N, n) are those of position for "trajectory", of f otherwise; `report` has the RMSE of
-    the motion.
+    Fit of a `Dmp`. `residuals` (N, n) are residuals of the position for "trajectory", otherwise of f; `report` has the
+    RMSE of the motion.
 
     Raises
     ------
-    ShapeError : shapes, NaN and times that do not increase, with their rows; a coordinate that turns or pauses, with
-        its sample, for schedule "position". ConfigError, UnknownName : options that do not exist or fit together.
+    ShapeError : wrong shapes, NaN or times that do not increase, with their rows; a reversal or pause, with its sample,
+        for schedule "position".
+    ConfigError, UnknownName : options that do not exist or contradict each other.
     """
     _check_options(method, schedule, scaling, bandwidth, raw_kernels)
     demos = aligned(read_demos(t, y, sample_weights), scaling)
@@ -134,22 +136,24 @@ def _check_options(method: str, schedule: str, scaling: str, bandwidth: float | 
     check_name(schedule, "schedule", SCHEDULES)
     check_name(scaling, "scaling", SCALINGS)
     if bandwidth is not None and method == "trajectory" and schedule != "position":
-        raise ConfigError("Expected a bandwidth only with derivatives, got one with 'trajectory'. Leave it out.")
+        raise ConfigError(
+            "Expected a bandwidth only for methods with derivatives, got a bandwidth with 'trajectory'. Omit it."
+        )
     if flag(raw_kernels, "raw_kernels") and method != "lwr":
-        raise ConfigError(f"Expected raw_kernels only with method 'lwr', got them with {method!r}. Leave them out.")
+        raise ConfigError(f"Expected raw_kernels only with method 'lwr', got them with {method!r}. Omit them.")
 
 
 def _pins(pin: Sequence[str], known: dict[str, np.ndarray]) -> tuple[str, ...]:
     if isinstance(pin, str):
-        raise ConfigError(f"Expected pin as a tuple of names, got the text {pin!r}. Write ({pin!r},).")
+        raise ConfigError(f"Expected pin as a tuple of names, got the string {pin!r}. Write ({pin!r},).")
     for name in members(pin, "pin"):
         check_name(name, "end to pin", ENDS)
     return tuple(name for name in pin if name not in known)
 
 
 def _hold(value: Any) -> float:
-    if not at_least_zero(value, "hold") <= LONGEST_HOLD:
-        raise ConfigError(f"Expected a hold up to {LONGEST_HOLD:g} durations, got {value:g}. 0.3 is usual.")
+    if not at_least_zero(value, "hold") <= MAX_HOLD:
+        raise ConfigError(f"Expected a hold up to {MAX_HOLD:g} durations, got {value:g}. Try 0.3.")
     return float(value)
 
 
@@ -157,17 +161,17 @@ def _limits(limits: Any, n: int) -> np.ndarray | None:
     if limits is None:
         return None
     if not isinstance(limits, Sequence | np.ndarray) or len(limits) != 2:
-        raise ShapeError(f"Expected limits as lowest and highest (n,) goal, got {limits!r}. Give two.")
+        raise ShapeError(f"Expected limits as the lowest and highest goal (n,), got {limits!r}. Give two points.")
     return np.array([coordinates(a, "limits", n) for a in limits])
 
 
 def _check_monotone(demos: list[Demo]) -> None:
-    """Refuse a coordinate whose position is no phase."""
+    """Raise if a coordinate is not monotone, so that its position is not a phase."""
     for k, demo in enumerate(demos):
         which = f" of demonstration {k}" if len(demos) > 1 else ""
         for i in range(demo.y.shape[1]):
             if demo.y[0, i] == demo.y[-1, i]:
-                why = "ends where it began"
+                why = "ends at its start"
             elif (sample := demo.steps_back(i)) is not None:
                 why = f"steps back at sample {sample}"
             elif (sample := demo.pauses(i)) is not None:
@@ -175,13 +179,13 @@ def _check_monotone(demos: list[Demo]) -> None:
             else:
                 continue
             raise ShapeError(
-                f"Expected coordinates that go on to their goal for schedule 'position', got coordinate {i}{which}, "
+                f"Expected monotone coordinates for schedule 'position', got coordinate {i}{which}, "
                 f"which {why}. Use schedule 'canonical' or 'time'."
             )
 
 
 def _value(problem: WeightProblem, learned: Learned, reference: ReferenceMotion) -> Dmp:
-    """Return the primitive with what was learned; its start velocity is the nearest to those of the demonstrations."""
+    """Return the fitted primitive; its start velocity is the one nearest to those of the demonstrations."""
     scales, demos = problem.scales, problem.demos
     z = np.array([demo.duration for demo in demos])[:, None] / reference.duration * learned.ends[:, 1]
     squares = (scales**2).sum(axis=0)
@@ -189,7 +193,7 @@ def _value(problem: WeightProblem, learned: Learned, reference: ReferenceMotion)
     y0, _, g = learned.ends.mean(axis=0)
     each = None
     if len(demos) >= MANY:
-        small = abs(scales)[:, None] < SMALL
+        small = abs(scales)[:, None] < UNINFORMATIVE
         each = np.where(small, learned.weights, [learn(one).weights for one in problem.of_each()])
     return replace(problem.blank, weights=learned.weights, y0=y0, v0=v0, g=g, demo_weights=each)
 
@@ -216,7 +220,7 @@ def _fit(dmp: Dmp, problem: WeightProblem, learned: Learned) -> Fit[Dmp]:
 
 
 def _names(m: int, n: int, M: int, with_ends: bool) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    """Return names of the unknowns of one coordinate, and names and units of all parameters."""
+    """Return the names of the unknowns of one coordinate, and the names and units of all parameters."""
     ends = [f"{name} of demonstration {k}" if M > 1 else name for k in range(M) for name in ENDS]
     one = (*(f"weight {j}" for j in range(m)), *(ends if with_ends else ()))
     units = (*("unit of y",) * m, *(("unit of y", "unit of y/s", "unit of y") * M if with_ends else ()))
@@ -230,12 +234,12 @@ def _report(fit: Fit[Dmp], method: str, learned: Learned, demos: list[Demo]) -> 
     lines = [
         f"Movement primitive of {dmp.n} coordinates with {dmp.n_basis} kernels, schedule {dmp.schedule!r}, scaling "
         f"{dmp.scaling!r}, convention {dmp.convention!r}, method {method!r}, {len(demos)} demonstrations.",
-        *([f"Coordinates that the goal does not scale, for they hardly moved: {scaled}."] if scaled else []),
+        *([f"Coordinates not scaled by the goal because they hardly moved: {scaled}."] if scaled else []),
     ]
     if fit.n <= len(learned.unknowns):
         lines.append(
-            f"{fit.n} samples for {len(learned.unknowns)} unknowns: the noise is not told, sigma and deviations are "
-            "rounding. Take fewer kernels."
+            f"{fit.n} samples for {len(learned.unknowns)} unknowns: the noise is not identifiable, and sigma and the "
+            "standard deviations are meaningless. Use fewer kernels."
         )
     for k, demo in enumerate(demos):
         path = learned.path(dmp, demo, k)

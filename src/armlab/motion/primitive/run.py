@@ -1,4 +1,4 @@
-"""One run of a movement primitive: its parameters, its motion over time, and the motion sample by sample."""
+"""Runs of a movement primitive: parameters, motion over time, and sample-by-sample stepping."""
 
 from __future__ import annotations
 
@@ -9,22 +9,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
+from armlab._display import Shown
 from armlab._numbers import check_name, make_read_only, number, positive
 from armlab.errors import ConfigError, NotConverged, ShapeError
 from armlab.lie import so3
 from armlab.motion.arguments import at_least_zero, clock, vector
 from armlab.motion.primitive.equation import Equation
 
-HALF_TURN = 1e-6  # sine below which opposite directions have no smallest rotation between them
+HALF_TURN = 1e-6  # sine below which opposite directions have no unique smallest rotation
 
 FORCINGS = ("shift", "scale")
-BRAKE = 1.05  # of the largest acceleration of the demonstration
+BRAKE = 1.05  # of the peak acceleration of the demonstration
 
-LONGEST = 1e4  # time constants: each takes the solver a step or two
+LONGEST = 1e4  # time constants; each takes the solver a step or two
 
 
 class RunOptions(TypedDict, total=False):
-    """What is free in a run of a `Dmp`, by name; what is left out or None is that of the demonstration."""
+    """Options of a run of a `Dmp`; omitted or None: the value of the demonstration."""
 
     duration: float | None
     tau_d: float | None
@@ -34,15 +35,16 @@ class RunOptions(TypedDict, total=False):
     amplitude: ArrayLike | None
 
 
-@dataclass(frozen=True, eq=False)
-class Rollout:
-    """A motion over N times; of K runs at once the arrays are (N, K, n).
+@dataclass(frozen=True, eq=False, repr=False)
+class Rollout(Shown):
+    """Trajectory at N times; for a batch of K runs, the arrays are (N, K, n).
 
     Attributes
     ----------
-    t : (N,) times [s]. y, yd, ydd : (N, n) position, velocity, acceleration in the unit of the demonstration, per s and
-        s^2.
-    x : (N,) phase; (N, n) where every coordinate has its own. forcing : (N, n) the forcing term f, in the unit of y.
+    t : (N,) times [s].
+    y, yd, ydd : (N, n) position, velocity, acceleration in the unit of the demonstration, per s and s^2.
+    x : (N,) phase; (N, n) with one phase per coordinate.
+    forcing : (N, n) the forcing term f, in the unit of y.
     """
 
     t: np.ndarray
@@ -53,13 +55,12 @@ class Rollout:
     forcing: np.ndarray
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         make_read_only(self, *(field.name for field in fields(self)))
 
 
 @dataclass(frozen=True)
 class RunParameters:
-    """One run of a primitive, or K over one clock: arrays (n,) or (K, n), tau [s], and the kernel of its forcing."""
+    """One run of a primitive, or K runs on one clock: arrays (n,) or (K, n), tau [s], and the kernel of its forcing."""
 
     dmp: Equation
     primitive: Any
@@ -82,17 +83,17 @@ class RunParameters:
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
     ) -> RunParameters:
-        """Fill in from the demonstration what `RunOptions` leave out.
+        """Fill in omitted `RunOptions` from the demonstration.
 
-        `runs` is the number of runs, 1 for as many as there are starts; None for one run of arrays (n,).
+        `runs` is the number of runs (1 for one run per start), or None for a single run with arrays (n,).
         """
         tau = _tau(dmp, duration, tau_d)
         given = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
         parts = {name: vector(a, name, dmp.n) for name, a in given.items() if a is not None}
         if amplitude is not None and dmp.scaling != "amplitude":
             raise ConfigError(
-                f"Expected an amplitude only with scaling 'amplitude', got one with {dmp.scaling!r}. Leave it out, or "
-                "fit with scaling='amplitude'."
+                f"Expected an amplitude only with scaling 'amplitude', got an amplitude with {dmp.scaling!r}. Omit it, "
+                "or fit with scaling='amplitude'."
             )
         shape = (dmp.n,) if runs is None else (runs, dmp.n)
         whole = shape if runs is None else _many_runs(dmp, parts, shape)
@@ -120,7 +121,7 @@ class RunParameters:
         return clock(t, self.tau * self.dmp.duration / self.dmp.tau_d)
 
     def towards(self, g: ArrayLike, scaled: bool) -> RunParameters:
-        """Return this run with another goal (n,), its forcing scaled with the displacement or unchanged."""
+        """Return this run with another goal (n,); the forcing is scaled with the displacement or unchanged."""
         goal = np.array(vector(g, "g", self.dmp.n))
         _check_one_run({"g": goal}, (self.dmp.n,))
         check_goal(self.dmp, goal)
@@ -129,35 +130,39 @@ class RunParameters:
 
 def _tau(dmp: Equation, duration: float | None, tau_d: float | None) -> float:
     if duration is not None and tau_d is not None:
-        raise ConfigError("Expected duration or tau_d, got both. Leave one out: their ratio belongs to the primitive.")
+        raise ConfigError(
+            "Expected duration or tau_d, got both. Omit one of them, because the primitive fixes their ratio."
+        )
     if tau_d is not None:
-        return positive(tau_d, "tau_d [s]", "A second is a usual motion.")
+        return positive(tau_d, "tau_d [s]", "A typical value is 1 s.")
     if duration is None:
         return dmp.tau_d
-    return positive(duration, "duration [s]", "A second is a usual motion.") * dmp.tau_d / dmp.duration
+    return positive(duration, "duration [s]", "A typical value is 1 s.") * dmp.tau_d / dmp.duration
 
 
 def _check_one_run(parts: dict[str, np.ndarray], shape: tuple[int, ...]) -> None:
     for name, part in parts.items():
         if part.shape != shape:
             raise ShapeError(
-                f"Expected {name} of shape {shape} for one run, got {part.shape}. Use rollout_batch for many, or a "
-                "stepper for each run."
+                f"Expected {name} of shape {shape} for one run, got {part.shape}. Use rollout_batch for many runs, or "
+                "one stepper per run."
             )
 
 
 def _many_runs(dmp: Equation, parts: dict[str, np.ndarray], shape: tuple[int, ...]) -> tuple[int, ...]:
     if dmp.scaling == "rotate":
-        raise ConfigError("Expected another scaling than 'rotate' for many runs, got it. Use rollout one by one.")
+        raise ConfigError("Expected a scaling other than 'rotate' for a batch, got 'rotate'. Use rollout for each run.")
     try:
         return np.broadcast_shapes(shape, *(part.shape for part in parts.values()))
     except ValueError:
         shapes = ", ".join(f"{name} {part.shape}" for name, part in parts.items())
-        raise ShapeError(f"Expected arrays of one number K of runs, got {shapes}. Give (K, n) or (n,).") from None
+        raise ShapeError(
+            f"Expected arrays with the same number of runs K, got {shapes}. Pass (K, n) or (n,)."
+        ) from None
 
 
 def check_goal(dmp: Equation, g: np.ndarray) -> None:
-    """Refuse a goal outside the limits of the primitive."""
+    """Raise if a goal is outside the limits of the primitive."""
     if dmp.limits is None:
         return
     low, high = dmp.limits
@@ -170,7 +175,7 @@ def check_goal(dmp: Equation, g: np.ndarray) -> None:
 
 
 def goal_scale(dmp: Equation, y0: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """Return displacement over that of the demonstration (..., n), 1 where the latter is too small."""
+    """Return the displacement divided by that of the demonstration (..., n); 1 if the latter is too small."""
     way = dmp.g - dmp.y0
     still = np.zeros(dmp.n, dtype=bool)
     still[list(dmp.unscaled)] = True
@@ -181,42 +186,48 @@ def rotation(old: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Return the smallest rotation, times the ratio of lengths, that maps one displacement to another (3, 3)."""
     a, b = np.linalg.norm(old), np.linalg.norm(new)
     if not (a > 0 and b > 0):
-        raise ShapeError("Expected a goal apart from the start with scaling 'rotate', got none. Use scaling 'none'.")
+        raise ShapeError(
+            "Expected a goal different from the start with scaling 'rotate', got the same point. Use scaling 'none'."
+        )
     u, v = old / a, new / b
     axis, cosine = np.cross(u, v), float(u @ v)
     if cosine < 0 and np.linalg.norm(axis) < HALF_TURN:
         raise ShapeError(
-            "Expected a displacement that is not opposite to that of the demonstration, got half a turn: every axis "
-            "across would do. Go by way of another goal."
+            "Expected a displacement that is not opposite to that of the demonstration, got half a turn, whose axis "
+            "is ambiguous. Use an intermediate goal."
         )
     skew = so3.hat(axis)
     return b / a * (np.eye(3) + skew + skew @ skew / (1.0 + cosine))
 
 
 def advance(dt: float, *steppers: Any) -> list[Any]:
-    """Return what each compiled stepper returns after a time dt [s]."""
+    """Return the results of compiled steppers after a time dt [s]."""
     try:
         return [one.step(dt) for one in steppers]
     except TypeError:
-        number(dt, "dt [s]")  # says it in a sentence
+        number(dt, "dt [s]")  # raises with a clear message
         raise
 
 
 class Stepper:
-    """One run of a `Dmp`, sample by sample; made by `Dmp.stepper`.
+    """One run of a `Dmp`, sample by sample; created by `Dmp.stepper`.
 
-    The same numbers as `Dmp.rollout`, with steps that may differ and a goal and duration that may change. A filtered
-    goal follows ``g' = rate (goal - g) / tau_d``, and the forcing is scaled by it. A brake keeps
-    ``v^2 <= 2 a |goal - y|`` after a change of goal where that can still be kept, and y on its side of the goal.
+    It is equivalent to `Dmp.rollout`, but steps may differ, and the goal and duration may change. A filtered goal
+    follows ``g' = rate (goal - g) / tau_d``, and the forcing is scaled by it. After a goal change, a brake enforces
+    ``v^2 <= 2 a |goal - y|`` as long as possible, and keeps y on the same side of the goal.
 
     Parameters
     ----------
-    run : what runs, with start, goal and time. goal_forcing : "shift" or "scale", None for that of the scaling.
-    goal_rate : of the filter, times tau_d. brake : in monotone coordinates. around : `armlab.kernels.Obstacles`.
+    run : the run, with start, goal and time.
+    goal_forcing : "shift" or "scale"; None: the default of the scaling.
+    goal_rate : of the filter, times tau_d.
+    brake : in monotone coordinates.
+    around : `armlab.kernels.Obstacles`.
 
     Raises
     ------
-    UnknownName : another goal_forcing. ConfigError : "scale" without scaling "goal", a goal_rate below 0.
+    UnknownName : unknown goal_forcing.
+    ConfigError : "scale" without scaling "goal", a negative goal_rate.
     """
 
     def __init__(
@@ -241,7 +252,7 @@ class Stepper:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to the start, with the first goal and duration."""
+        """Return to the start, with the first goal and duration."""
         run = self._run
         self._t, self._goal = 0.0, run.g
         self._kernel.start(run.y0, run.v0, run.g, run.scale, run.tau)
@@ -255,7 +266,7 @@ class Stepper:
 
         Raises
         ------
-        ShapeError : no finite time above zero.
+        ShapeError : dt is not finite and positive.
         """
         state = advance(dt, self._kernel)[0]
         self._t += dt
@@ -263,7 +274,7 @@ class Stepper:
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Position, velocity and acceleration now, each (n,)."""
+        """Current position, velocity and acceleration, each (n,)."""
         return self._kernel.outputs()
 
     @property
@@ -273,23 +284,23 @@ class Stepper:
 
     @property
     def x(self) -> np.ndarray:
-        """Phase now; (n,) where every coordinate has its own."""
+        """Current phase; (n,) with one phase per coordinate."""
         if self._dmp.schedule == "position":
             return progress(self.state[0], self._run.y0, self._goal)
         return self._dmp.phase(self._kernel.elapsed * self._dmp.tau_d)
 
     @property
     def goal(self) -> np.ndarray:
-        """Goal now (n,), before the filter."""
+        """Current goal (n,), before the filter."""
         return self._goal
 
     @property
     def duration(self) -> float:
-        """Duration of the whole motion at the pace of now [s]."""
+        """Duration of the whole motion at the current time constant [s]."""
         return self._kernel.tau * self._dmp.duration / self._dmp.tau_d
 
     def change_goal(self, g: ArrayLike) -> None:
-        """Go for another goal from now on.
+        """Change the goal.
 
         Parameters
         ----------
@@ -297,38 +308,41 @@ class Stepper:
 
         Raises
         ------
-        ShapeError : another shape, not finite, outside the limits of the primitive.
+        ShapeError : wrong shape, not finite, outside the limits of the primitive.
         """
         run = self._run.towards(g, self._scales)
         self._kernel.change_goal(run.g, run.scale, self._limit)
         self._goal = run.g
 
     def change_duration(self, duration: float) -> None:
-        """Go on faster or slower from now on; the velocity does not jump.
+        """Change the duration; the velocity stays continuous.
 
         Parameters
         ----------
-        duration : that the whole motion would take at this pace [s].
+        duration : duration of the whole motion at this time constant [s].
 
         Raises
         ------
-        ShapeError : no finite time above zero.
+        ShapeError : duration is not finite and positive.
         """
-        value = positive(duration, "duration [s]", "A second is a usual motion.")
+        value = positive(duration, "duration [s]", "A typical value is 1 s.")
         self._kernel.change_tau(value * self._dmp.tau_d / self._dmp.duration)
 
 
 def solved(run: RunParameters, t: np.ndarray, rtol: float, atol: float) -> Rollout:
-    """Solve a run at increasing times t (N,) [s] with the Dormand-Prince method of order 8."""
+    """Integrate a run at increasing times t (N,) [s] with the Dormand-Prince method of order 8."""
     from scipy.integrate import solve_ivp
 
     if not (0 < number(rtol, "rtol", ConfigError) < 1 and 0 < number(atol, "atol", ConfigError) < np.inf):
-        raise ConfigError(f"Expected tolerances above zero, got rtol {rtol:g} and atol {atol:g}. 1e-10 is fine.")
+        raise ConfigError(f"Expected tolerances above zero, got rtol {rtol:g} and atol {atol:g}. Try 1e-10.")
     if t.ndim != 1 or not len(t) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
         raise ShapeError(f"Expected increasing times (N,), got shape {t.shape}. Drop repeated samples.")
     dmp = run.dmp
     if not t[-1] - t[0] <= LONGEST * run.tau:
-        raise ShapeError(f"Expected times within {LONGEST:g} time constants, got more. Ask for a shorter motion.")
+        raise ShapeError(
+            f"Expected times within {LONGEST:g} time constants, got {(t[-1] - t[0]) / run.tau:.3g}. Use a shorter "
+            "motion."
+        )
     n, s = dmp.n, (t - t[0]) / run.tau
     alpha, stiffness, pace = dmp.alpha_z, dmp.alpha_z * dmp.beta_z, dmp.tau_d / dmp.duration
 
@@ -340,7 +354,7 @@ def solved(run: RunParameters, t: np.ndarray, rtol: float, atol: float) -> Rollo
         f = run.scale * run.primitive.forcing(phase(s, y))
         return np.concatenate([z, stiffness * (run.g - y) - alpha * z + f])
 
-    # The forcing is not smooth where the gate of time begins and ends.
+    # The forcing is not smooth at the ends of the time gate.
     breaks = [b / pace for b in (1.0, 1.1) if dmp.schedule == "time" and b / pace < s[-1]]
     state, rows = np.concatenate([run.y0, run.tau * run.v0]), []
     for begin, end in zip([0.0, *breaks], [*breaks, s[-1]]):
@@ -352,7 +366,7 @@ def solved(run: RunParameters, t: np.ndarray, rtol: float, atol: float) -> Rollo
         at = inside if last else np.append(inside, end)
         found = solve_ivp(slope, (begin, end), state, "DOP853", at, rtol=rtol, atol=atol, max_step=(end - begin) / 20)
         if not found.success:
-            raise NotConverged(f"Expected a solution, got none: {found.message} Loosen the tolerances.")
+            raise NotConverged(f"Expected a solution, got a failed integration: {found.message} Loosen the tolerances.")
         rows.append(found.y.T[: len(inside)])
         state = found.y[:, -1]
     y, z = np.split(np.concatenate(rows), 2, axis=1)

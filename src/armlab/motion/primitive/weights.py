@@ -1,4 +1,4 @@
-"""Weights of a movement primitive from demonstrations: by its own motion, or by the forcing."""
+"""Fit of the weights of a movement primitive to the trajectory or the forcing of demonstrations."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from armlab.motion.primitive.demonstrations import Demo
 from armlab.motion.primitive.run import progress
 
 ENDS = ("y0", "v0", "g")
-FINE = 1000  # steps of the response over a duration, at least
+FINE = 1000  # integration steps of the response over a duration, at least
 
-ROUNDS = 20
-ENOUGH = 1e-6  # relative gain of the error below which to stop
-STEP = 1e-6  # of the largest weight, for the slopes
-DAMPING = 1e-8  # of the mean square of a column
+MAX_ITERATIONS = 20
+TOLERANCE = 1e-6  # relative gain of the error below which to stop
+STEP = 1e-6  # of the largest weight, for numerical derivatives
+DAMPING = 1e-8  # relative to the mean square of a column
 
 
 @dataclass(frozen=True)
 class Learned:
-    """Weights (m, n); y0, v0, g of each demonstration (M, 3, n); covariances (n, d, d) of weights, and of the ends
-    where they were fitted too, for noise of unit variance; noise (n,); residuals (N, n), of position or of the forcing;
-    triangle of the unknowns and their numbers; scales (M, n)."""
+    """Weights (m, n); y0, v0, g of each demonstration (M, 3, n); covariances (n, d, d) of the weights (and of the ends
+    if fitted) for unit noise variance; noise (n,); residuals (N, n), of position or of the forcing; triangle of the
+    unknowns and their numbers; scales (M, n)."""
 
     weights: np.ndarray
     ends: np.ndarray
@@ -49,7 +49,7 @@ class Learned:
 class WeightProblem:
     """A primitive without weights, demonstrations with scales, starts and goals (M, n), and options of `fit_dmp`.
 
-    Start, velocity and goal are `pinned` to the samples by name, or `known` by name (n,); otherwise free.
+    Start, velocity and goal are `pinned` to the samples (by name), `known` (n,) (by name), or otherwise free.
     """
 
     method: str
@@ -66,7 +66,7 @@ class WeightProblem:
     raw: bool
 
     def of_each(self) -> list[WeightProblem]:
-        """Return the problem of each demonstration alone."""
+        """Return a separate problem for each demonstration."""
         parts = zip(self.demos, self.scales, self.starts, self.goals)
         return [replace(self, demos=[d], scales=s[None], starts=a[None], goals=b[None]) for d, s, a, b in parts]
 
@@ -75,25 +75,27 @@ class WeightProblem:
         return self.blank.tau_d * demo.duration / self.blank.duration
 
     def blocks(self, alike: bool) -> list[slice]:
-        """Return the coordinates that share one matrix: all where every demonstration scales them alike."""
+        """Return groups of coordinates that share one matrix: all coordinates if every demonstration scales them
+        equally.
+        """
         n = self.blank.n
         same = alike and bool((self.scales == self.scales[:, :1]).all())
         return [slice(0, n)] if same else [slice(i, i + 1) for i in range(n)]
 
 
 def learn(problem: WeightProblem) -> Learned:
-    """Learn weights that M demonstrations share."""
+    """Fit weights shared by M demonstrations."""
     by_motion = problem.method == "trajectory"
     if by_motion and problem.blank.schedule != "position":
         return fit_trajectory(problem)
     phases, forcings, speeds = zip(*(_forced(problem, k) for k in range(len(problem.demos))))
     ends = np.stack([problem.starts, np.array(speeds), problem.goals], axis=1)
     first = fit_regression(problem, np.concatenate(phases), np.concatenate(forcings), ends)
-    return _descended(problem, first) if by_motion else first
+    return _refined(problem, first) if by_motion else first
 
 
-def _descended(problem: WeightProblem, learned: Learned) -> Learned:
-    """Return weights of a position phase, from the regression on."""
+def _refined(problem: WeightProblem, learned: Learned) -> Learned:
+    """Refine the weights of a position phase by Gauss-Newton, starting from the regression."""
     blank, demos = problem.blank, problem.demos
     roots = np.sqrt(np.concatenate([demo.weights for demo in demos]))
     y = np.concatenate([demo.y for demo in demos])
@@ -105,7 +107,7 @@ def _descended(problem: WeightProblem, learned: Learned) -> Learned:
             paths.append(blank._primitive.rollout(demo.t, problem.tau(demo), *ends, weights)[0])
         return np.concatenate(paths)
 
-    w, inverses, residuals = descend(run, y, roots, learned.weights)
+    w, inverses, residuals = gauss_newton(run, y, roots, learned.weights)
     return replace(
         learned,
         weights=w,
@@ -119,12 +121,12 @@ def _descended(problem: WeightProblem, learned: Learned) -> Learned:
 
 @dataclass(frozen=True)
 class _MotionRows:
-    """Rows of one demonstration: samples, then rest at the goal. kernels (R, m), ends (R, 3), root weights (R,)."""
+    """Rows of one demonstration: samples, then rest at the goal. Kernels (R, m), ends (R, 3), root weights (R,)."""
 
     kernels: np.ndarray
     ends: np.ndarray
     roots: np.ndarray
-    pins: np.ndarray  # (3 ends, 3 samples: first, second, last) what is pinned to them
+    pins: np.ndarray  # (3 ends, 3 samples: first, second, last) linear map of the pins
     samples: int
 
 
@@ -143,10 +145,11 @@ def _motion_rows(problem: WeightProblem, demo: Demo) -> _MotionRows:
 
 
 def fit_trajectory(problem: WeightProblem) -> Learned:
-    """Fit weights that M demonstrations share, and the ends of each, by their own motion.
+    """Fit the weights shared by M demonstrations, and the ends of each, to their trajectories.
 
-    Linear, without derivatives of measured positions: the motion is ``y = Y [w; y0; v0; g]`` with the response Y of
-    each alone. A pinned end is a linear function of the samples too, so its noise is in the covariance.
+    The problem is linear and needs no derivatives of measured positions, because the motion is ``y = Y [w; y0; v0; g]``
+    with the response Y to each unknown. A pinned end is a linear function of the samples, so its noise is included in
+    the covariance.
     """
     parts = [_motion_rows(problem, demo) for demo in problem.demos]
     free = [k for k, name in enumerate(ENDS) if name not in problem.pinned and name not in problem.known]
@@ -196,9 +199,9 @@ def _solve_block(
 def _covariance(
     A: np.ndarray, G: np.ndarray, parts: list[_MotionRows], heights: np.ndarray, places: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Return the covariance of weights and ends for samples of unit variance, and the degrees of freedom of residuals.
+    """Return the covariance of weights and ends for samples of unit variance, and the residual degrees of freedom.
 
-    The unknowns are ``x = G A^T y`` of the samples but for those three that ends are pinned to, which shift every row.
+    The unknowns are ``x = G A^T y``, with all samples except the three samples of pinned ends, which shift every row.
     """
     size = parts[0].kernels.shape[1] + 3 * len(parts)
     cov, spread, dof = np.zeros((size, size)), np.zeros_like(G), 0.0
@@ -224,7 +227,7 @@ def _covariance(
 def _forced(problem: WeightProblem, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return phase, ``f = tau^2 ydd - alpha_z (beta_z (g - y) - tau yd)`` and start velocity of demonstration k.
 
-    The phase is (N,), or (N, n) where every coordinate has its own.
+    The phase is (N,), or (N, n) with one phase per coordinate.
     """
     blank, demo, goal = problem.blank, problem.demos[k], problem.goals[k]
     velocity, acceleration, tau = demo.velocity, demo.acceleration, problem.tau(demo)
@@ -241,10 +244,10 @@ def _forced(problem: WeightProblem, k: int) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def fit_regression(problem: WeightProblem, x: np.ndarray, f: np.ndarray, ends: np.ndarray) -> Learned:
-    """Fit weights that demonstrations share to their forcing f (N, n) at phases x (N,) or (N, n).
+    """Fit weights shared by demonstrations to their forcing f (N, n) at phases x (N,) or (N, n).
 
-    By least squares, or with method "lwr" each weight as a mean weighed by its own kernel, ``sum bell x f / sum bell
-    x^2``. The forcing has the factor x but for schedule "time".
+    Uses least squares or, with method "lwr", sets each weight to a mean weighted by its own kernel, ``sum bell x f /
+    sum bell x^2``. The forcing has the factor x, except with schedule "time".
     """
     blank, m, fades = problem.blank, problem.blank.n_basis, problem.blank.schedule != "time"
     fit = _kernel_by_kernel if problem.method == "lwr" else _least_squares
@@ -266,7 +269,7 @@ def fit_regression(problem: WeightProblem, x: np.ndarray, f: np.ndarray, ends: n
 
 @dataclass(frozen=True)
 class _ForcingRows:
-    """Equations ``lever psi(x) w = f`` of coordinates that share x, lever and weights (N,) of the samples; f (N, q)."""
+    """Equations ``lever psi(x) w = f`` of coordinates that share x, lever and sample weights (N,); f (N, q)."""
 
     blank: Dmp
     x: np.ndarray
@@ -306,18 +309,18 @@ def _kernel_by_kernel(rows: _ForcingRows, problem: WeightProblem) -> tuple[np.nd
     return w, spread, np.diag(np.sqrt(squares)), weights @ rows.residuals(w) ** 2
 
 
-def descend(
+def gauss_newton(
     run: Callable[[np.ndarray], np.ndarray], y: np.ndarray, roots: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return weights (m, n), inverses of the normal matrices (n, m, m) and residuals (N, n), by Gauss-Newton.
 
-    `run` maps weights (K, m, n) to motions (N, K, n). Coordinates are independent, so one weight of each is moved at
-    once; `roots` (N,) are square roots of the weights of the samples.
+    `run` maps weights (K, m, n) to motions (N, K, n). Coordinates are independent, so one weight of each is perturbed
+    at the same time; `roots` (N,) are square roots of the sample weights.
     """
     m, n = weights.shape
     w, damping = weights, np.full(n, DAMPING)
     error, inverses = np.inf, np.empty((n, m, m))
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         h = STEP * np.maximum(abs(w).max(axis=0), 1.0)
         moved = np.concatenate([w[None], w + h * np.eye(m)[:, :, None]])
         paths = run(moved)
@@ -337,20 +340,21 @@ def descend(
         w = w + np.where(gained, np.array([1.0, 0.5, 0.1])[best], 0.0) * steps
         damping = np.where(gained, DAMPING, damping * 100.0)
         total = float(np.minimum(now, errors.min(axis=0)).sum())
-        if error - total < ENOUGH * total:
+        if error - total < TOLERANCE * total:
             break
         error = total
     return w, inverses, y - run(w[None])[:, 0]
 
 
-BLOCK = 8  # columns that are reflected together: the fastest for some fifty of them
-RCOND = 1e-11  # relative singular value below which a direction is left at zero
+BLOCK = 8  # columns reflected together: fastest for about fifty columns
+RCOND = 1e-11  # relative singular value below which a direction is set to zero
 
 
 @dataclass(frozen=True)
 class Solution:
     """Solution x (p, q) of ``A x = b``, the inverse G (p, p) of the normal matrix, the triangle (p, p) of A, and the
-    least sums of squares (q,), penalties included."""
+    minimal sums of squares (q,) including penalties.
+    """
 
     x: np.ndarray
     G: np.ndarray
@@ -367,12 +371,15 @@ def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solu
 
 
 def rows_needed(N: int, p: int, ridge: np.ndarray | None) -> int:
-    """Return how many rows `solve_joined` needs for N equations of p unknowns."""
+    """Return the number of rows `solve_joined` needs for N equations in p unknowns."""
     return max(N, p) + (0 if ridge is None else p)
 
 
 def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:
-    """Solve in place: `joined` (rows, p + q) in Fortran order has A in its corner, otherwise 0, and is overwritten."""
+    """Solve in place:
+
+    `joined` (rows, p + q), Fortran order, holds A in its corner, is zero elsewhere, and is overwritten.
+    """
     p = joined.shape[1] - b.shape[1]
     joined[: len(b), p:] = b
     if ridge is not None:
@@ -381,11 +388,11 @@ def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = N
     factor = np.triu(geqrt(min(BLOCK, *joined.shape), joined, overwrite_a=True)[0][: joined.shape[1]])
     R, rotated, left = factor[:p, :p], factor[:p, p:], factor[p:, p:]
     squares = np.einsum("ij,ij->j", left, left)
-    norms = np.sqrt(np.einsum("ij,ij->j", R, R))  # of the columns of A; a reflection scales with its column
+    norms = np.sqrt(np.einsum("ij,ij->j", R, R))  # of the columns of A; reflections scale with their column
     scale = np.where(norms > 0, norms, 1.0)
     scaled = R / scale
     if trcon(scaled)[0] > RCOND:
-        inverse, x = trtri(R)[0], trtrs(R, rotated)[0]  # the same with columns scaled, but for rounding
+        inverse, x = trtri(R)[0], trtrs(R, rotated)[0]  # equal to the scaled solve up to rounding
     else:
         U, s, V = np.linalg.svd(scaled)
         identified = s > RCOND * s[0]

@@ -1,4 +1,4 @@
-"""URDF: reading a file or text, the tree of links and joints, and every serial arm in it."""
+"""URDF: read a file or text into a tree of links and joints, and extract serial arms."""
 
 from armlab.robots.urdf.reading import parse, read
 from armlab.robots.urdf.tree import Mimic, Tree

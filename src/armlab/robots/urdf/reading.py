@@ -1,4 +1,4 @@
-"""URDF text to `Tree`: XML elements with their line, read without document types or entities, no other file opened."""
+"""Read URDF text into a `Tree`: XML elements with line numbers, without document types, entities or included files."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from armlab.robots import inertia
 from armlab.robots.robot import Mesh
 from armlab.robots.urdf.tree import Follow, Joint, JointKind, Link, Tree
 
-MOST_PARTS = 2000  # links, and joints, of a file; a humanoid with two hands has 150
+MOST_PARTS = 2000  # links or joints per file; a humanoid with two hands has 150
 LARGEST = 1e9
-"""Limits from this on stand for none; no other number of a description is as large."""
+"""Limits from this value on mean unlimited; larger numbers are rejected elsewhere."""
 
 DEEPEST = 64  # nesting of elements; URDF needs 5
 MOST_BYTES, MOST_ELEMENTS = 1 << 24, 100_000  # a humanoid with two hands has 200 kB and 3000
@@ -29,7 +29,7 @@ _EXPAND = "Expand the file first: xacro robot.xacro > robot.urdf."
 
 
 def read(path: str | Path) -> Tree:
-    """Return what a URDF file describes.
+    """Read a URDF file.
 
     Parameters
     ----------
@@ -37,25 +37,25 @@ def read(path: str | Path) -> Tree:
 
     Raises
     ------
-    RobotError : when the file is missing, is no URDF, or is no tree; names file and line, and what to do.
+    RobotError : if the file is missing, is not a URDF, or is not a tree; names file, line and remedy.
 
     References
     ----------
-    The format: URDF 1.0, wiki.ros.org/urdf/XML.
+    The format is URDF 1.0, see wiki.ros.org/urdf/XML.
     """
     try:
         data = Path(path).read_bytes()
-    except (OSError, TypeError, ValueError) as error:  # not there; no path at all
+    except (OSError, TypeError, ValueError) as error:  # missing, or not a path
         raise RobotError(f"Expected a URDF file at {path}, got: {error}.") from None
     return parse(data, str(path))
 
 
 def parse(text: str | bytes, file: str = "the URDF text") -> Tree:
-    """Return what a URDF text describes.
+    """Parse a URDF text.
 
-    Joints revolute, continuous, prismatic and fixed with origin, axis, limits and mimic; floating and planar ones,
-    which no chain may pass; inertias; meshes by reference. Other shapes, materials, transmissions and unknown
-    elements are passed over.
+    The reader supports revolute, continuous, prismatic and fixed joints with origin, axis, limits and mimic; floating
+    and planar joints, which no chain may include; inertias; and meshes by reference. Other shapes, materials,
+    transmissions and unknown elements are ignored.
 
     Parameters
     ----------
@@ -67,13 +67,13 @@ def parse(text: str | bytes, file: str = "the URDF text") -> Tree:
     RobotError : as `read`.
     """
     if not isinstance(text, str | bytes):
-        raise RobotError(f"Expected the text of a URDF, got {text!r}. Of a file: urdf.read.")
+        raise RobotError(f"Expected the text of a URDF, got {text!r}. For a file, call urdf.read.")
     robot = parse_xml(text, file)
     if robot.tag != "robot":
         raise robot.error("<robot> as the outermost element of a URDF", f"<{robot.tag}>")
     for tag in ("link", "joint"):
         if len(parts := robot.all(tag)) > MOST_PARTS:
-            raise robot.error(f"at most {MOST_PARTS} {tag}s", len(parts), "Split the file, one robot in each.")
+            raise robot.error(f"at most {MOST_PARTS} {tag}s", len(parts), "Split the file into one file per robot.")
     return Tree(
         name=robot.text("name"),
         file=file,
@@ -93,7 +93,7 @@ def _link(element: Element) -> Link:
 
 
 def _inertia(inertial: Element) -> np.ndarray | None:
-    """Return the parameters about the link's origin; None where all are 0, as in links that only name a frame."""
+    """Return the parameters about the link's origin, or None if all are 0, as in links that only name a frame."""
     mass, moments = inertial.need("mass").number("value"), inertial.need("inertia")
     xx, xy, xz, yy, yz, zz = (moments.number(f"i{axes}") for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))
     about_centre = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -120,12 +120,14 @@ def _meshes(link: Element) -> list[Mesh]:
 def _joint(element: Element) -> Joint:
     kind = _kind(element)
     q_min, q_max, qd_max, tau_max = _limits(element, kind)
-    axis = element.one("axis")
+    axis, dynamics = element.one("axis"), element.one("dynamics")
+    damping, friction = (0.0 if dynamics is None else dynamics.number(key, 0.0) for key in ("damping", "friction"))
     return Joint(
         name=element.text("name"), kind=kind, parent=element.need("parent").text("link"),
         child=element.need("child").text("link"), T_parent_child=_origin(element),
         axis=np.array([1.0, 0.0, 0.0]) if axis is None else axis.numbers("xyz", 3), q_min=q_min, q_max=q_max,
         qd_max=qd_max, tau_max=tau_max, follows=None if kind == "fixed" else _follow(element), line=element.line,
+        damping=damping, friction=friction,
     )  # fmt: skip
 
 
@@ -158,7 +160,7 @@ def _origin(element: Element) -> np.ndarray:
 
 
 def _rotation(origin: Element) -> np.ndarray:
-    """Return the rotation of ``quat_xyzw``, which URDF 1.2 has beside rpy."""
+    """Return the rotation of ``quat_xyzw``, the alternative to rpy in URDF 1.2."""
     if "rpy" in origin.attributes:
         raise origin.error("rpy or quat_xyzw of <origin>", "both", "Remove one.")
     x, y, z, w = origin.numbers("quat_xyzw", 4)
@@ -169,7 +171,7 @@ def _rotation(origin: Element) -> np.ndarray:
 
 
 def _limits(element: Element, kind: JointKind) -> tuple[float, float, float, float]:
-    """Return q_min, q_max, qd_max, tau_max; missing positions are 0, a speed or effort of 0 stands for none."""
+    """Return q_min, q_max, qd_max, tau_max; missing positions are 0, and a speed or effort of 0 means unlimited."""
     limit = element.one("limit") or Element("limit", {}, element.file, element.line)
     lower, upper = limit.limit("lower", 0.0), limit.limit("upper", 0.0)
     if kind not in ("revolute", "prismatic"):
@@ -179,7 +181,7 @@ def _limits(element: Element, kind: JointKind) -> tuple[float, float, float, flo
 
 @dataclass(slots=True)
 class Element:
-    """One element: tag, attributes, place and children; its readers raise `RobotError` with file and line."""
+    """Element with tag, attributes, line and children; its readers raise `RobotError` with file and line."""
 
     tag: str
     attributes: dict[str, str]
@@ -188,7 +190,7 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def error(self, expected: str, got: object, advice: str = "") -> RobotError:
-        """Return the error that says what was expected at this element."""
+        """Return an error about this element."""
         return RobotError(f"Expected {expected} in {self.file}, line {self.line}, got {got}.{advice and ' '}{advice}")
 
     def all(self, tag: str) -> list[Element]:
@@ -207,21 +209,21 @@ class Element:
         return found
 
     def text(self, name: str) -> str:
-        """Return an attribute that must be there and not be empty."""
+        """Return a required, non-empty attribute."""
         value = self.attributes.get(name, "")
         if not value.strip():
             raise self.error(f"the attribute {name} of <{self.tag}>", "none", "Add it.")
         if "${" in value or "$(" in value:
-            raise self.error(f"plain text as {name} of <{self.tag}>", f"the xacro expression {value!r}", _EXPAND)
+            raise self.error(f"plain text in {name} of <{self.tag}>", f"the xacro expression {value!r}", _EXPAND)
         return value
 
     def numbers(self, name: str, count: int, default: tuple[float, ...] | None = None) -> np.ndarray:
-        """Return `count` numbers between spaces; where the attribute is missing, the default if there is one."""
+        """Return `count` space-separated numbers, or the default (if any) for a missing attribute."""
         if name not in self.attributes and default is not None:
             return np.array(default)
         words = self.text(name).split()
         if len(words) != count:
-            raise self.error(f"{count} numbers as {name} of <{self.tag}>", repr(self.attributes[name]))
+            raise self.error(f"{count} numbers in {name} of <{self.tag}>", repr(self.attributes[name]))
         return np.array([self._number(name, word) for word in words])
 
     def number(self, name: str, default: float | None = None) -> float:
@@ -245,7 +247,7 @@ class Element:
 
 
 def parse_xml(data: str | bytes, file: str) -> Element:
-    """Return the root element of a text without document types, entities and xacro, of limited size and depth."""
+    """Return the root element of a text of limited size and depth, without document types, entities or xacro."""
     if len(data) > MOST_BYTES:
         raise RobotError(f"Expected XML of at most {MOST_BYTES >> 20} MiB in {file}, got {len(data)} bytes.")
     parser = expat.ParserCreate()
@@ -268,18 +270,18 @@ def parse_xml(data: str | bytes, file: str) -> Element:
 
     def document_type(name: str, *_: object) -> None:
         place = Element(name, {}, file, parser.CurrentLineNumber)
-        raise place.error("XML without a document type", "a <!DOCTYPE>", "Remove it: a URDF needs no entities.")
+        raise place.error("XML without a document type", "a <!DOCTYPE>", "Remove it, because a URDF needs no entities.")
 
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda _tag: open_elements.pop()
     parser.StartDoctypeDeclHandler = document_type
     try:
         parser.Parse(data, True)
-    except RobotError:  # a ValueError too, and a sentence already
+    except RobotError:  # a subclass of ValueError, with its message already complete
         raise
     except expat.ExpatError as error:
         reason = expat.ErrorString(error.code)
         raise RobotError(f"Expected XML in {file}, line {error.lineno}, got: {reason}.") from None
-    except (ValueError, LookupError) as error:  # an encoding that does not exist or does not fit
+    except (ValueError, LookupError) as error:  # unknown or wrong encoding
         raise RobotError(f"Expected XML in {file}, line {parser.CurrentLineNumber}, got: {error}.") from None
     return top.children[0]

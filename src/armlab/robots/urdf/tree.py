@@ -1,13 +1,13 @@
-"""URDF: the tree of links and joints of a file, its checks, and every serial arm in it.
+"""URDF: the tree of links and joints in a file, its validation, and its serial arms.
 
-``robots.load("arm.urdf")`` is enough for a file with one arm. A `Tree` shows what a file holds, gives the `Robot`
-between any two links, and knows which joints follow others (mimic).
+For a file with one arm, ``robots.load("arm.urdf")`` is sufficient. A `Tree` lists the links and joints, returns the
+`Robot` between any two links, and resolves mimic joints.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,25 +20,25 @@ from armlab._numbers import members, numbers
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.lie import se3
 from armlab.robots import inertia
-from armlab.robots.build import GRAVITY, frames_along, from_links
+from armlab.robots.build import GRAVITY, dexterous_home, frames_along, from_links
 from armlab.robots.robot import Mesh, Robot, body_fault, check_joint_count
 
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
-SHORTEST_AXIS = 1e-6  # of a shorter one no digit is left
-ROUNDING = 0.01  # a moment may exceed the sum of the others by this part: digits of files, thin plates
+SHORTEST_AXIS = 1e-6  # a shorter one has no significant digits left
+ROUNDING = 0.01  # tolerance of the triangle inequality of moments: rounded files, thin plates
 _TURN_OVER = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x: the other direction of the z axis
 
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """One link as the file has it, in its own frame, which need not have an axis along any joint.
+    """Link of the file in its own frame.
 
     Attributes
     ----------
-    name : its name.
+    name : name of the link.
     inertia : (10,) inertial parameters about the origin of its frame (see `robots.inertia`), or None without mass.
-    meshes : its meshes.
-    line : where it begins in the file.
+    meshes : meshes of the link.
+    line : first line of the element in the file.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Follow:
-    """A joint follows another: ``q = multiplier q_joint + offset``."""
+    """Mimic relation of a joint: ``q = multiplier q_joint + offset``."""
 
     joint: str
     multiplier: float
@@ -58,19 +58,20 @@ class Follow:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """One joint as the file has it.
+    """Joint of the file.
 
     Attributes
     ----------
-    name : its name.
+    name : name of the joint.
     kind : "revolute", "continuous", "prismatic", "fixed", "floating" or "planar".
-    parent, child : names of the links that it joins.
+    parent, child : names of the links that it connects.
     T_parent_child : (4, 4) pose of the child, and of the joint, in the parent at q = 0.
     axis : (3,) direction of the axis in the child's frame, of any length.
-    q_min, q_max : limits of position [rad or m]; infinite where there is none, 0 where the file should say them.
-    qd_max, tau_max : limits of speed and of torque or force; infinite where none is known.
-    follows : the joint that it follows, or None.
-    line : where it begins in the file.
+    q_min, q_max : limits of position [rad or m]; infinite without a limit, 0 where a required limit is missing.
+    qd_max, tau_max : limits of speed and of torque or force; infinite where unknown.
+    follows : the joint that it mimics, or None.
+    line : first line of the element in the file.
+    damping, friction : viscous and Coulomb friction; 0 where unknown.
     """
 
     name: str
@@ -85,6 +86,8 @@ class Joint:
     tau_max: float
     follows: Follow | None
     line: int
+    damping: float = 0.0
+    friction: float = 0.0
 
     @property
     def moves(self) -> bool:
@@ -93,15 +96,16 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Mimic:
-    """How the joints of a chain follow the free ones: ``q = matrix q_free + offset``.
+    """Relation between the joints of a chain and the free joints: ``q = matrix q_free + offset``.
 
-    Velocities follow as ``qd = matrix qd_free``, Jacobians as ``J_free = J matrix``, torques as
-    ``tau_free = matrixᵀ tau``.
+    For velocities ``qd = matrix qd_free``, for Jacobians ``J_free = J matrix``, and for torques ``tau_free = matrixᵀ
+    tau``.
 
     Attributes
     ----------
-    names : the m free joints. One that leads may lie outside the chain.
-    matrix : (n, m). offset : (n,).
+    names : the m free joints. Some may lie outside the chain.
+    matrix : (n, m) multipliers.
+    offset : (n,) offsets.
     """
 
     names: tuple[str, ...]
@@ -121,7 +125,7 @@ class Mimic:
 
         Raises
         ------
-        ShapeError : when they are no numbers or the last axis is not m long.
+        ShapeError : if the positions are not numbers or the last axis does not have length m.
         """
         q_free = numbers(q_free, "positions of the free joints", ShapeError)
         if q_free.shape[-1:] != (len(self.names),):
@@ -134,17 +138,17 @@ class Mimic:
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """Links and joints of one file, checked: one root, no loop, every name once.
+    """Validated links and joints of one file: one root, no loops, unique names.
 
     Attributes
     ----------
     name : name of the robot in the file.
-    file : the file, for messages.
+    file : name of the file, for messages.
     links, joints : in the order of the file.
 
     Raises
     ------
-    RobotError : when links and joints are no tree; names file and line.
+    RobotError : if links and joints do not form a tree; names file and line.
     """
 
     name: str
@@ -157,17 +161,17 @@ class Tree:
 
     @cached_property
     def root(self) -> str:
-        """The link that hangs on no other."""
+        """The link without a parent."""
         return next(link.name for link in self.links if link.name not in self.parent_joints)
 
     @cached_property
     def parent_joints(self) -> dict[str, Joint]:
-        """The joint above each link but the root."""
+        """The parent joint of each link, except the root."""
         return {joint.child: joint for joint in self.joints}
 
     @cached_property
     def child_joints(self) -> dict[str, tuple[Joint, ...]]:
-        """The joints below each link."""
+        """The child joints of each link."""
         below: dict[str, list[Joint]] = {link.name: [] for link in self.links}
         for joint in self.joints:
             below[joint.parent].append(joint)
@@ -175,11 +179,11 @@ class Tree:
 
     @cached_property
     def tips(self) -> tuple[str, ...]:
-        """The links at the ends of the branches that move: no joint below, and one above that is not fixed."""
+        """Links at the ends of the moving branches, with no joint below and a non-fixed joint above."""
         return self.tips_below(self.root)
 
     def tips_below(self, base: str) -> tuple[str, ...]:
-        """Return the links at the ends of the branches that move with respect to a link above them.
+        """Return the links at the ends of the branches that move relative to a link above them.
 
         Parameters
         ----------
@@ -187,7 +191,7 @@ class Tree:
 
         Raises
         ------
-        UnknownName : when there is no such link.
+        UnknownName : if the link does not exist.
         """
         if base not in self.child_joints:
             raise UnknownName.among(f"link of {self.file}", base, self.child_joints)
@@ -200,36 +204,44 @@ class Tree:
             waiting += [(joint.child, moves or joint.moves) for joint in reversed(below)]
         return tuple(tips)
 
-    def chain(self, base: str | None = None, tip: str | None = None, name: str | None = None) -> Robot:
-        """Return the serial arm from one link to another, upwards through the tree too.
+    def chain(
+        self,
+        base: str | None = None,
+        tip: str | None = None,
+        name: str | None = None,
+        lock: Mapping[str, float] | None = None,
+    ) -> Robot:
+        """Return the serial arm between two links; the path may lead upwards through the tree.
 
-        Frame `base` is that of the link `base`, the flange that of `tip`. Fixed joints are merged, and so are the
-        inertias and meshes of all links rigidly joined to a link of the arm; what hangs on other moving joints is left
-        out. Gravity is `GRAVITY` in the axes of the root. A joint that is passed from child to parent turns about the
-        opposite axis, so that its position stays what the file means by it. A joint that follows another keeps a
-        position of its own: see `mimic`. A speed or effort of 0 stands for none known, a limit of 1e9 or more for none.
-        An inertia whose largest principal moment is above the sum of the others, as in no body, is used with a warning.
-        What was assumed or left out stands in `Robot.source`.
+        The base frame is that of the link `base`; the flange frame is that of `tip`. Fixed joints are merged, as are
+        the inertias and meshes of all links rigidly attached to a link of the arm. Branches on other moving joints are
+        omitted, with a warning that states their mass. The home posture is a non-singular posture near the middle of
+        all ranges. Gravity is `GRAVITY` in the axes of the root. A joint traversed from child to parent rotates about
+        the opposite axis, so that its position keeps its meaning. A mimic joint keeps its own position; see `mimic`. A
+        speed or effort of 0 means unknown, a limit of 1e9 or more means unlimited. An inertia that violates the
+        triangle inequality is used with a warning, and one without a mass is omitted with a warning. `Robot.source`
+        lists all assumptions and omissions.
 
         Parameters
         ----------
-        base : name of the link that stands still; the root unless said.
-        tip : name of the link that moves last; need not be said where only one branch moves.
-        name : name of the robot; that of the file unless said.
+        base : name of the fixed link; default: the root.
+        tip : name of the last link; required if several branches move.
+        name : name of the robot; default: that of the file.
+        lock : positions [rad or m] of joints held there, by name; the links behind them keep their mass.
 
         Raises
         ------
-        UnknownName : when a link does not exist; lists those that do.
-        RobotError : when the tip is not said and several branches move, when nothing moves between the two, when a
-            joint between them is floating or planar, has no axis, no range or limits the wrong way round, or follows
-            one that does not exist, and when a link has the inertia of no body; names file and line. What is not part
-            of the arm does not matter.
+        UnknownName : if a link or a locked joint does not exist; lists the available ones.
+        RobotError : if the tip is missing and several branches move; when nothing moves between the two; when a joint
+            between them is floating or planar, has no axis, no range or reversed limits, or mimics a missing joint;
+            when the inertia of a link is not physically consistent. The message states the file and line. Other parts
+            of the file are not checked.
         """
 
-        return build_chain(self, base, tip, name)
+        return build_chain(_locked(self, lock) if lock else self, base, tip, name)
 
     def mimic(self, joint_names: Iterable[str]) -> Mimic:
-        """Return how the joints of a chain follow the free ones, those that follow none.
+        """Return the relation between the joints of a chain and the free (non-mimic) joints.
 
         Parameters
         ----------
@@ -237,8 +249,8 @@ class Tree:
 
         Raises
         ------
-        UnknownName : when the file has no such joint.
-        RobotError : when the names are no list.
+        UnknownName : if a joint does not exist.
+        RobotError : if the names are not a sequence.
         """
 
         return follow(self, joint_names)
@@ -248,12 +260,12 @@ class Tree:
 
 
 def fault(tree: Tree, part: Link | Joint, expected: str, got: object, advice: str = "") -> RobotError:
-    """Return the error that says what was expected of a link or joint, with file and line."""
+    """Return the error about a link or joint, with file and line."""
     return RobotError(f"Expected {expected} in {tree.file}, line {part.line}, got {got}.{advice and ' '}{advice}")
 
 
 def check_tree(tree: Tree) -> None:
-    """Raise `RobotError` unless links and joints are a tree with one root."""
+    """Raise `RobotError` unless links and joints form a tree with one root."""
     if not tree.links:
         raise RobotError(f"Expected at least one link in {tree.file}, got none.")
     _check_names(tree, tree.links, "link")
@@ -267,7 +279,7 @@ def _check_names(tree: Tree, parts: Sequence[Link | Joint], kind: str) -> None:
     for part in parts:
         if part.name in lines:
             got = f"{part.name!r} again, as in line {lines[part.name]}"
-            raise fault(tree, part, f"every {kind} to have a name of its own", got)
+            raise fault(tree, part, f"every {kind} to have a unique name", got)
         lines[part.name] = part.line
 
 
@@ -285,7 +297,7 @@ def _check_ends(tree: Tree) -> None:
         if joint.child in above:
             other = above[joint.child]
             got = f"joint {joint.name!r} beside {other.name!r} of line {other.line}"
-            advice = "A URDF is a tree: cut the loop at one of them."
+            advice = "A URDF must be a tree, so remove one of the joints."
             raise fault(tree, joint, f"one joint above link {joint.child!r}", got, advice)
         above[joint.child] = joint
 
@@ -295,14 +307,14 @@ def _check_roots(tree: Tree) -> None:
     roots = [link for link in tree.links if link.name not in below]
     if len(roots) > 1:
         others = ", ".join(f"{link.name!r} (line {link.line})" for link in roots)
-        raise fault(tree, roots[1], "one link that hangs on no other", others, "Join them by a fixed joint.")
+        raise fault(tree, roots[1], "one root link", others, "Connect them with a fixed joint.")
     reached, waiting = set(), [link.name for link in roots]
     while waiting:
         name = waiting.pop()
         reached.add(name)
         waiting += [joint.child for joint in tree.child_joints[name]]
     for joint in tree.joints:
-        if joint.child not in reached:  # every link has one joint above at most, so this one is on a loop or below it
+        if joint.child not in reached:  # every link has at most one parent joint, so this one is on or below a loop
             raise fault(tree, joint, "joints that lead away from one root", f"a loop through joint {joint.name!r}")
 
 
@@ -321,15 +333,15 @@ def follow(tree: Tree, joint_names: Iterable[str]) -> Mimic:
 
 
 def _leader(tree: Tree, joints: dict[str, Joint], joint: Joint) -> tuple[str, float, float]:
-    """Return the free joint that a joint follows in the end, itself if it is free, with factor and offset."""
+    """Return the free joint that a joint ultimately mimics (itself if it is free), with factor and offset."""
     multiplier, offset, passed = 1.0, 0.0, {joint.name}
     while joint.follows is not None:
         follows = joint.follows
         leader = joints.get(follows.joint)
         if leader is None or leader.kind in ("fixed", "floating", "planar") or leader.name in passed:
             why = "does not exist" if leader is None else f"is {leader.kind}"
-            got = f"{follows.joint!r}, which {'follows itself' if leader and leader.name in passed else why}"
-            raise fault(tree, joint, f"joint {joint.name!r} to follow a joint that turns or slides", got)
+            got = f"{follows.joint!r}, which {'mimics itself' if leader and leader.name in passed else why}"
+            raise fault(tree, joint, f"joint {joint.name!r} to mimic a revolute or prismatic joint", got)
         multiplier, offset = multiplier * follows.multiplier, offset + multiplier * follows.offset
         passed.add(leader.name)
         joint = leader
@@ -338,12 +350,28 @@ def _leader(tree: Tree, joints: dict[str, Joint], joint: Joint) -> tuple[str, fl
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A joint on the way, passed downwards or upwards, and the links that are rigidly joined behind it."""
+    """Joint on the path, traversed downwards or upwards, and the links rigidly attached behind it."""
 
-    joint: Joint  # the joint
-    # pose of the joint's armlab frame, z along the axis, in the frame of the joint before, or in the base
+    joint: Joint
+    # pose of the joint's armlab frame, z along the axis, in the frame of the previous joint, or in the base
     T_last_link: np.ndarray
-    T_link_body: dict[str, np.ndarray]  # pose in that frame of each link that moves with it
+    T_link_body: dict[str, np.ndarray]  # pose in that frame of each attached link
+
+
+def _locked(tree: Tree, lock: Mapping[str, float]) -> Tree:
+    """Return the tree with some joints locked at a position."""
+    found = {joint.name: joint for joint in tree.joints}
+    for name, value in lock.items():
+        if name not in found:
+            raise UnknownName.among(f"joint of {tree.file}", name, found)
+        joint, position = found[name], float(numbers(value, f"position of the locked joint {name!r}"))
+        if not joint.moves or not np.isfinite(position):
+            raise fault(tree, joint, f"a moving joint {name!r} to lock, and a number", f"{joint.kind}, {value!r}")
+        _check_axis(tree, joint)
+        axis = position * joint.axis / np.linalg.norm(joint.axis)
+        twist = np.concatenate([axis, np.zeros(3)] if joint.kind == "prismatic" else [np.zeros(3), axis])
+        found[name] = replace(joint, kind="fixed", T_parent_child=joint.T_parent_child @ se3.exp(twist), follows=None)
+    return replace(tree, joints=tuple(found.values()))
 
 
 def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None) -> Robot:
@@ -356,7 +384,7 @@ def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None)
     way = _way(tree, base, tip)
     joints = [joint for joint, _ in way if joint.moves]
     if not joints:
-        raise RobotError(f"Expected a joint that moves between {base!r} and {tip!r} of {tree.file}, got none.")
+        raise RobotError(f"Expected a moving joint between {base!r} and {tip!r} of {tree.file}, got none.")
     check_joint_count(tree.name if name is None else name, len(joints))
     for joint in joints:
         _check_joint(tree, joint)
@@ -366,7 +394,8 @@ def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None)
     inertias, massless = _inertias(tree, links, steps)
     gravity, assumed = _gravity(tree, base)
     groups = [_rigid(tree, base, np.eye(4)), *(step.T_link_body for step in steps)]
-    return from_links(
+    _warn_of_branches(tree, links, steps)
+    robot = from_links(
         tree.name if name is None else name,
         np.array([*(step.T_last_link for step in steps), T_last_tip]),
         [joint.kind == "prismatic" for joint in joints],
@@ -386,22 +415,24 @@ def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None)
             for group in groups
         ],
         source=_source(tree, base, tip, steps, massless, assumed),
+        drives={key: [getattr(joint, key) for joint in joints] for key in ("friction", "damping")},
     )
+    return replace(robot, q_home=dexterous_home(robot))
 
 
 def _only_tip(tree: Tree, base: str) -> str:
     tips = tree.tips_below(base)
     if len(tips) != 1:
         more = f" and {len(tips) - 20} more" if len(tips) > 20 else ""
-        got = f"several: {', '.join(tips[:20])}{more}. Say which is the tip" if tips else "none"
-        raise RobotError(f"Expected one branch that moves below link {base!r} of {tree.file}, got {got}.")
+        got = f"several: {', '.join(tips[:20])}{more}. Select the tip with --tip LINK or tip=" if tips else "none"
+        raise RobotError(f"Expected one moving branch below link {base!r} of {tree.file}, got {got}.")
     return tips[0]
 
 
 def _way(tree: Tree, base: str, tip: str) -> list[tuple[Joint, bool]]:
-    """Return the joints from base to tip, each with whether it is passed upwards, from child to parent."""
+    """Return the joints from base to tip, each with True if it is traversed upwards, from child to parent."""
     above_base, above_tip = _ancestry(tree, base), _ancestry(tree, tip)
-    while above_base and above_tip and above_base[-1] is above_tip[-1]:  # the way to the root that both share
+    while above_base and above_tip and above_base[-1] is above_tip[-1]:  # common path to the root
         above_base.pop()
         above_tip.pop()
     return [*((joint, True) for joint in above_base), *((joint, False) for joint in reversed(above_tip))]
@@ -416,7 +447,7 @@ def _ancestry(tree: Tree, link: str) -> list[Joint]:
 
 
 def _steps(tree: Tree, way: list[tuple[Joint, bool]]) -> tuple[list[Step], np.ndarray]:
-    """Merge the fixed joints; return the moving ones and the pose of the tip in the frame of the last."""
+    """Merge the fixed joints; return the moving joints and the pose of the tip in the frame of the last one."""
     turns = iter(se3.from_rp(frames_along(np.array([joint.axis for joint, _ in way if joint.moves]))))
     steps, T = [], np.eye(4)
     for joint, upwards in way:
@@ -433,7 +464,7 @@ def _steps(tree: Tree, way: list[tuple[Joint, bool]]) -> tuple[list[Step], np.nd
 
 
 def _rigid(tree: Tree, link: str, T: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the poses of all links that are rigidly joined to a link at pose T, itself first."""
+    """Return the poses of all links rigidly attached to a link at pose T, starting with the link itself."""
     poses, waiting = {}, [(link, T)]
     while waiting:
         name, T = waiting.pop()
@@ -447,18 +478,22 @@ def _rigid(tree: Tree, link: str, T: np.ndarray) -> dict[str, np.ndarray]:
     return poses
 
 
-def _check_joint(tree: Tree, joint: Joint) -> None:
+def _check_axis(tree: Tree, joint: Joint) -> None:
     if joint.kind in ("floating", "planar"):
-        advice = "Choose base and tip on one side of it."
+        advice = "Choose base and tip on the same side of this joint."
         raise fault(
-            tree, joint, "joints of one degree of freedom in an arm", f"{joint.kind} joint {joint.name!r}", advice
+            tree, joint, "joints with one degree of freedom in an arm", f"{joint.kind} joint {joint.name!r}", advice
         )
     if not np.linalg.norm(joint.axis) > SHORTEST_AXIS:
         expected = f"the direction of the axis of joint {joint.name!r}"
-        raise fault(tree, joint, expected, joint.axis.tolist(), "Write one other than zero.")
+        raise fault(tree, joint, expected, joint.axis.tolist(), "Use a non-zero direction.")
+
+
+def _check_joint(tree: Tree, joint: Joint) -> None:
+    _check_axis(tree, joint)
     if not joint.q_min < joint.q_max:
-        got = f"{joint.q_min:g} and {joint.q_max:g} (what is not written is 0)"
-        advice = "Write its range, or make it `fixed`, or `continuous` if it turns without end."
+        got = f"{joint.q_min:g} and {joint.q_max:g} (missing values are 0)"
+        advice = "Specify its range, or make it `fixed`, or `continuous` if its rotation is unlimited."
         raise fault(tree, joint, f"lower below upper in joint {joint.name!r}", got, advice)
     if joint.qd_max < 0 or joint.tau_max < 0:
         got = f"velocity {joint.qd_max:g} and effort {joint.tau_max:g}"
@@ -466,27 +501,36 @@ def _check_joint(tree: Tree, joint: Joint) -> None:
 
 
 def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np.ndarray | None, list[str]]:
-    """Return the inertias (n, 10), None if the file has none, and the joints behind which no mass is known."""
-    inertias, massless, odd = np.zeros((len(steps), 10)), [], []
+    """Return the inertias (n, 10), or None if the file has none, and the joints without known mass behind them."""
+    inertias, massless, odd, weightless = np.zeros((len(steps), 10)), [], [], []
     for pi, step in zip(inertias, steps):
         for name, T in step.T_link_body.items():
             body = links[name].inertia
             if body is None:
                 continue
+            if body[0] == 0:
+                weightless.append(f"{name!r} (line {links[name].line})")
+                continue
             wrong = body_fault(body)
             if wrong:
-                advice = "Correct it, or remove <inertial> where nothing is known."
-                raise fault(tree, links[name], f"mass and inertia of a body in link {name!r}", wrong, advice)
+                advice = "Correct it, or remove <inertial> where it is unknown."
+                raise fault(tree, links[name], f"a physically consistent inertia in link {name!r}", wrong, advice)
             pi += inertia.transform(T, body)
             moments = inertia.principal_moments(body)
             if moments[2] > (1 + ROUNDING) * (moments[0] + moments[1]):
                 odd.append(f"{name!r} (line {links[name].line})")
         if not pi[0]:
             massless.append(step.joint.name)
+    if weightless:
+        warnings.warn(
+            f"Expected a mass with every inertia in {tree.file}, got mass 0 in {', '.join(weightless)}. These links "
+            "are used without inertia.",
+            stacklevel=4,
+        )
     if odd:
         warnings.warn(
-            f"Expected of every inertia in {tree.file} that no principal moment exceeds the sum of the others, as in "
-            f"every body; got more at {', '.join(odd)}. They are used as they are; MuJoCo refuses them.",
+            f"Expected principal moments of every inertia in {tree.file} to satisfy the triangle inequality, got "
+            f"violations at {', '.join(odd)}. They are used unchanged.",
             UserWarning,
             stacklevel=4,
         )
@@ -494,7 +538,9 @@ def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np
 
 
 def _gravity(tree: Tree, base: str) -> tuple[np.ndarray, str]:
-    """Return gravity in base axes, the root being upright and joints above the base at 0, and these words."""
+    """Return gravity in base axes, assuming an upright root and joints above the base at 0, and this assumption as
+    text.
+    """
     R, moving = np.eye(3), []
     for joint in _ancestry(tree, base):
         R = joint.T_parent_child[:3, :3] @ R
@@ -504,24 +550,50 @@ def _gravity(tree: Tree, base: str) -> tuple[np.ndarray, str]:
 
 
 def _source(tree: Tree, base: str, tip: str, steps: list[Step], massless: list[str], gravity: str) -> str:
-    """Return line by line where the numbers come from, and what was left out."""
+    """Return the sources of the numbers and the omissions, one per line."""
     passed = {step.joint.name for step in steps}
     notes = {
         "geometry": f"{Path(tree.file).name}, from {base!r} to {tip!r}",
         "gravity": gravity,
         "accelerations": "assumption: full speed in 0.1 s",
         "no mass known behind": ", ".join(massless),
-        "left out, behind joints": ", ".join(_side_branches(tree, steps, passed)),
+        "omitted, behind joints": ", ".join(_side_branches(tree, steps, passed)),
         "follow other joints": ", ".join(step.joint.name for step in steps if step.joint.follows),
     }
     return "\n".join(f"{key}: {text}" for key, text in notes.items() if text)
 
 
-def _side_branches(tree: Tree, steps: list[Step], passed: Iterable[str]) -> list[str]:
-    """Return the moving joints that hang on the arm and are no part of it."""
+def _side_branches(tree: Tree, steps: list[Step], passed: Iterable[str]) -> dict[str, str]:
+    """Return the moving joints that branch off the arm, each with the link behind it."""
     found = {}
     for step in steps:
         for name in step.T_link_body:
-            joints = [*tree.child_joints[name], *filter(None, [tree.parent_joints.get(name)])]
-            found |= {joint.name: None for joint in joints if joint.moves and joint.name not in passed}
-    return list(found)
+            below = {joint.name: joint.child for joint in tree.child_joints[name] if joint.moves}
+            above = tree.parent_joints.get(name)
+            found |= below | ({above.name: above.parent} if above and above.moves else {})
+    return {joint: link for joint, link in found.items() if joint not in passed}
+
+
+def _warn_of_branches(tree: Tree, links: dict[str, Link], steps: list[Step]) -> None:
+    """Warn about the mass of each omitted branch that moves with the arm."""
+    masses = {}
+    for joint, first in _side_branches(tree, steps, {step.joint.name for step in steps}).items():
+        reached, waiting = set(), [first]
+        while waiting:
+            link = waiting.pop()
+            reached.add(link)
+            above = tree.parent_joints.get(link)
+            ends = [one.child for one in tree.child_joints[link] if one.name != joint]
+            ends += [above.parent] if above and above.name != joint else []
+            waiting += [end for end in ends if end not in reached]
+        bodies = [links[link].inertia for link in reached]
+        masses[joint] = sum(float(pi[0]) for pi in bodies if pi is not None)
+    heavy = {joint: mass for joint, mass in masses.items() if mass > 0}
+    if heavy:
+        words = ", ".join(f"{mass:.3g} kg behind {joint}" for joint, mass in heavy.items())
+        locks = " ".join(f"--lock {joint}=0" for joint in heavy)
+        warnings.warn(
+            f"The arm of {tree.file} omits {words}. To keep the mass, lock the joints ({locks}, or lock= in Python).",
+            UserWarning,
+            stacklevel=5,
+        )

@@ -1,9 +1,9 @@
-"""`Robot` to the text of a URDF that describes the same arm."""
+"""Write a `Robot` as URDF."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -17,24 +17,35 @@ from armlab.robots.robot import Mesh, Robot
 _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-def write_urdf(robot: Robot) -> str:
-    """Return the URDF of a robot, with what URDF cannot say in a comment at the top."""
+def write_urdf(
+    robot: Robot, friction: Sequence[tuple[float, float]] = (), more: Mapping[str, str] | None = None, prefix: str = ""
+) -> str:
+    """Return the URDF of a robot; a comment at the top contains the fields that URDF cannot express, and `more`.
+
+    `friction`: damping [N m s/rad] and Coulomb friction [N m] of each joint; default: those of the
+    robot's drives. `prefix` is prepended to the name of each link.
+    """
     _check_text(robot)
-    links = ["mount", *(f"link_{i + 1}" for i in range(robot.n))]
+    drives = dict(robot.drives)
+    if not friction and ("damping" in drives or "friction" in drives):
+        none = (0.0,) * robot.n
+        friction = list(zip(drives.get("damping", none), drives.get("friction", none)))
+    base, flange, tool = (f"{prefix}{name}" for name in ("base", "flange", "tool"))
+    links = [f"{prefix}mount", *(f"{prefix}link_{i + 1}" for i in range(robot.n))]
     lines = [
         '<?xml version="1.0" encoding="utf-8"?>',
-        _comment(robot),
+        _comment(robot, more or {}),
         f"<robot name={quoteattr(robot.name)}>",
-        '  <link name="base"/>',
-        *_fixed("base", "mount", robot.T_base_mount, robot),
+        f"  <link name={quoteattr(base)}/>",
+        *_fixed(base, links[0], robot.T_base_mount, robot),
     ]
     for i, link in enumerate(links):
         lines += _link(robot, i, link)
         if i < robot.n:
-            lines += _joint(robot, i, link, links[i + 1])
-    lines += _fixed(links[-1], "flange", robot.links[-1], robot)
-    lines += ['  <link name="flange"/>', *_fixed("flange", "tool", robot.T_flange_tool, robot)]
-    return "\n".join([*lines, '  <link name="tool"/>', "</robot>", ""])
+            lines += _joint(robot, i, link, links[i + 1], friction[i] if friction else None)
+    lines += _fixed(links[-1], flange, robot.links[-1], robot)
+    lines += [f"  <link name={quoteattr(flange)}/>", *_fixed(flange, tool, robot.T_flange_tool, robot)]
+    return "\n".join([*lines, f"  <link name={quoteattr(tool)}/>", "</robot>", ""])
 
 
 def _check_text(robot: Robot) -> None:
@@ -44,8 +55,8 @@ def _check_text(robot: Robot) -> None:
             raise RobotError(f"Expected text that XML can hold in robot {robot.name!r}, got {text!r}. Rename it.")
 
 
-def _comment(robot: Robot) -> str:
-    """Return what URDF cannot hold, for the reader."""
+def _comment(robot: Robot, more: Mapping[str, str]) -> str:
+    """Return the comment with the fields that URDF cannot express."""
     facts = {
         "gravity in the axes of base [m/s^2]": _numbers(robot.gravity),
         "home": _numbers(robot.q_home),
@@ -54,7 +65,9 @@ def _comment(robot: Robot) -> str:
         "ABB's axes": " ".join(map(str, robot.abb_axes)),
         "side": robot.side,
         "limits of 1e9": "none" if _has_unlimited(robot) else "",
+        **{f"drives: {key}": _numbers(values) for key, values in robot.drives if key not in ("damping", "friction")},
         "source": robot.source,
+        **more,
     }
     plain = {
         "gears G, q = G q_motor": np.array_equal(robot.coupling, np.eye(robot.n)),
@@ -62,7 +75,7 @@ def _comment(robot: Robot) -> str:
         "ABB's axes": robot.abb_axes == tuple(range(1, robot.n + 1)),
     }
     said = [f"{name}: {text}" for name, text in facts.items() if text and not plain.get(name)]
-    text = "\n".join(["Written by armlab. URDF has no place for:", *said])
+    text = "\n".join(["Written by armlab. Fields that URDF cannot express:", *said])
     while "--" in text:  # not allowed inside a comment
         text = text.replace("--", "- -")
     return f"<!-- {text} -->"
@@ -81,7 +94,7 @@ def _kind(robot: Robot, i: int) -> str:
     return "continuous" if np.isinf([robot.q_min[i], robot.q_max[i]]).all() else "revolute"
 
 
-def _joint(robot: Robot, i: int, parent: str, child: str) -> list[str]:
+def _joint(robot: Robot, i: int, parent: str, child: str, friction: tuple[float, float] | None) -> list[str]:
     kind = _kind(robot, i)
     limits = {"effort": robot.tau_max[i], "velocity": robot.qd_max[i]}
     if kind != "continuous":
@@ -94,12 +107,13 @@ def _joint(robot: Robot, i: int, parent: str, child: str) -> list[str]:
         f"    {_origin(robot.links[i])}",
         '    <axis xyz="0 0 1"/>',
         f"    <limit {words}/>",
+        *([f'    <dynamics damping="{_number(friction[0])}" friction="{_number(friction[1])}"/>'] if friction else []),
         "  </joint>",
     ]
 
 
 def _limit(value: float) -> str:
-    """URDF has no word for infinity: 1e9 [rad, m, rad/s, m/s, N m, N] stands for it, and is read back as it."""
+    """URDF has no infinity, so 1e9 [rad, m, rad/s, m/s, N m, N] represents it and is read back as infinite."""
     return _number(value) if np.isfinite(value) else ("1e9" if value > 0 else "-1e9")
 
 

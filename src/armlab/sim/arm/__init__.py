@@ -1,3 +1,3 @@
-"""The simulated arm: rigid bodies, drives, friction, sensors, synthetic truth."""
+"""Simulated arm: rigid bodies, drives, friction, sensors, synthetic truth."""
 
 __all__ = []

@@ -1,15 +1,38 @@
-"""`SimulatedArm`: MuJoCo's rigid bodies, our drives and friction. `LaggingArm`: no masses. `record`: a log of an arm.
+"""`SimulatedArm`: rigid bodies, drives and friction. `LaggingArm`: kinematic only. `record`: log of a motion.
 
-Leapfrog steps, positions and velocities half a step apart, keep the stiff friction springs stable::
+Leapfrog steps, with positions and velocities half a step apart, keep the stiff friction springs stable::
 
     v_k = v_{k-1/2} + a_{k-1} h/2,   M a_k = tau - C v_k - G - F_f + J^T F,   v_{k+1/2} = v_{k-1/2} + a_k h,
     q_{k+1} = q_k + v_{k+1/2} h
 
-A packet reports the beginning of the last step of its period: exactly a solution of the equation of motion, to which
-the sensors add elastic gears (compliance c), delay d, noise, quantisation and gains g, see `Mismatch`::
+A packet reports the start of the last step of its period, which satisfies the equation of motion exactly. The sensors
+add elastic gears (compliance c), delay d, noise, quantisation and gains g (see `Mismatch`)::
 
-    q   = g_q  round(q + c tau_link),         tau_link = tau - F_f - rotor qdd, what the gear carries
+    q   = g_q  round(q + c tau_link),         tau_link = tau - F_f - rotor qdd, torque through the gear
     tau = g_tau round(tau_{k-d} + noise)
+
+Parameter values: docs/theory/simulated_arm.md.
+
+The drive is a position loop around a velocity loop with integral action. It runs per joint at every physics step h,
+with the nominal inertia J at the home posture. The research extension scales both gains (default 1) and adds a torque
+(default 0)::
+
+    e   = gain_qd (v_ref - v) + gain_q POSITION_GAIN (q_ref - q),   I += gain_q h e / INTEGRAL_TIME
+    tau = J (gain_qd a_ref + VELOCITY_GAIN (e + gain_q I)) + feedforward (C v + G) + tau_added,   |tau| <= tau_max
+
+Integration stops while the torque is saturated. In the drive, position and velocity have no quantisation or noise.
+
+Friction (LuGre): between reversals the bristle force f relaxes over distance; for constant v in a step, exactly by
+``f' = s g + (f - s g) exp(-(c / delta) |dq| / g)`` with ``g = c (1 + (ratio - 1) exp(-(v / vs)^2))``, s the sign of v,
+and c the Coulomb friction in that direction. The torque against motion also contains ``viscous v + offset + ripple
+sin(cycles q + phase)``.
+
+`WornFriction` also depends on temperature, load and time, each controlled by a parameter of `Mismatch`::
+
+    viscous  (1 - warm_up x),             dx/dt = (|F_f qd| / P - x) / 12 min,    P the power at a quarter of full speed
+    c        + k |tau_link|,              tau_link = tau - F_f - rotor qdd, 0 <= k < load_friction of each joint
+    offset   + a sin(w t) + b cos(w t),   |a|, |b| < offset_drift tau_max, w = 2 pi / 100 s
+    phase  + ripple_jump (1 - s) / 2,     s the bristle force over Coulomb friction: from 1 forward to -1 backward
 """
 
 from __future__ import annotations
@@ -18,16 +41,15 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from armlab.errors import ConfigError, RobotError, ShapeError
-from armlab.robots import Robot, inertia
+from armlab.kernels import RigidBody
+from armlab.robots import Robot
 from armlab.robots.build import from_dh
-from armlab.sim.arm.joints import JointDrives, JointFriction, WornFriction
-from armlab.sim.arm.mismatch import Mismatch, built_robot, built_truth, position_gain, torque_gain
+from armlab.sim.arm.mismatch import Mismatch, built_robot, built_truth, draw, load_share, position_gain, torque_gain
 from armlab.sim.arm.truth import Truth
 
 if TYPE_CHECKING:
@@ -35,14 +57,143 @@ if TYPE_CHECKING:
     from armlab.log import Table
 
 
+POSITION_GAIN = 25.0  # 1/s
+VELOCITY_GAIN = 150.0  # 1/s
+INTEGRAL_TIME = 0.05  # s
+
+
+class JointDrives:
+    """Drives of all joints: inertia with rotors [kg m^2], feedforward share of the bias, time between calls [s]."""
+
+    gravity: np.ndarray
+    saturated: int
+
+    def __init__(self, inertia: np.ndarray, tau_max: np.ndarray, feedforward: np.ndarray, step: float) -> None:
+        self._inertia, self._feedforward = inertia, feedforward
+        self._tau_max, self._tau_min = tau_max, -tau_max
+        self._gain = inertia * VELOCITY_GAIN
+        self._rate = step / INTEGRAL_TIME
+        self._integral, self.gravity = np.zeros((2, len(inertia)))
+        self.saturated = 0
+        self.alone()
+
+    def assist(self, tau: np.ndarray, gain_q: np.ndarray, gain_qd: np.ndarray) -> None:
+        """Set the added torque (n,) [N m] and the scales of the position and velocity gains (n,)."""
+        self._added = (tau, gain_q, gain_qd)
+
+    def alone(self) -> None:
+        """Use the drive's own gains and no added torque."""
+        self._added = np.zeros_like(self._inertia), np.ones_like(self._inertia), np.ones_like(self._inertia)
+
+    def reset(self, holding: np.ndarray, bias: np.ndarray) -> None:
+        """Set the integral so that the torque is `holding` at rest on the reference; `bias` is the gravity torque [N
+        m].
+        """
+        self._integral[:] = (holding - self._feedforward * bias) / self._gain
+
+    def torque(
+        self,
+        q_ref: np.ndarray,
+        qd_ref: np.ndarray,
+        qdd_ref: np.ndarray,
+        q: np.ndarray,
+        qd: np.ndarray,
+        bias: np.ndarray,
+        out: np.ndarray,
+    ) -> np.ndarray:
+        """Write the torque of this step to `out` and return it; part of the true `bias` [N m] is fed forward."""
+        tau, gain_q, gain_qd = self._added
+        error = gain_q * (POSITION_GAIN * (q_ref - q)) + gain_qd * qd_ref - gain_qd * qd
+        growth = error * (self._rate * gain_q)
+        self._integral += growth
+        self.gravity[:] = self._feedforward * bias
+        wanted = self._gain * (error + gain_q * self._integral) + gain_qd * self._inertia * qdd_ref + tau + self.gravity
+        np.maximum(np.minimum(wanted, self._tau_max), self._tau_min, out=out)
+        beyond = out != wanted
+        if beyond.any():
+            self._integral[beyond] -= growth[beyond]
+            self.saturated += 1
+        return out
+
+
+class JointFriction:
+    """Friction state of all joints."""
+
+    def __init__(self, truth: Truth) -> None:
+        self._truth = truth
+        n = len(truth.viscous)
+        self.bristle: np.ndarray = np.zeros(n)
+        self._excess = truth.static_ratio - 1.0
+        self._rate = -1.0 / truth.delta
+        self._speed_scale = 1.0 / truth.stribeck_speed
+        self._mean = 0.5 * (truth.coulomb_pos + truth.coulomb_neg)
+        self._skew = 0.5 * (truth.coulomb_pos - truth.coulomb_neg)
+        self._viscous, self._phase, self._offset = truth.viscous, truth.ripple_phase, truth.offset
+
+    def reset(self) -> None:
+        """Unload the bristles."""
+        self.bristle[:] = 0.0
+
+    def advance(self, dq: np.ndarray, qd: np.ndarray) -> None:
+        """Advance the bristles by `dq` [rad] at velocity `qd` [rad/s]."""
+        ratio = 1.0 + self._excess * np.exp(-np.square(qd * self._speed_scale))
+        sign = np.sign(dq)
+        # s c = mean s + skew for both signs, because c_pos = mean + skew and c_neg = mean - skew
+        sliding = (self._mean * sign + self._skew) * ratio
+        self.bristle[:] = (self.bristle - sliding) * np.exp(dq * sign * self._rate / ratio) + sliding
+
+    def torque(self, q: np.ndarray, qd: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """Write the friction torque against motion [N m], including ripple, to `out` and return it."""
+        truth = self._truth
+        ripple = truth.ripple * np.sin(q * truth.ripple_cycles + self._phase)
+        out[:] = qd * self._viscous + self.bristle + self._offset + ripple
+        return out
+
+
+WARM_TIME = 720.0  # s
+DRIFT = 2.0 * np.pi / 100.0  # rad/s, frequency of the offset drift
+WARM_SPEED = 0.25  # share of the speed limit at which friction warms the drive to 1
+
+
+class WornFriction(JointFriction):
+    """Friction state of all joints with temperature; `load` (n,), the torque to the links, is read at every step."""
+
+    warmth: np.ndarray
+
+    def __init__(self, truth: Truth, mismatch: Mismatch, step: float, load: np.ndarray) -> None:
+        super().__init__(truth)
+        self._mismatch, self._step, self._load = mismatch, step, load
+        self._cold = self._mean.copy()
+        coulomb = np.where(self._mean > 0, self._mean, 1.0)
+        speed = np.divide(coulomb, truth.viscous, out=np.full_like(coulomb, np.inf), where=truth.viscous > 0)
+        self._full = coulomb
+        self._power = WARM_SPEED * (1.0 + WARM_SPEED) * coulomb * speed
+        self.warmth = np.zeros_like(coulomb)
+        self._of_load = load_share(mismatch, len(coulomb))
+        self._swing, self._time = draw(mismatch, "offset_drift", 2, len(coulomb)) * truth.tau_max, 0.0
+
+    def advance(self, dq: np.ndarray, qd: np.ndarray) -> None:
+        """Advance the bristles by `dq` [rad] at velocity `qd` [rad/s], and warm the drives."""
+        self._mean = self._cold + self._of_load * np.abs(self._load)
+        self._time += self._step
+        angle = DRIFT * self._time
+        self._offset = self._truth.offset + np.sin(angle) * self._swing[0] + np.cos(angle) * self._swing[1]
+        super().advance(dq, qd)
+        heat = np.abs((self.bristle + self._viscous * qd) * qd) / self._power
+        self.warmth += self._step / WARM_TIME * (heat - self.warmth)
+        self._viscous = self._truth.viscous * (1.0 - self._mismatch.warm_up * np.minimum(self.warmth, 1.0))
+        forward = np.clip(self.bristle / self._full, -1.0, 1.0)
+        self._phase = self._truth.ripple_phase + self._mismatch.ripple_jump * 0.5 * (1.0 - forward)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueState:
-    """The exact state at one instant. Over the wire goes only what drives know of themselves: command, `tau_gravity`.
+    """Exact state at one instant. Only the command and `tau_gravity`, known to the drives, are sent.
 
-    `q`, `qd`, `qdd`: (n,) position, velocity, acceleration. `tau`: (n,) torque of the drives, joint side.
-    `tau_friction`: (n,) friction and ripple, counted against motion. `tau_gravity`: (n,) what the drives feed forward.
-    `q_ref`: (n,) reference of the drives. `wrench`: (6,) by the environment on the robot, base axes, at the tool point.
-    `T_base_tool`: (4, 4) pose of the tool.
+    `q`, `qd`, `qdd`: (n,) position, velocity, acceleration. `tau`: (n,) drive torque, joint side. `tau_friction`: (n,)
+    friction and ripple, against motion. `tau_gravity`: (n,) feedforward of the drives. `q_ref`: (n,) reference of the
+    drives. `wrench`: (6,) exerted by the environment on the robot, base axes, at the tool point. `T_base_tool`: (4, 4)
+    pose of the tool.
     """
 
     q: np.ndarray
@@ -58,7 +209,7 @@ class TrueState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorReading:
-    """What the sensors report of one instant, noise and quantisation included: position, velocity, torque (n,)."""
+    """Sensor readings at one instant, with noise and quantisation: position, velocity, torque (n,)."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -79,12 +230,12 @@ class Sensors:
         self._sample: TrueState | None = None
 
     def reset(self) -> None:
-        """Forget what was seen."""
+        """Clear the history."""
         self._torques.clear()
         self._sample = None
 
     def see(self, sample: TrueState) -> None:
-        """Receive the exact state of one instant; call once per instant, in order."""
+        """Receive the exact state; called once per instant, in order."""
         self._torques.append(sample.tau)
         carried = sample.tau - sample.tau_friction - self._truth.rotor * sample.qdd
         before, self._stretch = self._stretch, self._compliance * carried
@@ -92,10 +243,10 @@ class Sensors:
         self._sample = sample
 
     def measure(self) -> SensorReading:
-        """Return what the sensors report of the last instant, with fresh noise."""
+        """Return the readings of the last instant, with fresh noise."""
         sample, truth = self._sample, self._truth
         if sample is None:
-            raise ConfigError("Expected an instant to measure, got none. Call see first.")
+            raise ConfigError("Expected an exact state to measure, got none. Call see() first.")
         noise = self._noise.standard_normal((2, len(truth.pi)))
         q = _quantise(sample.q + self._stretch, truth.q_step)
         qd = sample.qd + self._stretching + truth.qd_noise * noise[0]
@@ -105,7 +256,7 @@ class Sensors:
 
 
 def _quantise(value: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Round to multiples of `step`; a step of zero leaves the value."""
+    """Round to multiples of `step`; zero disables rounding."""
     return np.where(step > 0, np.rint(value / np.where(step > 0, step, 1.0)) * step, value)
 
 
@@ -117,26 +268,32 @@ class SimulatedArm:
 
     Parameters
     ----------
-    robot : the description; its frames, gravity and home posture are used.
-    truth : the synthetic parameters.
+    robot : robot description; its frames, gravity and home posture are used.
+    truth : synthetic parameters.
     period : time between two packets [s].
-    q : (n,) posture to start from; the robot's home by default.
-    seed : of the measurement noise.
-    mismatch : how the arm differs from description and truth; not at all by default.
+    q : (n,) start posture; default: the robot's home.
+    seed : seed of the measurement noise.
+    mismatch : differences from description and truth; default: none.
 
     Attributes
     ----------
-    robot : the description.
+    robot : robot description.
     built : the arm that moves.
-    truth : its parameters, mismatch included.
-    sample : the exact state at the last instant.
+    truth : its parameters, including the mismatch.
+    sample : exact state at the last instant.
     has_torque : True.
 
     Raises
     ------
-    ShapeError : when truth or posture have another number of joints.
-    ConfigError : when the period is not between 0.1 ms and 1 s.
+    ShapeError : if truth or posture have the wrong number of joints.
+    ConfigError : if the period is not between 0.1 ms and 1 s.
     """
+
+    mismatch: Mismatch
+    robot: Robot
+    built: Robot
+    period: float
+    truth: Truth
 
     has_torque = True
 
@@ -159,28 +316,26 @@ class SimulatedArm:
         self.mismatch = mismatch = mismatch or Mismatch()
         self.robot, self.built, self.period = robot, built_robot(mismatch, robot), period
         self.truth = truth = built_truth(mismatch, truth, self.built)
-        self.steps = math.ceil(period / LONGEST_STEP - 1e-9)
-        self.step_time = period / self.steps
-        mujoco: Any = import_module("mujoco")  # its bindings have no types
-        self._mj = mujoco
-        self._model = build_model(self.built, truth)
-        self._data = mujoco.MjData(self._model)
-        data = self._data  # the next five are views: no copies between the physics and us
-        self._q, self._qd, self._bias = data.qpos, data.qvel, data.qfrc_bias
-        self._applied, self._smooth = data.qfrc_applied, data.qacc_smooth
-        self._tool = data.site_xpos[0], data.site_xmat[0].reshape(3, 3)
-        self._half = np.zeros(robot.n)  # velocity half a step ago
+        self.steps: int = math.ceil(period / LONGEST_STEP - 1e-9)
+        self.step_time: float = period / self.steps
+        self._body = RigidBody(self.built.chain, robot.gravity, truth.pi, np.diag(truth.rotor))
+        self._still = np.zeros(robot.n)
+        self._q, self._qd, self._bias, self._applied = np.zeros((4, robot.n))
+        self._half = np.zeros(robot.n)  # velocity half a step earlier
         self._qdd = np.zeros(robot.n)
         self._dq, self._tau, self._tau_friction, self._load = np.zeros((4, robot.n))
         self._sensors = Sensors(truth, mismatch, period, seed)
         worn = mismatch.warm_up or mismatch.load_friction or mismatch.ripple_jump or mismatch.offset_drift
-        self.friction = WornFriction(truth, mismatch, self.step_time, self._load) if worn else JointFriction(truth)
-        self.drive = JointDrives(self._inertia(robot.q_home), truth.tau_max, truth.feedforward, self.step_time)
+        self.friction: WornFriction | JointFriction = (
+            WornFriction(truth, mismatch, self.step_time, self._load) if worn else JointFriction(truth)
+        )
+        J = np.diag(self._body.mass_matrix(robot.q_home)).copy()
+        self.drive: JointDrives = JointDrives(J, truth.tau_max, truth.feedforward, self.step_time)
         self.sample: TrueState
         self.place(robot.q_home if q is None else q)
 
     def place(self, q: np.ndarray) -> None:
-        """Put the arm at rest at `q`, held there by the drives alone.
+        """Set the arm to rest at `q`, held by the drives.
 
         Parameters
         ----------
@@ -188,33 +343,22 @@ class SimulatedArm:
 
         Raises
         ------
-        ShapeError : when the shape is wrong or a value is not finite.
+        ShapeError : if the shape is wrong or a value is not finite.
         """
         q = np.array(q, dtype=np.float64)
         if q.shape != (self.robot.n,) or not np.isfinite(q).all():
             raise ShapeError(f"Expected a finite posture of shape ({self.robot.n},), got shape {q.shape}.")
         self._q[:], self._qd[:], self._half[:], self._qdd[:] = q, 0.0, 0.0, 0.0
-        self._mj.mj_forward(self._model, self._data)
+        self._body.rnea(self._q, self._qd, self._still, out=self._bias)
         self.friction.reset()
-        holding = self.friction.torque(self._q, self._qd, np.empty_like(q)) + self._data.qfrc_bias
-        self.drive.reset(holding, self._data.qfrc_bias)
+        holding = self.friction.torque(self._q, self._qd, np.empty_like(q)) + self._bias
+        self.drive.reset(holding, self._bias)
         self._q_ref, self._qd_ref = q, np.zeros_like(q)
         self._sensors.reset()
         self.step(q, self._qd_ref, None)
 
-    def _inertia(self, q: np.ndarray) -> np.ndarray:
-        """Return the diagonal (n,) of the mass matrix at `q`, rotors included [kg m^2]."""
-        data, column = self._mj.MjData(self._model), np.empty(self.robot.n)
-        data.qpos[:] = q
-        self._mj.mj_forward(self._model, data)
-        diagonal = np.empty(self.robot.n)
-        for i, unit in enumerate(np.eye(self.robot.n)):
-            self._mj.mj_mulM(self._model, data, column, unit)
-            diagonal[i] = column[i]
-        return diagonal
-
     def step(self, q_ref: np.ndarray, qd_ref: np.ndarray, wrench: np.ndarray | None) -> None:
-        """Advance by one period while the reference moves evenly from its last value to this one.
+        """Advance by one period while the reference moves linearly to the new value.
 
         Parameters
         ----------
@@ -237,28 +381,24 @@ class SimulatedArm:
         self._q_ref, self._qd_ref = q_ref.copy(), qd_ref.copy()
 
     def measure(self) -> SensorReading:
-        """Return what the sensors report of the sampled instant, with fresh noise."""
+        """Return the sensor readings of the last sample, with fresh noise."""
         return self._sensors.measure()
 
     def _advance(self, q_ref: np.ndarray, qd_ref: np.ndarray, qdd_ref: np.ndarray, wrench: np.ndarray | None) -> None:
-        """Evaluate torques and accelerations at this instant."""
-        mj, model, data, half = self._mj, self._model, self._data, self.step_time / 2
-        np.multiply(self._qdd, half, out=self._qd)
+        """Compute torques and accelerations at this instant."""
+        np.multiply(self._qdd, self.step_time / 2, out=self._qd)
         self._qd += self._half
-        mj.mj_fwdPosition(model, data)
-        mj.mj_fwdVelocity(model, data)
-        self.drive.torque(q_ref, qd_ref, qdd_ref, self._q, self._qd, self._bias, self._tau)
-        self.friction.torque(self._q, self._qd, self._tau_friction)
+        q, qd = self._q, self._qd
+        self._body.rnea(q, qd, self._still, out=self._bias)
+        self.drive.torque(q_ref, qd_ref, qdd_ref, q, qd, self._bias, self._tau)
+        self.friction.torque(q, qd, self._tau_friction)
         np.subtract(self._tau, self._tau_friction, out=self._applied)
-        if wrench is not None:
-            mj.mj_applyFT(model, data, wrench[:3], wrench[3:], self._tool[0], self.robot.n, self._applied)
-        mj.mj_fwdAcceleration(model, data)
-        self._qdd[:] = self._smooth
+        self._body.forward_dynamics(q, qd, self._applied, wrench, out=self._qdd)  # NaN ends the run
         np.subtract(self._tau, self._tau_friction, out=self._load)
         self._load -= self.truth.rotor * self._qdd
 
     def _move(self) -> None:
-        """Carry velocity and position over one step."""
+        """Integrate velocity and position over one step."""
         np.multiply(self._qdd, self.step_time, out=self._dq)
         self._half += self._dq
         np.multiply(self._half, self.step_time, out=self._dq)
@@ -266,8 +406,6 @@ class SimulatedArm:
         self.friction.advance(self._dq, self._half)
 
     def _report(self, q_ref: np.ndarray, wrench: np.ndarray | None) -> TrueState:
-        T_base_tool = np.eye(4)
-        T_base_tool[:3, :3], T_base_tool[:3, 3] = self._tool[1], self._tool[0]
         return TrueState(
             q=self._q.copy(),
             qd=self._qd.copy(),
@@ -277,33 +415,8 @@ class SimulatedArm:
             tau_gravity=self.drive.gravity.copy(),
             q_ref=q_ref,
             wrench=np.zeros(6) if wrench is None else np.array(wrench),
-            T_base_tool=T_base_tool,
+            T_base_tool=self.built.chain.forward(self._q),
         )
-
-
-def build_model(robot: Robot, truth: Truth) -> Any:
-    """Return MuJoCo's model of the arm: one body per link frame, no contacts, no limits, one site at the tool point."""
-    mujoco: Any = import_module("mujoco")
-
-    def pose(T: np.ndarray) -> dict[str, np.ndarray]:
-        quat = np.empty(4)
-        mujoco.mju_mat2Quat(quat, np.ascontiguousarray(T[:3, :3]).ravel())
-        return {"pos": T[:3, 3], "quat": quat}
-
-    spec = mujoco.MjSpec()
-    off = mujoco.mjtDisableBit
-    spec.option.disableflags = int(off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_LIMIT | off.mjDSBL_SENSOR)
-    spec.option.gravity = robot.gravity
-    body = spec.worldbody
-    for i in range(robot.n):
-        body = body.add_body(name=f"link_{i + 1}", **pose(robot.frames[i]))
-        kind = mujoco.mjtJoint.mjJNT_SLIDE if robot.prismatic[i] else mujoco.mjtJoint.mjJNT_HINGE
-        body.add_joint(name=robot.joint_names[i], type=kind, axis=[0, 0, 1], armature=truth.rotor[i])
-        mass, centre, about = inertia.to_body(truth.pi[i])
-        body.mass, body.ipos, body.explicitinertial = mass, centre, True
-        body.fullinertia = about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]  # xx yy zz xy xz yz
-    body.add_site(name="tool", **pose(robot.frames[-1]))
-    return spec.compile()
 
 
 _DEAD_CYCLES = 2
@@ -311,10 +424,13 @@ _LAG = 8e-3  # s
 
 
 class LaggingArm:
-    """The kinematic stand-in of `SimulatedArm`: same reports, no torques (NaN), no noise; nobody can push it.
+    """Kinematic stand-in for `SimulatedArm`: same interface, NaN torques, no noise, no response to wrenches.
 
-    It follows late, ``q += (1 - exp(-T / 8 ms)) (q_ref[k - 2] - q)``: within ABB's 10 to 20 ms.
+    It lags according to ``q += (1 - exp(-T / 8 ms)) (q_ref[k - 2] - q)``, within ABB's 10 to 20 ms.
     """
+
+    robot: Robot
+    period: float
 
     has_torque = False
 
@@ -327,7 +443,7 @@ class LaggingArm:
         self.place(robot.q_home if q is None else q)
 
     def place(self, q: np.ndarray) -> None:
-        """Put the arm at rest at `q` (n,)."""
+        """Set the arm to rest at `q` (n,)."""
         self._q = np.array(q, dtype=np.float64)
         self._under_way = deque([self._q] * _DEAD_CYCLES)
         self._report(np.zeros_like(self._q), self._q)
@@ -340,32 +456,33 @@ class LaggingArm:
         self._report(moved / self.period, q_ref)
 
     def measure(self) -> SensorReading:
-        """Return position and velocity; the torque is NaN."""
+        """Return position and velocity, and NaN torques."""
         return SensorReading(self._q, self.sample.qd, self._unknown)
 
     def _report(self, qd: np.ndarray, q_ref: np.ndarray) -> None:
         T_base_tool, none = self.robot.chain.forward(self._q), self._unknown
-        self.sample = TrueState(self._q, qd, none, none, none, none, q_ref, self._calm, T_base_tool)
+        self.sample: TrueState = TrueState(self._q, qd, none, none, none, none, q_ref, self._calm, T_base_tool)
 
 
 def record(
     arm: SimulatedArm, motion: Trajectory, wrench: Callable[[np.ndarray], np.ndarray] | None = None, seed: int = 0
 ) -> Table:
-    """Run a motion and return what the sensors report: t, q, qd, tau, and wrench_true where there is one.
+    """Run a motion and return the sensor log: t, q, qd, tau, and wrench_true if a wrench is given.
 
     Parameters
     ----------
-    arm : is placed at the start of the motion; its noise goes on from where it was.
+    arm : the arm; it is placed at the start of the motion, and its noise sequence continues.
     motion : reference of the drives.
-    wrench : gives the wrench (N, 6) by the environment on the robot, base axes, at the tool point, at times (N,).
-    seed : of jitter and loss of time stamps.
+    wrench : function of the times (N,) that returns the wrench (N, 6) by the environment on the robot, base axes, at
+        the tool point.
+    seed : seed of jitter and loss of time stamps.
 
     Raises
     ------
-    ConfigError : a jitter of half a period or more, which would turn time back.
-    ShapeError : a motion of another number of joints, or a wrench of another shape.
+    ConfigError : a jitter of half a period or more, which would reverse the order of times.
+    ShapeError : a motion with the wrong number of joints, or a wrench of wrong shape.
     """
-    from armlab.log import Table  # here: a simulator that only sends starts without it
+    from armlab.log import Table  # lazy: a simulator that only sends starts without it
 
     knobs, period, n = arm.mismatch, arm.period, arm.robot.n
     if not knobs.jitter < period / 2:
@@ -374,7 +491,7 @@ def record(
     t = period * np.arange(1, count + 1)
     q_ref, qd_ref, _ = motion.sample(t)
     if q_ref.shape != (count, n):
-        raise ShapeError(f"Expected a motion of {n} joints of {arm.robot.name!r}, got shape {q_ref.shape[1:]}.")
+        raise ShapeError(f"Expected a motion for the {n} joints of {arm.robot.name!r}, got shape {q_ref.shape[1:]}.")
     pushes = np.zeros((count, 6)) if wrench is None else np.asarray(wrench(t), dtype=float)
     if pushes.shape != (count, 6):
         raise ShapeError(f"Expected a wrench of shape ({count}, 6) for {count} times, got {pushes.shape}.")
@@ -391,7 +508,7 @@ def record(
 
 
 def scara() -> Robot:
-    """Return the robot. Its numbers are round ones; no manufacturer builds it."""
+    """Return a generic SCARA robot with round dimensions."""
     return from_dh(
         "scara",
         alpha=[0.0, 3.141592653589793, 0.0, 0.0],
@@ -402,5 +519,5 @@ def scara() -> Robot:
         q_max=[2.4, 2.6, 0.18, 6.9],
         qd_max=[6.0, 6.0, 1.0, 20.0],
         q_home=[0.2, 0.4, 0.09, 0.0],
-        source="invented; axes as of ABB's four-axis robots",
+        source="invented; axes as in ABB's four-axis robots",
     )

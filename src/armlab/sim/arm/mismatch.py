@@ -1,15 +1,15 @@
-"""`Mismatch`: how the simulated arm differs from what its user believes of it; every knob is 0 until it is turned.
+"""`Mismatch`: differences between the simulated arm and its description; all are 0 by default.
 
-What is drawn per joint, per link or per axis is drawn evenly between minus and plus the knob, from a stream of its own:
-turning one knob leaves the draws of the others as they are.
+Errors per joint, link or axis are uniformly distributed between minus and plus the parameter. Each has its own random
+stream, so that changing one parameter does not affect the errors of the others.
 
-    built    base_turn, base_shift, link_length, joint_zero: frames of the arm that moves, not of its description
+    built    base_turn, base_shift, link_length, joint_zero: frames of the moving arm, not of its description
     bodies   mass, centre, payload; friction, saturation: its parameters
     drives   warm_up, load_friction, ripple_jump, offset_drift: friction that depends on more than position and velocity
-    seen     elasticity, torque_delay, torque_constant, gear_ratio, gear_sign, quantisation: what the sensors report
-    logged   jitter, lost: what is recorded of it
+    seen     elasticity, torque_delay, torque_constant, gear_ratio, gear_sign, quantisation: sensor readings
+    logged   jitter, lost: recording of the readings
 
-The knobs are options of ``armlab sim``, whose help loads this file: NumPy is imported where something is drawn.
+The fields are options of ``armlab sim``, whose help loads this file; NumPy is therefore imported only to draw errors.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
+from armlab._display import Shown
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -27,27 +28,27 @@ if TYPE_CHECKING:
     from armlab.sim.arm.truth import Truth
 
 
-PAYLOAD_AT = (0.0, 0.0, 0.06)  # m, centre of the unknown payload, tool axes
+PAYLOAD_AT = (0.0, 0.0, 0.06)  # m, centre of the unmodelled payload, tool axes
 SHARES = ("gear_ratio", "mass", "friction", "warm_up", "load_friction", "saturation", "lost", "torque_constant")
 COUNTS = ("gear_sign", "torque_delay", "seed")
 
 
-@dataclass(frozen=True)
-class Mismatch:
-    """What is not as described. All zero: nothing, to the last bit.
+@dataclass(frozen=True, repr=False)
+class Mismatch(Shown):
+    """Differences from the description; if all are zero, the arm is bit-identical.
 
     Attributes
     ----------
     base_turn : float
-        Turn of the mount about each of its axes [rad].
+        Rotation of the mount about each of its axes [rad].
     base_shift : float
         Shift of the mount along each of its axes [m].
     link_length : float
-        Error of each coordinate from a joint's frame to the next [m].
+        Error of each coordinate of the translation from one joint frame to the next [m].
     joint_zero : float
         Offset of each joint's zero [rad or m].
     mass : float
-        Relative error of each link's mass, its inertia with it.
+        Relative error of each link's mass and inertia.
     centre : float
         Shift of each link's centre of mass along each axis [m].
     payload : float
@@ -55,37 +56,38 @@ class Mismatch:
     friction : float
         Relative error of each joint's friction: Coulomb, static and viscous.
     saturation : float
-        Share of each drive's torque range that is missing.
+        Relative loss of each drive's torque range.
     warm_up : float
-        Share of the viscous friction that a warm drive has lost; 12 minutes time constant, cold at the start.
+        Relative loss of viscous friction in a warm drive; time constant 12 minutes, cold at the start.
     load_friction : float
-        Largest share of the torque that a joint passes to its link by which its Coulomb friction grows.
+        Largest increase of a joint's Coulomb friction per unit of torque that the joint transmits to its link.
     ripple_jump : float
-        Phase by which the torque ripple jumps when a joint reverses [rad].
+        Phase jump of the torque ripple when a joint reverses [rad].
     elasticity : float
-        Deflection of each gear at the torque limit [rad]; the encoder sits before it. Without resonance.
+        Deflection of each gear at the torque limit [rad], between encoder and link. Without resonance.
     torque_delay : int
-        Samples by which the measured torque lags.
+        Delay of the measured torque in samples.
     torque_constant : float
         Relative error of each joint's measured torque.
     gear_ratio : float
-        Relative error of each gear in the conversion from the motor: position and velocity grow, torque shrinks.
+        Relative error of each gear ratio in the conversion from the motor; position and velocity increase, torque
+        decreases.
     gear_sign : int
-        Number of joints whose conversion from the motor has the wrong sign.
+        Number of joints with the wrong sign in the conversion from the motor.
     quantisation : float
-        Growth of the steps of position and torque; 1 doubles them.
+        Relative increase of the quantisation steps of position and torque; 1 doubles them.
     jitter : float
-        Largest error of a time stamp in a recording [s].
+        Largest error of a timestamp in a recording [s].
     lost : float
         Probability that a sample is missing in a recording.
     offset_drift : float
-        Share of the torque limit by which each joint's constant torque swings, in 100 s.
+        Amplitude of each joint's offset drift (period 100 s) as a share of the torque limit.
     seed : int
-        Of all draws.
+        Seed of all errors.
 
     Raises
     ------
-    ConfigError : a knob is negative or not finite, or a share is 1 or more.
+    ConfigError : a value is negative or not finite, or a share is 1 or more.
     """
 
     base_turn: float = 0.0
@@ -119,11 +121,11 @@ class Mismatch:
                 top = "below 1" if field.name in SHARES else "finite"
                 raise ConfigError(f"Expected the mismatch {field.name} of at least 0 and {top}, got {value}.")
             if field.name in COUNTS and value != int(value):
-                raise ConfigError(f"Expected a whole number as mismatch {field.name}, got {value}.")
+                raise ConfigError(f"Expected an integer for the mismatch {field.name}, got {value}.")
 
 
 def draw(mismatch: Mismatch, knob: str, *shape: int) -> np.ndarray:
-    """Return errors of this shape, even between minus and plus the knob; the same at every call."""
+    """Return errors of this shape, uniform between minus and plus the parameter; every call returns the same errors."""
     return float(getattr(mismatch, knob)) * _random(mismatch, knob).uniform(-1.0, 1.0, shape)
 
 
@@ -134,7 +136,7 @@ def _random(mismatch: Mismatch, knob: str) -> np.random.Generator:
 
 
 def built_robot(mismatch: Mismatch, robot: Robot) -> Robot:
-    """Return the arm as it was built: base pose, link lengths and joint zeros differ from the description `robot`."""
+    """Return the robot as built, whose base pose, link lengths and joint zeros differ from the description `robot`."""
     import numpy as np
 
     from armlab.lie import so3
@@ -154,7 +156,7 @@ def built_robot(mismatch: Mismatch, robot: Robot) -> Robot:
 
 
 def built_truth(mismatch: Mismatch, truth: Truth, robot: Robot) -> Truth:
-    """Return the truth of the arm as it was built: masses, centres, payload, friction, torque limits, steps."""
+    """Return the truth as built: masses, centres of mass, payload, friction, torque limits, quantisation."""
     from armlab.robots import inertia
 
     n, changed = robot.n, {}
@@ -178,17 +180,17 @@ def built_truth(mismatch: Mismatch, truth: Truth, robot: Robot) -> Truth:
 
 
 def torque_gain(mismatch: Mismatch, n: int) -> np.ndarray:
-    """Return measured over true torque (n,) of each joint: torque constant and gears."""
+    """Return the ratio (n,) of measured to true torque of each joint, due to torque constant and gears."""
     return (1.0 + draw(mismatch, "torque_constant", n)) / position_gain(mismatch, n)
 
 
 def load_share(mismatch: Mismatch, n: int) -> np.ndarray:
-    """Return the share (n,) of the torque that each joint passes to its link by which its Coulomb friction grows."""
+    """Return the increase (n,) of each joint's Coulomb friction per unit of torque transmitted to its link."""
     return abs(draw(mismatch, "load_friction", n))
 
 
 def position_gain(mismatch: Mismatch, n: int) -> np.ndarray:
-    """Return reported over true position (n,) of each joint: ratio and sign of the gears."""
+    """Return the ratio (n,) of reported to true position of each joint, due to the ratio and sign of the gears."""
     gain = 1.0 + draw(mismatch, "gear_ratio", n)
     gain[_random(mismatch, "gear_sign").permutation(n)[: int(mismatch.gear_sign)]] *= -1.0
     return gain

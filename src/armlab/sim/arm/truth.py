@@ -1,9 +1,9 @@
 """Synthetic truth of the simulated arms: masses, friction, ripple, noise. Assumptions, not measurements.
 
-No manufacturer publishes these numbers. They are invented in believable proportions so that identification and force
-estimation can be judged against something known. They live here only: never in the robot library, and the wire carries
-no more of them than the drives' own torque command and gravity feed-forward, which no part of armlab reads.
-The rule of the set is in docs/theory/simulated_arm.md.
+Masses and inertias are those of the robot's description; a few library robots without masses have invented ones. Drive
+parameters are not published by manufacturers; they are invented in plausible proportions to the torque limits, as
+ground truth for identification and force estimation. The wire carries only the drives' torque command and gravity
+feedforward, which no part of armlab reads. docs/theory/simulated_arm.md describes the rules.
 """
 
 from __future__ import annotations
@@ -12,34 +12,35 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from armlab._display import Shown
 from armlab.errors import ConfigError, RobotError, ShapeError, UnknownName
 from armlab.robots import Robot, inertia
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """Synthetic parameters of one simulated arm; arrays are (n,), joint side, unless said otherwise.
+@dataclass(frozen=True, eq=False, repr=False)
+class Truth(Shown):
+    """Synthetic parameters of one simulated arm; arrays are (n,), joint side, unless stated otherwise.
 
     Attributes
     ----------
     pi : (n, 10) inertial parameters per link, link frames, about their origins:
         ``m, m cx, m cy, m cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz``.
-    rotor : inertia of the rotors [kg m^2].
+    rotor : rotor inertia [kg m^2].
     tau_max : torque at which the drives saturate [N m].
     coulomb_pos, coulomb_neg : Coulomb friction for positive and negative motion, both counted positive [N m].
     static_ratio : break-away over Coulomb friction.
     stribeck_speed : width of the Stribeck curve [rad/s].
-    viscous : [N m s/rad].
-    offset : [N m].
+    viscous : viscous friction [N m s/rad].
+    offset : constant torque [N m].
     delta : presliding distance [rad].
-    ripple : amplitude [N m].
-    ripple_cycles : [rad/rad], so cycles per turn.
-    ripple_phase : [rad].
+    ripple : amplitude of the torque ripple [N m].
+    ripple_cycles : ripple phase per joint angle [rad/rad], the number of cycles per revolution.
+    ripple_phase : phase of the ripple [rad].
     tau_noise : standard deviation of the torque measurement [N m].
-    tau_step : its quantisation [N m].
+    tau_step : quantisation of the torque measurement [N m].
     q_step : quantisation of the position measurement [rad].
     qd_noise : standard deviation of the velocity [rad/s].
-    feedforward : the part of its own gravity and Coriolis torques that the drive knows in advance.
+    feedforward : share of gravity and Coriolis torques that the drive feeds forward.
     """
 
     pi: np.ndarray
@@ -62,7 +63,7 @@ class Truth:
     feedforward: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays."""
+        """Validate shapes and freeze the arrays."""
         n = len(self.pi)
         for field in fields(self):
             value = np.array(getattr(self, field.name), dtype=np.float64)
@@ -73,15 +74,15 @@ class Truth:
             object.__setattr__(self, field.name, value)
 
     def without(self, *effects: str) -> Truth:
-        """Return the truth with whole effects switched off: "friction", "ripple", "noise" or "offset".
+        """Return the truth without some effects: "friction", "ripple", "noise" or "offset".
 
         Parameters
         ----------
-        *effects : what to switch off. "noise" includes the quantisation of what is measured.
+        *effects : effects to remove. "noise" includes the quantisation of measurements.
 
         Raises
         ------
-        UnknownName : when there is no such effect.
+        UnknownName : if an effect is unknown.
         """
         none = np.zeros(len(self.pi))
         columns = {
@@ -100,12 +101,12 @@ class Truth:
 
         Parameters
         ----------
-        mass : [kg].
+        mass : mass [kg].
         centre : (3,) position in the last link's frame [m].
 
         Raises
         ------
-        ConfigError : when the mass is negative.
+        ConfigError : if the mass is negative.
         """
         if mass < 0:
             raise ConfigError(f"Expected a payload of at least 0 kg, got {mass} kg.")
@@ -116,20 +117,20 @@ class Truth:
 
 @dataclass(frozen=True)
 class _Sizes:
-    """What differs between robots: link masses [kg], cylinder sizes [m], torque limits [N m], rotors [kg m^2]."""
+    """Parameters per robot: link masses [kg], cylinder sizes [m], torque limits [N m], rotors [kg m^2]."""
 
     mass: tuple[float, ...]
     tau_max: tuple[float, ...]
     rotor: tuple[float, ...]
     radius: float
     shortest: float
-    gear: float | None = None  # assumed where the robot's file has no gears
+    gear: float | None = None  # assumed if the robot file has no gears
 
 
 _YUMI = _Sizes(
     mass=(1.7, 1.6, 1.4, 1.1, 0.9, 0.5, 0.2),
     tau_max=(40, 40, 25, 25, 10, 10, 5),
-    rotor=(0.1,) * 7,  # 1e-5 kg m^2 times a gear of 100 squared
+    rotor=(0.1,) * 7,  # 1e-5 kg m^2 times the squared gear ratio of 100
     radius=0.045,
     shortest=0.06,
 )
@@ -155,56 +156,115 @@ _SIZES = {
 }
 
 
-def truth_names() -> tuple[str, ...]:
-    """Return the names of the robots that have a synthetic truth, so that they can be simulated."""
-    return tuple(sorted(_SIZES))
+def _invented(robot: Robot) -> _Sizes | None:
+    """Return the invented sizes of a library robot whose description has no masses."""
+    sizes = _SIZES.get(robot.name)
+    return sizes if sizes and robot.inertias is None and len(sizes.mass) == robot.n else None
+
+
+def no_masses(robot: Robot) -> str:
+    """Return why an arm can only be simulated kinematically, or "" if its masses are known."""
+    if _invented(robot) or (robot.inertias is not None and robot.inertias[:, 0].any()):
+        return ""
+    return (
+        f"the description of {robot.name} has no masses (<inertial> in a URDF, inertias in a TOML file), so it is "
+        "simulated kinematically, without torques"
+    )
 
 
 def synthetic_truth(robot: Robot) -> Truth:
-    """Return the synthetic truth of a library robot (assumptions, see the module).
+    """Return the synthetic truth, with masses from the description and drives in proportion to its torque limits.
+
+    Library robots without inertias get invented masses if these are defined. Joints without an effort limit get three
+    times the torque that holds the outstretched arm. Values in `Robot.drives` replace the proportions.
 
     Parameters
     ----------
-    robot : a robot whose name is in `truth_names`.
+    robot : Robot
+        Robot with inertias, or a library robot with invented masses.
+
+    Returns
+    -------
+    Truth
+        Masses and drives (assumptions; see the module).
 
     Raises
     ------
-    UnknownName : when nothing was assumed for this robot. RobotError : no robot.
+    RobotError : `robot` is not a `Robot`, or has no masses.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
-    if robot.name not in _SIZES:
-        raise UnknownName.among("robot with synthetic masses", robot.name, _SIZES)
-    sizes = _SIZES[robot.name]
-    n, tau_max = robot.n, np.array(sizes.tau_max, dtype=float)
-    if len(tau_max) != n:
-        raise ShapeError(f"Expected {len(tau_max)} joints in robot {robot.name!r}, got {n}.")
-    coulomb = 0.05 * tau_max
-    gear = np.abs(np.diag(np.linalg.inv(robot.coupling))) if sizes.gear is None else np.full(n, sizes.gear)
+    if why := no_masses(robot):
+        raise RobotError(f"Expected a robot with masses to simulate its dynamics, got {robot.name}: {why}.")
+    gear = np.abs(np.diag(np.linalg.inv(robot.coupling)))
+    if robot.inertias is not None:
+        tau_max = _torque_limits(robot)
+        pi, rotor = robot.inertias, tau_max / ROTOR_ACCELERATION
+        gear = np.where(gear > 1, gear, np.where(robot.prismatic, SPINDLE, GEAR))
+    else:
+        sizes = _SIZES[robot.name]
+        tau_max, rotor = np.array(sizes.tau_max, dtype=float), np.array(sizes.rotor, dtype=float)
+        links = zip(sizes.mass, robot.links[1:, :3, 3])
+        pi = np.array([cylinder(m, p, sizes.radius, sizes.shortest) for m, p in links])
+        gear = gear if sizes.gear is None else np.full(robot.n, sizes.gear)
+    given = {name: np.array(values) for name, values in robot.drives}
+
+    def drives(name: str, default: np.ndarray) -> np.ndarray:
+        values = given.get(name, np.zeros(robot.n))
+        return np.where(values > 0, values, default)
+
+    n, slides = robot.n, robot.prismatic
+    coulomb = drives("friction", 0.05 * tau_max)
     return Truth(
-        pi=np.array([cylinder(m, p, sizes.radius, sizes.shortest) for m, p in zip(sizes.mass, robot.links[1:, :3, 3])]),
-        rotor=np.array(sizes.rotor, dtype=float),
+        pi=pi,
+        rotor=drives("rotor", rotor),
         tau_max=tau_max,
         coulomb_pos=1.05 * coulomb,
         coulomb_neg=0.95 * coulomb,
         static_ratio=np.full(n, 1.3),
-        stribeck_speed=np.full(n, 0.05),
-        viscous=coulomb / robot.qd_max,
+        stribeck_speed=np.where(slides, 0.01, 0.05),
+        viscous=drives("damping", coulomb / robot.qd_max),
         offset=0.01 * tau_max * (-1.0) ** np.arange(n),
-        delta=np.full(n, 1e-4),
-        ripple=0.01 * tau_max,
+        delta=np.where(slides, 2e-5, 1e-4),
+        ripple=drives("ripple", 0.01 * tau_max),
         ripple_cycles=2 * gear,
         ripple_phase=np.arange(n, dtype=float),
-        tau_noise=0.005 * tau_max,
+        tau_noise=drives("noise", 0.005 * tau_max),
         tau_step=0.001 * tau_max,
-        q_step=np.full(n, 1e-5),
-        qd_noise=np.full(n, 1e-3),
+        q_step=np.where(slides, 2e-6, 1e-5),
+        qd_noise=np.where(slides, 2e-4, 1e-3),
         feedforward=np.full(n, 0.9),
     )
 
 
+ROTOR_ACCELERATION = 100.0  # rad/s^2 or m/s^2 acceleration of the drive alone at its torque limit
+GEAR, SPINDLE = 100.0, 600.0  # defaults; rad/m: a spindle with 10 mm lead
+HOLDING = 3.0  # torque limit over the torque that holds the stretched arm
+SHORTEST_LEVER = 0.02  # m
+WEAKEST = 0.05  # least torque limit over the largest one
+
+
+def _torque_limits(robot: Robot) -> np.ndarray:
+    """Return the limits (n,) of torque or force; default: three times the torque that holds the outstretched arm.
+
+    In the outstretched arm, the distance from a joint to each mass is the sum of the link lengths between them.
+    """
+    if np.isfinite(robot.tau_max).all() or robot.inertias is None:
+        return robot.tau_max
+    mass, g = robot.inertias[:, 0], max(float(np.linalg.norm(robot.gravity)), 9.8)
+    centre = np.linalg.norm(inertia.to_body(robot.inertias).centre, axis=1)
+    strokes = np.where(robot.prismatic, np.nan_to_num(np.maximum(-robot.q_min, robot.q_max), posinf=0.0), 0.0)
+    along = np.cumsum(np.linalg.norm(robot.links[:-1, :3, 3], axis=1) + strokes)
+    reach = np.maximum(along + centre - along[:, None], SHORTEST_LEVER)  # (joint, mass)
+    beyond = np.triu(np.ones((robot.n, robot.n)))
+    hold = g * np.where(robot.prismatic, beyond @ mass, (beyond * reach) @ mass)
+    least = WEAKEST * hold.max() / np.where(robot.prismatic, max(float(along[-1]), 0.1), 1.0)
+    return np.where(np.isfinite(robot.tau_max), robot.tau_max, HOLDING * np.maximum(hold, least))
+
+
 def cylinder(mass: float, p: np.ndarray, radius: float, shortest: float) -> np.ndarray:
-    """Return the inertial parameters (10,) of a solid cylinder from a link frame's origin to the next one at p [m].
+    """Return the inertial parameters (10,) of a solid cylinder from the origin of a link frame to the next origin at p
+    [m].
 
     ``centre = p / 2``, axis along p (z where p = 0), length ``max(|p|, shortest)``;
     ``I_axial = m r^2 / 2``, ``I_across = m (3 r^2 + L^2) / 12``, moved to the origin by Steiner's rule.

@@ -1,3 +1,3 @@
-"""The simulated EGM controller: cycle, references, packets, UDP channel."""
+"""Simulated EGM controller: cycle, references, packets, UDP channel."""
 
 __all__ = []

@@ -1,4 +1,4 @@
-"""`UdpClient`: the UDP client of one motion task, and the seeded `Faults` of its datagrams in each direction."""
+"""`UdpClient`: UDP client of one motion task; `Faults`: seeded faults of its datagrams in each direction."""
 
 from __future__ import annotations
 
@@ -19,15 +19,19 @@ from armlab.sim.controller.settings import FaultRates
 from armlab.wire.egm.robot_side import SensorMessage
 
 _LARGEST = 65535
-_DRAINED = 64  # datagrams read per cycle: a flood cannot hold the cycle up
+_DRAINED = 64  # datagrams read per cycle: bounds a flood
 _SO_TIMESTAMPNS = 35  # Linux: the kernel stamps arrivals; the constant is not in Python's socket module
-_LOOK = 0.25  # s between two looks whether to go on waiting
-_FIRST = 0.5  # s that a peer has for its first reply to a stream; later it is taken for a listener
-_REFUSED_PAUSE = 0.05  # s before a packet is sent again to a port that nobody has bound yet
+_LOOK = 0.25  # s between checks whether to keep waiting
+_FIRST = 0.5  # s for the first reply to a stream, after which the peer is a listener
+_REFUSED_PAUSE = 0.05  # s before a packet is resent to a port that is not bound yet
 
 
 class UdpClient:
-    """One controller and its socket; it sends `phase` seconds after the beat that all channels share."""
+    """One controller and its socket; sends `phase` seconds after the common start of the cycle."""
+
+    controller: SimulatedController
+    phase: float
+    heard: float
 
     def __init__(
         self,
@@ -40,7 +44,7 @@ class UdpClient:
     ) -> None:
         self.controller, self.phase = controller, phase
         if not 0.0 <= phase < controller.arm.period:
-            raise ConfigError(f"Expected a phase from 0 s to below the period, got {phase:g} s.")
+            raise ConfigError(f"Expected a phase of at least 0 s and below the period, got {phase:g} s.")
         self._outgoing, self._incoming = outgoing, incoming
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -58,35 +62,35 @@ class UdpClient:
         self._refused = self._awaited = self._has_answered = False
         self._is_first = True
         self._arrived: list[tuple[int, bytes]] = []
-        self.heard = time.monotonic()
+        self.last_reply = time.monotonic()
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
 
     def prepare(self) -> bool:
-        """Build the packet of the coming cycle, so that it can leave on time. Return whether there is one."""
+        """Build the packet of the next cycle ahead of time; return whether there is one."""
         self._packet = self.controller.packet()
         return self._packet is not None
 
     def send(self) -> None:
-        """Send what was prepared, or what the faults make of it."""
+        """Send the prepared packet, modified by the faults."""
         controller = self.controller
         datagrams = [(controller.cycle, self._packet)] if self._packet is not None else []
         if self._outgoing is not None:
             datagrams = self._outgoing.through(datagrams, controller.uptime)
-        # the newest first: then a peer answers one of them, whether it looks before or after the others have come
+        # newest first, so that a peer answers only one of them, whenever it reads
         datagrams = sorted(datagrams, key=lambda item: -item[0])
         self._awaited = False
         if self._packet is not None:
             controller.inbox.stamp(time.time_ns(), controller.uptime)
         for number, datagram in datagrams:
             self._put(datagram)
-            if number > self._newest:  # a peer answers what is newer than all before
+            if number > self._newest:  # a peer answers packets newer than all previous ones
                 self._awaited, self._newest, self._expected = True, number, controller.packets.tm_ms(number)
 
     def drain(self) -> None:
-        """Read what has arrived."""
+        """Read all waiting datagrams."""
         for _ in range(_DRAINED):
             data = self._get()
             if data is None:
@@ -95,13 +99,14 @@ class UdpClient:
         self._deliver()
 
     def wait(self, patience: float, alive: Callable[[], bool]) -> bool:
-        """Wait for the reply to the packet just sent. Return False when none came.
+        """Wait for the reply to the packet just sent; return False on timeout.
 
-        Packets that the faults removed are not waited for. While nobody has bound the port, the packet is sent again. A
-        stream needs no replies: a peer that has never sent one is waited for once, then it hears a packet per period.
+        Packets removed by faults are not waited for. While the peer's port is not bound, the packet is resent. A stream
+        needs no replies. The controller waits once for a peer that has never replied; then it sends one packet per
+        period.
         """
         if self._packet is None and not self._awaited:
-            self.drain()  # what comes between two sessions must not wait in the socket for the next one
+            self.drain()  # discard datagrams from before this session
             return True
         bound = time.monotonic()
         deadline, listens = bound + patience, self._listens()
@@ -113,7 +118,7 @@ class UdpClient:
             left = deadline - now
             if not self._refused and now - bound >= listens:
                 break
-            if left <= 0 or not alive():  # also under a flood of what is no answer
+            if left <= 0 or not alive():  # also in a flood of invalid datagrams
                 return False
             if data is not None:
                 continue
@@ -127,14 +132,14 @@ class UdpClient:
         return True
 
     def _listens(self) -> float:
-        """Return how long to wait for a peer that may be a listener [s]; for ever for one that answers or has to."""
+        """Return the time to wait for a peer that may only listen [s]; infinite if it has to answer."""
         if self._has_answered or self.controller.phase != "streaming":
             return math.inf
         first, self._is_first = self._is_first, False
         return _FIRST if first else self.controller.arm.period
 
     def _receive(self, data: bytes) -> bool:
-        """Take one datagram from the socket. Return whether it is what lockstep waits for."""
+        """Read one datagram from the socket; return whether it is the reply that lockstep waits for."""
         if self._incoming is not None:
             self._arrived.append((self._arrival, data))
             message = self.controller.inbox.read(data, count=False)
@@ -142,19 +147,19 @@ class UdpClient:
             message = self.controller.accept(data, self._arrival)
         if not isinstance(message, SensorMessage):
             return False
-        self.heard, self._has_answered = time.monotonic(), True
-        # a peer that does not echo tm (None, or 0 as abb_libegm sends) gets the benefit of the doubt
+        self.last_reply, self._has_answered = time.monotonic(), True
+        # a peer without an echo of tm (None, or 0 as from abb_libegm) is accepted
         return not message.tm_ms or message.tm_ms == self._expected
 
     def _deliver(self) -> None:
-        """Hand on what the faults let through in this cycle."""
+        """Pass on the datagrams that the faults release in this cycle."""
         if self._incoming is not None:
             for stamp, datagram in self._incoming.through(self._arrived, self.controller.uptime):
                 self.controller.accept(datagram, max(stamp, 0))
             self._arrived.clear()
 
     def _put(self, datagram: bytes) -> None:
-        """Send; twice when the first attempt only reports that an earlier datagram was refused."""
+        """Send a datagram; try twice if the first attempt only reports that an earlier datagram was refused."""
         self._refused = False
         for _ in range(2):
             try:
@@ -164,7 +169,7 @@ class UdpClient:
                 self._count(error)
 
     def _get(self) -> bytes | None:
-        """Return the next datagram, or None. Socket errors, as from a port that nobody has bound, are counted."""
+        """Return the next datagram, or None. Socket errors, for example from an unbound port, are counted."""
         try:
             data, extra, _, _ = self._socket.recvmsg(_LARGEST, 64)
         except BlockingIOError:
@@ -186,26 +191,26 @@ class UdpClient:
 
 
 CORRUPTED = -1
-"""Number of a datagram that no peer can read."""
+"""Number of a corrupted datagram."""
 
-_NEVER_VALID = 0x07  # a first byte that no protobuf message has
+_NEVER_VALID = 0x07  # an invalid first byte of a protobuf message
 
 
 class Faults:
-    """One direction of one path; called once per cycle."""
+    """Faults in one direction of a path; called once per cycle."""
 
     def __init__(self, rates: FaultRates, seed: int | Sequence[int], period: float = 0.004032) -> None:
         self._rates, self._period = rates, period
         self._random = np.random.default_rng(seed)
         self._under_way: list[tuple[float, int, tuple[int, bytes]]] = []  # (time when due, order of arrival, item)
         self._order = self._losing = 0
-        share, length = rates.loss, rates.burst  # a burst begins so often that the share of lost datagrams is `loss`
+        share, length = rates.loss, rates.burst  # burst probability for a share `loss` of lost datagrams
         self._begins = share / (length - share * (length - 1)) if share else 0.0
 
     def through(self, datagrams: list[tuple[int, bytes]], now: float) -> list[tuple[int, bytes]]:
-        """Return what comes out in this cycle of the (number, bytes) that go in, before what was delayed.
+        """Return the (number, bytes) pairs that arrive in this cycle, given those sent; delayed datagrams come last.
 
-        A corrupted one comes out with the number `CORRUPTED`.
+        A corrupted datagram has the number `CORRUPTED`.
         """
         rates, draw = self._rates, self._random
         out: list[tuple[int, bytes]] = []
@@ -240,7 +245,7 @@ class Faults:
         return True
 
     def _spoil(self, data: bytes) -> bytes:
-        """Cut the datagram somewhere and overwrite some bytes, so that it can never be read."""
+        """Truncate the datagram and overwrite some bytes, so that it is always invalid."""
         spoiled = bytearray(data[: max(1, int(self._random.integers(len(data) + 1)))] or b"\0")
         spoiled[self._random.integers(len(spoiled))] = int(self._random.integers(256))
         spoiled[0] = _NEVER_VALID

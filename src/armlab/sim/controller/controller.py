@@ -1,38 +1,131 @@
 """`SimulatedController`: one motion task of the simulated robot controller, without sockets.
 
-It keeps the order of ABB's cycle (3HAC073318-001, section 2.3): build and send the packet; take at most one message of
-a first-in first-out queue; hold the last reference, speed included, when there is none; move. So the reply to a packet
-acts in the next cycle at the earliest, and a surplus reply adds one cycle of lag for ever: an event after 1 s.
+ABB's cycle (3HAC073318-001, section 2.3): build and send the packet; take at most one message from a FIFO queue
+(without a message, hold the last reference including its speed); move. The reply to a packet takes effect in the next
+cycle at the earliest. A surplus reply adds a permanent lag of one cycle, which is reported as an event after 1 s.
 
 Phases: ``streaming`` (packets say STOPPED) -> ``guiding`` (RUNNING) -> ``failing`` (ERROR, while the arm brakes) ->
-``paused`` (no packets) -> the next session or ``over``. Motors or RAPID that stop lead from guiding back to streaming.
+``paused`` (no packets) -> the next session or ``over``. Guidance returns to streaming when the motors or RAPID stop.
 
-`ReplyQueue` matches replies with packets by the sequence number that the research extension echoes, else by the `tm`
-of the header, else by order. By order is right only for a peer that answers every packet. Several packets of one
-millisecond share their `tm`: the oldest of them without an answer is meant.
+`ReplyQueue` matches replies with packets by the sequence number that the research extension echoes, else by the `tm` of
+the header, else by order. Matching by order is correct only if the peer answers every packet. If several packets share
+a millisecond, `tm` refers to the oldest unanswered one.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from armlab.errors import UnknownName
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm
 from armlab.sim.controller.guidance import ExternalAxes, Guidance, ReferenceDecoder, has_numbers
-from armlab.sim.controller.packets import PacketBuilder
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import ControllerEvent, EventLog, Statistics
 from armlab.sim.events import AppliedWrench, Surroundings
 from armlab.wire.egm import Drop
-from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessage
 from armlab.wire.egm.types import StandingQueue
 
+EPOCH_NS = 1_500_000_000_000_000_000
+"""Start of robot time; fixed, so that every run sends the same bytes."""
+
+OPTIONAL_FIELDS = {
+    "tm": "tm_ms",
+    "planned": "q_planned",
+    "cartesian": "T_frame_tool",
+    "time": "robot_ns",
+    "motorState": "motors",
+    "mciState": "mci",
+    "rapidExecState": "rapid",
+    "mciConvergenceMet": "converged",
+    "utilizationRate": "utilization",
+}
+"""Optional fields of EgmRobot by their names on the wire."""
+
+_UPTIME_MS = 10_000  # tm of the first packet; an echoed 0 would look like "no tm"
+
+
+class PacketBuilder:
+    """Builds EgmRobot messages, `phase` seconds behind the robot's clock.
+
+    RobotWare 7: `torque_reference` sends the drive torque as torqueRef; `data` is the number of RAPID data values sent
+    back in addition to the digital value.
+    """
+
+    codec: RobotSideCodec
+
+    def __init__(
+        self,
+        codec: RobotSideCodec,
+        period: float,
+        *,
+        fields: Iterable[str] = (),
+        phase: float = 0.0,
+        force: bool = False,
+        torque_reference: bool = False,
+        data: int = 0,
+    ) -> None:
+        self.codec, self._period, self._phase = codec, period, phase
+        self._force, self._torque_reference, self._data = force, torque_reference, data
+        self._left_out: dict[str, Any] = {}
+        for field in fields:
+            if field not in OPTIONAL_FIELDS:
+                raise UnknownName.among("optional field of EgmRobot", field, OPTIONAL_FIELDS)
+            self._left_out[OPTIONAL_FIELDS[field]] = None
+
+    def time_ns(self, cycle: int) -> int:
+        """Return the robot's clock in a cycle [ns]: multiples of the period, minus the phase."""
+        return EPOCH_NS + round((cycle * self._period + self._phase) * 1e9)
+
+    def tm_ms(self, cycle: int) -> int:
+        """Return the `tm` of a cycle's packet in whole milliseconds; packets of shorter periods share it."""
+        return _UPTIME_MS + int((cycle * self._period + self._phase) * 1e3 + 1e-6)
+
+    def encode(
+        self,
+        cycle: int,
+        arm: SimulatedArm | LaggingArm,
+        guidance: Guidance,
+        q_ext: Sequence[float] = (),
+        target: ReferenceDecoder | None = None,
+        **condition: Any,
+    ) -> bytes:
+        """Return the bytes of a cycle's packet, including RAPID's echo of `target` and the fields of `condition`."""
+        measured, sample = arm.measure(), arm.sample
+        feels = arm.has_torque
+        heard = target if self._data else None
+        message = RobotMessage(
+            tm_ms=self.tm_ms(cycle),
+            q=measured.q,
+            q_planned=guidance.q,
+            robot_ns=self.time_ns(cycle),
+            q_ext=q_ext,
+            T_frame_tool=arm.robot.chain.forward(measured.q),
+            utilization=guidance.utilization,
+            wrench_raw=np.array(sample.wrench) if self._force else None,
+            rapid_data=heard.rapid_data[: self._data].tolist() if heard else (),
+            rapid_digital=heard.rapid_digital if heard else None,
+            tau_reference=sample.tau if self._torque_reference and feels else None,
+            qd=measured.qd,
+            tau=measured.tau if feels else None,
+            tau_total=sample.tau if feels else None,
+            tau_gravity=sample.tau_gravity if feels else None,
+            q_reference=guidance.q,
+            qd_reference=guidance.qd,
+            mono_ns=self.time_ns(cycle) - EPOCH_NS,
+            **condition,
+        )
+        return self.codec.encode_robot(message._replace(**self._left_out) if self._left_out else message)
+
+
 QUEUE_LENGTH = 64
-"""Messages that wait; more are dropped. The packets that a reply can be matched with are as many."""
+"""Capacity of the reply queue and of the list of packets to match; surplus messages are dropped."""
 
 _CONTENT = {
     "joint": ("q", "no joints", "joint references"),
@@ -43,7 +136,7 @@ _CONTENT = {
 
 @dataclass(slots=True)
 class Sent:
-    """A packet that can be answered: number, `tm`, cycle, whether in guidance, clock just before sending [ns]."""
+    """Packet awaiting its reply: number, `tm`, cycle, whether under guidance, clock just before sending [ns]."""
 
     seq: int
     tm_ms: int
@@ -54,7 +147,7 @@ class Sent:
 
 
 class ReplyQueue:
-    """Queue of replies of one motion task, bounded, in the order that the settings ask for."""
+    """Bounded reply queue of one motion task, in the order defined by the settings."""
 
     def __init__(self, codec: RobotSideCodec, statistics: Statistics, settings: ControllerSettings) -> None:
         self._codec, self._statistics = codec, statistics
@@ -66,26 +159,26 @@ class ReplyQueue:
         return len(self._queue)
 
     def begin(self) -> None:
-        """Forget everything: a new session."""
+        """Clear the queue for a new session."""
         self._queue: deque[tuple[SensorMessage, int | None]] = deque()
         self._sent: deque[Sent] = deque(maxlen=QUEUE_LENGTH)
         self._standing = StandingQueue()
-        self._ordered = -1  # number of the packet that the last reply without an echo answered
+        self._ordered = -1  # packet answered by the last reply without an echo
         self._last_seqno: int | None = None
 
     def note(self, sent: Sent) -> None:
-        """Remember a packet that was built."""
+        """Register a packet that was built."""
         self._sent.append(sent)
 
     def stamp(self, nanoseconds: int, uptime: float) -> None:
-        """Note when the newest packet left; a reply to the one before that has not arrived is late or missing."""
+        """Set the send time of the newest packet; a missing reply to the previous one counts as missed."""
         if self._sent:
             self._sent[-1].stamp_ns = nanoseconds
         if len(self._sent) > 1 and self._sent[-2].guiding and not self._sent[-2].answered:
             self._statistics.miss(uptime)
 
     def read(self, data: bytes, count: bool = True) -> SensorMessage | Drop:
-        """Decode a datagram; return the message, or the reason why it is not valid in this mode."""
+        """Decode a datagram; return the message, or why it is invalid in this mode."""
         found = self._codec.decode_sensor(data)
         if isinstance(found, SensorMessage):
             self._statistics.mtypes[found.mtype] += count
@@ -94,7 +187,10 @@ class ReplyQueue:
         return found
 
     def match(self, message: SensorMessage, arrival_ns: int, uptime: float) -> Sent | None:
-        """Return the packet that a message answers, or None; count duplicates and round trips. Arrival 0 is unknown."""
+        """Return the packet answered by a message, or None; count duplicates and round trips.
+
+        An arrival of 0 means unknown.
+        """
         counts = self._statistics.counts
         counts["duplicates"] += message.seqno is not None and message.seqno == self._last_seqno
         self._last_seqno = message.seqno
@@ -108,14 +204,14 @@ class ReplyQueue:
         return sent
 
     def put(self, message: SensorMessage, cycle: int | None) -> bool:
-        """Append a message and the cycle of the packet it answers, if known. Return False when the queue is full."""
+        """Append a message and, if known, the cycle of the packet it answers; return False if the queue is full."""
         if len(self._queue) >= QUEUE_LENGTH:
             return False
         self._queue.append((message, cycle))
         return True
 
     def take(self, cycle: int) -> SensorMessage | None:
-        """Return the next message, or None, and note its age. Mode newest drops all messages before it."""
+        """Return the next message, or None, and record its age. In mode "newest", all earlier messages are dropped."""
         self._statistics.queue[len(self._queue)] += 1
         if not self._queue:
             return None
@@ -129,35 +225,42 @@ class ReplyQueue:
         return message
 
     def standing(self) -> str:
-        """Return a sentence when the queue has not been empty for 1 s, "" otherwise. Call it once per cycle."""
+        """Return a sentence if the queue has not been empty for 1 s, else ""; called once per cycle."""
         return self._standing.after(len(self._queue), self._period)
 
     def _find(self, message: SensorMessage) -> tuple[str, Sent | None]:
         if message.echo_mono_ns or message.echo_seq:
             return "echo", next((sent for sent in reversed(self._sent) if sent.seq == message.echo_seq), None)
-        if message.tm_ms:  # abb_libegm sends 0, the Python clients nothing
+        if message.tm_ms:  # abb_libegm sends 0, Python clients omit it
             same = [sent for sent in self._sent if sent.tm_ms == message.tm_ms]
             return "tm", next((sent for sent in same if not sent.answered), same[-1] if same else None)
-        if self._ordered < 0:  # the first reply of a session may come late; the last packet built may not have left
+        if self._ordered < 0:  # the first reply of a session may be late, and the last packet unsent
             left = [sent.seq for sent in self._sent if sent.stamp_ns]
             self._ordered = left[-1] - 1 if left else -1
         self._ordered += 1
         return "order", next((sent for sent in self._sent if sent.seq == self._ordered), None)
 
 
-_BEYOND = 1e6  # rad or m, and per s: packets have no numbers for more
+_BEYOND = 1e6  # rad or m, and per s: limits of the packet fields
 _FAILING_TIME = 0.1  # s
 _MCI = {"streaming": 2, "guiding": 3, "failing": 1}
 _NO_DATA = (41822, "No data from the UdpUc device")
 _MISMATCH = (41826, "EGM mode mismatch")
-_SKIP = "Skip as many replies once and send one per packet, or take the newest message with --queue newest."
+_SKIP = "Skip this number of replies once, then send one per packet, or use --queue newest."
 
 
 class SimulatedController:
-    """One motion task: one session at a time, one sequence, one queue, one arm, whose period is the controller's.
+    """One motion task with one session at a time, one sequence, one queue and one arm.
 
-    `wire`: the robot's side of the wire, or packets of chosen content on it. `scene`: an operator alone is one too.
+    `wire`: robot side of the wire, or a `PacketBuilder`. `scene`: surroundings, or only a wrench.
     """
+
+    arm: SimulatedArm | LaggingArm
+    statistics: Statistics
+    cycle: int
+    session: int
+    seq: int
+    phase: str
 
     def __init__(
         self,
@@ -168,7 +271,7 @@ class SimulatedController:
         on_event: Callable[[ControllerEvent], None] | None = None,
     ) -> None:
         self.arm, self.statistics = arm, Statistics()
-        self.packets = wire if isinstance(wire, PacketBuilder) else PacketBuilder(wire, settings.period)
+        self.packets: PacketBuilder = wire if isinstance(wire, PacketBuilder) else PacketBuilder(wire, settings.period)
         self._settings, self._event_log = settings, EventLog(arm.robot.name, self.statistics, on_event)
         self._surroundings = scene if isinstance(scene, Surroundings) else Surroundings(scene)
         self._hand = self._surroundings.leads(settings.program, arm.robot.n)
@@ -176,9 +279,9 @@ class SimulatedController:
             arm.place(self._hand.at(0.0)[0])
         self._guidance = Guidance(arm.robot, settings, arm.sample.q)
         self._target = ReferenceDecoder(arm.robot, settings)
-        self._drive = arm.drive if isinstance(arm, SimulatedArm) else None  # without masses there are no torques
+        self._drive = arm.drive if isinstance(arm, SimulatedArm) else None  # no torques without masses
         self._external = ExternalAxes(self._surroundings.external, settings)
-        self.inbox = ReplyQueue(self.packets.codec, self.statistics, settings)
+        self.inbox: ReplyQueue = ReplyQueue(self.packets.codec, self.statistics, settings)
         self._cycles = {
             "streaming": self._stream,
             "guiding": self._guide,
@@ -188,7 +291,11 @@ class SimulatedController:
         }
         self.cycle = self.session = 0
         self.reason, self.dead, self._answered = "", False, False
-        self._begin_session(0)
+        if self._surroundings.is_open():
+            self._begin_session(0)
+        else:
+            self.seq = self._used_seq = self._left = self._guided_since = 0
+            self._enter("paused")
 
     @property
     def uptime(self) -> float:
@@ -202,11 +309,11 @@ class SimulatedController:
 
     @property
     def guidance_time(self) -> float:
-        """Seconds since guidance began in this session; negative before."""
+        """Time since the start of guidance in this session [s]; negative before."""
         return (self.cycle - self._guided_since) * self._settings.period
 
     def packet(self) -> bytes | None:
-        """Return the bytes of this cycle's packet, or None while no session runs."""
+        """Return the bytes of this cycle's packet, or None without a session."""
         if self.phase not in _MCI:
             return None
         scene, t, target = self._surroundings, self.uptime, self._target
@@ -227,7 +334,7 @@ class SimulatedController:
         return self.packets.encode(self.cycle, self.arm, self._guidance, q_ext, target, **condition)
 
     def accept(self, data: bytes, arrival_ns: int = 0) -> SensorMessage | None:
-        """Decode an arrived datagram and queue it. Return the message, or None for what is no message to us."""
+        """Decode a received datagram and queue it; return the message, or None if it is invalid."""
         found = self.inbox.read(data)
         if isinstance(found, Drop):
             self._event_log.drop(self.uptime, found, data)
@@ -243,7 +350,9 @@ class SimulatedController:
         return found
 
     def advance(self, takes: bool = True) -> None:
-        """Take at most one message, none in a cycle that this process missed; move reference and arm by one period."""
+        """Take at most one message (none in a missed cycle), then move the reference and the arm by one period."""
+        if self.phase in _MCI and not self._surroundings.is_open():
+            self._enter("paused")
         self._in_phase += 1
         self._takes = takes
         self._cycles[self.phase]()
@@ -253,21 +362,21 @@ class SimulatedController:
         self._external.follow(self._target.q_ext if self.phase == "guiding" else None)
         self.arm.step(self._guidance.q, self._guidance.qd, wrench)
         if self.phase != "over" and not (np.abs([self.arm.sample.q, self.arm.sample.qd]) < _BEYOND).all():  # NaN too
-            self._die(0, "the simulated arm was driven beyond all numbers; push it with less force")
+            self._die(0, "the simulated arm diverged; push it with less force")
 
     def skip(self, cycles: int) -> None:
-        """Let robot time pass without packets and without motion."""
+        """Advance robot time without packets or motion."""
         self.cycle += cycles
 
     def lose_peer(self) -> None:
-        """End the session as CommTimeout does. For lockstep, where robot time stands still while the peer is silent."""
+        """End the session as CommTimeout does; used in lockstep, where robot time stops while the peer is silent."""
         if self.phase in _MCI:
             self._no_data()
 
     def stop(self, reason: str) -> None:
-        """End for good."""
+        """End permanently."""
         if self.phase != "over":
-            self.reason = reason
+            self.reason: str = reason
             self._enter("over")
 
     def _begin_session(self, first_cycle: int) -> None:
@@ -340,38 +449,38 @@ class SimulatedController:
 
     def _pause(self) -> None:
         self._guidance.brake()
-        if self._lasted(self._settings.restart):
+        if self._lasted(self._settings.restart) and self._surroundings.is_open():
             if self._settings.program != "once":
                 self._begin_session(self.cycle + 1)
             else:
                 self.stop("the program ran once")
 
     def _take(self) -> None:
-        """Step 5 of the cycle: the next message, or none and the last reference stays."""
+        """Step 5 of the cycle: apply the next message, or hold the last reference."""
         message = self.inbox.take(self.cycle)
         if standing := self.inbox.standing():
             self._event(0, f"{standing} {_SKIP}")
         if message is None:
             self._silent_for += 1
-            self.statistics.counts["starved"] += self._in_phase > 1  # nothing can have come in the first cycle
+            self.statistics.counts["starved"] += self._in_phase > 1  # no reply is possible in the first cycle
             return
         self._silent_for, self._left = 0, len(self.inbox)
         found = self._target.read(message, self._guidance.q)
         if found is None:
             self._fail("no posture of the arm reaches the pose")
         elif not has_numbers(message, *found):
-            self._die(10014, "System failure state: a reference is no usable number; restart the controller")
+            self._die(10014, "System failure state: a reference is not a valid number; restart the controller")
         elif refusal := self._guidance.refusal(found[0]):
             self._fail(refusal)
         else:
             self._target.accept(message, *found)
-            self.statistics.heard(message.rapid_data, message.rapid_digital, message.q_ext)
+            self.statistics.record_reply(message.rapid_data, message.rapid_digital, message.q_ext)
             self._used_seq = message.seqno or 0
             self._target.apply(self._drive)
 
     def _die(self, number: int, text: str) -> None:
         self._event(number, text)
-        self.dead = True
+        self.dead: bool = True
         self.stop(f"event {number}" if number else text)
 
     def _fail(self, text: str) -> None:
@@ -379,7 +488,7 @@ class SimulatedController:
         self._enter("failing")
 
     def _no_data(self) -> None:
-        if self._answered or self.session == 1:  # without a peer this happens again and again
+        if self._answered or self.session == 1:  # without a peer this repeats
             self._event(*_NO_DATA)
         self._answered = False
         self._enter("paused")

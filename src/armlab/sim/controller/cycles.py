@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from armlab.errors import ConfigError
 from armlab.sim.controller.channel import UdpClient
 
-_CATCH_UP = 25  # cycles in which the arm moves on without packets after this process was held up
+_CATCH_UP = 25  # cycles in which the arm moves without packets after a stall
 
 
 @dataclass(frozen=True)
 class Timing:
-    """How time passes: in lockstep each cycle waits for its reply; otherwise by the clock. All times in s.
+    """Time base: in lockstep, each cycle waits for its reply, otherwise for the clock. All times are in s.
 
-    `seconds`: robot time after which to end. `patience`: of lockstep for one reply, before the session times out.
-    `gone`: silence after which lockstep gives its peer up and ends.
+    `seconds`: robot time at which the run ends. `patience`: timeout of a lockstep reply, after which the session ends.
+    `gone`: silence after which lockstep ends.
     """
 
     lockstep: bool = False
@@ -27,7 +27,7 @@ class Timing:
     gone: float = 120.0
 
     def __post_init__(self) -> None:
-        """Check the times."""
+        """Validate the times."""
         for name in ("seconds", "patience", "gone"):
             value = getattr(self, name)
             if value is not None and not value >= 0:
@@ -41,12 +41,12 @@ def run(
     alive: Callable[[], bool] = lambda: True,
     observe: Callable[[UdpClient], None] | None = None,
 ) -> str:
-    """Run until all controllers, of one period, are over, the time is up, or `alive` says no. Return why, in words.
+    """Run until all controllers are over, the time is up, or `alive` returns False; return the reason as text.
 
-    `observe` is called with a channel whenever its packet has been built.
+    `observe` is called with a channel after its packet is built. All controllers have the same period.
     """
     gc.collect()
-    gc.freeze()  # what exists now is not searched again: a full collection would cost cycles
+    gc.freeze()  # excluded from collections, which would cost cycles
     try:
         return (_lockstep if pace.lockstep else _real_time)(channels, pace, alive, observe or (lambda _: None))
     finally:
@@ -62,7 +62,7 @@ def _prepare(channels: Sequence[UdpClient], observe: Callable[[UdpClient], None]
 
 
 def _end(channels: Sequence[UdpClient], pace: Timing, alive: Callable[[], bool]) -> str:
-    """Return why to end, or nothing."""
+    """Return the reason for ending, or an empty string."""
     tasks = [channel.controller for channel in channels]
     if all(task.phase == "over" for task in tasks):
         return "; ".join(task.reason for task in tasks)
@@ -74,10 +74,7 @@ def _end(channels: Sequence[UdpClient], pace: Timing, alive: Callable[[], bool])
 def _lockstep(
     channels: Sequence[UdpClient], pace: Timing, alive: Callable[[], bool], observe: Callable[[UdpClient], None]
 ) -> str:
-    """Send, move while the peer computes, then wait for its reply: it acts in the next cycle, as in real time.
-
-    One arm after another, so that a peer of several hears them in the same order in every run.
-    """
+    """Send the packet of each arm in turn, move the arms while the peer computes, then wait for the replies."""
     while True:
         reason = _end(channels, pace, alive)
         if reason:
@@ -88,14 +85,16 @@ def _lockstep(
             channel.controller.advance()
             if not channel.wait(pace.patience, alive) and alive():
                 channel.controller.lose_peer()
-                if time.monotonic() - channel.heard > pace.gone:
+                if time.monotonic() - channel.last_reply > pace.gone:
                     return f"no reply for {pace.gone:g} s: the peer is gone"
 
 
 def _real_time(
     channels: Sequence[UdpClient], pace: Timing, alive: Callable[[], bool], observe: Callable[[UdpClient], None]
 ) -> str:
-    """Keep the schedule ``t0 + k T + phase``; cycles missed by this process pass without packets, never in a burst."""
+    """Keep the schedule ``t0 + k T + phase``; cycles missed by this process pass without packets, and are never sent in
+    a burst.
+    """
     period = channels[0].controller.arm.period
     start = time.monotonic() + period
     due = {phase: start + phase for phase in sorted({channel.phase for channel in channels})}
@@ -113,7 +112,7 @@ def _real_time(
         for channel in beat:
             channel.controller.statistics.late(time.monotonic() - due[phase], channel.controller.uptime)
         for channel in beat:
-            channel.drain()  # first, or a fast reply to the packet that leaves now would count for this cycle
+            channel.drain()  # before sending: a fast reply belongs to the next cycle
             channel.send()
         for channel in beat:
             channel.controller.advance()
@@ -127,7 +126,9 @@ def _real_time(
 
 
 def _miss(channels: Sequence[UdpClient], cycles: int) -> None:
-    """Let cycles pass without packets. The arm moves in the first of them only: a long stall is not made up."""
+    """Let cycles pass without packets, and move the arm only in the first ones, because a long stall is not made up
+    for.
+    """
     for channel in channels:
         channel.controller.statistics.counts["skipped"] += cycles
         for _ in range(min(cycles, _CATCH_UP)):

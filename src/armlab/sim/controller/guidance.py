@@ -1,8 +1,9 @@
-"""From a message to the reference of the drives: `ReferenceDecoder`, `Guidance` (joint mode), `ExternalAxes`.
+"""Reference generation from messages: `ReferenceDecoder`, `Guidance` (joint mode), `ExternalAxes`.
 
-The reference generator is ABB's (3HAC073318-001, section 2.3); its filter is our model: docs/theory/simulated_arm.md.
-Pose and path correction exist for tests of codecs: the goal is the posture that inverse kinematics finds from the
-planned one. A path correction shifts the posture at the beginning of guidance by y and z of the tool frame.
+The reference generator is ABB's (3HAC073318-001, section 2.3); its filter is our own model
+(docs/theory/simulated_arm.md). Pose and path correction are for codec tests; the goal is the inverse-kinematics posture
+nearest to the planned one. A path correction shifts the posture at the start of guidance along y and z of the tool
+frame.
 """
 
 from __future__ import annotations
@@ -13,16 +14,20 @@ import numpy as np
 
 from armlab.errors import ConfigError
 from armlab.robots import Robot
-from armlab.sim.arm.joints import JointDrives
+from armlab.sim.arm.arm import JointDrives
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.wire.egm.axes import Linkage
 from armlab.wire.egm.robot_side import SensorMessage
 
-_OVERSHOOT = 0.02  # rad: the filters may carry a reference that stops at a limit this far beyond it
+_OVERSHOOT = 0.02  # rad: largest filter overshoot beyond a limit
 
 
 class Guidance:
-    """The reference generator: `q` and `qd` (n,) for the drives, and the share of the speed limits needed [%]."""
+    """Reference generator: `q` and `qd` (n,) for the drives, and the required share of the speed limits [%]."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    utilization: float
 
     def __init__(self, robot: Robot, settings: ControllerSettings, q: np.ndarray) -> None:
         self._robot, self._settings, self._linkage = robot, settings, Linkage.of(robot)
@@ -35,12 +40,12 @@ class Guidance:
         self.begin()
 
     def begin(self) -> None:
-        """Start guidance from here: the ramp, the filters and the deviation count from now."""
+        """Start guidance from this posture: reset the ramp, the filters and the deviation."""
         self._start, self._time = self.q, 0.0
         self._filters = [self.qd] * self._stages
 
     def follow(self, q_ref: np.ndarray | None, qd_ref: np.ndarray | None) -> None:
-        """Advance by one period towards a reference; without a position it stays, without a velocity that is 0."""
+        """Advance by one period towards a reference; default: hold the position, zero velocity."""
         settings = self._settings
         self._time += settings.period
         wanted = np.zeros_like(self.q) if qd_ref is None else qd_ref
@@ -58,36 +63,38 @@ class Guidance:
         self.q = self.q + wanted * settings.period
 
     def lead(self, q: np.ndarray, qd: np.ndarray) -> None:
-        """Be where a hand leads the arm."""
+        """Set the reference to the pose that a hand imposes."""
         self.q, self.qd, self.utilization = q, qd, 0.0
 
     def let_go(self, q: np.ndarray, free: np.ndarray) -> None:
-        """Follow the arm in joints whose position nobody controls, so that control can come back without a jump."""
+        """Track the arm in uncontrolled joints, so that control can resume without a jump."""
         self.q = np.where(free, q, self.q)
 
     def brake(self) -> None:
-        """Advance by one period while the speed goes to zero at the robot's acceleration limits."""
+        """Advance by one period, decelerating to zero at the robot's acceleration limits."""
         self.qd = np.sign(self.qd) * np.maximum(np.abs(self.qd) - self._brake, 0.0)
         self.q = self.q + self.qd * self._settings.period
         self.utilization = 0.0
 
     def violation(self) -> str:
-        """Return in words which limit the reference has left, or nothing."""
+        """Return a sentence about the limit that the reference violates, or an empty string."""
         outside = self._outside(self.q, _OVERSHOOT)
         far = np.abs(self.q - self._start) > self._settings.max_deviation
         if outside.any():
             return f"reference of {self._joint(outside)} left the range of the joint"
         if far.any():
-            return f"reference of {self._joint(far)} went further than the position deviation allowed"
+            return f"reference of {self._joint(far)} exceeded the allowed position deviation"
         return ""
 
     def refusal(self, q_ref: np.ndarray) -> str:
-        """Return in words which joint of a received reference is out of bounds, or nothing."""
+        """Return a sentence about the joint whose received reference is out of bounds, or an empty string."""
         outside = self._outside(q_ref, 0.0)
         return f"reference of {self._joint(outside)} out of bounds" if outside.any() else ""
 
     def _outside(self, q: np.ndarray, margin: float) -> np.ndarray:
-        """Return which of ABB's axes are out of their range; they are the joints, but for a robot with a rod."""
+        """Return the mask of ABB's axes that are out of range; these equal the joints, except in robots with a parallel
+        rod.
+        """
         axes = q if self._linkage is None else self._linkage.axes(q)
         return (axes < self._robot.q_min - margin) | (axes > self._robot.q_max + margin)
 
@@ -106,7 +113,10 @@ _FASTEST = 1.0  # rad/s
 
 
 class ExternalAxes:
-    """At most six external axes, from 0 rad at the controller's gain, up to 1 rad/s: ``q += T k (q_ref - q)``."""
+    """At most six external axes, which start at 0 rad and move with the controller's gain at up to 1 rad/s:
+
+    ``q += T k (q_ref - q)``.
+    """
 
     def __init__(self, count: int, settings: ControllerSettings) -> None:
         if not 0 <= count <= _MOST:
@@ -114,11 +124,11 @@ class ExternalAxes:
         self.q, self._gain, self._period = np.zeros(count), settings.gain, settings.period
 
     def follow(self, q_ref: np.ndarray | None) -> None:
-        """Advance by one period; the axes stay for None or too few references."""
+        """Advance by one period; the axes hold if the references are None or too few."""
         if q_ref is None or len(q_ref) < len(self.q):
             return
         qd = np.clip(self._gain * (q_ref[: len(self.q)] - self.q), -_FASTEST, _FASTEST)
-        self.q = self.q + self._period * qd
+        self.q: np.ndarray = self.q + self._period * qd
 
 
 _ABSURD = 1e9  # rad, rad/s, m
@@ -126,10 +136,12 @@ _LARGEST_GAIN = 2.0
 
 
 class ReferenceDecoder:
-    """References of one motion task; q, qd and q_ext are None before the first. RAPID's variables outlive a session.
+    """References of one motion task; q, qd and q_ext are initially None. RAPID variables persist across sessions.
 
-    `tau` is the torque to add [N m]; `gain_q` and `gain_qd` scale the drive's gains in [0, 2].
+    `tau` is the added torque [N m]; `gain_q` and `gain_qd` scale the drive's gains in [0, 2].
     """
+
+    rapid_data: np.ndarray
 
     q: np.ndarray | None
     qd: np.ndarray | None
@@ -142,25 +154,25 @@ class ReferenceDecoder:
         self.begin(robot.q_home)
 
     def begin(self, q: np.ndarray) -> None:
-        """Forget all references: a new session begins at posture q."""
+        """Clear all references, because a new session begins at posture q."""
         self.q = self.qd = self.q_ext = None
         self._start = q
         self.release()
 
     @property
     def drive_mode(self) -> int:
-        """Mode of the drives as the research extension tells it: 1 position, 2 velocity, 3 torque."""
+        """Drive mode of the research extension: 1 position, 2 velocity, 3 torque."""
         if not self.gain_q.any():
             return 3
         return 1 if self._has_position_loop else 2
 
     @property
     def is_plain(self) -> bool:
-        """Whether the drive works with its own gains and no torque is added."""
+        """Whether the drive uses its own gains and no added torque."""
         return bool((self.gain_q == 1).all() and (self.gain_qd == 1).all() and not self.tau.any())
 
     def read(self, message: SensorMessage, planned: np.ndarray) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """Return the references (q, qd) of a message; None when no posture reaches the pose. NaN is passed on."""
+        """Return the references (q, qd) of a message; None if no posture reaches the pose. NaN is passed on."""
         if self._mode == "joint":
             q = message.q if message.q_reference is None else message.q_reference
             qd = message.qd if message.qd_reference is None else message.qd_reference
@@ -184,7 +196,7 @@ class ReferenceDecoder:
         return found.q, np.linalg.pinv(chain.jacobian(planned), rcond=1e-3) @ twist
 
     def accept(self, message: SensorMessage, q: np.ndarray, qd: np.ndarray | None) -> None:
-        """Store references and the drive's part of a message; absent fields go back to their defaults."""
+        """Store the references and drive parameters of a message; absent fields are reset to their defaults."""
         n = self._robot.n
         self.q, self.qd = q, qd
         if message.q_ext is not None:
@@ -198,7 +210,7 @@ class ReferenceDecoder:
         self.gain_qd = np.ones(n) if message.gain_qd is None else message.gain_qd.clip(0.0, _LARGEST_GAIN)
 
     def apply(self, drive: JointDrives | None) -> None:
-        """Pass torque and gains to the drives; None is an arm without masses, which has none."""
+        """Pass torque and gains to the drives (None for an arm without masses)."""
         if drive is None:
             return
         if self.is_plain:
@@ -207,17 +219,17 @@ class ReferenceDecoder:
             drive.assist(self.tau, self.gain_q, self.gain_qd)
 
     def release(self) -> None:
-        """Give the drive back its own gains and no torque: guidance is over."""
+        """End guidance, and restore the drive's own gains without added torque."""
         n = self._robot.n
         self.tau, self.gain_q, self.gain_qd = np.zeros(n), np.ones(n), np.ones(n)
 
 
 def is_number(values: np.ndarray) -> bool:
-    """Return whether all values are finite, and small enough that sums of them are finite too."""
+    """Return whether all values are finite and their sums cannot overflow."""
     return bool((np.abs(values) < _ABSURD).all())
 
 
 def has_numbers(message: SensorMessage, q: np.ndarray, qd: np.ndarray | None) -> bool:
-    """Return whether all references of a message are usable numbers."""
+    """Return whether all references of a message are valid numbers."""
     values = (q, qd, message.tau, message.gain_q, message.gain_qd, message.q_ext)
     return all(value is None or is_number(value) for value in values)

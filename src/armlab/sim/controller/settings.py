@@ -38,7 +38,7 @@ _PERIODS = {"joint": 0.004032, "pose": 0.004032, "path": 0.024}  # s
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """What RAPID and the system parameters set on a real controller; the defaults follow our RAPID templates.
+    """RAPID and system parameters of a real controller; the defaults correspond to armlab's RAPID templates.
 
     Attributes
     ----------
@@ -50,38 +50,38 @@ class ControllerSettings:
     filter : float
         LpFilter, bandwidth of the speed filter [Hz].
     level : int
-        0 filters once, 1 and 2 twice.
+        Filter level: 0 filters once, 1 and 2 twice.
     position_gain : float
         g, PosCorrGain; 0 is pure velocity control.
     ramp_in : float
         RampInTime [s].
     max_deviation : float
-        MaxPosDeviation from where guidance began [rad].
+        MaxPosDeviation from the start of guidance [rad].
     max_speed : float
-        MaxSpeedDeviation [rad/s]; never more than the fastest joint of the robot allows.
+        MaxSpeedDeviation [rad/s], limited to the speed of the robot's fastest joint.
     window : float
-        Half width of the convergence window [rad]; 0 is never converged.
+        Half-width of the convergence window [rad]; 0: never converges.
     condition_time : float
-        CondTime, how long the window must be met to end the session [s].
+        CondTime, time within the window that ends the session [s].
     comm_timeout : float
-        CommTimeout, silence that ends the session [s].
+        CommTimeout, duration of silence that ends the session [s].
     stream : float
-        Time of packets before guidance begins, MCI stopped [s].
+        Duration of streaming (MCI stopped) before guidance begins [s].
     restart : float
         Time from the end of a session to the next [s].
     program : str
-        "loop" begins another session when one ends, "once" does not. "stream" only streams, without guidance;
-        "lead-through" too, while a hand leads the arm.
+        "loop" starts another session when one ends, "once" does not. "stream" only streams, without guidance;
+        "lead-through" also streams, while a hand leads the arm.
     stream_queue : str
-        What becomes of messages that arrive while the controller only streams: "drop", or "keep" for the guidance
-        after it. Which of them a real controller does is not known.
+        Treatment of messages that arrive while the controller only streams: "drop", or "keep" for the following
+        guidance. The behaviour of a real controller is unknown.
     queue : str
-        Which of the waiting messages a cycle takes: "fifo" the oldest, as ABB's manual says; "newest" the newest, and
-        drops all others.
+        Message taken by a cycle: "fifo" takes the oldest, as in ABB's manual; "newest" takes the newest and drops all
+        others.
     mode : str
-        What is guided, and so what messages must hold: "joint" references, a "pose", or corrections of a "path".
+        Kind of guidance, and required content of messages: "joint" references, a "pose", or corrections of a "path".
     activated : str
-        The mode that RAPID prepared; another than `mode` plays event 41826. None for the same.
+        Mode prepared by RAPID; if it differs from `mode`, event 41826 occurs. None: the same.
 
     Raises
     ------
@@ -108,7 +108,7 @@ class ControllerSettings:
     activated: Literal["joint", "pose", "path"] | None = None
 
     def __post_init__(self) -> None:
-        """Check the ranges, and take the period of the mode where none was given."""
+        """Validate the ranges, and set the default period of the mode."""
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 raise UnknownName.among(
@@ -127,36 +127,36 @@ class ControllerSettings:
 
     @classmethod
     def abb_defaults(cls) -> ControllerSettings:
-        """Return what ABB's own defaults give: hardly any speed, and sessions that end when the robot stands still."""
+        """Return ABB's default settings, with very low speed and sessions that end when the robot stands still."""
         return cls(max_speed=math.radians(1.0), window=math.radians(0.5))
 
 
 @dataclass(frozen=True)
 class FaultRates:
-    """How often things go wrong in one direction.
+    """Fault rates of one direction.
 
     Attributes
     ----------
     loss : float
         Probability that a datagram is lost.
     duplicate : float
-        Probability that it arrives twice.
+        Probability that a datagram arrives twice.
     reorder : float
-        Probability that it arrives one cycle later, behind its successor.
+        Probability that a datagram arrives one cycle later, behind its successor.
     corrupt : float
-        Probability that it arrives corrupted.
+        Probability that a datagram arrives corrupted.
     delay : tuple
-        MEAN,SIGMA of a normal delay [s], never below 0, to the nearest cycle.
+        MEAN,SIGMA of a normally distributed delay [s]; delays are at least 0 and rounded to cycles.
     pause : tuple
-        START,LENGTH [s] in robot time: what is sent meanwhile arrives when the pause is over.
+        START,LENGTH in robot time [s]: datagrams sent in this interval arrive at its end.
     burst : int
-        Losses come this many in a row; `loss` stays the share of all datagrams.
+        Length of loss bursts in datagrams; `loss` remains the overall share of lost datagrams.
     until : float
-        Robot time from which on nothing goes wrong any more [s].
+        Robot time at which faults end [s].
 
     Raises
     ------
-    ConfigError : for a probability outside [0, 1], a time that is negative or no number, or a burst below 1.
+    ConfigError : for a probability outside [0, 1], a time that is negative or not a number, or a burst below 1.
     """
 
     loss: float = 0.0
@@ -169,7 +169,7 @@ class FaultRates:
     until: float = math.inf
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
+        """Validate the ranges."""
         for name in ("loss", "duplicate", "reorder", "corrupt"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ConfigError(f"Expected {name} between 0 and 1, got {getattr(self, name)}.")
@@ -183,6 +183,6 @@ class FaultRates:
 
     @property
     def any(self) -> bool:
-        """Whether anything can go wrong at all."""
+        """Whether any fault is possible."""
         rates = self.loss, self.duplicate, self.reorder, self.corrupt, *self.delay, self.pause[1]
         return any(rates)

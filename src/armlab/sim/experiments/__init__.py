@@ -1,3 +1,3 @@
-"""Calibration experiments of known truth."""
+"""Calibration experiments with known ground truth."""
 
 __all__ = []

@@ -1,7 +1,7 @@
-"""Experiments of kinematic calibration of known truth, drawn in the order in which they are written.
+"""Kinematic calibration experiments with known ground truth, drawn in the order of the code.
 
-An IRB 2400 by its Denavit-Hartenberg table, its frames or its table perturbed, measured by poses, distances or a second
-arm. The truth is computed frame by frame here, not by the kernels that the fits use.
+The arm is an IRB 2400 with a perturbed table or perturbed frames, measured by poses, distances or a second arm. The
+truth is computed frame by frame, independently of the kernels used by the fits.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ TURN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class LocalArm:
-    """``T = F_1 exp(xi_1 q_1) ... F_{n+1}`` with errors of the joints: amplitudes (n, 2 m) of the orders 1 ... m."""
+    """``T = F_1 exp(xi_1 q_1) ... F_{n+1}`` with joint errors: amplitudes (n, 2 m) of the orders 1 ... m."""
 
     frames: np.ndarray
     screws: np.ndarray
     amplitudes: np.ndarray
 
     def forward(self, q: np.ndarray) -> np.ndarray:
-        """Return the tool (N, 4, 4)."""
+        """Return the tool poses (N, 4, 4)."""
         turned, T = np.array(q, dtype=float), np.broadcast_to(np.eye(4), (len(q), 4, 4))
         for k in range(self.amplitudes.shape[1] // 2):
             cosine, sine = self.amplitudes[:, 2 * k], self.amplitudes[:, 2 * k + 1]
@@ -48,9 +48,9 @@ class LocalArm:
 
 @dataclass(frozen=True, eq=False)
 class KinematicRun:
-    """One experiment: nominal robot, truth, joint positions, noisy and true poses, and the same for validation."""
+    """Experiment: nominal robot, truth, joint positions, noisy and true poses, and a validation set."""
 
-    noise: ClassVar[tuple[float, float]] = NOISE  # of the poses (m, rad)
+    noise: ClassVar[tuple[float, float]] = NOISE  # noise of the poses (m, rad)
     robot: Robot
     truth: LocalArm
     q: np.ndarray
@@ -60,11 +60,11 @@ class KinematicRun:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Arguments of `calibrate.fit_kinematics`."""
+        """Arguments for `calibrate.fit_kinematics`."""
         return {"robot": self.robot, "q": self.q, "pose": self.pose}
 
     def error(self, T: np.ndarray) -> tuple[float, float]:
-        """Return the error of validation poses (200, 4, 4): root mean square of distance [mm] and angle [deg]."""
+        """Return the RMS errors of validation poses (200, 4, 4): distance [mm] and angle [deg]."""
         away = np.sum((T - self.pose_valid)[:, :3, 3] ** 2, axis=1)
         turn = so3.angle(T[:, :3, :3], self.pose_valid[:, :3, :3])
         return 1e3 * float(np.sqrt(np.mean(away))), float(np.sqrt(np.mean(turn**2))) / DEGREE
@@ -94,7 +94,7 @@ def as_robot(arm: LocalArm, name: str = "irb2400") -> Robot:
 
 
 def sliding_robot() -> Robot:
-    """Return an arm whose third joint slides."""
+    """Return an arm whose third joint is prismatic."""
     arm = dh_arm(tool=True)
     screws = arm.screws.copy()
     screws[2] = [0.0, np.sin(0.3), np.cos(0.3), 0.0, 0.0, 0.0]
@@ -107,14 +107,14 @@ def moved(arm: LocalArm, shifts: np.ndarray, turns: np.ndarray) -> LocalArm:
 
 
 def noisy(T: np.ndarray, rng: np.random.Generator, noise: tuple[float, float] = NOISE) -> np.ndarray:
-    """Return poses with noise, all rotations first."""
+    """Return noisy poses; all rotations are drawn first."""
     turns = noise[1] * rng.standard_normal((len(T), 3))
     shifts = noise[0] * rng.standard_normal((len(T), 3))
     return se3.from_rp(T[:, :3, :3] @ so3.exp(turns), T[:, :3, 3] + shifts)
 
 
 def perturbed(rng: np.random.Generator, truth: str, tool: bool) -> LocalArm:
-    """Return the truth "lpoe", every frame moved, or "dh", every number of the table."""
+    """Return the truth: "lpoe" perturbs every frame, "dh" every number of the table."""
     if truth == "dh":
         e = rng.standard_normal((6, 4)) * [0.1 * DEGREE, 5e-4, 5e-4, 0.1 * DEGREE]
         return dh_arm((OFFSET + e[:, 0], D + e[:, 1], A + e[:, 2], ALPHA + e[:, 3]), tool)
@@ -131,7 +131,7 @@ def kinematic_run(
     harmonics: bool = False,
     wrong: int = 0,
 ) -> KinematicRun:
-    """Return experiments K1 to K4 and K7: poses, of which positions may be used alone; see `CalibrationCell`."""
+    """Return experiments K1 to K4 and K7: poses, or only their positions; see `CalibrationCell`."""
     rng = np.random.default_rng([seed, run])
     arm = perturbed(rng, truth, tool)
     q, q_valid = (rng.uniform(-np.pi, np.pi, (m, 6)) for m in (n, VALIDATION))
@@ -143,7 +143,7 @@ def kinematic_run(
 
 @dataclass(frozen=True, eq=False)
 class DistanceRun(KinematicRun):
-    """The same with a fixed point (3,) and its distances (N,) from the tool; `guess` is where it was thought to be."""
+    """Arm with a fixed point (3,), its distances (N,) from the tool, and its initial `guess`."""
 
     noise_distance: ClassVar[float] = 5e-5  # m
     anchor: np.ndarray
@@ -152,7 +152,7 @@ class DistanceRun(KinematicRun):
 
     @property
     def given(self) -> dict[str, Any]:
-        """Arguments of `calibrate.fit_kinematics`."""
+        """Arguments for `calibrate.fit_kinematics`."""
         return {"robot": self.robot, "q": self.q, "distance": self.distance, "anchor": self.guess}
 
 
@@ -170,7 +170,7 @@ def distance_run(run: int, seed: int = 2300, n: int = 120) -> DistanceRun:
 
 
 def spoilt(pose: np.ndarray, rng: np.random.Generator, wrong: int, angle: float, length: float) -> np.ndarray:
-    """Return poses whose first ones are turned by an angle and shifted by a length, each in a direction of its own."""
+    """Return poses with outliers, the first of which are rotated and shifted in random directions."""
     pose = pose.copy()
     for T in pose[:wrong]:
         u, v = (w / np.linalg.norm(w) for w in rng.standard_normal((2, 3)))
@@ -181,9 +181,9 @@ def spoilt(pose: np.ndarray, rng: np.random.Generator, wrong: int, angle: float,
 
 @dataclass(frozen=True, eq=False)
 class DualRun:
-    """One experiment with two arms: nominal robots, truths, joint positions, poses of tool b seen from tool a."""
+    """Experiment with two arms: nominal robots, truths, joint positions, poses of tool b relative to tool a."""
 
-    noise: ClassVar[tuple[float, float]] = NOISE  # of the poses (m, rad)
+    noise: ClassVar[tuple[float, float]] = NOISE  # noise of the poses (m, rad)
     robot_a: Robot
     robot_b: Robot
     truth_a: LocalArm
@@ -197,7 +197,7 @@ class DualRun:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Arguments of `calibrate.fit_dual_arm`."""
+        """Arguments for `calibrate.fit_dual_arm`."""
         names = ("robot_a", "robot_b", "q_a", "q_b", "pose")
         return {name: getattr(self, name) for name in names}
 
@@ -210,7 +210,7 @@ NOMINAL_PAIR = se3.from_rp(so3.exp([0.0, 0.0, np.pi]), [1.8, 0.0, 0.0])
 
 
 def dual_run(run: int, seed: int = 2400, n: int = 60, wrong: int = 0) -> DualRun:
-    """Return experiment K6: two arms with tools that face each other; the first poses wrong as in K7."""
+    """Return experiment K6: two arms whose tools face each other; outliers as in K7."""
     rng = np.random.default_rng([seed, run])
     arms = []
     for _ in range(2):

@@ -1,8 +1,8 @@
-"""Experiments of known truth with sensors: hand-eye at rest and in motion, force sensor, accelerometer, line scanner.
+"""Sensor experiments with known ground truth: hand-eye at rest and in motion, force sensor, accelerometer, scanner.
 
-All are drawn in the order in which they are written. The line scanner hits plates e_j.x = 1 within 0.2 m. Scans are
-tried many at once, so that the experiments have the distribution of the specification, not its samples; scans of a
-plate nearly parallel to the laser plane, which the fit refuses, are drawn again.
+Random numbers are drawn in the order of the code. The line scanner hits plates e_j.x = 1 within 0.2 m. Scans are drawn
+in batches, so only their distribution follows the specification, not the individual samples. Scans nearly parallel to a
+plate, which the fit would reject, are redrawn.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MARKER = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Poses of a robot and of a marker with noise, and the truth behind them: X, Y, and both records without noise."""
+    """Noisy poses of a robot and a marker, and the ground truth: X, Y, and both records without noise."""
 
     A: np.ndarray
     B: np.ndarray
@@ -36,13 +36,13 @@ class Poses:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Arguments of `calibrate.fit_hand_eye`."""
+        """Arguments for `calibrate.fit_hand_eye`."""
         return {"T_base_tool": self.A, "T_cam_marker": self.B}
 
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """Poses of a robot and points (N, 3, 3) of a marker, and the truth behind them: X, Y, both without noise."""
+    """Robot poses and points (N, 3, 3) of a marker, and the ground truth: X, Y, both records without noise."""
 
     A: np.ndarray
     p: np.ndarray
@@ -54,7 +54,7 @@ class Sights:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Arguments of `calibrate.fit_hand_eye_points`."""
+        """Arguments for `calibrate.fit_hand_eye_points`."""
         return {"T_base_tool": self.A, "p_cam": self.p}
 
 
@@ -65,7 +65,7 @@ def rotations(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def tilted(rng: np.random.Generator, count: int, angle: float) -> np.ndarray:
-    """Return rotations (count, 3, 3) at most `angle` from one."""
+    """Return rotations (count, 3, 3) within `angle` of the identity."""
     axes = rng.standard_normal((count, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     middle = rotations(rng, 1)[0]
@@ -73,13 +73,13 @@ def tilted(rng: np.random.Generator, count: int, angle: float) -> np.ndarray:
 
 
 def noisy(rng: np.random.Generator, T: np.ndarray, noise: tuple[float, float]) -> np.ndarray:
-    """Return poses (N, 4, 4) with noise: all rotations first."""
+    """Return noisy poses (N, 4, 4); all rotations are drawn first."""
     R = T[:, :3, :3] @ so3.exp(noise[1] * rng.standard_normal((len(T), 3)))
     return se3.from_rp(R, T[:, :3, 3] + noise[0] * rng.standard_normal((len(T), 3)))
 
 
 def spoilt(rng: np.random.Generator, B: np.ndarray, bad: Any) -> np.ndarray:
-    """Return poses of which some are turned by 10 degrees and moved by 50 mm, one after the other (H3)."""
+    """Return poses with outliers that are rotated by 10 degrees and moved by 50 mm (H3)."""
     B = B.copy()
     for i in bad:
         u, v = rng.standard_normal(3), rng.standard_normal(3)
@@ -96,7 +96,7 @@ def seen_poses(
     robot: tuple[float, float] | None = None,
     wrong: int = 0,
 ) -> Poses:
-    """Return experiment H1; H2 with tilt [rad]; H3 with the first samples wrong; H4 with noise of the robot."""
+    """Return experiment H1; H2 with tilt [rad]; H3 with wrong first samples; H4 with robot noise."""
     rng = np.random.default_rng(seed)
     RX, tX = rotations(rng, 1)[0], 0.1 * rng.standard_normal(3)
     RY, tY = rotations(rng, 1)[0], rng.standard_normal(3)
@@ -115,11 +115,11 @@ def seen_points(
     missing: float = 0.2,
     robot: tuple[float, float] | None = None,
 ) -> Sights:
-    """Return experiment H5: three LEDs, some not seen; with noise of the robot."""
+    """Return experiment H5: three LEDs, some of them hidden; optional robot noise."""
     rng = np.random.default_rng(seed)
 
     def poses(count: int, size: float) -> np.ndarray:
-        n = rng.standard_normal((count, 12))  # per pose nine numbers, then three
+        n = rng.standard_normal((count, 12))  # nine numbers per pose, then three
         return se3.from_rp(so3.project(n[:, :9].reshape(-1, 3, 3))[0], size * n[:, 9:])
 
     A = poses(N, 0.5)
@@ -132,14 +132,14 @@ def seen_points(
 
 
 RATE = 250.0  # Hz
-REACH = 0.7  # rad, either way
+REACH = 0.7  # rad, in each direction
 SLOW, FAST = 0.05, 0.12  # Hz
 AHEAD = 0.2  # s between the first row of the arm and the first image
 
 
 @dataclass(frozen=True, eq=False)
 class MovingSights:
-    """Recordings of the joints q and of poses T_cam_marker in one motion, and the true poses behind them."""
+    """Recordings of the joints q and of poses T_cam_marker during one motion, and the true poses."""
 
     robot: Robot
     arm: Table
@@ -150,7 +150,7 @@ class MovingSights:
 
 def moving_sights(seed: Any, looked: np.ndarray) -> MovingSights:
     """Return both recordings of a smooth motion of an IRB 2400, with images at the times `looked` (N,) [s]."""
-    from armlab.log import Column, Table  # here: a simulator that only sends starts without them
+    from armlab.log import Column, Table  # lazy: a simulator that only sends starts without it
 
     rng, robot = np.random.default_rng(seed), load("irb2400")
     frequency, phase = rng.uniform(SLOW, FAST, robot.n), rng.uniform(-np.pi, np.pi, robot.n)
@@ -175,10 +175,10 @@ CONTACT = 20.0  # N
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """Orientations of a tool and readings of what hangs on it, and the truth behind them.
+    """Orientations of a tool and readings of a sensor with a load, and the ground truth.
 
-    `bias` is -R^T o of the specification, then that of the torque; `weight` the true one in base axes; `exact` the
-    readings without noise and contact; `touched` the samples with contact.
+    `bias` is -R^T o of the specification, followed by the torque bias. `weight` is in base axes; `exact` holds the
+    readings without noise and contact, and `touched` the samples with contact.
     """
 
     RA: np.ndarray
@@ -192,7 +192,7 @@ class Weighed:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Arguments of `calibrate.fit_force_sensor`."""
+        """Arguments for `calibrate.fit_force_sensor`."""
         return {"T_base_tool": self.RA, "wrench": self.y, "gravity": GRAVITY}
 
 
@@ -231,7 +231,7 @@ def weighed(
 
 
 def touched(rng: np.random.Generator, y: np.ndarray, rows: Any) -> np.ndarray:
-    """Return readings with contacts of 20 N in some rows (F3)."""
+    """Return readings with 20 N contacts in some rows (F3)."""
     y = y.copy()
     y[rows, :3] += CONTACT * rotations(rng, len(y))[rows, 0]
     return y
@@ -249,14 +249,14 @@ def accelerated(seed: Any, N: int = 50, sigma: float = 0.02) -> Weighed:
 
 
 SIGMA = 0.5e-3  # m
-ANGLE = SIGMA * np.sqrt(12.0) / 0.2  # rad, of a line through points along 0.2 m
+ANGLE = SIGMA * np.sqrt(12.0) / 0.2  # rad, of a line fitted over 0.2 m
 TRIES = 1500
 FLATTEST = 0.06  # sine of the angle between plate and laser plane
 
 
 @dataclass(frozen=True, eq=False)
 class Scanned:
-    """Scans of plates, with the truth behind them: pose of the sensor, normals, offsets, scans without noise."""
+    """Scans of plates, and the ground truth: sensor pose, normals, offsets, scans without noise."""
 
     A: np.ndarray
     scans: np.ndarray
@@ -268,18 +268,20 @@ class Scanned:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Arguments of `calibrate.fit_laser_plane`."""
+        """Arguments for `calibrate.fit_laser_plane`."""
         return {"T_base_tool": self.A, "scans": self.scans, "plane": self.plane}
 
 
 def turns(angles: np.ndarray) -> np.ndarray:
-    """Return Rz(r) Ry(p) Rx(y) of angles (..., 3)."""
+    """Return Rz(r) Ry(p) Rx(y) for angles (..., 3)."""
     r, p, y = (so3.exp(angles[..., i, None] * np.eye(3)[2 - i]) for i in range(3))
     return r @ p @ y
 
 
 def scanned(seed: Any, N: int = 60, size: float = 1.0, plates: int = 3, wrong: int = 0) -> Scanned:
-    """Return experiment L1, noise 0.5 mm times `size`; L3: the first `wrong` scans off by 20 mm and 10 degrees."""
+    """Return experiment L1 with noise 0.5 mm times `size`, or L3 with the first `wrong` scans off by 20 mm and 10
+    degrees.
+    """
     rng = np.random.default_rng(seed)
     X = se3.from_rp(turns(rng.standard_normal(3)), 0.5 * rng.standard_normal(3))
     plane = np.arange(N) % plates
@@ -300,7 +302,7 @@ def scanned(seed: Any, N: int = 60, size: float = 1.0, plates: int = 3, wrong: i
 
 
 def hits(rng: np.random.Generator, X: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return poses of the tool and exact lines (n, 4) of the tries that hit plate j."""
+    """Return the tool poses and exact lines (n, 4) of the trials that hit plate j."""
     e = np.eye(3)[j]
     A = se3.from_rp(turns(1.5 * rng.standard_normal((TRIES, 3))), 0.6 * rng.standard_normal((TRIES, 3)) + 2 * e)
     S = A @ X

@@ -1,4 +1,4 @@
-"""ABB's Externally Guided Motion on the wire: bytes to SI values and back, no sockets."""
+"""Codec for ABB's Externally Guided Motion: converts bytes to SI values and back."""
 
 from armlab.wire.egm.codec import Details, EgmCodec
 from armlab.wire.egm.types import Beside, Codec, Drop, Packet, Reference

@@ -1,8 +1,8 @@
-"""The map between ABB's axes and kinematic joints: order, units, and joints that two motors move together.
+"""Mapping between ABB's axes and kinematic joints: order, units and motor coupling.
 
-On an IRB 2400 a parallel rod turns the upper arm, and ABB counts axis 3 from the foot: axis 3 = q_2 + q_3. EGM speaks
-of axes, armlab of joints: ``q = C q_axis``, ``qd = C qd_axis``, ``tau = C^-T tau_axis``. C is the coupling of the
-robot's description without its gear ratios, which are ABB's own business: EGM is behind the gears.
+On an IRB 2400, a parallel rod rotates the upper arm, and ABB measures axis 3 relative to the base: axis 3 = q_2 + q_3.
+EGM transmits axes, whereas armlab uses joints: ``q = C q_axis``, ``qd = C qd_axis``, ``tau = C^-T tau_axis``. C is the
+coupling in the robot's description without gear ratios, because EGM values are on the joint side of the gears.
 """
 
 from __future__ import annotations
@@ -19,57 +19,62 @@ from armlab.wire.egm.types import Drop, RobotAxes
 RADIAN = pi / 180.0
 _MILLIMETRE = 1e-3
 _UNITS = {"deg": RADIAN, "mm": _MILLIMETRE}
-_HEAD = 6  # EgmJoints holds at most six values; further axes of the robot travel as external joints
+_HEAD = 6  # EgmJoints holds at most six values; further axes of the robot are sent as external joints
 
 
 class Refused(Exception):
-    """Inside the codec: a message cannot be used. The codec turns it into the `Drop` it carries."""
+    """Unusable message; internal to the codec, which returns it as `Drop`."""
 
     def __init__(self, reason: str, detail: str) -> None:
         super().__init__(detail)
-        self.drop = Drop(reason, detail)
+        self.drop: Drop = Drop(reason, detail)
 
 
 class AxisMap:
-    """Permutation and units of one robot: with w = joints ++ externalJoints, q[i] = scale[i] * w[abb_axes[i] - 1].
+    """Permutation and units of one robot; with w = joints ++ externalJoints, q[i] = scale[i] * w[abb_axes[i] - 1].
 
-    A rotary joint is in degrees on the wire. A linear joint among the first six arrives as metres times 180/pi
-    (abb_libegm pull request 142), so its factor is the rotary one; beyond the sixth it is in millimetres.
+    A revolute joint is in degrees on the wire. A prismatic joint among the first six arrives as metres times 180/pi
+    (abb_libegm pull request 142), so its factor is that of a revolute joint; beyond the sixth joint, it is in
+    millimetres.
 
-    An arm without joints is an external unit alone: everything is in the external joints. Further external axes are
-    in degrees unless `units` says otherwise. Where a motor moves two joints, q are the axes of `linkage`.
+    An arm without joints is an external unit, whose axes are all external joints. Further external axes are in degrees
+    unless `units` specifies otherwise. With coupled motors, q contains the axes of `linkage`.
 
     `units`: "deg" or "mm", for each joint in kinematic order and then for each external axis; empty for the rule above.
-    `n`, `head`, `tail`: joints, those among ABB's first six, those beyond; `order`: axis of each joint, from 0;
-    `scale`, `beyond`: SI per wire unit of the joints (n,) and of the first external axes; `can_move`: the units of all
-    commands are known.
+    `n`, `head`, `tail`: numbers of joints in total, among ABB's first six axes, and beyond; `order`: axis of each
+    joint, from 0; `scale`, `beyond`: SI per wire unit of the joints (n,) and of the first external axes; `can_move`:
+    whether the units of all commands are known.
     """
+
+    order: tuple[int, ...]
+    scale: np.ndarray
+    beyond: np.ndarray
 
     def __init__(self, arm: RobotAxes, units: Sequence[str] = ()) -> None:
         axes = tuple(int(axis) for axis in arm.abb_axes)
         if sorted(axes) != list(range(1, arm.n + 1)):
-            raise RobotError(f"Expected abb_axes to hold each of 1 to {arm.n} once, got {axes}.")
-        self.n = arm.n
-        self.head = min(arm.n, _HEAD)
-        self.tail = arm.n - self.head
+            raise RobotError(f"Expected abb_axes as a permutation of 1 to {arm.n}, got {axes}.")
+        self.n: int = arm.n
+        self.head: int = min(arm.n, _HEAD)
+        self.tail: int = arm.n - self.head
         self.order = order = tuple(axis - 1 for axis in axes)
         linear = np.asarray(arm.prismatic, dtype=bool)
         self.scale = np.where(linear & (np.array(order) >= self.head), _MILLIMETRE, RADIAN)
-        self.can_move = bool(units) or not np.any(linear & (np.array(order) < self.head))
+        self.can_move: bool = bool(units) or not np.any(linear & (np.array(order) < self.head))
         self.beyond = np.array([], dtype=np.float64)
         if units:
             if not set(units) <= _UNITS.keys() or len(units) < arm.n:
-                raise ConfigError(f'Expected units of "deg" or "mm" for {arm.n} joints at least, got {tuple(units)}.')
+                raise ConfigError(f'Expected units of "deg" or "mm" for at least {arm.n} joints, got {tuple(units)}.')
             factors = np.array([_UNITS[unit] for unit in units])
             self.scale, self.beyond = factors[: arm.n], factors[arm.n :]
         self._inverse = tuple(order.index(k) for k in range(arm.n))
 
     def kinematic(self, values: Sequence[float]) -> tuple[float, ...]:
-        """Return values of ABB's axes in kinematic order."""
+        """Reorder values of ABB's axes to kinematic order."""
         return tuple(values[k] for k in self.order)
 
     def abb(self, values: Sequence[float]) -> tuple[float, ...]:
-        """Return values of the joints in ABB's order."""
+        """Reorder values of the joints to ABB's order."""
         return tuple(values[k] for k in self._inverse)
 
     def joints(self, joints: Sequence[float], external: Sequence[float]) -> tuple[float, ...]:
@@ -92,7 +97,7 @@ class AxisMap:
         return np.concatenate((known, np.full(count - len(known), RADIAN)))
 
     def array(self, values: Sequence[float], is_kinematic: bool) -> tuple[float, ...] | None:
-        """Return the n values of one extension array in kinematic order, None when it is absent."""
+        """Return the n values of one extension array in kinematic order, or None if absent."""
         if not values:
             return None
         if len(values) != self.n:
@@ -100,7 +105,7 @@ class AxisMap:
         return tuple(values) if is_kinematic else self.kinematic(values)
 
     def wire(self, q: np.ndarray, scale: np.ndarray) -> tuple[float, ...]:
-        """Return the n wire values in ABB's order: the first `head` are joints, the rest external.
+        """Return the n wire values in ABB's order: the first `head` values are joints, the rest external joints.
 
         `q`: (n,) SI, kinematic order; `scale`: (n,) SI per wire unit.
         """
@@ -114,9 +119,9 @@ _TORQUES = ("tau", "tau_total", "tau_gravity", "tau_reference")
 
 
 class Linkage:
-    """Between ABB's axes and joints, both in kinematic order.
+    """Conversion between ABB's axes and joints, both in kinematic order.
 
-    `coupling`: (n, n) C. `Linkage.of` makes it of a robot.
+    `coupling`: (n, n) C. `Linkage.of` creates it from a robot.
     """
 
     def __init__(self, coupling: np.ndarray) -> None:
@@ -126,31 +131,29 @@ class Linkage:
 
     @classmethod
     def of(cls, arm: RobotAxes) -> Linkage | None:
-        """Return the linkage of a robot, None where every axis is a joint."""
+        """Return the linkage of a robot, or None if its axes equal its joints."""
         coupling = np.asarray(arm.coupling, dtype=np.float64)
         gears = np.diag(coupling)
         if not np.any(coupling - np.diag(gears)):
             return None
         if not np.all(gears) or abs(np.linalg.det(coupling / gears)) < 1e-9:
-            raise RobotError(
-                f"Expected a coupling that can be inverted, each motor with its own joint, got {coupling}."
-            )
+            raise RobotError(f"Expected an invertible coupling in which each motor has its own joint, got {coupling}.")
         return cls(coupling / gears)
 
     def joints(self, axes: np.ndarray) -> np.ndarray:
-        """Return positions or velocities (n,) of the joints. `axes` (n,) : those of the axes."""
+        """Return joint positions or velocities (n,) from `axes` (n,)."""
         return _times(self._to_joints, axes)
 
     def axes(self, joints: np.ndarray) -> np.ndarray:
-        """Return positions or velocities (n,) of the axes. `joints` (n,) : those of the joints."""
+        """Return axis positions or velocities (n,) from `joints` (n,)."""
         return _times(self._to_axes, joints)
 
-    def heard(self, message: Message) -> Message:
-        """Return a message from the wire with its axes made joints."""
+    def from_axes(self, message: Message) -> Message:
+        """Return a received message converted from axes to joints."""
         return _changed(message, self._to_joints, self._torque_to_joints)
 
-    def said(self, message: Message) -> Message:
-        """Return a message for the wire with its joints made axes."""
+    def to_axes(self, message: Message) -> Message:
+        """Return a message converted from joints to axes, to send."""
         return _changed(message, self._to_axes, self._torque_to_axes)
 
 
@@ -161,7 +164,7 @@ def _changed(message: Message, motion: np.ndarray, torque: np.ndarray) -> Messag
 
 
 def _times(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the product; NaN in one value spoils only what depends on it."""
+    """Return the product; a NaN affects only the values that depend on it."""
     with np.errstate(invalid="ignore", over="ignore"):
         product = np.where(matrix, matrix * values, 0.0).sum(axis=1)
     product.flags.writeable = False

@@ -1,12 +1,13 @@
-"""The bridge's side of EGM: decode EgmRobot, encode EgmSensor and EgmSensorPathCorr.
+"""EGM codec of the bridge, which decodes EgmRobot and encodes EgmSensor and EgmSensorPathCorr.
 
-The only place, with its neighbours in this package and `native/wire/egm.cpp`, where degrees, millimetres and
-milliseconds exist. `decode` never raises, whatever the bytes; what is wrong comes back as a `Drop`.
+Degrees, millimetres and milliseconds exist only in this package and in `native/wire/egm.cpp`. `decode` never raises;
+invalid datagrams return a `Drop`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import cos, isfinite, nan, sin, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,29 +16,120 @@ from google.protobuf.message import DecodeError
 from armlab import kernels
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
-from armlab.wire.egm.pose_force import NO_POSE, is_layout_of_rw7, pose_from_matrix, pose_values, read_pose
 from armlab.wire.egm.types import Drop, Packet, Reference, RobotAxes
+
+NO_POSE = (nan,) * 16
+"""Values of a missing pose."""
+
+
+def pose_values(pose: Sequence[float]) -> tuple[float, ...]:
+    """Return the 16 values of a matrix [m], row by row, or `NO_POSE` for a quaternion without a usable norm.
+
+    Plain arithmetic is ten times faster than small arrays. The quaternion is normalised.
+
+    `pose`: x, y, z in mm, quaternion u0 (scalar) to u3.
+    """
+    x, y, z, a, b, c, d = pose
+    norm = a * a + b * b + c * c + d * d
+    if not 1e-12 < norm < 1e12:  # also NaN
+        return NO_POSE
+    s = 2.0 / norm
+    b2, c2, d2 = s * b * b, s * c * c, s * d * d
+    bc, bd, cd = s * b * c, s * b * d, s * c * d
+    ab, ac, ad = s * a * b, s * a * c, s * a * d
+    return (
+        1.0 - c2 - d2, bc - ad, bd + ac, 1e-3 * x,
+        bc + ad, 1.0 - b2 - d2, cd - ab, 1e-3 * y,
+        bd - ac, cd + ab, 1.0 - b2 - c2, 1e-3 * z,
+        0.0, 0.0, 0.0, 1.0,
+    )  # fmt: skip
+
+
+def read_pose(pose: Any, euler_wins: bool = False) -> tuple[float, ...] | None:
+    """Return x, y, z [mm] and u0 to u3 of an EgmPose, or None without position or orientation."""
+    if euler_wins and pose.HasField("pos") and pose.HasField("euler"):
+        x, y, z = (0.5 * RADIAN * angle for angle in (pose.euler.x, pose.euler.y, pose.euler.z))
+        if not isfinite(x + y + z):
+            return pose.pos.x, pose.pos.y, pose.pos.z, nan, nan, nan, nan
+        (a, b), (c, d), (e, f) = ((cos(half), sin(half)) for half in (x, y, z))
+        turned = a * c * e + b * d * f, b * c * e - a * d * f, a * d * e + b * c * f, a * c * f - b * d * e
+        return (pose.pos.x, pose.pos.y, pose.pos.z, *turned)
+    if not (pose.HasField("pos") and pose.HasField("orient")):
+        return None
+    where, turn = pose.pos, pose.orient
+    return where.x, where.y, where.z, turn.u0, turn.u1, turn.u2, turn.u3
+
+
+def pose_from_matrix(pose: Any, T_frame_tool: np.ndarray) -> None:
+    """Write a (4, 4) matrix [m] into an EgmPose message: position in mm and the quaternion with u0 >= 0.
+
+    `T_frame_tool`: (4, 4) rigid transformation.
+    """
+    (r00, r01, r02, x), (r10, r11, r12, y), (r20, r21, r22, z) = T_frame_tool.tolist()[:3]
+    pos, orient = pose.pos, pose.orient
+    pos.x, pos.y, pos.z = 1e3 * x, 1e3 * y, 1e3 * z
+    # Each candidate is 4 u_i times the quaternion; the largest u_i keeps the division well conditioned.
+    squares = (1 + r00 + r11 + r22, 1 + r00 - r11 - r22, 1 - r00 + r11 - r22, 1 - r00 - r11 + r22)
+    largest = max(range(4), key=squares.__getitem__)
+    candidates = (
+        (squares[0], r21 - r12, r02 - r20, r10 - r01),
+        (r21 - r12, squares[1], r01 + r10, r02 + r20),
+        (r02 - r20, r01 + r10, squares[2], r12 + r21),
+        (r10 - r01, r02 + r20, r12 + r21, squares[3]),
+    )
+    factor = 0.5 / sqrt(squares[largest])
+    if candidates[largest][0] < 0:
+        factor = -factor
+    orient.u0, orient.u1, orient.u2, orient.u3 = (factor * value for value in candidates[largest])
+
+
+_RW7_TAGS = (b"\x08", b"\x11", b"\x12")  # field 1 bool; field 2 doubles, unpacked or packed
+
+
+def is_layout_of_rw7(data: bytes) -> bool:
+    """Return whether a measuredForce has the layout of RobotWare 7, judging by its first tag."""
+    return data[:1] in _RW7_TAGS
+
+
+def encode_force(wrench: np.ndarray, is_rw7: bool) -> bytes:
+    """Return the bytes of measuredForce in the layout of RobotWare 6 or 7.
+
+    `wrench`: (6,) N, N m.
+    """
+    message = pb.EgmForceRw7(fcActive=True) if is_rw7 else pb.EgmForceRw6()
+    message.force.extend(wrench.tolist())
+    return message.SerializeToString()
+
 
 _CORRECTION, _PATH_CORRECTION = 3, 4
 _UINT32 = 2**32 - 1
 _KINEMATIC = 1
-_MAX_SECONDS = 9_000_000_000  # a later clock does not fit int64 nanoseconds: it counts as absent
+_MAX_SECONDS = 9_000_000_000  # later clocks overflow int64 nanoseconds and count as absent
 _TWIST = np.array([1e-3, 1e-3, 1e-3, RADIAN, RADIAN, RADIAN])
 
 
 class Details(NamedTuple):
-    """The rest of one EgmRobot, SI, kinematic joint order. Numbers that were not sent are NaN, others None.
+    """Additional fields of an EgmRobot, in SI units and kinematic joint order. Missing numbers are NaN, other missing
+    fields None.
 
     Attributes
     ----------
-    q_ext_planned : (k,) the controller's reference of the external axes. T_frame_planned : (4, 4) its pose.
-    planned_ns : clock of the reference, nanoseconds since 1970. stamp_ns, planned_stamp_ns : of the IEEE 1588 clock.
-    move_index : of RAPID's movement. collision : it was triggered. collision_quota : (k,) as sent.
-    force_control : is active (RobotWare 7), else the force is that of the raw sensor. test_signals : (k,) as sent.
-    tau_total, tau_gravity : (n,) torque of the drives, and what they feed forward [N m]. current : (n,) of motors [A].
+    q_ext_planned : (k,) the controller's reference of the external axes.
+    T_frame_planned : (4, 4) the controller's reference pose.
+    planned_ns : clock of the reference, nanoseconds since 1970.
+    stamp_ns, planned_stamp_ns : of the IEEE 1588 clock.
+    move_index : of RAPID's movement.
+    collision : whether collision detection triggered.
+    collision_quota : (k,) as sent.
+    force_control : whether active (RobotWare 7); otherwise the force is that of the raw sensor.
+    test_signals : (k,) as sent.
+    tau_total, tau_gravity : (n,) torque of the drives, and their feed-forward torque [N m].
+    current : (n,) of the motors [A].
     q_reference, qd_reference : (n,) references of the drives.
-    overruns : cycles that the controller missed. arm_id : its number. mode : 0 off, 1 position, 2 velocity, 3 torque.
-    used_seq : number of our reply that acts in this cycle. From `tau_total` on: the research extension.
+    overruns : cycles missed by the controller.
+    arm_id : arm number.
+    mode : 0 off, 1 position, 2 velocity, 3 torque.
+    used_seq : sequence number of the reply used in this cycle. From `tau_total` on: the research extension.
     """
 
     q_ext_planned: np.ndarray
@@ -62,16 +154,16 @@ class Details(NamedTuple):
 
 
 class EgmCodec:
-    """EgmRobot to `Packet` and `Reference` to EgmSensor, for one arm.
+    """Converts EgmRobot to `Packet` and `Reference` to EgmSensor for one arm.
 
-    The RobotWare flavour is decided on the first packet of a session and kept until `reset`.
+    The RobotWare version is detected from the first packet of a session and kept until `reset`.
 
     Parameters
     ----------
     arm : RobotAxes
-        The robot: number of joints, which are prismatic, ABB's axis numbers.
+        Robot, with its number of joints, prismatic joints and ABB's axis numbers.
     extension : bool
-        Send the research extension (field 101). It is understood whenever it arrives.
+        Send the research extension (field 101). Received extensions are always decoded.
     units : sequence of str
         "deg" or "mm" on the wire, for each joint in kinematic order and then for each external axis; see `AxisMap`.
 
@@ -81,8 +173,10 @@ class EgmCodec:
         "position", "velocity", "external_axes" and "rapid_data", unless a prismatic joint is among ABB's first six axes
         and `units` is empty. "measured_torque" and "torque" with the extension.
     robotware : str
-        Flavour of this session, "" before its first packet.
+        RobotWare version of this session; "" before its first packet.
     """
+
+    robotware: str
 
     def __init__(self, arm: RobotAxes, extension: bool = False, units: Sequence[str] = ()) -> None:
         self._axes, self._linkage = AxisMap(arm, units), Linkage.of(arm)
@@ -94,11 +188,11 @@ class EgmCodec:
         self.capabilities: frozenset[str] = frozenset((*moves, *research))
 
     def reset(self) -> None:
-        """Forget the flavour: a new session begins."""
+        """Reset the RobotWare version for a new session."""
         self.robotware = ""
 
     def decode(self, data: bytes) -> Packet | Drop:
-        """Return the packet, or why it is dropped. Never raises.
+        """Decode a packet, or return the reason for dropping it. Never raises.
 
         Parameters
         ----------
@@ -109,10 +203,10 @@ class EgmCodec:
         if type(found) is Drop:
             return found
         self.robotware = found.robotware
-        return found if self._linkage is None else self._linkage.heard(found)
+        return found if self._linkage is None else self._linkage.from_axes(found)
 
     def details(self, data: bytes) -> Details | None:
-        """Return the fields of a datagram that a `Packet` leaves out, None for invalid datagrams. Never raises.
+        """Return the fields of a datagram outside `Packet`, or None for an invalid datagram. Never raises.
 
         Parameters
         ----------
@@ -123,29 +217,29 @@ class EgmCodec:
             found = _details(self._axes, pb.EgmRobot.FromString(data), self.robotware)
         except (DecodeError, Refused):
             return None
-        return found if self._linkage is None else self._linkage.heard(found)
+        return found if self._linkage is None else self._linkage.from_axes(found)
 
     def encode(self, ref: Reference) -> bytes:
-        """Return the bytes of an EgmSensor that holds a joint reference.
+        """Encode a joint reference as EgmSensor.
 
         Parameters
         ----------
         ref : Reference
-            Finite values; the bridge has checked them.
+            Reference with finite values, which the bridge has checked.
         """
-        return self._messages.write(ref if self._linkage is None else self._linkage.said(ref))
+        return self._messages.write(ref if self._linkage is None else self._linkage.to_axes(ref))
 
     def encode_pose(self, T_frame_tool: np.ndarray, twist: np.ndarray | None, seq: int, tm_ms: int) -> bytes:
-        """Return the bytes of an EgmSensor that holds a pose, for `EGMRunPose`.
+        """Encode a pose reference as EgmSensor, for `EGMRunPose`.
 
-        The orientation is a quaternion, never Euler angles, which would win over it.
+        The orientation is a quaternion, because Euler angles would override it.
 
         Parameters
         ----------
         T_frame_tool : ndarray, shape (4, 4), m
-            Pose in the frame that RAPID activated.
+            Pose in the frame activated by RAPID.
         twist : ndarray, shape (6,), m/s and rad/s, or None
-            Its speed [v; w].
+            Speed of the pose, [v; w].
         seq, tm_ms : int
             As in `Reference`.
         """
@@ -156,12 +250,12 @@ class EgmCodec:
         return sensor.SerializeToString()
 
     def encode_path_correction(self, yz: Sequence[float], age: float, seq: int, tm_ms: int) -> bytes:
-        """Return the bytes of an EgmSensorPathCorr, for `EGMMoveL` and `EGMMoveC`; at most one per 24 ms acts.
+        """Encode an EgmSensorPathCorr, for `EGMMoveL` and `EGMMoveC`; at most one per 24 ms takes effect.
 
         Parameters
         ----------
         yz : sequence of 2 floats, m
-            Correction across the path in the sensor's tool frame; along the path none acts.
+            Correction normal to the path in the sensor's tool frame; a correction along the path has no effect.
         age : float, s
             Age of the measurement.
         seq, tm_ms : int

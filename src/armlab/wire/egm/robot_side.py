@@ -1,4 +1,4 @@
-"""The robot's side of EGM, for the simulated controller: encode EgmRobot, decode EgmSensor."""
+"""EGM codec of the simulated controller, which encodes EgmRobot and decodes EgmSensor."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from google.protobuf.message import DecodeError
 from armlab.errors import ConfigError, UnknownName
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
-from armlab.wire.egm.pose_force import encode_force, pose_from_matrix, pose_values, read_pose
+from armlab.wire.egm.codec import encode_force, pose_from_matrix, pose_values, read_pose
 from armlab.wire.egm.types import Drop, RobotAxes
 
 ROBOTWARE = ("6.06", "6.07", "6.10", "7")
-"""The flavours of EgmRobot that exist."""
+"""Supported RobotWare versions of EgmRobot."""
 
 MAX_BYTES = 1024
-"""abb_libegm and abbegm receive into buffers of this size and are silent above it."""
+"""Receive buffer size of abb_libegm and abbegm, which silently drop longer messages."""
 
 _WIRE_ARRAYS = {
     "qd": "jointVel",
@@ -34,7 +34,7 @@ EXTENSION_ARRAYS = tuple(_WIRE_ARRAYS)
 """Arrays of EgmRIState by their names in `RobotMessage`, in the order of its fields 1 to 7."""
 
 DEFAULT_ARRAYS = EXTENSION_ARRAYS[:4]
-"""Arrays sent unless told otherwise."""
+"""Arrays sent by default."""
 
 _ANGULAR = ("qd", "q_reference", "qd_reference")
 _DATA, _CORRECTION, _PATH_CORRECTION = 2, 3, 4
@@ -44,10 +44,10 @@ _MILLIMETRE = 1e-3
 
 
 class RobotMessage(NamedTuple):
-    """What a robot controller says in one EgmRobot, SI, (n,) in kinematic order; None leaves a field out.
+    """Content of one EgmRobot in SI units, (n,) in kinematic order; None omits a field.
 
-    `q_ext` [rad]; `utilization` [%]; `tau_reference`: the standard torqueRef (RobotWare 7, ABB axes 1 to 6 only); from
-    `qd` to `queue_depth`: the extension, of whose arrays those go out that the codec was configured for.
+    `q_ext` [rad]; `utilization` [%]; `tau_reference`: the standard torqueRef (RobotWare 7, ABB axes 1 to 6 only); `qd`
+    to `queue_depth`: the extension, limited to the arrays configured in the codec.
     """
 
     seqno: int
@@ -81,10 +81,10 @@ class RobotMessage(NamedTuple):
 
 
 class SensorMessage(NamedTuple):
-    """One decoded EgmSensor or EgmSensorPathCorr as the robot controller sees it, SI; None was not sent.
+    """Decoded EgmSensor or EgmSensorPathCorr in SI units; missing fields are None.
 
-    NaN is let through. `mtype`: 3 correction, 4 path correction; `path_yz` [m] in the sensor's tool frame, of age
-    `path_age` [s]; from `tau` to `echo_seq`: the valid arrays and the echoes of the extension.
+    NaN passes. `mtype`: 3 correction, 4 path correction; `path_yz` [m] in the sensor's tool frame, of age
+    `path_age` [s]; `tau` to `echo_seq`: the valid arrays and the echoes of the extension.
     """
 
     seqno: int | None
@@ -109,11 +109,11 @@ class SensorMessage(NamedTuple):
 
 
 class RobotSideCodec:
-    """`RobotMessage` to EgmRobot and EgmSensor to `SensorMessage`, for one arm.
+    """Codec of one arm; converts `RobotMessage` to EgmRobot and EgmSensor to `SensorMessage`.
 
-    `robotware`: one of `ROBOTWARE`, 6.06 sends angles in radians; `extension`: names of `EXTENSION_ARRAYS` to send,
-    True for `DEFAULT_ARRAYS`; `force`, `external`, `data`: messages will hold `wrench_raw`, so many external axes and
-    so many values for RAPID.
+    `robotware`: one of `ROBOTWARE` (6.06 sends angles in radians); `extension`: names of `EXTENSION_ARRAYS` to send,
+    True for `DEFAULT_ARRAYS`; `force`, `external`, `data`: whether messages contain `wrench_raw`, and the numbers of
+    external axes and RAPID values.
     """
 
     def __init__(
@@ -138,9 +138,9 @@ class RobotSideCodec:
         self._check_size(force, external, data)
 
     def encode_robot(self, message: RobotMessage) -> bytes:
-        """Return the bytes of one EgmRobot. Fields that the flavour does not have are left out."""
+        """Encode one EgmRobot. Fields unknown to the RobotWare version are omitted."""
         if self._linkage is not None:
-            message = self._linkage.said(message)
+            message = self._linkage.to_axes(message)
         robot = pb.EgmRobot()
         header = robot.header
         header.seqno, header.mtype = message.seqno & _UINT32, _DATA
@@ -165,7 +165,7 @@ class RobotSideCodec:
         return robot.SerializeToString()
 
     def decode_sensor(self, data: bytes) -> SensorMessage | Drop:
-        """Return what the sensor asks for, or why it is dropped. Never raises. NaN is not refused here."""
+        """Decode the sensor's command, or return the reason for dropping it. Never raises; NaN is passed on."""
         try:
             sensor = pb.EgmSensor.FromString(data)
             header = sensor.header
@@ -176,9 +176,9 @@ class RobotSideCodec:
             if header.mtype != _CORRECTION:
                 return Drop("wrong type", f"expected message type 3 or 4 (from a sensor), got {header.mtype}")
             found = self._sensor(sensor)
-            return found if self._linkage is None else self._linkage.heard(found)
+            return found if self._linkage is None else self._linkage.from_axes(found)
         except DecodeError:
-            return Drop("unparsable", f"{len(data)} bytes are no protobuf message")
+            return Drop("unparsable", f"{len(data)} bytes are not a protobuf message")
         except Refused as refused:
             return refused.drop
 
@@ -222,7 +222,7 @@ class RobotSideCodec:
         research.usedSeqno, research.queueDepth = message.used_seq & _UINT32, message.queue_depth
 
     def _check_size(self, force: bool, external: int, data: int) -> None:
-        """Refuse by name a configuration whose largest message does not fit into the buffers of other clients."""
+        """Raise if the largest message of the configuration exceeds the buffers of other clients."""
         axes = np.full(self._axes.n, 1.0)
         arrays: dict[str, Any] = dict.fromkeys(self._arrays, axes)
         worst = RobotMessage(
@@ -247,8 +247,8 @@ class RobotSideCodec:
         if size > MAX_BYTES:
             spare = ", ".join(reversed(self._arrays)) or "the external axes and the data of RAPID"
             raise ConfigError(
-                f"Expected messages of at most {MAX_BYTES} bytes, the buffer of other EGM clients; this configuration "
-                f"can reach {size}. Leave out some of {spare}."
+                f"Expected messages of at most {MAX_BYTES} bytes, the buffer of other EGM clients, got up to {size} in "
+                f"this configuration. Omit some of {spare}."
             )
 
     def _sensor(self, sensor: Any) -> SensorMessage:

@@ -1,10 +1,10 @@
 """Inputs and outputs of the EGM codec: `Packet`, `Drop`, `Reference`, `Beside`, `Codec`.
 
-All values are SI and radians in kinematic joint order. They are named tuples: immutable, and five times cheaper to make
-than frozen dataclasses, which counts at one of each per control cycle.
+All values are SI and radians in kinematic joint order. Named tuples are immutable and five times cheaper to create
+than frozen dataclasses, which matters in every control cycle.
 
-`StandingQueue`: the controller takes one message per cycle, first in, first out. Each message that stays in the queue
-delays every later reference by one cycle.
+`StandingQueue`: the controller processes one message per cycle, first in, first out. Each message remaining in the
+queue delays every later reference by one cycle.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ DROP_REASONS = (
     "after the end",
     "damaged",
 )
-"""Why a datagram is dropped. The codec finds the first six, that of Zenoh's rows the last, the session the others."""
+"""Reasons for dropping a datagram: the codec uses the first six, Zenoh rows the last, and the session the others."""
 
 
 class RobotAxes(Protocol):
-    """What the codec needs to know of a robot: a `robots.Robot` has it."""
+    """Robot properties needed by the codec; `robots.Robot` implements it."""
 
     @property
     def n(self) -> int:
@@ -49,25 +49,31 @@ class RobotAxes(Protocol):
 
     @property
     def coupling(self) -> np.ndarray:
-        """(n, n) gears between motors and joints; diagonal, or ABB's axes are not the joints."""
+        """(n, n) motor-to-joint coupling; non-diagonal if ABB's axes differ from the joints."""
         ...
 
 
 class Packet(NamedTuple):
-    """One decoded EgmRobot, filled by position in `native/wire/egm.cpp`.
+    """Decoded EgmRobot, filled by position in `native/wire/egm.cpp`.
 
     Attributes
     ----------
-    seqno, tm_ms : header; `tm_ms` is None when the robot sent none.
-    robot_ns : feedBack.time in nanoseconds since 1970, 0 when absent.
-    q : (n,) measured joints. q_planned : (n,) the controller's reference, NaN when absent. q_ext : external axes.
+    seqno, tm_ms : header; `tm_ms` is None if missing.
+    robot_ns : feedBack.time in nanoseconds since 1970, 0 if absent.
+    q : (n,) measured joints.
+    q_planned : (n,) the controller's reference, NaN if absent.
+    q_ext : external axes.
     qd : (n,) measured velocities, None without the extension.
-    tau : (n,) torques or None; tau_source : "measured" (extension), "reference" (torqueRef) or "none".
-    T_frame_tool : (4, 4), NaN when absent. wrench_raw : (6,) measuredForce, NaN when absent.
-    motors, mci, rapid : states as ABB numbers them, 0 when absent. converged : the window of EGMAct is met.
-    utilization : percent, NaN when absent. robotware : "6.06", "6.07", "6.10" or "7".
+    tau : (n,) torques or None.
+    tau_source : "measured" (extension), "reference" (torqueRef) or "none".
+    T_frame_tool : (4, 4), NaN if absent.
+    wrench_raw : (6,) measuredForce, NaN if absent.
+    motors, mci, rapid : states as numbered by ABB, 0 if absent.
+    converged : whether the window of EGMAct is met.
+    utilization : percent, NaN if absent.
+    robotware : "6.06", "6.07", "6.10" or "7".
     rapid_data, rapid_digital : RAPIDfromRobot.
-    robot_mono_ns : monotonic clock of the extension, 0 when absent.
+    robot_mono_ns : monotonic clock of the extension, 0 if absent.
     queue_depth : messages left in the robot's queue, -1 without the extension.
     """
 
@@ -95,19 +101,20 @@ class Packet(NamedTuple):
 
 
 class Drop(NamedTuple):
-    """A datagram that is not answered: the kind, one of `DROP_REASONS`, and a detail in words."""
+    """Datagram that gets no reply: the reason (one of `DROP_REASONS`) and a detail."""
 
     reason: str
     detail: str
 
 
 class Beside(NamedTuple):
-    """What a reply says beside the joints of the robot; None for what it does not.
+    """Content of a reply in addition to the robot's joints; None means not sent.
 
     Attributes
     ----------
     q_ext, qd_ext : (k,) position and speed of external axes beyond the robot's own [rad, rad/s or m, m/s].
-    rapid_data : numbers for RAPID. rapid_digital : the digital value for RAPID.
+    rapid_data : numbers for RAPID.
+    rapid_digital : the digital value for RAPID.
     """
 
     q_ext: np.ndarray | None = None
@@ -117,15 +124,16 @@ class Beside(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """One reply to the robot.
+    """Reply to the robot.
 
     Attributes
     ----------
-    q, qd, tau : (n,) references; `qd` None sends no speed reference, `tau` goes out with the extension only.
-    seq : our own sequence number. tm_ms : the `tm` of the packet answered (0 when it had none).
-    robot_seq, robot_mono_ns : echoes of the packet answered, sent with the extension only.
-    free : the torque takes the place of the position loop: its gains are zero.
-    beside : what goes to external axes and RAPID, None for nothing.
+    q, qd, tau : (n,) references; without `qd` no speed reference is sent, `tau` needs the extension.
+    seq : our own sequence number.
+    tm_ms : the `tm` of the answered packet (0 if missing).
+    robot_seq, robot_mono_ns : echoes of the answered packet, sent with the extension only.
+    free : torque control without the position loop: its gains are zero.
+    beside : content for external axes and RAPID, or None.
     """
 
     q: np.ndarray
@@ -140,20 +148,20 @@ class Reference(NamedTuple):
 
 
 class Codec(Protocol):
-    """The plug-in point of the bridge: bytes to SI and back. A site with another interface writes one of these.
+    """Plug-in interface of the bridge that converts bytes to SI values and back, for sites with another protocol.
 
     `capabilities` is a subset of {"position", "velocity", "torque", "measured_torque", "external_axes", "rapid_data"}.
-    `encode` may leave out what the codec is not capable of: the bridge refuses such commands.
+    `encode` may omit fields outside its capabilities, because the bridge refuses such commands.
     """
 
     capabilities: frozenset[str]
 
     def reset(self) -> None:
-        """Forget what was learnt about the robot: a new session begins."""
+        """Reset the learnt state of the robot for a new session."""
         ...
 
     def decode(self, data: bytes) -> Packet | Drop:
-        """Return the packet, or why it is dropped. Never raises."""
+        """Decode a packet, or return the reason for dropping it. Never raises."""
         ...
 
     def encode(self, ref: Reference) -> bytes:
@@ -161,17 +169,17 @@ class Codec(Protocol):
         ...
 
 
-_SECONDS = 1.0  # shorter queues are replies on their way
+_SECONDS = 1.0  # shorter queues are replies in flight
 
 
 class StandingQueue:
-    """Detector of messages that wait in every cycle for 1 s."""
+    """Detector of a receive queue that stays non-empty for 1 s."""
 
     def __init__(self) -> None:
         self._seconds, self._least = 0.0, 0
 
     def after(self, depth: int, period: float) -> str:
-        """Return a sentence in the cycle in which the queue has not been empty for 1 s, else "".
+        """Return a sentence in the cycle in which the queue has been non-empty for 1 s, otherwise "".
 
         `period`: cycle time of the robot [s].
         """

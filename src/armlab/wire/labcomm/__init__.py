@@ -1,8 +1,8 @@
-"""LabComm on the wire: self-describing streams of samples, all dialects since 2006, and their `.lc` language.
+"""LabComm codec for self-describing streams of samples in all dialects since 2006, and for the `.lc` language.
 
-A stream is VERSION, definitions of sample types, and values of them. Trees of `types` describe a value; `Encoder`
-writes, `Decoder` reads in pieces of any size, bounded by `Limits`; `parse_lc` reads the types of a program. No sockets,
-no files.
+A stream consists of VERSION, definitions of sample types, and values of these types. Trees of `types` describe values.
+`Encoder` writes a stream, `Decoder` reads pieces of any size within `Limits`, and `parse_lc` reads type declarations.
+The codec uses no sockets or files.
 """
 
 from armlab.wire.labcomm.decoder import Decoder

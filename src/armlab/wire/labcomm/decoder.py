@@ -1,8 +1,8 @@
 """Decoder of LabComm streams.
 
-One generator walks the stream and waits where bytes are missing, so every cut of a stream gives the same events. A
-packet with a length is decoded once it has come whole; without one (2013, 2006, data of 2014old) a walk finds its end
-first. Faults are reported at the field where they are, before anything is built for them.
+One generator walks over the stream and waits for missing bytes, so that the events do not depend on how the stream is
+split. A packet with a length is decoded when complete. For a packet without a length (2013, 2006, data of 2014old), a
+walk first finds its end. Errors are reported at their field before any object is built.
 """
 
 from __future__ import annotations
@@ -61,10 +61,17 @@ _BY_CODE = {prim.code: prim for prim in PRIMS.values()}
 
 
 class SignatureWalk:
-    """Walks over one signature.
+    """Walker over one signature.
 
-    `end`: where the signature ends at the latest; `type_refs`: indices of types may stand for types (TYPE_DEF).
+    `end`: upper bound of the signature's end; `type_refs`: type indices may stand for types (TYPE_DEF).
     """
+
+    source: Source
+    dialect: Dialect
+    limits: Limits
+    end: int
+    type_refs: bool
+    nodes: int
 
     def __init__(self, source: Source, dialect: Dialect, limits: Limits, end: int, type_refs: bool = False) -> None:
         self.source, self.dialect, self.limits, self.end, self.type_refs = source, dialect, limits, end, type_refs
@@ -75,7 +82,7 @@ class SignatureWalk:
         return number(self.source, pos, self.end, self.dialect.wide)
 
     def tree(self, first: int, depth: int = 1) -> Generator[None, None, tuple[Type, int]]:
-        """Walk over one node and what is below it."""
+        """Walk over one node and its children."""
         code, pos = yield from self.number(first)
         self.nodes += 1
         if depth > self.limits.depth or self.nodes > self.limits.values:
@@ -123,7 +130,7 @@ class SignatureWalk:
             where = pos
             name, notes, pos = yield from label(self.source, pos, self.end, self.dialect, self.limits)
             if name in fields:
-                raise _bad(where, "different names for the fields of a struct", f"{name!r} again")
+                raise _bad(where, "distinct field names in a struct", f"{name!r} again")
             part, pos = yield from self._part(pos, depth)
             fields[name] = Field(name, part, notes)
         return Struct(tuple(fields.values())), pos
@@ -138,30 +145,32 @@ class SignatureWalk:
 def definition(
     source: Source, pos: int, end: int, kind: Kind, dialect: Dialect, limits: Limits
 ) -> Generator[None, None, tuple[Definition, int]]:
-    """Walk over the body of a SAMPLE_DEF, SAMPLE_REF or TYPE_DEF; `Cut` leaves it when the body is too short."""
+    """Walk over the body of a SAMPLE_DEF, SAMPLE_REF or TYPE_DEF; raise `Cut` if the body is too short."""
     first = pos
     index, pos = yield from number(source, pos, end, dialect.wide)
     if index < FIRST_INDEX:
-        raise _bad(first, f"an index from {FIRST_INDEX:#x} on", f"{index:#x}")
+        raise _bad(first, f"an index >= {FIRST_INDEX:#x}", f"{index:#x}")
     name, notes, pos = yield from label(source, pos, end, dialect, limits)
     declared, size = pos, None
     if dialect.lengths:
         size, pos = yield from number(source, pos, end, dialect.wide)
         if pos + size != end:
-            raise _bad(declared, f"a signature of the {end - pos} bytes left in the packet", f"a length of {size}")
+            raise _bad(
+                declared, f"a signature within the remaining {end - pos} bytes of the packet", f"a length of {size}"
+            )
     try:
         tree, pos = yield from SignatureWalk(source, dialect, limits, end, kind == "type").tree(pos)
     except Cut:
         if size is None:
             raise
-        raise _bad(declared, f"a signature of {size} bytes that is a whole type", "one that goes on") from None
+        raise _bad(declared, f"a complete signature of {size} bytes", "a longer one") from None
     if size is not None and pos != end:
-        raise _bad(declared, f"a signature of {size} bytes", f"one that ends {end - pos} bytes before")
+        raise _bad(declared, f"a signature of {size} bytes", f"a signature that ends {end - pos} bytes earlier")
     return Definition(kind, index, name, tree, notes), pos
 
 
 def value_end(source: Source, node: Type, pos: int, end: int, wide: bool, limits: Limits) -> Generator[None, None, int]:
-    """Walk over a value to its end; `Cut` leaves it when the body would be too long."""
+    """Walk over a value to its end; raise `Cut` if the body would be too long."""
     if node.fixed_size is not None:
         pos += node.fixed_size
     elif isinstance(node, Struct):
@@ -196,13 +205,13 @@ def _bad(offset: int, expected: str, got: str) -> LabCommError:
 
 
 HEADER = 10
-"""Bytes of a tag and a length at most."""
+"""Maximum number of bytes of a tag and a length."""
 
 _FIRST = {0x00: DIALECTS["2006"], 0x01: DIALECTS["2014"], 0x0B: DIALECTS["2013"]}
 
 
 class Opening(NamedTuple):
-    """The dialect, whether it may still be 2014i instead of 2014, and what was announced."""
+    """Dialect, whether it may still be 2014i instead of 2014, and the announced version."""
 
     dialect: Dialect
     is_undecided: bool
@@ -212,7 +221,7 @@ class Opening(NamedTuple):
 def opening(
     source: Source, given: Dialect | None, require_version: bool, limits: Limits
 ) -> Generator[None, None, Opening]:
-    """Walk over the announcement, if there is one."""
+    """Walk over the version announcement (if any)."""
     yield from source.need(1)
     first = source.buf[0]
     guess = _FIRST.get(first) if given is None else given
@@ -239,7 +248,7 @@ def opening(
 
 
 def version(source: Source, wanted: Set[str], limits: Limits) -> Generator[None, None, tuple[str, int]]:
-    """Walk over VERSION: its text, and by how much (0 or 1) the declared length is too large."""
+    """Walk over VERSION; return its text, and the excess (0 or 1) of the declared length."""
     end = source.at + 2 * HEADER + limits.packet
     _, where = yield from number(source, source.at, end, wide=False)
     declared, begin = yield from number(source, where, end, wide=False)
@@ -259,14 +268,18 @@ def version(source: Source, wanted: Set[str], limits: Limits) -> Generator[None,
 
 
 class Known:
-    """A sample type and what reads its values, made with the first value: many types are defined and never sent.
+    """Sample type and the reader of its values, which is created lazily because many defined types are never sent.
 
-    `left`: values that a packet may hold besides those that every value has.
+    `left`: number of values allowed in a packet in addition to the fixed values.
     """
+
+    index: int
+    name: str
+    type: Type
 
     def __init__(self, index: int, sample: SampleType, limits: Limits) -> None:
         self.index, self.name, self.type = index, sample.name, sample.type
-        self.left = limits.values - self.type.values
+        self.left: int = limits.values - self.type.values
 
     @cached_property
     def read(self) -> Reader:
@@ -274,7 +287,9 @@ class Known:
 
 
 class Tables:
-    """Samples, references and types by index, and the readers of the samples; dicts, since indices may be sparse."""
+    """Samples, references and types by index, and the readers of the samples; these are dicts, because indices may be
+    sparse.
+    """
 
     def __init__(self, limits: Limits) -> None:
         self.kinds: dict[Kind, dict[int, SampleType]] = {"sample": {}, "ref": {}, "type": {}}
@@ -282,7 +297,7 @@ class Tables:
         self._limits, self._nodes = limits, 0
 
     def keep(self, event: Definition, offset: int) -> None:
-        """Enter a definition; a repeated one costs nothing, another for its index replaces it."""
+        """Store a definition; repeating it costs nothing, and another definition with the same index replaces it."""
         table, entry = self.kinds[event.kind], SampleType(event.name, event.type)
         old = table.get(event.index)
         if old == entry:
@@ -291,7 +306,7 @@ class Tables:
         limits = self._limits
         if (old is None and len(table) >= limits.definitions) or nodes > limits.nodes:
             most = f"at most {limits.definitions} definitions and {limits.nodes} nodes"
-            raise LabCommError(f"Expected {most} in a stream, got one more at byte {offset}.", offset)
+            raise LabCommError(f"Expected {most} in a stream, got more at byte {offset}.", offset)
         self._nodes, table[event.index] = nodes, entry
         if event.kind == "sample":
             self.known[event.index] = Known(event.index, entry, limits)
@@ -305,22 +320,27 @@ class Decoder:
 
     Parameters
     ----------
-    dialect : name of the dialect, "auto" to tell it from the first bytes.
+    dialect : name of the dialect, "auto" to detect it from the first bytes.
     limits : `Limits.server()` by default.
-    require_version : False takes a stream of the given dialect that announces nothing.
+    require_version : False accepts a stream of the given dialect without announcement.
 
     Attributes
     ----------
-    refs : sample types by index of their SAMPLE_REF. samples : by index of their SAMPLE_DEF.
+    refs : sample types by index of their SAMPLE_REF.
+    samples : by index of their SAMPLE_DEF.
 
     Raises
     ------
-    UnknownName : no such dialect. LabCommError : no dialect for a stream without VERSION.
+    UnknownName : unknown dialect.
+    LabCommError : no dialect for a stream without VERSION.
     """
+
+    refs: dict[int, SampleType]
+    samples: dict[int, SampleType]
 
     def __init__(self, dialect: str = "auto", limits: Limits | None = None, require_version: bool = True) -> None:
         if dialect == "auto" and not require_version:
-            raise LabCommError('Expected a dialect for a stream without VERSION, got "auto". Name one.')
+            raise LabCommError('Expected a dialect for a stream without VERSION, got "auto". Give its name.')
         self._given = None if dialect == "auto" else dialect_named(dialect)
         self._dialect, self._undecided = self._given, False
         self._limits, self._require_version = limits or Limits.server(), require_version
@@ -333,11 +353,11 @@ class Decoder:
 
     @property
     def dialect(self) -> str | None:
-        """Name of the dialect; None until it is known. 2014 until a definition tells that it is 2014i."""
+        """Name of the dialect; None until detected. it is 2014 until a definition identifies 2014i."""
         return None if self._dialect is None else self._dialect.name
 
     def feed(self, data: bytes | bytearray | memoryview) -> list[Event]:
-        """Take the next bytes and return the events they complete.
+        """Process the next bytes and return the completed events.
 
         Parameters
         ----------
@@ -345,13 +365,13 @@ class Decoder:
 
         Raises
         ------
-        LabCommError : the stream is malformed. `offset` says where, `events` holds what this piece had before. Every
-            later call raises the same error.
+        LabCommError : the stream is malformed. `offset` is the position, `events` has the events before it. Every later
+            call raises the same error.
         """
         if self._error is not None:
             raise self._error
         if self._closed:
-            raise LabCommError("Expected no bytes after close, got more. Make a new Decoder.")
+            raise LabCommError(f"Expected no bytes after close, got {len(data)}. Create a new Decoder.")
         self._source.add(data)
         try:
             next(self._walk)
@@ -363,11 +383,11 @@ class Decoder:
         return events
 
     def close(self) -> None:
-        """Say that the stream has ended.
+        """End the stream.
 
         Raises
         ------
-        LabCommError : it ended within a packet.
+        LabCommError : the stream ended within a packet.
         """
         source = self._source
         if self._error is None and not self._closed and source.stop > source.at:
@@ -380,12 +400,12 @@ class Decoder:
 
     @property
     def pending(self) -> int:
-        """Bytes of a packet that is not complete."""
+        """Bytes of the incomplete packet."""
         return self._source.stop - self._source.at
 
     @property
     def offset(self) -> int:
-        """Position in the stream of the packet that is not complete, or of the next."""
+        """Stream position of the incomplete packet, or of the next packet."""
         return self._source.at
 
     def _run(self) -> Walk:
@@ -401,9 +421,9 @@ class Decoder:
                 yield from self._bare(dialect)
 
     def _packets(self, dialect: Dialect) -> Walk:
-        """Walk over packets with lengths until the dialect changes (2014 turns out to be 2014i).
+        """Walk over packets with lengths until the dialect changes (from 2014 to 2014i).
 
-        Most packets have the type of the one before. When it is of fixed size, equal heads are all there is to check.
+        Most packets have the same type as the previous one. For fixed sizes, comparing the packet heads is sufficient.
         """
         source, limits = self._source, self._limits
         buf, cursor = source.buf, Cursor(source.buf, limits, wide=False)
@@ -450,7 +470,7 @@ class Decoder:
                 return
 
     def _whole(self, tag: int, known: Known | None, cursor: Cursor, offset: int, length: int) -> Event:
-        """Decode a packet that has come whole and must be used up; `offset` is that of its length."""
+        """Decode a complete packet, which must be consumed entirely; `offset` is the offset of its length."""
         cursor.end = cursor.at + length
         try:
             event = self._packet(tag, cursor) if known is None else self._sample(known, cursor)
@@ -461,7 +481,7 @@ class Decoder:
         return event
 
     def _packet(self, tag: int, cursor: Cursor) -> Event:
-        """Decode one whole packet that is no data of a defined index."""
+        """Decode a complete packet that is not data of a defined index."""
         if tag in _KINDS:
             return self._define(_KINDS[tag], cursor)
         if tag == TYPE_BINDING:
@@ -481,7 +501,7 @@ class Decoder:
         return Sample(known.index, known.name, known.read(cursor), known.type)
 
     def _define(self, kind: Kind, cursor: Cursor) -> Definition:
-        """Read a whole definition; the first one of an undecided stream tells 2014 from 2014i."""
+        """Read a complete definition; the first one of an undecided stream distinguishes 2014 from 2014i."""
         dialect = self._dialect or DIALECTS["2014"]
         start, end = cursor.base + cursor.at, cursor.base + cursor.end
         try:
@@ -504,7 +524,7 @@ class Decoder:
             next(definition(self._source, start, end, kind, dialect, self._limits))
         except StopIteration as done:
             return done.value[0]
-        raise Cut  # not reached: the packet has come whole
+        raise Cut  # unreachable for a complete packet
 
     def _bare(self, dialect: Dialect) -> Walk:
         """Walk over one packet without a length."""

@@ -1,4 +1,4 @@
-"""`Encoder`: sample types and values to packets; `write_packet`: a decoded packet to its bytes again."""
+"""`Encoder`: converts sample types and values to packets; `write_packet`: converts a decoded packet back to bytes."""
 
 from __future__ import annotations
 
@@ -29,19 +29,20 @@ _DEFINES = {"sample": SAMPLE_DEF, "ref": SAMPLE_REF, "type": TYPE_DEF}
 
 
 class Encoder:
-    """Writes one stream: VERSION, a SAMPLE_DEF before the first value of a type, then data.
+    """Writer of one stream: VERSION, a SAMPLE_DEF before the first value of each type, then data.
 
-    What clients of every library read; nothing else is sent unless it is asked for.
+    Clients based on any LabComm library can read it; other packets are sent only on request.
 
     Parameters
     ----------
     dialect : name of the dialect.
-    allow_nul : strings may hold NUL, which ends them in C.
-    type_defs : each definition is followed by the TYPE_BINDING to its flat signature that C of 2014 and 2014i sends.
+    allow_nul : strings may contain NUL, which terminates them in C.
+    type_defs : follow each definition with the TYPE_BINDING to its flat signature, as C libraries of 2014 and 2014i do.
 
     Raises
     ------
-    UnknownName : no such dialect. LabCommError : `type_defs` in a dialect without them.
+    UnknownName : unknown dialect.
+    LabCommError : `type_defs` in a dialect without them.
     """
 
     def __init__(self, dialect: str = "2014v1", allow_nul: bool = False, type_defs: bool = False) -> None:
@@ -52,7 +53,7 @@ class Encoder:
         self._samples: dict[SampleType, int] = {}
         self._refs: dict[SampleType, int] = {}
         self._writers: dict[SampleType, Callable[[Any], bytes]] = {}
-        self._last: tuple[SampleType | None, Callable[[Any], bytes]] = None, bytes  # found without a look at its tree
+        self._last: tuple[SampleType | None, Callable[[Any], bytes]] = None, bytes  # avoids comparing type trees
 
     @property
     def dialect(self) -> str:
@@ -60,11 +61,11 @@ class Encoder:
         return self._dialect.name
 
     def version(self) -> bytes:
-        """Return the announcement that begins a stream; nothing in dialect 2006."""
+        """Return the announcement at the start of a stream (empty in dialect 2006)."""
         return write_packet(Version(self._dialect.version), self.dialect)
 
     def define(self, sample: SampleType) -> bytes:
-        """Return the SAMPLE_DEF of a type. Its index is the next from 0x40; a type that has one keeps it.
+        """Return the SAMPLE_DEF of a type. Indices start at 0x40; a defined type keeps its index.
 
         Parameters
         ----------
@@ -91,7 +92,7 @@ class Encoder:
         return write_packet(Definition("ref", index, sample.name, sample.type), self.dialect)
 
     def ref_index(self, sample: SampleType) -> int:
-        """Return what a value that refers to a type holds: the index of its SAMPLE_REF, 0 without one.
+        """Return the value of a reference to a type, which is the index of its SAMPLE_REF, or 0 without one.
 
         Parameters
         ----------
@@ -104,12 +105,12 @@ class Encoder:
 
         Parameters
         ----------
-        sample : a type that `define` was called with.
-        value : as `events.Sample` has it; NumPy arrays and, for references, sample types too.
+        sample : a type passed to `define` before.
+        value : as in `events.Sample`; also NumPy arrays and, for references, sample types.
 
         Raises
         ------
-        LabCommError : the type is not defined, or the value does not fit: `path` says where.
+        LabCommError : the type is undefined, or the value does not match it: `path` locates the fault.
         """
         last, write = self._last
         if last is not sample:
@@ -125,7 +126,7 @@ class Encoder:
     def _writer(self, sample: SampleType) -> Callable[[Any], bytes]:
         index = self._samples.get(_key(sample))
         if index is None:
-            raise LabCommError(f"Expected a sample type that was defined, got {sample.name!r}. Call define first.")
+            raise LabCommError(f"Expected a defined sample type, got {sample.name!r}. Call define first.")
         return _packets(self._dialect, index, sample.type, writer(sample.type, self._wire))
 
 
@@ -145,7 +146,7 @@ def write_packet(event: Event, dialect: str, length: int | None = None) -> bytes
         except Misfit as error:
             raise _misfit(event.name, error) from None
     if not kind.lengths:
-        raise LabCommError(f"Expected a packet that dialect {dialect} has, got {type(event).__name__}.")
+        raise LabCommError(f"Expected a packet of dialect {dialect}, got {type(event).__name__}.")
     if isinstance(event, Binding):
         return kind.packet(TYPE_BINDING, number(event.sample) + number(event.type), length)
     if isinstance(event, Pragma):
@@ -154,7 +155,7 @@ def write_packet(event: Event, dialect: str, length: int | None = None) -> bytes
         return kind.packet(event.tag, event.body, length)
     if isinstance(event, Unknown):
         return kind.packet(event.index, event.body, length)
-    raise LabCommError(f"Expected an event that dialect {dialect} can write, got {event!r}.")
+    raise LabCommError(f"Expected an event of dialect {dialect}, got {event!r}.")
 
 
 def _definition(event: Definition, dialect: Dialect) -> bytes:
@@ -166,7 +167,7 @@ def _definition(event: Definition, dialect: Dialect) -> bytes:
 
 
 def _packets(dialect: Dialect, index: int, node: Type, write: Writer) -> Callable[[Any], bytes]:
-    """Return what makes data packets; the head of a fixed size is made once."""
+    """Return the packet writer of a type; the head of a fixed-size packet is computed only once."""
     if node.fixed_size is None and dialect.lengths:
         return lambda value: dialect.packet(index, write(value))
     head = dialect.number(index) + (dialect.number(node.fixed_size or 0) if dialect.lengths else b"")
@@ -174,7 +175,7 @@ def _packets(dialect: Dialect, index: int, node: Type, write: Writer) -> Callabl
 
 
 def _key(sample: SampleType) -> SampleType:
-    """Two types match when name and signature are equal: notes of the sample do not count."""
+    """Return the identity of a type: name and signature, without notes."""
     return sample if not sample.notes else SampleType(sample.name, sample.type)
 
 

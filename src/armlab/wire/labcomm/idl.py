@@ -1,7 +1,7 @@
-"""The `.lc` language that LabComm programs declare their samples in, and the declarations that come with armlab.
+"""LabComm's `.lc` declaration language, and the declarations supplied with armlab.
 
 ``sample struct { int tm; double pos[7]; } robot_row;`` declares a sample, ``typedef`` names a type for later use. A
-typedef is expanded where it is used: its name does not reach the wire.
+typedef is expanded at each use; its name is not transmitted.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _NAME = re.compile(r"(?!_$)[A-Za-z_][A-Za-z0-9_]*")
 
 
 class Typedef(NamedTuple):
-    """A named type that is no sample."""
+    """Named type that is not a sample."""
 
     name: str
     type: Type
@@ -52,15 +52,17 @@ class _Token(NamedTuple):
 
 
 def parse_lc(text: str, dialect: str = "2014v1") -> list[SampleType | Typedef]:
-    """Return the samples and typedefs of a text in its order.
+    """Parse the samples and typedefs of a text in order.
 
     Parameters
     ----------
-    text : at most 1 MiB and 32 levels. dialect : notes, ``(unit:rad)`` and "docs", are read in 2014i only.
+    text : at most 1 MiB and 32 levels.
+    dialect : only 2014i reads notes, ``(unit:rad)`` and "docs".
 
     Raises
     ------
-    LabCommError : with `line` and `column`. UnknownName : no such dialect.
+    LabCommError : with `line` and `column`.
+    UnknownName : unknown dialect.
     """
     kind = dialect_named(dialect)
     if len(text) > _LARGEST:
@@ -69,7 +71,7 @@ def parse_lc(text: str, dialect: str = "2014v1") -> list[SampleType | Typedef]:
 
 
 def to_lc(types: Iterable[SampleType | Typedef]) -> str:
-    """Return the text that declares types, so that ``parse_lc(to_lc(types), "2014i")`` gives them again.
+    """Return the declarations of types; ``parse_lc(to_lc(types), "2014i")`` returns the types again.
 
     Parameters
     ----------
@@ -77,7 +79,7 @@ def to_lc(types: Iterable[SampleType | Typedef]) -> str:
 
     Raises
     ------
-    LabCommError : a name or a note that the language cannot write.
+    LabCommError : a name or a note that the language cannot express.
     """
     lines = []
     for one in types:
@@ -88,7 +90,7 @@ def to_lc(types: Iterable[SampleType | Typedef]) -> str:
 
 
 class _Parser:
-    """Recursive descent over the tokens."""
+    """Recursive-descent parser over the tokens."""
 
     def __init__(self, text: str, dialect: Dialect) -> None:
         self._text, self._dialect = text, dialect
@@ -111,7 +113,7 @@ class _Parser:
             self._fail(start, "a typedef without notes")
         node, name = self._typed(1)
         if name.text in self._names:
-            self._fail(name, "a name that is not taken")
+            self._fail(name, "an unused name")
         self._names.add(name.text)
         if start.text == "sample":
             return SampleType(name.text, node, notes)
@@ -119,7 +121,7 @@ class _Parser:
         return Typedef(name.text, node)
 
     def _typed(self, depth: int) -> tuple[Type, _Token]:
-        """Parse a type, the name that it is for, its sizes and the semicolon."""
+        """Parse a type, its name, its sizes and the semicolon."""
         start = self._peek()
         node = self._type(depth)
         name = self._take()
@@ -149,7 +151,7 @@ class _Parser:
                 self._fail(token, f"a type of LabComm {self._dialect.name}")
             return PRIMS[token.text]
         if token.kind != "name" or token.text not in self._types:
-            self._fail(token, "a type that is declared before")
+            self._fail(token, "a previously declared type")
         return self._types[token.text]
 
     def _struct(self, start: _Token, depth: int) -> Type:
@@ -162,7 +164,7 @@ class _Parser:
             if node == VOID:
                 self._fail(first, "a type with a value for a field")
             if name.text in fields:
-                self._fail(name, "a field name that is not taken")
+                self._fail(name, "an unused field name")
             fields[name.text] = Field(name.text, node, notes)
         self._mark("}")
         try:
@@ -185,17 +187,17 @@ class _Parser:
                 self._fail(after, '"," or "]"')
 
     def _notes(self) -> Notes:
-        """Parse notes; docs are only for people."""
+        """Parse notes; docs are skipped."""
         notes: dict[str, str] = {}
         while self._peek().text == "(" or self._peek().kind == "quoted":
             token = self._take()
             if not self._dialect.maps:
-                self._fail(token, f"no notes in LabComm {self._dialect.name}, they are of 2014i")
+                self._fail(token, f"no notes in LabComm {self._dialect.name}; use 2014i")
             if token.kind == "quoted":
                 continue
             key = self._take()
             if key.kind != "name" or key.text in notes:
-                self._fail(key, "a key that is not taken")
+                self._fail(key, "an unused key")
             self._mark(":")
             value = self._take()
             if value.kind not in ("name", "quoted"):
@@ -222,7 +224,7 @@ class _Parser:
         while at < len(self._text):
             match = _TOKEN.match(self._text, at)
             if match is None:
-                self._fail(_Token("", self._text[at], at), "a name, a number, a mark or a comment")
+                self._fail(_Token("", self._text[at], at), "a name, a number, a punctuation mark or a comment")
             if match.lastgroup != "skip":
                 tokens.append(_Token(match.lastgroup or "", match[0], at))
             at = match.end()
@@ -244,7 +246,7 @@ def _declared(node: Type, name: str, indent: str) -> str:
         dims += f"[{', '.join(str(size or '_') for size in node.dims)}]"
         node = node.elem
     if isinstance(node, TypeRef):
-        raise LabCommError(f"Expected a type that .lc can declare, got a reference to type {node.index}.")
+        raise LabCommError(f"Expected a type expressible in .lc, got a reference to type {node.index}.")
     if isinstance(node, Prim) or not node.fields:
         return f"{node.name if isinstance(node, Prim) else 'void'} {name}{dims};"
     inner = indent + "  "
@@ -254,7 +256,7 @@ def _declared(node: Type, name: str, indent: str) -> str:
 
 def _name(text: str) -> str:
     if not _NAME.fullmatch(text) or text in _KEYWORDS:
-        raise LabCommError(f"Expected a name that .lc can write (letters, digits, _, no keyword), got {text!r}.")
+        raise LabCommError(f"Expected a valid .lc name (letters, digits, _, no keyword), got {text!r}.")
     return text
 
 
@@ -263,19 +265,17 @@ def _notes(notes: Notes) -> str:
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", key) or not re.fullmatch(
             r'[A-Za-z_][A-Za-z0-9_]*|"[^"]*"', value
         ):
-            raise LabCommError(
-                f"Expected a note that .lc can write (names, or a quoted value), got {key!r}: {value!r}."
-            )
+            raise LabCommError(f"Expected a valid .lc note (names, or a quoted value), got {key!r}: {value!r}.")
     return "".join(f"({key}:{value}) " for key, value in notes)
 
 
 FILES = ("armlab", "extctrl")
-"""Names of the files, without their ending."""
+"""Names of the files without extension."""
 
 
 @cache
 def text(name: str) -> str:
-    """Return a file that comes with armlab, to give to a LabComm compiler for instance."""
+    """Return a declaration file supplied with armlab, for example for a LabComm compiler."""
     data = pkgutil.get_data("armlab.wire.labcomm", f"idl/{name}.lc") if name in FILES else None
     if data is None:
         raise UnknownName.among("file of LabComm declarations", name, FILES)
@@ -284,5 +284,5 @@ def text(name: str) -> str:
 
 @cache
 def samples(name: str) -> dict[str, SampleType]:
-    """Return the samples of a file that comes with armlab, by name."""
+    """Return the samples of a declaration file supplied with armlab, by name."""
     return {one.name: one for one in parse_lc(text(name)) if isinstance(one, SampleType)}

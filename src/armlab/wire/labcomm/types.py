@@ -1,4 +1,4 @@
-"""Types of LabComm values as immutable trees, their dialects, and the packets of a stream as events."""
+"""LabComm types (as immutable trees), dialects, and the packets of a stream (as events)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Notes = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """One generation of the format.
+    """Version of the format.
 
-    `name`: "2014v1", "2014", "2014i", "2014old", "2013" or "2006"; `version`: what a stream announces, "" for nothing;
-    `lengths`: packets carry the length of their body; `trusted`: and that length is right; `wide`: numbers are 4 bytes
+    `name`: "2014v1", "2014", "2014i", "2014old", "2013" or "2006"; `version`: announced text, "" for none;
+    `lengths`: packets carry the length of their body; `trusted`: that length is correct; `wide`: numbers have 4 bytes
     instead of packed32; `maps`: names are maps of strings (intentions); `references`: samples may refer to sample
     types.
     """
@@ -31,7 +31,7 @@ class Dialect:
     references: bool = True
 
     def number(self, n: int) -> bytes:
-        """Return a number in its shortest form, 300 is 82 2c, or in 4 bytes."""
+        """Encode a number in its shortest form (300 is 82 2c) or in 4 bytes."""
         if not 0 <= n < 2**32:
             raise LabCommError(f"Expected a number from 0 to {2**32 - 1}, got {n}.")
         if self.wide:
@@ -42,21 +42,21 @@ class Dialect:
         return bytes(reversed(groups))
 
     def text(self, raw: bytes) -> bytes:
-        """Return a string: its length in bytes, then the bytes."""
+        """Encode a string as its length in bytes followed by the bytes."""
         return self.number(len(raw)) + raw
 
     def label(self, name: str, notes: Notes = ()) -> bytes:
-        """Return a name, with its notes where the dialect has them (`notes`: pairs of key and value)."""
+        """Encode a name, with its notes if the dialect supports them (`notes`: pairs of key and value)."""
         try:
             if not self.maps:
                 return self.text(name.encode())
             entries = [("", name), *sorted(notes)]
             return self.number(len(entries)) + b"".join(self.text(part.encode()) for entry in entries for part in entry)
         except UnicodeEncodeError:
-            raise LabCommError(f"Expected a name that UTF-8 can write, got {name!r}.") from None
+            raise LabCommError(f"Expected a name encodable in UTF-8, got {name!r}.") from None
 
     def packet(self, tag: int, body: bytes, length: int | None = None) -> bytes:
-        """Return a packet; `length` replaces the length that is declared."""
+        """Encode a packet; `length` overrides the declared length."""
         if not self.lengths:
             return self.number(tag) + body
         return self.number(tag) + self.number(len(body) if length is None else length) + body
@@ -77,7 +77,6 @@ DIALECTS = {
 
 
 def dialect_named(name: str) -> Dialect:
-    """Return a dialect."""
     if name not in DIALECTS:
         raise UnknownName.among("LabComm dialect", name, DIALECTS)
     return DIALECTS[name]
@@ -105,14 +104,14 @@ def _set(node: object, **values: object) -> None:
 
 def _check_part(node: _Node, what: str) -> None:
     if node.nodes == 1 and not node.size + node.numbers:
-        raise LabCommError(f"Expected a type with a value for {what}, got void; it may only be a whole sample.")
+        raise LabCommError(f"Expected a type with a value for {what}, got void, which may only be a whole sample.")
     if node.depth >= _MAX_DEPTH:
         raise LabCommError(f"Expected at most {_MAX_DEPTH} levels in a type, got more in {what}.")
 
 
 @dataclass(frozen=True, slots=True)
 class _Node:
-    """What all types have: bytes besides those of numbers and strings, of which there are `numbers`; and counts."""
+    """Common properties of types: fixed bytes, `numbers` of variable size, and counts."""
 
     size: int = field(init=False, compare=False, repr=False, default=0)
     numbers: int = field(init=False, compare=False, repr=False, default=1)
@@ -122,15 +121,15 @@ class _Node:
 
     @property
     def fixed_size(self) -> int | None:
-        """Bytes of every value, None where they differ."""
+        """Number of bytes of every value, or None if variable."""
         return None if self.numbers else self.size
 
     def min_size(self, wide: bool) -> int:
-        """Return the bytes of the smallest value; `wide`: numbers have 4."""
+        """Return the number of bytes of the smallest value; `wide`: 4 bytes per number."""
         return self.size + self.numbers * (4 if wide else 1)
 
     def signature(self, dialect: str = "2014v1") -> bytes:
-        """Return the flat signature as a dialect writes it."""
+        """Return the flat signature in a dialect."""
         return b"".join(_signature(self, dialect))
 
 
@@ -141,7 +140,8 @@ class Prim(_Node):
     Attributes
     ----------
     name : boolean, byte, short, int, long, float, double, string or sample (a reference).
-    code : type code on the wire. letter : its letter in `struct`, "" for a string.
+    code : type code on the wire.
+    letter : its letter in `struct`, "" for a string.
     """
 
     name: str
@@ -157,7 +157,7 @@ class Prim(_Node):
 
 @dataclass(frozen=True, slots=True)
 class TypeRef(_Node):
-    """A type by its index; only in the signature of a TYPE_DEF."""
+    """Reference to a type by its index; occurs only in the signature of a TYPE_DEF."""
 
     index: int
 
@@ -168,7 +168,8 @@ class Array(_Node):
 
     Attributes
     ----------
-    dims : size of each dimension, 0 where it varies. elem : type of the elements.
+    dims : size of each dimension, 0 if variable.
+    elem : type of the elements.
     """
 
     dims: tuple[int, ...]
@@ -192,7 +193,7 @@ class Array(_Node):
 
 
 class Field(NamedTuple):
-    """A field of a struct: name, type, and notes (pairs of key and value, dialect 2014i only)."""
+    """Field of a struct: name, type, and notes (pairs of key and value, dialect 2014i only)."""
 
     name: str
     type: Type
@@ -201,7 +202,7 @@ class Field(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Struct(_Node):
-    """Named fields in order; without fields it is `VOID`."""
+    """Named fields in order; `VOID` has no fields."""
 
     fields: tuple[Field, ...]
 
@@ -209,7 +210,7 @@ class Struct(_Node):
         fields = tuple(Field(*entry) for entry in self.fields)
         names = [entry.name for entry in fields]
         if len(set(names)) < len(names):
-            raise LabCommError(f"Expected different names for the fields of a struct, got {', '.join(names)}.")
+            raise LabCommError(f"Expected distinct field names in a struct, got {', '.join(names)}.")
         for entry in fields:
             _check_part(entry.type, f"the field {entry.name}")
         types = [entry.type for entry in fields]
@@ -231,15 +232,17 @@ PRIMS = {name: Prim(name) for name in _CODES}
 """Primitive types by name."""
 
 VOID = Struct(())
-"""The type of a sample without a value."""
+"""Type of a sample without a value."""
 
 
 class SampleType(NamedTuple):
-    """A named type: what a SAMPLE_DEF defines. Two match when name and signature are equal.
+    """Named type, defined by a SAMPLE_DEF. Types are equal if their names and signatures are equal.
 
     Attributes
     ----------
-    name : of the sample. type : its tree. notes : pairs of key and value that do not belong to the signature.
+    name : of the sample.
+    type : its tree.
+    notes : pairs of key and value outside the signature.
     """
 
     name: str
@@ -248,14 +251,14 @@ class SampleType(NamedTuple):
 
 
 def typename(node: Type) -> str:
-    """Return a type in words for errors: "double[7]", "struct"."""
+    """Return a description of a type for errors: "double[7]", "struct"."""
     if isinstance(node, Array):
         return f"{typename(node.elem)}[{','.join(str(size or '_') for size in node.dims)}]"
     return node.name if isinstance(node, Prim) else f"type {node.index}" if isinstance(node, TypeRef) else "struct"
 
 
 def containers(shape: tuple[int, ...]) -> int:
-    """Return how many lists a nested list has."""
+    """Return the number of lists in a nested list."""
     total = rows = 1
     for size in shape[:-1]:
         rows *= size
@@ -267,7 +270,7 @@ def _signature(node: _Node, name: str) -> Iterator[bytes]:
     dialect = dialect_named(name)
     if isinstance(node, Prim):
         if node.code == SAMPLE and not dialect.references:
-            raise LabCommError(f"Expected a type that LabComm {name} has, got a reference to a sample.")
+            raise LabCommError(f"Expected a type of LabComm {name}, got a reference to a sample.")
         yield dialect.number(node.code)
     elif isinstance(node, TypeRef):
         yield dialect.number(node.index)
@@ -295,7 +298,9 @@ class Definition(NamedTuple):
 
     Attributes
     ----------
-    kind : "sample", "ref" or "type". index, name, type : as defined. notes : of the name, dialect 2014i only.
+    kind : "sample", "ref" or "type".
+    index, name, type : as defined.
+    notes : of the name, dialect 2014i only.
     """
 
     kind: Kind
@@ -320,7 +325,7 @@ class Pragma(NamedTuple):
 
 
 class Other(NamedTuple):
-    """A packet with a reserved tag, skipped."""
+    """Skipped packet with a reserved tag."""
 
     tag: int
     body: bytes
@@ -331,7 +336,8 @@ class Sample(NamedTuple):
 
     Attributes
     ----------
-    index, name : of the sample. value : bool, int, float, str, bytes, nested lists, or a dict in the order of fields.
+    index, name : of the sample.
+    value : bool, int, float, str, bytes, nested lists, or a dict in the order of fields.
     type : its type tree.
     """
 
@@ -342,7 +348,7 @@ class Sample(NamedTuple):
 
 
 class Unknown(NamedTuple):
-    """Data of an index that was not defined, skipped."""
+    """Skipped data with an undefined index."""
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
     body: bytes

@@ -1,7 +1,7 @@
-"""Values of LabComm types, to and from bytes, within limits.
+"""Decoding and encoding of LabComm values within limits.
 
-A walk is a generator: it yields when it needs bytes that have not come, and goes on where it was. All positions are
-those of the stream, so they are the offsets of errors too.
+A walk is a generator that yields when bytes are missing and resumes later. All positions are positions in the stream,
+including the offsets of errors.
 """
 
 from __future__ import annotations
@@ -34,14 +34,19 @@ from armlab.wire.labcomm.types import (
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Bounds of a decoder; beyond one of them a stream is refused before anything is built.
+    """Limits of a decoder; a stream that exceeds a limit raises an error before any allocation.
 
     Attributes
     ----------
-    packet : bytes of a body. values : leaves and containers of a packet, one size, nodes of a definition.
-    definitions : per table. nodes : kept per stream.
-    empty_rows : product of the sizes before a size of zero. depth : levels of a type, the root is level 1.
-    name, version : bytes. dims : of an array. entries : of a name with notes.
+    packet : bytes of a body.
+    values : leaves and containers of a packet, one size, nodes of a definition.
+    definitions : per table.
+    nodes : kept per stream.
+    empty_rows : product of the sizes before a size of zero.
+    depth : levels of a type, the root is level 1.
+    name, version : bytes.
+    dims : of an array.
+    entries : of a name with notes.
     """
 
     packet: int
@@ -71,14 +76,16 @@ Number = Generator[None, None, tuple[int, int]]
 
 
 class Cut(Exception):
-    """The body ends before what it must hold."""
+    """Raised if a body ends before its required content."""
 
 
 class Source:
-    """The bytes from the beginning of the current packet on.
+    """Received bytes from the beginning of the current packet.
 
-    `buf`: the bytes; `base`: position of the first of them; `at`: position of the current packet.
+    `buf`: the bytes; `base`: position of the first byte; `at`: position of the current packet.
     """
+
+    buf: bytearray
 
     def __init__(self) -> None:
         self.buf = bytearray()
@@ -86,28 +93,28 @@ class Source:
 
     @property
     def stop(self) -> int:
-        """Position after the last byte that has come."""
+        """Position after the last received byte."""
         return self.base + len(self.buf)
 
     def add(self, data: bytes | bytearray | memoryview) -> None:
-        """Append bytes and forget those before the current packet."""
+        """Append bytes, and discard those before the current packet."""
         if self.at > self.base:
             del self.buf[: self.at - self.base]
-            self.base = self.at
+            self.base: int = self.at
         self.buf += data
 
     def slice(self, start: int, stop: int) -> bytes:
-        """Return bytes that have come."""
+        """Return received bytes."""
         return bytes(self.buf[start - self.base : stop - self.base])
 
     def need(self, stop: int) -> Walk:
-        """Wait until the bytes up to a position have come."""
+        """Wait for the bytes up to a position."""
         while self.base + len(self.buf) < stop:
             yield
 
 
 def number(source: Source, pos: int, end: int, wide: bool) -> Number:
-    """Walk over a number; `end` is where the body ends at the latest."""
+    """Walk over a number; `end` is the upper bound of the body's end."""
     if wide:
         if pos + 4 > end:
             raise Cut
@@ -128,7 +135,7 @@ def number(source: Source, pos: int, end: int, wide: bool) -> Number:
 
 
 def text(source: Source, pos: int, end: int, wide: bool, longest: int) -> Generator[None, None, tuple[str, int]]:
-    """Walk over a string of strict UTF-8: part of a name."""
+    """Walk over a string in strict UTF-8, which is part of a name."""
     size, start = yield from number(source, pos, end, wide)
     if size > longest:
         raise LabCommError(f"Expected a name of at most {longest} bytes at byte {pos}, got {size}.", pos)
@@ -158,23 +165,23 @@ def label(
         where = pos
         key, pos = yield from text(source, pos, end, dialect.wide, limits.name)
         if key in entries:
-            raise LabCommError(f"Expected each note once, got {key!r} again at byte {where}.", where)
+            raise LabCommError(f"Expected distinct notes, got {key!r} again at byte {where}.", where)
         entries[key], pos = yield from text(source, pos, end, dialect.wide, limits.name)
     if "" not in entries:
-        raise LabCommError(f"Expected a name under the empty key at byte {first}, got none.", first)
+        raise LabCommError(f"Expected a name under the empty key at byte {first}, got no name.", first)
     name = entries.pop("")
     return name, tuple(sorted(entries.items())), pos
 
 
 class Size(NamedTuple):
-    """A size and the position where it was read."""
+    """Size and the position where it was read."""
 
     size: int
     offset: int
 
 
 class Shape(NamedTuple):
-    """Sizes of all dimensions, number of elements, and where the last size was read (None: all are fixed)."""
+    """Sizes of all dimensions, number of elements, and the position of the last size read (None: all fixed)."""
 
     sizes: tuple[int, ...]
     total: int
@@ -182,7 +189,7 @@ class Shape(NamedTuple):
 
 
 def checked_shape(node: Array, read: Sequence[Size], rest: int, wide: bool, limits: Limits) -> Shape:
-    """Return the shape of an array of which `rest` bytes may follow."""
+    """Return the shape of an array with at most `rest` following bytes."""
     offsets = iter(read)
     sizes, product, seen_zero, last = [], 1, False, None
     for size in node.dims:
@@ -203,7 +210,7 @@ def checked_shape(node: Array, read: Sequence[Size], rest: int, wide: bool, limi
     if smallest > rest:
         if last is None:
             raise Cut
-        raise _bad_array(last, f"elements that fit in the {rest} bytes left in the packet", f"{smallest} bytes")
+        raise _bad_array(last, f"elements within the remaining {rest} bytes of the packet", f"{smallest} bytes")
     return Shape(tuple(sizes), count, last)
 
 
@@ -221,13 +228,20 @@ def _bad_array(offset: int, expected: str, got: object) -> LabCommError:
 
 
 class Cursor:
-    """Where a reader is in a packet that has come whole.
+    """Position of a reader in a complete packet.
 
     `buf`: bytes; `at`, `end`: next byte and end of the body, as indices of `buf`; `base`: position of ``buf[0]``;
-    `left`: values that the packet may still hold; `limits`: of the stream.
+    `left`: values still allowed in the packet; `limits`: of the stream.
     """
 
     __slots__ = ("at", "base", "buf", "end", "left", "limits", "wide")
+
+    base: int
+    buf: bytes | bytearray
+    end: int
+    left: int
+    limits: Limits
+    wide: bool
 
     def __init__(self, buf: bytes | bytearray, limits: Limits, wide: bool) -> None:
         self.buf, self.limits, self.wide = buf, limits, wide
@@ -250,13 +264,13 @@ class Cursor:
             if byte < 0x80:
                 if value >= 2**32:
                     break
-                self.at = at + 1
+                self.at: int = at + 1
                 return value
         offset = self.base + first
         raise LabCommError(f"Expected a number below 2**32 in at most 5 bytes at byte {offset}, got more.", offset)
 
     def shape(self, node: Array) -> Shape:
-        """Read the variable sizes of an array and check them."""
+        """Read and validate the variable sizes of an array."""
         read = []
         for size in node.dims:
             if not size:
@@ -278,18 +292,18 @@ Reader = Callable[[Cursor], Any]
 
 
 def reader(node: Type) -> Reader:
-    """Return what reads a value of a type. It raises `Cut` or LabCommError."""
+    """Return the reader of a type's values. It raises `Cut` or LabCommError."""
     if isinstance(node, Prim):
         return _prim(node) if node.letter else _string
     if isinstance(node, Array):
         return _array(node)
     if isinstance(node, Struct):
         return _struct(node)
-    raise LabCommError(f"Expected a type whose values can be read, got a reference to type {node.index}.")
+    raise LabCommError(f"Expected a type with readable values, got a reference to type {node.index}.")
 
 
 def runs(node: Struct) -> list[list[Field]]:
-    """Return the fields of a struct in order, those together that one `struct` call takes."""
+    """Return the fields of a struct in order, grouped by `struct` call."""
     found: list[list[Field]] = []
     for _, group in groupby(node.fields, key=lambda field: flat_form(field.type) is not None):
         fields = list(group)
@@ -298,7 +312,7 @@ def runs(node: Struct) -> list[list[Field]]:
 
 
 def flat_form(node: Type) -> tuple[str, int] | None:
-    """Return the `struct` form of a fixed row of numbers and how many, -1 for a scalar; None of what is no such row."""
+    """Return the `struct` format of a fixed row of numbers and its count (-1: scalar), or None for other types."""
     size = -1
     if isinstance(node, Array) and len(node.dims) == 1 and node.dims[0]:
         size, node = node.dims[0], node.elem
@@ -308,13 +322,13 @@ def flat_form(node: Type) -> tuple[str, int] | None:
 
 
 def _flat_forms(fields: Sequence[Field]) -> tuple[Format, list[int]]:
-    """Return the form of fields that one `struct` call takes, and how many numbers each has."""
+    """Return the format of fields in one `struct` call, and the count of each field."""
     forms = [form for field in fields if (form := flat_form(field.type)) is not None]
     return Format(">" + "".join(letters for letters, _ in forms)), [count for _, count in forms]
 
 
 def decoded(raw: bytes) -> str:
-    """Return the text of a string on the wire: UTF-8, else Java's modified UTF-8, else with escaped bytes."""
+    """Return a string from the wire: UTF-8, else Java's modified UTF-8, else with escaped bytes."""
     try:
         return raw.decode()
     except UnicodeDecodeError:
@@ -351,7 +365,7 @@ def _prim(node: Prim) -> Reader:
 
 
 def _flat(fields: Sequence[Field]) -> Reader:
-    """One `struct` call for all; a slice or an index of its result per field."""
+    """Return a reader that uses one `struct` call with a slice or an index per field."""
     form, counts = _flat_forms(fields)
     unpack, size = form.unpack_from, form.size
     names, places, at = [field.name for field in fields], [], 0
@@ -422,7 +436,10 @@ Writer = Callable[[Any], bytes]
 
 
 class Misfit(Exception):
-    """A value does not fit its type: what is wrong, and the path from the innermost part outwards."""
+    """Value that does not match its type: the fault, and the path from the innermost part outwards."""
+
+    text: str
+    path: list[str]
 
     def __init__(self, text: str, *path: str) -> None:
         super().__init__(text)
@@ -430,7 +447,7 @@ class Misfit(Exception):
 
 
 class Wire(NamedTuple):
-    """How values are written: dialect, whether strings may hold NUL, and the index of a sample type referred to."""
+    """Encoding options: dialect, whether strings may contain NUL, and the index of a referenced sample type."""
 
     dialect: Dialect
     allow_nul: bool
@@ -438,14 +455,14 @@ class Wire(NamedTuple):
 
 
 def writer(node: Type, wire: Wire) -> Writer:
-    """Return what writes a value of a type."""
+    """Return the writer of a type's values."""
     if isinstance(node, Prim):
         return _write_prim(node, wire)
     if isinstance(node, Array):
         return _write_array(node, wire)
     if isinstance(node, Struct):
         return _write_struct(node, wire)
-    raise LabCommError(f"Expected a type whose values can be written, got a reference to type {node.index}.")
+    raise LabCommError(f"Expected a type with writable values, got a reference to type {node.index}.")
 
 
 def _write_prim(node: Prim, wire: Wire) -> Writer:
@@ -474,11 +491,11 @@ def _text(value: Any, wire: Wire) -> bytes:
     if not isinstance(value, str):
         raise Misfit(f"a string expected, {value!r} given")
     if "\0" in value and not wire.allow_nul:
-        raise Misfit("a string without NUL expected, which would end it in C")
+        raise Misfit("a string without NUL expected, because NUL terminates it in C")
     try:
         return wire.dialect.text(value.encode("utf-8", "surrogateescape"))
     except UnicodeEncodeError:
-        raise Misfit(f"a string that UTF-8 can write expected, {value!r} given") from None
+        raise Misfit(f"a string encodable in UTF-8 expected, {value!r} given") from None
 
 
 def _write_struct(node: Struct, wire: Wire) -> Writer:
@@ -497,7 +514,7 @@ def _write_struct(node: Struct, wire: Wire) -> Writer:
 
 
 def _write_flat(fields: Sequence[Field], wire: Wire) -> Writer:
-    """One `struct` call for all these fields of a value; whatever is odd goes one by one, which says what is wrong."""
+    """Return a writer that uses one `struct` call; invalid values are written one by one to report their path."""
     form, counts = _flat_forms(fields)
     pack, parts = form.pack, list(zip([field.name for field in fields], counts, strict=True))
     one_by_one = [_field(field, wire) for field in fields]
@@ -525,7 +542,7 @@ def _write_flat(fields: Sequence[Field], wire: Wire) -> Writer:
 
 
 def _field(field: Field, wire: Wire) -> Writer:
-    """One field of a value."""
+    """Return the writer of one field."""
     name, part = field.name, writer(field.type, wire)
 
     def write(value: Any) -> bytes:
@@ -539,7 +556,7 @@ def _field(field: Field, wire: Wire) -> Writer:
 
 
 def _unlike(value: Any, names: Sequence[str]) -> Misfit:
-    """Return what is wrong with a value that has not the fields of its struct."""
+    """Return the mismatch for a value that lacks the fields of its struct."""
     if not isinstance(value, Mapping):
         return Misfit(f"a dict expected, {value!r} given")
     missing, extra = sorted(set(names) - value.keys()), sorted(map(str, value.keys() - set(names)))
@@ -559,7 +576,7 @@ def _write_array(node: Array, wire: Wire) -> Writer:
             try:
                 return head + struct.pack(f">{len(flat)}{letter}", *flat)
             except (struct.error, TypeError, ValueError, OverflowError):
-                pass  # the way through each element says which
+                pass  # writing each element identifies the fault
         parts = [head]
         for index, one in enumerate(flat):
             try:
@@ -573,7 +590,7 @@ def _write_array(node: Array, wire: Wire) -> Writer:
 
 
 def _flattened(value: Any, node: Array) -> tuple[Sequence[Any], list[int]]:
-    """Return the elements in order and the sizes; a list that is not rectangular is refused."""
+    """Return the elements in order and the sizes; raise unless the list is rectangular."""
     dims = node.dims
     shape = getattr(value, "shape", None)
     if shape is not None and len(shape) == len(dims) and callable(getattr(value, "reshape", None)):
@@ -590,7 +607,7 @@ def _flattened(value: Any, node: Array) -> tuple[Sequence[Any], list[int]]:
         size = len(rows[0]) if rows else fixed
         if any(len(row) != size for row in rows):
             given = sorted({len(row) for row in rows})
-            raise Misfit(f"rows of one length expected, {' and '.join(map(str, given))} given")
+            raise Misfit(f"rows of equal length expected, {' and '.join(map(str, given))} given")
         sizes.append(size)
         _check(sizes, dims[: level + 1])
         flat = rows[0] if len(rows) == 1 else [one for row in rows for one in row]

@@ -293,7 +293,7 @@ def test_a_peer_that_takes_nothing_is_overdue(pair: tuple[Peer, socket.socket]) 
     assert peer.dropped > 0
     assert peer.is_stuck
     assert peer.overdue(peer.began + 1.0) == ""
-    assert "took nothing" in peer.overdue(peer.began + 60.0)
+    assert "read nothing" in peer.overdue(peer.began + 60.0)
     other.close()
     while peer.flush():
         pass  # the system tells the end of the connection with one of the next writes

@@ -96,9 +96,9 @@ def test_a_client_that_is_closed_says_so(start: Start) -> None:
     one = start(ArmChannel("left", 0))
     client = LabCommClient(port=one.server.ports["left"])
     client.close()
-    with pytest.raises(LinkError, match="closed here"):
+    with pytest.raises(LinkError, match="closed by this program"):
         client.rows(0.1)
-    with pytest.raises(LinkError, match="closed here"):
+    with pytest.raises(LinkError, match="closed by this program"):
         client.command(Row(0, np.zeros(7)))
 
 

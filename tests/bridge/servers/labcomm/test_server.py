@@ -313,10 +313,10 @@ def test_what_was_not_taken_is_told_once_and_counted(bench: Bench, monkeypatch: 
     assert isinstance(nothing, SampleType)
     client.socket.sendall(encoder.version() + encoder.define(nothing) + 1500 * encoder.data(nothing, {}))
     bench.until(lambda: bench.ports.counts["left"].get("other type") == 1500)
-    assert sum("was not taken (1 so far), LabCommError" in text for text in bench.said) == 1
+    assert sum("was refused (1 so far), LabCommError" in text for text in bench.said) == 1
     assert len(bench.said) == 2
     monkeypatch.setattr("armlab.bridge.servers.labcomm.server._EVERY", 0.0)
     client.socket.sendall(encoder.data(nothing, {}))
-    bench.until(lambda: any("was not taken (1501 so far)" in text for text in bench.said))
+    bench.until(lambda: any("was refused (1501 so far)" in text for text in bench.said))
     client.socket.close()
-    bench.until(lambda: bench.said[-1].endswith("left; 1501 samples of it were not taken."))
+    bench.until(lambda: bench.said[-1].endswith("disconnected; 1501 of its samples were refused."))

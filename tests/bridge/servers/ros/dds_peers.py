@@ -22,12 +22,17 @@ from armlab.bridge.servers.ros.dds import (
     DomainParticipant,
     Policy,
     Qos,
+    _member,
+    _taken,
     carrier,
+    make_idl_struct,
     topic_name,
+    types,
 )
-from armlab.bridge.servers.ros.topics import store
+from armlab.bridge.servers.ros.topics import store, type_name
 
-from ..conftest import Served
+from ..conftest import Served, until
+from .conftest import OTHERS
 
 RELIABLE = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(10))
 
@@ -59,6 +64,19 @@ def _is_free(port: int) -> bool:
     return True
 
 
+def _service_type(name: str) -> Any:
+    """The type of requests or responses of rmw_cyclonedds: client and number come before the fields."""
+    header = {"client": types.uint64, "number": types.int64}
+    members = {member: _member(*about) for member, about in store().fielddefs[name][1]}
+    made: Any = make_idl_struct(
+        f"{name.rpartition('/')[2]}_", type_name(name), {**header, **members}, dataclassify=False
+    )
+    known = carrier(name)
+    made.__init__, made.serialize = known.__init__, known.serialize
+    made.deserialize = made.deserialize_key = classmethod(_taken)
+    return made
+
+
 class Node:
     """A participant in this process, beside that of the server."""
 
@@ -68,6 +86,12 @@ class Node:
 
     def reader(self, name: str, type_: str) -> DataReader[Any]:
         return DataReader(self.participant, DdsTopic(self.participant, topic_name(name), carrier(type_)), RELIABLE)
+
+    def read_late(self, name: str, type_: str) -> Callable[[], list[Any]]:
+        """Return what gives the messages of a topic that keeps its last one."""
+        topic = DdsTopic(self.participant, topic_name(name), carrier(type_))
+        reader = DataReader(self.participant, topic, Qos(Policy.Durability.TransientLocal, base=RELIABLE))
+        return lambda: taken(reader, type_)
 
     def read(self, name: str, type_: str) -> Callable[[], list[Any]]:
         """Return what gives all messages that have come."""
@@ -82,6 +106,32 @@ class Node:
     def writer(self, name: str, type_: str) -> Writer:
         topic = DdsTopic(self.participant, topic_name(name), carrier(type_))
         return Writer(DataWriter(self.participant, topic, RELIABLE), type_)
+
+    def call(self, name: str, type_: str, request: Any) -> Any:
+        return self.caller(name, type_)(request)
+
+    def caller(self, name: str, type_: str) -> Callable[[Any], Any]:
+        """Return what calls a service as rmw_cyclonedds does: client and number come before the fields."""
+        kinds, headers = [f"{type_}_{kind}" for kind in ("Request", "Response")], (os.urandom(16) for _ in count())
+        asked, told = map(_service_type, kinds)
+        writer = DataWriter(self.participant, DdsTopic(self.participant, f"rq{name}Request", asked), RELIABLE)
+        reader = DataReader(self.participant, DdsTopic(self.participant, f"rr{name}Reply", told), RELIABLE)
+        until(lambda: writer.get_matched_subscriptions() and reader.get_matched_publications())
+
+        def call(request: Any) -> Any:
+            cdr, header = bytes(store().serialize_cdr(request, kinds[0])), next(headers)
+            writer.write(asked(cdr[:4] + header + cdr[4:] + bytes(-len(cdr) % 4)))
+            found: list[bytes] = []
+
+            def come() -> list[bytes]:
+                samples = [one for one in reader.take(10) if one.sample_info.valid_data]
+                found.extend(one.cdr for one in samples if one.cdr[4:20] == header)
+                return found
+
+            until(come)
+            return store().deserialize_cdr(found[0][:4] + found[0][20:], kinds[1])
+
+        return call
 
 
 class Writer:
@@ -112,8 +162,9 @@ class DdsCell(Served):
     def __init__(self, rights: Any = "anyone") -> None:
         gain = Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights=rights)
         self.domain = free_domain()
-        options = {"domain": self.domain, "host": "127.0.0.1"}
-        super().__init__("ros2", robots.load("yumi_left"), lambda feed: DdsServer(feed, options), [gain])
+        options = {"domain": self.domain, "host": "127.0.0.1", "tf": True}
+        arm = robots.load("yumi_left")
+        super().__init__("ros2", arm, lambda feed: DdsServer(feed, options), [gain, *OTHERS])
         assert self.where == [f"127.0.0.1 (ros2, DDS domain {self.domain})"]
         self.node = self.join()
 

@@ -197,7 +197,7 @@ def test_a_participant_listens_on_this_computer_only() -> None:
 
 def test_an_interface_that_is_not_there() -> None:
     with (
-        pytest.raises(LinkError, match=r"on 192\.0\.2\.1, but .* Give the address"),
+        pytest.raises(LinkError, match=r"on 192\.0\.2\.1, got .* Use the address"),
         joined(free_domain(), "192.0.2.1"),
     ):
         pass

@@ -15,6 +15,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.cell import parse_cell
+from armlab.bridge.servers.ros.actions import CONTROLLER, TRAJECTORY
 from armlab.bridge.servers.ros.server import Commands
 from armlab.bridge.servers.ros.topics import Topics
 from armlab.bridge.servers.row import RowSchema
@@ -41,7 +42,7 @@ INFO = """Type: sensor_msgs/msg/JointState
 
 Publisher count: 1
 
-Node name: armlab
+Node name: yumi_left
 Node namespace: /
 Topic type: sensor_msgs/msg/JointState
 Topic type hash: RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e
@@ -178,11 +179,12 @@ def test_every_topic_stands_on_the_page_with_its_type() -> None:
     told |= {f"{name.rpartition('/')[0]}/{also}": type_ for name, _, also, type_ in rows if also}
     topics = {name: one.type for name, one in Topics({ARM.name: ARM}, RowSchema.of([ARM])).published.items()}
     topics |= Commands("cell", {ARM.name: ARM}).types
+    topics |= {f"/{ARM.name}/{CONTROLLER}/joint_trajectory": TRAJECTORY}
     assert {f"/yumi_left/{name}": type_ for name, type_ in told.items()} == topics
 
 
 def test_what_is_said_to_be_checked_is_what_the_tests_check() -> None:
-    section = PAGE.partition("## What was checked")[2].partition("\n## ")[0]
+    section = PAGE.partition("## Compatibility")[2].partition("\n## ")[0]
     real = JOB.clause(RUNS) if RUNS else "Not yet checked against a running ROS 2 node"
     assert re.findall(r"\*\*([^*]+)\*\*", section) == [*PEERS, real]
     zenoh = PAGE.partition("## ROS 2 over Zenoh")[2].partition("\n## ")[0]

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,9 @@ import pytest
 
 from armlab import kinematics, robots
 from armlab.bridge.cell import parse_cell
+from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
+from armlab.bridge.servers.ros.actions import CONTROLLER, FOLLOW, STATUS, TRAJECTORY, _register
 from armlab.bridge.servers.ros.rmw_zenoh import Names
 from armlab.bridge.servers.ros.server import Commands
 from armlab.bridge.servers.ros.topics import Topics, store
@@ -112,9 +114,10 @@ class Peer:
 class Stream:
     """A loop that gives a row every 4 ms to the server, a process, and obeys its clients; in a thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, parameters: Sequence[Parameter] = ()) -> None:
         self.domain = free_domain()
-        self.exchange = Hub([ARM], ["ros2"], allowed=["ros2"], about={"cell": "yumi"})
+        about = {"cell": "yumi"}
+        self.exchange = Hub([ARM], ["ros2"], Parameters(parameters), allowed=["ros2"], about=about)
         options = {"domain": self.domain, "host": "127.0.0.1"}
         self.servers = Servers(self.exchange, {"ros2": server_command("ros2", options)})
         self.sent: dict[int, dict[str, np.ndarray]] = {}
@@ -268,6 +271,7 @@ JOINTS, ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
 STATES, COMMANDS = "/yumi_left/joint_states", "/yumi_left/joint_group_velocity_controller/commands"
 PROGRAM = Path(__file__).parent / "peers" / "sdk.py"
 OUT, IN = ["RELIABLE", "VOLATILE", "KEEP_LAST", 10], ["BEST_EFFORT", "VOLATILE", "KEEP_LAST", 1]
+LATCHED = ["RELIABLE", "TRANSIENT_LOCAL", "KEEP_LAST", 1]
 CELL = """
 commands = ["rmw_zenoh"]
 [[robots]]
@@ -385,7 +389,9 @@ def test_zenoh_ros2_sdk_sees_the_graph_reads_and_commands(
     """Node, types, hashes and quality of service as a program sees them that computes them by itself."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     python = environment(installing, f"zenoh-ros2-sdk=={SDK}")
-    definitions = {name: store().generate_msgdef(name, ros_version=2)[0] for name in store().fielddefs}
+    _register()
+    messages = [name for name in store().fielddefs if "/msg/" in name]
+    definitions = {name: store().generate_msgdef(name, ros_version=2)[0] for name in messages}
     texts = {name: text.partition("=" * 80)[0] for name, text in definitions.items()}
     port, found = free_port(), dict[str, Any]()
 
@@ -400,9 +406,18 @@ def test_zenoh_ros2_sdk_sees_the_graph_reads_and_commands(
     run = play(monkeypatch, parse_cell(CELL.format(port=port)), script)
     arm = robots.load("yumi_left")
     out = {name: one.type for name, one in Topics({arm.name: arm}, RowSchema.of([arm])).published.items()}
-    about = [(out, ["out"], OUT), (Commands("yumi", {arm.name: arm}).types, ["in"], IN)]
+    controller = f"/{arm.name}/{CONTROLLER}"
+    latched = {f"/{arm.name}/robot_description": "std_msgs/msg/String"}
+    latched[f"{controller}/follow_joint_trajectory/_action/status"] = STATUS
+    out[f"{controller}/follow_joint_trajectory/_action/feedback"] = f"{FOLLOW}_FeedbackMessage"
+    about = [
+        ({name: type_ for name, type_ in out.items() if name not in latched}, ["out"], OUT),
+        (latched, ["out"], LATCHED),
+        (Commands("yumi", {arm.name: arm}).types, ["in"], IN),
+        ({f"{controller}/joint_trajectory": TRAJECTORY}, ["in"], OUT),
+    ]
     expected = [
-        [topic, *kind, "/", "armlab", type_, store().hash_rihs01(type_), *quality]
+        [topic, *kind, "/", arm.name, type_, store().hash_rihs01(type_), *quality]
         for topics, kind, quality in about
         for topic, type_ in topics.items()
     ]

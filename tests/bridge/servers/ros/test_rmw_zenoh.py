@@ -61,7 +61,7 @@ def test_what_a_reader_missed_that_comes_again_is_numbered(running: ZenohCell, m
             running.commanded()
         until(lambda last=last: running.server._writers[topic]._seq == last + 3)
     assert len(samples) == output.sent == 2
-    monkeypatch.setattr("armlab.bridge.servers.ros.rmw_zenoh._MAY_COME_AGAIN", 0.0)
+    monkeypatch.setattr("armlab.bridge.servers.ros.rmw_zenoh._MAY_RETURN", 0.0)
     running.server._read_until[topic] = 0.0
     until(lambda: running.server.wanted() == frozenset())
 
@@ -73,8 +73,8 @@ def test_what_is_read_is_noted_also_while_parameters_are_told_all_the_time(
     topic = "/yumi_left/joint_states"
     running.node.read(topic, JOINTS)
     until(lambda: topic in running.server.wanted())
-    monkeypatch.setattr("armlab.bridge.servers.ros.rmw_zenoh._LOOK", 0.05)
-    running.server._told = math.inf
+    monkeypatch.setattr("armlab.bridge.servers.ros.rmw_zenoh._CHECK_EVERY", 0.05)
+    running.server._parameters_sent = math.inf
     for _ in range(3):
         before = running.server._read_until[topic]
         until(lambda before=before: running.server._read_until[topic] > before)
@@ -85,11 +85,13 @@ def test_the_graph_has_the_node_its_writers_and_readers(running: ZenohCell) -> N
         replies = running.node.session.liveliness().get("@ros2_lv/0/**", timeout=2.0)
         return [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None]
 
-    expected = len(running.server._topics.published) + len(running.server._commands.types) + 1
+    server = running.server
+    taken = len(server._commands.types) + len(server._goals.topics)
+    expected = len(server.published) + taken + len(server.services) + 2
     until(lambda: len(tokens()) == expected)
     found = tokens()
     kinds = [words[5] for words in found]
-    assert {kind: kinds.count(kind) for kind in ("NN", "MP", "MS")} == {"NN": 1, "MP": 11, "MS": 8}
+    assert {kind: kinds.count(kind) for kind in ("NN", "MP", "MS", "SS")} == {"NN": 2, "MP": 16, "MS": 9, "SS": 9}
     assert len({words[4] for words in found}) == expected, "each endpoint has its own number"
     joints = next(words for words in found if len(words) > 9 and words[9] == "%yumi_left%joint_states")
     origin = running.server._writers["/yumi_left/joint_states"]
@@ -112,7 +114,7 @@ def test_it_refuses_commands_through_a_router_elsewhere() -> None:
     about = {"cell": "yumi", "commands": ["rmw_zenoh"]}
     options = {"domain": 0, "host": "127.0.0.1", "port": free_port(), "router": "192.168.1.9:7447"}
     exchange = Hub([ARM], ["rmw_zenoh"], about=about)
-    with exchange.open("rmw_zenoh") as feed, pytest.raises(ConfigError, match="through a router elsewhere"):
+    with exchange.open("rmw_zenoh") as feed, pytest.raises(ConfigError, match="through a router on another computer"):
         RmwZenohServer(feed, {**options, "distribution": "jazzy"})
     exchange.close()
 
@@ -275,7 +277,9 @@ def test_a_node_behind_a_router_that_is_killed_twice(cell: tuple[Cell, Callable[
     who = f"rmw_zenoh {SENDER.hex()}"
     until(lambda: one.commander == who and len(one.came) > 100, patience=RESTART)
     everything = one.tokens()
-    assert everything == len(one.server._topics.published) + len(one.server._commands.types) + 1
+    server = one.server
+    taken = len(server._commands.types) + len(server._goals.topics)
+    assert everything == len(server.published) + taken + len(server.services) + 2
     for _ in range(2):
         killed = len(one.came)
         router = restart()
@@ -290,3 +294,14 @@ def test_a_node_behind_a_router_that_is_killed_twice(cell: tuple[Cell, Callable[
         assert steps[killed - 1 :].max() > 1
         np.testing.assert_array_equal(steps, np.diff(ticks))
         assert stamps[np.searchsorted(stamps, router.ready_ns)] - router.ready_ns <= AGAIN_NS
+
+
+def test_a_client_of_services_has_gone_with_its_token(running: ZenohCell) -> None:
+    """A trajectory ends with the node that sent it as a goal, which has no writers."""
+    node = running.node
+    token = node.names.service(77, "/yumi_left/any", "rcl_interfaces/srv/GetParameters").replace("/SS/", "/SC/")
+    life = node.session.liveliness().declare_token(token)
+    origin = Origin(1, 0, Writer(token).id)
+    until(lambda: running.server._nodes.client(origin) == node.client)
+    life.undeclare()
+    until(lambda: running.server._nodes.client(origin) == origin.client)

@@ -17,7 +17,8 @@ from armlab.bridge.servers.ros.topics import store
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 
 from ....processes import free_port
-from ..conftest import Served
+from ..conftest import Served, until
+from .conftest import OTHERS
 
 
 class ZenohNode:
@@ -39,6 +40,44 @@ class ZenohNode:
         """Return what gives all messages that have come."""
         found = self.samples(topic, type_)
         return lambda: [store().deserialize_cdr(one.payload.to_bytes(), type_) for one in list(found)]
+
+    def read_late(self, topic: str, type_: str) -> Callable[[], list[Any]]:
+        """Return what gives the messages of a topic that keeps its last one."""
+        from zenoh import ext
+
+        found: list[Any] = []
+        self._late = ext.declare_advanced_subscriber(
+            self.session,
+            self.names.data(topic, type_),
+            found.append,
+            history=ext.HistoryConfig(detect_late_publishers=True),
+        )
+        return lambda: [store().deserialize_cdr(one.payload.to_bytes(), type_) for one in list(found)]
+
+    def call(self, name: str, type_: str, request: Any) -> Any:
+        """Call a service as rmw_zenoh does."""
+        import zenoh
+
+        raw, origin = bytes(store().serialize_cdr(request, f"{type_}_Request")), Origin(7, 1, b"c" * 16)
+        key = self.names.data(name, type_)
+        target = zenoh.QueryTarget.ALL_COMPLETE
+        found: list[Any] = []
+        until(
+            lambda: (
+                found.extend(
+                    reply.ok
+                    for reply in self.session.get(
+                        key, payload=raw, attachment=origin.pack(), target=target, timeout=5.0
+                    )
+                    if reply.ok is not None
+                )
+                or found
+            )
+        )
+        told = Origin.read(found[0].attachment.to_bytes())
+        assert told is not None
+        assert (told.seq, told.writer, str(found[0].key_expr)) == (origin.seq, origin.writer, key)
+        return store().deserialize_cdr(found[0].payload.to_bytes(), f"{type_}_Response")
 
     def writer(self, topic: str, type_: str) -> ZenohWriter:
         self.writers += 1
@@ -68,9 +107,16 @@ class ZenohCell(Served):
 
     def __init__(self, rights: Any = "anyone") -> None:
         gain, self.port = Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights=rights), free_port()
-        options = {"domain": 0, "host": "127.0.0.1", "port": self.port, "router": "", "distribution": "jazzy"}
+        options = {
+            "domain": 0,
+            "host": "127.0.0.1",
+            "port": self.port,
+            "router": "",
+            "distribution": "jazzy",
+            "tf": True,
+        }
         arm = robots.load("yumi_left")
-        super().__init__("rmw_zenoh", arm, lambda feed: RmwZenohServer(feed, options), [gain])
+        super().__init__("rmw_zenoh", arm, lambda feed: RmwZenohServer(feed, options), [gain, *OTHERS])
         self.nodes: list[ZenohNode] = []
         self.node = self.join()
 

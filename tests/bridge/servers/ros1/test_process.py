@@ -188,7 +188,7 @@ class Alone:
         socket.send_fds(self.node, [json.dumps({"kind": kind, **fields}).encode()], connections)
 
     def hear(self) -> None:
-        self.process._hear()
+        self.process._receive()
 
     def told(self) -> dict[str, Any]:
         """Return what the node is told."""
@@ -210,7 +210,7 @@ def alone() -> Iterator[Alone]:
 def test_half_a_surrogate_pair_is_refused_and_the_server_goes_on(alone: Alone) -> None:
     alone.say("command", topic="/yumi_right/set_parameter", client="/node", content='{"gain": "\\ud800"}')
     alone.hear()
-    assert "/node: Expected what JSON in UTF-8 can say" in alone.told()["text"]
+    assert "/node: Expected a request that can be encoded as UTF-8 JSON" in alone.told()["text"]
 
 
 def test_a_command_may_come_before_the_node_is_ready(alone: Alone) -> None:
@@ -226,7 +226,7 @@ def test_what_is_too_long_or_no_json_is_told_and_the_server_goes_on(alone: Alone
     alone.say("refused", client="/node", text="Expected less.")
     alone.say("command", topic="/yumi_right/stop", client="/node", content=None)
     alone.hear()
-    assert "Expected JSON from the node of ROS 1" in alone.asked()["text"]
+    assert "Expected JSON from the ROS 1 node" in alone.asked()["text"]
     assert alone.asked() == {"kind": "report", "client": "/node", "text": "Expected less."}
     assert alone.asked()["kind"] == "stop"
     assert alone.told() == {"text": "/node: Expected less."}
@@ -253,7 +253,7 @@ def test_a_connection_without_room_is_ended_and_the_reason_told(
         alone.hear()
         theirs.settimeout(PATIENCE)
         assert not came or theirs.recv(1) == b""
-    words = "Expected at most 0 connections of nodes" if came else "Raise `ulimit -n`."
+    words = "Expected at most 0 node connections" if came else "Raise `ulimit -n`."
     assert words in alone.told()["text"]
     assert alone.told() == {"topic": "/yumi_right/parameters", "id": 3}
     asked = alone.asked()
@@ -268,7 +268,7 @@ def test_each_of_many_nodes_is_answered_at_most_once_a_second(alone: Alone, monk
             alone.process.answer(f"/node_{k}", "no")
         assert alone.told() == {"text": f"/node_{k}: no"}
         assert not select.select([alone.node], [], [], 0.0)[0]
-    assert len(alone.process._spoken) == 256
+    assert len(alone.process._answered) == 256
 
 
 def test_what_is_missing_is_told_in_one_sentence(tmp_path: Path) -> None:
@@ -402,10 +402,10 @@ def test_a_server_whose_relay_is_killed_starts_again_and_comes_back_when_the_mas
     server = running.servers.processes()["ros1"]
     (relay,) = Path(f"/proc/{server}/task/{server}/children").read_text().split()
     os.kill(int(relay), signal.SIGKILL)
-    running.until(lambda: any("It starts again in 1 s" in text for text in running.told))
+    running.until(lambda: any("It restarts in 1 s" in text for text in running.told))
     running.until(lambda: running.exchange.outlets["ros1"].where)
     end(ros.master)
-    running.until(lambda: any("has gone or is another one" in text for text in running.told))
+    running.until(lambda: any("stopped or restarted" in text for text in running.told))
     ros.start()
     reader = ros.program(READER, str(10**9))
     running.until(lambda: running.exchange.outlets["ros1"].where)

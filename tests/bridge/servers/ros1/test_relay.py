@@ -160,7 +160,7 @@ class Nodes:
     def look(self) -> None:
         """Look at what is to be seen within a time that is enough on this computer."""
         for number, _ in self.looks.poll(1000.0):
-            self.subscribers.look(number)
+            self.subscribers.check(number)
 
     def close(self) -> None:
         self.subscribers.close()

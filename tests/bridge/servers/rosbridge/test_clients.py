@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from armlab import robots
 from armlab.bridge.cell import parse_cell
 
 from ....processes import free_port
@@ -264,3 +265,96 @@ def test_roslib_reads_topics_and_parameters(version: str, tmp_path: Path, monkey
     assert found["type"] == ("sensor_msgs/JointState" if version.startswith("1.") else "sensor_msgs/msg/JointState")
     assert found["rows"] == [[7] * 20] * 2
     assert found["gain"] == 3.5
+
+
+ACTIONS = """
+const ROSLIB = await import("roslib");
+const [port, home] = [process.argv[2], JSON.parse(process.argv[3])];
+const ros = new ROSLIB.Ros({ url: `ws://127.0.0.1:${port}` });
+await new Promise((resolve, reject) => (ros.on("connection", resolve), ros.on("error", reject)));
+const name = "/yumi_left/joint_trajectory_controller/follow_joint_trajectory";
+const action = new ROSLIB.Action({ ros, name, actionType: "control_msgs/action/FollowJointTrajectory" });
+const names = home.map((_, i) => `yumi_robl_joint_${i + 1}`).reverse();
+const point = (offset, sec) => ({
+  positions: home.map((q) => q + offset).reverse(), velocities: home.map(() => 0.0), time_from_start: { sec },
+});
+const goal = (joint_names, ...points) => ({ trajectory: { joint_names, points } });
+
+function run(message, onFeedback = () => {}) {
+  let id;
+  const done = new Promise((resolve) => {
+    const feedback = [];
+    id = action.sendGoal(message, (result) => resolve({ result, feedback }),
+      (one) => (feedback.push(one), onFeedback(id, feedback.length)), (error) => resolve({ error, feedback }));
+  });
+  return done;
+}
+
+const found = { servers: await new Promise((resolve, reject) => ros.getActionServers(resolve, reject)) };
+do found.moved = await run(goal(names, point(0.1, 1))); while (/not ready/.test(found.moved.error));
+found.canceled = await run(goal(names, point(0.0, 9)), (id, count) => count === 5 && action.cancelGoal(id));
+found.wrong = await run(goal([...names.slice(1), "elbow"], point(0.0, 1)));
+found.fast = await run(goal(names, point(0.4, 0)));
+found.empty = await run({});
+let second;
+found.first = await run(goal(names, point(0.0, 9)), (id, count) => {
+  if (count === 5) second = run(goal(names, point(0.05, 1)));
+});
+found.second = await second;
+const topic = new ROSLIB.Topic({
+  ros, name: name.replace("follow_joint", "joint"), messageType: "trajectory_msgs/msg/JointTrajectory",
+});
+const states = new ROSLIB.Topic({ ros, name: "/yumi_left/joint_states", messageType: "sensor_msgs/msg/JointState" });
+const there = new Promise((resolve) => states.subscribe(({ position }) => {
+  if (Math.abs(position[0] - home[0] - 0.1) < 1e-3) resolve(position);
+}));
+topic.publish(goal(names, point(0.1, 1)).trajectory);
+found.there = await there;
+process.stdout.write(`${JSON.stringify(found)}\\n`, () => process.exit(0));
+"""
+
+
+@pytest.mark.slow
+def test_roslib_runs_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Goal, feedback, result, cancellation, preemption, rejection, and the topic. Takes 10 s, besides installing."""
+    _installed("2.1.0", tmp_path)
+    (tmp_path / "actions.mjs").write_text(ACTIONS)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    port, done = free_port(), list[subprocess.CompletedProcess[str]]()
+    home = robots.load("yumi_left").q_home
+
+    def script() -> None:
+        command = ["node", str(tmp_path / "actions.mjs"), str(port), json.dumps(home.tolist())]
+        done.append(subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False))
+
+    cell_run = play(monkeypatch, parse_cell(CELL.format(port=port)), script)
+    assert done[0].returncode == 0, done[0].stderr
+    found = json.loads(done[0].stdout)
+    assert found["servers"] == ["/yumi_left/joint_trajectory_controller/follow_joint_trajectory"]
+    assert found["moved"].get("result") == {"error_code": 0, "error_string": ""}, found["moved"]
+    feedback = found["moved"]["feedback"]
+    assert len(feedback) > 10
+    last = feedback[-1]
+    assert last["joint_names"][0] == "yumi_robl_joint_1"
+    np.testing.assert_allclose(last["actual"]["positions"], home + 0.1, atol=0.02)
+    error = np.subtract(last["desired"]["positions"], last["actual"]["positions"])
+    np.testing.assert_allclose(last["error"]["positions"], error, atol=1e-12)
+    times = [one["desired"]["time_from_start"] for one in feedback]
+    seconds = np.array([one["sec"] + 1e-9 * one["nanosec"] for one in times])
+    assert np.all(np.diff(seconds) > 0.04)
+    assert 0.8 < seconds[-1] < 3.0
+    for name, code, words in (
+        ("canceled", -1, "was canceled.*Canceled by rosbridge 127.0.0.1"),
+        ("wrong", -2, "was aborted.*name of a joint, got .*elbow"),
+        ("fast", -1, "was aborted.*first point to be near the arm"),
+        ("empty", -1, "was aborted.*points, got none"),
+        ("first", -1, "was aborted.*newer command replaced it"),
+    ):
+        assert re.search(words, found[name]["error"]), found[name]["error"]
+        assert f'"error_code":{code}' in found[name]["error"]
+    assert found["second"]["result"]["error_code"] == 0
+    np.testing.assert_allclose(found["there"], home + 0.1, atol=0.01)
+    sent = cell_run.table.dropna("qd_sent")["qd_sent"]
+    assert np.all(np.abs(sent) <= robots.load("yumi_left").qd_max * 0.5 + 1e-9)
+    np.testing.assert_allclose(sent[-1], 0.0, atol=1e-6)
+    assert any("name of a joint, got 'elbow'" in event for _, event in cell_run.events)

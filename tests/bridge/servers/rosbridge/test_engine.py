@@ -97,18 +97,18 @@ def test_a_topic_that_nobody_wants_any_more_costs_nothing(bench: Bench) -> None:
         ({"op": "subscribe", "topic": STATES, "type": "sensor_msgs/Imu"}, "Expected sensor_msgs/JointState for"),
         ({"op": "subscribe", "topic": STATES, "type": "JointState"}, "Expected a type such as"),
         ({"op": "subscribe", "topic": STATES, "compression": "png"}, "no compression"),
-        ({"op": "subscribe", "topic": STATES, "fragment_size": 100}, "sent whole"),
+        ({"op": "subscribe", "topic": STATES, "fragment_size": 100}, "not fragmented"),
         ({"op": "subscribe", "topic": STATES, "throttle_rate": -1}, "throttle_rate"),
         ({"op": "subscribe"}, "missing required field `topic`"),
-        ({"op": "fragment", "data": "", "num": 0, "total": 1}, "fragments are not taken"),
-        ({"op": "png", "data": ""}, "pictures"),
+        ({"op": "fragment", "data": "", "num": 0, "total": 1}, "fragments are not supported"),
+        ({"op": "png", "data": ""}, "PNG"),
         ({"op": "advertise_service", "service": "/a"}, "one of the operations advertise, call_service"),
-        ({"op": "advertise", "topic": "/mine", "type": "std_msgs/String"}, "topic that this cell takes"),
-        ({"op": "publish", "topic": STATES, "msg": {}}, "topic that this cell takes"),
+        ({"op": "advertise", "topic": "/mine", "type": "std_msgs/String"}, "command topic of this cell"),
+        ({"op": "publish", "topic": STATES, "msg": {}}, "command topic of this cell"),
         ({"op": "publish", "topic": POSITION, "msg": {"data": SEVEN[:6]}}, "Expected 7 numbers .* got 6"),
         ({"op": "publish", "topic": POSITION, "msg": [1]}, "msg"),
         ({"op": "publish", "topic": "/yumi_left/set_parameter", "msg": {"data": "gain"}}, "Expected JSON"),
-        ({"op": "service_response", "service": "/a", "result": True}, "never called"),
+        ({"op": "service_response", "service": "/a", "result": True}, "no service_response"),
         ({"op": "set_level", "level": "loud"}, "level"),
     ],
 )
@@ -127,10 +127,10 @@ def test_what_cannot_be_done_comes_back_as_a_status(bench: Bench, operation: dic
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[" * 20000, "an operation of rosbridge v2 in JSON"),
+        ("[" * 20000, "a rosbridge v2 operation in JSON"),
         (b"{}", "a text message"),
-        ("\ud800", "text in Unicode"),
-        ("9" * LARGEST + "9", "at most 65536 characters"),
+        ("\ud800", "valid Unicode text"),
+        ("9" * LARGEST + "9", f"at most {LARGEST} characters"),
     ],
     ids=range(4),
 )
@@ -261,7 +261,7 @@ def test_a_setting_that_cannot_be_asked_for_is_answered_once(bench: Bench, monke
 
     monkeypatch.setattr(bench.loop, "ask", refuse)
     bench.say(client, op="call_service", service="/rosapi/set_param", id=1, args=["note", '"x"'])
-    bench.engine.turn(bench.now + 2 * 10**9)
+    bench.engine.tick(bench.now + 2 * 10**9)
     assert [(one["id"], one["values"]) for one in bench.heard(client)] == [(1, "Expected another text.")]
 
 
@@ -269,13 +269,13 @@ def test_a_setting_that_the_loop_does_not_answer(bench: Bench) -> None:
     client = bench.client("me")
     for _ in range(65):
         bench.say(client, op="call_service", service="/rosapi/set_param", args=["gain", "1.0"])
-    assert "at most 64 settings" in bench.heard(client)[0]["values"]
+    assert "at most 64 unanswered settings" in bench.heard(client)[0]["values"]
     bench.loop.declared.set("gain", 0.75, "local 1")
     bench.loop.declared.apply()
     bench.engine.text(bench.loop.tell(), bench.now)
-    bench.engine.turn(bench.now + 10**9)
+    bench.engine.tick(bench.now + 10**9)
     assert bench.heard(client) == []
-    bench.engine.turn(bench.now + 2 * 10**9)
+    bench.engine.tick(bench.now + 2 * 10**9)
     answers = bench.heard(client)
     assert len(answers) == 64
     assert not answers[0]["result"]
@@ -324,7 +324,7 @@ def test_whatever_a_client_says_is_done_or_answered(said: list[Any]) -> None:
         bench.say(client, one if isinstance(one, str | bytes) else json.dumps(one))
         bench.row(wrench=np.full(6, math.nan))
     bench.engine.text(bench.loop.tell(), bench.now)
-    bench.engine.turn(bench.now + 2 * 10**9)
+    bench.engine.tick(bench.now + 2 * 10**9)
     assert {one["op"] for one in bench.heard(client)} <= {"publish", "status", "service_response"}
     bench.engine.leave(client)
     for request in bench.loop.asked:
@@ -367,7 +367,7 @@ def test_services_nodes_and_time(bench: Bench) -> None:
     assert bench.ask(client, "/rosapi/get_time")["time"]["sec"] > 1.7e9
     assert bench.ask(client, "/rosapi/get_time", type="rosapi/GetTime")["time"]["secs"] > 1.7e9
     assert "Did you mean '/rosapi/topics'" in bench.ask(client, "/rosapi/topicz")
-    assert "Expected 'topic' as a text" in bench.ask(client, "/rosapi/topic_type")
+    assert "Expected 'topic' to be a text" in bench.ask(client, "/rosapi/topic_type")
 
 
 def test_message_details_name_all_types_inside(bench: Bench) -> None:
@@ -385,7 +385,7 @@ def test_message_details_name_all_types_inside(bench: Bench) -> None:
     assert diagnostics[0]["constnames"] == ["OK", "WARN", "ERROR", "STALE"]
     assert diagnostics[1]["type"] == "diagnostic_msgs/KeyValue"
     assert bench.ask(client, "/rosapi/message_details", args=["std_msgs/Empty"])["typedefs"][0]["fieldnames"] == []
-    assert "Ask /rosapi/topics" in bench.ask(client, "/rosapi/message_details", args=["a/B"])
+    assert "See /rosapi/topics" in bench.ask(client, "/rosapi/message_details", args=["a/B"])
 
 
 def test_parameters(bench: Bench) -> None:
@@ -398,7 +398,7 @@ def test_parameters(bench: Bench) -> None:
     assert parameter_name({"name": "/yumi:gain"}, {"gain": 1}) == "gain"
     assert bench.ask(client, "/rosapi/has_param", args=["gain"]) == {"exists": True}
     assert bench.ask(client, "/rosapi/has_param", args=[3]) == {"exists": False}
-    assert "declared and stay" in bench.ask(client, "/rosapi/delete_param", args=["gain"])
+    assert "declared parameters" in bench.ask(client, "/rosapi/delete_param", args=["gain"])
     assert "as JSON text" in bench.ask(client, "/rosapi/set_param", args=["gain", "{"])
     assert "gain" in bench.ask(client, "/rosapi/set_param", args=["none", "1"])
 

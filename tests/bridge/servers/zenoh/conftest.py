@@ -77,7 +77,7 @@ def heard(session: Any, name: str) -> list[Any]:
 @pytest.fixture(autouse=True)
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     """Viewers hear of the only robots of this computer at once."""
-    monkeypatch.setattr("armlab.bridge.servers.zenoh.feed._HEARD", 0.1)
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.feed._DISCOVERY", 0.1)
 
 
 @pytest.fixture

@@ -145,7 +145,7 @@ def test_a_damaged_row_is_dropped_and_counted_as_such(start: Start, robot: Robot
     until(lambda: dropped(attachment=checksum(whole[1:])))
     until(dropped)
     drops = {codec.decode(arrival.data) for arrival in got if arrival is not None}
-    assert drops == {Drop("damaged", "a row whose checksum is another one")}
+    assert drops == {Drop("damaged", "a row with a wrong checksum")}
     port.close()
 
 
@@ -204,7 +204,7 @@ def test_a_viewer_elsewhere(start: Start, robot: Robot) -> None:
             feed.ask(CommandRequest())
         feed.ask(Subscribe(rate=0.0))
         one.exchange.close()
-        with pytest.raises(LinkError, match="has gone"):
+        with pytest.raises(LinkError, match="it is gone"):
             all_of(feed)
 
 
@@ -224,7 +224,7 @@ def test_damaged_rows_are_dropped_and_told(start: Start, robot: Robot) -> None:
         said: list[Any] = []
         until(lambda: feed.wait(0.1) and (said.append(feed.receive()) or "4 so far" in said[-1].get("text", "")))
         assert not any(isinstance(each, Row) for each in said)
-        assert said[-1]["text"] == "Rows came damaged and were dropped: 4 so far."
+        assert said[-1]["text"] == "Rows arrived corrupted and were dropped: 4 so far."
 
 
 def test_texts_that_are_none_are_dropped_and_told(start: Start, robot: Robot) -> None:
@@ -241,7 +241,7 @@ def test_texts_that_are_none_are_dropped_and_told(start: Start, robot: Robot) ->
                 watch.take(said[-1])
             return any(text in str(each) for each in said)
 
-        until(lambda: told("cannot be read and were dropped: 8 so far"))
+        until(lambda: told("Invalid messages were dropped: 8 so far"))
         assert {each["kind"] for each in said} <= {"about", "parameters", "event", "status"}
         feed._is_unsure, before = True, feed.refused
         feed._answered("lab1", robot.name, b"[[[")
@@ -266,9 +266,9 @@ def test_a_bridge_that_comes_again_is_told_from_one_that_restarted(start: Start,
         feed.ask(Subscribe(rate=None))
         until(lambda: heard(one, Row))
         wire.cut()
-        until(lambda: heard(one, "has gone, or the way to it"))
+        until(lambda: heard(one, "or the connection to it is gone"))
         wire.mend()
-        until(lambda: heard(one, "is there again, in the same run"))
+        until(lambda: heard(one, "is back, in the same run"))
         got.clear()
         until(lambda: heard(one, Row))
         wire.cut()

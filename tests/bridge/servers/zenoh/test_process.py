@@ -86,7 +86,7 @@ NO_COMMANDS = [
     ("position", bytes(8 * 200), attached(1), "got 1600 bytes"),
     ("motion", bytes(8 * 7), attached(1), "as many velocities as positions"),
     ("jump", bytes(56), attached(1), "one of position, velocity, effort, motion, got 'jump'"),
-    ("position", bytes(56), None, "32 bytes attached.*got none"),
+    ("position", bytes(56), None, "attachment of 32 bytes.*got none"),
     ("position", bytes(56), b"short", "got 5 bytes"),
     ("position", bytes(8 * 6), attached(1), "7"),
     ("position", np.full(7, np.nan).tobytes(), attached(1), "finite"),

@@ -1,6 +1,6 @@
-"""LabComm servers and clients: rows of the arms and parameters out, commands in, over TCP.
+"""LabComm servers and clients over TCP: rows and parameters out, commands in.
 
-`LabCommServer` serves an `ArmChannel` per arm (7511 left, 7512 right); `LabCommClient` is the other side;
+`LabCommServer` serves an `ArmChannel` per arm (7511 left, 7512 right); `LabCommClient` is the client;
 ``bridge.connect("labcomm://host:7511", robot)`` runs a controller over it.
 """
 

@@ -1,4 +1,4 @@
-"""What each port of a LabComm server sends and takes, and `Peer`: a connection, its queue and its patience."""
+"""Channels of a LabComm server, one per port, and `Peer`, a connection with its queue and timeouts."""
 
 from __future__ import annotations
 
@@ -18,28 +18,38 @@ from armlab.wire.labcomm import Decoder, Encoder, Sample, idl
 from armlab.wire.labcomm.types import PRIMS, Array, Definition, Event, SampleType, Type, dialect_named
 
 QUEUE = 64
-"""Packets that wait for a slow peer; then the oldest data packets go."""
+"""Maximum number of packets queued for a slow peer; beyond it, the oldest data packets are dropped."""
 
 _AT_ONCE = 65_536  # bytes read
-_PATIENCE = 5.0  # s for a packet to be complete, and for a peer to take something
-_KERNEL = 65_536  # bytes that the system may hold back: rows of a slow peer shall not be old
+_PATIENCE = 5.0  # s for a packet to be complete, and for a peer to read
+_KERNEL = 65_536  # bytes of the kernel's send buffer: small, so that a slow peer gets recent rows
 
 
 class Peer:
-    """A connection: its stream both ways; there is no encoder until the dialect of the other side is known."""
+    """A connection in both directions; the encoder is None until the peer's dialect is known."""
+
+    address: str
+    encoder: Encoder | None
+    decoder: Decoder
+    sent: int
+    dropped: int
+    refused: int
+    began: float
+    reported: float
 
     def __init__(self, connection: socket.socket, address: str, encoder: Encoder | None) -> None:
-        self.socket, self.address, self.encoder = connection, address, encoder
+        self.socket: socket.socket = connection
+        self.address, self.encoder = address, encoder
         connection.setblocking(False)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL)
         with contextlib.suppress(OSError):
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.decoder, self.sent, self.dropped, self.refused = Decoder(), 0, 0, 0
-        self.began, self.told = time.monotonic(), -math.inf
+        self.began, self.reported = time.monotonic(), -math.inf
         self._queue: deque[tuple[bytes, bool]] = deque()  # packet, whether it may be dropped
-        self._rest = b""  # of a packet that was sent in part
-        self._stuck: float | None = None  # since when nothing could be sent
-        self._packet = (0, self.began)  # position of an incomplete packet, since when
+        self._rest = b""  # of a partly sent packet
+        self._stuck: float | None = None  # start of the time in which nothing could be sent
+        self._packet = (0, self.began)  # position and start of an incomplete packet
 
     @property
     def is_waiting(self) -> bool:
@@ -50,7 +60,7 @@ class Peer:
         return self._stuck is not None
 
     def push(self, packet: bytes, may_drop: bool = True) -> None:
-        """Queue one packet. When the queue is full the oldest packet that may be dropped goes."""
+        """Queue one packet; a full queue drops its oldest droppable packet."""
         queue = self._queue
         if len(queue) >= QUEUE:
             oldest = next((index for index, (_, droppable) in enumerate(queue) if droppable), None)
@@ -68,7 +78,7 @@ class Peer:
         self._queue = deque(kept)
 
     def flush(self) -> bool:
-        """Send what the system takes, one write per packet. Return False when the connection is gone."""
+        """Send while the socket accepts data, with one write per packet; return False if the connection is closed."""
         while self._rest or self._queue:
             data, is_row = (self._rest, False) if self._rest else self._queue.popleft()
             self.sent += is_row
@@ -84,7 +94,7 @@ class Peer:
         return True
 
     def read(self, most: int = _AT_ONCE) -> list[Event] | None:
-        """Return the events of one read, None when the other side has closed."""
+        """Return the events of one read, or None once the peer has closed the connection."""
         try:
             data = self.socket.recv(most)
         except (BlockingIOError, InterruptedError):
@@ -97,7 +107,7 @@ class Peer:
         return self.decoder.feed(data)
 
     def overdue(self, now: float) -> str:
-        """Return why the connection must be closed, "" when it need not. now : monotonic [s]."""
+        """Return why the connection must be closed at `now` (monotonic, s), or "" if it may stay open."""
         if self.decoder.pending:
             position, since = self._packet
             if position != self.decoder.offset:
@@ -107,7 +117,7 @@ class Peer:
         else:
             self._packet = (self.decoder.offset, now)
         if self._stuck is not None and now - self._stuck > _PATIENCE:
-            return f"it took nothing for {_PATIENCE:g} s"
+            return f"it read nothing for {_PATIENCE:g} s"
         return ""
 
     def close(self) -> None:
@@ -122,54 +132,65 @@ OnCommand = Callable[[str, Row, str], None]
 class Channel:
     """One port."""
 
-    sent: SampleType | None = None  # the one type that goes out, where it is one
+    name: str
+    port: int
+    follows_client: bool
+
+    sent: SampleType | None = None  # of all data on the port, if they have one type
 
     def __init__(self, name: str, port: int, dialect: str = "2014v1", follows_client: bool = False) -> None:
         self.name, self.port, self.follows_client = name, port, follows_client
-        self.dialect = dialect_named(dialect).name
+        self.dialect: str = dialect_named(dialect).name
         self.counts: Counter[str] = Counter()
 
     def greet(self, peer: Peer) -> None:
-        """Queue what a client gets on accept: VERSION, and the definition of what follows."""
+        """Queue the first packets of a client: VERSION, and the definition of the sent type."""
         if peer.encoder is not None:
             peer.push(peer.encoder.version(), may_drop=False)
             if self.sent is not None:
                 peer.push(peer.encoder.define(self.sent), may_drop=False)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
-        """Take one event of a client; by default data is read and dropped."""
+        """Handle one event of a client; the default ignores data."""
         self.counts["ignored"] += isinstance(event, Sample)
 
     def left(self, peer: Peer) -> None:
-        """Forget a client that is gone."""
+        """Remove a disconnected client."""
 
     def put(self, item: Any, peers: Iterable[Peer]) -> None:
-        """Queue what the bridge publishes for all clients."""
+        """Queue a published item for all clients."""
         raise NotImplementedError
 
     def _send(self, value: Any, peers: Iterable[Peer]) -> None:
-        """Queue a value of the one type of the port."""
+        """Queue a value of the port's type."""
         for peer in peers:
             if peer.encoder is not None and self.sent is not None:
                 peer.push(peer.encoder.data(self.sent, value))
 
 
 class ArmChannel(Channel):
-    """Rows of one arm out, commands in.
-
-    Which client may command is not decided here: see `bridge.arbiter.Arbiter`.
+    """Channel of one arm: rows out, commands in; `bridge.arbiter.Arbiter` chooses the commanding client.
 
     Parameters
     ----------
-    name : name of the arm.
-    port : 7511 for a left arm, 7512 for a right one.
-    on_command : called in the server's thread with the name, the row and the client's address.
-    axes : see `RowTypes`.
-    order : see `RowTypes`.
-    types : see `RowTypes`.
-    dialect : see `Channel`.
-    follows_client : see `Channel`.
-    on_left : called in the server's thread with the address of a client that is gone.
+    name : str
+        Name of the arm.
+    port : int
+        7511 for a left arm, 7512 for a right one.
+    on_command : callable
+        Called in the server's thread with the channel name, the row and the client's address.
+    axes : sequence of int
+        See `RowTypes`.
+    order : str
+        See `RowTypes`.
+    types : str
+        See `RowTypes`.
+    dialect : str
+        See `Channel`.
+    follows_client : bool
+        See `Channel`.
+    on_left : callable
+        Called in the server's thread with the address of a disconnected client.
     """
 
     def __init__(
@@ -185,7 +206,7 @@ class ArmChannel(Channel):
         on_left: Callable[[str], None] = lambda client: None,
     ) -> None:
         super().__init__(name, port, dialect, follows_client)
-        self.types = RowTypes(axes, order, types)
+        self.types: RowTypes = RowTypes(axes, order, types)
         self.sent = self.types.sent
         self._on_command, self._on_left = on_command, on_left
 
@@ -194,11 +215,12 @@ class ArmChannel(Channel):
         self._send(self.types.value(item), peers)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
-        """Take a command; what is none is counted, and told by the server.
+        """Handle a command; anything else is counted, and reported by the server.
 
         Raises
         ------
-        LabCommError : a sample of another type, or values that are no command.
+        LabCommError
+            A sample of a different type, or an invalid command.
         """
         if not isinstance(event, Sample):
             return
@@ -215,12 +237,12 @@ class ArmChannel(Channel):
             self._on_command(self.name, row, peer.address)
 
     def left(self, peer: Peer) -> None:
-        """Tell that a client is gone."""
+        """Report a disconnected client."""
         self._on_left(peer.address)
 
 
 class FusedArm(NamedTuple):
-    """An arm in a fused row: name, clock of the bridge at its arrival [µs], and its row."""
+    """An arm in a fused row: name, arrival time on the bridge's clock [µs], and row."""
 
     name: str
     t_us: int
@@ -228,7 +250,7 @@ class FusedArm(NamedTuple):
 
 
 class FusedSource(NamedTuple):
-    """A source in a fused row: name, clock of the bridge at its arrival [µs], and its values."""
+    """A source in a fused row: name, arrival time on the bridge's clock [µs], and values."""
 
     name: str
     t_us: int
@@ -236,7 +258,7 @@ class FusedSource(NamedTuple):
 
 
 class FusedChannel(Channel):
-    """Rows of all arms and sources out; what clients send is dropped."""
+    """Channel of the fused rows of all arms and sources; samples from clients are ignored."""
 
     def __init__(
         self,
@@ -250,7 +272,7 @@ class FusedChannel(Channel):
         self.sent = idl.samples("armlab")["fused_row"]
         self._types = RowTypes(axes, order)
         if self._types.n != 7:
-            raise ConfigError(f"Expected arms of 7 joints for fused rows, got {self._types.n}.")
+            raise ConfigError(f"Expected arms with 7 joints for fused rows, got {self._types.n}.")
 
     def put(self, item: tuple[int, Sequence[FusedArm], Sequence[FusedSource]], peers: Iterable[Peer]) -> None:
         """Queue one fused row for all clients: (t_us, arms, sources)."""
@@ -264,17 +286,18 @@ class FusedChannel(Channel):
 
 
 Value = float | bool | str | Sequence[float] | np.ndarray
-"""Of a parameter."""
+"""Value of a parameter."""
 
 OnSet = Callable[[str, Any, str], Any]
-"""Called with the name of a parameter, the value asked for and who asks. Returns the value now in force, or None when
-`LabCommServer.parameter` will tell it later."""
+"""Called with parameter name, requested value and client. Returns the value in force, or None if a later call of
+`LabCommServer.parameter` publishes it."""
 
 
 class ParameterChannel(Channel):
-    """Parameters: one sample each, set by sending, echoed to all who asked, in the type that they asked for.
+    """Parameter channel: one sample type per parameter. Clients set a parameter by sending its sample; changes are sent
+    to all subscribers in their type.
 
-    A number is ``double name``, a list ``double name[_]`` or with its size, a truth value ``boolean name``, a text
+    A number is ``double name``, a list ``double name[_]`` (or with its size), a Boolean ``boolean name``, a text
     ``string name``.
     """
 
@@ -288,32 +311,32 @@ class ParameterChannel(Channel):
     ) -> None:
         super().__init__("parameters", port, dialect, follows_client)
         self._values, self._on_set = dict(values), on_set
-        self._asked: dict[Peer, dict[str, Type]] = {}
+        self._subscribed: dict[Peer, dict[str, Type]] = {}
 
     def put(self, item: tuple[str, Value], peers: Iterable[Peer]) -> None:
-        """Queue the value now in force, (name, value), for all who asked for it."""
+        """Queue the value in force, (name, value), for all its subscribers."""
         name, value = item
         self._values[name] = value
         for peer in peers:
-            if name in self._asked.get(peer, ()):
-                self._tell(peer, name)
+            if name in self._subscribed.get(peer, ()):
+                self._send_value(peer, name)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
-        """Take a definition of, a reference to, or a value for a parameter."""
+        """Handle the definition of a parameter, which subscribes the client, or a new value."""
         if not isinstance(event, Definition | Sample) or (isinstance(event, Definition) and event.kind == "type"):
             return
         if event.type not in self._types(event.name):
             self.counts["other type" if event.name in self._values else "unknown"] += 1
             return
         if isinstance(event, Definition):
-            asked = self._asked.setdefault(peer, {})
-            if peer.encoder is not None and event.name not in asked:
-                asked[event.name] = event.type
+            subscribed = self._subscribed.setdefault(peer, {})
+            if peer.encoder is not None and event.name not in subscribed:
+                subscribed[event.name] = event.type
                 peer.push(peer.encoder.define(SampleType(event.name, event.type)), may_drop=False)
-                self._tell(peer, event.name)
+                self._send_value(peer, event.name)
             return
         value, now = event.value, self._values[event.name]
-        if not _may_be(value):
+        if not _is_valid(value):
             self.counts["refused"] += 1
             self.put((event.name, now), peers)
             return
@@ -323,10 +346,10 @@ class ParameterChannel(Channel):
             self.put((event.name, taken), peers)
 
     def left(self, peer: Peer) -> None:
-        self._asked.pop(peer, None)
+        self._subscribed.pop(peer, None)
 
     def _types(self, name: str) -> tuple[Type, ...]:
-        """Return the types that a parameter may have on the wire, none of one that does not exist."""
+        """Return the wire types of a parameter; empty for an undeclared parameter."""
         value = self._values.get(name)
         if value is None:
             return ()
@@ -336,13 +359,13 @@ class ParameterChannel(Channel):
             return Array((0,), PRIMS["double"]), Array((len(value),), PRIMS["double"])
         return (PRIMS["double"],)
 
-    def _tell(self, peer: Peer, name: str) -> None:
+    def _send_value(self, peer: Peer, name: str) -> None:
         if peer.encoder is not None:
-            peer.push(peer.encoder.data(SampleType(name, self._asked[peer][name]), self._values[name]))
+            peer.push(peer.encoder.data(SampleType(name, self._subscribed[peer][name]), self._values[name]))
 
 
-def _may_be(value: Any) -> bool:
-    """Whether a value may be one of a parameter: finite numbers, or a text that all clients can be told."""
+def _is_valid(value: Any) -> bool:
+    """Whether a value is valid for a parameter: finite numbers, or a text that every client can decode."""
     if isinstance(value, str):
         return "\0" not in value and not any("\ud800" <= one <= "\udfff" for one in value)
     return all(math.isfinite(one) for one in (value if isinstance(value, list) else [value]))

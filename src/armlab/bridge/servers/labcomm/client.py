@@ -1,4 +1,4 @@
-"""The other side of a LabComm server: `LabCommClient`, `LabCommSource`, and links on whose rows a loop runs."""
+"""Clients of a LabComm server: `LabCommClient`, `LabCommSource`, and links that run a loop on the received rows."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def connected(host: str, port: int, patience: float) -> socket.socket:
 
 
 def greeted(connection: socket.socket, address: str, encoder: Encoder, samples: Iterable[SampleType]) -> Peer:
-    """Return a peer for which the announcement and the definitions of what we send wait."""
+    """Return a peer with VERSION and the definitions of our types queued."""
     peer = Peer(connection, address, encoder)
     peer.push(encoder.version(), may_drop=False)
     for sample in samples:
@@ -46,27 +46,39 @@ def greeted(connection: socket.socket, address: str, encoder: Encoder, samples: 
 
 
 class LabCommClient:
-    """A connection to one port; a context manager. It announces itself and its command type at once.
+    """Connection to one port; a context manager. It defines its command type immediately.
 
     Parameters
     ----------
-    host : address of the server.
-    port : port of the server: 7511 left arm, 7512 right arm, 7513 parameters, 7514 fused rows.
-    dialect : dialect of packets sent; that of received packets follows from their first bytes.
-    types : sample types and order of joints of an arm's port.
-    patience : time to wait for the connection [s].
+    host : str
+        Address of the server.
+    port : int
+        Port of the server: 7511 left arm, 7512 right arm, 7513 parameters, 7514 fused rows.
+    dialect : str
+        Dialect of sent packets; the dialect of received packets is detected.
+    types : RowTypes
+        Sample types and joint order of an arm's port.
+    patience : float, s
+        Time to wait for the connection.
 
     Attributes
     ----------
-    host : address of the server.
-    port : port of the server.
-    samples : types that the server has defined, by index.
+    host : str
+        Address of the server.
+    port : int
+        Port of the server.
+    samples : dict
+        Types defined by the server, by index.
 
     Raises
     ------
-    LinkError : no server listens there.
-    UnknownName : no such dialect.
+    LinkError No server listens at that address.
+    UnknownName
+        Unknown dialect.
     """
+
+    host: str
+    port: int
 
     def __init__(
         self,
@@ -88,96 +100,109 @@ class LabCommClient:
         self.close()
 
     def close(self) -> None:
-        """Close the connection: the server frees the arm."""
+        """Close the connection, which frees the arm."""
         self._peer.close()
 
     @property
     def samples(self) -> dict[int, SampleType]:
-        """Types that the server has defined, by index."""
+        """Types defined by the server, by index."""
         return self._peer.decoder.samples
 
     def define(self, sample: SampleType) -> None:
-        """Announce a type: a server of parameters then sends its value.
+        """Define a type; a parameter server replies with the value.
 
         Parameters
         ----------
-        sample : name and type.
+        sample : SampleType
+            Name and type.
         """
         if sample not in self._defined:
             self._defined.append(sample)
             self._push(self._encoder.define(sample), may_drop=False)
 
     def send(self, sample: SampleType, value: Any) -> None:
-        """Send a value, after its definition.
+        """Send a value after its type definition.
 
         Parameters
         ----------
-        sample : name and type.
-        value : see `wire.labcomm.Sample`.
+        sample : SampleType
+            Name and type.
+        value : object
+            See `wire.labcomm.Sample`.
 
         Raises
         ------
-        LabCommError : the value does not fit.
-        LinkError : the connection is gone.
+        LabCommError
+            The value does not fit the type.
+        LinkError
+            The connection is closed.
         """
         self.define(sample)
         self._push(self._encoder.data(sample, value))
 
     def command(self, row: Row) -> None:
-        """Send a command to the arm: a position, and a velocity and a torque where they are given.
+        """Send a command to the arm: a position, optionally a velocity and a torque.
 
-        Commands that could not be sent yet are dropped for it.
+        Unsent older commands are dropped.
 
         Parameters
         ----------
-        row : `tm` is that of the row it answers; joints in kinematic order.
+        row : Row
+            Command with the `tm` of the row it answers; joints in kinematic order.
 
         Raises
         ------
-        LabCommError : a wrong number of joints.
-        LinkError : the connection is gone.
+        LabCommError
+            A wrong number of joints.
+        LinkError
+            The connection is closed.
         """
         self._peer.clear()
         self.send(self._types.accepted, self._types.value(row, self._types.accepted))
 
     def stop(self) -> None:
-        """Bring all arms of the bridge to rest, whoever commands them; only its operator ends that.
+        """Bring all arms of the bridge to rest, regardless of the commanding clients; only its operator ends the stop.
 
         Raises
         ------
-        LinkError : the connection is gone.
+        LinkError
+            The connection is closed.
         """
         self._peer.clear()
         self.send(STOP, {})
 
     def events(self, seconds: float) -> list[Event]:
-        """Return what has come, waiting for the first event if there is none.
+        """Return the received events; wait for the first one if necessary.
 
         Parameters
         ----------
-        seconds : longest time to wait.
+        seconds : float, s
+            Longest wait.
 
         Raises
         ------
-        LinkError : the server has closed the connection, or its stream is malformed.
+        LinkError
+            The server has closed the connection, or its stream is malformed.
         """
         return self._awaited(seconds, lambda events: events)
 
     def rows(self, seconds: float) -> list[Row]:
-        """Return the rows of the arm that have come, waiting for the first if there is none.
+        """Return the received rows of the arm; wait for the first one if necessary.
 
         Parameters
         ----------
-        seconds : longest time to wait.
+        seconds : float, s
+            Longest wait.
 
         Raises
         ------
-        LinkError : the server has closed the connection, or its stream is malformed.
+        LinkError
+            The server has closed the connection, or its stream is malformed.
         """
         return self._awaited(seconds, self._types.rows)
 
-    def _awaited(self, seconds: float, wanted: Callable[[list[Event]], list[Any]]) -> list[Any]:
-        """Return what is wanted of what came, once there is any or the time is up."""
+    def _awaited(self, seconds: float, selected: Callable[[list[Event]], list[Any]]) -> list[Any]:
+        """Return the selected events as soon as there are any, or after `seconds`."""
         end, left = time.monotonic() + seconds, max(seconds, 0.0)
         while True:
             self._flush()
@@ -188,31 +213,35 @@ class LabCommClient:
                 raise LinkError(f"The stream of {self.host}:{self.port} is malformed. {error}") from error
             if events is None:
                 raise self._gone()
-            found = wanted(events)
+            found = selected(events)
             left = 0.0 if found else max(end - time.monotonic(), 0.0)
             if not left:
                 return found
 
     def run(self, on_row: Callable[[Row], Row | None], seconds: float | None = None, reconnects: bool = True) -> int:
-        """Call a function with each newest row; what it returns is sent as the command. Return the number of calls.
+        """Call a function with each newest row, and send its result as the command; return the number of calls.
 
         Parameters
         ----------
-        on_row : Row -> Row or None.
-        seconds : time to run [s]; default: until the connection is gone.
-        reconnects : try again for `patience` seconds when the server goes.
+        on_row : callable
+            Function from a Row to a Row or None (send nothing).
+        seconds : float, s
+            Time to run; default: until the connection is closed.
+        reconnects : bool
+            Try to reconnect for up to `patience` seconds after a disconnection.
 
         Raises
         ------
-        LinkError : the server is gone, or sent nothing for `patience` seconds.
+        LinkError
+            The connection is closed, or no row arrived for `patience` seconds.
         """
         end = None if seconds is None else time.monotonic() + seconds
-        calls, heard = 0, time.monotonic()
+        calls, received = 0, time.monotonic()
         while end is None or time.monotonic() < end:
             try:
                 rows = self.rows(0.1)
                 if rows:
-                    heard = time.monotonic()
+                    received = time.monotonic()
                     calls += 1
                     answer = on_row(rows[-1])
                     if answer is not None:
@@ -221,8 +250,8 @@ class LabCommClient:
                 if not reconnects:
                     raise
                 self.close()
-                self._again()
-            if time.monotonic() - heard > self._patience:
+                self._reconnect()
+            if time.monotonic() - received > self._patience:
                 raise LinkError(f"Expected rows from {self.host}:{self.port}, got none for {self._patience:g} s.")
         return calls
 
@@ -232,7 +261,7 @@ class LabCommClient:
         self._peer = greeted(connection, f"{self.host}:{self.port}", self._encoder, self._defined)
         self._flush()
 
-    def _again(self) -> None:
+    def _reconnect(self) -> None:
         end = time.monotonic() + self._patience
         while True:
             try:
@@ -248,26 +277,32 @@ class LabCommClient:
         self._flush()
 
     def _flush(self) -> None:
-        """Send what waits."""
+        """Send queued packets."""
         if self._peer.socket.fileno() < 0 or not self._peer.flush():
             raise self._gone()
 
     def _gone(self) -> LinkError:
         if self._peer.socket.fileno() < 0:
-            return LinkError(f"The connection to {self.host}:{self.port} was closed here. Make a new client.")
+            return LinkError(
+                f"The connection to {self.host}:{self.port} was closed by this program. Create a new client."
+            )
         return LinkError(f"The LabComm server at {self.host}:{self.port} closed the connection.")
 
 
-_AGAIN = 0.5  # s between two tries to connect
-_LOOK = 0.1  # s
+_AGAIN = 0.5  # s between two attempts to connect
+_POLL = 0.1  # s
 _STAMPS = {"t_us": 1000, "tm": 10**6}  # ns of one unit
 
 
 class LabCommSource(ThreadSource):
-    """The newest value of one sample type, received in a thread of its own; it connects again by itself.
+    """Newest value of one sample type, received in a thread that reconnects by itself.
 
-    The type need not be known: the stream defines it. A field ``t_us`` or ``tm`` of the sample is its clock.
+    The stream defines the type. A field ``t_us`` or ``tm`` of the sample is its clock.
     """
+
+    host: str
+    port: int
+    problem: str
 
     def __init__(
         self,
@@ -284,12 +319,12 @@ class LabCommSource(ThreadSource):
         self.host, self.port, self._sample, self._dialect = host, port, sample, dialect
 
     def work(self) -> None:
-        """Connect and read, again and again."""
+        """Connect and read until closed; reconnect after errors."""
         while not self._over.is_set():
             try:
                 with LabCommClient(self.host, self.port, self._dialect, patience=_AGAIN) as client:
                     while not self._over.is_set():
-                        for event in client.events(_LOOK):
+                        for event in client.events(_POLL):
                             if isinstance(event, Sample):
                                 self._take(event)
             except LinkError as error:
@@ -317,7 +352,7 @@ class LabCommSource(ThreadSource):
 
 
 _FIRST = 5.0  # s for the first connection
-_RECONNECT = 0.5  # s between two tries to connect again
+_RECONNECT = 0.5  # s between two attempts to reconnect
 _MOTORS_ON, _MCI_RUNNING, _RAPID_RUNNING = 1, 3, 2
 _NAN = np.full(7, math.nan)
 
@@ -326,7 +361,7 @@ def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tupl
     """Return the port and codec of an arm behind a LabComm server."""
     unknown = sorted(set(options) - {"order", "dialect"})
     if unknown:
-        raise ConfigError(f"Expected only order and dialect as options of a labcomm link, got {', '.join(unknown)}.")
+        raise ConfigError(f"Expected only the options order and dialect in a labcomm link, got {', '.join(unknown)}.")
     order: Any = options.get("order", "abb")
     types, dialect = RowTypes(robot.abb_axes, order), options.get("dialect", "2014v1")
     codec = RowCodec(robot, types, dialect)
@@ -334,10 +369,14 @@ def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tupl
 
 
 class RowPort:
-    """A connection to a LabComm server in place of a bound UDP port; it connects again by itself.
+    """Connection to a LabComm server in place of a bound UDP port; it reconnects by itself.
 
-    Never blocks and never raises after construction; what goes wrong is counted.
+    It never blocks and never raises after construction; errors are counted.
     """
+
+    host: str
+    port: int
+    errors: int
 
     def __init__(self, host: str, port: int, types: RowTypes, dialect: str = "2014v1") -> None:
         self.host, self.port, self.errors = host, port, 0
@@ -346,7 +385,7 @@ class RowPort:
         Encoder(dialect)
         self._socket = connected(host, port, _FIRST)
         self._address = self._socket.getpeername()
-        self._fresh: socket.socket | None = None  # a connection that was begun
+        self._fresh: socket.socket | None = None  # a connection in progress
         self._rows: deque[Arrival] = deque()
         self._count, self._retry = 0, math.inf
         self._peer: Peer | None = self._greeted()
@@ -360,19 +399,19 @@ class RowPort:
             self._fresh.close()
 
     def receive(self) -> Arrival | None:
-        """Return the next row as a packet for `RowCodec`, or None when there is none."""
+        """Return the next row as a packet for `RowCodec`, or None."""
         if not self._rows:
             self._read()
         return self._rows.popleft() if self._rows else None
 
     def flush(self) -> None:
-        """Throw away rows that came while nobody listened."""
+        """Discard waiting rows."""
         for _ in range(1000):
             if self.receive() is None:
                 break
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
-        """Send one command, dropping those that still wait. Return whether there is a connection."""
+        """Send one command and drop unsent older ones. Return whether the port is connected."""
         if self._peer is None:
             return False
         self._peer.clear()
@@ -407,14 +446,14 @@ class RowPort:
         return peer
 
     def _lose(self) -> None:
-        """Put a socket that never has anything in place of the connection, and try again soon."""
+        """Replace the connection with a silent socket, and schedule a reconnection."""
         self.errors += 1
         self._peer, self._count, self._retry = None, 0, time.monotonic() + _RECONNECT
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as idle:
             os.dup2(idle.fileno(), self._socket.fileno(), inheritable=False)
 
     def _connect_again(self) -> None:
-        """Begin a connection when it is time, and see whether one that was begun is there. Never waits."""
+        """Start or finish a reconnection when due; never block."""
         now = time.monotonic()
         if self._fresh is None:
             if now >= self._retry:
@@ -436,7 +475,7 @@ class RowPort:
 
 
 class RowCodec(RowsAsPackets):
-    """Rows as packets of the loop."""
+    """Codec from rows to packets of the loop, and from references to commands."""
 
     def __init__(self, robot: Robot, types: RowTypes, dialect: str = "2014v1") -> None:
         super().__init__()
@@ -448,9 +487,9 @@ class RowCodec(RowsAsPackets):
             array.flags.writeable = False
 
     def decode(self, data: bytes) -> Packet | Drop:
-        """Return the packet of a row, or why it is dropped."""
+        """Return the packet of a row, or why the row is dropped."""
         if len(data) != self._form.size:
-            return Drop("unparsable", f"{len(data)} bytes are no row")
+            return Drop("unparsable", f"{len(data)} bytes are not a row")
         count, tm, *_ = self._form.unpack(data)
         q, qd, tau = np.frombuffer(data, ">f8", offset=8).astype(float).reshape(3, self._n)
         for part in (q, qd, tau):

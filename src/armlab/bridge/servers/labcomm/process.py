@@ -1,8 +1,8 @@
-"""`LabCommProcess`: a LabComm server in a process of its own, between the loop's feed and its clients.
+"""`LabCommProcess`: a LabComm server process between the loop's feed and its clients.
 
-Rows, events and parameters come from the loop by a socket (see `servers.hub`); commands and settings of parameters go
-back by it. Nothing here can touch the loop: what it does not read is dropped there. One thread does all: a row that is
-handed to another one costs more than the row.
+Rows, events and parameters arrive from the loop through a socket (see `servers.hub`); commands and parameter settings
+return through it. The process cannot delay the loop, because the loop drops unread rows. It has only one thread,
+because a hand-over to another thread takes longer than a row.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from armlab.robots import Robot
 
 
 def arm_in(values: Mapping[str, Any], name: str) -> FusedArm | None:
-    """Return what a row of the loop has of an arm, None before its first and for times beyond all clocks."""
+    """Return the arm's part of a loop row; None before its first row and for times outside the range of the clock."""
     tm = clock_ms(values[f"{name}.robot_ns"], values[f"{name}.session_t"])
     if tm is None or not math.isfinite(values[f"{name}.age"]):
         return None
@@ -44,7 +44,7 @@ def arm_in(values: Mapping[str, Any], name: str) -> FusedArm | None:
 
 
 def source_in(values: Mapping[str, Any], name: str, fields: Sequence[str], now_ns: int) -> FusedSource | None:
-    """Return what a source gave last, None when it was never heard."""
+    """Return the last values of a source, or None before the first."""
     age_ns = 1e9 * values[f"{name}.age"]
     if not math.isfinite(age_ns):
         return None
@@ -53,7 +53,7 @@ def source_in(values: Mapping[str, Any], name: str, fields: Sequence[str], now_n
 
 
 _LEFT, _PARAMETERS, _FUSED = 7511, 7513, 7514
-_ROWS = 64  # that are sent between two turns of clients who send without pause
+_ROWS = 64  # rows sent between two turns of clients
 _logger = logging.getLogger("armlab.bridge")
 
 
@@ -68,9 +68,9 @@ def labcomm_options(
     types: str | None = None,
     follows_client: bool = False,
 ) -> dict[str, Any]:
-    """Return the options of the server of some arms, by default at 7511 (left or only arm) and 7512 (right)."""
+    """Return the options of the server of some arms; default ports: 7511 (left or only arm) and 7512 (right)."""
     for robot in robots:
-        ArmChannel(robot.name, 0, None, robot.abb_axes, order, types, dialect)  # a mistake shows before any process
+        ArmChannel(robot.name, 0, None, robot.abb_axes, order, types, dialect)  # detects invalid options early
     if ports is None:
         sides = [robot.side for robot in robots]
         ports = [_LEFT + (side == "right" if all(sides) else k) for k, side in enumerate(sides)]
@@ -92,11 +92,11 @@ def labcomm_options(
 
 
 class LabCommProcess:
-    """Serves until the loop closes the feed."""
+    """Serves until the loop closes the socket."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
-        self._commands: dict[tuple[str, str], CommandRequest] = {}  # the newest of a turn: the loop takes no other
+        self._commands: dict[tuple[str, str], CommandRequest] = {}  # newest ones of a turn: the loop uses no others
         self._loop = LoopEnd(feed, lambda: self._ports.clients)
         self._sequences = self._set_sequences()
         schema, self._sources = self._loop.schema, defaultdict[str, list[str]](list)
@@ -118,7 +118,7 @@ class LabCommProcess:
             ports.close()
 
     def _take(self) -> bool:
-        """Send what has come from the loop, so many rows at most; False when the loop has gone."""
+        """Send a limited number of messages from the loop; return False once the loop has ended."""
         for _ in range(_ROWS):
             messages = self._loop.receive()
             if messages is None:
@@ -161,13 +161,13 @@ class LabCommProcess:
         self._commands[name, client] = CommandRequest(client, name, q, qd, tau, by_axis=by_axis)
 
     def _set(self, name: str, value: Any, client: str) -> None:
-        """Ask the loop; it answers with the values in force, or with why not."""
+        """Request a parameter value; the loop replies with the values in force or with a refusal."""
         if self._loop.parameters[name]["type"] == "int" and float(value).is_integer():
             value = int(value)
         self._loop.ask(SetRequest(client, {name: value}))
 
     def _value(self, name: str) -> Value:
-        """Return a parameter as LabComm has it: all numbers are double."""
+        """Return a parameter value as LabComm sends it: all numbers are double."""
         value = self._loop.parameters[name]["value"]
         if isinstance(value, list):
             return [float(one) for one in value]
@@ -183,7 +183,7 @@ class LabCommProcess:
                 if before.get(name) != sequence:
                     self._echo(name)
         elif message["kind"] == "answer":
-            for name in message["refused"]:  # what this client set is not in force
+            for name in message["refused"]:  # the client's value is not in force
                 self._echo(name)
 
     def _echo(self, name: str) -> None:

@@ -1,7 +1,7 @@
-"""Rows on the wire and in the bridge: `Row`, and `RowTypes`, the sample types of a port.
+"""Rows of an arm in LabComm: `Row`, and `RowTypes`, the sample types of a port.
 
-On the wire joints stand in ABB's order (axes 1 to 6, then 7) unless a port says "chain"; in a `Row` they stand in
-kinematic order from base to tool, as everywhere in armlab. What is not given is NaN on the wire and None in a `Row`.
+On the wire, joints are in ABB's order (axes 1 to 6, then 7) unless the port is set to "chain". In a `Row`, joints are
+in kinematic order from base to tool. Missing vectors are NaN on the wire and None in a `Row`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Order = Literal["abb", "chain"]
 """Order of the joints on the wire."""
 
 STOP = idl.samples("armlab")["stop"]
-"""``sample void stop``: what any client sends on any port to bring all arms to rest."""
+"""``sample void stop``: brings all arms to rest, from any client on any port."""
 
 _YUMI = (1, 2, 7, 3, 4, 5, 6)
 _VECTORS = ("pos", "vel", "trq")
@@ -31,9 +31,14 @@ class Row(NamedTuple):
 
     Attributes
     ----------
-    tm : time stamp of the robot's packet [ms, modulo 2**32]; in a command that of the row it answers.
-    q, qd, tau : (n,) positions [rad], velocities [rad/s], torques [N m], None where not given. What was received is an
-        array; to send, any sequence will do.
+    tm : int, ms
+        Timestamp of the robot's packet, modulo 2**32; in a command, the timestamp of the answered row.
+    q : array, shape (n,), rad
+        Positions; None if missing. When sending, any sequence is accepted.
+    qd : array, shape (n,), rad/s
+        Velocities; None if missing.
+    tau : array, shape (n,), N m
+        Torques; None if missing.
     """
 
     tm: int
@@ -43,15 +48,18 @@ class Row(NamedTuple):
 
 
 def signed(tm: int) -> int:
-    """Return a time stamp modulo 2**32 as the signed number that LabComm's int holds."""
+    """Return a timestamp modulo 2**32 as LabComm's signed int."""
     return (tm + 2**31) % 2**32 - 2**31
 
 
 class RowTypes:
-    """The sample types of a port for one arm, and the joints' order on it."""
+    """Sample types and joint order of an arm's port."""
+
+    sent: SampleType
+    accepted: SampleType
 
     def __init__(self, axes: Sequence[int] = _YUMI, order: Order = "abb", text: str | None = None) -> None:
-        self.n = len(axes)
+        self.n: int = len(axes)
         if sorted(axes) != list(range(1, self.n + 1)) or order not in ("abb", "chain"):
             raise ConfigError(
                 f'Expected ABB\'s axis numbers from 1 to n and order "abb" or "chain", got {tuple(axes)} and {order!r}.'
@@ -61,7 +69,9 @@ class RowTypes:
         found = [one for one in parse_lc(text or idl.text("armlab")) if isinstance(one, SampleType)]
         found = found[:2] if text is None else found
         if not found:
-            raise LabCommError("Expected an .lc text with the sample that is sent and the one accepted, got none.")
+            raise LabCommError(
+                "Expected .lc text that defines the sent and the accepted sample, got no such definitions."
+            )
         self.sent, self.accepted = found[0], found[-1]
         for sample in (self.sent, self.accepted):
             self._check(sample)
@@ -69,33 +79,33 @@ class RowTypes:
         self._to_chain, self._to_wire = columns, np.argsort(columns).tolist()
 
     def accepts(self, sample: SampleType) -> bool:
-        """Return whether values of a client's type are commands: some fields of the accepted type, `pos` among them."""
+        """Return whether a client's type is a command: some fields of the accepted type, including `pos`."""
         ours, theirs = _fields(self.accepted), _fields(sample)
         fits = "pos" in theirs and all(ours.get(name) == node for name, node in theirs.items())
         return sample.name == self.accepted.name and fits
 
     def value(self, row: Row, sample: SampleType | None = None) -> dict[str, Any]:
-        """Return the value of a row on the wire, NaN where it has nothing."""
+        """Return the wire value of a row, with NaN for missing vectors."""
         parts = {"pos": row.q, "vel": row.qd, "trq": row.tau}
         names = _fields(self.sent if sample is None else sample)
         return {name: signed(row.tm) if name == "tm" else self._wired(name, parts[name]) for name in names}
 
     def row(self, value: Mapping[str, Any]) -> Row:
-        """Return the row of a value from the wire; fields that the value does not have are None."""
+        """Return the row of a wire value; missing fields are None."""
         parts = [self._chained(name, value.get(name)) for name in _VECTORS]
         return Row(value.get("tm", 0), *parts)
 
     def rows(self, events: Iterable[Event]) -> list[Row]:
-        """Return the rows among what came: samples of the type `sent`."""
-        wanted = self.sent.name, self.sent.type
-        return [self.row(one.value) for one in events if isinstance(one, Sample) and (one.name, one.type) == wanted]
+        """Return the rows among events: samples of the type `sent`."""
+        accepted = self.sent.name, self.sent.type
+        return [self.row(one.value) for one in events if isinstance(one, Sample) and (one.name, one.type) == accepted]
 
     def command(self, value: Mapping[str, Any]) -> Row:
-        """Return the command of a value from the wire; zeros and NaN in `vel` and `trq` ask for nothing."""
+        """Return the command of a wire value; `vel` and `trq` are ignored if all elements are zero or NaN."""
         row = self.row(value)
         if row.q is None or not np.isfinite(row.q).all():
             raise LabCommError(f"Expected finite positions in a command, got {value.get('pos')}.")
-        return Row(row.tm, row.q, _asked(row.qd, "vel", value), _asked(row.tau, "trq", value))
+        return Row(row.tm, row.q, _commanded(row.qd, "vel", value), _commanded(row.tau, "trq", value))
 
     def _wired(self, name: str, part: Any) -> list[float]:
         if part is None:
@@ -124,8 +134,8 @@ class RowTypes:
             )
 
 
-def _asked(part: np.ndarray | None, name: str, value: Mapping[str, Any]) -> np.ndarray | None:
-    """Return what a vector of a command asks for, None when that is nothing."""
+def _commanded(part: np.ndarray | None, name: str, value: Mapping[str, Any]) -> np.ndarray | None:
+    """Return a vector of a command, or None if all its elements are zero or NaN."""
     if part is None or not np.nan_to_num(part).any():
         return None
     if np.isinf(part).any():

@@ -1,6 +1,6 @@
-"""LabComm over TCP: `Ports` serves sockets turn by turn in one thread, `LabCommServer` runs it in a thread of its own.
+"""LabComm over TCP: `Ports` serves all sockets in one thread, `LabCommServer` runs it in a background thread.
 
-No client, slow, silent, hostile or gone, is ever waited for. A fault closes the connection that made it.
+The server never waits for a client. A fault closes only the connection that caused it.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from armlab.wire.labcomm import Encoder, Sample
 from armlab.wire.labcomm.types import Definition, Event
 
 _CLIENTS = 8  # per port
-_KEPT = 100  # clients that have left, of which is known what they got
-_LOOK = 0.05  # s between two looks at what is overdue
-_TURN = 4096  # bytes that a turn reads of all clients together: what they send in it delays everything else
-_LEAST = 256  # of them for each
-_EVERY = 1.0  # s between two sentences on what a client sent and was not taken
-_SNIFF = 0.15  # s that a port which follows its client waits for the first packets, until somebody looks
+_KEPT = 100  # disconnected clients whose counts are kept
+_CHECK_EVERY = 0.05  # s between two checks of time-outs
+_TURN = 4096  # bytes read from all clients together per turn: they delay everything else
+_LEAST = 256  # bytes read from each client
+_EVERY = 1.0  # s between two events on refused samples of a client
+_SNIFF = 0.15  # s that a port with follows_client waits for the client's first packets
 
 
 class Ports:
-    """Serves channels, a turn at a time.
+    """Serves all channels in turn.
 
-    `counts` and `clients` may be read from any thread, everything else is for one.
+    `counts` and `clients` may be read from any thread, all other methods from one.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Ports:
         self._listeners: list[socket.socket] = []
         self.numbers: dict[str, int] = {}
         self._gone: dict[str, tuple[int, int]] = {}
-        self._looked = time.monotonic()
+        self._checked = time.monotonic()
         try:
             for channel in channels:
                 self._listen(channel, host)
@@ -61,7 +61,7 @@ class Ports:
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
-        """Clients, packets dropped for slow ones, and what was ignored or refused, by channel."""
+        """Clients, packets dropped for slow clients, ignored and refused samples, by channel."""
         return {
             name: {
                 "clients": len(self._peers[name]),
@@ -73,7 +73,7 @@ class Ports:
 
     @property
     def clients(self) -> dict[str, tuple[int, int]]:
-        """Data packets sent to each client and dropped for it, by channel and address; also of those that have left."""
+        """Data packets sent and dropped, by channel and address; includes disconnected clients."""
         here = {
             f"{name} {peer.address}": (peer.sent, peer.dropped)
             for name in self._channels
@@ -82,24 +82,24 @@ class Ports:
         return {**self._gone, **here}
 
     def has_clients(self, name: str) -> bool:
-        """Return whether anybody would get what is published on a channel; False when there is none of that name."""
+        """Return whether a channel has clients (False for an unknown channel)."""
         return bool(self._peers.get(name))
 
     def put(self, name: str, item: Any) -> None:
-        """Send what the bridge publishes to the clients of a channel."""
+        """Send a published item to the clients of a channel."""
         channel = self._channels[name]
         try:
             channel.put(item, self._peers[name])
-        except Exception as error:  # a row of another shape: the server goes on for the next
-            self._tell(f"{name}: a row was not sent, {type(error).__name__}: {error}", warn=True)
+        except Exception as error:  # a row of another shape: the next ones may be valid
+            self._report(f"{name}: a row was not sent, {type(error).__name__}: {error}", warn=True)
         self._flush_all(channel)
 
     def turn(self) -> bool:
-        """Wait until something comes, 50 ms at most, and serve the clients it comes from; return whether any did.
+        """Wait at most 50 ms for client events and handle them; return whether there were any.
 
-        A little of each: who sends without pause has a share of the turn, and costs the others no more than that.
+        Each client gets a limited share, so a client that sends continuously cannot delay the others.
         """
-        ready = self._selector.select(_LOOK)
+        ready = self._selector.select(_CHECK_EVERY)
         served, most = False, max(_TURN // max(len(ready), 1), _LEAST)
         for key, mask in ready:
             if key.data is None:
@@ -111,9 +111,9 @@ class Ports:
                 channel, peer = key.data
                 self._serve(channel, peer, mask, most)
         now = time.monotonic()
-        if now - self._looked > _LOOK:
-            self._looked = now
-            self._look(now)
+        if now - self._checked > _CHECK_EVERY:
+            self._checked = now
+            self._check(now)
         return served
 
     def close(self) -> None:
@@ -138,17 +138,17 @@ class Ports:
         address, peers = f"{host}:{port}", self._peers[channel.name]
         if len(peers) >= _CLIENTS:
             connection.close()
-            self._tell(f"{channel.name}: {address} was closed, {_CLIENTS} clients are connected.", warn=True)
+            self._report(f"{channel.name}: {address} was closed, {_CLIENTS} clients are connected.", warn=True)
             return
         peer = Peer(connection, address, None if channel.follows_client else Encoder(channel.dialect))
         peers.append(peer)
         self._selector.register(connection, selectors.EVENT_READ, (channel, peer))
-        self._tell(f"{channel.name}: {address} connected.")
+        self._report(f"{channel.name}: {address} connected.")
         channel.greet(peer)
         self._flush(channel, peer)
 
     def _serve(self, channel: Channel, peer: Peer, mask: int, most: int) -> None:
-        """Read from and write to one client, once."""
+        """Read from and write to one client once."""
         if mask & selectors.EVENT_READ:
             reason = ""
             try:
@@ -164,7 +164,7 @@ class Ports:
             self._flush(channel, peer)
 
     def _take(self, channel: Channel, peer: Peer, events: Iterable[Event]) -> None:
-        has_stopped = False  # one stop of a read is enough
+        has_stopped = False  # one stop per read is enough
         for event in events:
             if isinstance(event, Definition):
                 self._settle(channel, peer)
@@ -175,21 +175,21 @@ class Ports:
                     has_stopped = True
                 else:
                     channel.take(peer, event, self._peers[channel.name])
-            except Exception as error:  # of the user's callback: other clients are served too
+            except Exception as error:  # of the user's callback: other clients are still served
                 self._refused(channel, peer, error)
 
     def _refused(self, channel: Channel, peer: Peer, error: Exception) -> None:
-        """Count what was not taken; tell the newest, once a second for each client."""
+        """Count a refused sample; report the newest one at most once per second and client."""
         peer.refused += 1
         now = time.monotonic()
-        if now - peer.told >= _EVERY:
-            peer.told = now
+        if now - peer.reported >= _EVERY:
+            peer.reported = now
             what = f"{type(error).__name__}: {error}"
-            text = f"{channel.name}: what {peer.address} sent was not taken ({peer.refused} so far), {what}"
-            self._tell(text, warn=True)
+            text = f"{channel.name}: a sample of {peer.address} was refused ({peer.refused} so far), {what}"
+            self._report(text, warn=True)
 
-    def _look(self, now: float) -> None:
-        """Close whom patience has ended for; speak to clients whose dialect was awaited."""
+    def _check(self, now: float) -> None:
+        """Close clients that have timed out; greet clients whose dialect is still unknown."""
         for name, peers in self._peers.items():
             channel = self._channels[name]
             for peer in list(peers):
@@ -201,13 +201,13 @@ class Ports:
                     self._flush(channel, peer)
 
     def _settle(self, channel: Channel, peer: Peer) -> None:
-        """Choose the dialect for a client of a port that follows it, once a definition or the time tells."""
+        """Choose the dialect of a client on a port with follows_client, after a definition or the timeout."""
         if peer.encoder is None:
             peer.encoder = Encoder(peer.decoder.dialect or channel.dialect)
             channel.greet(peer)
 
     def _flush_all(self, channel: Channel) -> None:
-        """Send what is queued to all clients of a port but those that take nothing now."""
+        """Send queued packets to all clients of a port, except blocked ones."""
         for peer in list(self._peers[channel.name]):
             if not peer.is_stuck:
                 self._flush(channel, peer)
@@ -232,13 +232,13 @@ class Ports:
             self._selector.unregister(peer.socket)
         peer.close()
         channel.left(peer)
-        why = f" was closed, {reason.rstrip('.')}" if reason else " left"
-        lost = f"; {peer.dropped} packets were dropped for it" if peer.dropped else ""
-        refused = f"; {peer.refused} samples of it were not taken" if peer.refused else ""
-        self._tell(f"{channel.name}: {peer.address}{why}{lost}{refused}.", warn=bool(reason))
+        why = f" was closed, {reason.rstrip('.')}" if reason else " disconnected"
+        lost = f"; {peer.dropped} packets to it were dropped" if peer.dropped else ""
+        refused = f"; {peer.refused} of its samples were refused" if peer.refused else ""
+        self._report(f"{channel.name}: {peer.address}{why}{lost}{refused}.", warn=bool(reason))
 
-    def _tell(self, text: str, warn: bool = False) -> None:
-        with contextlib.suppress(Exception):  # who cannot log must not end the server
+    def _report(self, text: str, warn: bool = False) -> None:
+        with contextlib.suppress(Exception):  # a failing callback must not end the server
             self._on_event(text, warn)
 
 
@@ -246,24 +246,33 @@ _PUBLISHED = 256  # items that wait for the server's thread
 
 
 class LabCommServer:
-    """Serves channels until it is closed; a context manager.
+    """Serves channels in a background thread until it is closed; a context manager.
 
     Parameters
     ----------
-    channels : a channel per port.
-    host : address to listen on; default: this computer only.
-    on_event : called in the server's thread with a sentence when a client connects or is closed, and why.
-    on_stop : called in the server's thread with the address of a client that sent the sample ``void stop`` on any port.
+    channels : sequence of Channel
+        One channel per port.
+    host : str
+        Address to listen on; default: this computer only.
+    on_event : callable
+        Called in the server's thread with a text when a client connects, or is closed (with the reason).
+    on_stop : callable
+        Called in the server's thread with the address of a client that sent ``void stop`` on any port.
 
     Attributes
     ----------
-    ports : dict, port numbers by name of the channel.
-    lost : number of published items dropped because the server's thread was too slow.
+    ports : dict
+        Port numbers by channel name.
+    lost : int
+        Published items dropped because the server's thread was too slow.
 
     Raises
     ------
-    LinkError : a port cannot be bound.
+    LinkError
+        A port cannot be bound.
     """
+
+    lost: int
 
     def __init__(
         self,
@@ -283,7 +292,7 @@ class LabCommServer:
         except LinkError:
             self._close_waker()
             raise
-        self.ports = self._ports.numbers
+        self.ports: dict[str, int] = self._ports.numbers
         self._thread = threading.Thread(target=self._serve, name="labcomm", daemon=True)
         self._thread.start()
 
@@ -294,56 +303,66 @@ class LabCommServer:
         self.close()
 
     def row(self, name: str, row: Row) -> None:
-        """Publish a row of an arm. Never waits.
+        """Publish a row of an arm; never block.
 
         Parameters
         ----------
-        name : name of the arm's channel.
-        row : see `Row`.
+        name : str
+            Name of the arm's channel.
+        row : Row
+            The row.
 
         Raises
         ------
-        UnknownName : no such channel.
+        UnknownName
+            Unknown channel.
         """
         self._publish(name, row)
 
     def fused(self, t_us: int, arms: Sequence[FusedArm] = (), sources: Sequence[FusedSource] = ()) -> None:
-        """Publish a row of all sources. Never waits.
+        """Publish a row of all arms and sources; never block.
 
         Parameters
         ----------
-        t_us : int, clock of the bridge [µs].
-        arms : the newest row of each arm.
-        sources : the newest reading of each source.
+        t_us : int, µs
+            Clock of the bridge.
+        arms : sequence of FusedArm
+            The newest row of each arm.
+        sources : sequence of FusedSource
+            The newest reading of each source.
 
         Raises
         ------
-        UnknownName : there is no fused channel.
+        UnknownName
+            The server has no fused channel.
         """
         self._publish("fused", (t_us, tuple(arms), tuple(sources)))
 
     def parameter(self, name: str, value: Value) -> None:
-        """Publish the value of a parameter that is now in force. Never waits.
+        """Publish a parameter value that has taken effect; never block.
 
         Parameters
         ----------
-        name : name of the parameter.
-        value : its value, of the declared type.
+        name : str
+            Name of the parameter.
+        value : float, bool, str or sequence of float
+            Its value, of the declared type.
 
         Raises
         ------
-        UnknownName : there is no parameter channel.
+        UnknownName
+            The server has no parameter channel.
         """
         self._publish("parameters", (name, value))
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
-        """Clients, packets dropped for slow ones, and what was ignored or refused, by channel."""
+        """Clients, packets dropped for slow clients, ignored and refused samples, by channel."""
         return self._ports.counts
 
     @property
     def clients(self) -> dict[str, tuple[int, int]]:
-        """Data packets sent to each client and dropped for it, by channel and address; also of those that have left."""
+        """Data packets sent and dropped, by channel and address; includes disconnected clients."""
         return self._ports.clients
 
     def close(self) -> None:
@@ -362,7 +381,7 @@ class LabCommServer:
         self._wake()
 
     def _wake(self) -> None:
-        with contextlib.suppress(OSError):  # a full pipe wakes too
+        with contextlib.suppress(OSError):  # a full pipe wakes the thread too
             self._waker.send(b"\0")
 
     def _serve(self) -> None:
@@ -383,13 +402,14 @@ class LabCommServer:
 
 
 class RowFeed:
-    """Publishes each row of a run; see `recording.Feed`. Measured torques are those that the state has.
+    """Feed that publishes each row of a run; see `recording.Feed`. Torques are taken from the state.
 
     Parameters
     ----------
-    server : server that publishes the rows.
-    channels : names of channels by name of the robot. With a channel "fused", the newest rows of all arms are published
-        there with each row of the first.
+    server : LabCommServer
+        Publishes the rows.
+    channels : mapping
+        Channel name by robot name. A channel "fused" gets the newest rows of all arms with each row of the first arm.
     """
 
     def __init__(self, server: LabCommServer, channels: Mapping[str, str]) -> None:
@@ -402,9 +422,12 @@ class RowFeed:
 
         Parameters
         ----------
-        state : state of the arm.
-        command : not used.
-        tick : not used.
+        state : State
+            State of the arm.
+        command : Command
+            Ignored.
+        tick : Tick
+            Ignored.
         """
         name = self._channels.get(state.robot)
         if name is None:
@@ -419,23 +442,28 @@ class RowFeed:
                 self._server.fused(t_us, list(self._newest.values()))
 
     def event(self, text: str, warn: bool = False) -> None:
-        """Take one sentence: rows have no place for it.
+        """Ignore an event, because rows cannot carry it.
 
         Parameters
         ----------
-        text : see `recording.Feed`.
-        warn : see `recording.Feed`.
+        text : str
+            See `recording.Feed`.
+        warn : bool
+            See `recording.Feed`.
         """
 
 
 def to_arbiter(arbiter: Arbiter, arm: str, order: Literal["abb", "chain"] = "abb") -> OnCommand:
-    """Return what an `ArmChannel` calls so that its clients command an arm by the rights of an arbiter.
+    """Return a callback of an `ArmChannel` that submits the commands of its clients to an arbiter.
 
     Parameters
     ----------
-    arbiter : the controller of the run; it must allow the server "labcomm".
-    arm : name of the robot.
-    order : order of the joints on the channel: a refusal names the joint by its number there.
+    arbiter : Arbiter
+        The controller of the run; it must allow the server "labcomm".
+    arm : str
+        Name of the robot.
+    order : str
+        Order of the joints on the channel: error texts number joints in it.
     """
 
     def submit(name: str, row: Row, client: str) -> None:

@@ -1,3 +1,3 @@
-"""ROS topics, messages and commands, whichever transport carries them (docs/ros.md)."""
+"""ROS topics, messages and commands for all transports (docs/ros.md)."""
 
 __all__ = []

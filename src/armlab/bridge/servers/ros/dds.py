@@ -1,23 +1,27 @@
-"""`DdsServer`: ROS 2 nodes read and command over DDS, without a ROS installation here."""
+"""`DdsServer`: ROS 2 nodes read and command over DDS, without a local ROS installation."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import ipaddress
 import logging
 import os
 import socket
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rosbags.interfaces import Nodetype
 
 from armlab.bridge.servers.messages import Listening
+from armlab.bridge.servers.ros.actions import TRAJECTORY
+from armlab.bridge.servers.ros.rtps import ServiceServers
 from armlab.bridge.servers.ros.server import RosServer
-from armlab.bridge.servers.ros.topics import RosTopic, domain_number, store, type_name
+from armlab.bridge.servers.ros.topics import RosTopic, domain_number, later, store, type_name
 from armlab.errors import LinkError, MissingExtra
 
 try:
@@ -30,27 +34,30 @@ try:
     from cyclonedds.topic import Topic as DdsTopic
 except ImportError:
     raise MissingExtra(
-        "Expected cyclonedds to speak with ROS 2 over DDS, got none. Install it: pip install 'armlab[ros]'."
+        "Expected the package cyclonedds for ROS 2 over DDS, but it is not installed. Install it: pip install "
+        "'armlab[ros]'."
     ) from None
 
 _write: Any = ddspy_write
+_sertype: Any = DdsTopic._dll_handle.dds_get_entity_sertype
+_sertype.argtypes = [ctypes.c_int32, ctypes.c_void_p]
 
 
 def write_cdr(writer: DataWriter[Any], data: bytes) -> bool:
-    """Send the bytes of a message by what `DataWriter.write` ends in; False when there is no room."""
+    """Write serialised bytes with the C function behind `DataWriter.write`; return False if the writer is full."""
     return _write(writer._ref, data) >= 0
 
 
-_PARTICIPANTS = 32  # of this computer that are looked for, as many as ROS 2 does
+_PARTICIPANTS = 32  # participants of this computer in the search, as in ROS 2
 _LOOPBACK = b"lo"
 
 
 def configuration(host: str) -> str:
-    """Return the settings of Cyclone DDS as XML: where it speaks, and how others are found.
+    """Return the settings of Cyclone DDS as XML: network interface and discovery.
 
-    On this computer the bridge announces itself to each port of 127.0.0.1 every 2 s, so that a node with multicast
-    discovery also finds it. Cyclone DDS would drop ports that do not answer for 30 s, and with them every node started
-    later. On a network participants are found by multicast.
+    On the local computer, the bridge announces itself to each port of 127.0.0.1 every 2 s, so that nodes with multicast
+    discovery also find it. By default, Cyclone DDS drops ports that do not answer for 30 s, and would thus miss every
+    node started later. On a network, participants are found by multicast.
     """
     if _is_local(host):
         found = (
@@ -70,14 +77,14 @@ def configuration(host: str) -> str:
 
 @contextlib.contextmanager
 def joined(domain: int, host: str) -> Iterator[DomainParticipant]:
-    """Be a participant of a domain while the block runs."""
+    """Join a domain for the duration of the block."""
     try:
         settings = Domain(domain, configuration(host))
-        participant = DomainParticipant(domain)
+        participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))  # else it has no nodes
     except DDSException as error:
         raise LinkError(
-            f"Expected to join DDS domain {domain} on {host}, but {error} Give the address of one network interface "
-            "that is up."
+            f"Expected to join DDS domain {domain} on {host}, got {error} Use the address of one active network "
+            "interface."
         ) from None
     if _is_local(host):
         tie_to_loopback()
@@ -88,9 +95,9 @@ def joined(domain: int, host: str) -> Iterator[DomainParticipant]:
 
 
 def tie_to_loopback() -> int:
-    """Keep what comes from other computers off the sockets of this process, and return of how many.
+    """Restrict the sockets of this process to this computer; return their number.
 
-    Cyclone DDS binds what it receives by to every address, whatever the interface (its `ddsi_udp.c`).
+    Cyclone DDS binds its receiving sockets to every address, regardless of the interface (see its `ddsi_udp.c`).
     """
     count = 0
     for entry in Path("/proc/self/fd").iterdir():
@@ -108,8 +115,8 @@ def _tie(one: socket.socket) -> None:
         one.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, _LOOPBACK)
     except OSError as error:
         raise LinkError(
-            f"Expected to keep DDS to this computer, but the system does not ({error.strerror}). It needs Linux 5.7 "
-            "or newer; on others, use rosbridge or Zenoh."
+            f"Expected DDS to be restricted to this computer, got {error.strerror}. It needs Linux 5.7 or newer; on "
+            "other systems use rosbridge or Zenoh."
         ) from error
 
 
@@ -119,13 +126,39 @@ def _is_local(host: str) -> bool:
 
 _BASE: dict[str, Any] = {
     "bool": bool,
-    "byte": types.byte,
-    "uint8": types.uint8,
-    "int32": types.int32,
-    "uint32": types.uint32,
-    "float64": types.float64,
+    "byte": types.uint8,
+    "char": types.uint8,
     "string": str,
+    **{
+        name: getattr(types, name)
+        for name in ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
+    },
+    **{name: getattr(types, name) for name in ("float32", "float64")},
 }
+
+
+_OPERATIONS = 20  # pointers copied of struct ddsi_sertype_ops
+_DESCRIBING = range(8, 11)  # of them: type_id, type_map, type_info
+_copies: dict[int, Any] = {}
+
+
+def untyped_topic(participant: DomainParticipant, name: str, type: Any) -> DdsTopic[Any]:
+    """Return a topic whose type is matched by name, not by its XTypes description.
+
+    Cyclone DDS refuses the descriptions of Fast DDS 3 (Kilted), because elements of their sequences have no flags. It
+    therefore uses a copy of the type's C operations without the description.
+    """
+    topic, c_type = DdsTopic(participant, name, type), ctypes.POINTER(ctypes.c_void_p)()
+    if _sertype(topic._ref, ctypes.byref(c_type)) < 0:
+        raise LinkError(f"Expected a type for the DDS topic {name}, got none.")
+    known = c_type[0] or 0
+    if known not in _copies:
+        copied = (ctypes.c_void_p * _OPERATIONS).from_buffer_copy(ctypes.string_at(known, 8 * _OPERATIONS))
+        for k in _DESCRIBING:
+            copied[k] = None
+        _copies[known] = _copies[ctypes.addressof(copied)] = copied
+    c_type[0] = ctypes.addressof(_copies[known])
+    return topic
 
 
 def topic_name(name: str) -> str:
@@ -134,13 +167,13 @@ def topic_name(name: str) -> str:
 
 @cache
 def struct(name: str) -> Any:
-    """Return a message type as a dataclass of cyclonedds, which has a codec of its own."""
+    """Return a message type as a cyclonedds dataclass with its own codec."""
     return _made(name, is_dataclass=True)
 
 
 @cache
 def carrier(name: str) -> Any:
-    """Return the type for a topic, whose objects hold the bytes of a message as attribute `cdr`."""
+    """Return a topic type whose objects hold the serialised message as attribute `cdr`."""
     made = _made(name, is_dataclass=False)
     made.__init__, made.serialize = _hold, _held
     made.deserialize = made.deserialize_key = classmethod(_taken)
@@ -148,18 +181,19 @@ def carrier(name: str) -> Any:
 
 
 def _made(name: str, is_dataclass: bool) -> Any:
-    members = {member: _member(*about) for member, about in store().fielddefs[name][1]}
+    known = later() if name.startswith("rmw_dds_common/") else store()
+    members = {member: _member(*about) for member, about in known.fielddefs[name][1]}
     return make_idl_struct(f"{name.rpartition('/')[2]}_", type_name(name), members, dataclassify=is_dataclass)
 
 
 def _member(kind: Nodetype, about: Any) -> Any:
     if kind == Nodetype.BASE:
-        return _BASE[about[0]]
+        return types.bounded_str[about[1]] if about[1] else _BASE[about[0]]
     if kind == Nodetype.NAME:
         return struct(about)
-    if kind == Nodetype.SEQUENCE:
-        return types.sequence[_member(*about[0])]
-    raise NotImplementedError(f"Expected no fixed array in a message of ours, got {about}.")
+    if kind == Nodetype.ARRAY:
+        return types.array[_member(*about[0]), about[1]]
+    return types.sequence[_member(*about[0]), about[1]] if about[1] else types.sequence[_member(*about[0])]
 
 
 def _hold(self: Any, cdr: bytes) -> None:
@@ -174,37 +208,102 @@ def _taken(cls: Any, data: bytes, *_: Any, **__: Any) -> Any:
     return cls(bytes(data))
 
 
-_BLOCKED = 1_000_000  # ns that a write may wait, which none does that keeps the last only
-_AT_ONCE = 16  # messages of one look
-_PREFIX = 24  # hexadecimal digits of a GUID that all endpoints of a participant have
-_XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)  # all that ROS 2 speaks
+_BLOCKED = 1_000_000  # ns that a write may block; writers that keep only the last never do
+_AT_ONCE = 16  # messages per read
+_PREFIX = 24  # hexadecimal digits of a GUID shared by all endpoints of a participant
+_XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)  # the only one of ROS 2
 _STATE = Qos(
     Policy.Reliability.Reliable(_BLOCKED), Policy.Durability.Volatile, Policy.History.KeepLast(10), _XCDR1
-)  # never KeepAll: a reader that stopped would hold every write up
+)  # not KeepAll: a stopped reader would block every write
 _COMMAND = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile, Policy.History.KeepLast(1), _XCDR1)
+_LATCHED = Qos(
+    Policy.Reliability.Reliable(_BLOCKED), Policy.Durability.TransientLocal, Policy.History.KeepLast(1), _XCDR1
+)
 _logger = logging.getLogger("armlab.bridge")
 
 
-class Writers:
-    """Writes topics that somebody reads."""
+def _described(quality: Qos, type_: str) -> Qos:
+    """Return the QoS of an endpoint with the hash of its type, which nodes publish since Iron."""
+    return Qos(Policy.Userdata(f"typehash={store().hash_rihs01(type_)};".encode()), base=quality)
 
-    def __init__(self, participant: DomainParticipant, published: Mapping[str, RosTopic]) -> None:
+
+class Graph:
+    """Names of the nodes and their endpoints, for `ros2 node`.
+
+    A Gid has 24 bytes up to Humble and 16 bytes since Iron. The newest reader determines the size: since Iron, readers
+    announce the hash of their type. Nodes of both kinds in one domain cannot communicate with each other either.
+    """
+
+    _TOPIC, _TYPE = "ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo"
+
+    def __init__(self, participant: DomainParticipant, nodes: Mapping[str, list[list[bytes]]]) -> None:
+        self._participant, self._nodes = participant.guid.bytes, dict(nodes)
+        self._size = 0
+        self._lock = threading.Lock()
+        listener = Listener(on_publication_matched=self._matched)
+        topic = untyped_topic(participant, self._TOPIC, carrier(self._TYPE))
+        self._writer: DataWriter[Any] | None = DataWriter(participant, topic, _LATCHED, listener)
+
+    def close(self) -> None:
+        self._writer = None
+
+    def _matched(self, writer: DataWriter[Any], status: Any) -> None:
+        if status.current_count_change <= 0:
+            return
+        about = writer.get_matched_subscription_data(_handle(status.last_subscription_handle))
+        policies = () if about is None else about.qos
+        is_hashed = any(isinstance(one, Policy.Userdata) and b"typehash=" in one.data for one in policies)
+        size = 16 if is_hashed else 24
+        with self._lock:
+            if size != self._size:
+                self._size = size
+                write_cdr(writer, self.message(size))
+
+    def message(self, size: int) -> bytes:
+        """Return the names in the layout with Gids of `size` bytes."""
+        known = later() if size == 16 else store()
+        types: Mapping[str, Any] = known.types
+
+        def gid(guid: bytes) -> Any:
+            return types["rmw_dds_common/msg/Gid"](np.frombuffer(guid.ljust(size, b"\0"), np.uint8))
+
+        nodes = [
+            types["rmw_dds_common/msg/NodeEntitiesInfo"]("/", name, *([*map(gid, some)] for some in ends))
+            for name, ends in self._nodes.items()
+        ]
+        cdr = bytes(known.serialize_cdr(types[self._TYPE](gid(self._participant), nodes), self._TYPE))
+        return cdr + bytes(-len(cdr) % 4)
+
+
+class Writers:
+    """Writers of all published topics; `wanted` lists the topics with readers."""
+
+    def __init__(
+        self, participant: DomainParticipant, published: Mapping[str, RosTopic], latched: Collection[str] = ()
+    ) -> None:
         self.wanted: frozenset[str] = frozenset()
         self.counts: dict[str, tuple[int, int]] = {}
         self._lock = threading.Lock()
         self._writers: dict[str, DataWriter[Any]] = {}
+        self._latched = frozenset(latched)
         for name, topic in published.items():
             listener = Listener(on_publication_matched=lambda _, status, name=name: self._matched(name, status))
-            made = DdsTopic(participant, topic_name(name), carrier(topic.type))
-            self._writers[name] = DataWriter(participant, made, _STATE, listener)
+            made = untyped_topic(participant, topic_name(name), carrier(topic.type))
+            quality = _LATCHED if name in latched else _STATE
+            self._writers[name] = DataWriter(participant, made, _described(quality, topic.type), listener)
 
     def write(self, topic: RosTopic, cdr: bytes) -> None:
         written, full = self.counts.get(topic.name, (0, 0))
         went = write_cdr(self._writers[topic.name], cdr + bytes(-len(cdr) % 4))
-        self.counts[topic.name] = (written + 1, full) if went else (written, full + 1)
+        if topic.name not in self._latched:
+            self.counts[topic.name] = (written + 1, full) if went else (written, full + 1)
+
+    def guids(self) -> list[tuple[str, bytes]]:
+        """Return each topic with the GUID of its writer."""
+        return [(name, writer.guid.bytes) for name, writer in self._writers.items()]
 
     def close(self) -> None:
-        """End all writers: none calls any more."""
+        """Delete all writers; their callbacks end."""
         self._writers.clear()
 
     def _matched(self, name: str, status: Any) -> None:
@@ -213,7 +312,7 @@ class Writers:
 
 
 class Readers:
-    """Reads topics; calls from threads of DDS."""
+    """Readers of all commanded topics; callbacks come from DDS threads."""
 
     def __init__(
         self,
@@ -225,25 +324,29 @@ class Readers:
         self._take, self._left = take, left
         self._clients: dict[int, str] = {}
         self._readers: list[DataReader[Any]] = []
-        self._lock = threading.Lock()  # in the order in which it came, though two threads look
+        self.guids: list[tuple[str, bytes]] = []
+        self._lock = threading.Lock()  # keeps messages in order across the two reading threads
         for name, type_ in types.items():
             listener = Listener(
                 on_data_available=lambda reader, name=name: self._guarded(self._read, reader, name),
                 on_subscription_matched=lambda reader, status: self._guarded(self._matched, reader, status),
             )
-            made = DdsTopic(participant, topic_name(name), carrier(type_))
-            reader = DataReader(participant, made, _COMMAND, listener)
+            made = untyped_topic(participant, topic_name(name), carrier(type_))
+            reader = DataReader(
+                participant, made, _described(_STATE if type_ == TRAJECTORY else _COMMAND, type_), listener
+            )
             self._readers.append(reader)
+            self.guids.append((name, reader.guid.bytes))
             self._guarded(self._begin, reader, name)
 
     def close(self) -> None:
-        """End all readers: none calls any more, which it must not while Python ends."""
+        """Delete all readers; their callbacks must end before Python exits."""
         self._readers.clear()
 
     def _guarded(self, call: Callable[..., None], reader: DataReader[Any] | None, *arguments: Any) -> None:
-        """Call; what fails is told and no more, since it would come up in C.
+        """Call a callback, and log its errors, which would otherwise surface in C.
 
-        DDS may call as soon as it has the reader itself, in Python there is none or half of one then: `_begin` follows.
+        DDS may call before the Python reader is complete; such calls are ignored, and `_begin` makes up for them.
         """
         try:
             with self._lock:
@@ -253,7 +356,7 @@ class Readers:
             _logger.exception("ros2")
 
     def _begin(self, reader: DataReader[Any], name: str) -> None:
-        """Take up what was there before the reader was."""
+        """Handle everything that existed before the reader."""
         for handle in reader.get_matched_publications():
             self._client(reader, _handle(handle))
         self._read(reader, name)
@@ -262,9 +365,9 @@ class Readers:
         known = set(self._clients)
         while samples := reader.take(_AT_ONCE):
             for sample in samples:
-                if sample.sample_info.valid_data:  # else a writer that has gone
+                if sample.sample_info.valid_data:  # else a disconnected writer
                     self._take(name, sample.cdr, self._client(reader, _handle(sample.sample_info.publication_handle)))
-        if new := set(self._clients) - known:  # one that ended before it was known is not told as gone any more
+        if new := set(self._clients) - known:  # the end of a writer is not reported if it ended before it was known
             for handle in new.difference(map(_handle, reader.get_matched_publications())):
                 self._gone(handle)
 
@@ -281,7 +384,7 @@ class Readers:
             self._left(client)
 
     def _client(self, reader: DataReader[Any], handle: int) -> str:
-        """Return who writes, the participant: with one of its writers it commands, with another it sets a parameter."""
+        """Return the participant of a writer, because one of its writers may command while another sets a parameter."""
         if handle not in self._clients:
             about = reader.get_matched_publication_data(handle)
             self._clients[handle] = f"{handle % 2**64:016x}" if about is None else about.participant_key.hex[:_PREFIX]
@@ -289,17 +392,18 @@ class Readers:
 
 
 def _handle(number: int) -> int:
-    """Return a handle as 64 bits with a sign: samples say it without one, conditions and calls with one."""
+    """Return a handle as a signed 64-bit integer; samples have unsigned, conditions and calls signed handles."""
     return (int(number) + 2**63) % 2**64 - 2**63
 
 
 class DdsServer(RosServer):
-    """Speaks DDS at the IPv4 address `host`, in a domain, that of ROS_DOMAIN_ID when None."""
+    """ROS 2 server over DDS at the IPv4 address `host`; domain None means that of ROS_DOMAIN_ID."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._domain, self._host = domain_number(options["domain"]), options["host"]
         self._writers: Writers
-        super().__init__(feed, lambda: dict(self._writers.counts))
+        self._servers: ServiceServers
+        super().__init__(feed, lambda: dict(self._writers.counts), options.get("tf", False))
 
     def wanted(self) -> frozenset[str]:
         return self._writers.wanted
@@ -309,11 +413,23 @@ class DdsServer(RosServer):
 
     def run(self) -> None:
         with joined(self._domain, self._host) as participant:
-            writers = self._writers = Writers(participant, self._topics.published)
-            readers = Readers(participant, self._commands.types, self.take, self.left)
+            writers = self._writers = Writers(participant, self.published, self.latched)
+            readers = Readers(participant, self._commands.types | self._goals.topics, self.take, self.left)
+            servers = self._servers = ServiceServers(
+                self._domain, self._host, self.services, self.request, self.left_service
+            )
+            ends = readers.guids + servers.readers, writers.guids() + servers.writers
+
+            def owned(node: str) -> list[list[bytes]]:
+                return [[guid for name, guid in some if self.node_of(name) == node] for some in ends]
+
+            graph = Graph(participant, {node: owned(node) for node in self.nodes})
             try:
+                self.send_latched()
                 self._loop.ask(Listening(where=[f"{self._host} (ros2, DDS domain {self._domain})"]))
                 self.serve()
             finally:
+                servers.close()
+                graph.close()
                 readers.close()
                 writers.close()

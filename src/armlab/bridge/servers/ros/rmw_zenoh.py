@@ -1,4 +1,4 @@
-"""`RmwZenohServer`: ROS 2 nodes with rmw_zenoh read and command, without a ROS installation here."""
+"""`RmwZenohServer`: ROS 2 nodes with rmw_zenoh read and command, without a local ROS installation."""
 
 from __future__ import annotations
 
@@ -8,37 +8,44 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
+from itertools import count
 from typing import Any, Literal, NamedTuple
 
 from armlab.bridge.net.sockets import is_here
 from armlab.bridge.servers.messages import Listening
+from armlab.bridge.servers.ros.actions import TRAJECTORY
 from armlab.bridge.servers.ros.server import RosServer
+from armlab.bridge.servers.ros.services import Service
 from armlab.bridge.servers.ros.topics import RosTopic, domain_number, store, type_name
 from armlab.bridge.servers.zenoh.messages import data_of
-from armlab.bridge.servers.zenoh.session import Publisher, close_session, open_near, zenoh
+from armlab.bridge.servers.zenoh.session import LatchedPublisher, Publisher, close_session, open_near, zenoh
 from armlab.errors import ConfigError, MissingExtra
 
 ANY = "*"
-"""In place of a hash in the key of a reader: writers of every distribution."""
+"""Wildcard for the type hash in a reader's key; it matches writers of every distribution."""
 
 Distribution = Literal["humble", "jazzy", "kilted"]
-"""Of ROS 2: Humble knows no hashes of types."""
+"""ROS 2 distribution (Humble has no type hashes)."""
 
 _RELIABLE, _BEST_EFFORT = "::,10:,:,:,,", "2::,1:,:,:,,"  # volatile; keep the last 10, the last 1
+_LATCHED = ":1:,1:,:,:,,"  # reliable, transient local, keep the last
 _NO_HASH = "TypeHashNotSupported"
 _ID = 16
 _ORIGIN = struct.Struct(f"<qqB{_ID}s")
 
 
 class Names:
-    """Keys of one node."""
+    """Keys and liveliness tokens of one node, and its number in the session."""
 
-    def __init__(self, domain: int, session: str, distribution: Distribution = "jazzy", node: str = "armlab") -> None:
+    def __init__(
+        self, domain: int, session: str, distribution: Distribution = "jazzy", node: str = "armlab", number: int = 0
+    ) -> None:
         self._domain, self._node, self._has_hashes = domain, node, distribution != "humble"
-        self._graph = f"@ros2_lv/{domain}/{session}"
+        self._graph = f"@ros2_lv/{domain}/{session}/{number}"
+        self._number = number
 
     def hash(self, type: str) -> str:
-        """Return what stands for the definition of a message type."""
+        """Return the hash of a message type (a fixed text for Humble)."""
         return store().hash_rihs01(type) if self._has_hashes else _NO_HASH
 
     def data(self, topic: str, type: str, hash: str = "") -> str:
@@ -46,28 +53,31 @@ class Names:
         return f"{self._domain}/{topic.strip('/')}/{type_name(type)}/{hash or self.hash(type)}"
 
     def node(self) -> str:
-        """Return the token of the node, whose number is 0."""
-        return f"{self._graph}/0/0/NN/%/%/{self._node}"
+        return f"{self._graph}/{self._number}/NN/%/%/{self._node}"
 
-    def writers(self) -> str:
-        """Return what the tokens of all writers of the domain match."""
-        return f"@ros2_lv/{self._domain}/*/*/*/MP/**"
+    def writers(self) -> tuple[str, str]:
+        """Return key expressions for the tokens of all writers and of all service clients in the domain."""
+        return f"@ros2_lv/{self._domain}/*/*/*/MP/**", f"@ros2_lv/{self._domain}/*/*/*/SC/**"
 
-    def writer(self, number: int, topic: str, type: str) -> str:
-        """Return the token of a reliable writer that keeps the last ten."""
-        return self._endpoint(number, "MP", topic, type, _RELIABLE)
+    def writer(self, number: int, topic: str, type: str, is_latched: bool = False) -> str:
+        """Return the token of a reliable writer with history depth 10, or of a writer that keeps its last message."""
+        return self._endpoint(number, "MP", topic, type, _LATCHED if is_latched else _RELIABLE)
 
     def reader(self, number: int, topic: str, type: str) -> str:
-        """Return the token of a best-effort reader of the last one."""
-        return self._endpoint(number, "MS", topic, type, _BEST_EFFORT)
+        """Return the token of a reader: best effort with depth 1, or reliable with depth 10 for trajectories."""
+        return self._endpoint(number, "MS", topic, type, _RELIABLE if type == TRAJECTORY else _BEST_EFFORT)
+
+    def service(self, number: int, name: str, type: str) -> str:
+        """Return the token of a service server."""
+        return self._endpoint(number, "SS", name, type, _RELIABLE)
 
     def _endpoint(self, number: int, kind: str, topic: str, type: str, quality: str) -> str:
         about = f"{topic.replace('/', '%')}/{type_name(type)}/{self.hash(type)}/{quality}"
-        return f"{self._graph}/0/{number}/{kind}/%/%/{self._node}/{about}"
+        return f"{self._graph}/{number}/{kind}/%/%/{self._node}/{about}"
 
 
 class Origin(NamedTuple):
-    """What is attached to a message: its number from 1, when it was written [ns], and who wrote it (16 bytes)."""
+    """Attachment of a message: its number (from 1), time of writing [ns], and writer id (16 bytes)."""
 
     seq: int
     stamp_ns: int
@@ -78,7 +88,7 @@ class Origin(NamedTuple):
 
     @classmethod
     def read(cls, data: bytes | None) -> Origin | None:
-        """Return what the bytes say; None for others, whose message is dropped as rmw_zenoh drops it."""
+        """Return the attachment in `data`, or None if it is invalid (rmw_zenoh also drops such messages)."""
         if data is None or len(data) != _ORIGIN.size:
             return None
         seq, stamp_ns, size, writer = _ORIGIN.unpack(data)
@@ -86,15 +96,15 @@ class Origin(NamedTuple):
 
     @property
     def client(self) -> str:
-        """The writer as people read it: all of its id, so that no two are one."""
+        """The complete writer id in hexadecimal, which is unique."""
         return self.writer.hex()
 
 
 class Writer:
-    """Numbers the messages of one writer."""
+    """Counter that numbers the messages of one writer."""
 
     def __init__(self, token: str) -> None:
-        self.id = _hashed(token)
+        self.id: bytes = _hashed(token)
         self._seq = 0
 
     def next(self, stamp_ns: int) -> bytes:
@@ -108,19 +118,20 @@ def _hashed(token: str) -> bytes:
         import xxhash
     except ImportError:
         raise MissingExtra(
-            "Expected xxhash to speak with rmw_zenoh, got none. Install it: pip install 'armlab[net]'."
+            "Expected the package xxhash for rmw_zenoh, but it is not installed. Install it: pip install 'armlab[net]'."
         ) from None
     value: Any = xxhash.xxh3_128_intdigest(token.encode())
     return value.to_bytes(_ID, "little")
 
 
-_MOST = 4096  # writers that are known; more are a flood
+_MOST = 4096  # known writers; more are a flood
 
 
 class Nodes:
-    """Nodes that have writers. A message says its writer, a hash of the writer's token; the token says its node.
+    """Nodes with writers or service clients. A message carries its writer's id, a hash of the writer's token; the
+    token names its node.
 
-    All writers of a node are one client: with one it commands, with another it sets a parameter.
+    All writers of a node count as one client, because one may command while another sets a parameter.
     """
 
     def __init__(self, left: Callable[[str], None]) -> None:
@@ -128,7 +139,7 @@ class Nodes:
         self._clients: dict[bytes, str] = {}
 
     def token(self, token: str, is_there: bool) -> None:
-        """Take note of a writer's token that has come or gone."""
+        """Add or remove a writer by its token."""
         words = token.split("/")
         if len(words) < 9:
             return
@@ -140,16 +151,16 @@ class Nodes:
             self._left(client)
 
     def client(self, origin: Origin) -> str:
-        """Return who wrote a message, ``/NODE@SESSION``; the writer itself when no token of it is known."""
+        """Return the node of a message, ``/NODE@SESSION``, or the writer id if its token is unknown."""
         return self._clients.get(origin.writer, origin.client)
 
 
-_LOOK = 1.0  # s between two looks at who reads
-_MAY_COME_AGAIN = 30.0  # s after a reader: what it misses while its router starts anew must show in the numbers
+_CHECK_EVERY = 1.0  # s between two checks of the readers
+_MAY_RETURN = 30.0  # s after a reader: messages missed while its router restarts must show in the numbers
 
 
 class RmwZenohServer(RosServer):
-    """Speaks as a node with rmw_zenoh, in a domain, that of ROS_DOMAIN_ID when None."""
+    """ROS 2 server compatible with rmw_zenoh; domain None means that of ROS_DOMAIN_ID."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._outputs: dict[str, Publisher] = {}
@@ -157,81 +168,108 @@ class RmwZenohServer(RosServer):
         self._wanted: frozenset[str] = frozenset()
         self._read_until: dict[str, float] = {}
         self._reading = threading.Lock()
-        super().__init__(feed, self._counts)
-        self._domain, self._looked = domain_number(options["domain"]), 0.0
+        super().__init__(feed, self._counts, options.get("tf", False))
+        self._domain, self._checked = domain_number(options["domain"]), 0.0
         router, commands = options["router"], "rmw_zenoh" in self._loop.about.get("commands", ())
         if router and commands and not is_here(router):
             raise ConfigError(
-                f"Expected no commands through a router elsewhere ({router}), since ROS nodes prove nothing. Take "
-                "rmw_zenoh out of `commands`, or let them come through an SSH tunnel."
+                f"Expected no commands through a router on another computer ({router}), because ROS nodes do not "
+                "authenticate. Remove rmw_zenoh from `commands`, or connect nodes through an SSH tunnel."
             )
         self._session, self._where = open_near(options["host"], options["port"], router, commands=commands)
-        self._names = Names(self._domain, str(self._session.zid()), options["distribution"])
+        about = self._domain, str(self._session.zid()), options["distribution"]
+        self._names = {node: Names(*about, node, number) for number, node in enumerate(self.nodes)}
         self._nodes = Nodes(self.left)
-        self._declared: list[Any] = []  # tokens and readers: they go with the last that holds them
+        self._declared: list[Any] = []  # tokens and readers, undeclared with their last reference
 
     def run(self) -> None:
         try:
             self._declare()
             self._loop.ask(Listening(where=[f"{self._where}, rmw_zenoh, domain {self._domain}"]))
-            self.serve(self._look)
+            self.serve(self._check)
         finally:
             close_session(self._session)
 
     def wanted(self) -> frozenset[str]:
-        """Return the names of the topics that somebody reads, or has read a moment ago."""
+        """Return the names of topics that have readers now or had readers a moment ago."""
         return self._wanted
 
     def write(self, topic: RosTopic, cdr: bytes) -> None:
         self._outputs[topic.name].put(cdr, self._writers[topic.name].next(time.time_ns()))
 
-    def _look(self) -> None:
-        """Note who reads, also while parameters are published more often than that."""
+    def _check(self) -> None:
+        """Update the readers, even while parameters are published more often."""
         now = time.monotonic()
-        if now - self._looked > _LOOK:
-            self._looked = now
+        if now - self._checked > _CHECK_EVERY:
+            self._checked = now
             self._read()
 
     def _counts(self) -> dict[str, tuple[int, int]]:
-        """Return messages sent by topic: who reads them, and what is dropped for whom, is not known here."""
+        """Return the number of messages sent by topic; the readers and their losses are unknown here."""
         return {name: (output.sent, output.dropped) for name, output in self._outputs.items() if output.sent}
 
     def _declare(self) -> None:
-        """Enter the graph: the node, its writers, its readers."""
-        session, names = self._session, self._names
-        tokens, number = [names.node()], 0
-        for number, one in enumerate(self._topics.published.values(), 1):
-            token = names.writer(number, one.name, one.type)
+        """Join the graph by declaring the nodes with their writers, readers and services."""
+        session, lives, latched = self._session, self._session.liveliness(), self.latched
+        tokens, numbers = [names.node() for names in self._names.values()], count(len(self.nodes))
+        for one in self.published.values():
+            names = self._names[self.node_of(one.name)]
+            token = names.writer(next(numbers), one.name, one.type, one.name in latched)
             self._writers[one.name] = Writer(token)
-            self._outputs[one.name] = Publisher(session, names.data(one.name, one.type), self._read)
+            key = names.data(one.name, one.type)
+            is_latched = one.name in latched
+            self._outputs[one.name] = (
+                LatchedPublisher(session, key) if is_latched else Publisher(session, key, self._read)
+            )
             tokens.append(token)
         self._read()
-        lives = session.liveliness()
-        self._declared.append(lives.declare_subscriber(names.writers(), self._token, history=True))
-        for count, (topic, type_) in enumerate(self._commands.types.items(), number + 1):
-            tokens.append(names.reader(count, topic, type_))
+        for key in self._names[self.nodes[0]].writers():
+            self._declared.append(lives.declare_subscriber(key, self._token, history=True))
+        for topic, type_ in (self._commands.types | self._goals.topics).items():
+            names = self._names[self.node_of(topic)]
+            tokens.append(names.reader(next(numbers), topic, type_))
             key = names.data(topic, type_, ANY)
             self._declared.append(session.declare_subscriber(key, partial(self._take, topic)))
+        for service in self.services:
+            names = self._names[self.node_of(service.name)]
+            tokens.append(names.service(next(numbers), service.name, service.type))
+            key = names.data(service.name, service.type, ANY)
+            self._declared.append(session.declare_queryable(key, partial(self._answer, service), complete=True))
+        self.send_latched()
         self._declared += [lives.declare_token(token) for token in tokens]
 
     def _read(self) -> None:
-        """Take note of what is read now; by any thread.
+        """Update the topics with readers; callable from any thread.
 
-        A reader whose way is cut is as one that has left. What it would have got is numbered still, for a while.
+        A reader behind a broken connection counts as gone, but its messages are still numbered for a while.
         """
         now = time.monotonic()
         with self._reading:
             read = [name for name, output in list(self._outputs.items()) if output.wanted]
-            self._read_until.update(dict.fromkeys(read, now + _MAY_COME_AGAIN))
+            self._read_until.update(dict.fromkeys(read, now + _MAY_RETURN))
             self._wanted = frozenset([name for name, until in self._read_until.items() if until > now])
 
     def _token(self, sample: Any) -> None:
         self._nodes.token(str(sample.key_expr), sample.kind == zenoh().SampleKind.PUT)
 
+    def _answer(self, service: Service, query: Any) -> None:
+        """Answer a request of a node; called by a Zenoh thread."""
+        origin, payload = Origin.read(data_of(query.attachment)), data_of(query.payload)
+        if origin is None or payload is None:
+            self.refuse("unknown", f"Expected a request with an attachment of 33 bytes for {service.name}.")
+            return
+
+        def send(cdr: bytes) -> None:
+            query.reply(query.key_expr, cdr, attachment=origin._replace(stamp_ns=time.time_ns()).pack())
+
+        self.request(service, payload, self._nodes.client(origin), send)
+
     def _take(self, topic: str, sample: Any) -> None:
-        """Take a message of a node; called by a thread of Zenoh's."""
+        """Handle a message of a node; called by a Zenoh thread."""
         origin = Origin.read(data_of(sample.attachment))
-        if origin is None:  # rmw_zenoh drops it, too: who sent it is not known
-            self.refuse("unknown", f"Expected 33 bytes attached on {topic}, as rmw_zenoh has them since June 2025.")
+        if origin is None:  # the sender is unknown; rmw_zenoh drops such messages too
+            self.refuse(
+                "unknown", f"Expected an attachment of 33 bytes on {topic}, as sent by rmw_zenoh since June 2025."
+            )
         else:
             self.take(topic, sample.payload.to_bytes(), self._nodes.client(origin))

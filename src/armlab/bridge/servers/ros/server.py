@@ -1,4 +1,4 @@
-"""What nodes of ROS may send, and `RosServer`: what its servers have in common, between the loop and a transport."""
+"""Commands of ROS nodes (`Commands`), and `RosServer`, the base of all ROS servers between the loop and a transport."""
 
 from __future__ import annotations
 
@@ -15,20 +15,24 @@ import numpy as np
 
 from armlab.bridge.control.limits import joint_name
 from armlab.bridge.servers.messages import CommandRequest, Leave, Report, Request, SetRequest, Stop
+from armlab.bridge.servers.ros.actions import ActionServers, Goals, plain
+from armlab.bridge.servers.ros.services import Service, Settings, parameter_services
 from armlab.bridge.servers.ros.topics import Messages, RosTopic, Topics, content, store
 from armlab.bridge.servers.server_end import Clients, LoopEnd
 from armlab.errors import CommandRefused
 from armlab.robots import Robot
 
 _KINDS = {"position": "q", "velocity": "qd", "effort": "tau"}
-_SPELLINGS = ("command", "commands")  # of ROS 1 and of ROS 2
+_SPELLINGS = ("command", "commands")  # of ROS 1 and ROS 2
 _NUMBERS, _TEXT, _EMPTY = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String", "std_msgs/msg/Empty"
 _LONGEST = 65536  # characters of a text
-_NUMERIC = {int, float, type(None)}  # not bool, which is an int; null is a number that is not finite
+_NUMERIC = {int, float, type(None)}  # not bool, a subclass of int; null stands for a number that is not finite
 
 
 class Commands:
-    """The topics that are listened to."""
+    """Subscribed command topics, and the requests in their messages."""
+
+    types: dict[str, str]
 
     def __init__(self, cell: str, robots: Mapping[str, Robot]) -> None:
         self._robots = dict(robots)
@@ -47,7 +51,7 @@ class Commands:
         self.types |= dict.fromkeys(self._settings, _TEXT) | dict.fromkeys(self._stops, _EMPTY)
 
     def requests(self, topic: str, content: Any, client: str) -> list[Request]:
-        """Return what a message asks the loop for."""
+        """Return the requests to the loop that a message contains."""
         if topic in self._stops:
             return [Stop(client)]
         if topic in self._settings:
@@ -89,26 +93,45 @@ def _settings(topic: str, content: Any) -> dict[str, Any]:
     try:
         values = json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise CommandRefused(f'Expected JSON such as {{"gain": 2.0}} on {topic}, but {error}.') from None
+        raise CommandRefused(f'Expected JSON such as {{"gain": 2.0}} on {topic}, got {error}.') from None
     if not isinstance(values, dict) or not values:
         raise CommandRefused(f'Expected values by name such as {{"gain": 2.0}} on {topic}, got {content[:80]!r}.')
     return values
 
 
-_AGAIN = 1.0  # s after which the parameters are published again, for readers that came later
+_AGAIN = 1.0  # s between two publications of the parameters, for new readers
 
 
 class RosServer:
-    """Messages of rows to a transport, and requests of nodes to the loop. `write` and `wanted` are the transport's."""
+    """Base of the ROS servers: converts rows to messages, and node messages to requests.
 
-    def __init__(self, feed: socket.socket, clients: Callable[[], Clients]) -> None:
+    A transport defines `write`, `wanted`.
+    """
+
+    def __init__(self, feed: socket.socket, clients: Callable[[], Clients], tf: bool = False) -> None:
         self._loop = LoopEnd(feed, clients)
         robots = self._loop.robots()
-        self._topics, self._commands = Topics(robots, self._loop.schema), Commands(self._loop.about["cell"], robots)
-        self._told = 0.0
+        cell = self._loop.about["cell"]
+        self._topics, self._commands = Topics(robots, self._loop.schema, tf), Commands(cell, robots)
+        self._parameters_sent = 0.0
+        self.nodes: tuple[str, ...] = tuple(dict.fromkeys(name.replace("-", "_") for name in (cell, *robots)))
+        self._settings = Settings(self._loop)
+        self.services: list[Service] = [
+            one for name in robots for one in parameter_services(name, self._loop, self._settings)
+        ]
+        self._goals = Goals(self._loop)
+        actions = ActionServers(self._goals, lambda topic, message: self.send([(topic, message)]), self.wanted)
+        self.services += actions.services
+        self.published: dict[str, RosTopic] = self._topics.published | actions.topics
+        self.latched: frozenset[str] = frozenset([*self._topics.latched, *actions.latched])
+
+    def node_of(self, name: str) -> str:
+        """Return the node of a topic or service: an arm if possible, otherwise the cell."""
+        first = name.split("/")[1]
+        return first if first in self.nodes else self.nodes[0]
 
     def wanted(self) -> frozenset[str]:
-        """Return the names of the topics that somebody reads."""
+        """Return the names of the topics with readers."""
         raise NotImplementedError
 
     def write(self, topic: RosTopic, cdr: bytes) -> None:
@@ -116,53 +139,80 @@ class RosServer:
         raise NotImplementedError
 
     def answer(self, client: str, text: str) -> None:
-        """Answer in the diagnostics, which all nodes read: over DDS and Zenoh no other message leads back to a node."""
+        """Answer in the diagnostics, which all nodes read, because DDS and Zenoh cannot reply to a single node."""
         self._topics.answer = f"{client}: {text}"
 
-    def serve(self, look: Callable[[], None] = lambda: None) -> None:
-        """Serve until the loop closes the feed; `look` is called at least once a second."""
+    def serve(self, check: Callable[[], None] = lambda: None) -> None:
+        """Serve until the loop closes the socket; `check` is called at least once a second."""
         while (messages := self._loop.receive(_AGAIN)) is not None:
             for message in messages:
-                self.pass_on(message)
-            look()
-            if time.monotonic() - self._told > _AGAIN:
-                self.tell_parameters()
+                self.publish(message)
+            check()
+            self._settings.tick()
+            self._goals.renew(time.monotonic_ns())
+            if time.monotonic() - self._parameters_sent > _AGAIN:
+                self.send_parameters()
 
-    def pass_on(self, message: bytes | dict[str, Any]) -> None:
-        """Make of a message of the loop what nodes read."""
+    def publish(self, message: bytes | dict[str, Any]) -> None:
+        """Publish a message from the loop to the nodes."""
         if isinstance(message, bytes):
             self.send(self._topics.of_row(message, self.wanted()))
+            self._goals.row(message, time.monotonic_ns())
         elif message["kind"] == "parameters":
-            self.tell_parameters()
-        elif message["kind"] == "answer":
+            self._settings.confirm()
+            self.send_parameters()
+        elif message["kind"] == "answer" and not self._settings.refuse(message):
             self.answer(message["client"], message["text"])
+        elif message["kind"] == "goal":
+            self._goals.text(message)
 
-    def take(self, topic: str, said: Any, client: str) -> None:
-        """Pass on to the loop what a node says, bytes of a message or read already; for threads of the transport."""
+    def take(self, topic: str, message: Any, client: str) -> None:
+        """Send the requests in a node's message (serialised or decoded) to the loop; for threads of the transport."""
         try:
-            if isinstance(said, bytes):
-                said = content(self._commands.types[topic], said)
-            for request in self._commands.requests(topic, said, client):
+            if topic in self._goals.topics:
+                message = plain(content(self._goals.topics[topic], message))
+                self._goals.start_message(topic, client, message, lambda why: self.answer(client, why))
+                return
+            if isinstance(message, bytes):
+                message = content(self._commands.types[topic], message)
+            for request in self._commands.requests(topic, message, client):
                 self._loop.ask(request)
         except CommandRefused as error:
             self.refuse(client, str(error))
 
+    def request(self, service: Service, cdr: bytes, client: str, send: Callable[[bytes], None]) -> None:
+        """Answer a serialised request of a node; for threads of the transport."""
+        try:
+            service.take(cdr, client, send)
+        except CommandRefused as error:
+            self.refuse(client, str(error))
+
     def refuse(self, client: str, why: str) -> None:
-        """Tell a node and the log of the run why its message was not taken."""
+        """Report a refused message to its node and to the log of the run."""
         self.answer(client, why)
         self._loop.ask(Report(client, why))
 
     def left(self, client: str) -> None:
-        """Tell the loop that a client has gone; called by threads of the transport."""
+        """Report a disconnected client to the loop; for threads of the transport."""
+        self._goals.leave(client)
         self._loop.ask(Leave(client))
 
+    def left_service(self, client: str) -> None:
+        """Report a disconnected service client if it has started a trajectory."""
+        if self._goals.running(client=client):
+            self.left(client)
+
     def send(self, messages: Messages) -> None:
-        """Send messages of `store`."""
+        """Serialise and write messages of `store`."""
         for topic, message in messages:
             self.write(topic, bytes(store().serialize_cdr(message, topic.type)))
 
-    def tell_parameters(self) -> None:
-        """Send the values of all parameters, and that no row comes where none does."""
-        self._told, wanted = time.monotonic(), self.wanted()
+    def send_latched(self) -> None:
+        """Send the messages that never change once; their writers keep them for late-joining readers."""
+        self.send(self._topics.latched.values())
+
+    def send_parameters(self) -> None:
+        """Send the values of all parameters, and the diagnostics that are due without rows."""
+        self._parameters_sent, wanted = time.monotonic(), self.wanted()
         self.send(self._topics.of_parameters(self._loop.parameters, wanted))
         self.send(self._topics.of_silence(time.monotonic_ns(), wanted))

@@ -1,4 +1,4 @@
-"""ROS topics of a cell: message types, and `Topics`, which makes messages from rows."""
+"""ROS topics of a cell: message types, and `Topics`, which converts rows to messages."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from armlab.bridge.servers.status import Status
 from armlab.errors import CommandRefused, ConfigError
 from armlab.lie import quaternion
 from armlab.robots import Robot
+from armlab.robots.urdf.writing import write_urdf
 
 _OTHERS = {
-    # Names and order as in ros-industrial/abb_robot_driver_interfaces; constants are no part of a message.
+    # Names and order as in ros-industrial/abb_robot_driver_interfaces; constants are not part of a message.
     "abb_egm_msgs/msg/EGMChannelState": (
         "string name\nbool active\nbool egm_convergence_met\nuint8 egm_client_state\nuint8 motor_state\n"
         "uint8 rapid_execution_state\nfloat64 utilization_rate"
@@ -42,17 +43,26 @@ def store() -> Any:
     return known
 
 
-_HIGHEST = 232  # beyond it there is no UDP port
-_LARGEST = 2**17  # bytes of a message to us
+@cache
+def later() -> Any:
+    """Return the message types since Iron, some of which differ (rmw_dds_common)."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+_HIGHEST = 232  # larger domains have no UDP port
+_LARGEST = {"trajectory_msgs/msg/JointTrajectory": 2**19}  # bytes of a received message
+_USUAL = 2**17
 
 
 def domain_number(given: int | None, environment: Mapping[str, str] = os.environ) -> int:
-    """Return the number of the domain: as given, else that of ROS_DOMAIN_ID, else 0."""
+    """Return the given domain, else that of ROS_DOMAIN_ID, else 0."""
     text = environment.get("ROS_DOMAIN_ID", "") or "0"
     if given is not None:
         return given
     if not text.isdecimal() or int(text) > _HIGHEST:
-        raise ConfigError(f"Expected ROS_DOMAIN_ID from 0 to {_HIGHEST}, got {text!r}. Set it, or unset it for 0.")
+        raise ConfigError(f"Expected ROS_DOMAIN_ID from 0 to {_HIGHEST}, got {text!r}. Correct or unset it.")
     return int(text)
 
 
@@ -62,13 +72,15 @@ def type_name(name: str) -> str:
 
 
 def content(name: str, cdr: bytes) -> Any:
-    """Return what a command says: numbers, a text, or None of an empty one."""
-    if len(cdr) > _LARGEST:
-        raise CommandRefused(f"Expected a {name} of at most {_LARGEST} bytes, got {len(cdr)}.")
+    """Return the content of a command: numbers, a text, a message without `data`, or None if empty."""
+    most = _LARGEST.get(name, _USUAL)
+    if len(cdr) > most:
+        raise CommandRefused(f"Expected a {name} of at most {most} bytes, got {len(cdr)}.")
     try:
-        return getattr(store().deserialize_cdr(cdr, name), "data", None)
-    except Exception as error:  # what a codec raises on bytes of others is nowhere listed
-        raise CommandRefused(f"Expected a {name}, got {len(cdr)} bytes that are none ({error}).") from None
+        message = store().deserialize_cdr(cdr, name)
+        return message if name in _LARGEST else getattr(message, "data", None)
+    except Exception as error:  # the codec's exceptions on invalid bytes are undocumented
+        raise CommandRefused(f"Expected a {name}, got {len(cdr)} invalid bytes ({error}).") from None
 
 
 @dataclass(frozen=True)
@@ -80,19 +92,22 @@ class RosTopic:
 
 
 class ArmRow:
-    """The fields of one arm in a row of bytes; `places` says where they are (see `row.places`)."""
+    """Fields of one arm in a binary row; for `places` see `row.places`."""
+
+    robot: Robot
+    wall_ns: int
 
     def __init__(self, robot: Robot, places: Mapping[str, tuple[Struct, int]], data: bytes, wall_ns: int) -> None:
         self.robot, self.wall_ns = robot, wall_ns
         self._places, self._data = places, data
 
     def __getitem__(self, name: str) -> tuple[Any, ...]:
-        """Return the numbers of a field, named without the robot."""
+        """Return the numbers of a field, whose name omits the robot."""
         form, offset = self._places[name]
         return form.unpack_from(self._data, offset)
 
     def numbers(self, name: str) -> tuple[float, ...]:
-        """Return the numbers of a field, or none when one of them is NaN: the field is missing."""
+        """Return the numbers of a field; empty if any is NaN, which means that the field is missing."""
         values = self[name]
         return () if any(map(math.isnan, values)) else values
 
@@ -102,7 +117,7 @@ class ArmRow:
         return kinematics.forward(self.robot, self["q"])
 
     def in_tool_axes(self, wrench: Sequence[float]) -> tuple[float, ...]:
-        """Return a wrench of six numbers, of base axes at the tool point, in the axes of the tool."""
+        """Return a wrench (6,), given in base axes at the tool point, in tool axes."""
         (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = self.T_base_tool.tolist()
         x, y, z, u, v, w = wrench
         return (
@@ -127,7 +142,7 @@ def _joint_state(fields: Sequence[str], arm: ArmRow) -> Any:
 
 
 def _wrench_stamped(fields: Sequence[str], arm: ArmRow) -> Any:
-    """Return the first wrench that the row has."""
+    """Return the message for the first wrench in the row."""
     wrench = next(filter(None, map(arm.numbers, fields)), None)
     if wrench is None:
         return None
@@ -158,7 +173,7 @@ def _pose_stamped(arm: ArmRow) -> Any:
 
 
 def _egm_state(arm: ArmRow) -> Any:
-    """Return the states of EGM; the message counts from 1 what ABB counts from 0."""
+    """Return the EGM states; the message counts from 1, whereas ABB counts from 0."""
     types = store().types
     channel = types["abb_egm_msgs/msg/EGMChannelState"](
         name=arm.robot.name,
@@ -189,32 +204,85 @@ TOPICS: Mapping[str, tuple[str, Callable[[ArmRow], Any]]] = {
     "tcp_pose": (_POSE, _pose_stamped),
     "egm_states": (_EGM, _egm_state),
 }
-"""Topics of every arm that come with each of its rows: the type, and what makes the message, None without numbers."""
+"""Topics per arm, published with each row: type and message function (None without numbers)."""
+
+_TF = "tf2_msgs/msg/TFMessage"
+_TF_PERIOD_NS = 20_000_000  # ns between two messages of /tf
+
+
+def _description(robot: Robot) -> Any:
+    return store().types["std_msgs/msg/String"](write_urdf(robot, prefix=f"{robot.name}_"))
+
+
+def _frame(stamp_ns: int, parent: str, child: str, T_parent_child: np.ndarray) -> Any:
+    types: Mapping[str, Any] = store().types
+    w, x, y, z = quaternion.from_matrix(T_parent_child[:3, :3]).tolist()
+    vector = types["geometry_msgs/msg/Vector3"](*T_parent_child[:3, 3].tolist())
+    transform = types["geometry_msgs/msg/Transform"](vector, types["geometry_msgs/msg/Quaternion"](x, y, z, w))
+    return types["geometry_msgs/msg/TransformStamped"](header(stamp_ns, parent), child, transform)
+
+
+def _fixed_frames(robots: Iterable[Robot]) -> Any:
+    """Return the frames of the fixed links, named as in the URDF."""
+    found = []
+    for robot in robots:
+        last, links = (
+            f"link_{robot.n}",
+            {"mount": robot.T_base_mount, "flange": robot.links[-1], "tool": robot.T_flange_tool},
+        )
+        for parent, (child, T) in zip(("base", last, "flange"), links.items(), strict=True):
+            found.append(_frame(time.time_ns(), f"{robot.name}_{parent}", f"{robot.name}_{child}", T))
+    return store().types[_TF](found)
+
+
+def _moving_frames(arms: Iterable[ArmRow]) -> Any:
+    """Return the frames of the moving links, named as in the URDF."""
+    found = []
+    for arm in arms:
+        robot, names = arm.robot, ["mount", *(f"link_{i + 1}" for i in range(arm.robot.n))]
+        for i, (q, T) in enumerate(zip(arm.numbers("q"), robot.links)):
+            move = np.eye(4)
+            if robot.prismatic[i]:
+                move[2, 3] = q
+            else:
+                move[:2, :2] = (math.cos(q), -math.sin(q)), (math.sin(q), math.cos(q))
+            found.append(_frame(arm.wall_ns, f"{robot.name}_{names[i]}", f"{robot.name}_{names[i + 1]}", T @ move))
+    return store().types[_TF](found)
+
 
 _ONCE_A_SECOND = {"diagnostics": "diagnostic_msgs/msg/DiagnosticArray", "parameters": "std_msgs/msg/String"}
-_PERIOD_NS = 1_000_000_000  # between two messages of those topics
+_PERIOD_NS = 1_000_000_000  # ns between two messages of those topics
 _MONO = Struct("<q")
 
 Messages = Iterable[tuple[RosTopic, Any]]
-"""Topics with a message of `store` each."""
+"""Topics and their messages of `store`."""
 
 
 class Topics:
     """The topics of a cell."""
 
-    def __init__(self, robots: Mapping[str, Robot], schema: RowSchema) -> None:
+    latched: dict[str, tuple[RosTopic, Any]]
+    """Topics whose message never changes, by name; a late-joining reader also receives it."""
+
+    def __init__(self, robots: Mapping[str, Robot], schema: RowSchema, tf: bool = False) -> None:
         self.answer = ""
         self._schema, self._robots, self._status = schema, dict(robots), Status(schema)
-        self._due, self._last = 0, b""
-        self._silence: tuple[bytes, int] | None = None  # the last row, and since when none came
+        self._due, self._tf_due, self._last = 0, 0, b""
+        self._silence: tuple[bytes, int] | None = None  # the last row, and the start of the silence
         self._places = {name: places(schema, name) for name in robots}
         self._makers = {f"/{robot}/{name}": (robot, make) for robot in robots for name, (_, make) in TOPICS.items()}
         types = {name: type_ for name, (type_, _) in TOPICS.items()} | _ONCE_A_SECOND
         found = {f"/{robot}/{name}": type_ for robot in robots for name, type_ in types.items()}
-        self.published = {name: RosTopic(name, type_) for name, type_ in found.items()}
+        latched = {f"/{name}/robot_description": _description(robot) for name, robot in robots.items()}
+        if tf:
+            found["/tf"] = _TF
+            latched["/tf_static"] = _fixed_frames(robots.values())
+        self.latched = {name: (RosTopic(name, one.__msgtype__), one) for name, one in latched.items()}
+        self.published: dict[str, RosTopic] = {name: RosTopic(name, type_) for name, type_ in found.items()}
+        self.published |= {name: topic for name, (topic, _) in self.latched.items()}
 
     def of_row(self, data: bytes, wanted: Collection[str]) -> Iterator[tuple[RosTopic, Any]]:
-        """Yield the wanted messages of a row: those of the arm whose row it is, then those due once a second."""
+        """Yield the requested messages of a row: those of its fresh arms, then those due once per second."""
         _, mono_ns, wall_ns = read_head(self._schema, data)
         arms: dict[str, ArmRow] = {}
         for name, robot in self._robots.items():
@@ -225,14 +293,17 @@ class Topics:
             robot, make = self._makers.get(name, ("", None))
             if make is not None and robot in arms and (message := make(arms[robot])) is not None:
                 yield self.published[name], message
+        if "/tf" in wanted and arms and mono_ns >= self._tf_due:
+            self._tf_due = mono_ns + _TF_PERIOD_NS
+            yield self.published["/tf"], _moving_frames(arms.values())
         self._status.add(data)
         self._last = data
         yield from self._once_a_second(mono_ns, 0, wanted)
 
     def of_silence(self, now_ns: int, wanted: Collection[str]) -> Messages:
-        """Return what is due once a second while no row comes; nothing when a row came since the last call.
+        """Return the messages due once per second without rows; empty if a row has arrived since the last call.
 
-        Call it about as often, with any clock that goes on [ns].
+        Call it about once a second, with any monotonic clock [ns].
         """
         if self._silence is None or self._silence[0] is not self._last:
             self._silence = self._last, now_ns
@@ -242,7 +313,7 @@ class Topics:
         return self._once_a_second(mono_ns + silent_ns, silent_ns, wanted)
 
     def of_parameters(self, parameters: Mapping[str, Mapping[str, Any]], wanted: Collection[str]) -> Messages:
-        """Yield the values of all parameters (see `LoopEnd.parameters`) as JSON text, for each robot's "parameters"."""
+        """Yield the parameter values (see `LoopEnd.parameters`) as JSON text, for each robot's "parameters"."""
         text = json.dumps({name: about["value"] for name, about in parameters.items()})
         message = store().types["std_msgs/msg/String"](text)
         for name in (f"/{robot}/parameters" for robot in self._robots):
@@ -268,13 +339,13 @@ class Topics:
 
 
 _OK, _WARN, _ERROR = 0, 1, 2
-_SILENT = 1.0  # s without a packet that are a fault
+_SILENT = 1.0  # s without a packet, reported as an error
 
 
 def diagnostics(
     robot: str, wall_ns: int, counts: Mapping[str, Any], commander: str, answer: str = "", silent: float = 0.0
 ) -> Any:
-    """Return the message of one arm; `silent`: s since its last packet, infinite before the first."""
+    """Return the diagnostics of one arm; `silent`: time since its last packet [s] (infinite before the first)."""
     types = store().types
     faults = [f"{counts[name]} {words}" for name, words in _FAULTS.items() if counts[name]]
     is_silent = silent > _SILENT

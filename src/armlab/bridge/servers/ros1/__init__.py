@@ -1,3 +1,3 @@
-"""ROS 1 through rospy, which lives under the system's Python: `relay` runs there (docs/ros.md)."""
+"""ROS 1 server; the system's Python with rospy runs `relay` (docs/ros.md)."""
 
 __all__ = []

@@ -1,4 +1,4 @@
-"""`Ros1Process`: between the loop's feed and a node of ROS 1, a program under the system's Python."""
+"""`Ros1Process`: server process between the loop and a ROS 1 node, which runs under the system's Python."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from armlab.bridge.servers.ros.topics import RosTopic, store
 from armlab.bridge.servers.ros1 import relay
 from armlab.errors import LinkError
 
-_ROOM = 500  # messages that wait for a slow node: 2 s of one topic
-_SEND_BUFFER = 65536  # bytes; with the system's own a slow node would see data half a minute old
+_ROOM = 500  # messages queued for a slow node: 2 s of one topic
+_SEND_BUFFER = 65536  # bytes; with the default a slow node would get data 30 s old
 _MOST = 64  # connections
 _SIZE = struct.Struct("<I")
 _SIZE_AND_SEQ = struct.Struct("<II")
 
 
 class Subscribers:
-    """Writes messages to whoever reads their topic; for a slow node they wait, and the oldest are dropped."""
+    """Connections of subscribing nodes; a slow node has a queue, which drops its oldest messages."""
 
-    def __init__(self, looks: select.poll) -> None:
+    def __init__(self, poller: select.poll) -> None:
         self.counts: dict[str, tuple[int, int]] = {}
-        self._looks = looks
+        self._poller = poller
         self._connections: dict[int, _Connection] = {}
         self._seq: Counter[str] = Counter()
 
@@ -44,22 +44,22 @@ class Subscribers:
         return frozenset(one.topic for one in self._connections.values())
 
     def add(self, topic: str, connection: socket.socket, known: Iterable[bytes] = ()) -> str:
-        """Take over a connection whose header of ROS has gone out; return a sentence when it was ended instead."""
+        """Add a connection after its ROS header was sent; return the reason if it is refused."""
         one = _Connection(topic, connection)
         if len(self._connections) >= _MOST:
             one.close()
-            return f"Expected at most {_MOST} connections of nodes, got one more. End one that nobody needs."
-        with contextlib.suppress(OSError):  # it has gone, which the first look tells
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else messages wait for acknowledgements
+            return f"Expected at most {_MOST} node connections, got one more. Close one."
+        with contextlib.suppress(OSError):  # closed already: the first poll reports it
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else messages wait for an ACK
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         self._connections[connection.fileno()] = one
-        self._looks.register(connection, select.POLLIN)
+        self._poller.register(connection, select.POLLIN)
         for raw in known:
             self._put(one, _SIZE.pack(len(raw)) + raw)
         return ""
 
     def send(self, topic: RosTopic, raw: bytes) -> None:
-        """Send a message to all nodes that read it; their connections that have ended are let go."""
+        """Send a message to all subscribers; remove closed connections."""
         name = topic.name
         headed = fields(store().types[topic.type])[0].name == "header"
         self._seq[name] = (self._seq[name] + 1) % 2**32
@@ -67,17 +67,17 @@ class Subscribers:
         for one in [one for one in self._connections.values() if one.topic == name]:
             self._put(one, data)
 
-    def look(self, number: int) -> None:
-        """See what has become of a connection: there is room again, or it has ended, as nodes only read."""
+    def check(self, number: int) -> None:
+        """Handle a polled connection, which can accept data again or was closed (nodes never send)."""
         one = self._connections.get(number)
         if one is not None:
             self._put(one, None)
             if one.has_ended():
-                self._let_go(one)
+                self._remove(one)
 
     def close(self) -> None:
         for one in list(self._connections.values()):
-            self._let_go(one)
+            self._remove(one)
 
     def _put(self, one: _Connection, data: bytes | None) -> None:
         was_behind = bool(one.waiting)
@@ -86,14 +86,14 @@ class Subscribers:
         try:
             one.write()
         except OSError:
-            self._let_go(one)
+            self._remove(one)
             return
         if was_behind != bool(one.waiting):
-            self._looks.modify(one.socket, select.POLLIN | (select.POLLOUT if one.waiting else 0))
+            self._poller.modify(one.socket, select.POLLIN | (select.POLLOUT if one.waiting else 0))
 
-    def _let_go(self, one: _Connection) -> None:
+    def _remove(self, one: _Connection) -> None:
         if self._connections.pop(one.socket.fileno(), None) is not None:
-            self._looks.unregister(one.socket)
+            self._poller.unregister(one.socket)
             if one.waiting:
                 self._count(one, 0, len(one.waiting))
             one.close()
@@ -104,17 +104,17 @@ class Subscribers:
 
 
 class _Connection:
-    """The connection of one node, and what waits for it."""
+    """Connection of one node, with its queue."""
 
     def __init__(self, topic: str, connection: socket.socket) -> None:
         self.topic, self.socket = topic, connection
         self.waiting: deque[bytes] = deque()
 
     def add(self, data: bytes) -> int:
-        """Let this wait; return how many messages were dropped."""
+        """Queue a message; return the number of dropped messages."""
         dropped = len(self.waiting) > _ROOM
         if dropped:
-            del self.waiting[1]  # of the first one some may have gone out
+            del self.waiting[1]  # the first one may be sent in part
         self.waiting.append(data)
         return int(dropped)
 
@@ -139,31 +139,31 @@ class _Connection:
             return True
 
     def close(self) -> None:
-        """End the connection, of which rospy holds the same socket."""
-        with contextlib.suppress(OSError):  # it has ended
+        """Shut down the connection, because rospy holds the same socket."""
+        with contextlib.suppress(OSError):  # closed already
             self.socket.shutdown(socket.SHUT_RDWR)
         self.socket.close()
 
 
-_LOOK = 1000  # ms of one look
-_START = 8.0  # s for the relay to be a node
-_END = 2.0  # s for it to end by itself
-_SPOKEN = 1.0  # s between two sentences to one node
-_CLIENTS = 256  # of which it is known when they were answered
+_POLL = 1000  # ms
+_START = 8.0  # s for the relay to register its node
+_END = 2.0  # s for the relay to exit
+_ANSWER_EVERY = 1.0  # s between two answers to one node
+_CLIENTS = 256  # with a known time of their last answer
 _SENTENCE = 1000  # characters of an answer
 
 
 class Ros1Process(RosServer):
-    """Serves until the loop closes the feed."""
+    """Serves until the loop closes the socket."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
-        self._looks = select.poll()
-        self._subscribers = Subscribers(self._looks)
+        self._poller = select.poll()
+        self._subscribers = Subscribers(self._poller)
         super().__init__(feed, lambda: self._subscribers.counts)
-        self._spoken: dict[str, float] = {}
-        self._node: socket.socket  # our end of the pipe to the relay
-        self._log: IO[bytes]  # what it writes to standard error
+        self._answered: dict[str, float] = {}
+        self._node: socket.socket  # our end of the socket to the relay
+        self._log: IO[bytes]  # the relay's standard error
 
     def wanted(self) -> frozenset[str]:
         return self._subscribers.wanted
@@ -176,25 +176,25 @@ class Ros1Process(RosServer):
         held = contextlib.closing(self._subscribers)
         with own as home, tempfile.TemporaryFile() as self._log, self._relay(home) as self._node, held:
             self._begin()
-            self._looks.register(self._loop, select.POLLIN)
-            self._looks.register(self._node, select.POLLIN)
+            self._poller.register(self._loop, select.POLLIN)
+            self._poller.register(self._node, select.POLLIN)
             while True:
-                for number, _ in self._looks.poll(_LOOK):
+                for number, _ in self._poller.poll(_POLL):
                     if number == self._node.fileno():
-                        self._hear()
+                        self._receive()
                     elif number != self._loop.fileno():
-                        self._subscribers.look(number)
+                        self._subscribers.check(number)
                 messages = self._loop.receive()
                 if messages is None:
                     return
                 for message in messages:
-                    self.pass_on(message)
+                    self.publish(message)
                 if not messages:
                     self.send(self._topics.of_silence(time.monotonic_ns(), self.wanted()))
 
     @contextlib.contextmanager
     def _relay(self, home: str) -> Iterator[socket.socket]:
-        """Start the node; it ends with its input."""
+        """Start the relay; it exits when its input closes."""
         ours, theirs = pair()
         master, host = self._options["master"], self._options["host"]
         own = {"ROS_MASTER_URI": master, "ROS_IP": host, "ROS_HOME": home}
@@ -212,7 +212,7 @@ class Ros1Process(RosServer):
             except OSError as error:
                 ours.close()
                 raise LinkError(
-                    f"Expected a Python with rospy at {self._options['python']}, but {error.strerror}. Set `python`."
+                    f"Expected a Python with rospy at {self._options['python']}, got {error.strerror}. Set `python`."
                 ) from None
         try:
             yield ours
@@ -225,26 +225,27 @@ class Ros1Process(RosServer):
                 process.wait()
 
     def _begin(self) -> None:
-        """Tell the node what there is, and the loop that it is one."""
-        published = {name: _old(one.type) for name, one in self._topics.published.items()}
+        """Send the node its topics, wait until it is ready, and report this to the loop."""
+        kept = self._topics.latched  # ROS 1 has the description as a parameter of the master
+        published = {name: _old(one.type) for name, one in self._topics.published.items() if name not in kept}
         taken = {name: _old(type_) for name, type_ in self._commands.types.items()}
         about = {"node": f"armlab_{self._loop.about['cell'].replace('-', '_')}", "published": published, "taken": taken}
-        with contextlib.suppress(OSError):  # it has ended: its words say why
+        with contextlib.suppress(OSError):  # it has exited: its output says why
             self._node.send(json.dumps(about).encode())
         until = time.monotonic() + _START
         messages: list[dict[str, Any]] = []
         while not (ready := [message for message in messages if message["kind"] == "ready"]):
             left = until - time.monotonic()
             if left < 0.0 or not select.select([self._node], [], [], left)[0]:
-                raise LinkError(f"Expected a node of ROS 1 within {_START:g} s, but none came. Look at the master.")
+                raise LinkError(f"Expected a ROS 1 node within {_START:g} s, got none. Check the master.")
             messages += self._messages()
         master, missing = self._options["master"], ready[0]["missing"]
         without = f", not installed: {', '.join(missing)}" if missing else ""
         self._loop.ask(Listening(where=[f"{self._options['host']} (ros1, master {master}{without})"]))
-        self._hear(messages)
+        self._receive(messages)
 
     def _messages(self) -> list[dict[str, Any]]:
-        """Return what the node says now; raise what it said last when it has ended."""
+        """Return the messages received from the node; if it has exited, raise its last error output."""
         found: list[dict[str, Any]] = []
         with contextlib.suppress(BlockingIOError):
             for _ in range(64):
@@ -254,16 +255,16 @@ class Ros1Process(RosServer):
                     data, connections = b"", []
                 if not data:
                     self._log.seek(0)
-                    words = self._log.read().decode(errors="replace").strip().splitlines()
-                    raise LinkError(words[-1] if words else "Expected the node of ROS 1 to go on, but it ended.")
+                    output = self._log.read().decode(errors="replace").strip().splitlines()
+                    raise LinkError(output[-1] if output else "Expected the ROS 1 node to keep running, but it exited.")
                 try:
                     found.append({**json.loads(data), "connections": connections})
                 except ValueError as error:
-                    self._loop.ask(Report(text=f"Expected JSON from the node of ROS 1, but {error}."))
+                    self._loop.ask(Report(text=f"Expected JSON from the ROS 1 node, got {error}."))
         return found
 
-    def _hear(self, messages: Iterable[Mapping[str, Any]] = ()) -> None:
-        """Take what the node says, now or before: who reads a topic, or what another node commands."""
+    def _receive(self, messages: Iterable[Mapping[str, Any]] = ()) -> None:
+        """Handle messages from the node (new or passed in) about subscribers and commands of other nodes."""
         for message in messages or self._messages():
             client = message.get("client", "")
             if message["kind"] == "subscriber":
@@ -277,9 +278,9 @@ class Ros1Process(RosServer):
                 self.take(message["topic"], message["content"], client)
 
     def _connect(self, message: Mapping[str, Any]) -> str:
-        """Write to a node from now on; a sentence when that cannot be: it would wait for ever."""
+        """Start writing to a subscriber; return the reason for a refusal, else it would wait forever."""
         if not message["connections"]:
-            return "Expected room for the connection in the server's process, got none. Raise `ulimit -n`."
+            return "Expected a free file descriptor for the connection, got none. Raise `ulimit -n`."
         topic = message["topic"]
         known = [
             _ros1(one, store().serialize_cdr(parameters, one.type))
@@ -288,19 +289,19 @@ class Ros1Process(RosServer):
         return self._subscribers.add(topic, socket.socket(fileno=message["connections"][0]), known)
 
     def answer(self, client: str, text: str) -> None:
-        """Write a sentence for a node into the log of ROS, at most once a second."""
+        """Write an answer for a node to the ROS log, at most once per second."""
         now = time.monotonic()
-        if now - self._spoken.get(client, -_SPOKEN) >= _SPOKEN:
-            self._spoken.pop(client, None)
-            if len(self._spoken) >= _CLIENTS:
-                del self._spoken[next(iter(self._spoken))]  # who was answered longest ago
-            self._spoken[client] = now
+        if now - self._answered.get(client, -_ANSWER_EVERY) >= _ANSWER_EVERY:
+            self._answered.pop(client, None)
+            if len(self._answered) >= _CLIENTS:
+                del self._answered[next(iter(self._answered))]  # the least recently answered client
+            self._answered[client] = now
             with contextlib.suppress(OSError):
                 self._node.send(json.dumps({"text": f"{client}: {text}"[:_SENTENCE]}).encode())
 
 
 def _ros1(topic: RosTopic, cdr: bytes) -> bytes:
-    """Return a message as ROS 1 has it on the wire."""
+    """Return a message in the wire format of ROS 1."""
     return bytes(store().cdr_to_ros1(cdr, topic.type))
 
 

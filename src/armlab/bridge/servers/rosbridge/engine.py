@@ -1,15 +1,18 @@
-"""`Engine`: rosbridge v2 without sockets: what clients say becomes requests to the loop, rows become what they read."""
+"""`Engine`: rosbridge v2 without sockets; converts client operations to loop requests, and rows to messages."""
 
 from __future__ import annotations
 
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import msgspec
 
 from armlab.bridge.servers.messages import CommandRequest, Leave, Report, SetRequest
+from armlab.bridge.servers.ros.actions import FOLLOW, Goal, Goals, result
 from armlab.bridge.servers.ros.server import Commands
 from armlab.bridge.servers.ros.topics import Messages, RosTopic, Topics
 from armlab.bridge.servers.rosbridge import protocol
@@ -18,12 +21,12 @@ from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import CommandRefused, UnknownName
 
 _KEPT = 1_000_000_000  # ns that a message waits at most
-_PATIENCE = 10_000_000_000  # ns without progress after which a client is given up
-_LARGEST = 4 * 2**20  # bytes that wait at most
+_PATIENCE = 10_000_000_000  # ns without progress after which a client is disconnected
+_LARGEST = 4 * 2**20  # bytes queued at most
 
 
 class _Waiting(NamedTuple):
-    """One message, when it came, and its topic."""
+    """One queued message, its time and topic."""
 
     ns: int
     topic: str
@@ -31,7 +34,10 @@ class _Waiting(NamedTuple):
 
 
 class Outbox:
-    """Messages for one client, in order."""
+    """Queue of one client's messages."""
+
+    sent: int
+    dropped: int
 
     def __init__(self) -> None:
         self._waiting: deque[_Waiting] = deque()
@@ -41,7 +47,7 @@ class Outbox:
         self.sent = self.dropped = 0
 
     def put(self, data: bytes, now_ns: int, topic: str = "", most: int = 0) -> None:
-        """Let a message wait; what has waited for more than 1 s goes."""
+        """Queue a message; drop messages older than 1 s."""
         if self._since_ns is None:
             self._since_ns = now_ns
         while self._waiting and (now_ns - self._waiting[0].ns > _KEPT or self._bytes + len(data) > _LARGEST):
@@ -53,7 +59,7 @@ class Outbox:
         self._bytes += len(data)
 
     def take(self, most: int) -> list[bytes]:
-        """Return the next messages, for a client that takes them now."""
+        """Return the next messages for a client that is ready to read."""
         self._since_ns = None
         found: list[bytes] = []
         while self._waiting and most > 0:
@@ -63,7 +69,7 @@ class Outbox:
         return found
 
     def is_stuck(self, now_ns: int) -> bool:
-        """Return whether the client has taken nothing for 10 s although something came for it."""
+        """Return whether the client has not read for 10 s although messages are waiting."""
         return self._since_ns is not None and now_ns - self._since_ns > _PATIENCE
 
     def _drop(self, k: int) -> None:
@@ -78,11 +84,17 @@ class Outbox:
         return one
 
 
-_IDS = 16  # of one topic; who gives more ids has lost count
+_IDS = 16  # per topic; a client with more ids is faulty
 
 
 class Subscription:
-    """One topic for one client. Several ids share it: the topic comes once, as the most eager of them wants."""
+    """Subscription of one client to one topic.
+
+    Its ids share one subscription: the topic is sent once, at the highest requested rate.
+    """
+
+    topic: str
+    full_name: str
 
     def __init__(self, topic: str, outbox: Outbox, dialect: Dialect) -> None:
         self.dialect: Dialect = dialect
@@ -92,14 +104,14 @@ class Subscription:
         self._every_ns = self._most = self._due_ns = 0
 
     def add(self, id_: str, throttle_ms: float, queue_length: int) -> None:
-        """Take what one id wants."""
+        """Add or change the settings of one id."""
         self._ids[id_] = (int(1e6 * throttle_ms), queue_length)
         while len(self._ids) > _IDS:
             del self._ids[next(iter(self._ids))]
         self._agree()
 
     def remove(self, id_: str | None) -> bool:
-        """Forget one id, or all of them for None; return whether nothing is wanted any more."""
+        """Remove one id (None: all ids); return whether the subscription has ended."""
         if id_ is None:
             self._ids.clear()
         self._ids.pop(id_ or "", None)
@@ -107,13 +119,13 @@ class Subscription:
         return not self._ids
 
     def is_due(self, now_ns: int) -> bool:
-        """Return whether a message of now would be sent or would wait; sends what waited long enough."""
+        """Return whether a message would now be sent or queued; send a queued message that is due."""
         if self._waiting and now_ns >= self._due_ns:
             self._send(self._waiting.popleft(), now_ns)
         return self._most > 0 or now_ns >= self._due_ns
 
     def offer(self, data: bytes, now_ns: int) -> None:
-        """Send a message, let it wait, or throw it away."""
+        """Send, queue or drop a message."""
         if now_ns >= self._due_ns and not self._waiting:
             self._send(data, now_ns)
         elif self._most:
@@ -136,10 +148,10 @@ _LEVELS = ("info", "warning", "error", "none")
 
 @dataclass(frozen=True)
 class PendingSetting:
-    """A parameter that a client has set by a service, until the loop has answered.
+    """A parameter set by a service call that the loop has not answered yet.
 
-    sequence : of the parameter's last change when the loop was asked; None while an earlier setting of it waits, as
-        the loop's answers name the parameter, not the call.
+    `sequence` is the number of the parameter's last change at the time of the request. It is None while an earlier
+    setting of the parameter is pending, because the loop's answers name the parameter, not the call.
     """
 
     service: str
@@ -151,19 +163,22 @@ class PendingSetting:
 
 
 class ClientSession:
-    """One client."""
+    """State of one client."""
+
+    name: str
+    may_ask: bool
 
     def __init__(self, name: str, may_ask: bool) -> None:
         self.name, self.may_ask = name, may_ask
-        self.outbox = Outbox()
+        self.outbox: Outbox = Outbox()
         self.subscriptions: dict[str, Subscription] = {}
         self.advertised: set[str] = set()
         self.warned: set[str] = set()
         self.settings: list[PendingSetting] = []
-        self.level: Level = "error"  # of the protocol
+        self.level: Level = "error"  # of status messages
 
     def status(self, level: Level, text: str, now_ns: int, id_: str | int | None = None) -> None:
-        """Tell the client what happened, if it wants to hear of it."""
+        """Send the client a status message if its level requires it."""
         if _LEVELS.index(level) >= _LEVELS.index(self.level):
             about = {} if id_ is None else {"id": id_}
             self._send({"op": "status", **about, "level": level, "msg": text}, now_ns)
@@ -173,17 +188,22 @@ class ClientSession:
         message = {"op": "service_response", **about, "service": service, "values": values, "result": is_done}
         self._send(message, now_ns)
 
+    def action(self, op: str, action: str, id_: str, values: Any, **more: Any) -> None:
+        """Send the feedback or the result of a goal."""
+        message = {"op": op, "id": id_, "action": action, "values": values, **more}
+        self._send(message, time.monotonic_ns())
+
     def _send(self, message: dict[str, Any], now_ns: int) -> None:
         self.outbox.put(msgspec.json.encode(message), now_ns)
 
 
-_ANSWER = 1_000_000_000  # ns for the loop to say what became of a setting
-_SETTINGS = 64  # of a client that wait for the loop
+_ANSWER = 1_000_000_000  # ns for the loop to answer a setting
+_SETTINGS = 64  # unanswered settings per client
 _ABSENT: Mapping[str, Any] = {"std_msgs/msg/Float64MultiArray": [], "std_msgs/msg/String": ""}
 
 
 class Engine:
-    """All clients of one server."""
+    """Operations and messages of all clients of a server."""
 
     def __init__(self, loop: LoopEnd, server: str = "rosbridge", dialect: Dialect = "ros2") -> None:
         robots = loop.robots()
@@ -192,7 +212,10 @@ class Engine:
         self._topics, self._commands = Topics(robots, loop.schema), Commands(loop.about["cell"], robots)
         self._published = self._topics.published
         types = {name: one.type for name, one in self._published.items()} | self._commands.types
-        self._rosapi = Rosapi(loop.about["cell"], types, lambda: self._loop.parameters)
+        self._goals = Goals(loop)
+        types |= self._goals.topics
+        actions = dict.fromkeys(self._goals.actions, FOLLOW)
+        self._rosapi = Rosapi(loop.about["cell"], types, lambda: self._loop.parameters, actions)
         self._numbers: Counter[str] = Counter()
         self.sessions: dict[str, ClientSession] = {}
 
@@ -202,10 +225,11 @@ class Engine:
 
     def leave(self, session: ClientSession) -> None:
         del self.sessions[session.name]
+        self._goals.leave(session.name)
         self._loop.ask(Leave(session.name))
 
     def take(self, session: ClientSession, data: bytes | str, now_ns: int) -> None:
-        """Do what a client asks for; what cannot be done is told it by a status."""
+        """Execute an operation of a client; errors are reported in a status message."""
         operation = None
         try:
             operation = protocol.read_operation(data)
@@ -216,27 +240,31 @@ class Engine:
 
     def row(self, data: bytes, now_ns: int) -> None:
         self._publish(lambda wanted: self._topics.of_row(data, wanted.keys()), now_ns)
+        self._goals.row(data, now_ns)
 
     def text(self, message: Mapping[str, Any], now_ns: int) -> None:
-        """Take what the loop says besides rows."""
+        """Handle a message from the loop other than a row."""
         if message["kind"] == "parameters":
             self._publish(lambda wanted: self._topics.of_parameters(self._loop.parameters, wanted), now_ns)
             for session in self.sessions.values():
                 self._confirm(session, now_ns)
+        elif message["kind"] == "goal":
+            self._goals.text(message)
         elif message["kind"] == "answer" and message["client"] in self.sessions:
             self._answer(self.sessions[message["client"]], message, now_ns)
 
-    def turn(self, now_ns: int) -> None:
-        """Do what is due without anybody saying anything; a few times a second."""
+    def tick(self, now_ns: int) -> None:
+        """Handle timeouts and messages due without rows; called a few times per second."""
         self._publish(lambda wanted: self._topics.of_silence(now_ns, wanted.keys()), now_ns)
+        self._goals.renew(now_ns)
         for session in self.sessions.values():
             late = [one for one in session.settings if now_ns > one.until_ns]
             session.settings = [one for one in session.settings if one not in late]
             for one in late:
                 about = self._loop.parameters[one.parameter]
                 why = (
-                    f"Expected the loop to set {one.parameter}, but it did not say so within 1 s. Its value is "
-                    f"{about['value']!r}, set by {about['who'] or 'nobody'}."
+                    f"Expected the loop to set {one.parameter} within 1 s, got no answer. Its value is "
+                    f"{about['value']!r}, set by {about['who'] or 'default'}."
                 )
                 session.response(one.service, one.id, why, False, now_ns)
 
@@ -252,16 +280,21 @@ class Engine:
                     del session.subscriptions[name]
             case protocol.Advertise():
                 name = full_name(operation.topic)
-                self._known(name, operation.type, self._commands.types, "topic that this cell takes")
+                known = self._commands.types | self._goals.topics
+                self._known(name, operation.type, known, "command topic of this cell")
                 session.advertised.add(name)
             case protocol.Unadvertise():
                 session.advertised.discard(full_name(operation.topic))
+            case protocol.SendActionGoal():
+                self._start(session, operation, now_ns)
+            case protocol.CancelActionGoal():
+                self._goals.cancel(self._goals.running(client=session.name, name=str(operation.id)))
             case protocol.CallService():
                 self._call(session, operation, now_ns)
             case protocol.SetLevel():
                 session.level = operation.level
             case protocol.ServiceResponse():
-                raise CommandRefused("Expected no answer: services of clients are never called.")
+                raise CommandRefused("Expected no service_response, because the bridge calls no client services.")
             case protocol.StatusOperation():
                 pass
 
@@ -270,18 +303,19 @@ class Engine:
         types = {topic: one.type for topic, one in self._published.items()}
         dialect = self._known(full_name(name), operation.type, types, "topic")
         if operation.compression not in (None, "", "none"):
-            raise CommandRefused(f"Expected no compression, got {operation.compression[:80]!r}. Plain JSON is sent.")
+            raise CommandRefused(f"Expected no compression, got {operation.compression[:80]!r}. Omit it.")
         if operation.fragment_size is not None:
-            raise CommandRefused("Expected no fragment_size: messages are sent whole.")
+            raise CommandRefused("Expected no fragment_size, because messages are not fragmented.")
         known = session.subscriptions.get(name)
         if known is None or known.dialect != dialect:
             known = session.subscriptions[name] = Subscription(name, session.outbox, dialect)
         known.add(_id(operation) or "", operation.throttle_rate or 0.0, operation.queue_length or 0)
-        for published, message in self._topics.of_parameters(self._loop.parameters, {known.full_name}):
+        kept = [one for one in self._topics.latched.values() if one[0].name == known.full_name]
+        for published, message in (*kept, *self._topics.of_parameters(self._loop.parameters, {known.full_name})):
             self._send(published, message, [known], now_ns)
 
     def _known(self, topic: str, type_: str | None, types: Mapping[str, str], what: str) -> Dialect:
-        """Return the dialect of a client that names a topic and its type; both must fit."""
+        """Return the dialect of a client, derived from a topic and its type, which must match."""
         if topic not in types:
             raise UnknownName.among(what, topic, types)
         if not type_:
@@ -293,12 +327,17 @@ class Engine:
 
     def _take_message(self, session: ClientSession, operation: protocol.Publish, now_ns: int) -> None:
         name, types = full_name(operation.topic), self._commands.types
+        if name in self._goals.topics:
+            _check_rights(session)
+            refuse = partial(self._refuse, session, operation.id)
+            self._goals.start_message(name, session.name, operation.msg, refuse)
+            return
         if name not in types:
-            raise UnknownName.among("topic that this cell takes", name, types)
+            raise UnknownName.among("command topic of this cell", name, types)
         missing = [field for field in protocol.fields(types[name]) if field not in operation.msg]
         if missing and name not in session.warned:
             session.warned.add(name)
-            text = f"Expected {', '.join(missing)} in {types[name]} on {name}. The default is taken, now and later."
+            text = f"Expected {', '.join(missing)} in {types[name]} on {name}, got none. The default applies."
             session.status("warning", text, now_ns, operation.id)
         content = operation.msg.get("data", _ABSENT.get(types[name]))
         for request in self._commands.requests(name, content, session.name):
@@ -306,10 +345,46 @@ class Engine:
                 _check_rights(session)
             self._loop.ask(request)
 
+    def _refuse(self, session: ClientSession, id_: str | int | None, why: str) -> None:
+        session.status("error", why, time.monotonic_ns(), id_)
+
+    def _start(self, session: ClientSession, operation: protocol.SendActionGoal, now_ns: int) -> None:
+        """Start the goal of an action; the result contains the reason for a refusal."""
+        action, id_, actions = operation.action, str(operation.id), self._goals.actions
+
+        def on_result(status: int, code: int, text: str) -> None:
+            session.action("action_result", action, id_, result(code, text), status=status, result=True)
+
+        def on_feedback(values: dict[str, Any]) -> None:
+            session.action("action_feedback", action, id_, values)
+
+        try:
+            if full_name(action) not in actions:
+                raise UnknownName.among("action", action[:80], actions)
+            if operation.action_type not in (None, FOLLOW, FOLLOW.replace("/action/", "/")):
+                raise CommandRefused(f"Expected {FOLLOW} for {action}, got {operation.action_type}.")
+            _check_rights(session)
+        except (CommandRefused, UnknownName) as error:
+            session.action("action_result", action, id_, str(error), status=0, result=False)
+            self._loop.ask(Report(session.name, str(error)))
+            return
+        goal = Goal(session.name, actions[full_name(action)], id_, on_result)
+        goal.on_feedback = on_feedback if operation.feedback else None
+        self._goals.start(goal, operation.args)
+
+    def _cancel(self, session: ClientSession, call: protocol.CallService, now_ns: int) -> None:
+        """Cancel all goals of an action."""
+        arm = self._goals.actions[full_name(call.service).removesuffix(protocol.CANCEL)]
+        self._goals.cancel(self._goals.running(arm=arm))
+        session.response(call.service, call.id, {"return_code": 0, "goals_canceling": []}, True, now_ns)
+
     def _call(self, session: ClientSession, call: protocol.CallService, now_ns: int) -> None:
         dialect: Dialect = self._dialect
         if call.type:
             dialect = "ros2" if call.type.count("/") == 2 else "ros1"
+        if full_name(call.service).removesuffix(protocol.CANCEL) in self._goals.actions:
+            self._cancel(session, call, now_ns)
+            return
         try:
             given = self._rosapi.arguments(call.service, call.args)
             if full_name(call.service) == protocol.SET_PARAM:
@@ -321,20 +396,20 @@ class Engine:
         session.response(call.service, call.id, values, is_done, now_ns)
 
     def _set(self, session: ClientSession, call: protocol.CallService, given: Mapping[str, Any], now_ns: int) -> None:
-        """Ask the loop for a value; its answer comes later."""
+        """Ask the loop to set a value; it answers later."""
         _check_rights(session)
         name = parameter_name(given, self._loop.parameters)
         try:
             value = msgspec.json.decode(str(given.get("value")))
         except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
-            raise CommandRefused(f"Expected the value of {name} as JSON text, but {error}.") from None
+            raise CommandRefused(f"Expected the value of {name} as JSON text, got {error}.") from None
         if len(session.settings) >= _SETTINGS:
-            raise CommandRefused(f"Expected at most {_SETTINGS} settings that wait for the loop. Send fewer.")
+            raise CommandRefused(f"Expected at most {_SETTINGS} unanswered settings. Send fewer.")
         session.settings.append(PendingSetting(call.service, call.id, name, value, now_ns + _ANSWER))
         self._ask_next(session, name, now_ns)
 
     def _ask_next(self, session: ClientSession, parameter: str, now_ns: int) -> None:
-        """Ask the loop for a client's first setting of a parameter, unless it has been asked for it."""
+        """Send a client's first setting of a parameter to the loop unless it has already been sent."""
         for k, one in enumerate(session.settings):
             if one.parameter == parameter:
                 if one.sequence is None:
@@ -352,14 +427,14 @@ class Engine:
         self._ask_next(session, one.parameter, now_ns)
 
     def _confirm(self, session: ClientSession, now_ns: int) -> None:
-        """Answer the settings of a client that are in force now."""
+        """Answer the settings of a client that took effect."""
         for one in [one for one in session.settings if one.sequence is not None]:
             about = self._loop.parameters[one.parameter]
             if about["sequence"] > one.sequence and about["who"] == f"{self._server} {session.name}":
                 self._settle(session, one, {}, True, now_ns)
 
     def _answer(self, session: ClientSession, message: Mapping[str, Any], now_ns: int) -> None:
-        """Pass on what the loop says to a client: as the answer to its setting, or as a status."""
+        """Pass an answer from the loop to a client, as the answer to its setting or as a status message."""
         text, refused = message["text"], message["refused"]
         one = next((one for one in session.settings if one.parameter in refused), None)
         if one is not None:
@@ -377,7 +452,7 @@ class Engine:
             self._send(published, message, wanted[published.name], now_ns)
 
     def _send(self, topic: RosTopic, message: Any, to: Iterable[Subscription], now_ns: int) -> None:
-        """Send a message as JSON, made once for all clients of one dialect and spelling."""
+        """Send a message as JSON, encoded once per dialect and topic spelling."""
         self._numbers[topic.name] += 1
         texts: dict[tuple[str, Dialect], bytes] = {}
         for one in to:
@@ -393,4 +468,4 @@ def _id(operation: protocol.SubscribeOperation | protocol.Unsubscribe) -> str | 
 
 def _check_rights(session: ClientSession) -> None:
     if not session.may_ask:
-        raise CommandRefused("Expected a token from who commands or sets: send Authorization: Bearer. You may read.")
+        raise CommandRefused("Expected a token to command or set: send Authorization: Bearer. You may only read.")

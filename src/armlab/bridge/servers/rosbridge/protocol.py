@@ -1,4 +1,4 @@
-"""rosbridge v2 in JSON: operations, messages in the dialects of ROS 1 and ROS 2, and the services of rosapi.
+"""rosbridge v2 in JSON: operations, messages in the dialects of ROS 1 and ROS 2, and the rosapi services.
 
 Source: RobotWebTools/rosbridge_suite, ROSBRIDGE_PROTOCOL.md.
 """
@@ -10,6 +10,7 @@ import re
 import time
 from collections.abc import Callable, Mapping
 from functools import cache
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -22,11 +23,11 @@ Dialect = Literal["ros1", "ros2"]
 
 _TYPE = re.compile(r"([A-Za-z]\w{0,100})/(msg/)?([A-Za-z]\w{0,100})")
 TIME, HEADER = "builtin_interfaces/msg/Time", "std_msgs/msg/Header"
-_FILLER = "structure_needs_at_least_one_member"  # of types without a field, in rosbags
+_FILLER = "structure_needs_at_least_one_member"  # field of empty types in rosbags
 
 
 def read_type(text: str) -> tuple[str, Dialect]:
-    """Return the ROS 2 name of a type, and the dialect that its text speaks."""
+    """Return the ROS 2 name of a type, and the dialect of its spelling."""
     found = _TYPE.fullmatch(text)
     if found is None:
         raise CommandRefused(
@@ -46,12 +47,12 @@ def fields(type_: str) -> tuple[str, ...]:
 
 
 def publish(topic: str, message: Any, type_: str, dialect: Dialect, seq: int) -> bytes:
-    """Return the operation "publish" of a message as JSON; `seq` is in the headers of ROS 1, null no finite number."""
+    """Return the "publish" operation of a message as JSON; ROS 1 headers have `seq`, NaN and infinity become null."""
     return msgspec.json.encode({"op": "publish", "topic": topic, "msg": _plain(message, type_, dialect, seq)})
 
 
 def _plain(message: Any, type_: str, dialect: Dialect, seq: int) -> dict[str, Any]:
-    """Return a message as dictionaries, lists and numbers."""
+    """Convert a message to dictionaries, lists and numbers."""
     names = {"sec": "secs", "nanosec": "nsecs"} if dialect == "ros1" and type_ == TIME else {}
     found = {}
     for name, (part, length) in _parts(type_, "ros2").items():
@@ -65,8 +66,8 @@ def _plain(message: Any, type_: str, dialect: Dialect, seq: int) -> dict[str, An
     return {"seq": seq, **found} if dialect == "ros1" and type_ == HEADER else found
 
 
-LARGEST = 65536
-"""Bytes of an operation."""
+LARGEST = 2**18
+"""Maximum size of an operation [bytes]."""
 
 Level = Literal["info", "warning", "error", "none"]
 
@@ -74,13 +75,13 @@ _Name = Annotated[str, msgspec.Meta(max_length=256)]
 
 
 class _Operation(msgspec.Struct, frozen=True, tag_field="op"):
-    """What every operation has."""
+    """Common fields of all operations."""
 
     id: _Name | int | None = None
 
 
 class SubscribeOperation(_Operation, tag="subscribe", frozen=True, kw_only=True):
-    """The client wants a topic."""
+    """Subscribe to a topic."""
 
     topic: _Name
     type: _Name | None = None
@@ -91,33 +92,48 @@ class SubscribeOperation(_Operation, tag="subscribe", frozen=True, kw_only=True)
 
 
 class Unsubscribe(_Operation, tag="unsubscribe", frozen=True, kw_only=True):
-    """It does not any more."""
+    """End a subscription."""
 
     topic: _Name
 
 
 class Advertise(_Operation, tag="advertise", frozen=True, kw_only=True):
-    """The client is going to publish."""
+    """Announce messages on a topic."""
 
     topic: _Name
     type: _Name
 
 
 class Unadvertise(_Operation, tag="unadvertise", frozen=True, kw_only=True):
-    """It is not any more."""
+    """Withdraw an announcement."""
 
     topic: _Name
 
 
 class Publish(_Operation, tag="publish", frozen=True, kw_only=True):
-    """A message of the client."""
+    """Message from a client."""
 
     topic: _Name
     msg: dict[str, Any] = {}
 
 
+class SendActionGoal(_Operation, tag="send_action_goal", frozen=True, kw_only=True):
+    """Goal of an action."""
+
+    action: _Name
+    action_type: _Name | None = None
+    args: dict[str, Any] = {}
+    feedback: bool = False
+
+
+class CancelActionGoal(_Operation, tag="cancel_action_goal", frozen=True, kw_only=True):
+    """Cancellation of a goal by its id."""
+
+    action: _Name
+
+
 class CallService(_Operation, tag="call_service", frozen=True, kw_only=True):
-    """A question."""
+    """Service call from a client."""
 
     service: _Name
     args: dict[str, Any] | list[Any] | None = None
@@ -125,19 +141,19 @@ class CallService(_Operation, tag="call_service", frozen=True, kw_only=True):
 
 
 class ServiceResponse(_Operation, tag="service_response", frozen=True, kw_only=True):
-    """An answer to a question that is never asked."""
+    """Response from a client's service, which is never called."""
 
     service: _Name = ""
 
 
 class SetLevel(_Operation, tag="set_level", frozen=True, kw_only=True):
-    """How much of what happens the client wants to hear."""
+    """Level of status messages for the client."""
 
     level: Level
 
 
 class StatusOperation(_Operation, tag="status", frozen=True):
-    """What happened at the client's side."""
+    """Status message from a client."""
 
 
 Operation = (
@@ -146,6 +162,8 @@ Operation = (
     | Advertise
     | Unadvertise
     | Publish
+    | SendActionGoal
+    | CancelActionGoal
     | CallService
     | ServiceResponse
     | SetLevel
@@ -164,15 +182,15 @@ _DECODER = msgspec.json.Decoder(Operation)
 _HEAD = msgspec.json.Decoder(_Head)
 _KNOWN = tuple(str(one.__struct_config__.tag) for one in Operation.__args__)
 _REFUSED = {
-    "fragment": "Expected whole messages: fragments are not taken. Send less at once.",
-    "png": "Expected plain JSON: pictures of it are not taken.",
+    "fragment": "Expected complete messages, because fragments are not supported. Send less at once.",
+    "png": "Expected plain JSON, because PNG compression is not supported.",
 }
 _WRONG = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 def read_operation(data: bytes | str) -> Operation:
     if isinstance(data, bytes):
-        raise CommandRefused(f"Expected a text message with JSON, got a binary one of {len(data)} bytes.")
+        raise CommandRefused(f"Expected a text message with JSON, got a binary message of {len(data)} bytes.")
     if len(data) > LARGEST:
         raise CommandRefused(f"Expected at most {LARGEST} characters at once, got {len(data)}.")
     try:
@@ -180,16 +198,16 @@ def read_operation(data: bytes | str) -> Operation:
     except _WRONG as error:
         raise CommandRefused(_why(data, error)) from None
     except UnicodeEncodeError:
-        raise CommandRefused("Expected text in Unicode, got half a surrogate pair.") from None
+        raise CommandRefused("Expected valid Unicode text, got half a surrogate pair.") from None
 
 
 def full_name(name: str) -> str:
-    """Return the full name of a topic or service; clients may leave out the leading slash, as roslib 2 does."""
+    """Return the full name of a topic or service; roslib 2 omits the leading slash."""
     return name if name.startswith("/") else f"/{name}"
 
 
 def id_of(data: bytes | str) -> str | int | None:
-    """Return the id that a message carries although it is no operation."""
+    """Return the id in a message that is not a valid operation."""
     found = _head(data).id
     return found[:256] if isinstance(found, str) else found if isinstance(found, int) else None
 
@@ -206,16 +224,17 @@ def _why(data: str, error: Exception) -> str:
     if isinstance(op, str) and op not in _KNOWN:
         known = ", ".join(sorted(_KNOWN))
         return _REFUSED.get(op, f"Expected one of the operations {known}, got {op[:80]!r}.")
-    return f"Expected an operation of rosbridge v2 in JSON, but {str(error).rstrip('.')}."
+    return f"Expected a rosbridge v2 operation in JSON, got {str(error).rstrip('.')}."
 
 
 SET_PARAM = "/rosapi/set_param"
+CANCEL = "/_action/cancel_goal"
 
 Arguments = Mapping[str, Any]
 
 
 def parameter_name(arguments: Arguments, known: Mapping[str, Any]) -> str:
-    """Return the parameter that a client means by "gain", "/gain" or "/node:gain"."""
+    """Return the parameter named by "gain", "/gain" or "/node:gain"."""
     name = arguments.get("name")
     found = name.rpartition(":")[2].lstrip("/") if isinstance(name, str) else ""
     if found not in known:
@@ -224,18 +243,25 @@ def parameter_name(arguments: Arguments, known: Mapping[str, Any]) -> str:
 
 
 class Rosapi:
-    """Answers at once whatever needs no loop."""
+    """The rosapi services that need no answer from the loop."""
 
     def __init__(
-        self, cell: str, topics: Mapping[str, str], parameters: Callable[[], Mapping[str, Mapping[str, Any]]]
+        self,
+        cell: str,
+        topics: Mapping[str, str],
+        parameters: Callable[[], Mapping[str, Mapping[str, Any]]],
+        actions: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self._cell, self._topics, self._parameters = cell, dict(topics), parameters
+        self._actions = dict(actions)
         self._made: dict[str, tuple[str, tuple[str, ...], Callable[[Arguments, Dialect], dict[str, Any]]]] = {
             "topics": ("Topics", (), self._all_topics),
             "topic_type": ("TopicType", ("topic",), self._topic_type),
             "topics_for_type": ("TopicsForType", ("type",), self._topics_for_type),
             "services": ("Services", (), lambda given, dialect: {"services": list(self.services)}),
             "service_type": ("ServiceType", ("service",), self._service_type),
+            "action_servers": ("GetActionServers", (), lambda given, dialect: {"action_servers": list(self._actions)}),
+            "action_type": ("GetActionType", ("action",), self._action_type),
             "nodes": ("Nodes", (), lambda given, dialect: {"nodes": [f"/{self._cell}"]}),
             "get_time": ("GetTime", (), _time),
             "message_details": ("MessageDetails", ("type",), _details),
@@ -245,7 +271,7 @@ class Rosapi:
             "delete_param": ("DeleteParam", ("name",), _refuse_to_delete),
             "set_param": ("SetParam", ("name", "value"), lambda given, dialect: {}),  # by the loop: see `Engine`
         }
-        self.services = tuple(f"/rosapi/{name}" for name in self._made)
+        self.services: tuple[str, ...] = tuple(f"/rosapi/{name}" for name in self._made)
 
     def arguments(self, service: str, given: dict[str, Any] | list[Any] | None) -> Arguments:
         full = full_name(service)
@@ -264,6 +290,9 @@ class Rosapi:
     def _topic_type(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
         type_ = self._topics.get(full_name(_text(given, "topic")))
         return {"type": "" if type_ is None else type_name(type_, dialect)}
+
+    def _action_type(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
+        return {"type": self._actions.get(full_name(_text(given, "action")), "")}
 
     def _topics_for_type(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
         wanted, _ = read_type(_text(given, "type"))
@@ -293,7 +322,7 @@ class Rosapi:
 def _text(given: Arguments, name: str) -> str:
     found = given.get(name)
     if not isinstance(found, str):
-        raise CommandRefused(f"Expected {name!r} as a text, got {str(found)[:80]!r}.")
+        raise CommandRefused(f"Expected {name!r} to be a text, got {str(found)[:80]!r}.")
     return found
 
 
@@ -304,25 +333,27 @@ def _time(given: Arguments, dialect: Dialect) -> dict[str, Any]:
 
 
 def _refuse_to_delete(given: Arguments, dialect: Dialect) -> dict[str, Any]:
-    raise CommandRefused("Expected a parameter to be set or read: those of a cell are declared and stay.")
+    raise CommandRefused("Expected a parameter to be set or read, because declared parameters cannot be deleted.")
 
 
 def _details(given: Arguments, dialect: Dialect) -> dict[str, Any]:
-    """Return the fields of a type and of those in it, in the dialect of its text."""
-    type_, spoken = read_type(_text(given, "type"))
+    """Return the fields of a type and its nested types, in the dialect of its spelling."""
+    type_, spelling = read_type(_text(given, "type"))
     known = store().fielddefs
     if type_ not in known:
-        raise CommandRefused(f"Expected a type that the topics here have, got {type_[:80]!r}. Ask /rosapi/topics.")
+        raise CommandRefused(
+            f"Expected a message type used by the topics of this cell, got {type_[:80]!r}. See /rosapi/topics."
+        )
     found: list[dict[str, Any]] = []
     waiting, seen = [type_], {type_}
     while waiting:
         one = waiting.pop(0)
-        parts = _parts(one, spoken)
+        parts = _parts(one, spelling)
         found.append(
             {
-                "type": type_name(one, spoken),
+                "type": type_name(one, spelling),
                 "fieldnames": list(parts),
-                "fieldtypes": [type_name(part, spoken) for part, _ in parts.values()],
+                "fieldtypes": [type_name(part, spelling) for part, _ in parts.values()],
                 "fieldarraylen": [length for _, length in parts.values()],
                 "examples": [_example(part, length) for part, length in parts.values()],
                 "constnames": [name for name, _, _ in known[one][0]],
@@ -337,7 +368,7 @@ def _details(given: Arguments, dialect: Dialect) -> dict[str, Any]:
 
 @cache
 def _parts(type_: str, dialect: Dialect) -> dict[str, tuple[str, int]]:
-    """Return type and length of the fields of a message, by name."""
+    """Return type and length of a message's fields, by name."""
     shapes = dict(store().fielddefs[type_][1])
     found = {name: _kind(shapes[name]) for name in fields(type_)}
     if dialect == "ros1":
@@ -346,7 +377,7 @@ def _parts(type_: str, dialect: Dialect) -> dict[str, tuple[str, int]]:
 
 
 def _kind(definition: Any) -> tuple[str, int]:
-    """Return the type of a field, and its length: -1 for one value, 0 for any number."""
+    """Return the type of a field and its length (-1 for a single value, 0 for variable length)."""
     kind, inner = definition
     if kind.name == "ARRAY":
         return _kind(inner[0])[0], inner[1]

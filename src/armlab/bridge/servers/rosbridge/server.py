@@ -1,4 +1,4 @@
-"""`RosbridgeServer`: clients on WebSockets, between the loop's feed and the `Engine`, in a process of its own."""
+"""`RosbridgeServer`: WebSocket server process between the loop and the `Engine`."""
 
 from __future__ import annotations
 
@@ -36,25 +36,25 @@ _LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1)(:\d{1,5})?")
 
 @dataclass(frozen=True, repr=False)
 class Access:
-    """What is asked of clients: a token of who wants more than to read, TLS, and the web pages that may connect."""
+    """Access control: a token for clients that do more than read, TLS, and the allowed origins of web pages."""
 
     token: bytes | None
     context: ssl.SSLContext | None
     origins: tuple[Any, ...]
 
     def judge(self, authorization: str | None) -> bool | None:
-        """Return whether a client with this header may ask for something, None when it must not even connect."""
+        """Return whether a client with this header may command, or None to refuse the connection."""
         if self.token is None:
             return True
         if authorization is None:
             return False
         kind, _, shown = authorization.partition(" ")
-        is_right = hmac.compare_digest(shown.strip().encode(errors="replace"), self.token)  # in constant time
+        is_right = hmac.compare_digest(shown.strip().encode(errors="replace"), self.token)  # constant time
         return True if is_right and kind.lower() == "bearer" else None
 
 
 def read_access(options: Mapping[str, Any], environment: Mapping[str, str] | None = None) -> Access:
-    """Return what the options of the server say."""
+    """Return the access control from the server's options."""
     token = _token(options, os.environ if environment is None else environment)
     context = _context(options.get("certificate"), options.get("key"))
     return Access(token, context, (None, _LOCAL_PAGES, *options.get("origins", ())))
@@ -63,7 +63,7 @@ def read_access(options: Mapping[str, Any], environment: Mapping[str, str] | Non
 def _token(options: Mapping[str, Any], environment: Mapping[str, str]) -> bytes | None:
     file, variable = options.get("token_file"), options.get("token_variable")
     if file and variable:
-        raise ConfigError("Expected token_file or token_variable for rosbridge, got both. Take one out.")
+        raise ConfigError("Expected token_file or token_variable for rosbridge, got both. Remove one.")
     if variable:
         where, text = f"the variable {variable}", environment.get(variable, "")
     elif file:
@@ -74,7 +74,7 @@ def _token(options: Mapping[str, Any], environment: Mapping[str, str]) -> bytes 
     if len(token) < _SHORTEST or not token.isascii() or len(token.split()) > 1:
         raise ConfigError(
             f"Expected a token of at least {_SHORTEST} ASCII characters without spaces in {where}, got {len(token)} "
-            "characters. Make one: python -c 'import secrets; print(secrets.token_urlsafe())'."
+            "characters. Create one with python -c 'import secrets; print(secrets.token_urlsafe())'."
         )
     return token.encode()
 
@@ -85,39 +85,39 @@ def _secret(file: Path) -> str:
             mode = stat.S_IMODE(os.fstat(opened.fileno()).st_mode)
             if mode & 0o077:
                 raise ConfigError(
-                    f"Expected {file} to be read by its owner only, got mode {mode:04o}. chmod 600 {file}"
+                    f"Expected {file} to be readable only by its owner, got mode {mode:04o}. chmod 600 {file}"
                 )
             return opened.read(4096)
     except OSError as error:
-        raise ConfigError(f"Expected the token of rosbridge in {file}, but {error.strerror}.") from None
+        raise ConfigError(f"Expected the rosbridge token in {file}, got {error.strerror}.") from None
 
 
 def _context(certificate: str | None, key: str | None) -> ssl.SSLContext | None:
     if not certificate and not key:
         return None
     if not certificate or not key:
-        raise ConfigError("Expected certificate and key for rosbridge, got one of them. Name both files.")
+        raise ConfigError("Expected a certificate and a key for rosbridge, got only one of them. Give both files.")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     try:
         context.load_cert_chain(certificate, key, password="")
     except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
         raise ConfigError(
-            f"Expected a certificate in {certificate} and its key, without a password, in {key}, but {error}."
+            f"Expected a certificate in {certificate} and its key, without a password, in {key}, got {error}."
         ) from None
     return context
 
 
 _CLIENTS = 16
-_SEND_BUFFER = 65536  # bytes; with the system's own a slow client would see data half a minute old
-_KEPT = 100  # clients that have left, of which is known what they got
-_TURN = 0.1  # s between two looks at what is due without anybody saying anything
-_WRITE_LIMIT = 16384  # bytes that wait in the process before a send waits
-_CLOSING = 0.5  # s for a client to say goodbye
-_PING, _PONG = 5.0, 10.0  # s between two pings, and for the answer: whose computer has gone is given up then
+_SEND_BUFFER = 65536  # bytes; with the default a slow client would get data 30 s old
+_KEPT = 100  # disconnected clients whose counts are kept
+_TICK = 0.1  # s between two calls of `Engine.tick`
+_WRITE_LIMIT = 16384  # bytes buffered in the process before a send blocks
+_CLOSING = 0.5  # s for a client to close
+_PING, _PONG = 5.0, 10.0  # s between two pings, and for the answer, before a client counts as lost
 
 
 class RosbridgeServer:
-    """Serves until the loop closes the feed."""
+    """Serves until the loop closes the socket."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._websockets = _websockets()
@@ -129,7 +129,7 @@ class RosbridgeServer:
         self._gone: dict[str, tuple[int, int]] = {}
         self._over = asyncio.Event()
         self._listener = listening_socket(options["host"], options["port"], "rosbridge", _CLIENTS)
-        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)  # what it accepts inherits it
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)  # accepted sockets inherit it
 
     def run(self) -> None:
         asyncio.run(self._serve())
@@ -141,28 +141,28 @@ class RosbridgeServer:
             ssl=self._access.context,
             origins=self._access.origins,
             process_request=self._judge,
-            compression=None,  # it would cost more than all the rest
+            compression=None,  # takes longer than all the rest
             max_size=LARGEST,
             write_limit=_WRITE_LIMIT,
             close_timeout=_CLOSING,
             ping_interval=_PING,
             ping_timeout=_PONG,
-            logger=logging.Logger("armlab.bridge.servers.rosbridge", logging.ERROR),  # more would show headers: tokens
+            logger=logging.Logger("armlab.bridge.servers.rosbridge", logging.ERROR),  # lower levels show tokens
         )
         running = asyncio.get_running_loop()
         async with server:
             host, port = self._listener.getsockname()
-            words = "rosbridge" if self._access.context is None else "rosbridge, TLS"
-            self._loop.ask(Listening(where=[f"{host}:{port} ({words})"]))
-            running.add_reader(self._loop.fileno(), self._hear)
+            label = "rosbridge" if self._access.context is None else "rosbridge, TLS"
+            self._loop.ask(Listening(where=[f"{host}:{port} ({label})"]))
+            running.add_reader(self._loop.fileno(), self._receive)
             while not self._over.is_set():
-                self._turn()
+                self._tick()
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(self._over.wait(), _TURN)
+                    await asyncio.wait_for(self._over.wait(), _TICK)
             running.remove_reader(self._loop.fileno())
 
-    def _hear(self) -> None:
-        """Take what the loop says, and send what comes of it."""
+    def _receive(self) -> None:
+        """Handle messages from the loop, and send the resulting messages."""
         messages = self._loop.receive()
         if messages is None:
             self._over.set()
@@ -175,17 +175,17 @@ class RosbridgeServer:
         for name, session in self._engine.sessions.items():
             self._send(self._connections[name], session)
 
-    def _turn(self) -> None:
-        """Do what is due; give clients up that take nothing."""
+    def _tick(self) -> None:
+        """Run periodic work; disconnect blocked clients."""
         now = time.monotonic_ns()
-        self._engine.turn(now)
-        self._hear()
+        self._engine.tick(now)
+        self._receive()
         for name, session in self._engine.sessions.items():
             if session.outbox.is_stuck(now):
                 self._connections[name].transport.abort()
 
     def _send(self, connection: ServerConnection, session: ClientSession) -> None:
-        """Send a client what waits for it, in one piece, unless it has not taken what was sent before."""
+        """Send a client its queued messages in one write unless earlier messages are unread."""
         transport = connection.transport
         if transport.get_write_buffer_size() > _WRITE_LIMIT or connection.state is not self._open:
             return
@@ -195,11 +195,13 @@ class RosbridgeServer:
             transport.write(b"".join([one.serialize(mask=False) for one in texts]))
 
     def _judge(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Refuse a connection before it is one: too many clients, or a wrong token."""
+        """Refuse a connection attempt: too many clients, or a wrong token."""
         if len(self._connections) >= _CLIENTS:
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"Expected at most {_CLIENTS} clients.\n")
         if self._may_ask(request) is None:
-            return connection.respond(HTTPStatus.UNAUTHORIZED, "Expected Authorization: Bearer and the right token.\n")
+            return connection.respond(
+                HTTPStatus.UNAUTHORIZED, "Expected Authorization: Bearer with the correct token.\n"
+            )
         return None
 
     def _may_ask(self, request: Request) -> bool | None:
@@ -207,7 +209,7 @@ class RosbridgeServer:
         return self._access.judge(",".join(headers) if headers else None)
 
     async def _client(self, connection: ServerConnection) -> None:
-        """Serve one client until it goes."""
+        """Serve one client until it disconnects."""
         name = "{}:{}".format(*connection.remote_address[:2])
         session = self._engine.join(name, bool(connection.request and self._may_ask(connection.request)))
         self._connections[name] = connection
@@ -235,6 +237,7 @@ def _websockets() -> Any:
         import websockets.frames
     except ImportError:
         raise MissingExtra(
-            "Expected websockets for the rosbridge server, got none. Install it: pip install 'armlab[net]'."
+            "Expected the package websockets for the rosbridge server, but it is not installed. Install it: pip "
+            "install 'armlab[net]'."
         ) from None
     return websockets

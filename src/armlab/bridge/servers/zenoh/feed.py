@@ -1,4 +1,4 @@
-"""A bridge elsewhere: `ZenohFeed`, what `LocalFeed` gives here, and the link on whose rows a loop runs."""
+"""`ZenohFeed`, a client of a bridge on another computer (like `LocalFeed`), and the port and codec of a Zenoh link."""
 
 from __future__ import annotations
 
@@ -29,30 +29,34 @@ from armlab.errors import ArmlabError, ConfigError, LinkError, UnknownName
 from armlab.robots import Robot
 from armlab.wire.egm import Codec, Drop, Packet, Reference
 
-_VIEW = 30.0  # rows/s that a view gets
-_HEARD = 0.5  # s in which all robots of a lab are heard of
-_KEPT = 5000  # messages that wait to be read: the oldest are lost then
-_TEXT = 2**16  # bytes that a text is counted for, read as it is
+_VIEW = 30.0  # rows/s of the key "view"
+_DISCOVERY = 0.5  # s in which all robots of a lab are discovered
+_KEPT = 5000  # waiting messages; beyond it the oldest are dropped
+_TEXT = 2**16  # bytes that a text message counts for in the inbox
 
 
 def robots_at(session: Any, lab: str = EVERY, patience: float = 1.0) -> list[tuple[str, str]]:
-    """Return lab and name of the robots whose bridges are alive."""
+    """Return the lab and name of each robot with a running bridge."""
     replies = session.liveliness().get(key(lab, EVERY, "alive"), timeout=patience)
     return sorted({robot_of(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None})
 
 
 class ZenohFeed:
-    """A client of a bridge elsewhere; a context manager with the methods of `LocalFeed`."""
+    """Client of a bridge on another computer; a context manager with the methods of `LocalFeed`."""
+
+    damaged: int
+    lost: int
+    refused: int
 
     def __init__(self, url: str, robot: str = "", patience: float = 5.0) -> None:
         self._place, self._patience = LabAddress.read(url), patience
         self._messages: Inbox[bytes | dict[str, Any]] = Inbox(_KEPT)
         self._next: bytes | dict[str, Any] | None = None
         self._rows: list[Any] = []
-        self._gaps: dict[str, Gaps] = {}  # of the robots of which every row is asked for
+        self._gaps: dict[str, Gaps] = {}  # of robots with a subscription to every row
         self._pace: Pace | None = None
-        self._gone: float | None = None  # since when
-        self._is_unsure = False  # whether what comes again is the same run
+        self._gone: float | None = None  # time of the disconnection
+        self._is_unsure = False  # whether a returned bridge is in the same run
         self.damaged = self.lost = self.refused = 0
         self._session = self._place.open(patience)
         try:
@@ -62,14 +66,14 @@ class ZenohFeed:
             self._schema = about.schema
             if not set(known) <= set(self._schema.robots):
                 names = ", ".join(known)
-                raise ConfigError(f"Expected the name of a robot, since several cells serve this lab: {names}.")
+                raise ConfigError(f"Expected the name of a robot, because several cells serve this lab: {names}.")
         except BaseException:
             self.close()
             raise
-        self.cell = about.cell
+        self.cell: str = about.cell
         self._arm, self._run = arm, about.run
-        self._take(*about.said)
-        self._asking = Discovery(self._session, self._answered)
+        self._take(*about.messages)
+        self._discovery = Discovery(self._session, self._answered)
         declare, lab = self._session.declare_subscriber, self._place.lab
         self._texts = [declare(key(lab, arm, what), self._take_text) for what in ("events", "status", "parameters")]
         self._alive = self._session.liveliness().declare_subscriber(
@@ -86,7 +90,7 @@ class ZenohFeed:
         close_session(self._session)
 
     def wait(self, seconds: float) -> bool:
-        """Return whether a message comes within so many seconds."""
+        """Return whether a message arrives within so many seconds."""
         if self._next is None:
             self._next = self._messages.get(0.0 if self._has_ended() else seconds)
         return self._next is not None or self._has_ended()
@@ -103,10 +107,10 @@ class ZenohFeed:
             self._session.put(key(lab, robot, "stop"), b"")
         else:
             what = type(request).__name__
-            raise ConfigError(f"Expected a request that goes over Zenoh, got {what}. Ask at the bridge's own computer.")
+            raise ConfigError(f"Expected a request supported over Zenoh, got {what}. Send it on the bridge's computer.")
 
     def receive(self) -> Row | dict[str, Any]:
-        """Return the next message: a row, or what another message says, by name, with its "kind"."""
+        """Return the next message: a row, or the fields of another message, with its "kind"."""
         until = time.monotonic() + self._patience
         while self.wait(until - time.monotonic()):
             message, self._next = self._next, None
@@ -118,13 +122,13 @@ class ZenohFeed:
                     there = [robot for robot in self._gaps if robot in self._schema.robots]
                     self._gaps = {robot: Gaps(self._schema, robot) for robot in there}
                 return message
-            if message[8:16] == self._schema.id:  # another is of a run that was not told of yet
+            if message[8:16] == self._schema.id:  # otherwise of a run that was not announced yet
                 row = read_row(self._schema, message)
                 self._count(row, message)
                 return row
         if self._gone is not None:
-            raise LinkError(f"Expected the bridge of {self.cell} to go on, but it has gone.")
-        raise LinkError(f"Expected a message of {self.cell} in time, but none came. See whether its robot runs.")
+            raise LinkError(f"Expected the bridge of {self.cell} to keep running, but it is gone.")
+        raise LinkError(f"Expected a message from {self.cell} in time, got none. Check that its robot is running.")
 
     def _subscribe(self, rate: float | None) -> None:
         for one in self._rows:
@@ -140,33 +144,33 @@ class ZenohFeed:
             ]
 
     def _count(self, row: Row, data: bytes) -> None:
-        """Count what is missing before a row: Zenoh tells the bridge nothing of what it drops for a slow reader."""
-        told = self.lost.bit_length()
+        """Count missing rows, because Zenoh does not report rows dropped for a slow reader to the bridge."""
+        before = self.lost.bit_length()
         self.lost += sum(gaps.take(data) for robot, gaps in self._gaps.items() if row.values[f"{robot}.fresh"])
-        if self.lost.bit_length() > told:  # 1, 2, 4, ...
-            self._tell(f"Rows did not come, or were not read in time: {self.lost} so far.")
+        if self.lost.bit_length() > before:  # 1, 2, 4, ...
+            self._report(f"Rows were lost in transit or not read in time: {self.lost} so far.")
 
     def _robots(self) -> list[str]:
-        """Return the robots of the lab; who has just connected hears of them one after another."""
+        """Return the robots of the lab, which a new session discovers one by one."""
         found: set[str] = set()
-        until = time.monotonic() + _HEARD
+        until = time.monotonic() + _DISCOVERY
         while time.monotonic() < until:
             found |= {name for _, name in robots_at(self._session, self._place.lab)}
-            time.sleep(_HEARD / 10)
+            time.sleep(_DISCOVERY / 10)
         if not found:
             raise LinkError(
                 f"Expected a robot in the lab {self._place.lab!r} at {self._place.host}:{self._place.port}, got none. "
-                "Start armlab bridge with [servers.zenoh], or name another lab."
+                "Start armlab bridge with [servers.zenoh], or choose another lab."
             )
         return sorted(found)
 
     def _take_row(self, sample: Any) -> None:
         if self._is_unsure:
-            self._asking.ask(self._place.lab, self._arm)
+            self._discovery.ask(self._place.lab, self._arm)
         elif (data := undamaged(sample)) is None:
             self.damaged += 1
-            if self.damaged & (self.damaged - 1) == 0:  # 1, 2, 4, ...: all may be
-                self._tell(f"Rows came damaged and were dropped: {self.damaged} so far.")
+            if self.damaged & (self.damaged - 1) == 0:  # 1, 2, 4, ...: limits the events
+                self._report(f"Rows arrived corrupted and were dropped: {self.damaged} so far.")
         elif self._pace is None or self._pace.takes([robot_of(str(sample.key_expr))], time.monotonic()):
             self._take(data)
 
@@ -179,47 +183,47 @@ class ZenohFeed:
     def _refuse(self) -> None:
         self.refused += 1
         if self.refused & (self.refused - 1) == 0:  # 1, 2, 4, ...
-            self._tell(f"Texts came that cannot be read and were dropped: {self.refused} so far.")
+            self._report(f"Invalid messages were dropped: {self.refused} so far.")
 
     def _take_life(self, sample: Any) -> None:
         has_gone = sample.kind == zenoh().SampleKind.DELETE
         self._gone = time.monotonic() if has_gone else None
         if has_gone:
             self._is_unsure = True
-            self._tell(f"The bridge of {self.cell} has gone, or the way to it.")
+            self._report(f"The bridge of {self.cell} or the connection to it is gone.")
 
     def _has_ended(self) -> bool:
-        gone = self._gone  # which a thread of Zenoh's changes
+        gone = self._gone  # may change in a Zenoh thread
         return gone is not None and time.monotonic() - gone >= self._patience
 
     def _answered(self, lab: str, robot: str, about: bytes) -> None:
-        """Take what a bridge says that has come again."""
+        """Handle the reply of a bridge that is back."""
         if not self._is_unsure:
             return
         try:
-            said = _whole(about)
+            reply = _whole(about)
         except ArmlabError:
             self._refuse()
             return
         self._is_unsure = False
-        if said.run == self._run:
-            self._tell(f"The bridge of {self.cell} is there again, in the same run.")
+        if reply.run == self._run:
+            self._report(f"The bridge of {self.cell} is back, in the same run.")
             return
-        self._run = said.run
-        self._take(*said.said)
-        self._tell(f"The bridge of {self.cell} has restarted.")
+        self._run = reply.run
+        self._take(*reply.messages)
+        self._report(f"The bridge of {self.cell} has restarted.")
 
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         self._take({"kind": "event", "stamp_ns": time.time_ns(), "text": text})
 
     def _take(self, *messages: bytes | dict[str, Any]) -> None:
-        """Keep messages; in a thread of Zenoh's, which wakes who waits."""
+        """Queue messages from a Zenoh thread, and wake the reader."""
         for message in messages:
             self._messages.put(message, len(message) if isinstance(message, bytes) else _TEXT)
 
 
 def _whole(data: bytes) -> About:
-    """Return what a bridge says of itself, whose rows tell all of its arms, as a `Watch` wants them."""
+    """Return a bridge's reply to "about"; its rows must contain all fields that a `Watch` reads."""
     about = read_about(data)
     for robot in about.robots.values():
         about.schema.require(robot)
@@ -227,7 +231,7 @@ def _whole(data: bytes) -> About:
 
 
 _LARGEST = 2**14
-_DAMAGED = b"damaged"  # in place of a row that was
+_DAMAGED = b"damaged"  # replaces a corrupted row
 _USED = (
     *("q", "qd", "tau", "q_planned", "q_ext", "seq", "robot_ns", "session_t", "T_frame_tool", "wrench_raw"),
     *("motors", "mci", "rapid", "converged", "utilization"),
@@ -241,22 +245,26 @@ def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tupl
 
 
 class ZenohPort:
-    """Rows of an arm in place of datagrams; never blocks and never raises after construction.
+    """Receives rows of an arm instead of datagrams; never blocks and never raises after construction.
 
-    Zenoh connects again by itself. Rows come in a thread of Zenoh's, which hands them over by a socket.
+    Zenoh reconnects by itself. Its threads pass rows on through a socket.
     """
+
+    host: str
+    port: int
+    errors: int
 
     def __init__(self, robot: Robot, place: LabAddress) -> None:
         self.host, self.port, self.errors = place.host, place.port, 0
         self._session = place.open()
         self._seq, self._sender = 0, secrets.token_bytes(16)
         try:
-            self.schema = RowSchema.read(place.ask(self._session, key(place.lab, robot.name, "schema")))
+            self.schema: RowSchema = RowSchema.read(place.ask(self._session, key(place.lab, robot.name, "schema")))
             _check(self.schema, robot)
         except ArmlabError:
             close_session(self._session)
             raise
-        self.gaps = Gaps(self.schema, robot.name)
+        self.gaps: Gaps = Gaps(self.schema, robot.name)
         self._inner, self._outer = pair()
         self._outer.setblocking(False)
         drop = zenoh().CongestionControl.DROP
@@ -278,7 +286,7 @@ class ZenohPort:
         self._outer.close()
 
     def receive(self) -> Arrival | None:
-        """Return the next row, or None when there is none."""
+        """Return the next row, or None."""
         try:
             data = self._outer.recv(_LARGEST)
         except OSError:
@@ -286,13 +294,13 @@ class ZenohPort:
         return Arrival(data, (self.host, self.port), time.monotonic_ns()) if data else None
 
     def flush(self) -> None:
-        """Throw away rows that came while nobody listened."""
+        """Discard waiting rows."""
         for _ in range(4000):
             if self.receive() is None:
                 break
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
-        """Send one command; return whether Zenoh took it."""
+        """Send one command; return whether Zenoh accepted it."""
         self._seq += 1
         kind = "position" if len(data) == 8 * self._n else "motion"
         try:
@@ -308,12 +316,12 @@ class ZenohPort:
             self.gaps.take(data)
         try:
             self._inner.send(data)
-        except OSError:  # full: the loop does not look; or closed
+        except OSError:  # full, or closed
             self.errors += 1
 
 
 class ZenohCodec(RowsAsPackets):
-    """Rows as packets of the loop."""
+    """Codec from rows to packets of the loop, and from references to commands."""
 
     def __init__(self, robot: Robot, schema: RowSchema) -> None:
         super().__init__()
@@ -321,9 +329,9 @@ class ZenohCodec(RowsAsPackets):
         self._name, self._schema = robot.name, schema
 
     def decode(self, data: bytes) -> Packet | Drop:
-        """Return the packet of a row, or why it is dropped."""
+        """Return the packet of a row, or why the row is dropped."""
         if data == _DAMAGED:
-            return Drop("damaged", "a row whose checksum is another one")
+            return Drop("damaged", "a row with a wrong checksum")
         try:
             values = read_row(self._schema, data).values
         except LinkError as error:
@@ -342,13 +350,13 @@ class ZenohCodec(RowsAsPackets):
         )
 
     def encode(self, ref: Reference) -> bytes:
-        """Return positions, or positions and velocities, as they go out."""
+        """Return the command's bytes: positions, or positions and velocities."""
         parts = [ref.q] if ref.qd is None else [ref.q, ref.qd]
         return np.concatenate(parts).astype("<f8").tobytes()
 
 
 def _check(schema: RowSchema, robot: Robot) -> None:
-    """Refuse rows without this arm, or with another one of its name."""
+    """Raise for rows without this arm, or with another arm of the same name."""
     if robot.name not in schema.robots:
         raise UnknownName.among("robot of the bridge", robot.name, schema.robots)
     schema.require(robot)

@@ -1,4 +1,4 @@
-"""What goes over Zenoh: keys, what is attached, texts of bridges, rows with their checksums, and what waits of them."""
+"""Zenoh messages: keys, attachments, text messages, rows with checksums, and the inbox of a client."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from armlab.errors import CommandRefused, LinkError
 from armlab.robots import Robot, from_toml
 
 EVERY = "*"
-"""Stands for every lab or every robot in a key."""
+"""Wildcard for labs or robots in a key."""
 
 COMMANDS = {"position": "q", "velocity": "qd", "effort": "tau", "motion": "q qd"}
-"""Last word of a command's key, and what its numbers are: n of each, "motion" is positions and then velocities."""
+"""Fields by the last word of a command's key, with n numbers each; "motion" has positions, then velocities."""
 
 _ATTACHED = struct.Struct("<16sqq")
 
@@ -35,7 +35,7 @@ def robot_of(name: str) -> tuple[str, str]:
 
 
 class Attachment(NamedTuple):
-    """What is attached to a command or a setting: 32 bytes, little-endian."""
+    """Attachment of a command or setting: 32 bytes, little-endian."""
 
     sender: bytes
     seq: int
@@ -49,22 +49,22 @@ class Attachment(NamedTuple):
         if data is None or len(data) != _ATTACHED.size:
             got = "none" if data is None else f"{len(data)} bytes"
             raise CommandRefused(
-                f"Expected {_ATTACHED.size} bytes attached (16 of the sender's id, int64 number, int64 ns), got {got}."
+                f"Expected an attachment of {_ATTACHED.size} bytes (16 of id, int64 number, int64 ns), got {got}."
             )
         return cls(*_ATTACHED.unpack(data))
 
     @property
     def client(self) -> str:
-        """The sender as people read it: all of its id, so that no two are one."""
+        """The complete sender id in hexadecimal, which is unique."""
         return self.sender.hex()
 
 
 def data_of(part: Any) -> bytes | None:
-    """Return the bytes of a payload or an attachment, None when there is none."""
+    """Return the bytes of a payload or an attachment, or None if absent."""
     return None if part is None else part.to_bytes()
 
 
-_LARGEST = 2**17  # bytes of a message of the loop, of which a bridge passes on three at most
+_LARGEST = 2**17  # bytes of a message of the loop; a reply to "about" has at most three
 _Count = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
 
 
@@ -108,9 +108,9 @@ _Text = _Parameters | _Recording | _Event | _Status
 
 
 class About(NamedTuple):
-    """What a bridge says of itself."""
+    """Reply of a bridge to the query "about"."""
 
-    said: list[dict[str, Any]]
+    messages: list[dict[str, Any]]
     schema: RowSchema
     robots: Mapping[str, Robot]
     run: str
@@ -118,28 +118,28 @@ class About(NamedTuple):
 
 
 def read_about(data: bytes) -> About:
-    """Return what a bridge answers to the query "about"."""
-    said = _converted(_decoded(data, 3 * _LARGEST), list[dict[str, Any]])
-    about = _converted(said[0] if said else {}, _About)
-    for one in said[1:]:
+    """Return the checked reply of a bridge to the query "about"."""
+    messages = _converted(_decoded(data, 3 * _LARGEST), list[dict[str, Any]])
+    about = _converted(messages[0] if messages else {}, _About)
+    for one in messages[1:]:
         _converted(one, _Text)
     schema = RowSchema.read(about.schema.encode())
     if set(about.robots) != set(schema.robots):
         raise LinkError(
-            f"Expected a bridge that describes the arms of its rows, {', '.join(schema.robots)[:200]}, got "
-            f"{', '.join(about.robots)[:200] or 'none'}. Install the same armlab at both ends."
+            f"Expected descriptions of all arms in the rows, {', '.join(schema.robots)[:200]}, got "
+            f"{', '.join(about.robots)[:200] or 'none'}. Install the same version of armlab at both ends."
         )
     robots = {name: replace(from_toml(text, f"the bridge of {name}"), name=name) for name, text in about.robots.items()}
     for robot in robots.values():
         schema.require(robot, whole=False)
-    for field in schema.fields.values():  # a text is the name of an arm's commander: by that a `Watch` knows the arms
+    for field in schema.fields.values():  # a `Watch` finds the arms by these texts
         if field.type == "text" and field.name.removesuffix(".commander") not in robots:
-            raise LinkError(f"Expected rows in which only commanders of arms are texts, got {field.name[:60]}.")
-    return About([{**said[0], "kind": "about"}, *said[1:]], schema, robots, about.run, about.cell)
+            raise LinkError(f"Expected the commanders of arms to be the only texts in rows, got {field.name[:60]}.")
+    return About([{**messages[0], "kind": "about"}, *messages[1:]], schema, robots, about.run, about.cell)
 
 
 def read_message(data: bytes) -> dict[str, Any]:
-    """Return a text of the keys "events", "status" and "parameters", as `LocalFeed.receive` gives it."""
+    """Return a message from the keys "events", "status" and "parameters", as `LocalFeed.receive` does."""
     message = _decoded(data, _LARGEST)
     _converted(message, _Text)
     return message
@@ -147,66 +147,70 @@ def read_message(data: bytes) -> dict[str, Any]:
 
 def _decoded(data: bytes, largest: int) -> Any:
     if len(data) > largest:
-        raise LinkError(f"Expected a text of a bridge of at most {largest} bytes, got {len(data)}. Send less at once.")
+        raise LinkError(f"Expected a bridge message of at most {largest} bytes, got {len(data)}.")
     try:
         return msgspec.json.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LinkError(f"Expected a text of a bridge in JSON, but {str(error).rstrip('.')}.") from None
+        raise LinkError(f"Expected a bridge message in JSON, got {str(error).rstrip('.')}.") from None
 
 
 def _converted(value: Any, type: Any) -> Any:
     try:
         return msgspec.convert(value, type)
     except msgspec.ValidationError as error:
-        raise LinkError(f"Expected a text of a bridge, but {str(error)[:200].rstrip('.')}.") from None
+        raise LinkError(f"Expected a bridge message, got {str(error)[:200].rstrip('.')}.") from None
 
 
-_MOST = 2**26  # bytes of all that wait: ten seconds of all rows of twenty arms
-_LEAST = 256  # bytes that a message is counted for at least
+_MOST = 2**26  # bytes in an inbox: ten seconds of all rows of twenty arms
+_LEAST = 256  # bytes that a message counts for at least
 
 T = TypeVar("T")
 
 
 class Inbox(Generic[T]):
-    """Messages from Zenoh's threads; when too much waits the oldest are lost."""
+    """Messages from Zenoh's threads; a full inbox drops the oldest."""
 
     def __init__(self, most: int) -> None:
         self._most, self._size = most, 0
         self._waiting: deque[tuple[int, T]] = deque()
-        self._came = threading.Condition(threading.Lock())
+        self._arrived = threading.Condition(threading.Lock())
 
     def __len__(self) -> int:
         return len(self._waiting)
 
     def put(self, message: T, size: int = 0) -> None:
         size = max(size, _LEAST)
-        with self._came:
+        with self._arrived:
             while self._waiting and (len(self._waiting) >= self._most or self._size + size > _MOST):
                 self._size -= self._waiting.popleft()[0]
             self._waiting.append((size, message))
             self._size += size
-            self._came.notify()
+            self._arrived.notify()
 
     def get(self, patience: float = 0.0) -> T | None:
-        """Return the oldest message and forget it, None when none comes in time."""
-        with self._came:
-            if not self._waiting and not (patience > 0.0 and self._came.wait(patience) and self._waiting):
+        """Remove and return the oldest message, or None if none arrives in time."""
+        with self._arrived:
+            if not self._waiting and not (patience > 0.0 and self._arrived.wait(patience) and self._waiting):
                 return None
             size, message = self._waiting.popleft()
             self._size -= size
             return message
 
     def wait(self, patience: float) -> bool:
-        """Return whether a message waits, or comes in time."""
-        with self._came:
-            return bool(self._waiting) or self._came.wait(patience)
+        """Return whether a message is available in time."""
+        with self._arrived:
+            return bool(self._waiting) or self._arrived.wait(patience)
 
 
 _NUMBER = struct.Struct("<q")
 
 
 class Gaps:
-    """Counts what a reader of every row of an arm ("state" or "live") misses."""
+    """Counts the missing rows of a subscriber that reads every row of an arm ("state" or "live")."""
+
+    rows: int
+    lost: int
+    starts: int
 
     def __init__(self, schema: RowSchema, robot: str) -> None:
         self._at = schema.fields[f"{robot}.tick"].offset
@@ -214,9 +218,9 @@ class Gaps:
         self.rows = self.lost = self.starts = 0
 
     def take(self, data: bytes) -> int:
-        """Count a row; return how many are missing before it."""
+        """Count a row; return the number of missing rows before it."""
         (number,) = _NUMBER.unpack_from(data, self._at)
-        if number <= self._last or not self.rows:  # another run begins anew
+        if number <= self._last or not self.rows:  # a new run
             self.starts += 1
             missing = 0
         else:
@@ -236,6 +240,6 @@ def checksum(data: bytes) -> bytes:
 
 
 def undamaged(sample: Any) -> bytes | None:
-    """Return the row of a sample, None when its checksum is wrong or missing, or when it is too large."""
+    """Return the row of a sample, or None if it is too large or its checksum is wrong or missing."""
     data = sample.payload.to_bytes()
     return data if len(data) <= LARGEST and data_of(sample.attachment) == checksum(data) else None

@@ -1,4 +1,4 @@
-"""`ZenohProcess`: the native Zenoh server in a process of its own, between the loop's feed and programs elsewhere."""
+"""`ZenohProcess`: native Zenoh server process between the loop and programs on other computers."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ from armlab.bridge.servers.zenoh.security import Security
 from armlab.bridge.servers.zenoh.session import BlockingPublisher, Publisher, close_session, open_near
 from armlab.errors import CommandRefused
 
-_VIEW = 33_000_000  # ns between two rows for views
-_STATUS = 500_000_000  # ns between two reports
+_VIEW = 33_000_000  # ns between two rows of the key "view"
+_STATUS = 500_000_000  # ns between two status messages
 _LONGEST = 65536  # bytes of a setting
 _MOST = 64  # joints
-_CLIENTS = 256  # of which is known where their answers go
+_CLIENTS = 256  # with a known robot for their answers
 _MONO = struct.Struct("<q")
-_NOBODY = "unknown"
+_UNKNOWN = "unknown"
 
 
 class ZenohProcess:
-    """Serves until the loop closes the feed."""
+    """Serves until the loop closes the socket."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._loop = LoopEnd(feed, self._counts)
         self._lab = options["lab"]
         self._arms = {name: _ArmOutput(self._loop, name) for name in self._loop.schema.robots}
         self._recording: dict[str, Any] = {}
-        self._answers: dict[str, str] = {}  # client -> robot under which it is answered
-        self._declared: list[Any] = []  # they go with the last that holds them
+        self._answers: dict[str, str] = {}  # client -> robot of the key for its answers
+        self._declared: list[Any] = []  # undeclared with their last reference
         commands = "zenoh" in self._loop.about.get("commands", ())
         self._session, self._where = open_near(
             options["host"], options["port"], options.get("router", ""), Security.of(options), commands
@@ -63,7 +63,7 @@ class ZenohProcess:
             close_session(self._session)
 
     def _counts(self) -> dict[str, tuple[int, int]]:
-        """Return rows sent and dropped by key: who reads them is not known here."""
+        """Return the numbers of rows sent and dropped by key; the readers are unknown here."""
         rows = {f"{name} {what}": arm.rows.get(what) for name, arm in self._arms.items() for what in _ArmOutput.KINDS}
         return {name: (one.sent, one.dropped) for name, one in rows.items() if one is not None and one.sent}
 
@@ -100,8 +100,8 @@ class ZenohProcess:
                 arm.texts["events"].put(msgspec.json.encode(message))
 
     def _command(self, robot: str, sample: Any) -> None:
-        """Take a command; of one that cannot be read the sender gets a sentence."""
-        kind, client = str(sample.key_expr).rpartition("/")[2], _NOBODY
+        """Handle a command; reply to an invalid command with the reason."""
+        kind, client = str(sample.key_expr).rpartition("/")[2], _UNKNOWN
         try:
             attached = Attachment.read(data_of(sample.attachment))
             client = attached.client
@@ -110,10 +110,10 @@ class ZenohProcess:
             self._refuse(robot, client, str(error))
 
     def _set(self, robot: str, sample: Any) -> None:
-        name, client = str(sample.key_expr).rpartition("/")[2], _NOBODY
+        name, client = str(sample.key_expr).rpartition("/")[2], _UNKNOWN
         try:
             attachment = data_of(sample.attachment)
-            client = _NOBODY if attachment is None else Attachment.read(attachment).client
+            client = _UNKNOWN if attachment is None else Attachment.read(attachment).client
             self._ask(robot, SetRequest(client, {name: _setting(name, sample.payload.to_bytes())}))
         except CommandRefused as error:
             self._refuse(robot, client, str(error))
@@ -121,9 +121,9 @@ class ZenohProcess:
     def _stop(self, robot: str, sample: Any) -> None:
         attachment = data_of(sample.attachment)
         try:
-            client = _NOBODY if attachment is None else Attachment.read(attachment).client
+            client = _UNKNOWN if attachment is None else Attachment.read(attachment).client
         except CommandRefused:
-            client = _NOBODY  # a stop counts, whoever it is from
+            client = _UNKNOWN  # a stop is valid from any sender
         self._ask(robot, Stop(client))
 
     def _ask(self, robot: str, request: Request) -> None:
@@ -145,14 +145,14 @@ class ZenohProcess:
             query.reply(key(self._lab, robot, "schema"), self._loop.schema.text)
 
     def _about(self, robot: str, query: Any) -> None:
-        """Answer what a viewer must know first: the cell, its arms, its rows, its parameters and its recording."""
-        said = [self._loop.about, {"kind": "parameters", "parameters": list(self._loop.parameters.values())}]
-        said += [self._recording] if self._recording else []
+        """Reply with the cell, arms, rows, parameters and recording, which a viewer needs first."""
+        messages = [self._loop.about, {"kind": "parameters", "parameters": list(self._loop.parameters.values())}]
+        messages += [self._recording] if self._recording else []
         with query:
-            query.reply(key(self._lab, robot, "about"), msgspec.json.encode(said))
+            query.reply(key(self._lab, robot, "about"), msgspec.json.encode(messages))
 
     def _value(self, robot: str, query: Any) -> None:
-        """Answer with all that is known of the parameters that are asked for."""
+        """Reply with the declarations and values of the queried parameters."""
         with query:
             for name, about in dict(self._loop.parameters).items():
                 where = key(self._lab, robot, f"param/{name}")
@@ -161,7 +161,7 @@ class ZenohProcess:
 
 
 class _ArmOutput:
-    """What goes out of one arm."""
+    """Publishers of one arm."""
 
     KINDS = ("state", "live", "view")
 
@@ -186,7 +186,7 @@ class _ArmOutput:
                 one.close()
 
     def row(self, data: bytes) -> None:
-        """Send a row of this arm to those that want it; a row of another arm is none."""
+        """Publish a row if it is fresh for this arm."""
         self._count(data)
         if not any(data[self._fresh : self._fresh + 8]):
             return
@@ -226,7 +226,7 @@ def _order(robot: str, kind: str, data: bytes, attached: Attachment) -> CommandR
 def _setting(name: str, data: bytes) -> Any:
     try:
         if len(data) > _LONGEST:
-            raise ValueError(f"{len(data)} bytes came")
+            raise ValueError(f"{len(data)} bytes")
         return json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise CommandRefused(f"Expected the value of {name} as JSON, but {error}.") from None
+        raise CommandRefused(f"Expected the value of {name} as JSON, got {error}.") from None

@@ -1,4 +1,4 @@
-"""`Security`: certificates, passwords and who may do what, at one end of a Zenoh link."""
+"""`Security`: certificates, passwords and access rules of one end of a Zenoh link."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ COMMANDER = "commander"
 """User who may command and set parameters."""
 
 BRIDGE = "bridge"
-"""User as whom bridges come to a router elsewhere; they alone may publish there."""
+"""User name of bridges at a remote router; only they may publish there."""
 
 USERS = (COMMANDER, BRIDGE, "viewer")
-"""Users that get a password each."""
+"""Users, each with a password."""
 
 _LARGEST = 2**20  # characters of a file of users
 _SERVED = ("state", "live", "view", "events", "status", "parameters", "answer/**", "alive")
@@ -24,42 +24,42 @@ _SERVED = ("state", "live", "view", "events", "status", "parameters", "answer/**
 
 @dataclass(frozen=True)
 class Security:
-    """What one end knows of the others; paths of files."""
+    """Files of one end of a link."""
 
-    ca: Path | None = None  # certificate of the lab's own authority; with it links are TLS
-    certificate: Path | None = None  # of this end, when it listens
+    ca: Path | None = None  # certificate of the lab's certificate authority; enables TLS
+    certificate: Path | None = None  # of this end, for listening
     key: Path | None = None
-    users: Path | None = None  # lines "user:password" of those who may come; then `COMMANDER` alone commands
-    secret: Path | None = None  # one line "user:password" as whom this end comes to others
+    users: Path | None = None  # lines "user:password" of allowed users; then only `COMMANDER` may command
+    secret: Path | None = None  # one line "user:password" with the credentials of this end
 
     def __post_init__(self) -> None:
         for path in (self.ca, self.certificate, self.key, self.users, self.secret):
             if path is not None and not _is_file(path):
-                raise ConfigError(f"Expected the file {path}, but there is none. Write it: armlab bridge certificates.")
+                raise ConfigError(f"Expected a file at {path}, found none. Create it with armlab bridge certificates.")
         for path in (self.key, self.users, self.secret):
             if path is not None and path.stat().st_mode & 0o077:
-                raise ConfigError(f"Expected {path} to be yours alone, but others may read it: chmod 600 {path}.")
+                raise ConfigError(f"Expected {path} to be private, but others may read it: chmod 600 {path}.")
         if (self.certificate is None) != (self.key is None) or (self.certificate is not None and self.ca is None):
-            raise ConfigError("Expected `certificate`, `key` and `ca` together, got some of them.")
+            raise ConfigError("Expected `certificate`, `key` and `ca` together, got only some of them.")
         if self.secret is not None:
             _own(self.secret)
         if self.users is not None and COMMANDER not in dict(_lines(self.users)):
-            raise ConfigError(f"Expected a line {COMMANDER}:PASSWORD in {self.users}, got none: nobody could command.")
+            raise ConfigError(f"Expected a line {COMMANDER}:PASSWORD in {self.users}, got none. Add it.")
 
     @classmethod
     def of(cls, options: Any) -> Security:
-        """Return what a table or the options of a link name."""
+        """Return the security of a table or of link options."""
         names = [name for name in cls.__dataclass_fields__ if options.get(name)]
         try:
             return cls(**{name: Path(options[name]).expanduser() for name in names})
-        except (RuntimeError, ValueError) as error:  # ~somebody, ~ and a byte that no name has
+        except (RuntimeError, ValueError) as error:  # an unknown ~user, or a NUL byte
             raise ConfigError(
-                f"Expected files of users of this computer, but {str(error).rstrip('.')}. Give whole paths."
+                f"Expected files on this computer, got {str(error).rstrip('.')}. Use absolute paths."
             ) from None
 
     @property
     def is_safe(self) -> bool:
-        """Whether commands may come from another computer: encrypted, and from users with a password."""
+        """Whether commands from other computers are allowed: the link is encrypted, and users have passwords."""
         return None not in (self.ca, self.certificate, self.key, self.users)
 
     def values(self, listens: bool) -> dict[str, Any]:
@@ -81,7 +81,7 @@ class Security:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except OSError:  # of a name that is too long
+    except OSError:  # the name is too long
         return False
 
 
@@ -106,7 +106,7 @@ def _lines(path: Path) -> list[tuple[str, str]]:
 
 
 def _rules() -> dict[str, Any]:
-    """Return who may do what, also on a router: all read, ask and stop, one user commands, bridges publish."""
+    """Return the access rules, also for routers: all users read, query and stop; one commands; bridges publish."""
     everything = "armlab/**"
     commands = [key(EVERY, EVERY, what) for what in ("command/**", "param/**")]
     reading = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]

@@ -1,4 +1,4 @@
-"""Zenoh sessions without multicast, quick to connect again, always closed; addresses of labs, and publishers."""
+"""Zenoh sessions without multicast (`open_session`, `open_near`), addresses of labs, and publishers."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from armlab.errors import ConfigError, LinkError, MissingExtra
 
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 _OPENED = 1500  # ms for the other end to answer a connection
-_ROOM = 16  # messages that wait for a connection, the most there is: two would not last while a process is not run
-_BEFORE_DROP = 20_000  # us for room, once when a reader falls behind: it may only not have been run
-_BEFORE_CLOSE = 250_000  # us, after seconds in buffers: a put that waits holds up whoever declares, and they all others
-_TRIES = 2  # to be router or else to find one: it may end just then
+_ROOM = 16  # messages queued per connection, the maximum: two do not last while a process is not scheduled
+_BEFORE_DROP = 20_000  # us before the first drop: a slow reader may just not have been scheduled
+_BEFORE_CLOSE = 250_000  # us, after seconds in buffers: a blocked put delays all declarations
+_TRIES = 2  # to become or find a router: one may end in between
 _FOUND = 1.0  # s in which a router on this computer is found
 _ANYWHERE = "0.0.0.0"
-# Bytes of a message that is put together of its parts. The largest of ours, an answer to "about", has three texts of
-# 2**17 of the loop; a router of ours also passes on what programs of others send each other, such as small pictures.
+# Maximum size of a fragmented message. Our largest, a reply to "about", has three texts of 2**17 bytes; our router also
+# forwards messages of other programs, such as small images.
 _LARGEST = 2**20
-_ANSWERS = 2**26  # bytes of all answers to a query: of a thousand bridges a few KiB each
-_UNUSED = "127.0.0.2"  # of this computer; nobody listens there who does not listen at every address
+_ANSWERS = 2**26  # bytes of all replies to a query: a few KiB each of a thousand bridges
+_UNUSED = "127.0.0.2"  # of this computer; in use only by programs that listen at every address
 
 _open: set[Any] = set()
 _lock = threading.Lock()
@@ -42,7 +42,7 @@ def zenoh() -> Any:
         import zenoh as module
     except ImportError:
         raise MissingExtra(
-            "Expected eclipse-zenoh to speak Zenoh, got none. Install it: pip install 'armlab[net]'."
+            "Expected the package eclipse-zenoh, but it is not installed. Install it: pip install 'armlab[net]'."
         ) from None
     return module
 
@@ -53,10 +53,10 @@ def open_session(
     connect: Sequence[str] = (),
     security: Security | None = None,
 ) -> Any:
-    """Return a session; `close_session` ends it. One that is forgotten is closed when the program ends.
+    """Return a session, which is closed by `close_session` or at the end of the program.
 
-    A "router" is found by others at its address; a "peer" finds them through a router; a "client" stays behind it.
-    Addresses are "HOST:PORT"; connections that fail are tried again for ever.
+    A "router" can be found at its address; a "peer" discovers others through a router; a "client" communicates only
+    through its router. Addresses are "HOST:PORT"; failed connections are retried forever.
     """
     module, safe = zenoh(), security or Security()
     protocol = "tls" if safe.ca is not None else "tcp"
@@ -67,7 +67,7 @@ def open_session(
         "connect/exit_on_failure": False,
         "connect/retry": _RETRY,
         "scouting/multicast/enabled": False,
-        **({"scouting/delay": 0} if mode == "router" else {}),  # it would wait half a second for multicast
+        **({"scouting/delay": 0} if mode == "router" else {}),  # the default waits 0.5 s for multicast
         "transport/unicast/open_timeout": _OPENED,
         "transport/link/rx/max_message_size": _LARGEST,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _BEFORE_DROP,
@@ -82,7 +82,7 @@ def open_session(
     try:
         session = module.open(config)
     except module.ZError as error:
-        raise LinkError(f"Expected a Zenoh session, but {_short(error)}. Choose another address or port.") from None
+        raise LinkError(f"Expected a Zenoh session, got {_short(error)}. Choose another address or port.") from None
     with _lock:
         _open.add(session)
         if not _watcher:
@@ -94,14 +94,14 @@ def open_session(
 def open_near(
     host: str, port: int, router: str = "", security: Security | None = None, commands: bool = False
 ) -> tuple[Any, str]:
-    """Return the session of a server, and where it is in words: a router of its own, unless there is one.
+    """Return the session of a server and its location as text; the session becomes a router unless one exists.
 
-    host, port : where others find it. When the port is taken, by the router of another server, that one is used, and
-        the session is found directly at a port that the system chooses. router : "HOST:PORT" of a router elsewhere.
+    Other programs connect to `host` and `port`. If another server's router already uses the port, the session joins
+    that router and listens at a port chosen by the system. `router` is the "HOST:PORT" of a router on another computer.
     """
     safe = security or Security()
     protocol = "tls" if safe.ca is not None else "tcp"
-    is_open = commands and not safe.is_safe  # to whoever comes
+    is_open = commands and not safe.is_safe  # to any client
     if router:
         _check_router(router, is_open)
     else:
@@ -125,7 +125,7 @@ def open_near(
             close_session(session)
             break
     raise LinkError(
-        f"Expected a Zenoh router at {place} or a free port, but something else holds it, or it asks for other "
+        f"Expected a Zenoh router at {place} or a free port, but the port is in use, or its router requires different "
         "certificates and passwords. Choose another `port`."
     )
 
@@ -133,7 +133,7 @@ def open_near(
 def _opened(
     mode: Literal["router", "peer"], listen: Sequence[str], connect: Sequence[str], security: Security
 ) -> Any | None:
-    """Return a session, None when the port to listen at is taken."""
+    """Return a session, or None if the port is in use."""
     try:
         return open_session(mode, listen, connect, security)
     except LinkError as error:
@@ -143,7 +143,7 @@ def _opened(
 
 
 def _free_port(host: str) -> int:
-    """Return a port that is free now; Zenoh does not tell which one it was given."""
+    """Return a free port; Zenoh does not report a port that the system chose."""
     with socket.socket() as probe:
         try:
             probe.bind((host, 0))
@@ -155,41 +155,41 @@ def _free_port(host: str) -> int:
 
 
 def _check_router(router: str, is_open: bool) -> None:
-    """Refuse that commands come from anybody by a router that is named."""
+    """Raise if any client could command through the configured router."""
     port = router.rpartition(":")[2]
     if not (port.isascii() and port.isdigit() and 0 < int(port) < 2**16):
-        raise ConfigError(f"Expected a router like 192.168.1.9:7447, got {router!r}.")
+        raise ConfigError(f"Expected a router such as 192.168.1.9:7447, got {router!r}.")
     if is_open and not is_here(router):
         raise ConfigError(
-            f"Expected certificates and users, since `commands` names this server and its router {router} is not on "
-            "this computer: whoever reaches it could command. Write them: armlab bridge certificates; or take the "
-            "server out of `commands`."
+            f"Expected certificates and users, because `commands` lists this server and its router {router} is on "
+            "another computer: any client of the router could command. Create them with armlab bridge certificates, "
+            "or remove the server from `commands`."
         )
     _check_router_here("", int(port), is_open)
 
 
 def _check_router_here(host: str, port: int, is_open: bool) -> None:
-    """Refuse a router at our port that lets anybody command, or that is not found where we would be."""
+    """Raise for a router at our port that lets any client command, or that does not listen at our address."""
     with socket.socket() as probe:
         try:
             probe.bind((_UNUSED, port))
-        except OSError:  # taken by what listens at every address; or, where one cannot tell, maybe
+        except OSError:  # in use at every address; on some systems, possibly at another one only
             if is_open:
                 raise ConfigError(
                     f"Expected no commands from other computers, but the Zenoh router at port {port} listens at every "
-                    "address of this one, and whoever reaches it could command. Let it listen at 127.0.0.1 only, or "
-                    "choose another `port`, or write certificates and users: armlab bridge certificates."
+                    "address of this computer, so any client could command. Let it listen only at 127.0.0.1, choose "
+                    "another `port`, or create certificates and users with armlab bridge certificates."
                 ) from None
             return
     if host == _ANYWHERE:
         raise LinkError(
-            f"Expected TCP port {port} to be free at every address, but another router listens there on this computer "
-            "only. Choose another `port`, or give both servers the same --listen."
+            f"Expected TCP port {port} to be free at every address, but another router uses it only for this computer. "
+            "Choose another `port`, or give both servers the same --listen."
         )
 
 
 def wait_for_router(session: Any, patience: float) -> bool:
-    """Return whether a peer has found a router, or another peer."""
+    """Return whether a peer has found a router or another peer."""
     until = time.monotonic() + patience
     while not (session.info.routers_zid() or session.info.peers_zid()):
         if time.monotonic() > until:
@@ -199,7 +199,7 @@ def wait_for_router(session: Any, patience: float) -> bool:
 
 
 def close_session(session: Any) -> None:
-    """Close a session; again is no mistake."""
+    """Close a session; closing it again does nothing."""
     with _lock:
         known = session in _open
         _open.discard(session)
@@ -208,7 +208,7 @@ def close_session(session: Any) -> None:
 
 
 def queried(session: Any, selector: str, patience: float) -> list[tuple[str, bytes]]:
-    """Return what was answered to a query: keys and bytes; what is more than 64 MiB together is left out."""
+    """Return the keys and bytes of all replies to a query, up to 64 MiB in total."""
     found, room = [], _ANSWERS
     for reply in session.get(selector, timeout=patience):
         if reply.ok is not None:
@@ -221,30 +221,30 @@ def queried(session: Any, selector: str, patience: float) -> list[tuple[str, byt
 
 
 def _close_at_exit() -> None:
-    """Close what is open when the main thread has ended: Python waits for the threads of callbacks before `atexit`."""
+    """Close open sessions when the main thread ends: Python waits for callback threads before `atexit`."""
     threading.main_thread().join()
     for session in list(_open):
         close_session(session)
 
 
 def _short(error: Exception) -> str:
-    """Return what a ZError says without the places in its sources."""
+    """Return the text of a ZError without source locations."""
     return str(error).partition(" at /")[0].rstrip(".")
 
 
-_PERIOD = 0.5  # s between two questions to a bridge
-_ANSWER = 2.0  # s for an answer
+_PERIOD = 0.5  # s between two queries to a bridge
+_ANSWER = 2.0  # s for a reply
 
 
 class Discovery:
-    """Asks "about" of bridges, each at most twice a second."""
+    """Queries bridges for "about", each at most twice per second."""
 
     def __init__(self, session: Any, answered: Callable[[str, str, bytes], None]) -> None:
         self._session, self._answered = session, answered
         self._due: dict[tuple[str, str], float] = {}
 
     def ask(self, lab: str, robot: str) -> None:
-        """Ask when it is time to."""
+        """Send a query if it is due."""
         now = time.monotonic()
         if now < self._due.get((lab, robot), 0.0):
             return
@@ -259,19 +259,19 @@ class Discovery:
 
 
 LAB = "lab"
-"""Name of a lab that was given none."""
+"""Default name of a lab."""
 
 PORT = 7447
-"""Where Zenoh's routers listen."""
+"""Default port of Zenoh routers."""
 
 _PATIENCE = 5.0  # s for the first connection
-_TRIED = 0.1  # s between two tries to reach a router
-_AGAIN = 0.1  # s until it is asked again: who has just connected does not know all of those who could answer
+_TRIED = 0.1  # s between two attempts to reach a router
+_AGAIN = 0.1  # s between two queries: a new session discovers the bridges one after another
 _OPTIONS = ("ca", "secret")
 
 
 class LabAddress(NamedTuple):
-    """Where a lab is found."""
+    """Address and security of a lab."""
 
     host: str = "127.0.0.1"
     port: int = PORT
@@ -288,7 +288,7 @@ class LabAddress(NamedTuple):
             host, port = None, None
         lab = parts.path.strip("/")
         if parts.scheme != "zenoh" or not host or "/" in lab or "*" in lab:
-            raise ConfigError(f"Expected a place like zenoh://192.168.1.5:7447/lab1, got {url!r}.")
+            raise ConfigError(f"Expected an address such as zenoh://192.168.1.5:7447/lab1, got {url!r}.")
         options = dict(parse_qsl(parts.query, keep_blank_values=True))
         return cls.of(host, PORT if port is None else port, {"lab": lab, **options})
 
@@ -296,25 +296,25 @@ class LabAddress(NamedTuple):
     def of(cls, host: str, port: int, options: dict[str, str]) -> LabAddress:
         unknown = sorted(set(options) - {"lab", *_OPTIONS})
         if unknown:
-            raise ConfigError(f"Expected only ca and secret as options of a zenoh link, got {', '.join(unknown)}.")
+            raise ConfigError(f"Expected only the options ca and secret in a zenoh link, got {', '.join(unknown)}.")
         return cls(host, port, options.get("lab") or LAB, Security.of(options))
 
     def open(self, patience: float = _PATIENCE) -> Any:
-        """Return a session there; see `close_session`."""
+        """Return a session at this address; see `close_session`."""
         where = f"{self.host}:{self.port}"
         listen = ["127.0.0.1:0"] if self.security.ca is None and self.host.startswith("127.") else []
         session = open_session("peer", listen, [where], self.security)
         if not wait_for_router(session, patience):
             close_session(session)
-            secrets = "its certificates and passwords fit" if self.security.ca or self.security.secret else "it runs"
+            check = "certificates and passwords" if self.security.ca or self.security.secret else "that it runs"
             raise LinkError(
-                f"Expected a bridge or a Zenoh router at {where} within {patience:g} s, but none let us in. "
-                f"See whether {secrets}."
+                f"Expected a bridge or a Zenoh router at {where} within {patience:g} s, got no connection. "
+                f"Check {check}."
             )
         return session
 
     def open_behind(self, patience: float = _PATIENCE) -> Any:
-        """Return a session all of whose messages go through the router, however many robots there are."""
+        """Return a session that sends all messages through the router, for any number of robots."""
         where, until = f"{self.host}:{self.port}", time.monotonic() + patience
         while True:
             try:
@@ -322,30 +322,34 @@ class LabAddress(NamedTuple):
             except LinkError:
                 if time.monotonic() > until:
                     raise LinkError(
-                        f"Expected a Zenoh router at {where} within {patience:g} s, but none let us in. Start it: "
-                        "armlab fleet router; or see whether certificates and password fit."
+                        f"Expected a Zenoh router at {where} within {patience:g} s, got no connection. Start one with "
+                        "armlab fleet router, or check the certificates and the password."
                     ) from None
                 time.sleep(_TRIED)
 
     def ask(self, session: Any, selector: str, patience: float = _ANSWER) -> bytes:
-        """Return the one answer to a query."""
+        """Return the first reply to a query."""
         until = time.monotonic() + patience
         while not (found := queried(session, selector, patience)):
             if time.monotonic() > until:
                 raise LinkError(
-                    f"Expected an answer to {selector} at {self.host}:{self.port}, but none came. See whether the "
-                    "bridge of that robot runs and serves this lab."
+                    f"Expected a reply to {selector} at {self.host}:{self.port}, got none. Check that the bridge of "
+                    "that robot is running and serves this lab."
                 )
             time.sleep(_AGAIN)
         return found[0][1]
 
 
-_WAITING = 2500  # rows of a recorder that is slow: 10 s of one arm
-_LAST = 1.0  # s for what waits at the end
+_WAITING = 2500  # rows queued for a slow recorder: 10 s of one arm
+_LAST = 1.0  # s to send the queue at the end
 
 
 class Publisher:
-    """One key. Nothing is sent while nobody reads it; for a slow reader it is dropped."""
+    """Publisher of one key. It sends only while the key has readers, and drops messages for slow readers."""
+
+    wanted: bool
+    sent: int
+    dropped: int
 
     def __init__(self, session: Any, key: str, changed: Callable[[], None] = lambda: None) -> None:
         self.wanted, self.sent, self.dropped = False, 0, 0
@@ -355,7 +359,7 @@ class Publisher:
         self.wanted = self.wanted or self._publisher.matching_status.matching
 
     def put(self, data: bytes, attachment: bytes | None = None) -> None:
-        """Send when it is wanted."""
+        """Send a message if the key has readers."""
         if self.wanted:
             self._publisher.put(data, attachment=attachment)
             self.sent += 1
@@ -369,11 +373,29 @@ class Publisher:
         self._changed()
 
 
-class BlockingPublisher(Publisher):
-    """The same for readers that must have everything: a thread of its own waits for the slow one.
+class LatchedPublisher(Publisher):
+    """Publisher of one message, which is kept for late-joining readers, as rmw_zenoh does."""
 
-    A reader that stands still loses its connection when the buffers on the way are full, after some seconds; it gets
-    rows again when it has connected again, and the hole shows in their numbers.
+    def __init__(self, session: Any, key: str) -> None:
+        self.wanted, self.sent, self.dropped = False, 0, 0
+        ext = zenoh().ext
+        self._publisher = ext.declare_advanced_publisher(
+            session,
+            key,
+            cache=ext.CacheConfig(1),
+            sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None),  # else time stamps
+            publisher_detection=True,
+        )
+
+    def put(self, data: bytes, attachment: bytes | None = None) -> None:
+        self._publisher.put(data, attachment=attachment)
+
+
+class BlockingPublisher(Publisher):
+    """Publisher for readers that need every message; its thread waits for slow readers.
+
+    A stalled reader loses its connection after a few seconds, when the buffers in between are full. It receives
+    messages again after it has reconnected; their numbers reveal the gap.
     """
 
     def __init__(self, session: Any, key: str) -> None:
@@ -383,7 +405,7 @@ class BlockingPublisher(Publisher):
         self._thread.start()
 
     def put(self, data: bytes, attachment: bytes | None = None) -> None:
-        """Queue what is wanted."""
+        """Queue a message if the key has readers."""
         if self.wanted:
             try:
                 self._queue.put_nowait((data, attachment))
@@ -391,7 +413,7 @@ class BlockingPublisher(Publisher):
                 self.dropped += 1
 
     def close(self) -> None:
-        """Send what waits, and end; call it before the session is closed."""
+        """Send the queue and stop; must be called before the session is closed."""
         with contextlib.suppress(queue.Full):
             self._queue.put(None, timeout=_LAST)
         self._thread.join(_LAST)
@@ -401,7 +423,7 @@ class BlockingPublisher(Publisher):
         return session.declare_publisher(
             key,
             congestion_control=module.CongestionControl.BLOCK,
-            priority=module.Priority.DATA_LOW,  # a queue of its own: what others read goes on meanwhile
+            priority=module.Priority.DATA_LOW,  # a separate queue: it does not delay other readers
             express=True,
         )
 

@@ -1,0 +1,35 @@
+"""Dynamics of an arm: gravity torques, energy, and computed-torque control with a force at the tool."""
+
+import numpy as np
+
+from armlab import dynamics, robots
+
+
+def main() -> None:
+    robot = robots.load("iiwa14")
+    q, qd = np.array(robot.q_home), np.zeros(robot.n)
+    print("held by", dynamics.gravity(robot, q).round(2), "N m")
+    print("inertia of joint 1:", dynamics.mass_matrix(robot, q)[0, 0].round(3), "kg m^2")
+
+    # computed torque: the error of every joint decays like a spring and damper of unit mass
+    goal, dt, push = q + 0.3, 1e-3, np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
+    for k in range(3000):
+        wanted = 25.0 * (goal - q) - 10.0 * qd
+        tau = dynamics.inverse_dynamics(robot, q, qd, wanted)
+        pushed = push if k > 2000 else None  # 1 N downwards at the tool in the last second
+        qd = qd + dt * dynamics.forward_dynamics(robot, q, qd, tau, f_ext=pushed)
+        q = q + dt * qd
+        if k == 2000:
+            print("before the push, off by", np.abs(goal - q).max().round(6), "rad")
+    print("under the push, off by", np.abs(goal - q).max().round(4), "rad")
+
+    kinetic, potential = dynamics.energy(robot, q, qd)
+    print("energy", kinetic.round(4), "+", potential.round(2), "J")
+
+    by_q, by_qd, _ = dynamics.forward_dynamics_derivatives(robot, q, qd, dynamics.gravity(robot, q))
+    poles = np.linalg.eigvals(np.block([[np.zeros_like(by_q), np.eye(robot.n)], [by_q, by_qd]]))
+    print("fastest motion of the arm left alone:", np.abs(poles).max().round(2), "rad/s")
+
+
+if __name__ == "__main__":
+    main()

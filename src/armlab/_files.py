@@ -1,0 +1,135 @@
+"""Atomic writing of files, file descriptors that other code in this process may close, and bounded TOML.
+
+`os.closerange` closes descriptors by number, regardless of their owner.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+_APART = 512  # below the usual limit of 1024
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a path to write to; on success it is renamed to `path` atomically, on failure nothing remains.
+
+    An OSError names `path`, which plain write errors do not.
+    """
+    part = path.with_name(f"{path.name}.part")
+    try:
+        yield part
+        part.replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+class Descriptor:
+    """Open descriptor, stored with its file because its number may belong to another file once it is closed."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self._file = _file(number)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the number still belongs to the file."""
+        return self._file is not None and _file(self.number) == self._file
+
+    def same_file(self, number: int) -> bool:
+        """Return whether another descriptor refers to the same file."""
+        return self._file is not None and _file(number) == self._file
+
+    def close(self) -> None:
+        """Close the descriptor unless its number belongs to another file. A second call does nothing."""
+        if self.is_open:
+            os.close(self.number)
+        self._file = None
+
+
+def _file(number: int) -> tuple[int, int] | None:
+    """Return the device and inode of an open file."""
+    try:
+        about = os.fstat(number)
+    except OSError:
+        return None
+    return about.st_dev, about.st_ino
+
+
+def apart(number: int) -> int:
+    """Move a newly opened descriptor to a high number, which other code does not use for a previously closed file.
+
+    The old number is closed, unless no high number is available.
+    """
+    try:
+        moved = fcntl.fcntl(number, fcntl.F_DUPFD_CLOEXEC, _APART)
+    except OSError:
+        return number
+    os.close(number)
+    return moved
+
+
+_LARGEST = 2**63
+_LONGEST = 1 << 24  # characters; a robot has 5 kB, a motion with its covariance 2 MB
+_MOST = 10_000  # keys and tables, each of which takes the parser up to 0.3 ms
+_MOST_VALUES = 1 << 20  # of all arrays, each of which takes it 3 us
+_DEEPEST = 16  # names in a dotted key; the parser takes the square of it in time
+_QUOTED = re.compile(
+    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5})?|\'\'\'.*?(?:\'{3,5}|\Z)|"(?:[^"\\\n]|\\.)*+"?|\'[^\'\n]*+\'?|#[^\n]*+',
+    re.DOTALL,
+)
+_TABLE = re.compile(r"^[ \t]*+\[", re.MULTILINE)
+_DEEP = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{_DEEPEST}}}")
+
+
+class TomlError(ValueError):
+    """Invalid TOML text."""
+
+
+def parsed(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text; raise TomlError for invalid text and for text beyond the bounds.
+
+    Python's parser accepts integers of any length, nests as deep as Python allows, and takes quadratic time for
+    dotted keys. The bounds are therefore 64 bits, 16 names, 16 MiB, and 50 000 keys and tables.
+    """
+    try:
+        _check_size(text)
+        tables = tomllib.loads(text)
+        _check(tables)
+    except (ValueError, RecursionError) as error:
+        raise TomlError(str(error)) from None
+    return tables
+
+
+def _check_size(text: str) -> None:
+    if len(text) > _LONGEST:
+        raise ValueError(f"a text of {len(text)} characters, more than {_LONGEST}")
+    statements = text.count("=") + len(_TABLE.findall(text))
+    if statements > _MOST:
+        raise ValueError(f"{statements} keys and tables, more than {_MOST}")
+    values = text.count(",") + text.count("[")
+    if values > _MOST_VALUES:
+        raise ValueError(f"arrays of {values} values, more than {_MOST_VALUES}")
+    if text.count(".") >= _DEEPEST and _DEEP.search(_QUOTED.sub("_", text)):
+        raise ValueError(f"a dotted key of more than {_DEEPEST} names")
+
+
+def _check(value: Any) -> None:
+    if isinstance(value, dict):
+        for one in value.values():
+            _check(one)
+    elif isinstance(value, list):
+        for one in value:
+            _check(one)
+    elif isinstance(value, int) and not -_LARGEST <= value < _LARGEST:
+        raise ValueError(f"an integer of {value.bit_length()} bits and a sign, although TOML allows 63")

@@ -1,0 +1,45 @@
+MODULE ArmlabYumiR
+  ! Guides the right arm of a YuMi (task T_ROB_R) from a computer.
+  ! armlab, MIT licence. Written from ABB's manual 3HAC073318-001 (Externally Guided Motion); never tried on a real
+  ! controller. The program on the computer must run before this one, or this one reports a time-out and tries again.
+  !
+  ! Edit before the first run:
+  !   tool0  your tool with its load: a wrong load is event 41438, or a wrong torque
+  !   speed  at most this much on top of what RAPID moves [degrees/s]
+  !
+  ! The seventh axis is eax_a here and \J7 below. RobotWare 6 examples have \J1 to \J6 only: where \J7 is refused when
+  ! the program is loaded, take out both.
+
+  LOCAL VAR jointtarget start;
+  LOCAL CONST num speed := 90;
+  LOCAL CONST num patience := 0.2;  ! s without an answer; the last speed acts so long
+  LOCAL CONST egm_minmax never := [0, 0];  ! a window that is never met: guidance does not end because the arm rests
+  LOCAL VAR egmident guide;
+
+  PROC main()
+    ! The first movement after a restart must not be guided, and guidance begins at a fine point only. This one ends
+    ! where the arm is: nothing moves. To begin elsewhere, set start to a posture within reach.
+    start := CJointT();
+    MoveAbsJ start, v50, fine, tool0;
+    WHILE TRUE DO
+      EGMReset guide;
+      EGMGetId guide;
+      EGMSetupUC ROB_R, guide, "armlab", "armlab_r" \Joint \CommTimeout:=patience;
+      EGMActJoint guide \StreamStart
+        \J1:=never \J2:=never \J3:=never \J4:=never
+        \J5:=never \J6:=never \J7:=never
+        \LpFilter:=100 \SampleRate:=4 \MaxPosDeviation:=1000 \MaxSpeedDeviation:=speed;
+      ! Returns after CondTime within the window, so never; \PosCorrGain:=0 would follow speeds alone.
+      EGMRunJoint guide, EGM_STOP_HOLD \J1 \J2 \J3 \J4 \J5 \J6 \J7
+        \CondTime:=3600 \RampInTime:=0.5 \PosCorrGain:=1;
+      TPWrite "armlab: guidance ended, it begins again";
+    ENDWHILE
+  ERROR
+    IF ERRNO = ERR_UDPUC_COMM THEN
+      TPWrite "armlab: no answer from the computer, waiting for it";
+      WaitTime 1;
+      TRYNEXT;
+    ENDIF
+    RAISE;
+  ENDPROC
+ENDMODULE

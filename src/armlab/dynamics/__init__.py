@@ -1,0 +1,37 @@
+"""Rigid-body dynamics: torques, accelerations, mass and Coriolis matrices, energy, regressors and derivatives.
+
+    M(q) qdd + C(q, qd) qd + g(q) = tau + J(q)^T f_ext
+
+All functions broadcast over leading axes and are compiled. Motions and torques are those of the joints from base to
+tool, revolute [rad, N m] or prismatic [m, N]. Mount, tool and gravity are taken from the robot. For motors behind
+coupled gears, use ``couplings.joint_torque_to_motor(robot, tau)``; their mass matrix is ``G^T M G`` with G =
+`Robot.coupling`.
+
+The first argument is a `Robot` with inertias, or an identified `TorqueModel`. A model provides base parameters:
+results that are linear in them are exact, including rotors and coupled motors; friction is excluded. There are two
+limitations. The potential energy of a model is zero at q = 0. The constant weight on a vertical prismatic joint is
+missing, because it is indistinguishable from a torque offset. A model from `identify.fit_gravity` supports only
+`gravity`. `regressor` and `base_regressor` need no masses.
+
+This package is above `models`, because `kinematics` does not import `TorqueModel`. Simulation, estimators and
+identification call the same kernels (native/math/arm/rigid_body.h).
+"""
+
+from armlab.dynamics.base_parameters import BaseParameters, base_parameters, base_regressor, regressor
+from armlab.dynamics.rigid_body import (
+    coriolis,
+    coriolis_matrix,
+    energy,
+    forward_dynamics,
+    forward_dynamics_derivatives,
+    gravity,
+    inverse_dynamics,
+    inverse_dynamics_derivatives,
+    mass_matrix,
+)
+
+__all__ = [
+    "BaseParameters", "base_parameters", "base_regressor", "coriolis", "coriolis_matrix", "energy", "forward_dynamics",
+    "forward_dynamics_derivatives", "gravity", "inverse_dynamics", "inverse_dynamics_derivatives", "mass_matrix",
+    "regressor",
+]  # fmt: skip

@@ -1,0 +1,457 @@
+"""Joint trajectories (points at given times) and their controller, with tolerances as in ros2_control."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._display import Shown
+from armlab._numbers import make_read_only, numbers, positive
+from armlab.errors import ShapeError, UnknownName
+from armlab.motion import arguments
+from armlab.motion.control import JointLimits
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+Ending = Literal["", "arrived", "refused", "path", "goal", "interrupted"]
+
+MAX_GAP = 0.1  # s between two packets
+GOAL_TIME = 2.0
+"""Default time after the last point to reach the goal [s]."""
+
+_SENT = 1e-6  # rad or m between the last reference and the goal
+_REST = 1e-3  # rad/s or m/s of the last point
+_PARTS = 16  # of a piece, at which limits are checked
+_SPARE = 1.0 + 1e-3  # of the speed limit
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tolerance(Shown):
+    """Largest differences between reference and measurement.
+
+    Attributes
+    ----------
+    position : float or array, shape (n,), rad or m
+        Position tolerance; infinite for none.
+    velocity : float or array, shape (n,), rad/s or m/s
+        Velocity tolerance; infinite for none.
+    """
+
+    position: ArrayLike = np.inf
+    velocity: ArrayLike = np.inf
+
+    def spread(self, n: int) -> np.ndarray:
+        """Return both tolerances (2, n)."""
+        return np.stack([arguments.joint_limit(self.position, "position tolerance", n),
+                         arguments.joint_limit(self.velocity, "velocity tolerance", n)])  # fmt: skip
+
+
+GOAL_TOLERANCE = Tolerance(0.01, 0.02)
+"""Default goal tolerance."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class JointTrajectory(Shown):
+    """Points of a motion at given times, such as a ``trajectory_msgs/JointTrajectory``.
+
+    Between points, the motion is a polynomial: linear for positions only, cubic with velocities, quintic with
+    velocities and accelerations. A first point after time 0 is reached from the position at the start.
+
+    Attributes
+    ----------
+    t : array, shape (N,), s
+        Increasing times since the start, from 0.
+    q : array, shape (N, n), rad or m
+        Positions.
+    qd : array, shape (N, n), rad/s or m/s
+        Velocities (zero at the last point), or None.
+    qdd : array, shape (N, n), rad/s^2 or m/s^2
+        Accelerations, or None.
+    joints : sequence of str
+        Names of the columns, in any order; empty for the order of the robot.
+
+    Raises
+    ------
+    ShapeError
+        No points, wrong shapes, missing values, non-increasing times, accelerations without velocities, motion at the
+        last point, or repeated joint names.
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray | None = None
+    qdd: np.ndarray | None = None
+    joints: Sequence[str] = ()
+
+    if TYPE_CHECKING:  # accepted types; the fields are arrays
+
+        def __init__(
+            self,
+            t: ArrayLike,
+            q: ArrayLike,
+            qd: ArrayLike | None = None,
+            qdd: ArrayLike | None = None,
+            joints: Sequence[str] = (),
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        t, q = (np.array(numbers(getattr(self, name), name, ShapeError)) for name in ("t", "q"))
+        if q.ndim != 2 or not q.size or t.shape != q.shape[:1]:
+            raise ShapeError(f"Expected points with times (N,) and positions (N, n), got {t.shape} and {q.shape}.")
+        object.__setattr__(self, "t", t)
+        object.__setattr__(self, "q", q)
+        names = [name for name in ("q", "qd", "qdd") if getattr(self, name) is not None]
+        for name in names:
+            values = np.array(numbers(getattr(self, name), name, ShapeError))
+            if values.shape != q.shape:
+                raise ShapeError(f"Expected {name} of shape {q.shape}, like q, got {values.shape}.")
+            missing = np.flatnonzero(~np.isfinite(values).all(axis=1))
+            if len(missing):
+                raise ShapeError(f"Expected finite {name}, got {values[missing[0]].tolist()} at point {missing[0]}.")
+            object.__setattr__(self, name, values)
+        self._check_times()
+        if self.qd is None and self.qdd is not None:
+            raise ShapeError("Expected velocities together with accelerations, got none. Pass both, or only positions.")
+        if self.qd is not None and np.abs(self.qd[-1]).max() > _REST:
+            raise ShapeError(f"Expected rest at the last point, got velocities {self.qd[-1].tolist()}. Add a point.")
+        joints = tuple(self.joints)
+        if joints and (len(joints) != q.shape[1] or len(set(joints)) < len(joints)):
+            raise ShapeError(f"Expected {q.shape[1]} different joint names, one per column, got {', '.join(joints)}.")
+        object.__setattr__(self, "joints", joints)
+        make_read_only(self, "t", *names)
+
+    def _check_times(self) -> None:
+        steps = np.diff(self.t)
+        if not np.isfinite(self.t).all() or self.t[0] < 0.0 or not (steps > 0.0).all():
+            k = int(np.argmin(steps > 0.0)) + 1 if len(steps) and self.t[0] >= 0.0 else 0
+            raise ShapeError(
+                f"Expected finite, increasing times from 0 s, got {self.t[k]:g} s at point {k}"
+                f"{f' after {self.t[k - 1]:g} s' if k else ''}. Sort the points and drop repeated ones."
+            )
+
+    @property
+    def duration(self) -> float:
+        """Time of the last point [s]."""
+        return float(self.t[-1])
+
+    def ordered(self, joints: Sequence[str]) -> JointTrajectory:
+        """Return the same motion with its columns in the order of the robot's joints.
+
+        Parameters
+        ----------
+        joints : sequence of str
+            Names in the order of the robot, for example `Robot.ros_joint_names`.
+
+        Raises
+        ------
+        UnknownName
+            A joint of the trajectory is not among them, or one of them is missing.
+        ShapeError
+            There are no names, and the number of columns differs.
+        """
+        if not self.joints:
+            if self.q.shape[1] != len(joints):
+                raise ShapeError(f"Expected {len(joints)} joints ({', '.join(joints)}), got {self.q.shape[1]} columns.")
+            return replace(self, joints=tuple(joints))
+        for name in self.joints:
+            if name not in joints:
+                raise UnknownName.among("joint", name, joints)
+        missing = [name for name in joints if name not in self.joints]
+        if missing:
+            raise UnknownName(f"Expected all joints of the arm, got no column for {', '.join(missing)}. Add them.")
+        at = [self.joints.index(name) for name in joints]
+        q, qd, qdd = (None if one is None else one[:, at] for one in (self.q, self.qd, self.qdd))
+        return replace(self, q=q, qd=qd, qdd=qdd, joints=tuple(joints))
+
+    def check(self, limits: JointLimits) -> None:
+        """Raise if the motion between the points exceeds position or speed limits.
+
+        Accelerations are not checked, because the limits of the robot are applied to every reference.
+
+        Parameters
+        ----------
+        limits : Robot or bridge.Limits
+            Limits per joint.
+
+        Raises
+        ------
+        ShapeError
+            A position or speed is outside the limits; the message states its joint and time.
+        """
+        if len(self.t) == 1:
+            places, speeds, times = self.q[None], None, self.t[None]
+        else:
+            h = np.diff(self.t)[:, None]
+            parts = np.linspace(0.0, 1.0, _PARTS + 1)[:, None, None]
+            ends = [(values if values is None else (values[:-1], values[1:])) for values in (self.q, self.qd, self.qdd)]
+            places, speeds, _ = _evaluate(_pieces(h, *ends), parts * h)
+            times = self.t[:-1] + parts[:, :, 0] * h[:, 0]
+        self._refuse(~((places >= limits.q_min) & (places <= limits.q_max)), places, times, "positions from {} to {}",
+                     limits.q_min, limits.q_max)  # fmt: skip
+        if speeds is not None:
+            self._refuse(~(np.abs(speeds) <= limits.qd_max * _SPARE), speeds, times, "speeds up to {}", limits.qd_max)
+
+    def _refuse(self, wrong: np.ndarray, values: np.ndarray, times: np.ndarray, what: str, *limits: np.ndarray) -> None:
+        if wrong.any():
+            part, piece, i = (int(k) for k in np.argwhere(wrong)[0])
+            joint = self.joints[i] if self.joints else f"joint {i + 1}"
+            raise ShapeError(
+                f"Expected {what.format(*(f'{limit[i]:.4g}' for limit in limits))} for {joint}, got "
+                f"{values[part, piece, i]:.4g} after {times[part, piece]:.3f} s. Use a slower or shorter motion."
+            )
+
+    def controller(
+        self,
+        robot: Robot,
+        *,
+        limits: JointLimits | None = None,
+        path_tolerance: Tolerance | None = None,
+        goal_tolerance: Tolerance | None = None,
+        goal_time: float = GOAL_TIME,
+        begin: float = 0.0,
+    ) -> TrajectoryController:
+        """Return a controller ``State -> Command`` that runs the trajectory once, then ends the run.
+
+        Parameters
+        ----------
+        robot : Robot
+            The arm; columns are sorted by `Robot.ros_joint_names`.
+        limits : Robot or bridge.Limits
+            Limits that the motion must satisfy; default: those of the robot.
+        path_tolerance : Tolerance
+            Tolerance during the motion; default: none (the following-error limit of the link still applies).
+        goal_tolerance : Tolerance
+            Tolerance at the end; default: 0.01 rad or m, and 0.02 per second.
+        goal_time : float, s
+            Time after the last point to reach the goal tolerance.
+        begin : float, s
+            Trajectory time at which to begin; earlier points are skipped, and a negative time waits.
+
+        Raises
+        ------
+        UnknownName, ShapeError
+            The joints differ from those of the robot, or the motion is outside the limits.
+        """
+        trajectory = self.ordered(robot.ros_joint_names)
+        trajectory.check(robot if limits is None else limits)
+        goal = GOAL_TOLERANCE if goal_tolerance is None else goal_tolerance
+        path = Tolerance() if path_tolerance is None else path_tolerance
+        return TrajectoryController(trajectory, robot if limits is None else limits, path, goal, goal_time, begin)
+
+
+class TrajectoryController:
+    """Runs a `JointTrajectory` once; created by `JointTrajectory.controller`.
+
+    The first point must be near the arm, or late enough to be reached within the speed limits. The motion ends if a
+    reference or the arm leaves the path tolerance, or after a pause of the robot or a new session; the arm then comes
+    to rest.
+
+    Attributes
+    ----------
+    ending : str
+        "" during the motion, then "arrived", "refused" (at the start), "path" or "goal" (outside this tolerance), or
+        "interrupted".
+    reason : str
+        Why the motion ended without arriving.
+    t : float, s
+        Time of the trajectory.
+    """
+
+    ending: Ending
+    reason: str
+    t: float
+
+    def __init__(
+        self,
+        trajectory: JointTrajectory,
+        limits: JointLimits,
+        path: Tolerance,
+        goal: Tolerance,
+        goal_time: float,
+        begin: float,
+    ) -> None:
+        n = trajectory.q.shape[1]
+        self._trajectory, self._qd_max = trajectory, np.asarray(limits.qd_max)
+        self._path, self._end = path.spread(n), goal.spread(n)
+        self._goal_time = positive(goal_time, "goal time [s]")
+        self.t = float(begin)
+        self.ending, self.reason = "", ""
+        self._k, self._piece, self._from, self._session = -1, np.zeros((6, n)), 0.0, -1
+
+    @property
+    def goal(self) -> np.ndarray:
+        """Last position (n,)."""
+        return self._trajectory.q[-1]
+
+    @property
+    def done(self) -> bool:
+        """Whether the arm has arrived."""
+        return self.ending == "arrived"
+
+    def begin(self, state: State, near: ArrayLike = 0.05, is_moving: bool = False) -> str:
+        """Start at a State; return the reason for a refusal, or "" if accepted.
+
+        Parameters
+        ----------
+        state : State
+            Of the arm.
+        near : float or array, shape (n,), rad or m
+            Largest allowed distance between the arm and a first point at time 0.
+        is_moving : bool
+            Whether the arm already follows references; the motion then begins from the last one, otherwise at rest.
+        """
+        trajectory, self._session = self._trajectory, state.session
+        if state.q.shape != self.goal.shape:
+            return self._fail("refused", f"Expected an arm of {len(self.goal)} joints, got {len(state.q)}.")
+        rest = np.zeros_like(state.q)
+        q = state.q_sent if _is_known(state) else state.q
+        qd = state.qd_sent if is_moving and state.qd_sent.shape == q.shape else rest
+        self._k = int(np.searchsorted(trajectory.t, self.t - 1e-9))
+        if self._k == len(trajectory.t):
+            what = f"one of {trajectory.duration:.3f} s, {self.t:.3f} s late"
+            return self._fail("refused", f"Expected a trajectory that ends in the future, got {what}.")
+        self._from = max(self.t, 0.0)
+        h, off = trajectory.t[self._k] - self._from, np.abs(trajectory.q[self._k] - q)
+        names = trajectory.joints
+        if h < 1e-9:
+            if not np.all(off <= near):
+                i = int(np.argmax(off - near))
+                return self._fail(
+                    "refused",
+                    f"Expected the first point to be near the arm, within {np.broadcast_to(near, off.shape)[i]:g}, got "
+                    f"{names[i]} {off[i]:.4g} away. Begin at the position of the arm, or give the first point a later "
+                    "time.",
+                )
+            self._enter(self._k)
+            return ""
+        end = [None if one is None else one[self._k] for one in (trajectory.q, trajectory.qd, trajectory.qdd)]
+        self._piece = _pieces(h, _pair(q, end[0]), _pair(qd, end[1]), _pair(rest, end[2]))
+        speed = np.abs(_evaluate(self._piece, np.linspace(0.0, h, 33)[:, None])[1]).max(axis=0)
+        if not np.all(speed <= np.maximum(self._qd_max * _SPARE, np.abs(qd))):
+            i = int(np.argmax(speed / self._qd_max))
+            return self._fail(
+                "refused",
+                f"Expected speeds up to {self._qd_max[i]:.4g} for {names[i]}, got {speed[i]:.4g} from the arm to the "
+                f"first point, {off[i]:.4g} away in {h:.3f} s. Begin at the position of the arm, or give the first "
+                "point a later time.",
+            )
+        return ""
+
+    def __call__(self, state: State, dt: float | None = None) -> Command:
+        """Return the command for one packet after `dt` [s] (default: that of the State); stops the run when the motion
+        has ended.
+        """
+        if self._session < 0:
+            self.begin(state)
+        elif not self.ending:
+            self._advance(state, state.dt if dt is None else dt)
+        if self.ending:
+            return Command.stop()
+        q, qd = self._reference(state)
+        self._compare(state, q, qd)
+        return Command.stop() if self.ending else Command(q, qd)
+
+    def _advance(self, state: State, dt: float) -> None:
+        if state.session != self._session:
+            self._fail("interrupted", "The robot began a new session.")
+        elif not 0.0 <= dt <= MAX_GAP:
+            self._fail("interrupted", f"Expected packets at most {1e3 * MAX_GAP:.0f} ms apart, got {1e3 * dt:.1f} ms.")
+        self.t += dt
+        t = self._trajectory.t
+        if self._k < len(t) and self.t >= t[self._k]:
+            self._enter(int(np.searchsorted(t, self.t, side="right")) - 1)
+
+    def _enter(self, k: int) -> None:
+        """Enter the piece after point k; after the last one, stay there."""
+        trajectory = self._trajectory
+        self._from, self._k = float(trajectory.t[k]), k + 1
+        if self._k == len(trajectory.t):
+            self._piece = np.zeros_like(self._piece)
+            self._piece[0] = trajectory.q[k]
+            return
+        ends = [None if one is None else (one[k], one[k + 1]) for one in (trajectory.q, trajectory.qd, trajectory.qdd)]
+        self._piece = _pieces(trajectory.t[k + 1] - trajectory.t[k], *ends)
+
+    def _reference(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """Return position and velocity at the current time."""
+        if self.t < 0.0:
+            return self._piece[0], np.zeros_like(state.q)
+        q, qd, _ = _evaluate(self._piece, self.t - self._from)
+        return q, qd
+
+    def _compare(self, state: State, q: np.ndarray, qd: np.ndarray) -> None:
+        """End the motion outside the path tolerance, or at the goal."""
+        is_over = self._k == len(self._trajectory.t) and self.t >= self._trajectory.t[-1]
+        if not is_over:
+            if (what := _outside(q - state.q, qd - state.qd, self._path, self._trajectory.joints)) != "":
+                self._fail(
+                    "path", f"Expected the arm to stay within the path tolerance, got {what} after {self.t:.3f} s."
+                )
+            return
+        sent = np.abs(state.q_sent - q).max() if _is_known(state) else 0.0
+        what = _outside(q - state.q, -state.qd, self._end, self._trajectory.joints)
+        if what == "" and sent <= _SENT and not np.isnan(state.q).any():
+            self.ending = "arrived"
+        elif self.t > self._trajectory.t[-1] + self._goal_time:
+            what = what or f"a reference {sent:.3g} from it"
+            self._fail("goal", f"Expected the arm at the goal {self._goal_time:g} s after the last point, got {what}.")
+
+    def _fail(self, ending: Ending, reason: str) -> str:
+        self.ending, self.reason = ending, reason
+        return reason
+
+
+Ends = tuple[np.ndarray, np.ndarray] | None
+
+
+def _pair(start: np.ndarray, end: np.ndarray | None) -> Ends:
+    return None if end is None else (start, end)
+
+
+def _is_known(state: State) -> bool:
+    """Return whether a reference was sent."""
+    return len(state.q_sent) > 0 and not np.isnan(state.q_sent).any()
+
+
+def _pieces(h: np.ndarray | float, q: Ends, qd: Ends, qdd: Ends) -> np.ndarray:
+    """Return coefficients (6, ..., n) of the lowest-order polynomials over h [s] between two ends."""
+    if q is None:
+        raise ShapeError("Expected positions at both ends of a piece, got none.")
+    d, zero = q[1] - q[0], np.zeros_like(q[0])
+    if qd is None:
+        return np.stack([q[0], d / h, zero, zero, zero, zero])
+    v0, v1 = h * qd[0], h * qd[1]
+    if qdd is None:
+        return np.stack([q[0], qd[0], (3 * d - 2 * v0 - v1) / h**2, (v0 + v1 - 2 * d) / h**3, zero, zero])
+    a0, a1 = h * h * qdd[0], h * h * qdd[1]
+    return np.stack(
+        [
+            q[0],
+            qd[0],
+            qdd[0] / 2,
+            (10 * d - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1) / h**3,
+            (-15 * d + 8 * v0 + 7 * v1 + 1.5 * a0 - a1) / h**4,
+            (6 * d - 3 * (v0 + v1) - 0.5 * (a0 - a1)) / h**5,
+        ]
+    )
+
+
+def _evaluate(c: np.ndarray, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return position, velocity and acceleration (..., n) of coefficients (6, ..., n), s seconds after the start."""
+    q = c[0] + s * (c[1] + s * (c[2] + s * (c[3] + s * (c[4] + s * c[5]))))
+    qd = c[1] + s * (2 * c[2] + s * (3 * c[3] + s * (4 * c[4] + s * 5 * c[5])))
+    return q, qd, 2 * c[2] + s * (6 * c[3] + s * (12 * c[4] + s * 20 * c[5]))
+
+
+def _outside(q: np.ndarray, qd: np.ndarray, tolerance: np.ndarray, joints: Sequence[str]) -> str:
+    """Describe the largest position or velocity difference beyond its tolerance; "" if none; NaN means unknown."""
+    for values, most, what in ((q, tolerance[0], "position"), (qd, tolerance[1], "velocity")):
+        over = np.abs(values) > most
+        if over.any():
+            i = int(np.argmax(over))
+            return f"the {what} of {joints[i]} {abs(values[i]):.3g} away (tolerance {most[i]:.3g})"
+    return ""
