@@ -158,6 +158,13 @@ def test_what_the_data_do_not_tell_is_refused_by_name_or_held_by_a_prior(problem
     np.testing.assert_allclose(bounded.x[0] + 2 * bounded.x[3], found.x[0] + 2 * found.x[3], rtol=0.05)
 
 
+def test_within_bounds_of_parameters_that_vary_as_one() -> None:
+    """A draft of few logs leaves such covariances: singular while both are at their bounds."""
+    cov, bound = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.ones(3)
+    found = within_bounds(np.array([2.0, 3.0, 0.5]), cov, -bound, bound)
+    np.testing.assert_allclose(found, [0.0, 1.0, 0.5], atol=1e-9)
+
+
 @pytest.mark.parametrize("seed", range(24))
 def test_within_bounds_agrees_with_bounded_least_squares(seed: int) -> None:
     rng = np.random.default_rng(seed)

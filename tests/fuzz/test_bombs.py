@@ -120,7 +120,7 @@ def parquet_of_zeros(path: Path) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak of memory from /proc")
 def test_bombs_are_refused_soon(tmp_path: Path) -> None:
     bombs: list[tuple[Callable[[Path], None], str, str]] = [
-        (zstd_of_zeros, ".mcap", "Expected a recording"),
+        (zstd_of_zeros, ".mcap", "Expected an armlab recording"),
         (zstd_in_many_chunks, ".mcap", "chunks that unpack to at most"),
         (gzip_of_rows, ".csv.gz", "got more. If you trust the file, unpack it"),
         (gzip_with_a_word, ".csv.gz", "read"),

@@ -159,7 +159,7 @@ def test_ur3_is_named_as_reversed(log_name: str) -> None:
     table = Table(rows[:, 0], {"q": rows[:, 1:7], "qd": rows[:, 7:13], "tau": rows[:, 13:19]})
     turns, lengths = [0.5 * np.pi, 0, 0, 0.5 * np.pi, -0.5 * np.pi, 0], [0, -0.24365, -0.21325, 0, 0, 0]
     robot = robots.from_dh("ur3", turns, lengths, [0.1519, 0, 0, 0.11235, 0.08535, 0.0819])
-    with pytest.raises(ShapeError, match="joints 1, 2, 3, 4, 5, 6: sign reversed"):
+    with pytest.raises(ShapeError, match="joints 1, 2, 3, 4, 5, 6: the sign is reversed"):
         fit_dynamics(table, robot)
     fit = fit_dynamics(table.with_column("tau", -table["tau"]), robot)
     quality = fit.value.quality
@@ -231,7 +231,7 @@ def test_tx40_wrist_is_in_the_model(tx40, tx40_model) -> None:
 def test_tx40_torque_of_the_motors_is_told(tx40) -> None:
     robot, table, currents = tx40
     motors = table.with_column("tau", currents)
-    with pytest.raises(ShapeError, match="torque on the joint side in N m, got: joint 4: sign reversed"):
+    with pytest.raises(ShapeError, match="torque on the joint side in N m, got: joint 4: the sign is reversed"):
         fit_dynamics(motors.between(0.1, 5.8), robot)
     angles = couplings.joint_to_motor(robot, table["q"] - TX40_ZERO)
     with pytest.raises(ShapeError, match=r"joint_1 \(67\.\d+, limit 3\.14: degrees or motor side, gear ratio 32"):
@@ -240,7 +240,7 @@ def test_tx40_torque_of_the_motors_is_told(tx40) -> None:
 
 def test_tiago_joints_that_send_no_torque_are_named(tiago) -> None:
     robot, table = tiago
-    with pytest.raises(NotExcited, match=r"arm_5 \(one torque in \d\d % of the rows\), arm_6 .*arm_7") as caught:
+    with pytest.raises(NotExcited, match=r"arm_5 \(the same torque in \d\d % of the rows\), arm_6 .*arm_7") as caught:
         prepare(table, robot)
     assert caught.value.directions == ("arm_5", "arm_6", "arm_7")
 

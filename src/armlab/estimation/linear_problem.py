@@ -243,6 +243,7 @@ def _describe(vector: np.ndarray, names: Sequence[str]) -> str:
 
 
 BLOCK_ROUNDS = 10  # rounds without progress before single-constraint pivoting
+ROUNDING = 1e-12  # of a correlation
 
 
 def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -261,7 +262,7 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
         return x
     sd = np.sqrt(np.diag(cov))
     sd = np.where(sd > 0, sd, 1.0)
-    correlation = cov / np.outer(sd, sd)
+    correlation = cov / np.outer(sd, sd) + ROUNDING * np.eye(len(x))  # positive definite: pivoting needs it
     low, high, free = lower / sd, upper / sd, x / sd
     side = np.zeros(len(x), dtype=int)  # -1 at the lower bound, +1 at the upper
     fewest, patience = len(x) + 1, BLOCK_ROUNDS

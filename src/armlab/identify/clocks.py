@@ -26,7 +26,7 @@ JITTER = 0.01  # of the period: smaller jitter is rounding of the stamps
 EARLIEST, LATEST = -0.06, 0.32  # s, range of the searched delays
 STEP = 0.004  # s, between the shifts of the coarse search
 LEAST, SURE = 0.5, 4.0  # periods and standard deviations: smaller delays are not corrected
-DOUBT = 1e-3  # s: unmodelled lag of friction
+DOUBT, SAMPLED = 1e-3, 0.2  # s, and periods if they are longer: unmodelled lag of friction
 FEWEST, SCATTER = 100, 0.5  # rows needed for a delay; s, blocks whose scatter gives its variance
 EXACT = 1e-6  # fraction of power that is rounding
 VAGUE = 0.01  # s: a delay with a larger standard deviation is unknown
@@ -188,7 +188,7 @@ def delay_of(y: np.ndarray, bases: list[np.ndarray], rows: np.ndarray, rate: flo
         return None
     push = parts[1] - b / a * parts[0]  # of each joint, at the common delay
     scatter = len(joints) / max(len(joints) - 3, 1) * np.sum(push**2)  # variance of Student's t: few joints
-    sd = np.sqrt(DOUBT**2 + max(2.0 * a, scatter) / (2.0 * a) ** 2)
+    sd = np.sqrt(max(DOUBT, SAMPLED / rate) ** 2 + max(2.0 * a, scatter) / (2.0 * a) ** 2)
     return Delay(float(best / rate - 0.5 * b / a), float(sd))
 
 

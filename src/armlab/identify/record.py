@@ -390,6 +390,7 @@ def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
 SURVEY_BAND, SURVEY_RATE, SURVEY_ROWS = 8.0, 25.0, 2000  # Hz, rows per second, and maximum rows
 DELTAS = (1e-4, 1e-3, 1e-2)  # rad, presliding distances: friction lags by itself, and peaks at reversals
 BELLS = (0.03, 0.1)  # rad/s, Stribeck speeds at a medium presliding distance
+WAVES = 4  # half waves of friction over the range of a position
 INDEPENDENT = 1e-7  # of the largest eigenvalue
 
 
@@ -430,6 +431,13 @@ class Survey:
         """Return the columns (M, 6) for viscous and Coulomb friction of joint i."""
         return np.column_stack([self.qd[:, i], self.signs[:, :, i]])
 
+    def friction_over_position(self, i: int) -> np.ndarray:
+        """Return the columns (M, 4 WAVES) for torque and Coulomb friction of joint i that vary with its position."""
+        q = self.q[:, i]
+        phase = np.pi * np.arange(1, WAVES + 1) * ((q - q.min()) / max(np.ptp(q), 1e-9))[:, None]
+        waves = np.hstack([np.cos(phase), np.sin(phase)])
+        return np.hstack([waves, waves * self.signs[:, len(DELTAS) // 2, i, None]])
+
 
 def survey_rows(data: Record) -> np.ndarray:
     """Return rows (M,) of a record for which every shift of a delay stays within the segment."""
@@ -461,7 +469,9 @@ def torque_on_time(data: Record, robot: Robot, used: np.ndarray) -> Record:
     """Return the record with tau aligned to the motion, based on the joints `used` (n,)."""
     survey = Survey.of(data, robot)
     bases = [
-        orthonormal(np.hstack([survey.columns(i), survey.friction(i)])) if used[i] else np.zeros((len(survey.rows), 0))
+        orthonormal(np.hstack([survey.columns(i), survey.friction(i), survey.friction_over_position(i)]))
+        if used[i]
+        else np.zeros((len(survey.rows), 0))
         for i in range(len(used))
     ]
     late = delay_of(survey.tau, bases, survey.rows, data.rate, used)
