@@ -84,7 +84,7 @@ def stalled(folder: Path, robot: str, seconds: float, stands: bool) -> Stall:
     finally:
         recording_file.open_new = real
     held = log.inspect(folder / "run.mcap")
-    told = [re.match(r"(\d+) rows were dropped", event.text) for event in held.events]
+    told = [re.match(r"(\d+) rows dropped, ticks ", event.text) for event in held.events]
     stamp, came, sent = np.array(watch.stamps).T
     after = 1e-9 * (stamp - stamp[0])
     middle = (after > BEFORE) & (after < BEFORE + seconds) & (sent > 0)
