@@ -32,7 +32,7 @@ __all__ = ["main"]
 FAILED, WRONG_USE, DOUBTFUL, INTERRUPTED = 1, 2, 3, 130
 
 _COMMANDS = {
-    "demo": ("demo:demo", "Simulated YuMi, from excitation to the estimated force of a hand. No robot needed."),
+    "demo": ("demo:demo", "Demo on a simulated YuMi, from excitation to contact-force estimation. No robot needed."),
     "sim": ("sim:sim", "Simulated arms with their EGM controller."),
     "doctor": (
         "doctor:doctor",

@@ -75,7 +75,7 @@ def force_unit(robot: Robot) -> tuple[float, np.ndarray]:
 
 @dataclass(frozen=True)
 class Plan:
-    """Motions and presses of the demo, in seconds of guidance time in the second run."""
+    """Motions and presses of the demo. Times are seconds of guidance time in the second run."""
 
     excitation: Trajectory  # excitation, test: motions of the two runs
     test: Trajectory

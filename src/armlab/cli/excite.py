@@ -91,7 +91,7 @@ def excite(
         figure: Draw the motion to this PNG, SVG or PDF.
         run: Link on which to run the motion: egm://HOST:PORT for a real robot, sim://yumi_left or sim://FILE for a
             simulated one.
-        log: Recording of the run; -2, -3 is appended if it exists. Default: excite.mcap in the folder of the settings.
+        log: Recording of the run; -2, -3 is appended if it exists. Default: excite.mcap in the log folder.
         approach: Duration of the motion to the start [s].
     """
     from armlab.cli.support.settings import load_settings, log_folder

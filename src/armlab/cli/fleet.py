@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 RouterAddress = Annotated[str, Parameter(help="HOST:PORT of the router.")]
 Ca = Annotated[Path | None, Parameter(help="CA certificate of the router: lab.pem of armlab bridge certificates.")]
-Secret = Annotated[Path | None, Parameter(help="Password file, if required by the router: viewer.secret.")]
+Secret = Annotated[Path | None, Parameter(help="Password file (such as viewer.secret), if the router requires one.")]
 _ROUTER = "127.0.0.1:7447"
 _PORT = 7447
 _LOOK = 0.2  # s between two checks of the clock

@@ -33,7 +33,7 @@ def record(
 
     Parameters:
         robot: Names in the library, or robot files; one log each.
-        port: UDP ports to listen on, one per robot, separated by commas; default: those of the settings, else 6510 for
+        port: UDP ports to listen on, one per robot, separated by commas; default: from the settings, otherwise 6510 for
             one robot, 6511, 6512, ... for several.
         output: Log file, such as run.mcap; with several robots, the side or name is appended: runleft.mcap,
             runright.mcap.

@@ -50,11 +50,10 @@ def run(
         link: egm://HOST:PORT for a real robot, where HOST is an address of this computer; separate two arms by a comma.
             Default: a simulated robot.
         log: Prefix of the log name, to which the time is appended; or a folder, in which the robot's name is the
-            prefix.
-            Default: in the folder of the settings.
+            prefix. Default: in the log folder of the settings.
         no_log: Record nothing.
         seconds: Stop after this much robot time under guidance [s].
-        speed: Fraction of the robot's speed and acceleration limits, in (0, 1]; default: that of the settings, else 1.
+        speed: Fraction of the robot's speed and acceleration limits, in (0, 1]; default: from the settings, else 1.
         wait: How to wait for packets; default: from the settings, else ahead. spin: busy waiting on one core.
         interactive: Open a Python prompt after the run, with `log` (the table), `run` and `robot`.
     """
@@ -207,7 +206,7 @@ def play(
         robot: Library name or robot file.
         link: egm://HOST:PORT for a real robot; default: a simulated robot.
         speed: Allowed fraction of the robot's speed limits, in (0, 1]; default: from the settings, else 1.
-        log: Recording of the motion; -2, -3 is appended if it exists. Default: play.mcap in the folder of the settings.
+        log: Recording of the motion; -2, -3 is appended if it exists. Default: play.mcap in the log folder.
         force: Also replay a log of another robot.
     """
     from armlab.cli.dmp.playing import Walk

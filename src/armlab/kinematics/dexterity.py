@@ -30,7 +30,7 @@ _SHORTEST = 1e-7  # rad: curves that need shorter steps end
 _EXACT = 1e-12  # m and rad: residual of the correction, and rounding margin at the limits
 _DRIFT = 1e-4  # largest correction of a step over its length
 _MOST = 10**6  # points
-_FARTHEST = 1e3  # rad or m: a closed self-motion would repeat
+_FARTHEST = 1e3  # rad or m; a longer self-motion that is closed would repeat
 _SINGULAR = 1e-9  # of the largest singular value
 
 
@@ -40,7 +40,7 @@ class Ellipsoid(Shown):
 
     Attributes
     ----------
-    axes : (..., 3, 3) directions of the semi-axes as columns, right-handed, base axes; signs are arbitrary.
+    axes : (..., 3, 3) directions of the semi-axes as columns, in base axes, right-handed; signs are arbitrary.
     lengths : (..., 3) lengths of the semi-axes. Velocity: m/s or rad/s per unit of joint speed, longest first. Force: N
         or N m per unit of joint torque, shortest first; infinite if the structure carries the load.
     """
@@ -63,7 +63,7 @@ def singular_values(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarr
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-    part : "pose" for all six rows (its values mix metres and radians), "position" [m/rad] or "rotation".
+    part : "pose" for all six rows (mixes metres and radians), "position" [m/rad] or "rotation".
 
     Returns
     -------
@@ -83,8 +83,8 @@ def manipulability(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarra
 
     ``w = sqrt(det(J J^T))``, the product of the singular values. If the arm has fewer joints n than the part has rows,
     this determinant is 0 in every posture. In that case ``w = sqrt(det(J^T J))``, the volume within the n directions
-    that the joints can move. It is computed by an orthogonal factorisation of J, not from J J^T, so that it is accurate
-    to the rounding of J near singular postures.
+    in which the joints can move the tool. An orthogonal factorisation of J, rather than J J^T, keeps the result
+    accurate to the rounding of J near singular postures.
 
     Parameters
     ----------
@@ -151,8 +151,8 @@ def ellipsoid(
 ) -> Ellipsoid:
     """Return the velocity or force ellipsoid of the tool.
 
-    ``{J qd : |qd| <= 1}`` (velocity) or ``{f : |J^T f| <= 1}`` (force), with the three rows of J for the part. Both
-    have the same axes and reciprocal lengths, so directions of high speed have low force.
+    ``{J qd : |qd| <= 1}`` (velocity) or ``{f : |J^T f| <= 1}`` (force), with the three rows of J for the part. The
+    two ellipsoids share their axes and have reciprocal lengths, so directions of high speed have low force.
 
     Parameters
     ----------
@@ -211,9 +211,9 @@ class SelfMotion(Shown):
     q : (N, n) joint positions; the first is the start.
     s : (N,) arc length [rad; m for prismatic joints].
     position_error : (N,) displacement of the tool point from the start [m]; at most 1e-9.
-    rotation_error : (N,) rotation of the tool from the start [rad]; at most 1e-9. Task "axis": its z axis only;
-        "position": 0.
-    end : reason for the end: "length" (the whole length was reached), "limit of joint k", "optimum" or "singular".
+    rotation_error : (N,) rotation of the tool from the start [rad]; at most 1e-9. Task "axis": of its z axis
+        only; task "position": 0.
+    end : why the motion ended: "length" (the full length was reached), "limit of joint k", "optimum" or "singular".
     """
 
     q: np.ndarray
@@ -238,16 +238,16 @@ def self_motion(
     """Follow the self-motion from a posture: ``J(q) dq/ds = 0``, ``|dq/ds| = 1``.
 
     Each point is found by one RK4 step along the null space, followed by Newton steps ``dq = J^+ e`` back to the pose.
-    Every point keeps the pose to 1e-9 (typically 1e-12) and is inside the joint limits. The motion ends at a limit, and
-    its last point lies on the limit.
+    Every point preserves the pose to 1e-9 (typically 1e-12) and is within the joint limits. If the motion reaches a
+    limit, it ends with a point on that limit.
 
     Parameters
     ----------
     robot : an arm with more joints than the task needs.
     q : (n,) start posture, inside the limits [rad or m].
-    direction : 1 or -1, for a one-dimensional self-motion: 1 moves the fastest joint forward. Or (n,) joint velocities,
-        which are projected to the null space. Alternatively, a function of the joint positions that returns the
-        gradient (n,) of an objective, for example the manipulability; the motion then goes uphill until the optimum.
+    direction : 1 or -1, for a one-dimensional self-motion: 1 moves the fastest joint forward. Alternatively, (n,) joint
+        velocities, which are projected onto the null space, or a function of the joint positions that returns the
+        gradient (n,) of an objective, for example the manipulability; the motion then ascends to the optimum.
     length : maximum arc length in joint space [rad; m for prismatic joints]; up to 1000.
     points : number of evenly spaced points over the whole length, both ends included, 2 to 1 000 000.
     task : constraint: "pose", "position" of the tool point, or "axis": position and direction of the tool's z axis.
@@ -255,14 +255,14 @@ def self_motion(
     Returns
     -------
     SelfMotion
-        The points, their errors, and the reason for the end.
+        The points, their errors, and why the motion ended.
 
     Raises
     ------
     RobotError : if the robot has no redundant joint for the task, or is not a `Robot`.
     SingularPoseError
-        If `q` is singular, `direction` is a sign although several directions exist, or `direction` has no null-space
-        part.
+        If `q` is singular, `direction` is a sign although several directions exist, or `direction` has no
+        null-space component.
     ShapeError : if `q` is not (n,), finite and inside the limits, or another argument does not match.
     UnknownName : if `task` is unknown.
     """
@@ -327,7 +327,7 @@ class _Curve:
         return q, along / np.linalg.norm(along)
 
     def step(self, q: np.ndarray, tangent: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, float, str]:
-        """Return the next point, its tangent and distance, and "length" or the reason for the end."""
+        """Return the next point, its tangent and distance, and "length" or the reason for ending."""
         if self.climbs:
             uphill = self.projected(q, self.gradient(q))
             tangent = uphill / max(float(np.linalg.norm(uphill)), 1e-300)
@@ -378,12 +378,12 @@ class _Curve:
         return "optimum" if self.climbs and self.gradient(q) @ tangent < 0 else ""
 
     def tangent(self, q: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """Return the unit vector of the null space nearest to `near`."""
+        """Return the null-space unit vector closest to `near`."""
         along = self.projected(q, near)
         return along / max(float(np.linalg.norm(along)), 1e-300)
 
     def projected(self, q: np.ndarray, vector: np.ndarray) -> np.ndarray:
-        """Return the part of `vector` in the null space."""
+        """Return the null-space component of `vector`."""
         basis = np.linalg.svd(self.error(q)[1])[2][self.rank :]
         return basis.T @ (basis @ vector)
 

@@ -139,7 +139,7 @@ def forward_jacobian(
 
 
 def _resolved(robot: Robot, frame: Frame) -> tuple[Chain, bool]:
-    """Return the compiled chain and whether the axes are those of the tool."""
+    """Return the compiled chain and whether to use tool axes."""
     try:
         return robot.chain, _TOOL_AXES[frame]
     except AttributeError:
@@ -181,12 +181,11 @@ def jacobian_derivative(
 
 
 def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
-    """Return the Jacobian of the tool pose with respect to perturbations ``E_j Exp([v; w])`` of frame j, ``J[..., j, :]
-    @ [v; w]``.
+    """Return the Jacobian of the tool pose with respect to perturbations ``E_j Exp([v; w])`` of each frame j.
 
-    With ``P_j = E_0 Z_1(q_1) E_1 ... E_j = (R_j, p_j)``, the tool at p moves by ``R_j v + R_j w x (p - p_j)`` and
-    rotates by ``R_j w``. The joint columns are included: the column of joint j + 1 is column w_z (prismatic: v_z) of
-    frame j.
+    The tool twist due to frame j is ``J[..., j, :] @ [v; w]``. With ``P_j = E_0 Z_1(q_1) E_1 ... E_j = (R_j, p_j)``,
+    the tool at p moves by ``R_j v + R_j w x (p - p_j)`` and rotates by ``R_j w``. The joint columns are included:
+    the column of joint j + 1 is column w_z (prismatic: v_z) of frame j.
 
     Parameters
     ----------

@@ -49,35 +49,35 @@ def inverse(
 ) -> IkSolution:
     """Return joint positions within the limits that place the tool at given poses.
 
-    Levenberg-Marquardt steps ``dq = J^T (J J^T + lambda I)^-1 e`` with ``lambda = damping |e|^2`` and
-    ``e = [p_goal - p; log(R_goal R^T)]``, metres scaled by three over the length of the arm. Joints that would leave
-    their limits are held there while the other joints compensate. If the search stalls, the next start is taken from a
-    table of random postures, nearest tool first. The result is always within the limits.
+    The solver takes Levenberg-Marquardt steps ``dq = J^T (J J^T + lambda I)^-1 e`` with ``lambda = damping |e|^2`` and
+    ``e = [p_goal - p; log(R_goal R^T)]``, where metres are scaled by three over the length of the arm. Joints that
+    would leave their limits are held there while the other joints compensate. If the search stalls, it restarts from a
+    table of random postures, those with the tool closest to the goal first. The result is always within the limits.
 
     Parameters
     ----------
     robot : the arm.
     T_base_tool : (..., 4, 4) goals: poses of the tool in the base.
     q0 : (n,) or (..., n) initial guess [rad or m], one posture or one per goal; clipped to the limits. None: the home
-        posture or a random one, whichever has its tool closer to the goal.
-    task : "pose"; "position" of the tool point; position and direction of an "axis" of the tool; or the "direction" of
-        that axis alone.
-    axis : (3,) axis of these tasks, in tool axes.
-    objective : function to minimise along the self-motion, with the joints that the task leaves free. With r half the
-        range of a joint about its middle m:
-        "posture" ``sum of (q - posture)^2 / 2``;
-        "mid_range" ``sum of ((q - m) / r)^2 / 2``;
-        "limits" the largest ``|q - m| / r``, smoothed: ``log(sum of exp(s x) + exp(-s x)) / s`` with s = 1000, plus a
+        posture or a random one, whichever places the tool closer to the goal.
+    task : "pose", "position" (of the tool point), "axis" (position and direction of a tool axis) or "direction" (of
+        that axis only).
+    axis : (3,) tool axis for the tasks "axis" and "direction", in the tool frame.
+    objective : function to minimise along the self-motion that the task leaves free. With m the middle and r half the
+        range of a joint, and ``x = (q - m) / r``:
+        "posture": ``sum of (q - posture)^2 / 2``;
+        "mid_range": ``sum of x^2 / 2``;
+        "limits": the largest ``|x|``, smoothed: ``log(sum of exp(s x) + exp(-s x)) / s`` with s = 1000, plus a
         thousandth of "mid_range";
-        "manipulability" ``-log(det(J J^T)) / 2`` of the rows of the task.
-    posture : (n,) or (..., n) target of the objective "posture", and for it only; None: `q0`, or the home posture.
-    tol : tolerance of position [m] and of rotation [rad], one number for both or a pair.
+        "manipulability": ``-log(det(J J^T)) / 2`` of the task rows of the Jacobian.
+    posture : (n,) or (..., n) target; only with the objective "posture". None: `q0`, or else the home posture.
+    tol : position tolerance [m] and rotation tolerance [rad]; one number for both, or a pair.
     maxiter : iterations per start, 0 to 1 000 000; if all starts fail, the best continues for as many again.
     starts : maximum number of starts; 1: only `q0`.
-    damping : lambda over the squared error (ikinePOE's lambda); it grows by 8 after a failed step.
-    seed : seed of the random postures; results are reproducible, in a batch and one by one.
-    threads : number of threads over the goals, 1 to 256; the result does not depend on it.
-    history : keep the errors along the descent that gave the result.
+    damping : lambda divided by the squared error (ikinePOE's lambda); a failed step multiplies it by 8.
+    seed : seed of the random postures; results are reproducible, and the same for a batch as for single goals.
+    threads : number of threads that share the goals, 1 to 256; does not affect the result.
+    history : record the errors along the descent that produced the result.
     strict : raise an exception if a goal is not solved.
 
     Returns
@@ -126,22 +126,23 @@ class IkSolution:
 
     Attributes
     ----------
-    q : (..., n) joint positions, always within the limits; without success the posture with the least error.
+    q : (..., n) joint positions, always within the limits; if unsolved, the posture with the smallest error.
     success : (...) whether the errors are within the tolerance.
-    position_error : (...) distance from tool point to goal [m]; NaN when the task is a direction.
-    rotation_error : (...) angle to the goal, of the tool or of its axis [rad]; NaN when the task is a position.
-    iterations : (...) iterations of all starts together.
+    position_error : (...) distance from tool point to goal [m]; NaN for the task "direction".
+    rotation_error : (...) angle of the tool or its axis to the goal [rad]; NaN for the task "position".
+    iterations : (...) total number of iterations over all starts.
     starts : (...) number of starts used.
     reason : (...) "solved", or the cause of failure:
-        "out of reach" the goal is further from the first joint than the links are long, or every start, even without
-        the limits of revolute joints, ended where no joint reduces the error; "limits" only postures outside the limits
-        reach the goal; "singular" an error below 1e-4 rad remains near a singular posture after second-order steps, or
-        the only start ended at one; `position_error` and `rotation_error` give its size; "iterations" the error was
-        still falling at the iteration limit.
-    slope : (...) gradient norm of the objective along the self-motion of the joints inside their limits; NaN without an
-        objective or a solution.
-    history : (..., maxiter + 1, 2) least errors so far [m, rad] after each step of the descent that gave `q` (if all
-        starts failed: of the continued best start), NaN after its end; None unless requested.
+        "out of reach": the goal is further from the first joint than the total length of the links, or every
+        start, even without the limits of revolute joints, ended in a posture where no joint reduces the error;
+        "limits": only postures outside the limits reach the goal;
+        "singular": an error below 1e-4 rad remains near a singular posture after second-order steps, or the only start
+        ended at a singular posture; `position_error` and `rotation_error` give the remaining error;
+        "iterations": the error was still falling at the iteration limit.
+    slope : (...) norm of the objective gradient along the self-motion of the joints inside their limits; NaN without
+        an objective or a solution.
+    history : (..., maxiter + 1, 2) smallest errors so far [m, rad] after each step of the descent that produced `q`
+        (the continued best start if all starts failed), then NaN; None unless requested.
     """
 
     q: np.ndarray
@@ -182,7 +183,7 @@ class IkSolution:
 
 
 def freeze(q: np.ndarray, errors: np.ndarray, counts: np.ndarray, history: np.ndarray | None) -> IkSolution:
-    """Return errors (..., 3) and counts (..., 3) of a kernel as an `IkSolution`; single goals get scalars."""
+    """Return kernel errors (..., 3) and counts (..., 3) as an `IkSolution`, with scalars for a single goal."""
     for array in (q, errors, counts, history):
         if array is not None:
             array.flags.writeable = False
@@ -202,7 +203,7 @@ def _errors(position: np.ndarray, rotation: np.ndarray) -> str:
 
 
 def check_task(robot: object, task: str, objective: str | None) -> None:
-    """Reject unknown names and anything that is not a robot."""
+    """Reject unknown names and a `robot` that is not a `Robot`."""
     if not isinstance(task, str) or task not in ROWS:
         raise UnknownName.among("task of inverse kinematics", task, ROWS)
     if objective is not None and (not isinstance(objective, str) or objective not in _KINDS):
@@ -212,7 +213,7 @@ def check_task(robot: object, task: str, objective: str | None) -> None:
 
 
 def check_search(tol: Any, maxiter: Any, starts: Any, damping: Any) -> tuple[float, float]:
-    """Validate the search options; return the tolerances of position and rotation."""
+    """Validate the search options and return the position and rotation tolerances."""
     if not (isinstance(maxiter, _INTEGER) and 0 <= maxiter <= MOST_STEPS):
         raise ConfigError(f"Expected maxiter to be an integer from 0 to {MOST_STEPS}, got {maxiter!r}.")
     if not (isinstance(starts, _INTEGER) and 1 <= starts < 2**31):

@@ -31,19 +31,19 @@ class IkPath:
     Attributes
     ----------
     q : (N, n) joint positions, always within the limits.
-    success : (N,) whether the pose is reached by a step within `max_step`. A path with success in all rows can be
-        executed.
-    position_error : (N,) distance from tool point to goal [m]; NaN when the task is a direction.
-    rotation_error : (N,) angle to the goal, of the tool or of its axis [rad]; NaN when the task is a position.
-    reason : (N,) "solved", or why the path breaks at this row. If the errors are within the tolerance, `q` is where the
-        path continues; otherwise it is the posture with the least error.
-        "out of reach" the pose is further from the first joint than the links are long;
-        "limits" a joint is at its limit;
-        "singular" no joint reduces the error;
-        "jump" on this branch, but beyond `max_step` from the previous row;
-        "iterations" the error was still falling at the iteration limit.
-    branch_changes : (k,) indices of the rows that continue on another branch. Each breaks the path.
-    iterations : (N,) iterations of the descent.
+    success : (N,) whether the pose is reached with a step of at most `max_step`. A path can be executed if all rows
+        succeed.
+    position_error : (N,) distance from tool point to goal [m]; NaN for the task "direction".
+    rotation_error : (N,) angle of the tool or its axis to the goal [rad]; NaN for the task "position".
+    reason : (N,) "solved", or why the path breaks at this row. If the errors are within the tolerance, the path
+        continues from `q`; otherwise `q` is the posture with the smallest error.
+        "out of reach": the pose is further from the first joint than the total length of the links;
+        "limits": a joint is at its limit;
+        "singular": no joint reduces the error;
+        "jump": the pose is reached on this branch, but further than `max_step` from the previous row;
+        "iterations": the error was still falling at the iteration limit.
+    branch_changes : (k,) indices of the rows at which the path breaks and continues on another branch.
+    iterations : (N,) number of descent iterations.
     """
 
     q: np.ndarray
@@ -58,7 +58,7 @@ class IkPath:
         make_read_only(self, *vars(self))
 
     def report(self) -> str:
-        """Return one sentence with the reached part of the path and the causes of breaks."""
+        """Return one sentence that states how much of the path is reached and why it breaks."""
         count, breaks = len(self.q), np.flatnonzero(~self.success)
         if not len(breaks):
             return f"All {count} poses reached on one branch."
@@ -94,23 +94,23 @@ def inverse_path(
     """Return joint positions that move the tool through poses on one branch.
 
     Every pose is solved as in `inverse`, starting from the previous row and its last step. Joints therefore stay on
-    their branch and pass through singular postures in their incoming direction. Near singular postures, damping and the
-    largest step bound the joint motion; random starts around the previous row help if the descent stalls. If a path
-    breaks, the row holds the reason. The path then continues further along the same branch, or on another branch, whose
-    index is reported.
+    their branch and keep their direction of motion through singular postures. Near singular postures, damping and the
+    step limit bound the joint motion; random starts around the previous row help if the descent stalls. If the path
+    breaks, the row states the reason. The path then continues on the same branch, or on another one from a row listed
+    in `IkPath.branch_changes`.
 
     Parameters
     ----------
     robot : the arm.
     T_base_tool : (N, 4, 4) consecutive poses of the tool in the base.
     q0 : (n,) posture near the first row [rad or m]. None: the home posture or a random one.
-    max_step : largest joint step between rows [rad or m], one number or (n,), for example the fastest speed times the
-        period. None: 0.05 rad plus five times the length of the pose step (in rad; metres count three over the length
-        of the arm).
-    objective, posture : as in `inverse`, for every row. None: least motion between rows; a closed path may then end in
-        another posture than it began with. With an objective, each row depends only on its pose as long as the minimum
-        does not jump, and a closed path also closes in the joints.
-    task, axis, tol, maxiter, starts, damping : as in `inverse`; the starts serve the search for another branch.
+    max_step : largest joint step between rows [rad or m], one number or (n,), for example the speed limit times the
+        period. None: 0.05 rad plus five times the length of the pose step (in rad; metres are scaled by three over the
+        length of the arm).
+    objective, posture : as in `inverse`, for every row. None: minimise the motion between rows; a closed path may then
+        end in a different posture from where it began. With an objective, each row depends only on its pose as long as
+        the minimum does not jump, so a closed path is also closed in joint space.
+    task, axis, tol, maxiter, starts, damping : as in `inverse`; `starts` applies to the search for another branch.
     strict : raise an exception if the path breaks.
 
     Returns
@@ -119,7 +119,7 @@ def inverse_path(
 
     Raises
     ------
-    ShapeError : if the poses are not (N, 4, 4), one is not a pose or not finite, or another argument does not match.
+    ShapeError : if the poses are not (N, 4, 4), valid and finite, or another argument does not match.
     UnknownName : if `task` or `objective` is unknown.
     RobotError : if `robot` is not a `Robot`.
     ConfigError
@@ -214,7 +214,7 @@ def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve:
 
 
 def _best(T: np.ndarray, rows: Rows, k: int, follow: Follow, solutions: tuple[np.ndarray, np.ndarray]) -> Rows | None:
-    """Return the detour up to row k (from the row where it leaves the path) that leads furthest beyond k."""
+    """Return the detour, from the row where it leaves the path to row k, that leads furthest beyond k."""
     best, furthest, seen = None, -1, []
     before = slice(k - 1, max(0, k - LOOK_BACK) - 1 if k > LOOK_BACK else None, -1)
     for q in solutions[0][solutions[1]]:
@@ -225,7 +225,7 @@ def _best(T: np.ndarray, rows: Rows, k: int, follow: Follow, solutions: tuple[np
         back = follow(np.concatenate([T[k : k + 1], T[before]]), q, NEAR, wishes, np.ones(len(q)))
         whole = np.logical_and.accumulate(back.counts[:, 1] == 0)
         meets = np.flatnonzero(whole & (np.abs(back.q - wishes).max(axis=1) < TOGETHER))
-        if len(meets) < 2:  # the first row always meets itself
+        if len(meets) < 2:  # the first row always matches itself
             continue
         ahead = follow(T[k : k + LOOK_AHEAD], q, 0, None, None).counts[:, 1]
         goes = int(np.argmax(ahead != 0)) if ahead.any() else len(ahead)
@@ -235,6 +235,6 @@ def _best(T: np.ndarray, rows: Rows, k: int, follow: Follow, solutions: tuple[np
 
 
 def _replaced(rows: Rows, k: int, detour: Rows, ahead: Rows) -> Rows:
-    """Return the rows with the detour up to row k and the rows that continue it."""
+    """Return the rows with the detour spliced in up to row k, followed by its continuation."""
     start = k - len(detour.q) + 1
     return Rows(*(np.concatenate([old[:start], new, rest[1:]]) for old, new, rest in zip(rows, detour, ahead)))

@@ -1,4 +1,4 @@
-"""Curves and text of one arm in the panel, for the last seconds of a stream or for a whole run with a cursor."""
+"""Curves and text of one arm in the panel: the last seconds of a stream, or a whole run with a cursor."""
 
 from __future__ import annotations
 
@@ -52,14 +52,13 @@ class RingBuffer:
         self._rows.clear()
 
 
-_STRETCHES = 200  # segments of a plot about 400 pixels wide; minimum and maximum of each are drawn
+_STRETCHES = 200  # segments of a plot about 400 pixels wide; the minimum and maximum of each are drawn
 _CURSOR = "#000000"
-_BAND = "33"  # opacity of a band, two digits of a colour
+_BAND = "33"  # opacity of a band, as two hexadecimal digits
 
 
 def envelope(t: np.ndarray, values: np.ndarray, stretches: int = _STRETCHES) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (M,) and values (M, k) to draw, the minimum and maximum of each segment, so that spikes stay
-    visible.
+    """Return the times (M,) and the minima and maxima (M, k) of segments, which keep spikes visible in a plot.
 
     Segments begin at integer multiples of their length, so that a sliding window does not flicker. Few samples are
     returned unchanged. Segments without finite values are NaN.
@@ -130,8 +129,9 @@ class Curves:
         self._heading.visible = self._plot.visible = False
 
     def show(self, t: ArrayLike, values: ArrayLike, half: ArrayLike | None = None, *, at: float | None = None) -> None:
-        """Draw (N, k) curves over t (N,) [s] with gaps at NaN, and bands by half-width; many samples are drawn as an
-        envelope.
+        """Plot curves (N, k) with optional half-widths of bands against t (N,) [s]; NaN leaves gaps.
+
+        Long series are drawn as envelopes.
         """
         t, values = numbers(t, "times of curves", ShapeError), numbers(values, "curves", ShapeError)
         if t.ndim != 1 or values.shape != (len(t), self.k):
@@ -172,7 +172,7 @@ class Curves:
 
 
 def _interrupted(columns: Sequence[np.ndarray]) -> list[Any]:
-    """Return columns with null instead of NaN, because uPlot draws a line across NaN but leaves a gap at null."""
+    """Return the columns with null instead of NaN: uPlot draws a line across NaN, but leaves a gap at null."""
     found: list[Any] = []
     missing = np.isnan(columns)
     count = missing.sum(axis=1)
@@ -239,7 +239,7 @@ class Lines(Markup):
 
 
 class ArmPanel:
-    """Text and plots of one arm in the current folder or tab; limits by name of the plot."""
+    """Text and plots of one arm in the current folder or tab. `limits`: y-axis limits by plot name."""
 
     def __init__(self, gui: Any, robot: Robot, limits: Mapping[str, tuple[float, float]] | None = None) -> None:
         limits = limits or {}

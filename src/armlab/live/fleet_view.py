@@ -1,4 +1,4 @@
-"""View of all robots at a Zenoh router, with newest rows, arms side by side, and states in the panel."""
+"""View of all robots at a Zenoh router: arms side by side with their newest rows, and states in the panel."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 
 _MOST = 1000  # robots
-_INBOX = 20_000  # queued messages, oldest dropped first: ten seconds of fifty robots
+_INBOX = 20_000  # queued messages (oldest dropped first): ten seconds from fifty robots
 _SILENT = 2.0  # s of listening without a row before a robot counts as silent
-_LATE = 0.1  # s: a wait that overruns by more does not count as listening, because the process may have been suspended
+_LATE = 0.1  # s: a wait that overruns by more does not count as listening, since the process may have been suspended
 
 
 class SeenRobot:
@@ -56,13 +56,13 @@ class SeenRobot:
         self._quiet = math.inf  # s of listening since the newest row
 
     def live(self, is_alive: bool) -> None:
-        """Handle a bridge that appears or disappears; a bridge that reappears may belong to another run."""
+        """Handle the appearance or disappearance of the bridge; a bridge that reappears may be in another run."""
         self.is_alive: bool = is_alive
         self.wants = True
         self._quiet = math.inf
 
     def take(self, data: bytes | None) -> None:
-        """Process a row. `data`: as received, None if damaged."""
+        """Process a row. `data`: bytes as received, or None if corrupted."""
         if data is None:
             self.damaged += 1
         elif self._schema is None or data[8:16] != self._schema.id:
@@ -73,7 +73,7 @@ class SeenRobot:
                 self.row = read_row(self._schema, data)
 
     def listened(self, seconds: float) -> None:
-        """Add listening time; rows received meanwhile are processed afterwards."""
+        """Add listening time; call it before processing the rows received meanwhile."""
         self._quiet += seconds
 
     def describe(self, about: bytes) -> None:
@@ -119,7 +119,7 @@ class SeenRobot:
 
 
 class FleetRows:
-    """Newest rows of all robots at a router by lab/robot, at most thirty per second each; departed robots are kept."""
+    """Newest rows of all robots at a router, by lab/robot, at most thirty per second each; absent robots are kept."""
 
     place: LabAddress
     robots: dict[str, SeenRobot]
@@ -178,8 +178,8 @@ class FleetRows:
 
 
 _FRAME = 1.0 / 30.0  # s
-_WORDS = 0.25  # s between two updates of the text
-_APART = 2.2  # spacing of robots over the length of the longest arm
+_WORDS = 0.25  # s between updates of the text
+_APART = 2.2  # spacing of the robots relative to the length of the longest arm
 _HEADINGS = ("robot", "state", "rate [Hz]", "missed", "damaged", "age [s]", "commander")
 
 
@@ -191,7 +191,7 @@ def watch_fleet(
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show all robots at a router in the browser until `over` or an interrupt, and report arrivals and departures."""
+    """Show all robots at a router in the browser until `over` is true or Ctrl-C is pressed; report state changes."""
     rows = FleetRows(place)
     try:
         server = start(port)
@@ -218,7 +218,7 @@ def watch_fleet(
 
 
 class FleetView:
-    """Scene and panel of all robots, drawn frame by frame; a silent or absent robot is drawn only as a name."""
+    """Scene and panel of all robots, drawn frame by frame; only the name of a silent or absent robot is drawn."""
 
     def __init__(self, server: ViserServer, rows: FleetRows) -> None:
         self._server, self._rows = server, rows
@@ -246,7 +246,7 @@ class FleetView:
                 self._say()
 
     def _add(self, one: SeenRobot) -> None:
-        """Add a robot, or redraw it after a changed description."""
+        """Add a robot, or redraw it after its description has changed."""
         robot = one.robot
         if robot is None:
             return

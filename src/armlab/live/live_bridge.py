@@ -1,4 +1,4 @@
-"""View of a running bridge through its local feed or Zenoh; reconnects after a restart."""
+"""View of a running bridge through its local feed or Zenoh; reconnects after the bridge restarts."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 
-_AGAIN = 0.5  # s between two searches for a bridge
-_MOST = 5000  # messages processed at once: ten seconds of all rows of two arms
+_AGAIN = 0.5  # s between searches for a bridge
+_MOST = 5000  # messages processed at once: ten seconds of rows from two arms at the full rate
 _PATIENCE = 2.0  # s to wait for a bridge over Zenoh, also after a disconnect
 _ESTIMATE_GAP = 1.0  # s without a packet before an estimate restarts
 
@@ -61,7 +61,7 @@ class Running:
         models: Sequence[TorqueModel] = (),
         described: Sequence[Robot] = (),
     ) -> None:
-        """`described`: arms with meshes, which a bridge does not send."""
+        """`described`: robot descriptions with meshes, because a bridge does not send meshes."""
         if zenoh:
             LabAddress.read(zenoh)
         self._robot, self._cell, self._zenoh, self._models = robot, cell, zenoh, tuple(models)
@@ -195,10 +195,10 @@ def _estimates(models: Sequence[TorqueModel], arms: Mapping[str, Robot]) -> dict
 
 
 _FRAME = 1.0 / 30.0  # s
-_WORDS = 0.25  # s between two updates of the text
-_TRACE = 0.1  # s between two updates of the tool path
-_PATH = 10.0  # s of the tool path
-_GAP = 0.5  # s without rows that interrupts curves and paths
+_WORDS = 0.25  # s between updates of the text
+_TRACE = 0.1  # s between updates of the tool path
+_PATH = 10.0  # s, length of the tool path shown
+_GAP = 0.5  # s without rows after which curves and paths are interrupted
 
 
 def watch(
@@ -214,9 +214,9 @@ def watch(
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show a running bridge in the browser until `over` or an interrupt, even before it starts and after it ends.
+    """Show a bridge in the browser until `over` is true or Ctrl-C is pressed, even before it starts and after it ends.
 
-    Arms that are `described` have meshes, which are searched for in the folders `meshes`.
+    The descriptions in `described` add meshes to their arms; the mesh files are searched for in the folders `meshes`.
     """
     server = start(port)
     running = Running(robot, cell, zenoh=zenoh, rate=1.0 / _FRAME, models=models, described=described)
@@ -294,15 +294,15 @@ class RunningView:
         self._parts.append(self._notes)
 
     def _time(self, row: Row) -> tuple[float, bool]:
-        """Return the time of a row since the first [s], and whether it continues the last row; a clock set back
-        restarts.
+        """Return the time of a row since the first row [s], and whether it follows the last row without a gap.
 
-        The time is robot time, which differs from wall time in lockstep; gaps are measured in wall time.
+        The time is robot time, which differs from wall time in lockstep; gaps are measured in wall time. If the clock
+        is set back, the time restarts.
         """
         last, stamp = self._row, 1e-9 * row.wall_ns
         if last is None or stamp < self._stamp - _GAP:
             self._start = stamp
-        elif stamp < self._stamp:  # in lockstep, each arm has a clock of its own
+        elif stamp < self._stamp:  # in lockstep, each arm has its own clock
             stamp = self._stamp
         self._stamp = stamp
         return stamp - self._start, last is not None and row.mono_ns - last.mono_ns < 1e9 * _GAP
@@ -326,16 +326,16 @@ class _ArmView:
         self._picture: tuple[np.ndarray, np.ndarray | None, np.ndarray | None] | None = None
 
     def take(self, running: Running, t: float, follows: bool) -> None:
-        """Store the newest row at its time [s], which continues the last row or follows a gap."""
+        """Store the newest row. `t`: its time [s]. `follows`: whether it follows the last row without a gap."""
         name = self._robot.name
         q, tau, force = running.value(name, "q"), running.value(name, "tau"), running.force(name)
-        if running.value(name, "age") > _GAP:  # silent while another arm sends, so its values are old
+        if running.value(name, "age") > _GAP:  # the arm is silent while another one sends, so its values are old
             tau, force = np.full_like(tau, np.nan), None
         wrench, covariance, self._origin = (None, None, "-") if force is None else force
         self._picture = (q, wrench, covariance)
         if t < self._t or not follows:
             self._path.clear()
-        if not follows and t > self._t >= 0.0:  # missing rows interrupt the curves
+        if not follows and t > self._t >= 0.0:  # interrupt the curves at missing rows
             self._push(0.5 * (self._t + t), np.full_like(tau, np.nan))
         if t != self._t:
             self._path.add(t, forward(self._robot, q)[:3, 3])

@@ -1,4 +1,4 @@
-"""View of a recording: content of each arm, and a player with a slider."""
+"""View of a recording: the data of each arm, and a player with a slider."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
 
 _SILENT = 0.5  # s without packets before an arm counts as silent
-_RATE_SPAN, _TRIP_SPAN = 1.0, 10.0  # s, averaging windows of rate and round trips
-_CLOCK = "joint_states"  # a topic of every recorded arm
+_RATE_SPAN, _TRIP_SPAN = 1.0, 10.0  # s, averaging windows for the rate and the round trips
+_CLOCK = "joint_states"  # topic that every recorded arm has
 _LIMITS = {1: "position", 2: "velocity", 4: "acceleration", 8: "braking", 16: "torque", 32: "torque rate"}
 
 
@@ -301,14 +301,14 @@ def _recorded(robot: Robot, table: Table, events: tuple[Event, ...], start: int)
     return Recorded(robot, table, table.t + shift, inside)
 
 
-_WINDOW = 10.0  # s of curves and paths
+_WINDOW = 10.0  # s, length of the curves and paths shown
 _FRAMES, _CURVES = 30.0, 10.0  # updates per second of the arms and of the panel
-_SPEEDS, _ARROWS = (0.1, 4.0), (1.0, 50.0)  # of the sliders; the latter in mm/N
-_ARM_COLORS = (BLUE, ORANGE)  # of the whole run
+_SPEEDS, _ARROWS = (0.1, 4.0), (1.0, 50.0)  # slider ranges; arrow scale in mm/N
+_ARM_COLORS = (BLUE, ORANGE)  # for the plot of the whole run
 
 
 class Player:
-    """Player that shows recorded arms and moves through their log by method calls or in the browser.
+    """Player for recorded arms, controlled by method calls or from the browser.
 
     Parameters
     ----------
@@ -390,7 +390,7 @@ class Player:
             self.t, self._stale = min(max(t, 0.0), self.duration), True
 
     def next_event(self) -> None:
-        """Go to the next event (cyclically)."""
+        """Go to the next event, or from the last one to the first."""
         later = [t for t, _ in self._events if t > self.t + 1e-9]
         if self._events:
             self.seek(later[0] if later else self._events[0][0])

@@ -30,15 +30,15 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 
-_THICK = (0.042, 0.020)  # radius of the first and the last link over the length of the arm
-_DRUM = (1.25, 2.6)  # radius and length of a joint over the radius of its link
-_STROKE = 0.3  # default stroke of a prismatic joint without limits, over the length of the arm
+_THICK = (0.042, 0.020)  # radii of the first and last link relative to the arm length
+_DRUM = (1.25, 2.6)  # radius and length of a joint relative to the radius of its link
+_STROKE = 0.3  # default stroke of a prismatic joint without limits, relative to the arm length
 _SIDES = 20
-_SHAFT, _HEAD = 0.008, (0.02, 0.72)  # of an arrow: shaft radius [m]; head radius [m] and its start
+_SHAFT, _HEAD = 0.008, (0.02, 0.72)  # arrow: shaft radius [m]; head radius [m] and where it starts
 
 
 def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Trimesh:
-    """Return a capsule, which contains all points within a radius of the line from a to b."""
+    """Return a capsule of the given radius around the segment from a to b."""
     from trimesh import creation
 
     length = float(np.linalg.norm(b - a))
@@ -71,7 +71,7 @@ def bodies(robot: Robot) -> list[Trimesh]:
     """Return n + 1 shapes: from base to joint 1 in base axes, then each link in its link frame, including the tool.
 
     A link follows its joint axes and their common normal, as in `plots.robot`, and tapers towards the tool. A prismatic
-    joint is a rod along its axis with the length of its stroke.
+    joint is a rod along its axis, as long as its stroke.
     """
     from trimesh.util import concatenate
 
@@ -111,8 +111,7 @@ def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Trimesh | None]:
-    """Return n + 1 shapes from the robot's visual meshes (in base axes and link frames); None for a link without a
-    mesh.
+    """Return n + 1 shapes from the robot's visual meshes in base axes and link frames; None for a link without meshes.
 
     One warning names all missing or unreadable files. ``package://maker/a/b.stl`` is searched for as ``maker/a/b.stl``
     and ``a/b.stl`` in each folder, then in the folders of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH.
@@ -144,13 +143,13 @@ def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Trimesh | No
 
 
 def ros_folders() -> list[Path]:
-    """Return the folders in which ROS looks for packages."""
+    """Return the folders that ROS searches for packages."""
     found = [Path(word) for word in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if word]
     return found + [Path(word) / "share" for word in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if word]
 
 
 def _read(mesh: Mesh, folders: Sequence[Path]) -> Trimesh | None:
-    """Return the content of a mesh file in its link frame."""
+    """Return the mesh of a file in its link frame, or None if it is missing, empty or unreadable."""
     import trimesh
 
     name = mesh.file.removeprefix("file://")
@@ -164,7 +163,7 @@ def _read(mesh: Mesh, folders: Sequence[Path]) -> Trimesh | None:
             try:
                 read = trimesh.load_mesh(path)
                 return read.apply_scale(mesh.scale).apply_transform(mesh.T_link_mesh) if len(read.faces) else None
-            except Exception:  # every mesh reader raises its own errors
+            except Exception:  # each mesh reader raises its own exception types
                 return None
     return None
 
@@ -181,8 +180,8 @@ def rgb(color: str) -> tuple[int, int, int]:
 
 
 _ZERO_OUTSIDE = 7.81  # 95 % quantile of chi-square with 3 degrees of freedom
-_SURE = 1e-6  # N, smallest half axis
-_SHORTEST, _FULL = 1e-3, 0.15  # m: shortest arrow drawn, and shortest arrow of full width
+_SURE = 1e-6  # N, smallest half-axis
+_SHORTEST, _FULL = 1e-3, 0.15  # m: shortest arrow drawn, and shortest arrow drawn at full width
 
 
 class ForceArrow:
@@ -235,7 +234,7 @@ def is_significant(force: np.ndarray, axes: np.ndarray, half: np.ndarray) -> boo
 
 def _towards(x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Return the shortest rotation (wxyz) of the z axis to a unit vector."""
-    w = 1.0 + z if z > 0.0 else (x * x + y * y) / (1.0 - z)  # equal, but accurate near -z
+    w = 1.0 + z if z > 0.0 else (x * x + y * y) / (1.0 - z)  # equivalent, but accurate near -z
     size = math.hypot(w, x, y)
     return (w / size, -y / size, x / size, 0.0) if size else (0.0, 1.0, 0.0, 0.0)
 
@@ -247,12 +246,12 @@ LINK_COLORS = ("#8FB4D9", "#E2BE8C")
 TOOL_COLOR = "#C800C8"
 """Colour reserved for the tool point."""
 
-_TOOL, _AXES = 0.03, 0.1  # relative to the arm: radius of the tool sphere, length of its axes
-_MOST_POINTS = 300  # points of a path
+_TOOL, _AXES = 0.03, 0.1  # relative to the arm length: radius of the tool sphere, length of its axes
+_MOST_POINTS = 300  # maximum number of points drawn per path
 
 
 class RobotScene:
-    """Arms in one world, drawn by `show`; the rest of viser's ``server.scene`` is free for other use.
+    """Arms in one world, drawn by `show`; the rest of viser's ``server.scene`` can be used freely.
 
     Links are capsules in the colour of their arm, joints are drums in the colour of their curves, and the tool point is
     a sphere with axes x, y, z. The arrow is the force exerted by the environment on the robot, and the ellipsoid at its

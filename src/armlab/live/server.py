@@ -1,4 +1,4 @@
-"""Browser server that is silent and accessible only from this computer."""
+"""Browser server without console output, accessible only from this computer."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"
 """The only listening address."""
 
-_OWN_PAGE = re.compile(r"http://(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")  # any port, because it may be forwarded
+_OWN_PAGE = re.compile(r"http://(127\.0\.0\.1|localhost|\[::1\])(:\d+)?")  # any port, because the port may be forwarded
 _PORT = 8080
-_WIDTH = 420  # pixels of the panel
+_WIDTH = 420  # width of the panel in pixels
 
 
 def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
@@ -56,7 +56,7 @@ def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
         stop(server)
         raise LinkError(f"Expected port {port} to be free for the view, but it is in use. Choose another: --port.")
     _refuse_other_sites(server)
-    server.request_share_url = _refused  # its pages can request it, too
+    server.request_share_url = _refused  # pages can request the URL, too
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(_WIDTH)
@@ -85,10 +85,10 @@ def stop(server: ViserServer) -> None:
 
 
 def is_own(origins: Sequence[str], hosts: Sequence[str]) -> bool:
-    """Return whether a connection comes from a page of this server, or from a program instead of a page.
+    """Return whether a connection comes from one of this server's own pages or from a program other than a browser.
 
-    A page cannot forge these headers. The host must be a name of this computer, because a foreign name may resolve to
-    it.
+    A page cannot forge these headers. The host must be a local name, because a foreign domain name may resolve to this
+    computer.
     """
     if not origins:
         return True
@@ -97,7 +97,7 @@ def is_own(origins: Sequence[str], hosts: Sequence[str]) -> bool:
 
 def _refuse_other_sites(server: ViserServer) -> None:
     """Close connections from pages of other sites before sending any data, because viser does not check the origin."""
-    sockets = server._websock_server  # viser has no public way to the request
+    sockets = server._websock_server  # viser has no public access to the request
 
     async def look(client: Any) -> None:
         connection: Any = sockets._live_connections[client.client_id]

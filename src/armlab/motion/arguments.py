@@ -15,7 +15,7 @@ FEWEST, MOST = 3, 1000  # kernels
 
 
 def point(value: Any, what: str) -> np.ndarray:
-    """Return a point (n,); one number is a point of one joint."""
+    """Return a point (n,); a single number is a point with one joint."""
     array = np.atleast_1d(numbers(value, what, ShapeError))
     if array.ndim != 1 or not array.size or not np.isfinite(array).all():
         came = str(array.tolist()) if array.ndim == 1 and array.size else f"shape {array.shape}"
@@ -35,7 +35,7 @@ def second_point(value: Any, what: str, first: np.ndarray) -> np.ndarray:
 
 
 def points(value: Any, what: str) -> np.ndarray:
-    """Return points (m, n) in order; (m,) is a path of one joint."""
+    """Return points (m, n) in order; (m,) is a path for one joint."""
     array = numbers(value, what, ShapeError)
     array = array[:, None] if array.ndim == 1 else array
     if array.ndim != 2 or len(array) < 2 or not array.shape[1]:

@@ -24,7 +24,7 @@ MAX_STEP = 0.004
 """Longest step of integration [s]."""
 MAX_GAP = 0.05  # s between two packets
 _SLACK = 0.02  # fraction of a step
-NEAR, SLOW = 0.01, 0.02  # rad or m, and per second: tolerances of arrival
+NEAR, SLOW = 0.01, 0.02  # rad or m, and rad/s or m/s: arrival tolerances
 SETTLING_TIME = 0.1  # s within both tolerances
 LIMITS = ("q_min", "q_max", "qd_max", "qdd_max")
 RAMP = 4.0  # 1/s, rate of change of the speed: from full speed to rest in 0.25 s
@@ -57,9 +57,9 @@ class Controller(ABC):
 
     Parameters
     ----------
-    robot : the arm, or several arms whose joints are stacked, as in the State of several arms.
-    limits : of the reference, one per arm; default: those of the robots.
-    goal : (n,) first goal.
+    robot : the arm, or several arms with their joints stacked as in the State of several arms.
+    limits : limits of the reference, one per arm; default: from the robots.
+    goal : (n,) initial goal.
 
     Raises
     ------
@@ -113,8 +113,7 @@ class Controller(ABC):
 
     @property
     def speed(self) -> float:
-        """Speed as a fraction of the nominal speed, >= 0; may be set while the controller runs, and is ramped at 4 per
-        second.
+        """Speed as a fraction of the nominal speed, >= 0; may be set during the run, and is ramped at 4 per second.
 
         The path stays the same at every speed.
         """

@@ -92,7 +92,7 @@ class Displace(Shown):
     Attributes
     ----------
     t : time of the impact [s].
-    dy : (n,) or one number for all, in the unit of y.
+    dy : displacement (n,), or one number for all coordinates, in the unit of y.
 
     Raises
     ------
@@ -109,7 +109,7 @@ class Displace(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwoDofRun(Shown):
-    """Simulated or recorded run at N times; at the time of an event, the state before the event.
+    """Simulated or recorded run at N times; at an event time, values are those before the event.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class TwoDofRun(Shown):
     ya, yad : (N, n) actual position and velocity.
     ydd_ref : (N, n) reference acceleration.
     e : (N, n) filtered error.
-    x : (N,) phase, (N, n) with schedule "position".
+    x : (N,) phase; (N, n) with schedule "position".
     tau_a : (N,) time constant [s].
     frozen : (N,) whether the path was paused.
     free : the undisturbed primitive.

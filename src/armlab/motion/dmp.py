@@ -31,18 +31,18 @@ class Dmp(Equation, Saved, kind="dmp"):
 
     Attributes
     ----------
-    weights : (n_basis, n) of the kernels, in the unit of y.
-    centres, widths : (n_basis,) of the kernels in the phase; widths are standard deviations.
+    weights : (n_basis, n) kernel weights, in the unit of y.
+    centres, widths : (n_basis,) kernel centres and widths (standard deviations) in the phase.
     tau_d, duration : time constant and duration of the demonstration [s].
-    y0, v0, g : (n,) its start, velocity at the start, and goal.
+    y0, v0, g : (n,) start, start velocity and goal of the demonstration.
     extent : (n,) range of the demonstration.
     peak_acceleration : (n,) largest acceleration of the demonstration.
     monotone : (n,) whether the coordinate never reversed.
     alpha_z, beta_z, alpha_x : constants of the spring and of the phase.
     schedule : "canonical", "time" or "position".
-    scaling : of the forcing: "goal", "none", "amplitude" or "rotate".
-    convention : of alpha_x and tau_d: "lund" (1, a third of the duration) or "ijspeert" (alpha_z / 3, the duration).
-    demo_weights : (M, n_basis, n) of each of M >= 3 demonstrations; None with fewer.
+    scaling : scaling of the forcing: "goal", "none", "amplitude" or "rotate".
+    convention : for alpha_x and tau_d: "lund" (1, a third of the duration) or "ijspeert" (alpha_z / 3, the duration).
+    demo_weights : (M, n_basis, n) weights of M >= 3 individual demonstrations; None with fewer.
     limits : (2, n) lowest and highest accepted goal; None: no limits.
 
     References
@@ -53,7 +53,7 @@ class Dmp(Equation, Saved, kind="dmp"):
 
     @property
     def weight_covariance(self) -> np.ndarray:
-        """Covariance (n_basis n, n_basis n) of the weights between demonstrations, weights in C order.
+        """Covariance (n_basis n, n_basis n) of the weights across demonstrations, with the weights in C order.
 
         Raises
         ------
@@ -63,7 +63,7 @@ class Dmp(Equation, Saved, kind="dmp"):
         return apart.T @ apart
 
     def sample(self, rng: np.random.Generator) -> Dmp:
-        """Return the primitive with weights drawn from ``N(mean, weight_covariance)`` over its demonstrations.
+        """Return the primitive with weights drawn from ``N(mean, weight_covariance)`` of its demonstrations.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class Dmp(Equation, Saved, kind="dmp"):
         Parameters
         ----------
         dt : step [s].
-        duration : of the motion [s]; default: that of the demonstration.
+        duration : duration of the motion [s]; default: from the demonstration.
 
         Raises
         ------
@@ -106,16 +106,16 @@ class Dmp(Equation, Saved, kind="dmp"):
         return clock(number(dt, "dt [s]"), self.duration if duration is None else duration)
 
     def rollout(self, t: ArrayLike, **run: Unpack[RunOptions]) -> Rollout:
-        """Run the primitive with one step per interval; the spring is exact, the forcing of fourth order.
+        """Run the primitive with one step per interval, exact for the spring and of fourth order for the forcing.
 
         Omitted arguments default to the values of the demonstration. Use `solve` if the times are far apart compared
         with the kernel widths.
 
         Parameters
         ----------
-        t : (N,) increasing times [s], starting at the first; or one step [s], until the end of the motion.
-        **run : `RunOptions`: ``duration`` or ``tau_d`` of the run [s]; ``y0``, ``v0``, ``g`` (n,): start, velocity at
-            it, goal; ``amplitude`` (n,): factors on the forcing, with scaling "amplitude".
+        t : (N,) increasing times [s], counted from the first; or a time step [s] up to the end of the motion.
+        **run : `RunOptions`: ``duration`` or ``tau_d`` of the run [s]; ``y0``, ``v0``, ``g`` (n,): start, start
+            velocity, goal; ``amplitude`` (n,): factors on the forcing, with scaling "amplitude".
 
         Raises
         ------
@@ -125,12 +125,12 @@ class Dmp(Equation, Saved, kind="dmp"):
         return self._run(RunParameters.of(self, **run), t)
 
     def rollout_batch(self, t: ArrayLike, *, weights: ArrayLike | None = None, **run: Unpack[RunOptions]) -> Rollout:
-        """Run the primitive K times on one clock; the arrays (N, K, n) equal K rollouts.
+        """Run the primitive K times on a common clock; the arrays (N, K, n) equal those of K rollouts.
 
         Parameters
         ----------
         t : as in `rollout`.
-        weights : (K, n_basis, n) of each run; default: the fitted weights.
+        weights : (K, n_basis, n) weights of each run; default: the fitted weights.
         **run : as in `rollout`; ``y0``, ``v0``, ``g``, ``amplitude`` (K, n) or (n,).
 
         Raises
@@ -180,11 +180,11 @@ class Dmp(Equation, Saved, kind="dmp"):
 
         Parameters
         ----------
-        goal_forcing : effect of a goal change on the forcing: "shift" keeps it, "scale" scales it with the
-            displacement. Default: "scale" with scaling "goal", otherwise "shift".
-        goal_rate : rate of a first-order filter of the goal, times tau_d; 0: no filter.
-        brake : keep ``v^2 <= 2 a |g - y|`` in monotone coordinates after a goal change, with a 1.05 times the peak
-            acceleration of the demonstration.
+        goal_forcing : effect of a goal change on the forcing: "shift" leaves it unchanged, "scale" scales it with
+            the displacement. Default: "scale" with scaling "goal", otherwise "shift".
+        goal_rate : rate of a first-order goal filter, times tau_d; 0: no filter.
+        brake : keep ``v^2 <= 2 a |g - y|`` in monotone coordinates after a goal change, where a is 1.05 times the
+            peak acceleration of the demonstration.
         **run : as in `rollout`.
 
         Raises
@@ -203,15 +203,15 @@ class Dmp(Equation, Saved, kind="dmp"):
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
     ) -> Controller:
-        """Return a controller ``State -> Command`` for `armlab.bridge`, which starts at the measured position, at rest.
+        """Return a controller ``State -> Command`` for `armlab.bridge`, that starts at rest at the measured position.
 
-        It sends the path open loop; `TwoDofDmp.controller` waits for an arm that is held.
+        It sends the path in open loop; `TwoDofDmp.controller` makes the path wait for an arm that is held back.
 
         Parameters
         ----------
-        robot : the arm whose joints the coordinates are, or several arms whose joints are stacked.
-        limits : object with q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`, one per arm; default: those
-            of the robots.
+        robot : the arm whose joints are the coordinates, or several arms with stacked joints.
+        limits : object with q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`, one per arm; default:
+            from the robots.
         duration, g, amplitude : as in `rollout`.
 
         Raises
@@ -223,7 +223,7 @@ class Dmp(Equation, Saved, kind="dmp"):
 
 
 class DmpController(Controller):
-    """Open-loop controller of a `Dmp`: sends the path and its velocity regardless of the measured arm."""
+    """Open-loop controller of a `Dmp`: sends the path and its velocity regardless of the measured state."""
 
     def __init__(
         self,
@@ -254,27 +254,27 @@ class DmpController(Controller):
         return self._stepper.t >= self._stepper.duration
 
 
-FINE = 4000  # steps of the response over a duration, at least
+FINE = 4000  # minimum number of response steps over a duration
 GRID = 401  # times at which the change of the path is measured
-RIDGE = 1e-7  # of the largest singular value: weight directions without effect on the path stay unchanged
+RIDGE = 1e-7  # relative to the largest singular value: weight directions without effect on the path stay unchanged
 SAME = 1e-10
-MAX_ITERATIONS = 3  # the last digits
+MAX_ITERATIONS = 3  # refine the last digits
 
 
 def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | None = None) -> Dmp:
-    """Return the primitive with the smallest change that passes positions or velocities at given times.
+    """Return the primitive with the smallest change that makes it meet positions or velocities at given times.
 
     The motion is linear in the weights, so via-points are linear constraints ``C dw = c``. Among all solutions, the
     change with the smallest ``sum |dy|^2`` over the duration is selected. The motion with the start, goal and duration
     of the demonstration passes through the points; other motions are scaled from it.
 
-    With a velocity at the end time and the goal, the motion does not end at rest; continue with `profiles.quintic` or
-    another primitive. Otherwise the motion returns to the goal and settles.
+    If a velocity is given at the goal and the end time, the motion does not end at rest; continue with
+    `profiles.quintic` or another primitive. Otherwise the motion returns to the goal and settles.
 
     Parameters
     ----------
-    dmp : with a phase of time.
-    t : (k,) times since the start, on the clock of the demonstration [s], above 0.
+    dmp : primitive with a time-based phase.
+    t : (k,) times since the start of the demonstration [s], above 0.
     y : (k, n) positions.
     yd : (k, n) velocities.
 
@@ -282,7 +282,7 @@ def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = Non
     ------
     ShapeError : neither positions nor velocities, wrong shapes, NaN, repeated times or times outside the duration.
     ConfigError : schedule "position".
-    NotExcited : more points than the weights can meet.
+    NotExcited : more points than the weights can satisfy.
     """
     dmp = value_of(dmp)
     if dmp.schedule == "position":

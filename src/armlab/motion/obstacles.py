@@ -32,9 +32,9 @@ class Capsule(Shown):
 
     Attributes
     ----------
-    a, b : (d,) ends, in the plane or in space [m].
-    radius : [m].
-    velocity : (d,) of a moving obstacle [m/s].
+    a, b : (d,) end points, in the plane or in space [m].
+    radius : radius [m].
+    velocity : (d,) velocity of a moving obstacle [m/s].
 
     Raises
     ------
@@ -68,9 +68,9 @@ class Capsule(Shown):
 
         Parameters
         ----------
-        centre : (d,) [m].
-        radius : [m].
-        velocity : (d,) [m/s].
+        centre : (d,) centre [m].
+        radius : radius [m].
+        velocity : (d,) velocity [m/s].
         """
         c = numbers(centre, "centre", ShapeError)
         return cls(c, c, radius, velocity)
@@ -86,10 +86,10 @@ class AvoidingDmp(Shown):
 
     Attributes
     ----------
-    dmp : of two or three coordinates [m], or of the joints of `robot`, with a phase of time; or its fit.
-    obstacles : any number, in the coordinates of the motion; with a robot, in base axes.
-    clearance : least distance from their surfaces [m].
-    reach : distance at which they act [m].
+    dmp : primitive, or its fit, with a time-based phase; in two or three coordinates [m], or in the joints of `robot`.
+    obstacles : any number of obstacles, in the coordinates of the motion; with a robot, in base axes.
+    clearance : smallest allowed distance from the obstacle surfaces [m].
+    reach : distance within which obstacles act [m].
     form : "steering" or "potential".
     robot : the arm.
     tool : capsule of the tool, in tool axes; default: the tool point.
@@ -99,7 +99,7 @@ class AvoidingDmp(Shown):
     ------
     ShapeError : obstacles of the wrong dimension.
     UnknownName : unknown form.
-    ConfigError : a primitive of the wrong coordinates or with schedule "position", or reach <= clearance.
+    ConfigError : a primitive with the wrong coordinates or schedule "position", or reach <= clearance.
 
     References
     ----------
@@ -184,9 +184,9 @@ class AvoidingDmp(Shown):
         return Rollout(times, y, yd, ydd, self.dmp.phase(times - times[0], setting.tau), f)
 
     def stepper(self, **run: Unpack[RunOptions]) -> AvoidingStepper:
-        """Return a stepper that runs it sample by sample among moving obstacles.
+        """Return a stepper that runs the primitive sample by sample among moving obstacles.
 
-        In addition to the members of `Stepper`, ``place(obstacles)`` sets the current obstacles; they continue with
+        In addition to the members of `Stepper`, ``place(obstacles)`` sets the current obstacles; they keep moving at
         their velocity until the next call. `distance` is the smallest distance to their surfaces [m].
 
         Parameters
@@ -203,7 +203,7 @@ class AvoidingDmp(Shown):
         self, limits: JointLimits | Sequence[JointLimits] | None = None, *, duration: float | None = None,
         g: ArrayLike | None = None,
     ) -> AvoidingController:  # fmt: skip
-        """Return a controller of the robot, which starts at rest at the measured position.
+        """Return a controller for the robot that starts at rest at the measured position.
 
         In addition to the members of `Controller`, ``place(obstacles)`` sets the current obstacles, before or during
         the run.
@@ -249,7 +249,7 @@ def rows_of(capsules: Iterable[Capsule], axes: int) -> np.ndarray:
 
 
 def _bodies(robot: Robot, tool: Capsule | None, links: Mapping[int, Capsule]) -> tuple[np.ndarray, np.ndarray]:
-    """Return link numbers (B,) and capsules (B, 7) in link axes; the tool belongs to the last link."""
+    """Return link numbers (B,) and capsules (B, 7) in link axes; the tool capsule belongs to the last link."""
     T_link_tool = robot.chain.frames[-1]
     held = rows_of([tool or Capsule.sphere(np.zeros(3))], 3)[:, :7]
     for end in (slice(0, 3), slice(3, 6)):
@@ -273,7 +273,7 @@ class AvoidingStepper(Stepper):
         super().reset()
 
     def place(self, obstacles: Iterable[Capsule]) -> None:
-        """Set the current obstacles; they continue with their velocity until the next call."""
+        """Set the current obstacles; they keep moving at their velocity until the next call."""
         self._around.place(rows_of(obstacles, self._avoiding._axes))
 
     def change_goal(self, g: ArrayLike) -> None:
@@ -288,7 +288,7 @@ class AvoidingStepper(Stepper):
 
 
 class AvoidingController(DmpController):
-    """An `AvoidingDmp` of joints as a controller; created by `AvoidingDmp.controller`.
+    """Controller of a joint-space `AvoidingDmp`; created by `AvoidingDmp.controller`.
 
     It ends the run if the arm starts within the clearance.
     """

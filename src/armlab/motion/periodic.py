@@ -22,12 +22,12 @@ from armlab.motion.primitive.weights import block_covariance, solve
 from armlab.motion.storage import Saved, freeze_arrays
 from armlab.state import State
 
-GRID = 1024  # phases of one period: _harmonics up to 512
+GRID = 1024  # phases per period: resolves harmonics up to 512
 
 MAX_CONDITION = 1e11
 DETERMINED = 1e4  # condition number beyond which the motion between samples is not determined
-NEXT = 2.0  # kernel distances between samples that still determine every kernel
-NEGLIGIBLE = 1e-18  # of the largest: harmonics below it are dropped
+NEXT = 2.0  # largest gap between samples, in kernel spacings, that still determines every kernel
+NEGLIGIBLE = 1e-18  # fraction of the largest harmonic below which harmonics are dropped
 
 Start = tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -41,10 +41,10 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
 
     Attributes
     ----------
-    weights : (n_basis, n) in the unit of y.
-    centres : (n_basis,) [rad].
+    weights : (n_basis, n) kernel weights, in the unit of y.
+    centres : (n_basis,) kernel centres [rad].
     h : concentration of the kernels.
-    period : of the demonstration [s].
+    period : period of the demonstration [s].
     g : (n,) baseline.
     alpha_z, beta_z : constants of the spring.
 
@@ -109,8 +109,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         return f * transfer(self.alpha_z, self.alpha_z * self.beta_z)[:, None]
 
     def steady(self, phase: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Return the steady-state motion around the baseline at phases (...), and its derivative with respect to phase,
-        each (..., n).
+        """Return the steady-state motion around the baseline and its phase derivative, each (..., n), at phases (...).
 
         Parameters
         ----------
@@ -143,15 +142,15 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         v0: ArrayLike | None = None,
         phase: float = 0.0,
     ) -> Rollout:
-        """Run the primitive with one step per interval; the spring is exact, the forcing of fourth order.
+        """Run the primitive with one step per interval, exact for the spring and of fourth order for the forcing.
 
         Parameters
         ----------
-        t : (N,) increasing times [s], starting at the first; or one step [s] for one period.
-        period : [s].
+        t : (N,) increasing times [s], counted from the first; or a time step [s] for one period.
+        period : period of the run [s].
         g : (n,) baseline.
         r : amplitude factor around the baseline.
-        y0, v0 : (n,) start; default: steady state.
+        y0, v0 : (n,) start position and velocity; default: steady state.
         phase : phi at the start [rad].
 
         Raises
@@ -176,15 +175,15 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         """Return a stepper that runs the primitive sample by sample; baseline, amplitude and period may change.
 
         Its ``step(dt)`` and `state` return y, yd and ydd, each (n,). ``change(g=..., r=..., period=...)`` changes
-        parameters without a jump, ``reset()`` returns to the start; `phase` is the current phi [rad].
+        parameters without a jump, and ``reset()`` returns to the start; `phase` is the current phi [rad].
 
         Parameters
         ----------
-        period, g, r, y0, v0, phase : as of `rollout`.
+        period, g, r, y0, v0, phase : as in `rollout`.
 
         Raises
         ------
-        ShapeError : as of `rollout`.
+        ShapeError : as in `rollout`.
         """
         return PeriodicStepper(self, self._start_state(period, g, r, y0, v0, phase), float(phase))
 
@@ -198,11 +197,11 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         r: float = 1.0,
         turns: float = np.inf,
     ) -> Controller:
-        """Return a controller ``State -> Command`` for `armlab.bridge`: it starts and ends at rest at the baseline.
+        """Return a controller ``State -> Command`` for `armlab.bridge` that starts and ends at rest at the baseline.
 
         Parameters
         ----------
-        robot, limits : as of `Dmp.controller`.
+        robot, limits : as in `Dmp.controller`.
         period, g, r : as in `rollout`.
         turns : number of periods before rest; the amplitude ramps up over the first and down over the last.
 
@@ -228,7 +227,7 @@ def transfer(alpha: float, stiffness: float) -> np.ndarray:
 
 
 class PeriodicStepper:
-    """One run of a `PeriodicDmp`, sample by sample; created by `PeriodicDmp.stepper`, equal to its rollout."""
+    """One run of a `PeriodicDmp`, sample by sample; created by `PeriodicDmp.stepper`, equivalent to a rollout."""
 
     def __init__(self, dmp: PeriodicDmp, start: Start, phase: float) -> None:
         self._n, self._first, self._phase = dmp.n, start, phase
@@ -266,10 +265,10 @@ class PeriodicStepper:
 
 
 class PeriodicController(Controller):
-    """Controller of a `PeriodicDmp` that starts at rest; the amplitude ramps up over the first period and down over the
-    last.
+    """Controller of a `PeriodicDmp` that starts at rest.
 
-    `goal` is the baseline; it may be set while the controller runs.
+    The amplitude ramps up over the first period and down over the last. `goal` is the baseline; it may be set while the
+    controller runs.
     """
 
     def __init__(
@@ -325,7 +324,7 @@ def fit_periodic_dmp(
     alpha_z: float = 25.0,
     ridge: float = 0.0,
 ) -> Fit[PeriodicDmp]:
-    """Fit a rhythmic movement primitive, using the weights whose steady-state motion is nearest to the demonstration.
+    """Fit a rhythmic movement primitive, using the weights whose steady-state motion is closest to the demonstration.
 
     The steady-state motion is linear in the weights, so no measurement is differentiated (see
     docs/theory/periodic_dmp.md).
@@ -334,10 +333,10 @@ def fit_periodic_dmp(
     ----------
     t : (N,) increasing times [s], over one or more periods; the phase is 0 at the first sample.
     y : (N, n) positions [rad or m].
-    period : [s]; an error of 1 % spoils ten periods, so try several and keep the one with the least `sigma`.
+    period : period [s]; an error of 1 % spoils a fit to ten periods, so try several and keep the smallest `sigma`.
     n_basis : number of kernels, 3 to 1000.
     h : concentration of the kernels; default: ``(n_basis / (2 pi))^2``.
-    g : (n,) baseline; default: the mean of the samples. The kernels can represent any other.
+    g : (n,) baseline; default: the mean of the samples. The kernels compensate for a different baseline.
     alpha_z : constant of the spring, critically damped.
     ridge : penalty on the squared weights.
 
@@ -347,7 +346,7 @@ def fit_periodic_dmp(
 
     Raises
     ------
-    ShapeError : wrong shapes, NaN or times that do not increase, with their rows; a period that is not positive;
+    ShapeError : wrong shapes, NaN or times that do not increase (with row numbers); a period that is not positive;
         several demonstrations.
     ConfigError : options out of range.
     NotExcited : samples that leave part of the period empty, without a ridge.

@@ -35,11 +35,11 @@ SHARED = ("centres", "widths", "tau_d", "duration", "alpha_z", "beta_z", "alpha_
 Sample = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 HALF_TURN = 1e-6  # rad: closer to half a turn, the shorter rotation is ambiguous
-LENGTH = 1e-3  # error of a quaternion's norm that is normalised away
+LENGTH = 1e-3  # largest error of a quaternion norm that normalisation corrects
 
 
 class PoseRunOptions(TypedDict, total=False):
-    """Options of a run of a `PoseDmp`; omitted or None: the value of the demonstration."""
+    """Options of a run of a `PoseDmp`; omitted or None: from the demonstration."""
 
     duration: float | None
     tau_d: float | None
@@ -82,8 +82,8 @@ class PoseDmp(Saved, kind="pose_dmp"):
 
     Attributes
     ----------
-    position : of three coordinates [m].
-    rotation : of the rotation vector from the goal, base axes [rad]: its y0 leads from the goal to the start, g is 0.
+    position : primitive of the three position coordinates [m].
+    rotation : primitive of the rotation vector from the goal, base axes [rad]; y0 rotates goal to start, g is 0.
     goal : (4,) orientation wxyz at the end of the demonstration.
     frame : axes of the forcing: "base", or "goal", which rotates with the goal, so that moving start and goal together
         moves the whole path.
@@ -149,7 +149,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
         twist0: ArrayLike | None = None,
         goal: ArrayLike | None = None,
     ) -> PoseRun:
-        """Fill omitted arguments from the demonstration."""
+        """Fill in omitted arguments from the demonstration."""
         p0, q0 = pose(self.T_start if start is None else start, "start")
         p1, q1 = pose(self.T_goal if goal is None else goal, "goal")
         A = np.eye(3)
@@ -165,16 +165,16 @@ class PoseDmp(Saved, kind="pose_dmp"):
         return PoseRun(A, position, rotation, q0, q1)
 
     def rollout(self, t: ArrayLike, **run: Unpack[PoseRunOptions]) -> PoseRollout:
-        """Run the primitive with one fourth-order step per interval for both parts.
+        """Run the primitive with one fourth-order step per interval for both position and orientation.
 
         Omitted arguments default to the values of the demonstration.
 
         Parameters
         ----------
-        t : (N,) increasing times [s], starting at the first; or one step [s], until the end of the motion.
+        t : (N,) increasing times [s], counted from the first; or a time step [s] up to the end of the motion.
         **run : `PoseRunOptions`: ``duration`` or ``tau_d`` of the run [s]; ``start``, ``goal``: poses (4, 4), or (7,):
-            position, quaternion wxyz of either sign; ``twist0`` (6,): velocity and angular velocity at the start, base
-            axes.
+            position and quaternion wxyz of either sign; ``twist0`` (6,): velocity and angular velocity at the start,
+            base axes.
 
         Raises
         ------
@@ -193,7 +193,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
         """Return a stepper that runs the primitive sample by sample; the goal may change.
 
         Its ``step(dt)`` and `state` return the pose (4, 4), the twist (6,) and its derivative (6,);
-        ``change_goal(goal)`` sets another goal pose, ``reset()`` returns to the start.
+        ``change_goal(goal)`` sets another goal pose, and ``reset()`` returns to the start.
 
         Parameters
         ----------
@@ -213,14 +213,14 @@ class PoseDmp(Saved, kind="pose_dmp"):
         duration: float | None = None,
         goal: ArrayLike | None = None,
     ) -> Controller:
-        """Return a controller ``State -> Command`` for `armlab.bridge`, which starts at the measured pose, at rest.
+        """Return a controller ``State -> Command`` for `armlab.bridge`, that starts at rest at the measured pose.
 
         Parameters
         ----------
-        robot : the arm; its joint positions follow by inverse kinematics, each from the previous solution.
-        limits : object with q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`; default: those of the
+        robot : the arm; joint positions come from inverse kinematics, each starting from the previous solution.
+        limits : object with q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`; default: from the
             robot.
-        duration, goal : as in `rollout`; poses are of the tool, base axes.
+        duration, goal : as in `rollout`, with tool poses in base axes.
 
         Raises
         ------
@@ -247,7 +247,7 @@ class PoseRun:
 
 
 class PoseStepper:
-    """One run of a `PoseDmp`, sample by sample; created by `PoseDmp.stepper`, equal to `PoseDmp.rollout`."""
+    """One run of a `PoseDmp`, sample by sample; created by `PoseDmp.stepper`, equivalent to a rollout."""
 
     def __init__(self, dmp: PoseDmp, run: PoseRun) -> None:
         self._dmp, self._first = dmp, run
@@ -395,9 +395,7 @@ def orientation(value: ArrayLike, what: str) -> np.ndarray:
 
 
 def shorter_way(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
-    """Return the rotation vector (3,) of the shorter rotation between two orientations, base axes; raise at half a
-    turn.
-    """
+    """Return the rotation vector (3,) of the shorter rotation between orientations, base axes; raise at half a turn."""
     way = log(quaternion.multiply(q1, quaternion.conjugate(q0)))
     if np.linalg.norm(way) > np.pi - HALF_TURN:
         raise ShapeError(
@@ -430,9 +428,9 @@ def matrix(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 MAX_ANGLE = 3.0  # rad from the goal: beyond half a turn, the shorter rotation reverses
 
-FINE = 1000  # sensitivity steps over a duration, at least
+FINE = 1000  # minimum number of sensitivity steps over a duration
 MAX_ITERATIONS = 30
-TOLERANCE = 1e-9  # rad of change, and relative gain of the sum of squares, that end the iteration
+TOLERANCE = 1e-9  # rad: smallest change, and smallest relative decrease of the sum of squares, to continue
 PARTS = (1.0, 0.5, 0.2, 0.05)  # fractions of a step in the line search
 
 
@@ -447,7 +445,7 @@ def fit_pose_dmp(
     frame: str = "base",
     hold: float = 0.3,
 ) -> Fit[PoseDmp]:
-    """Fit a movement primitive of poses to one demonstration, using the weights whose motion is nearest to it.
+    """Fit a movement primitive of poses to one demonstration, using the weights whose motion is closest to it.
 
     The position is fitted by `fit_dmp`. The orientation is fitted by Gauss-Newton steps that minimise ``sum |log(q_demo
     q^-1)|^2``, starting from a fit to the rotation vector relative to the goal.
@@ -455,9 +453,9 @@ def fit_pose_dmp(
     Parameters
     ----------
     t : (N,) increasing times [s].
-    T : (N, 4, 4) poses, or (N, 7): position, quaternion wxyz, each of either sign.
-    n_basis, schedule, convention, hold : as in `fit_dmp`; not schedule "position".
-    scaling : of the forcing with start and goal: "goal", "none", or "rotate" of the position.
+    T : (N, 4, 4) poses, or (N, 7): position and quaternion wxyz, each of either sign.
+    n_basis, schedule, convention, hold : as in `fit_dmp`; schedule "position" is not supported.
+    scaling : scaling of the forcing with start and goal: "goal", "none" or, for the position, "rotate".
     frame : axes of the forcing: "base", or "goal", which rotates with the goal.
 
     Returns
@@ -467,7 +465,8 @@ def fit_pose_dmp(
 
     Raises
     ------
-    ShapeError : invalid poses, NaN with its rows, times that do not increase, an orientation half a turn from the last.
+    ShapeError : invalid poses, NaN (with row numbers), times that do not increase, an orientation half a turn from the
+        last.
     UnknownName : unknown options.
     ConfigError : schedule "position".
     NotConverged : Gauss-Newton did not converge.
@@ -533,8 +532,10 @@ def _report(fit: Fit[PoseDmp]) -> str:
 
 @dataclass(frozen=True)
 class Turning:
-    """Returns the primitive; residuals (N, 3) [rad]; and, for each coordinate, covariances (3, d, d) of weights, start
-    rotation, velocity and goal rotation for samples with unit variance around each base axis.
+    """Fitted orientation primitive with residuals (N, 3) [rad] and covariances (3, d, d), one per coordinate.
+
+    The covariances contain weights, start rotation, velocity and goal rotation, for samples with unit variance around
+    each base axis.
     """
 
     dmp: Dmp
@@ -543,7 +544,7 @@ class Turning:
 
 
 def fit_turning(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> Turning:
-    """Refine weights and start velocity until the motion is nearest to orientations q (N, 4).
+    """Refine weights and start velocity until the motion is closest to orientations q (N, 4).
 
     Uses Gauss-Newton steps on the rotation group with the linearised equation of docs/theory/pose_dmp.md. `hold` is the
     rest at the goal after the end, relative to the duration.
@@ -588,10 +589,9 @@ def _error(dmp: Dmp, times: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def _slopes(dmp: Dmp, times: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """Return the sensitivities (R, 3, 3 m + 9) of the rotation to weights (m, 3), start velocity, start and goal
-    rotation.
+    """Return rotation sensitivities (R, 3, 3 m + 9) to weights (m, 3), start velocity, start and goal rotation.
 
-    Integrated by the implicit midpoint rule, with steps of at most a thousandth of the duration.
+    They are integrated by the implicit midpoint rule, with steps of at most a thousandth of the duration.
     """
     parts = np.ceil(np.diff(times) / (dmp.duration / FINE) * (1 - 1e-9)).astype(int)
     rows = np.concatenate([[0], np.cumsum(parts)])

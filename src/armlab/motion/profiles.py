@@ -1,6 +1,6 @@
 """Time-parameterised trajectories from point to point and through points.
 
-Every profile consists of polynomial pieces joined with continuous position and velocity; `Profile` holds the pieces and
+Every profile consists of polynomial segments with continuous position and velocity; `Profile` holds the segments and
 samples. All joints start and end together. Positions are in rad or m, times in s.
 
 =========================  ============================================  ============
@@ -40,13 +40,13 @@ def minimum_jerk(q0: ArrayLike, q1: ArrayLike, duration: float, dt: float = PERI
 
     ``q0 + (q1 - q0)(10 u^3 - 15 u^4 + 6 u^5)``.
 
-    ``u = t / duration``; the largest speed is 15/8 of the mean, the largest acceleration ``10/sqrt(3)`` of
-    ``|q1 - q0| / duration^2``. `Profile.slowed` finds the shortest duration within limits.
+    With ``u = t / duration``, the largest speed is 15/8 of the mean, and the largest acceleration is ``10/sqrt(3)``
+    times ``|q1 - q0| / duration^2``. `Profile.slowed` finds the shortest duration within limits.
 
     Parameters
     ----------
     q0, q1 : (n,) start and end.
-    duration : [s].
+    duration : duration of the motion [s].
     dt : sampling period [s].
 
     Raises
@@ -75,7 +75,7 @@ def quintic(
     Parameters
     ----------
     q0, q1 : (n,) start and end.
-    duration : [s].
+    duration : duration of the motion [s].
     qd0, qd1, qdd0, qdd1 : velocity and acceleration at the ends, a number or (n,).
     dt : sampling period [s].
 
@@ -108,14 +108,14 @@ def trapezoidal(
 ) -> Profile:  # fmt: skip
     """Return the fastest rest-to-rest motion on a straight line in joint space within velocity and acceleration limits.
 
-    All joints share the phases of constant acceleration, velocity and deceleration; one joint reaches its limit and
-    none exceeds it. Short motions do not reach the velocity limit and have two pieces.
+    All joints share the phases of constant acceleration, velocity and deceleration; one joint reaches a
+    limit and none exceeds one. Short motions do not reach the velocity limit and have two segments.
 
     Parameters
     ----------
     q0, q1 : (n,) start and end.
     qd_max, qdd_max : limits, a number or (n,).
-    duration : duration to stretch the motion to, if longer than the shortest [s].
+    duration : duration of the motion, at least the shortest possible [s]; default: the shortest.
     dt : sampling period [s].
 
     Raises
@@ -152,7 +152,7 @@ def blend(q0: ArrayLike, q1: ArrayLike, duration: float, cruise: float = 1.5, dt
     Parameters
     ----------
     q0, q1 : (n,) start and end.
-    duration : [s].
+    duration : duration of the motion [s].
     cruise : cruise velocity over mean velocity, above 1, at most 2.
     dt : sampling period [s].
 
@@ -169,8 +169,8 @@ def connect(points: ArrayLike, duration: ArrayLike, cruise: float = 1.5, dt: flo
 
     Parameters
     ----------
-    points : (m, n), in order.
-    duration : of a segment [s], one number or (m - 1,).
+    points : (m, n) points in order.
+    duration : duration of each segment [s], one number or (m - 1,).
     cruise, dt : as in `blend`.
 
     Raises
@@ -196,7 +196,7 @@ def spline(t: ArrayLike, q: ArrayLike, qd0: ArrayLike = 0.0, qd1: ArrayLike = 0.
 
     Parameters
     ----------
-    t : (m,) increasing [s]; the profile starts at 0 with the first.
+    t : (m,) increasing times [s]; the first becomes time 0 of the profile.
     q : (m, n) points.
     qd0, qd1 : velocity at the first and the last point, a number or (n,); default: rest.
     dt : sampling period [s].
@@ -233,7 +233,7 @@ def time_optimal(
 ) -> Profile:
     """Return the fastest motion within velocity, acceleration and jerk limits; all joints arrive together.
 
-    The slowest joint takes its minimum time; the others take the same time. The path is not a straight line.
+    The slowest joint takes its minimum time, and the others take equally long. The path is not a straight line.
 
     Parameters
     ----------
@@ -272,15 +272,15 @@ def time_optimal(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Profile(Shown):
-    """Motion of n joints in polynomial pieces, ``q(t) = sum_k c_k (t - breaks_i)^k``, with its samples.
+    """Piecewise polynomial motion of n joints, ``q(t) = sum_k c_k (t - breaks_i)^k``, with its samples.
 
     Attributes
     ----------
-    breaks : (M + 1,) times between pieces, from 0 [s].
-    coefficients : (M, 6, n), [rad/s^k] or [m/s^k].
+    breaks : (M + 1,) segment boundaries, from 0 [s].
+    coefficients : (M, 6, n) polynomial coefficients [rad/s^k or m/s^k].
     dt : sampling period [s]; the last sample is at the end, so the last step may be shorter.
-    t : (N,) from 0 to the end [s].
-    q, qd, qdd : (N, n) samples.
+    t : (N,) sample times from 0 to the end [s].
+    q, qd, qdd : (N, n) samples of position, velocity and acceleration.
 
     Raises
     ------
@@ -340,7 +340,7 @@ class Profile(Shown):
 
         Parameters
         ----------
-        t : (...,) since the start [s].
+        t : (...,) times since the start [s].
         """
         t = numbers(t, "t", ShapeError)
         q, qd, qdd = evaluate(self.breaks, self.coefficients, np.clip(t, 0.0, self.duration))
@@ -354,7 +354,7 @@ class Profile(Shown):
 
         Parameters
         ----------
-        qd_max, qdd_max : a number or (n,).
+        qd_max, qdd_max : limits, a number or (n,).
 
         Raises
         ------
@@ -385,7 +385,7 @@ def evaluate(breaks: np.ndarray, c: np.ndarray, t: np.ndarray) -> tuple[np.ndarr
 
 
 def peaks(breaks: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest ``|qd|`` and ``|qdd|`` (n,), at the ends of pieces or where the next derivative is zero."""
+    """Return the largest ``|qd|`` and ``|qdd|`` (n,), at segment ends or where the next derivative is zero."""
     first = LINE[1:, None] * c[:, 1:]
     second = LINE[1:-1, None] * first[:, 1:]
     third = LINE[1:-2, None] * second[:, 1:]
@@ -395,7 +395,7 @@ def peaks(breaks: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _largest(p: np.ndarray, derivative: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     found = np.maximum(np.abs(p[:, 0]), np.abs(_at(p, lengths[:, None]))).max(axis=0)
-    if np.any(derivative[:, 2:]):  # of higher than first order: few pieces
+    if np.any(derivative[:, 2:]):  # of higher than first order: few segments
         for piece, joint in np.ndindex(p.shape[0], p.shape[2]):
             roots = np.roots(derivative[piece, ::-1, joint])
             real = roots.real[(np.abs(roots.imag) <= 1e-7 * (1.0 + np.abs(roots))) & (roots.real > 0.0)]
@@ -422,7 +422,7 @@ def stretched(breaks: np.ndarray, c: np.ndarray, k: float) -> tuple[np.ndarray, 
 
 
 def along(start: np.ndarray, d: np.ndarray, duration: float, ramp: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return breaks and coefficients (M, 6, n) of a step from `start` by d with quadratic blends of `ramp` seconds.
+    """Return breaks and coefficients (M, 6, n) of a move from `start` by d with quadratic blends of `ramp` seconds.
 
     ``V = 1 / (duration - ramp)``, ``a = V / ramp``; no linear segment if ``ramp = duration / 2``.
     """

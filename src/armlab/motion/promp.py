@@ -19,13 +19,13 @@ from armlab.motion.primitive.demonstrations import Demo, read_demos
 from armlab.motion.primitive.equation import normalised
 from armlab.motion.storage import Saved, freeze_arrays
 
-UNLIKELY = 1e-6  # of a point: distance unreachable by motions of the distribution
+UNLIKELY = 1e-6  # relative distance of a point beyond which the motions of the distribution cannot reach it
 
-SAME = 1e-10  # of the largest eigenvalue: directions with less variance are fixed
-FLOOR = 1e-6  # of the mean variance, along directions without variation between demonstrations
+SAME = 1e-10  # fraction of the largest eigenvalue: directions with less variance are fixed
+FLOOR = 1e-6  # fraction of the mean variance, used along directions without variation between demonstrations
 
 FEWEST = 2  # demonstrations
-WIDTH = 0.8  # standard deviation of kernels over their distance
+WIDTH = 0.8  # standard deviation of the kernels divided by their spacing
 MAX_CONDITION = 1e6
 
 
@@ -38,10 +38,10 @@ class ProMP(Saved, kind="promp"):
     Attributes
     ----------
     mean : (n_basis, n) mean weights.
-    cov : (n_basis n, n_basis n) of the weights, coordinate by coordinate.
-    centres, widths : (n_basis,) of the kernels in time over duration.
-    duration : mean of the demonstrations [s].
-    noise : (n,) standard deviation of the noise of the demonstrations.
+    cov : (n_basis n, n_basis n) weight covariance, coordinate by coordinate.
+    centres, widths : (n_basis,) kernel centres and widths in time divided by duration.
+    duration : mean duration of the demonstrations [s].
+    noise : (n,) standard deviation of the measurement noise in the demonstrations.
 
     Raises
     ------
@@ -92,8 +92,8 @@ class ProMP(Saved, kind="promp"):
 
         Parameters
         ----------
-        t : since the start [s].
-        duration : of the motion [s]; default: that of the demonstrations.
+        t : times since the start [s].
+        duration : duration of the motion [s]; default: from the demonstrations.
         """
         T = self.duration if duration is None else positive(duration, "duration [s]")
         u = numbers(t, "t", ShapeError)[..., None] / T
@@ -101,7 +101,7 @@ class ProMP(Saved, kind="promp"):
         return psi, rate / T
 
     def _times(self, t: ArrayLike, duration: float | None = None) -> np.ndarray:
-        """Return the given times (N,), or times from 0 to the end of the motion in constant steps."""
+        """Return the given times (N,), or times from 0 to the end of the motion in equal steps."""
         times = clock(t, self.duration if duration is None else positive(duration, "duration [s]"))
         if times.ndim != 1 or not times.size or not np.isfinite(times).all():
             raise ShapeError(f"Expected finite times (N,), got shape {times.shape}. Pass times, or one step [s].")
@@ -112,8 +112,8 @@ class ProMP(Saved, kind="promp"):
 
         Parameters
         ----------
-        t : (N,) times since the start [s], or one step [s] until the end.
-        duration : of the motion [s].
+        t : (N,) times since the start [s], or a time step [s] up to the end.
+        duration : duration of the motion [s].
 
         Raises
         ------
@@ -169,15 +169,15 @@ class ProMP(Saved, kind="promp"):
         """Return the distribution conditioned on a position or velocity at a time.
 
         ``K = cov H^T (H cov H^T + R)^-1``, ``mean + K (z - H mean)``, ``cov - K H cov``. Without a covariance of the
-        point, all motions pass through it exactly, as far as the demonstrations vary there.
+        point, all motions pass through it exactly, to the extent that the demonstrations vary there.
 
         Parameters
         ----------
-        t : since the start, up to the duration [s].
+        t : time since the start, at most the duration [s].
         y, yd : (k,) position and velocity of the coordinates.
-        cov, velocity_cov : (k, k) of the point, or a variance for all.
+        cov, velocity_cov : (k, k) covariances of the point, or one variance for all coordinates.
         coordinates : indices of the k coordinates; default: all n.
-        duration : of the motion [s].
+        duration : duration of the motion [s].
 
         Raises
         ------
@@ -251,8 +251,8 @@ class TrajectoryDistribution(Shown):
     ----------
     t : (N,) times [s].
     y, yd : (N, n) mean position and velocity.
-    cov : (N, n, n) of the position over demonstrations.
-    velocity_cov : (N, n, n) of the velocity.
+    cov : (N, n, n) position covariance across demonstrations.
+    velocity_cov : (N, n, n) velocity covariance.
     """
 
     t: np.ndarray
@@ -277,17 +277,17 @@ def blend(
 
     Time-varying activations lead from one motion into another; constant activations intersect the motions.
 
-    ``cov = (sum a_k cov_k^-1)^-1``, ``y = cov sum a_k cov_k^-1 y_k``, of position and velocity together.
+    ``cov = (sum a_k cov_k^-1)^-1``, ``y = cov sum a_k cov_k^-1 y_k``, for position and velocity jointly.
 
     Parameters
     ----------
-    primitives : K of them, of n coordinates.
+    primitives : K primitives with n coordinates each.
     activation : (N, K) or (K,), non-negative, not all zero at any time.
     t, duration : as in `ProMP.marginal`.
 
     Raises
     ------
-    ShapeError : different numbers of coordinates or activations, negative activations, none at some time.
+    ShapeError : different numbers of coordinates or activations, negative activations, or all zero at some time.
     """
     for one in members(primitives, "primitives"):
         if not hasattr(one, "marginal"):
@@ -335,25 +335,25 @@ def _joint(primitive: ProMP, t: np.ndarray, duration: float | None) -> tuple[np.
 def fit_promp(
     t: ArrayLike | Sequence[ArrayLike], y: ArrayLike | Sequence[ArrayLike], *, n_basis: int = 15
 ) -> Fit[ProMP]:
-    """Fit the mean and covariance of the weights of M demonstrations, separated from measurement noise.
+    """Fit the mean and covariance of the weights of M demonstrations, separating them from measurement noise.
 
     The covariance is the variation of the weights between demonstrations in excess of their noise. In the mean, each
-    demonstration is weighted by both (docs/theory/promp.md).
+    demonstration is weighted according to both (docs/theory/promp.md).
 
     Parameters
     ----------
-    t : (N,) increasing times [s] shared by M demonstrations, or a list of M of them.
+    t : (N,) increasing times [s] shared by M demonstrations, or a list of M such arrays.
     y : (M, N, n) positions, or a list of M arrays (N_i, n).
     n_basis : number of kernels, equally spaced in time.
 
     Returns
     -------
-    Fit of a `ProMP`. The parameters are the mean weights. Their covariance has at most rank M - 1 and determines few
-    more than M / 4 weights. `residuals` (all samples, n).
+    Fit of a `ProMP`. The parameters are the mean weights. Their covariance has rank M - 1 at most and determines
+    barely more than M / 4 weights. `residuals` has shape (all samples, n).
 
     Raises
     ------
-    ShapeError : fewer than two demonstrations, wrong shapes, NaN with the number of the demonstration.
+    ShapeError : fewer than two demonstrations, wrong shapes, NaN (with the demonstration number).
     NotExcited : samples that do not determine the weights.
     ConfigError : n_basis is not an integer.
     """

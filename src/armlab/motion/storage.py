@@ -42,7 +42,7 @@ class Saved(Shown):
 
         Parameters
         ----------
-        path : name with the extension ``.toml``.
+        path : file name with the extension ``.toml``.
         """
         return models.save(self, path)
 
@@ -52,7 +52,7 @@ class Saved(Shown):
 
         Parameters
         ----------
-        path : of the file.
+        path : path of the file.
 
         Raises
         ------
@@ -63,7 +63,7 @@ class Saved(Shown):
 
 
 def freeze_arrays(value: Any, *names: str) -> None:
-    """Replace fields of a frozen dataclass by read-only arrays of finite numbers, in ``__post_init__``."""
+    """Replace fields of a frozen dataclass with read-only arrays of finite numbers, in ``__post_init__``."""
     arrays = {name: np.array(numbers(getattr(value, name), name, ShapeError)) for name in names}
     if not np.isfinite(np.concatenate([array.ravel() for array in arrays.values()])).all():
         name = next(name for name in names if not np.isfinite(arrays[name]).all())

@@ -21,14 +21,14 @@ from armlab.motion.dmp import Dmp, DmpController
 from armlab.motion.primitive.run import Rollout, RunOptions
 
 PEAK_STEPS = 4000  # samples over a duration in the search for peaks
-FINER = 20  # parts of a step around the largest acceleration, which many kernels make too sharp for a parabola
-AFTER = 0.5  # of the duration, for settling
+FINER = 20  # subdivisions of a step at the peak acceleration, which many kernels make too sharp for a parabola
+AFTER = 0.5  # fraction of the duration, for settling
 
 KNOTS = 2000  # knots of the clock rate over a duration
-MARGIN = 1e-6  # for errors of the parabolas through samples
-PARTS = 4  # points of an interval between knots at which limits are checked
+MARGIN = 1e-6  # for the errors of parabolic interpolation between samples
+PARTS = 4  # points per interval between knots at which limits are checked
 
-BISECTIONS = 45  # of the largest squared rate at a knot: to 3e-14 of it
+BISECTIONS = 45  # for the largest squared rate at a knot, to a relative error of 3e-14
 
 
 def shortest_duration(
@@ -41,20 +41,20 @@ def shortest_duration(
     g: ArrayLike | None = None,
     amplitude: ArrayLike | None = None,
 ) -> float:
-    """Return the shortest duration within limits, at least that of the demonstration [s].
+    """Return the shortest duration within limits, never below that of the demonstration [s].
 
-    ``k = max(1, max |yd| / v_max, sqrt(max |ydd| / a_max))`` times the duration, with the same path.
+    The path stays the same; its duration is scaled by ``k = max(1, max |yd| / v_max, sqrt(max |ydd| / a_max))``.
 
     Parameters
     ----------
-    dmp : the primitive to run with this `duration`.
+    dmp : the primitive to run with the returned duration.
     v_max, a_max : a number or (n,), in the unit of y per s and s^2.
-    y0, v0, g, amplitude : of the run, as in `Dmp.rollout`; v0 on the clock of the demonstration. A controller begins at
+    y0, v0, g, amplitude : as in `Dmp.rollout`, with v0 on the time scale of the demonstration. A controller starts at
         rest: v0 = 0.
 
     Raises
     ------
-    ShapeError : limits of the wrong shape or not positive, and as in `Dmp.rollout`.
+    ShapeError : limits of the wrong shape or not positive; otherwise as in `Dmp.rollout`.
     """
     dmp = value_of(dmp)
     limits = [arguments.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max"))]
@@ -71,8 +71,8 @@ def shortest_duration(
 def peaks(run: Rollout) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest ``|yd|`` and ``|ydd|`` (n,) of a motion, including between its samples.
 
-    Between samples, the velocity is interpolated by a cubic with the accelerations as slopes. The peak acceleration
-    comes from the parabola through the largest sample and its neighbours.
+    Between samples, the velocity is interpolated by a cubic that matches the sampled accelerations. The peak
+    acceleration comes from the parabola through the largest sample and its neighbours.
     """
     h, v, a = np.diff(run.t)[:, None], run.yd, run.ydd
     turns = a[:-1] * a[1:] < 0.0
@@ -102,9 +102,9 @@ def retimed(
 ) -> PacedDmp:
     """Return the motion on the same path, slowed down only where a limit requires it.
 
-    Uses the time-optimal parameterisation of the path with a clock rate of at most 1 (that of the demonstration). It
-    never takes longer than uniform slow-down to `shortest_duration`. Its acceleration is discontinuous, so the jerk is
-    unlimited.
+    Uses the time-optimal parameterisation of the path with a clock rate of at most 1 (that of the demonstration). The
+    motion never takes longer than with uniform slow-down to `shortest_duration`. Its acceleration is discontinuous, so
+    the jerk is unbounded.
 
     Parameters
     ----------
@@ -143,11 +143,11 @@ class PacedDmp(Shown):
     Attributes
     ----------
     dmp : the primitive.
-    s : (M + 1,) times on its own clock [s].
-    rate : (M + 1,) s' at these times; constant after the last.
-    run : start, velocity at it, goal and amplitude.
-    t : (M + 1,) times at which the clock shows s [s].
-    change : (M + 1,) derivative of the rate from then on [1/s].
+    s : (M + 1,) times on the primitive's clock [s].
+    rate : (M + 1,) clock rate s' at these times; constant after the last.
+    run : start, start velocity, goal and amplitude.
+    t : (M + 1,) run times at which the clock reaches s [s].
+    change : (M + 1,) derivative of the rate after each of these times [1/s].
     """
 
     dmp: Dmp
@@ -158,7 +158,7 @@ class PacedDmp(Shown):
     change: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        """Freeze the fields, and compute the times of the knots."""
+        """Freeze the fields and compute the knot times."""
         steps = 2 * np.diff(self.s) / (self.rate[1:] + self.rate[:-1])
         object.__setattr__(self, "t", np.append(0.0, np.cumsum(steps)))
         object.__setattr__(self, "change", np.append(np.diff(self.rate) / steps, 0.0))
@@ -171,7 +171,7 @@ class PacedDmp(Shown):
 
     @property
     def duration(self) -> float:
-        """Time at which the primitive's own clock shows its duration [s]."""
+        """Time at which the primitive's clock reaches its duration [s]."""
         return float(np.interp(self.dmp.duration, self.s, self.t))
 
     def _clock(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -182,11 +182,11 @@ class PacedDmp(Shown):
         return self.s[i] + since * (self.rate[i] + 0.5 * since * change), self.rate[i] + since * change, change
 
     def rollout(self, t: ArrayLike) -> Rollout:
-        """Return the motion at times t; phase and forcing belong to the point on the path.
+        """Return the motion at times t, with the phase and forcing of the corresponding path points.
 
         Parameters
         ----------
-        t : times (N,), counted from the first, or a time step [s], until the end of the motion.
+        t : (N,) increasing times [s], counted from the first; or a time step [s] up to the end of the motion.
 
         Raises
         ------
@@ -203,7 +203,7 @@ class PacedDmp(Shown):
         return Rollout(times, y, yd, ydd, path.x[at], path.forcing[at])
 
     def stepper(self, **run: Unpack[RunOptions]) -> PacedStepper:
-        """Return a stepper that runs it sample by sample.
+        """Return a stepper that runs the motion sample by sample.
 
         Parameters
         ----------
@@ -218,19 +218,19 @@ class PacedDmp(Shown):
         return PacedStepper(self, {**self.run, **run})
 
     def controller(self, robot: Arms, *, limits: JointLimits | Sequence[JointLimits] | None = None) -> DmpController:
-        """Return a controller ``State -> Command`` at this clock rate, which starts at the measured position, at rest.
+        """Return a controller ``State -> Command`` at this clock rate that starts at rest at the measured position.
 
-        The limits hold as planned if the arm begins at the start of the plan. From another start or to another goal,
-        the path differs at the same clock rate, and the limits of the controller are applied last
+        The limits hold as planned if the arm is at the planned start. With another start or goal, the path differs but
+        the clock rate stays the same, and the references are clipped to the limits of the controller
         (`Controller.clamped`).
 
         Parameters
         ----------
-        robot, limits : as of `Dmp.controller`.
+        robot, limits : as in `Dmp.controller`.
 
         Raises
         ------
-        ShapeError : as of `Dmp.controller`.
+        ShapeError : as in `Dmp.controller`.
         """
         return DmpController(robot, self, {}, limits)
 
@@ -287,13 +287,12 @@ class PacedStepper:
 
 
 def fastest(h: float, slope: np.ndarray, bend: np.ndarray, v_max: np.ndarray, a_max: np.ndarray) -> np.ndarray:
-    """Return the squared clock rate ``z = s'^2`` (M + 1,), at most 1, of the fastest motion along y(s), with knots
-    spaced by h.
+    """Return the squared clock rate ``z = s'^2`` (M + 1,), at most 1, of the fastest motion along y(s), knots h apart.
 
     The velocity is ``y_s sqrt(z)`` and the acceleration ``y_ss z + y_s z_s / 2``, with first and second derivatives y_s
     and y_ss (M + 1, n). With z linear between knots, both limits are linear inequalities in neighbouring values. A
-    backward pass finds the largest z that can still reach the end, a forward pass the largest reachable z. Pham and
-    Pham, A new approach to time-optimal path parameterization based on reachability analysis, IEEE Transactions on
+    backward pass finds the largest z from which the end can be reached, a forward pass the largest reachable z. Pham
+    and Pham, A new approach to time-optimal path parameterization based on reachability analysis, IEEE Transactions on
     Robotics 34(3), 2018.
     """
     with np.errstate(divide="ignore"):
@@ -336,9 +335,7 @@ def _alone(a: np.ndarray, b: np.ndarray, cap: np.ndarray) -> np.ndarray:
 
 
 def largest_size(values: np.ndarray) -> np.ndarray:
-    """Return the largest magnitude (n,) of smooth pieces (M, P, n) with P >= 3 uniform samples, by parabolic
-    interpolation.
-    """
+    """Return the largest magnitude (n,) of smooth segments (M, P, n), P >= 3, by parabolic interpolation of samples."""
     size = np.abs(values)
     before, at, after = size[:, :-2], size[:, 1:-1], size[:, 2:]
     bend = before - 2 * at + after

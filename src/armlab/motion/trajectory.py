@@ -24,14 +24,14 @@ GOAL_TIME = 2.0
 """Default time after the last point to reach the goal [s]."""
 
 _SENT = 1e-6  # rad or m between the last reference and the goal
-_REST = 1e-3  # rad/s or m/s of the last point
-_PARTS = 16  # of a piece, at which limits are checked
-_SPARE = 1.0 + 1e-3  # of the speed limit
+_REST = 1e-3  # rad/s or m/s: largest speed at the last point
+_PARTS = 16  # subdivisions of a segment at which limits are checked
+_SPARE = 1.0 + 1e-3  # accepted fraction of the speed limit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tolerance(Shown):
-    """Largest differences between reference and measurement.
+    """Largest accepted differences between reference and measurement.
 
     Attributes
     ----------
@@ -149,9 +149,9 @@ class JointTrajectory(Shown):
         Raises
         ------
         UnknownName
-            A joint of the trajectory is not among them, or one of them is missing.
+            A joint of the trajectory is not in `joints`, or one in `joints` is missing from the trajectory.
         ShapeError
-            There are no names, and the number of columns differs.
+            The trajectory has no joint names and a different number of columns.
         """
         if not self.joints:
             if self.q.shape[1] != len(joints):
@@ -221,15 +221,15 @@ class JointTrajectory(Shown):
         robot : Robot
             The arm; columns are sorted by `Robot.ros_joint_names`.
         limits : Robot or bridge.Limits
-            Limits that the motion must satisfy; default: those of the robot.
+            Limits that the motion must satisfy; default: from the robot.
         path_tolerance : Tolerance
             Tolerance during the motion; default: none (the following-error limit of the link still applies).
         goal_tolerance : Tolerance
             Tolerance at the end; default: 0.01 rad or m, and 0.02 per second.
         goal_time : float, s
-            Time after the last point to reach the goal tolerance.
+            Time allowed after the last point to reach the goal tolerance.
         begin : float, s
-            Trajectory time at which to begin; earlier points are skipped, and a negative time waits.
+            Trajectory time at which to begin; earlier points are skipped, and a negative time adds a wait.
 
         Raises
         ------
@@ -246,19 +246,19 @@ class JointTrajectory(Shown):
 class TrajectoryController:
     """Runs a `JointTrajectory` once; created by `JointTrajectory.controller`.
 
-    The first point must be near the arm, or late enough to be reached within the speed limits. The motion ends if a
-    reference or the arm leaves the path tolerance, or after a pause of the robot or a new session; the arm then comes
-    to rest.
+    The first point must be near the arm, or late enough to be reached within the speed limits. The motion ends,
+    and the arm comes to rest, if the arm leaves the path tolerance, if the packets pause, or if the robot begins a new
+    session.
 
     Attributes
     ----------
     ending : str
-        "" during the motion, then "arrived", "refused" (at the start), "path" or "goal" (outside this tolerance), or
+        "" during the motion, then "arrived", "refused" (at the start), "path" or "goal" (outside that tolerance), or
         "interrupted".
     reason : str
         Why the motion ended without arriving.
     t : float, s
-        Time of the trajectory.
+        Trajectory time.
     """
 
     ending: Ending
@@ -298,11 +298,11 @@ class TrajectoryController:
         Parameters
         ----------
         state : State
-            Of the arm.
+            State of the arm.
         near : float or array, shape (n,), rad or m
             Largest allowed distance between the arm and a first point at time 0.
         is_moving : bool
-            Whether the arm already follows references; the motion then begins from the last one, otherwise at rest.
+            Whether the arm already follows references: if so, the motion begins from the last one, otherwise at rest.
         """
         trajectory, self._session = self._trajectory, state.session
         if state.q.shape != self.goal.shape:
@@ -342,8 +342,9 @@ class TrajectoryController:
         return ""
 
     def __call__(self, state: State, dt: float | None = None) -> Command:
-        """Return the command for one packet after `dt` [s] (default: that of the State); stops the run when the motion
-        has ended.
+        """Return the command for one packet; it stops the run when the motion has ended.
+
+        `dt` is the time since the last packet [s]; default: from the State.
         """
         if self._session < 0:
             self.begin(state)
@@ -366,7 +367,7 @@ class TrajectoryController:
             self._enter(int(np.searchsorted(t, self.t, side="right")) - 1)
 
     def _enter(self, k: int) -> None:
-        """Enter the piece after point k; after the last one, stay there."""
+        """Enter the segment after point k; after the last point, stay there."""
         trajectory = self._trajectory
         self._from, self._k = float(trajectory.t[k]), k + 1
         if self._k == len(trajectory.t):
@@ -384,7 +385,7 @@ class TrajectoryController:
         return q, qd
 
     def _compare(self, state: State, q: np.ndarray, qd: np.ndarray) -> None:
-        """End the motion outside the path tolerance, or at the goal."""
+        """End the motion if the arm is outside the path tolerance or has arrived at the goal."""
         is_over = self._k == len(self._trajectory.t) and self.t >= self._trajectory.t[-1]
         if not is_over:
             if (what := _outside(q - state.q, qd - state.qd, self._path, self._trajectory.joints)) != "":

@@ -36,11 +36,11 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
     Attributes
     ----------
     dmp : the primitive, or its fit.
-    kp, kv : gains on position [1/s^2] and velocity [1/s].
+    kp, kv : position gain [1/s^2] and velocity gain [1/s].
     kc : gain of the slow-down.
-    alpha_e : of the error filter [1/s].
+    alpha_e : rate of the error filter [1/s].
     e0 : dead zone, one number or (n,), in the unit of y.
-    e_scale : error that counts as 1 in kc, in the shape of e0.
+    e_scale : error that counts as 1 for kc, with the same shape as e0.
     e_max : normalised error |ya - yc| / e_scale that pauses the path until it is below 0.8 e_max.
 
     Raises
@@ -103,19 +103,19 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
     ) -> TwoDofRun:
         """Simulate an arm with perfect tracking, ``ya'' = ya_ref''``, under disturbances.
 
-        Steps are of fourth order and end at every event.
+        Integration steps are of fourth order and end at every event.
 
         Parameters
         ----------
-        t : (N,) increasing times [s], starting at the first; or one step [s], until the end of the motion.
+        t : (N,) increasing times [s], counted from the first; or a time step [s] up to the end of the motion.
         events : `Hold`, `Push`, `Displace`, and at most one plant, ``(t, ya, ya', ya_ref'') -> ya''``, in place of
             perfect tracking.
         dt : longest integration step [s].
-        **run : as in `Dmp.rollout`. The arm starts on the path, with its velocity.
+        **run : as in `Dmp.rollout`. The arm starts on the path, with the path velocity.
 
         Raises
         ------
-        ShapeError : as in `Dmp.rollout`; overlapping events; a plant that returns no accelerations.
+        ShapeError : as in `Dmp.rollout`; overlapping events; a plant that does not return accelerations.
         ConfigError : both duration and tau_d.
         """
         longest = positive(dt, "dt", "At 250 Hz, dt is 0.004 s.")
@@ -137,12 +137,12 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
     ) -> TwoDofRun:
-        """Return a recorded run with `controller`, and the undisturbed primitive; times begin at 0.
+        """Return a run recorded with `controller`, and the undisturbed primitive; times begin at 0.
 
         Parameters
         ----------
         table : from ``link.run(controller, extra=controller.columns())``; rows without a path are skipped.
-        disturbed : (t0, t1) of each known disturbance of the arm [s].
+        disturbed : interval (t0, t1) of each known disturbance of the arm [s].
         duration, g, amplitude : as passed to the controller.
 
         Raises
@@ -166,12 +166,12 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         return TwoDofRun(t, *parts)
 
     def stepper(self, **run: Unpack[RunOptions]) -> TwoDofStepper:
-        """Return a stepper that runs the law sample by sample with a measured arm.
+        """Return a stepper that runs the control law sample by sample with a measured arm.
 
         Its ``step(dt, ya, yad)`` takes the time since the last sample [s], 0 at the first, and the measured position
         and velocity (n,). It returns `yc`, `ycd`, `ycdd` of the coupled path and the reference acceleration `ydd_ref`,
-        each (n,). ``change_goal(g)`` changes the goal (n,), ``reset()`` returns to the start. `x`, `tau_a` [s], `e`
-        (n,), `frozen` and `has_ended` are the state of the run.
+        each (n,). ``change_goal(g)`` changes the goal (n,), and ``reset()`` returns to the start. `x`, `tau_a` [s],
+        `e` (n,), `frozen` and `has_ended` describe the state of the run.
 
         Parameters
         ----------
@@ -193,13 +193,13 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         amplitude: ArrayLike | None = None,
         give_way: Callable[[State], np.ndarray] | None = None,
     ) -> Controller:
-        """Return a controller ``State -> Command`` for `armlab.bridge`, which starts at the measured position, at rest.
+        """Return a controller ``State -> Command`` for `armlab.bridge`, that starts at rest at the measured position.
 
         Parameters
         ----------
         robot, limits : as in `Dmp.controller`.
         duration, g, amplitude : as in `Dmp.rollout`.
-        give_way : acceleration (n,) added to the reference by a contact, for an arm that is not compliant itself:
+        give_way : acceleration (n,) that a contact adds to the reference, for an arm that is not itself compliant,
             for example ``lambda state: J(state.q).T @ force(state) / inertia``.
 
         Raises
@@ -239,8 +239,8 @@ class Reference(NamedTuple):
 class TwoDofStepper:
     """One run of a `TwoDofDmp` with a measured arm; created by `TwoDofDmp.stepper`.
 
-    Between two samples, ya is extrapolated with the last measured velocity, and the law is integrated in steps of at
-    most 4 ms.
+    Between two samples, ya is extrapolated with the last measured velocity, and the control law is integrated in steps
+    of at most 4 ms.
     """
 
     goal: np.ndarray
@@ -256,7 +256,7 @@ class TwoDofStepper:
         self._state = starting(run)
 
     def step(self, dt: float, ya: np.ndarray, yad: np.ndarray, speed: np.ndarray = FULL_SPEED) -> Reference:
-        """Process a sample of the arm and return the current reference."""
+        """Process a measurement of the arm and return the current reference."""
         found = self._law.follow(self._state, dt, steps_in(dt), speed, ya, yad)
         self._state, (ycd, ycdd, ydd_ref) = found
         return Reference(self._state[: self._law.n], ycd, ycdd, ydd_ref)
@@ -305,7 +305,7 @@ def starting(run: RunParameters) -> np.ndarray:
 
 
 class TwoDofController(Controller):
-    """Controller of a `TwoDofDmp` that integrates the acceleration of the law twice, using the measured arm."""
+    """Controller of a `TwoDofDmp` that integrates its reference acceleration twice, using the measured arm."""
 
     stepper: TwoDofStepper
 

@@ -1,3 +1,3 @@
-"""Server processes: send rows, parameters and events of a cell to other programs, and pass on their commands."""
+"""Server processes that send a cell's rows, parameters and events to other programs and pass on their commands."""
 
 __all__ = []

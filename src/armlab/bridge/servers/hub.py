@@ -1,7 +1,7 @@
-"""`Hub`: a feed of the loop that connects it to the server processes.
+"""`Hub`: the feed that connects the loop to the server processes.
 
 Rows and events go out; commands and parameter settings return through the same sockets. A server that does not read
-loses rows (they are counted) and never blocks the loop.
+loses rows, which are counted, and never blocks the loop.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from armlab.state import Command, State
 OPERATOR = "local"
 """Server of the operators: its socket belongs to the user."""
 
-_PATIENCE = 0.5  # s for a server to report the counts of its clients, once the arms rest
-_DRAINED = 16  # requests of a server per poll
-_EVENTS = 1000  # waiting for a run to begin
-_SENTENCE = 1000  # characters of a report, which may quote a client's message
-_PARTS = 64  # of a trajectory
+_PATIENCE = 0.5  # s for a server to report the counts of its clients, after the arms have come to rest
+_DRAINED = 16  # requests handled per server and poll
+_EVENTS = 1000  # maximum number of events waiting for a run to begin
+_SENTENCE = 1000  # maximum length of a report in characters; it may quote a client's message
+_PARTS = 64  # maximum number of parts of a trajectory
 
 
 class Hub:
-    """Feed for server processes (see `recording.Feed`): distributes rows and events, and handles their requests."""
+    """Feed for the server processes (see `recording.Feed`): sends them rows and events, and handles their requests."""
 
     def __init__(
         self,
@@ -96,7 +96,7 @@ class Hub:
     def begin(
         self, tell: Tell, files: Sequence[Path] = (), keep: Callable[[Change], None] = lambda change: None
     ) -> None:
-        """Start recording the events of a run through `tell`, which passes them back to `event`."""
+        """Start to record the events of a run through `tell`, which passes them back to `event`."""
         self._files = text_message("recording", files=[str(file.absolute()) for file in files])
         for outlet in self.outlets.values():
             outlet.send(self._files)
@@ -123,7 +123,7 @@ class Hub:
         }
 
     def _counted(self, outlet: Outlet) -> dict[str, Any]:
-        """Request the counts of a server's clients; wait at most 0.5 s."""
+        """Request and return the row counts of a server and of its clients; wait at most 0.5 s."""
         outlet.clients, until = None, time.monotonic() + _PATIENCE
         if outlet.send(text_message("count")):
             while outlet.clients is None and time.monotonic() < until:
@@ -171,7 +171,7 @@ class Hub:
     def poll(self) -> None:
         """Handle at most 16 requests of each server, then apply parameters; never block."""
         if not self._lock.acquire(blocking=False):
-            return  # the other thread polls
+            return  # the other thread is polling
         try:
             self._polled_ns = time.monotonic_ns()
             for outlet in self.outlets.values():
@@ -263,7 +263,7 @@ class Hub:
                 self.report_goal(order, ("aborted", "refused", str(error)))
 
     def _trajectory(self, last: messages.TrajectoryRequest, points: bytes) -> TrajectoryController | None:
-        """Return the controller of a trajectory whose limits were checked by its server; None for an unknown arm."""
+        """Return the controller of a trajectory whose limits its server has checked, or None for an unknown arm."""
         robot = self._robots.get(last.arm)
         if robot is None:
             return None

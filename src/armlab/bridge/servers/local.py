@@ -1,4 +1,4 @@
-"""Local feed over a Unix socket of the user: the client `LocalFeed`, and the server process `LocalServer`."""
+"""Local feed over a Unix socket of the user: client `LocalFeed`, and server process `LocalServer`."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _LARGEST = 2**17
 
 
 def socket_path(cell: str) -> Path:
-    """Return the socket path of a cell's local feed, in a private folder of the user."""
+    """Return the socket path of a cell's local feed, which is in a private folder of the user."""
     given = os.environ.get("XDG_RUNTIME_DIR")
     folder = Path(given) / "armlab" if given else Path(tempfile.gettempdir()) / f"armlab-{os.getuid()}"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -72,7 +72,8 @@ class LocalFeed:
     ------
     LinkError
         The bridge is not running.
-    ConfigError Several bridges are running, and `cell` is "".
+    ConfigError
+        Several bridges are running, and `cell` is "".
     """
 
     def __init__(self, cell: str = "", patience: float = 5.0) -> None:
@@ -162,12 +163,12 @@ class LocalFeed:
 
 
 _CLIENTS = 8
-_STATUS = 0.5  # s between two reports
-_EVENTS = 20  # sent to a new client
+_STATUS = 0.5  # s between status reports
+_EVENTS = 20  # last events, which are sent to a new client
 _KEPT = 100  # disconnected clients whose counts are kept
-_RETRY = 0.005  # s between two attempts to send waiting requests
+_RETRY = 0.005  # s between attempts to send queued requests
 _FRESH = struct.Struct("<q")
-_TAKEN = 16  # messages of a client before the next client
+_TAKEN = 16  # messages handled per client before the next client's turn
 
 
 class _Client:
@@ -181,7 +182,7 @@ class _Client:
     def send(self, data: bytes) -> bool:
         try:
             return self.connection.send(data) > 0
-        except OSError:  # full or closed: the next read finds out
+        except OSError:  # full or closed: the next read shows which
             return False
 
     def row(self, data: bytes) -> None:
@@ -192,7 +193,7 @@ class _Client:
 
 
 class LocalServer:
-    """Passes rows and events to at most 8 clients of the user, and passes their requests to the loop."""
+    """Server that passes rows and events to at most 8 of the user's clients, and their requests to the loop."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._path = Path(options["path"])
@@ -281,7 +282,7 @@ class LocalServer:
     def _accept(self) -> None:
         try:
             connection, _ = self._listener.accept()
-        except OSError:  # disconnected again, or too many open files: the others are served
+        except OSError:  # already disconnected, or too many open files: keep serving the others
             return
         connection.setblocking(False)
         if len(self._clients) >= _CLIENTS:
@@ -337,7 +338,7 @@ def _listen(path: Path) -> socket.socket:
         try:
             probe.connect(str(path))
         except OSError:
-            path.unlink(missing_ok=True)  # left behind
+            path.unlink(missing_ok=True)  # left by an earlier process
         else:
             process, _, _ = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
             raise LinkError(

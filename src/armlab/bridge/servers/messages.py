@@ -15,7 +15,7 @@ from armlab.bridge.inputs.parameters import Parameters
 from armlab.errors import LinkError
 from armlab.robots import Robot
 
-_LARGEST = 65536  # bytes of a request
+_LARGEST = 65536  # maximum size of a request in bytes
 
 
 _Joints = Annotated[list[float | None], msgspec.Meta(max_length=64)]  # bounds the loop's work
@@ -65,14 +65,14 @@ class Renew(_Message, tag="renew", frozen=True):
 
 
 class Cancel(_Message, tag="cancel", frozen=True):
-    """Bring to rest an arm that follows the trajectory of a goal; open to all clients, like a stop."""
+    """Bring the arm that is following a goal's trajectory to rest; open to all clients, like a stop."""
 
     arm: str = ""
     goal: str = ""
 
 
 class SetRequest(_Message, tag="set", frozen=True):
-    """Parameter values by name, applied together or refused together."""
+    """Parameter values by name, all applied or all refused."""
 
     values: dict[str, Any] = {}
 
@@ -82,11 +82,11 @@ class Stop(_Message, tag="stop", frozen=True):
 
 
 class Resume(_Message, tag="resume", frozen=True):
-    """End a stop; for operators."""
+    """End a stop; for operators only."""
 
 
 class Release(_Message, tag="release", frozen=True):
-    """Free the client's arms; an operator frees all arms."""
+    """Release control of the client's arms; from an operator, of all arms."""
 
 
 class Leave(_Message, tag="leave", frozen=True):
@@ -153,7 +153,7 @@ def text_message(kind: str, **fields: Any) -> bytes:
 
 
 def parameter_message(parameters: Parameters) -> bytes:
-    """Return all declarations, values in force, and the client of each last change, as one message."""
+    """Return one message with all parameters: declaration, value in force, and the client that last changed it."""
     about = []
     for name, value in parameters.values().items():
         declared = parameters.declared[name]

@@ -16,9 +16,9 @@ from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError, UnknownName
 
 _FIELDS = ("q", "qd", "tau", "wrench", "wrench_hat", "q_sent", "qd_sent", "tau_sent", "q_ref", "qd_ref", "tau_ref")
-_LARGEST = 1400  # bytes to other computers: one network packet
+_LARGEST = 1400  # maximum datagram size in bytes for other computers: one network packet
 _LARGEST_HERE = 65507
-_NUMBER = len("-1234567890123456789012.0")  # the longest; "-1.2345678901234567e-308" is one shorter
+_NUMBER = len("-1234567890123456789012.0")  # the longest number; "-1.2345678901234567e-308" is one character shorter
 _STAMP = len('{"timestamp":1700000000.1234567}')
 
 
@@ -50,7 +50,7 @@ class Datagrams:
         self._fresh = [(robot, schema.fields[f"{robot}.fresh"].offset) for robot in schema.robots]
 
     def datagram(self, data: bytes) -> bytes:
-        """Return the datagram of a row, with its fresh arms and all sources."""
+        """Return the datagram of a row with its freshly updated arms and all sources."""
         _, _, wall_ns = read_head(self._schema, data)
         found: dict[str, Any] = {"timestamp": 1e-9 * wall_ns}
         for robot, place in self._fresh:
@@ -81,7 +81,7 @@ class _FieldGroup:
 
 
 class PlotJugglerServer:
-    """Sends datagrams until the loop closes the feed."""
+    """PlotJuggler server process, which sends datagrams until the loop closes the feed."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         to, self._from = options["to"], options["host"]
@@ -99,7 +99,7 @@ class PlotJugglerServer:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
             out.bind((self._from, 0))
             out.setblocking(False)
-            out.connect(self._to)  # makes the system report a missing receiver
+            out.connect(self._to)  # connected, so that the system reports a missing receiver
             to, fields = "{}:{}".format(*self._to), ", ".join(self._datagrams.fields)
             self._loop.ask(Listening(where=[f"to {to} (plotjuggler: {fields})"]))
             while (messages := self._loop.receive(None)) is not None:
@@ -107,7 +107,7 @@ class PlotJugglerServer:
                     try:
                         out.send(self._datagrams.datagram(row))
                         self._sent += 1
-                    except OSError:  # without a receiver
+                    except OSError:  # no receiver
                         self._lost += 1
 
 

@@ -1,8 +1,8 @@
 """Binary rows for other programs: `RowSchema` defines the fields, `RowWriter` packs a row, `read_row` unpacks it.
 
-A row is little-endian: "ALR1", its length (uint32), the schema's id (8 bytes), its number (uint64), monotonic and wall
-clock (int64 ns), and the fields, each at a multiple of 8 bytes. A row has at most 8 KiB. The schema is canonical JSON;
-its id is the first 8 bytes of its SHA-256.
+A row is little-endian: "ALR1", the row length (uint32), the schema id (8 bytes), the row number (uint64), monotonic and
+wall clock (int64 ns), and the fields, each at a multiple of 8 bytes. A row has at most 8 KiB. The schema is canonical
+JSON; its id is the first 8 bytes of its SHA-256.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from armlab.wire.egm import Drop, Packet
 VERSION = 1
 HEAD = struct.Struct("<4sI8sQqq")
 TYPES = {"float64": "<f8", "int64": "<i8", "text": "S1"}
-WORDS = 48  # bytes of a commander's name: server, space, 16 hexadecimal digits
-NOT_SENT = ("stamp_ns", "wake_ns")  # the head of a row has the first one
+WORDS = 48  # maximum bytes of a commander's name: server, space, 16 hexadecimal digits
+NOT_SENT = ("stamp_ns", "wake_ns")  # the row header contains the first one
 
 
 def _arm_columns() -> Iterator[tuple[str, str, str, str, tuple[int, ...] | None]]:
@@ -63,15 +63,15 @@ class RowField:
     Attributes
     ----------
     name : str
-        Such as "yumi_left.q".
+        Name, for example "yumi_left.q".
     type : str
         "float64", "int64", or "text" (UTF-8, padded with zero bytes).
     shape : tuple of int
-        Shape of the values; for a text, its number of bytes.
+        Shape of the values; for a text, the number of bytes.
     unit : str
-        As in the glossary.
+        Unit, as in the glossary.
     frame : str
-        As in the glossary.
+        Frame, as in the glossary.
     labels : tuple of str
         Labels along the first axis.
     source : str
@@ -91,7 +91,7 @@ class RowField:
 
     @property
     def size(self) -> int:
-        """Bytes, padded to a multiple of 8."""
+        """Size in bytes, padded to a multiple of 8."""
         count = math.prod(self.shape)
         return -(-count // 8) * 8 if self.type == "text" else 8 * count
 
@@ -120,7 +120,7 @@ class RowSchema:
 
     @classmethod
     def of(cls, robots: Sequence[Robot], sources: Mapping[str, Mapping[str, Column]] | None = None) -> RowSchema:
-        """Return the schema of a cell: for each robot its log columns, age and commander, followed by the sources."""
+        """Return the schema of a cell: log columns, age and commander of each robot, followed by the sources."""
         fields: list[RowField] = []
         at = HEAD.size
 
@@ -152,7 +152,7 @@ class RowSchema:
         return cls([robot.name for robot in robots], fields)
 
     def require(self, robot: Robot, *, whole: bool = True) -> None:
-        """Raise unless the rows have the fields of this arm, which readers rely on."""
+        """Raise unless the rows have the fields of this arm that readers rely on."""
         for name, wanted in RowSchema.of([robot]).fields.items():
             found = self.fields.get(name, None if whole else wanted)
             if found is None or (found.type, found.shape) != (wanted.type, wanted.shape):
@@ -189,8 +189,8 @@ MAGIC = b"ALR1"
 MONO, WALL = HEAD.size - 16, HEAD.size - 8
 """Offsets of the clocks in a row, int64 [ns]."""
 
-_BEGINNING = 16  # bytes before the number of the row
-_LETTERS = {"float64": "d", "int64": "q"}  # codes of `struct`
+_BEGINNING = 16  # bytes before the row number
+_LETTERS = {"float64": "d", "int64": "q"}  # format characters of `struct`
 
 
 class Row(NamedTuple):
@@ -215,7 +215,7 @@ class Row(NamedTuple):
 
 
 class _Values(Mapping[str, Any]):
-    """Values of a row, unpacked on access because readers of 500 rows/s need only a few of a hundred fields."""
+    """Values of a row, unpacked on access, because readers of 500 rows/s need only a few of a hundred fields."""
 
     __slots__ = ("_data", "_fields")
 
@@ -259,7 +259,7 @@ def beginning(schema: RowSchema) -> bytes:
 
 
 def clock_ms(robot_ns: int, session_t: float) -> int | None:
-    """Return the robot clock [ms], else the clock of its session; None if neither is valid."""
+    """Return the robot clock [ms], or else its session clock; None if neither is valid."""
     if robot_ns:
         return robot_ns // 10**6
     ms = 1e3 * session_t
@@ -267,7 +267,7 @@ def clock_ms(robot_ns: int, session_t: float) -> int | None:
 
 
 def places(schema: RowSchema, source: str) -> dict[str, tuple[struct.Struct, int]]:
-    """Return the format and offset of a source's numeric fields; unpacking only these is ten times as fast."""
+    """Return the format and offset of each numeric field of a source; unpacking only these is ten times as fast."""
     return {
         field.name.removeprefix(f"{source}."): (
             struct.Struct(f"<{math.prod(field.shape)}{_LETTERS[field.type]}"),
@@ -279,7 +279,7 @@ def places(schema: RowSchema, source: str) -> dict[str, tuple[struct.Struct, int
 
 
 class _Part:
-    """Fields of one arm: their offsets in the row, and the packer."""
+    """Fields of one arm: offsets in the row, and the packer."""
 
     def __init__(self, schema: RowSchema, robot: str) -> None:
         fields = {name: schema.fields[f"{robot}.{name}"] for name, *_ in _arm_columns()}
@@ -297,7 +297,7 @@ class _Part:
 
 
 class RowWriter:
-    """Packs the rows of a run, arm by arm."""
+    """Packer for the rows of a run, arm by arm."""
 
     def __init__(self, schema: RowSchema) -> None:
         self._schema, self._seq = schema, 0

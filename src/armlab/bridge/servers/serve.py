@@ -25,7 +25,7 @@ SERVERS = {
 
 
 def serve(name: str, feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the socket."""
+    """Run the server until the loop closes the socket."""
     module, _, server = f"armlab.bridge.servers.{SERVERS[name]}".rpartition(".")
     getattr(import_module(module), server)(feed, options).run()
 

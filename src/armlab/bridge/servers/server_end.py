@@ -1,4 +1,4 @@
-"""`LoopEnd`: connection of a server process to the loop; rows and messages in, client requests out."""
+"""`LoopEnd`: a server process's connection to the loop; rows and messages in, client requests out."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from armlab.errors import CommandRefused, LinkError
 from armlab.robots import Robot, from_toml
 
 _LARGEST = 2**17
-_URGENT = 256  # waiting requests while the socket is full
-_RETRY = 0.005  # s between two attempts to send them
+_URGENT = 256  # requests queued while the socket is full
+_RETRY = 0.005  # s between attempts to send them
 _AT_ONCE = 64  # messages per call of `receive`
-_LONGEST = 1.0  # s of one wait
+_LONGEST = 1.0  # s, longest single wait
 
 Clients = Mapping[str, tuple[int, int]]
 
@@ -54,7 +54,7 @@ class LoopEnd:
         self.parameters: dict[str, dict[str, Any]] = {}
         self.about: dict[str, Any] = {}
         self.lost = 0
-        self._buffer = memoryview(bytearray(_LARGEST))  # reused: the system would map a new one for each row
+        self._buffer = memoryview(bytearray(_LARGEST))  # reused: the system would map a new buffer for each row
         received: set[str] = set()
         while not {"about", "parameters"} <= received:
             messages = self.receive(None)
@@ -75,10 +75,10 @@ class LoopEnd:
         return {name: from_toml(text, f"the bridge of {name}") for name, text in self.about["robots"].items()}
 
     def receive(self, patience: float | None = 0.0) -> list[bytes | dict[str, Any]] | None:
-        """Return received messages up to the first row: rows as bytes, others as a dict with "kind".
+        """Return the received messages up to the first row: a row as bytes, others as a dict with "kind".
 
-        None once the loop has ended. Rows are returned one at a time, because checking for another row takes as long as
-        a row.
+        Returns None once the loop has ended. Rows are returned one at a time, because checking for another row takes as
+        long as handling one.
         """
         self._wait(patience)
         found: list[bytes | dict[str, Any]] = []
@@ -101,8 +101,8 @@ class LoopEnd:
     def ask(self, request: Request) -> bool:
         """Send a request to the loop; return False if its queue is full.
 
-        A command, setting, renewal or report is then lost, because newer ones follow; a stop or release is sent later
-        by `receive`. Parts of trajectories leave room for these; the loop detects missing parts.
+        A command, setting, renewal or report is then dropped, because newer ones follow; a stop or release is sent
+        later by `receive`. Trajectory parts leave room for these; the loop detects missing parts.
         """
         data = encoded(request)
         with self._lock:
@@ -110,7 +110,7 @@ class LoopEnd:
                 return True
             room = _URGENT // 2 if isinstance(request, TrajectoryRequest) else _URGENT
             if isinstance(request, Stop):
-                room *= 2  # nothing else takes its place
+                room *= 2  # nothing else replaces a lost stop
             if not isinstance(request, CommandRequest | SetRequest | Report | Renew) and len(self._urgent) < room:
                 self._urgent.append(data)
             else:
@@ -118,7 +118,7 @@ class LoopEnd:
         return False
 
     def _wait(self, patience: float | None) -> None:
-        """Wait for a message; send waiting requests meanwhile."""
+        """Wait for a message, and send queued requests meanwhile."""
         until = math.inf if patience is None else time.monotonic() + patience
         while True:
             self._retry()

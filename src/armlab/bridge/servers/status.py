@@ -56,7 +56,7 @@ class _ArmCounts:
 
 
 class Status:
-    """Counts of all rows."""
+    """Statistics of all rows."""
 
     def __init__(self, schema: RowSchema) -> None:
         self._schema = schema
@@ -72,7 +72,7 @@ class Status:
             arm.add(data, mono_ns)
 
     def summary(self) -> dict[str, Any]:
-        """Return the counts of the feed and of each arm by name; round trips in us, NaN if there are none."""
+        """Return the counts of the feed and of each arm by name; round trips in us, or NaN without any."""
         arms = {}
         for name, arm in self._arms.items():
             seconds = 1e-9 * (arm.times[-1] - arm.times[0]) if len(arm.times) > 1 else 0.0
@@ -100,7 +100,7 @@ _USED = ("motors", "rapid", "mci", "receive_ns", "seq_sent", "q_ref", "qd_ref", 
 
 
 class Watch:
-    """State of a bridge as text, from its messages."""
+    """State of a bridge as text, derived from its messages."""
 
     cell: str
     told: int
@@ -210,7 +210,7 @@ def _state(values: dict[str, Any], now_ns: int) -> str:
 
 
 def arm_state(motors: int, rapid: int, mci: int, is_answered: bool, is_commanded: bool) -> str:
-    """Return the activity of an arm that sends packets, or why it cannot move."""
+    """Return what an arm that sends packets is doing, or why it cannot move."""
     doing = "listening" if not is_answered else "running" if is_commanded else "holding"
     return not_ready_reason(motors, rapid, mci) or doing
 

@@ -1,4 +1,4 @@
-"""`Servers`: one supervised process per server; restarted after a crash and isolated from the loop."""
+"""`Servers`: one supervised process per server, restarted after a crash and isolated from the loop."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ WELL = 300.0
 """Uptime after which the restart count of a server is reset [s]."""
 
 _CHECK_EVERY = 0.05  # s
-_IDLE = 200_000_000  # ns without a packet of a robot, after which requests are handled here
-_QUOTED = 1000  # bytes of a server's last error output
-_PATIENCE = 3.0  # s to exit before the process is killed
+_IDLE = 200_000_000  # ns without a robot packet after which requests are handled here
+_QUOTED = 1000  # bytes kept of a server's last error output
+_PATIENCE = 3.0  # s for a process to exit before it is killed
 
 
 def server_command(name: str, options: Mapping[str, Any]) -> list[str]:
@@ -54,12 +54,12 @@ class _Child:
         self.ends = 0
         self.due: float | None = 0.0
         self.has_listened = False
-        self.since: float | None = None  # first seen listening, for the running process
+        self.since: float | None = None  # when the running process was first seen listening
         self.output = b""
         self.failure = ""
 
     def read(self) -> None:
-        """Read its standard error, and keep the end."""
+        """Read the standard error of the process, and keep the end."""
         if not self.errors.is_open:
             return
         with contextlib.suppress(BlockingIOError):
@@ -68,12 +68,12 @@ class _Child:
 
     @property
     def last_output(self) -> str:
-        """Its last error output as one line."""
+        """Last error output of the process, as one line."""
         return " ".join(self.output.decode(errors="replace").split()) or "nothing"
 
 
 class Servers:
-    """Starts the server processes of a hub and restarts them; a context manager."""
+    """Supervisor that starts and restarts the server processes of a hub; a context manager."""
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class Servers:
             for child in [child for child in self._children if child.due is not None]:
                 try:
                     self._check(child)
-                except Exception as error:  # of one server: the others stay supervised
+                except Exception as error:  # concerns one server: the others stay supervised
                     self._fail(child, error)
             try:
                 self._exchange.idle(_IDLE)
@@ -191,7 +191,7 @@ class Servers:
     def _plan(self, child: _Child, what: str) -> None:
         """Schedule the restart of a server that has ended; a server that never listened is not restarted.
 
-        Restarts count as one series until a process has listened for `well` seconds. A fault that recurs immediately
+        The restart count is reset once a process has listened for `well` seconds. An immediately recurring fault thus
         ends the server; a fault that occurs once a day does not.
         """
         outlet = self._exchange.outlets[child.name]
@@ -224,9 +224,9 @@ class Servers:
 
 
 class Offering:
-    """Provides the rows of runs to `armlab monitor` and viewers until it is closed.
+    """Feed that provides the rows of runs to `armlab monitor` and viewers until it is closed.
 
-    Clients may only read; they may also stop the arms if the controller is wrapped with `stoppable`.
+    Clients may only read, and stop the arms if the controller is wrapped with `stoppable`.
     """
 
     def __init__(self, robots: Sequence[Robot], cell: str) -> None:

@@ -115,8 +115,8 @@ class Samples:
             if len(rows) and np.abs(rows[:, 3] - [0.0, 0.0, 0.0, 1.0]).max() < 1e-6:
                 return T
         raise LogError(
-            f"Expected poses {name} of shape (N, 4, 4) or (4, 4, N) with the last row 0 0 0 1 in {self.path}, got "
-            f"shape {array.shape} without it. Save homogeneous transformations."
+            f"Expected homogeneous transformations {name} of shape (N, 4, 4) or (4, 4, N) in {self.path}, got shape "
+            f"{array.shape} or a last row other than 0 0 0 1."
         )
 
     def _found(self, name: str) -> np.ndarray:
@@ -293,7 +293,7 @@ def run_fit(
     twice = next((one.path for i, one in enumerate(samples) if hashes[i] in hashes[:i]), None)
     if twice is not None:
         raise ConfigError(
-            f"Expected different files, got {twice} again. Each sample may be used only once: remove "
+            f"Expected different files, got {twice} twice. Each sample may be used only once: remove "
             "the duplicate file."
         )
     return fit_samples(job, samples, parts, fit, wanted, sources, corrected)
@@ -341,7 +341,7 @@ def measured_rows(
     if some and not every:
         there &= np.any(seen[len(needed) :], axis=0)
     if not there.any():
-        raise LogError(f"Expected complete rows in {read.path}, got none of {len(there)}.")
+        raise LogError(f"Expected at least one complete row in {read.path}, got {len(there)} incomplete rows.")
     _require_whole(read, needed, there)
     if not there.all():
         without = np.count_nonzero(~there)

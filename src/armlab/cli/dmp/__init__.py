@@ -123,10 +123,9 @@ def play(
         via: Via-point TIME:Y,Y,... of a joint motion, with the time of the demonstration [s].
         amplitude: Amplitude factor of a periodic motion.
         turns: Number of periods of a periodic motion; default: 4.
-        speed: Fraction of the robot's speed limits, in (0, 1]; default: that of the settings, else 1.
+        speed: Fraction of the robot's speed limits, in (0, 1]; default: from the settings, else 1.
         firm: Send the path open loop instead of waiting for an arm that is held.
-        log: Recording of the motion; -2, -3 is appended if it exists. Default: dmp.mcap in the folder of the
-            settings.
+        log: Recording of the motion; -2, -3 is appended if it exists. Default: dmp.mcap in the log folder.
         force: Replace an existing --output file, and play a joint-space primitive of another robot.
     """
     from armlab.cli.dmp.playing import numbers_in, rehearsed, resolved, rolled_out

@@ -293,7 +293,7 @@ def dmp(
     motion = armlab.models.load(primitive)
     motion = motion.dmp if isinstance(motion, TwoDofDmp) else motion
     if not isinstance(motion, Dmp | PoseDmp | PeriodicDmp | ProMP):
-        raise ConfigError(f"Expected a movement-primitive file, got another kind of file: {primitive}. Choose another.")
+        raise ConfigError(f"Expected a movement-primitive file, got {primitive}. Choose another file.")
     kind = "pose" if isinstance(motion, PoseDmp) else "joints"
     columns = () if column is None else (column,)
     taught = [read_demonstration(log, kind, columns, robot, MotionWindow()) for log in demos]
@@ -337,7 +337,7 @@ def two_dof(
     motion = armlab.models.load(primitive)
     law = armlab.motion.TwoDofDmp(motion) if isinstance(motion, armlab.motion.Dmp) else motion
     if not isinstance(law, armlab.motion.TwoDofDmp):
-        raise ConfigError(f"Expected a joint-space primitive in {primitive}, got another kind. Choose another file.")
+        raise ConfigError(f"Expected a joint-space primitive in {primitive}, got a Cartesian one. Choose another file.")
     read = armlab.log.read(log)
     if "path_error" not in read:
         raise LogError(f"Expected a two-degree-of-freedom run in {log}, got no such columns. Record it without --firm.")

@@ -81,7 +81,7 @@ def by_force(force: bool) -> Iterator[None]:
 
 
 def check_log(path: Path, whose: Robot | TorqueModel, force: bool = False) -> None:
-    """Refuse a recording whose robot description is not that of the robot or model; other formats name no robot."""
+    """Refuse a recording made with a different robot description; only MCAP files name their robot."""
     from armlab.log.file_formats.opening import format_at
     from armlab.log.recording.metadata import check_recorded, described
     from armlab.robots import Robot

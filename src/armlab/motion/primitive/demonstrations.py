@@ -17,8 +17,8 @@ from armlab.motion.primitive.run import rotation
 
 FEWEST = 3  # samples
 LISTED = 10  # row numbers in a message
-REVERSAL = 1e-3  # of the displacement: smaller steps back are not a reversal
-PAUSE = 0.05  # of the duration: shorter rests are not a pause
+REVERSAL = 1e-3  # fraction of the displacement: smaller steps back are not a reversal
+PAUSE = 0.05  # fraction of the duration: shorter rests are not a pause
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _listed(rows: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class ReferenceMotion:
-    """Means over the demonstrations, and the factors s (M, n) from the reference to each demonstration."""
+    """Means over the demonstrations, and the scale factors s (M, n) from the reference to each demonstration."""
 
     duration: float
     y0: np.ndarray

@@ -19,10 +19,10 @@ CONVENTIONS = ("lund", "ijspeert")
 SCHEDULES = ("canonical", "time", "position")
 SPACINGS = ("time", "phase")
 SCALINGS = ("goal", "none", "amplitude", "rotate")
-ROUNDING = 1e-12  # of the largest number of a demonstration: smaller motion of a coordinate is rounding
+ROUNDING = 1e-12  # relative to the largest value in a demonstration: smaller motion of a coordinate is rounding
 PER_COORDINATE = ("y0", "v0", "g", "extent", "peak_acceleration", "monotone")
 
-UNSCALED = 0.05  # of the range of the demonstration: with less displacement, the goal does not scale a coordinate
+UNSCALED = 0.05  # fraction of the demonstrated range: with less displacement, the goal does not scale a coordinate
 
 
 def time_constants(convention: str, duration: float, alpha_z: float) -> tuple[float, float]:
@@ -142,9 +142,7 @@ class Equation:
 
     @property
     def unscaled(self) -> tuple[int, ...]:
-        """Coordinates that scaling "goal" does not scale, because their displacement is negligible or below a twentieth
-        of their range.
-        """
+        """Coordinates that scaling "goal" leaves unscaled: displacement negligible or under a twentieth of range."""
         if self.scaling != "goal":
             return ()
         rounding = ROUNDING * max(self.extent.max(), np.abs([self.y0, self.g]).max())
@@ -169,7 +167,7 @@ class Equation:
         Parameters
         ----------
         t : times [s].
-        tau_d : time constant [s] of the run; default: that of the demonstration.
+        tau_d : time constant [s] of the run; default: from the demonstration.
 
         Raises
         ------
@@ -190,7 +188,7 @@ class Equation:
         return self._primitive.basis(numbers(x, "x", ShapeError))
 
     def forcing(self, x: ArrayLike) -> np.ndarray:
-        """Return the forcing (..., n) of the demonstration at phases: ``(psi(x) w)`` times x, or the gate of time.
+        """Return the forcing (..., n) of the demonstration at phases: ``(psi(x) w)`` times x, or times the time gate.
 
         Parameters
         ----------

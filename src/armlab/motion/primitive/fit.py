@@ -19,7 +19,7 @@ from armlab.motion.primitive.equation import SCALINGS, SCHEDULES, placed, time_c
 from armlab.motion.primitive.weights import ENDS, Learned, WeightProblem, block_covariance, learn
 
 METHODS = ("trajectory", "acceleration", "lwr")
-WIDTH, LWR_WIDTH = 0.8, 0.55  # standard deviations of kernels over their distance
+WIDTH, LWR_WIDTH = 0.8, 0.55  # standard deviations of the kernels divided by their spacing
 MANY = 3  # demonstrations needed for a covariance of their weights
 MAX_CONDITION = 1e11
 MAX_HOLD = 100.0
@@ -55,7 +55,7 @@ def fit_dmp(
     derivatives of measurements; with schedule "position", it is solved by Gauss-Newton steps. "acceleration" minimises
     ``sum |f - s psi w x|^2`` with ``f = tau_d^2 ydd - alpha_z (beta_z (g - y) - tau_d yd)`` by central differences.
     "lwr" sets the weight of each kernel to the weighted mean ``sum psi x f / sum psi x^2``. For the last two methods,
-    the covariance assumes white residuals of f, which is not the case in practice. Several demonstrations share the
+    the covariance assumes white residuals of f, which does not hold in practice. Several demonstrations share the
     weights, but each keeps its own duration and ends.
 
     Parameters
@@ -63,33 +63,33 @@ def fit_dmp(
     t, y : (N,) increasing times [s] and (N, n) positions [rad or m]; or lists of them, one per demonstration.
     method : "trajectory", "acceleration" or "lwr".
     n_basis : number of kernels, 3 to 1000.
-    schedule : of the phase: "canonical", "time", or "position" for motions without reversals or pauses.
-    spacing : "time": kernels equally spaced in time; "phase": those of DynamicMovementPrimitives.jl.
-    scaling : of the forcing with the goal: "goal", "none", "amplitude" or "rotate" (n = 3).
-    convention : of alpha_x and tau_d: "lund" or "ijspeert".
+    schedule : schedule of the phase: "canonical", "time", or "position" for motions without reversals or pauses.
+    spacing : "time": kernels equally spaced in time; "phase": spaced as in DynamicMovementPrimitives.jl.
+    scaling : scaling of the forcing with the goal: "goal", "none", "amplitude" or "rotate" (n = 3).
+    convention : for alpha_x and tau_d: "lund" or "ijspeert".
     alpha_z, beta_z : constants of the spring; default of beta_z: alpha_z / 4, critically damped.
     ridge : penalty on the squared weights; `cov` covers the noise, not the bias of the penalty.
     pin : any of "y0", "v0", "g": taken from the first and last samples instead of fitted. A free goal is hardly
         separable from the forcing.
-    hold : duration of rest at the goal after the end, over the duration of the motion; 0 if the motion ends with
-        velocity. For "trajectory".
+    hold : duration of rest at the goal after the end, divided by the duration of the motion; 0 if the motion does not
+        end at rest. Only for "trajectory".
     y0, v0, g : (n,) known start, velocity and goal.
-    sample_weights : (N,) or a list of them, non-negative.
-    bandwidth : of smoothed derivatives [Hz], for "acceleration" and "lwr" with uniform times.
-    raw_kernels : weight by kernels that are not normalised, for "lwr".
+    sample_weights : (N,) non-negative sample weights, or a list of such arrays.
+    bandwidth : bandwidth of the smoothed derivatives [Hz], for "acceleration" and "lwr" with uniform times.
+    raw_kernels : weight by unnormalised kernels, for "lwr".
     limits : lowest (n,) and highest (n,) goal accepted by runs and steppers of the primitive, in the unit of y;
         default: no limits.
 
     Returns
     -------
-    Fit of a `Dmp`. `residuals` (N, n) are residuals of the position for "trajectory", otherwise of f; `report` has the
-    RMSE of the motion.
+    Fit of a `Dmp`. `residuals` (N, n) are position residuals for "trajectory", otherwise residuals of f; `report`
+    contains the RMSE of the motion.
 
     Raises
     ------
-    ShapeError : wrong shapes, NaN or times that do not increase, with their rows; a reversal or pause, with its sample,
-        for schedule "position".
-    ConfigError, UnknownName : options that do not exist or contradict each other.
+    ShapeError : wrong shapes, NaN or times that do not increase (with row numbers); a reversal or pause (with the
+        sample number) for schedule "position".
+    ConfigError, UnknownName : unknown or contradictory options.
     """
     _check_options(method, schedule, scaling, bandwidth, raw_kernels)
     demos = aligned(read_demos(t, y, sample_weights), scaling)
@@ -185,7 +185,7 @@ def _check_monotone(demos: list[Demo]) -> None:
 
 
 def _value(problem: WeightProblem, learned: Learned, reference: ReferenceMotion) -> Dmp:
-    """Return the fitted primitive; its start velocity is the one nearest to those of the demonstrations."""
+    """Return the fitted primitive; its start velocity is closest to those of the demonstrations."""
     scales, demos = problem.scales, problem.demos
     z = np.array([demo.duration for demo in demos])[:, None] / reference.duration * learned.ends[:, 1]
     squares = (scales**2).sum(axis=0)

@@ -19,13 +19,13 @@ from armlab.motion.primitive.equation import Equation
 HALF_TURN = 1e-6  # sine below which opposite directions have no unique smallest rotation
 
 FORCINGS = ("shift", "scale")
-BRAKE = 1.05  # of the peak acceleration of the demonstration
+BRAKE = 1.05  # factor on the peak acceleration of the demonstration
 
 LONGEST = 1e4  # time constants; each takes the solver a step or two
 
 
 class RunOptions(TypedDict, total=False):
-    """Options of a run of a `Dmp`; omitted or None: the value of the demonstration."""
+    """Options of a run of a `Dmp`; omitted or None: from the demonstration."""
 
     duration: float | None
     tau_d: float | None
@@ -121,7 +121,7 @@ class RunParameters:
         return clock(t, self.tau * self.dmp.duration / self.dmp.tau_d)
 
     def towards(self, g: ArrayLike, scaled: bool) -> RunParameters:
-        """Return this run with another goal (n,); the forcing is scaled with the displacement or unchanged."""
+        """Return this run with another goal (n,); the forcing is scaled with the displacement or left unchanged."""
         goal = np.array(vector(g, "g", self.dmp.n))
         _check_one_run({"g": goal}, (self.dmp.n,))
         check_goal(self.dmp, goal)
@@ -212,7 +212,7 @@ def advance(dt: float, *steppers: Any) -> list[Any]:
 class Stepper:
     """One run of a `Dmp`, sample by sample; created by `Dmp.stepper`.
 
-    It is equivalent to `Dmp.rollout`, but steps may differ, and the goal and duration may change. A filtered goal
+    It is equivalent to `Dmp.rollout`, but step sizes may vary, and the goal and duration may change. A filtered goal
     follows ``g' = rate (goal - g) / tau_d``, and the forcing is scaled by it. After a goal change, a brake enforces
     ``v^2 <= 2 a |goal - y|`` as long as possible, and keeps y on the same side of the goal.
 
@@ -220,9 +220,9 @@ class Stepper:
     ----------
     run : the run, with start, goal and time.
     goal_forcing : "shift" or "scale"; None: the default of the scaling.
-    goal_rate : of the filter, times tau_d.
-    brake : in monotone coordinates.
-    around : `armlab.kernels.Obstacles`.
+    goal_rate : rate of the goal filter, times tau_d.
+    brake : whether to brake in monotone coordinates.
+    around : obstacles to avoid, as `armlab.kernels.Obstacles`.
 
     Raises
     ------

@@ -14,19 +14,22 @@ from armlab.motion.primitive.demonstrations import Demo
 from armlab.motion.primitive.run import progress
 
 ENDS = ("y0", "v0", "g")
-FINE = 1000  # integration steps of the response over a duration, at least
+FINE = 1000  # minimum number of integration steps of the response over a duration
 
 MAX_ITERATIONS = 20
-TOLERANCE = 1e-6  # relative gain of the error below which to stop
-STEP = 1e-6  # of the largest weight, for numerical derivatives
+TOLERANCE = 1e-6  # relative decrease of the error below which the iteration stops
+STEP = 1e-6  # fraction of the largest weight, for numerical derivatives
 DAMPING = 1e-8  # relative to the mean square of a column
 
 
 @dataclass(frozen=True)
 class Learned:
-    """Weights (m, n); y0, v0, g of each demonstration (M, 3, n); covariances (n, d, d) of the weights (and of the ends
-    if fitted) for unit noise variance; noise (n,); residuals (N, n), of position or of the forcing; triangle of the
-    unknowns and their numbers; scales (M, n)."""
+    """Fitted weights (m, n), with ends and statistics.
+
+    It contains y0, v0, g of each demonstration (M, 3, n); covariances (n, d, d) of the weights (and of the ends if
+    fitted) for unit noise variance; noise (n,); residuals (N, n) of position or forcing; the triangle of the unknowns
+    and their numbers; scales (M, n).
+    """
 
     weights: np.ndarray
     ends: np.ndarray
@@ -49,7 +52,7 @@ class Learned:
 class WeightProblem:
     """A primitive without weights, demonstrations with scales, starts and goals (M, n), and options of `fit_dmp`.
 
-    Start, velocity and goal are `pinned` to the samples (by name), `known` (n,) (by name), or otherwise free.
+    Start, velocity and goal, selected by name, are `pinned` to the samples or `known` (n,), and otherwise free.
     """
 
     method: str
@@ -75,9 +78,7 @@ class WeightProblem:
         return self.blank.tau_d * demo.duration / self.blank.duration
 
     def blocks(self, alike: bool) -> list[slice]:
-        """Return groups of coordinates that share one matrix: all coordinates if every demonstration scales them
-        equally.
-        """
+        """Return groups of coordinates that share a matrix: all of them if every demonstration scales them equally."""
         n = self.blank.n
         same = alike and bool((self.scales == self.scales[:, :1]).all())
         return [slice(0, n)] if same else [slice(i, i + 1) for i in range(n)]
@@ -246,7 +247,7 @@ def _forced(problem: WeightProblem, k: int) -> tuple[np.ndarray, np.ndarray, np.
 def fit_regression(problem: WeightProblem, x: np.ndarray, f: np.ndarray, ends: np.ndarray) -> Learned:
     """Fit weights shared by demonstrations to their forcing f (N, n) at phases x (N,) or (N, n).
 
-    Uses least squares or, with method "lwr", sets each weight to a mean weighted by its own kernel, ``sum bell x f /
+    Uses least squares or, with method "lwr", sets each weight to the mean weighted by its own kernel, ``sum bell x f /
     sum bell x^2``. The forcing has the factor x, except with schedule "time".
     """
     blank, m, fades = problem.blank, problem.blank.n_basis, problem.blank.schedule != "time"
@@ -346,14 +347,16 @@ def gauss_newton(
     return w, inverses, y - run(w[None])[:, 0]
 
 
-BLOCK = 8  # columns reflected together: fastest for about fifty columns
+BLOCK = 8  # columns reflected together; fastest for about fifty columns
 RCOND = 1e-11  # relative singular value below which a direction is set to zero
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Solution x (p, q) of ``A x = b``, the inverse G (p, p) of the normal matrix, the triangle (p, p) of A, and the
-    minimal sums of squares (q,) including penalties.
+    """Least-squares solution x (p, q) of ``A x = b``.
+
+    With the inverse G (p, p) of the normal matrix, the triangle (p, p) of A, and the minimum sums of squares (q,),
+    including penalties.
     """
 
     x: np.ndarray
@@ -376,9 +379,9 @@ def rows_needed(N: int, p: int, ridge: np.ndarray | None) -> int:
 
 
 def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:
-    """Solve in place:
+    """Solve as `solve` does, but in place.
 
-    `joined` (rows, p + q), Fortran order, holds A in its corner, is zero elsewhere, and is overwritten.
+    `joined` (rows, p + q), in Fortran order, holds A in its top left corner and zeros elsewhere; it is overwritten.
     """
     p = joined.shape[1] - b.shape[1]
     joined[: len(b), p:] = b

@@ -1,4 +1,4 @@
-"""Channels of a LabComm server, one per port, and `Peer`, a connection with its queue and timeouts."""
+"""Channels of a LabComm server, one per port, and `Peer`, a connection with queue and timeouts."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from armlab.wire.labcomm.types import PRIMS, Array, Definition, Event, SampleTyp
 QUEUE = 64
 """Maximum number of packets queued for a slow peer; beyond it, the oldest data packets are dropped."""
 
-_AT_ONCE = 65_536  # bytes read
-_PATIENCE = 5.0  # s for a packet to be complete, and for a peer to read
+_AT_ONCE = 65_536  # bytes per read
+_PATIENCE = 5.0  # s for a packet to become complete, and for a peer to read
 _KERNEL = 65_536  # bytes of the kernel's send buffer: small, so that a slow peer gets recent rows
 
 
 class Peer:
-    """A connection in both directions; the encoder is None until the peer's dialect is known."""
+    """A two-way connection; the encoder is None until the peer's dialect is known."""
 
     address: str
     encoder: Encoder | None
@@ -47,8 +47,8 @@ class Peer:
         self.decoder, self.sent, self.dropped, self.refused = Decoder(), 0, 0, 0
         self.began, self.reported = time.monotonic(), -math.inf
         self._queue: deque[tuple[bytes, bool]] = deque()  # packet, whether it may be dropped
-        self._rest = b""  # of a partly sent packet
-        self._stuck: float | None = None  # start of the time in which nothing could be sent
+        self._rest = b""  # rest of a partly sent packet
+        self._stuck: float | None = None  # time since which nothing could be sent
         self._packet = (0, self.began)  # position and start of an incomplete packet
 
     @property
@@ -60,7 +60,7 @@ class Peer:
         return self._stuck is not None
 
     def push(self, packet: bytes, may_drop: bool = True) -> None:
-        """Queue one packet; a full queue drops its oldest droppable packet."""
+        """Queue one packet; if the queue is full, its oldest droppable packet is dropped."""
         queue = self._queue
         if len(queue) >= QUEUE:
             oldest = next((index for index, (_, droppable) in enumerate(queue) if droppable), None)
@@ -94,7 +94,7 @@ class Peer:
         return True
 
     def read(self, most: int = _AT_ONCE) -> list[Event] | None:
-        """Return the events of one read, or None once the peer has closed the connection."""
+        """Read once and return the events, or None once the peer has closed the connection."""
         try:
             data = self.socket.recv(most)
         except (BlockingIOError, InterruptedError):
@@ -136,7 +136,7 @@ class Channel:
     port: int
     follows_client: bool
 
-    sent: SampleType | None = None  # of all data on the port, if they have one type
+    sent: SampleType | None = None  # type of all data on the port, if there is only one
 
     def __init__(self, name: str, port: int, dialect: str = "2014v1", follows_client: bool = False) -> None:
         self.name, self.port, self.follows_client = name, port, follows_client
@@ -151,7 +151,7 @@ class Channel:
                 peer.push(peer.encoder.define(self.sent), may_drop=False)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
-        """Handle one event of a client; the default ignores data."""
+        """Handle one event from a client; by default, data are ignored."""
         self.counts["ignored"] += isinstance(event, Sample)
 
     def left(self, peer: Peer) -> None:
@@ -176,7 +176,7 @@ class ArmChannel(Channel):
     name : str
         Name of the arm.
     port : int
-        7511 for a left arm, 7512 for a right one.
+        TCP port: 7511 for a left arm, 7512 for a right arm.
     on_command : callable
         Called in the server's thread with the channel name, the row and the client's address.
     axes : sequence of int
@@ -258,7 +258,7 @@ class FusedSource(NamedTuple):
 
 
 class FusedChannel(Channel):
-    """Channel of the fused rows of all arms and sources; samples from clients are ignored."""
+    """Channel for fused rows of all arms and sources; samples from clients are ignored."""
 
     def __init__(
         self,
@@ -294,11 +294,10 @@ OnSet = Callable[[str, Any, str], Any]
 
 
 class ParameterChannel(Channel):
-    """Parameter channel: one sample type per parameter. Clients set a parameter by sending its sample; changes are sent
-    to all subscribers in their type.
+    """Parameter channel with one sample type per parameter.
 
-    A number is ``double name``, a list ``double name[_]`` (or with its size), a Boolean ``boolean name``, a text
-    ``string name``.
+    Clients set a parameter by sending its sample; changes are sent to all subscribers in their types. A number is
+    ``double name``, a list ``double name[_]`` (or with its size), a Boolean ``boolean name``, a text ``string name``.
     """
 
     def __init__(
@@ -314,7 +313,7 @@ class ParameterChannel(Channel):
         self._subscribed: dict[Peer, dict[str, Type]] = {}
 
     def put(self, item: tuple[str, Value], peers: Iterable[Peer]) -> None:
-        """Queue the value in force, (name, value), for all its subscribers."""
+        """Queue the value in force for all subscribers of the parameter; `item`: (name, value)."""
         name, value = item
         self._values[name] = value
         for peer in peers:
@@ -322,7 +321,7 @@ class ParameterChannel(Channel):
                 self._send_value(peer, name)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
-        """Handle the definition of a parameter, which subscribes the client, or a new value."""
+        """Handle a parameter definition, which subscribes the client, or a new value."""
         if not isinstance(event, Definition | Sample) or (isinstance(event, Definition) and event.kind == "type"):
             return
         if event.type not in self._types(event.name):
@@ -365,7 +364,7 @@ class ParameterChannel(Channel):
 
 
 def _is_valid(value: Any) -> bool:
-    """Whether a value is valid for a parameter: finite numbers, or a text that every client can decode."""
+    """Return whether a value is valid for a parameter: finite numbers, or a text that every client can decode."""
     if isinstance(value, str):
         return "\0" not in value and not any("\ud800" <= one <= "\udfff" for one in value)
     return all(math.isfinite(one) for one in (value if isinstance(value, list) else [value]))

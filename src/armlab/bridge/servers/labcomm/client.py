@@ -1,4 +1,4 @@
-"""Clients of a LabComm server: `LabCommClient`, `LabCommSource`, and links that run a loop on the received rows."""
+"""Clients of a LabComm server: `LabCommClient`, `LabCommSource`, and links for running a loop on received rows."""
 
 from __future__ import annotations
 
@@ -46,18 +46,18 @@ def greeted(connection: socket.socket, address: str, encoder: Encoder, samples: 
 
 
 class LabCommClient:
-    """Connection to one port; a context manager. It defines its command type immediately.
+    """Connection to one port, which immediately defines its command type; a context manager.
 
     Parameters
     ----------
     host : str
         Address of the server.
     port : int
-        Port of the server: 7511 left arm, 7512 right arm, 7513 parameters, 7514 fused rows.
+        Port of the server: 7511 (left arm), 7512 (right arm), 7513 (parameters) or 7514 (fused rows).
     dialect : str
         Dialect of sent packets; the dialect of received packets is detected.
     types : RowTypes
-        Sample types and joint order of an arm's port.
+        Sample types and joint order, for an arm's port.
     patience : float, s
         Time to wait for the connection.
 
@@ -72,7 +72,8 @@ class LabCommClient:
 
     Raises
     ------
-    LinkError No server listens at that address.
+    LinkError
+        No server is listening at that address.
     UnknownName
         Unknown dialect.
     """
@@ -100,7 +101,7 @@ class LabCommClient:
         self.close()
 
     def close(self) -> None:
-        """Close the connection, which frees the arm."""
+        """Close the connection, which releases control of the arm."""
         self._peer.close()
 
     @property
@@ -153,7 +154,7 @@ class LabCommClient:
         Raises
         ------
         LabCommError
-            A wrong number of joints.
+            Wrong number of joints.
         LinkError
             The connection is closed.
         """
@@ -161,7 +162,7 @@ class LabCommClient:
         self.send(self._types.accepted, self._types.value(row, self._types.accepted))
 
     def stop(self) -> None:
-        """Bring all arms of the bridge to rest, regardless of the commanding clients; only its operator ends the stop.
+        """Bring all arms of the bridge to rest, whichever client commands them; only an operator can end the stop.
 
         Raises
         ------
@@ -202,7 +203,7 @@ class LabCommClient:
         return self._awaited(seconds, self._types.rows)
 
     def _awaited(self, seconds: float, selected: Callable[[list[Event]], list[Any]]) -> list[Any]:
-        """Return the selected events as soon as there are any, or after `seconds`."""
+        """Return the selected events as soon as there are any, or an empty list after `seconds`."""
         end, left = time.monotonic() + seconds, max(seconds, 0.0)
         while True:
             self._flush()
@@ -219,7 +220,7 @@ class LabCommClient:
                 return found
 
     def run(self, on_row: Callable[[Row], Row | None], seconds: float | None = None, reconnects: bool = True) -> int:
-        """Call a function with each newest row, and send its result as the command; return the number of calls.
+        """Call a function with each newest row, and send its result as a command; return the number of calls.
 
         Parameters
         ----------
@@ -289,15 +290,15 @@ class LabCommClient:
         return LinkError(f"The LabComm server at {self.host}:{self.port} closed the connection.")
 
 
-_AGAIN = 0.5  # s between two attempts to connect
+_AGAIN = 0.5  # s between attempts to connect
 _POLL = 0.1  # s
-_STAMPS = {"t_us": 1000, "tm": 10**6}  # ns of one unit
+_STAMPS = {"t_us": 1000, "tm": 10**6}  # ns per unit
 
 
 class LabCommSource(ThreadSource):
-    """Newest value of one sample type, received in a thread that reconnects by itself.
+    """Newest value of one sample type, received in a thread that reconnects automatically.
 
-    The stream defines the type. A field ``t_us`` or ``tm`` of the sample is its clock.
+    The stream defines the type. A field ``t_us`` or ``tm`` is used as the sample's clock.
     """
 
     host: str
@@ -352,7 +353,7 @@ class LabCommSource(ThreadSource):
 
 
 _FIRST = 5.0  # s for the first connection
-_RECONNECT = 0.5  # s between two attempts to reconnect
+_RECONNECT = 0.5  # s between attempts to reconnect
 _MOTORS_ON, _MCI_RUNNING, _RAPID_RUNNING = 1, 3, 2
 _NAN = np.full(7, math.nan)
 
@@ -369,7 +370,7 @@ def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tupl
 
 
 class RowPort:
-    """Connection to a LabComm server in place of a bound UDP port; it reconnects by itself.
+    """Connection to a LabComm server in place of a bound UDP port; reconnects automatically.
 
     It never blocks and never raises after construction; errors are counted.
     """
@@ -385,7 +386,7 @@ class RowPort:
         Encoder(dialect)
         self._socket = connected(host, port, _FIRST)
         self._address = self._socket.getpeername()
-        self._fresh: socket.socket | None = None  # a connection in progress
+        self._fresh: socket.socket | None = None  # connection being established
         self._rows: deque[Arrival] = deque()
         self._count, self._retry = 0, math.inf
         self._peer: Peer | None = self._greeted()
@@ -405,7 +406,7 @@ class RowPort:
         return self._rows.popleft() if self._rows else None
 
     def flush(self) -> None:
-        """Discard waiting rows."""
+        """Discard the queued rows."""
         for _ in range(1000):
             if self.receive() is None:
                 break
@@ -475,7 +476,7 @@ class RowPort:
 
 
 class RowCodec(RowsAsPackets):
-    """Codec from rows to packets of the loop, and from references to commands."""
+    """Codec that converts rows to packets of the loop, and references to commands."""
 
     def __init__(self, robot: Robot, types: RowTypes, dialect: str = "2014v1") -> None:
         super().__init__()
@@ -487,7 +488,7 @@ class RowCodec(RowsAsPackets):
             array.flags.writeable = False
 
     def decode(self, data: bytes) -> Packet | Drop:
-        """Return the packet of a row, or why the row is dropped."""
+        """Return the packet of a row, or the reason for dropping the row."""
         if len(data) != self._form.size:
             return Drop("unparsable", f"{len(data)} bytes are not a row")
         count, tm, *_ = self._form.unpack(data)

@@ -2,7 +2,7 @@
 
 Rows, events and parameters arrive from the loop through a socket (see `servers.hub`); commands and parameter settings
 return through it. The process cannot delay the loop, because the loop drops unread rows. It has only one thread,
-because a hand-over to another thread takes longer than a row.
+because handing a row to another thread takes longer than handling it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from armlab.robots import Robot
 
 
 def arm_in(values: Mapping[str, Any], name: str) -> FusedArm | None:
-    """Return the arm's part of a loop row; None before its first row and for times outside the range of the clock."""
+    """Return the arm's part of a loop row; None before the arm's first row, or without a valid clock."""
     tm = clock_ms(values[f"{name}.robot_ns"], values[f"{name}.session_t"])
     if tm is None or not math.isfinite(values[f"{name}.age"]):
         return None
@@ -44,7 +44,7 @@ def arm_in(values: Mapping[str, Any], name: str) -> FusedArm | None:
 
 
 def source_in(values: Mapping[str, Any], name: str, fields: Sequence[str], now_ns: int) -> FusedSource | None:
-    """Return the last values of a source, or None before the first."""
+    """Return the last values of a source, or None before its first values."""
     age_ns = 1e9 * values[f"{name}.age"]
     if not math.isfinite(age_ns):
         return None
@@ -53,7 +53,7 @@ def source_in(values: Mapping[str, Any], name: str, fields: Sequence[str], now_n
 
 
 _LEFT, _PARAMETERS, _FUSED = 7511, 7513, 7514
-_ROWS = 64  # rows sent between two turns of clients
+_ROWS = 64  # rows sent before the clients get another turn
 _logger = logging.getLogger("armlab.bridge")
 
 
@@ -68,7 +68,7 @@ def labcomm_options(
     types: str | None = None,
     follows_client: bool = False,
 ) -> dict[str, Any]:
-    """Return the options of the server of some arms; default ports: 7511 (left or only arm) and 7512 (right)."""
+    """Return the options of a server for these arms; default ports: 7511 (left or only arm) and 7512 (right)."""
     for robot in robots:
         ArmChannel(robot.name, 0, None, robot.abb_axes, order, types, dialect)  # detects invalid options early
     if ports is None:
@@ -92,11 +92,11 @@ def labcomm_options(
 
 
 class LabCommProcess:
-    """Serves until the loop closes the socket."""
+    """LabComm server process, which runs until the loop closes the socket."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
-        self._commands: dict[tuple[str, str], CommandRequest] = {}  # newest ones of a turn: the loop uses no others
+        self._commands: dict[tuple[str, str], CommandRequest] = {}  # newest of each turn; the loop uses no others
         self._loop = LoopEnd(feed, lambda: self._ports.clients)
         self._sequences = self._set_sequences()
         schema, self._sources = self._loop.schema, defaultdict[str, list[str]](list)
@@ -167,7 +167,7 @@ class LabCommProcess:
         self._loop.ask(SetRequest(client, {name: value}))
 
     def _value(self, name: str) -> Value:
-        """Return a parameter value as LabComm sends it: all numbers are double."""
+        """Return a parameter value as LabComm sends it: every number is a double."""
         value = self._loop.parameters[name]["value"]
         if isinstance(value, list):
             return [float(one) for one in value]

@@ -79,7 +79,7 @@ class RowTypes:
         self._to_chain, self._to_wire = columns, np.argsort(columns).tolist()
 
     def accepts(self, sample: SampleType) -> bool:
-        """Return whether a client's type is a command: some fields of the accepted type, including `pos`."""
+        """Return whether a client's type is a command: a subset of the accepted type's fields, including `pos`."""
         ours, theirs = _fields(self.accepted), _fields(sample)
         fits = "pos" in theirs and all(ours.get(name) == node for name, node in theirs.items())
         return sample.name == self.accepted.name and fits
@@ -96,12 +96,12 @@ class RowTypes:
         return Row(value.get("tm", 0), *parts)
 
     def rows(self, events: Iterable[Event]) -> list[Row]:
-        """Return the rows among events: samples of the type `sent`."""
+        """Return the rows among the events, which are samples of the type `sent`."""
         accepted = self.sent.name, self.sent.type
         return [self.row(one.value) for one in events if isinstance(one, Sample) and (one.name, one.type) == accepted]
 
     def command(self, value: Mapping[str, Any]) -> Row:
-        """Return the command of a wire value; `vel` and `trq` are ignored if all elements are zero or NaN."""
+        """Return the command in a wire value; `vel` and `trq` are ignored if all their elements are zero or NaN."""
         row = self.row(value)
         if row.q is None or not np.isfinite(row.q).all():
             raise LabCommError(f"Expected finite positions in a command, got {value.get('pos')}.")

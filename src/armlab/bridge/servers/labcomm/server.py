@@ -1,4 +1,4 @@
-"""LabComm over TCP: `Ports` serves all sockets in one thread, `LabCommServer` runs it in a background thread.
+"""LabComm over TCP: `Ports` serves all sockets in one thread, and `LabCommServer` runs it in the background.
 
 The server never waits for a client. A fault closes only the connection that caused it.
 """
@@ -25,17 +25,17 @@ from armlab.state import Command, State
 from armlab.wire.labcomm import Encoder, Sample
 from armlab.wire.labcomm.types import Definition, Event
 
-_CLIENTS = 8  # per port
+_CLIENTS = 8  # maximum number of clients per port
 _KEPT = 100  # disconnected clients whose counts are kept
-_CHECK_EVERY = 0.05  # s between two checks of time-outs
-_TURN = 4096  # bytes read from all clients together per turn: they delay everything else
-_LEAST = 256  # bytes read from each client
-_EVERY = 1.0  # s between two events on refused samples of a client
+_CHECK_EVERY = 0.05  # s between timeout checks
+_TURN = 4096  # bytes read from all clients together per turn, because reading delays everything else
+_LEAST = 256  # bytes read from each client at least
+_EVERY = 1.0  # s between events about refused samples of a client
 _SNIFF = 0.15  # s that a port with follows_client waits for the client's first packets
 
 
 class Ports:
-    """Serves all channels in turn.
+    """Sockets of all channels, served in turn.
 
     `counts` and `clients` may be read from any thread, all other methods from one.
     """
@@ -90,7 +90,7 @@ class Ports:
         channel = self._channels[name]
         try:
             channel.put(item, self._peers[name])
-        except Exception as error:  # a row of another shape: the next ones may be valid
+        except Exception as error:  # a row of the wrong shape: the next ones may be valid
             self._report(f"{name}: a row was not sent, {type(error).__name__}: {error}", warn=True)
         self._flush_all(channel)
 
@@ -148,7 +148,7 @@ class Ports:
         self._flush(channel, peer)
 
     def _serve(self, channel: Channel, peer: Peer, mask: int, most: int) -> None:
-        """Read from and write to one client once."""
+        """Read from and write to a client, once each."""
         if mask & selectors.EVENT_READ:
             reason = ""
             try:
@@ -175,7 +175,7 @@ class Ports:
                     has_stopped = True
                 else:
                     channel.take(peer, event, self._peers[channel.name])
-            except Exception as error:  # of the user's callback: other clients are still served
+            except Exception as error:  # from the user's callback: keep serving the other clients
                 self._refused(channel, peer, error)
 
     def _refused(self, channel: Channel, peer: Peer, error: Exception) -> None:
@@ -189,7 +189,7 @@ class Ports:
             self._report(text, warn=True)
 
     def _check(self, now: float) -> None:
-        """Close clients that have timed out; greet clients whose dialect is still unknown."""
+        """Close clients that have timed out; greet clients that have not revealed their dialect in time."""
         for name, peers in self._peers.items():
             channel = self._channels[name]
             for peer in list(peers):
@@ -242,11 +242,11 @@ class Ports:
             self._on_event(text, warn)
 
 
-_PUBLISHED = 256  # items that wait for the server's thread
+_PUBLISHED = 256  # items queued for the server's thread
 
 
 class LabCommServer:
-    """Serves channels in a background thread until it is closed; a context manager.
+    """LabComm server that serves its channels in a background thread until closed; a context manager.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ class LabCommServer:
     host : str
         Address to listen on; default: this computer only.
     on_event : callable
-        Called in the server's thread with a text when a client connects, or is closed (with the reason).
+        Called in the server's thread with a text when a client connects, or is disconnected (with the reason).
     on_stop : callable
         Called in the server's thread with the address of a client that sent ``void stop`` on any port.
 
@@ -409,7 +409,7 @@ class RowFeed:
     server : LabCommServer
         Publishes the rows.
     channels : mapping
-        Channel name by robot name. A channel "fused" gets the newest rows of all arms with each row of the first arm.
+        Channel name by robot name. With each row of the first arm, a channel "fused" gets the newest rows of all arms.
     """
 
     def __init__(self, server: LabCommServer, channels: Mapping[str, str]) -> None:
@@ -454,7 +454,7 @@ class RowFeed:
 
 
 def to_arbiter(arbiter: Arbiter, arm: str, order: Literal["abb", "chain"] = "abb") -> OnCommand:
-    """Return a callback of an `ArmChannel` that submits the commands of its clients to an arbiter.
+    """Return a callback for an `ArmChannel` that submits its clients' commands to an arbiter.
 
     Parameters
     ----------
@@ -463,7 +463,7 @@ def to_arbiter(arbiter: Arbiter, arm: str, order: Literal["abb", "chain"] = "abb
     arm : str
         Name of the robot.
     order : str
-        Order of the joints on the channel: error texts number joints in it.
+        Joint order of the channel, in which error texts number the joints.
     """
 
     def submit(name: str, row: Row, client: str) -> None:

@@ -1,4 +1,4 @@
-"""Trajectories of ROS clients: `Goals` turns messages into loop requests; `ActionServers` serves ROS 2 nodes."""
+"""Trajectories of ROS clients: `Goals` converts messages to loop requests; `ActionServers` serves ROS 2 nodes."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6
 """Status of a goal; see action_msgs/msg/GoalStatus."""
 
 _STATUS = {"executing": EXECUTING, "succeeded": SUCCEEDED, "canceled": CANCELED, "aborted": ABORTED}
-_CODES = {"arrived": 0, "refused": -1, "interrupted": -1, "path": -4, "goal": -5}  # of the action's result
+_CODES = {"arrived": 0, "refused": -1, "interrupted": -1, "path": -4, "goal": -5}  # error codes of the action's result
 _JOINTS_CODE = -2
-_MOST = 64  # goals of a server at once
-_RENEW = 25_000_000  # ns between two renewals of a lease
-_FEEDBACK = 50_000_000  # ns between two messages of feedback
-_PART = 24_000  # bytes of a request
-_POINTS = 2000  # a message is read in a fraction of the lease of all clients
-_LONGEST_DELAY = 60.0  # s until a trajectory begins
+_MOST = 64  # simultaneous goals per server
+_RENEW = 25_000_000  # ns between renewals of a lease
+_FEEDBACK = 50_000_000  # ns between feedback messages
+_PART = 24_000  # bytes of trajectory points per request
+_POINTS = 2000  # maximum number of points: reading a message must take only a fraction of the clients' leases
+_LONGEST_DELAY = 60.0  # s, longest time until a trajectory begins
 
 
 _Whole = Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**32)]
@@ -48,7 +48,7 @@ _Name = Annotated[str, msgspec.Meta(max_length=256)]
 
 
 class _Duration(msgspec.Struct):
-    """Time or duration in the dialects of ROS 1 and ROS 2."""
+    """Time or duration in the ROS 1 or ROS 2 dialect."""
 
     sec: _Whole = 0
     nanosec: _Whole = 0
@@ -140,7 +140,7 @@ def _trajectory(message: _Trajectory) -> JointTrajectory:
 
 
 def _tolerance(given: Iterable[_JointTolerance], robot: Robot, usual: Tolerance) -> Tolerance:
-    """Return the tolerances of a goal; zero means the default, a negative number no tolerance."""
+    """Return the tolerances of a goal; zero selects the default, and a negative number means no tolerance."""
     values = usual.spread(robot.n)
     for one in given:
         if one.name not in robot.ros_joint_names:
@@ -177,7 +177,7 @@ class Goal:
 class Goals:
     """Trajectories of all clients of a server: their requests, leases, feedback and results.
 
-    `on_result` of a goal is called once with the status, error code and text. A refused goal is aborted immediately, so
+    A goal's `on_result` is called once, with the status, error code and text. A refused goal is aborted immediately, so
     that its client receives the reason.
     """
 
@@ -202,7 +202,7 @@ class Goals:
             self._send(goal, requests)
 
     def start_message(self, topic: str, client: str, message: Any, refuse: Callable[[str], None]) -> None:
-        """Start the trajectory of a topic; `refuse` receives the reason if it does not reach its goal."""
+        """Start a trajectory received on a topic; if it does not reach its goal, `refuse` is called with the reason."""
 
         def on_result(status: int, code: int, text: str) -> None:
             if status == ABORTED:
@@ -226,7 +226,7 @@ class Goals:
         return [one for one in found if arm in ("", one.arm) and client in ("", one.client) and name in ("", one.name)]
 
     def leave(self, client: str) -> None:
-        """End the goals of a disconnected client and their leases."""
+        """End a disconnected client's goals and their leases."""
         for goal in self.running(client=client):
             if goal.is_message:
                 self._goals.pop((client, goal.name), None)
@@ -242,13 +242,13 @@ class Goals:
             goal.is_running = True
             goal.on_status(EXECUTING)
             return
-        if goal.is_message and message["ending"] == "interrupted":  # by a newer message, or the client itself
+        if goal.is_message and message["ending"] == "interrupted":  # by a newer message or by the client itself
             del self._goals[goal.client, goal.name]
             return
         self._finish(goal, _STATUS[message["status"]], _CODES[message["ending"]], message["text"])
 
     def row(self, data: bytes, now_ns: int) -> None:
-        """Renew the leases, and send the feedback of a row."""
+        """Renew the leases, and send feedback based on a row."""
         self.renew(now_ns)
         feedback = [goal for goal in tuple(self._goals.values()) if goal.is_running and goal.on_feedback is not None]
         if not feedback:
@@ -267,7 +267,7 @@ class Goals:
         if now_ns - self._renewed_ns >= _RENEW:
             self._renewed_ns = now_ns
             for goal in tuple(self._goals.values()):
-                if goal.is_sent:  # the loop ends one of which it has only some parts
+                if goal.is_sent:  # the loop ends a goal that it has received only in part
                     self._loop.ask(Renew(goal.client, goal.arm, goal.name))
 
     def _send(self, goal: Goal, requests: list[TrajectoryRequest]) -> None:
@@ -318,7 +318,7 @@ class Goals:
         ]
 
     def _finish(self, goal: Goal, status: int, code: int, text: str) -> None:
-        if self._goals.pop((goal.client, goal.name), None) is goal:  # once, whichever thread is first
+        if self._goals.pop((goal.client, goal.name), None) is goal:  # only once, in whichever thread comes first
             goal.on_result(status, code, text)
 
 
@@ -328,7 +328,7 @@ def result(code: int, text: str) -> dict[str, Any]:
 
 
 def _feedback(arm: ArmRow, t: float) -> dict[str, Any]:
-    """Return the fields of a FollowJointTrajectory feedback."""
+    """Return the fields of a FollowJointTrajectory feedback message."""
     desired, actual = ([list(arm.numbers(name)) for name in names] for names in (("q_ref", "qd_ref"), ("q", "qd")))
     error = [[a - b for a, b in zip(one, other, strict=False)] for one, other in zip(desired, actual, strict=True)]
     found: dict[str, Any] = {
@@ -391,12 +391,12 @@ _SERVICES = {
     CANCEL: ("action_msgs/GoalInfo goal_info", "int8 return_code\naction_msgs/GoalInfo[] goals_canceling"),
 }
 _REJECTED, _UNKNOWN, _TERMINATED = 1, 2, 3  # return codes of a cancellation
-_KEPT = 64  # ended goals of an action whose results can be asked for
+_KEPT = 64  # ended goals per action whose results can still be requested
 
 
 @dataclass
 class _Record:
-    """Goal of an action: its id, time of acceptance [ns], status, result, and the pending result requests."""
+    """Goal of an action: id, time of acceptance [ns], status, result, and pending result requests."""
 
     id: bytes
     goal: Goal
@@ -480,7 +480,7 @@ class ActionServers:
             record.result, waiting = result(code, text), [*record.waiting]
             record.waiting.clear()
             self._status(action, id_, status)
-        for respond in waiting:  # without the lock: a transport that responds has one of its own
+        for respond in waiting:  # without holding the lock, because a responding transport has its own lock
             respond(message(f"{FOLLOW}_GetResult_Response", {"status": status, "result": record.result}))
 
     def _status(self, action: str, id_: bytes, status: int) -> None:

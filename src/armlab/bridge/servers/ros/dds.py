@@ -1,4 +1,4 @@
-"""`DdsServer`: ROS 2 nodes read and command over DDS, without a local ROS installation."""
+"""`DdsServer`: ROS 2 nodes read and command over DDS; the bridge needs no ROS installation."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def write_cdr(writer: DataWriter[Any], data: bytes) -> bool:
     return _write(writer._ref, data) >= 0
 
 
-_PARTICIPANTS = 32  # participants of this computer in the search, as in ROS 2
+_PARTICIPANTS = 32  # participants searched for on this computer, as in ROS 2
 _LOOPBACK = b"lo"
 
 
@@ -56,8 +56,8 @@ def configuration(host: str) -> str:
     """Return the settings of Cyclone DDS as XML: network interface and discovery.
 
     On the local computer, the bridge announces itself to each port of 127.0.0.1 every 2 s, so that nodes with multicast
-    discovery also find it. By default, Cyclone DDS drops ports that do not answer for 30 s, and would thus miss every
-    node started later. On a network, participants are found by multicast.
+    discovery also find it. By default, Cyclone DDS drops ports that do not answer for 30 s, and would miss any node
+    started later. On a network, participants are found by multicast.
     """
     if _is_local(host):
         found = (
@@ -137,16 +137,16 @@ _BASE: dict[str, Any] = {
 }
 
 
-_OPERATIONS = 20  # pointers copied of struct ddsi_sertype_ops
-_DESCRIBING = range(8, 11)  # of them: type_id, type_map, type_info
+_OPERATIONS = 20  # pointers copied from struct ddsi_sertype_ops
+_DESCRIBING = range(8, 11)  # indices of type_id, type_map, type_info
 _copies: dict[int, Any] = {}
 
 
 def untyped_topic(participant: DomainParticipant, name: str, type: Any) -> DdsTopic[Any]:
     """Return a topic whose type is matched by name, not by its XTypes description.
 
-    Cyclone DDS refuses the descriptions of Fast DDS 3 (Kilted), because elements of their sequences have no flags. It
-    therefore uses a copy of the type's C operations without the description.
+    Cyclone DDS refuses the descriptions of Fast DDS 3 (Kilted), because their sequence elements have no flags. The
+    topic therefore uses a copy of the type's C operations without the description.
     """
     topic, c_type = DdsTopic(participant, name, type), ctypes.POINTER(ctypes.c_void_p)()
     if _sertype(topic._ref, ctypes.byref(c_type)) < 0:
@@ -208,10 +208,10 @@ def _taken(cls: Any, data: bytes, *_: Any, **__: Any) -> Any:
     return cls(bytes(data))
 
 
-_BLOCKED = 1_000_000  # ns that a write may block; writers that keep only the last never do
+_BLOCKED = 1_000_000  # ns that a write may block; writers that keep only the last message never block
 _AT_ONCE = 16  # messages per read
-_PREFIX = 24  # hexadecimal digits of a GUID shared by all endpoints of a participant
-_XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)  # the only one of ROS 2
+_PREFIX = 24  # leading hexadecimal digits of a GUID, shared by all endpoints of a participant
+_XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)  # the only representation in ROS 2
 _STATE = Qos(
     Policy.Reliability.Reliable(_BLOCKED), Policy.Durability.Volatile, Policy.History.KeepLast(10), _XCDR1
 )  # not KeepAll: a stopped reader would block every write
@@ -223,15 +223,15 @@ _logger = logging.getLogger("armlab.bridge")
 
 
 def _described(quality: Qos, type_: str) -> Qos:
-    """Return the QoS of an endpoint with the hash of its type, which nodes publish since Iron."""
+    """Return the QoS of an endpoint with its type hash, which nodes have published since Iron."""
     return Qos(Policy.Userdata(f"typehash={store().hash_rihs01(type_)};".encode()), base=quality)
 
 
 class Graph:
     """Names of the nodes and their endpoints, for `ros2 node`.
 
-    A Gid has 24 bytes up to Humble and 16 bytes since Iron. The newest reader determines the size: since Iron, readers
-    announce the hash of their type. Nodes of both kinds in one domain cannot communicate with each other either.
+    A Gid has 24 bytes up to Humble and 16 bytes since Iron. The newest reader determines the size used: since Iron,
+    readers announce their type hash. The two kinds of nodes cannot communicate within one domain anyway.
     """
 
     _TOPIC, _TYPE = "ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo"
@@ -260,7 +260,7 @@ class Graph:
                 write_cdr(writer, self.message(size))
 
     def message(self, size: int) -> bytes:
-        """Return the names in the layout with Gids of `size` bytes."""
+        """Return the message with the names, in the layout for Gids of `size` bytes."""
         known = later() if size == 16 else store()
         types: Mapping[str, Any] = known.types
 
@@ -346,7 +346,7 @@ class Readers:
     def _guarded(self, call: Callable[..., None], reader: DataReader[Any] | None, *arguments: Any) -> None:
         """Call a callback, and log its errors, which would otherwise surface in C.
 
-        DDS may call before the Python reader is complete; such calls are ignored, and `_begin` makes up for them.
+        DDS may make calls before the Python reader is complete; they are ignored, and `_begin` makes up for them.
         """
         try:
             with self._lock:
@@ -356,7 +356,7 @@ class Readers:
             _logger.exception("ros2")
 
     def _begin(self, reader: DataReader[Any], name: str) -> None:
-        """Handle everything that existed before the reader."""
+        """Handle the writers and messages that existed before the reader."""
         for handle in reader.get_matched_publications():
             self._client(reader, _handle(handle))
         self._read(reader, name)
@@ -365,9 +365,9 @@ class Readers:
         known = set(self._clients)
         while samples := reader.take(_AT_ONCE):
             for sample in samples:
-                if sample.sample_info.valid_data:  # else a disconnected writer
+                if sample.sample_info.valid_data:  # otherwise a writer has disconnected
                     self._take(name, sample.cdr, self._client(reader, _handle(sample.sample_info.publication_handle)))
-        if new := set(self._clients) - known:  # the end of a writer is not reported if it ended before it was known
+        if new := set(self._clients) - known:  # a writer that ended before it was known is not reported as gone
             for handle in new.difference(map(_handle, reader.get_matched_publications())):
                 self._gone(handle)
 
@@ -384,7 +384,7 @@ class Readers:
             self._left(client)
 
     def _client(self, reader: DataReader[Any], handle: int) -> str:
-        """Return the participant of a writer, because one of its writers may command while another sets a parameter."""
+        """Return a writer's participant as client: one of its writers may command while another sets a parameter."""
         if handle not in self._clients:
             about = reader.get_matched_publication_data(handle)
             self._clients[handle] = f"{handle % 2**64:016x}" if about is None else about.participant_key.hex[:_PREFIX]
@@ -392,12 +392,12 @@ class Readers:
 
 
 def _handle(number: int) -> int:
-    """Return a handle as a signed 64-bit integer; samples have unsigned, conditions and calls signed handles."""
+    """Return a handle as a signed 64-bit integer; samples have unsigned handles, conditions and calls signed ones."""
     return (int(number) + 2**63) % 2**64 - 2**63
 
 
 class DdsServer(RosServer):
-    """ROS 2 server over DDS at the IPv4 address `host`; domain None means that of ROS_DOMAIN_ID."""
+    """ROS 2 server over DDS at the IPv4 address `host`; domain None: use ROS_DOMAIN_ID."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._domain, self._host = domain_number(options["domain"]), options["host"]

@@ -1,4 +1,4 @@
-"""`RmwZenohServer`: ROS 2 nodes with rmw_zenoh read and command, without a local ROS installation."""
+"""`RmwZenohServer`: ROS 2 nodes with rmw_zenoh read and command; the bridge needs no ROS installation."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ ANY = "*"
 Distribution = Literal["humble", "jazzy", "kilted"]
 """ROS 2 distribution (Humble has no type hashes)."""
 
-_RELIABLE, _BEST_EFFORT = "::,10:,:,:,,", "2::,1:,:,:,,"  # volatile; keep the last 10, the last 1
-_LATCHED = ":1:,1:,:,:,,"  # reliable, transient local, keep the last
+_RELIABLE, _BEST_EFFORT = "::,10:,:,:,,", "2::,1:,:,:,,"  # volatile, keep last 10; volatile, keep last 1
+_LATCHED = ":1:,1:,:,:,,"  # reliable, transient local, keep last
 _NO_HASH = "TypeHashNotSupported"
 _ID = 16
 _ORIGIN = struct.Struct(f"<qqB{_ID}s")
 
 
 class Names:
-    """Keys and liveliness tokens of one node, and its number in the session."""
+    """Keys and liveliness tokens of one node, which has a number in the session."""
 
     def __init__(
         self, domain: int, session: str, distribution: Distribution = "jazzy", node: str = "armlab", number: int = 0
@@ -56,11 +56,11 @@ class Names:
         return f"{self._graph}/{self._number}/NN/%/%/{self._node}"
 
     def writers(self) -> tuple[str, str]:
-        """Return key expressions for the tokens of all writers and of all service clients in the domain."""
+        """Return the key expressions of the tokens of all writers and all service clients in the domain."""
         return f"@ros2_lv/{self._domain}/*/*/*/MP/**", f"@ros2_lv/{self._domain}/*/*/*/SC/**"
 
     def writer(self, number: int, topic: str, type: str, is_latched: bool = False) -> str:
-        """Return the token of a reliable writer with history depth 10, or of a writer that keeps its last message."""
+        """Return the token of a reliable writer with history depth 10, or of a writer that latches its last message."""
         return self._endpoint(number, "MP", topic, type, _LATCHED if is_latched else _RELIABLE)
 
     def reader(self, number: int, topic: str, type: str) -> str:
@@ -96,7 +96,7 @@ class Origin(NamedTuple):
 
     @property
     def client(self) -> str:
-        """The complete writer id in hexadecimal, which is unique."""
+        """The complete writer id in hexadecimal; it is unique."""
         return self.writer.hex()
 
 
@@ -128,10 +128,10 @@ _MOST = 4096  # known writers; more are a flood
 
 
 class Nodes:
-    """Nodes with writers or service clients. A message carries its writer's id, a hash of the writer's token; the
-    token names its node.
+    """Nodes with writers or service clients, by writer id.
 
-    All writers of a node count as one client, because one may command while another sets a parameter.
+    A message carries its writer's id, which is a hash of the writer's token; the token contains the node's name. All
+    writers of a node count as one client, because one may command while another sets a parameter.
     """
 
     def __init__(self, left: Callable[[str], None]) -> None:
@@ -155,12 +155,12 @@ class Nodes:
         return self._clients.get(origin.writer, origin.client)
 
 
-_CHECK_EVERY = 1.0  # s between two checks of the readers
-_MAY_RETURN = 30.0  # s after a reader: messages missed while its router restarts must show in the numbers
+_CHECK_EVERY = 1.0  # s between checks of the readers
+_MAY_RETURN = 30.0  # s of numbering after a reader is gone, to reveal messages missed while its router restarts
 
 
 class RmwZenohServer(RosServer):
-    """ROS 2 server compatible with rmw_zenoh; domain None means that of ROS_DOMAIN_ID."""
+    """ROS 2 server compatible with rmw_zenoh; domain None: use ROS_DOMAIN_ID."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._outputs: dict[str, Publisher] = {}
@@ -180,7 +180,7 @@ class RmwZenohServer(RosServer):
         about = self._domain, str(self._session.zid()), options["distribution"]
         self._names = {node: Names(*about, node, number) for number, node in enumerate(self.nodes)}
         self._nodes = Nodes(self.left)
-        self._declared: list[Any] = []  # tokens and readers, undeclared with their last reference
+        self._declared: list[Any] = []  # tokens and readers; they are undeclared with their last reference
 
     def run(self) -> None:
         try:
@@ -191,21 +191,21 @@ class RmwZenohServer(RosServer):
             close_session(self._session)
 
     def wanted(self) -> frozenset[str]:
-        """Return the names of topics that have readers now or had readers a moment ago."""
+        """Return the names of the topics that have readers or had readers a moment ago."""
         return self._wanted
 
     def write(self, topic: RosTopic, cdr: bytes) -> None:
         self._outputs[topic.name].put(cdr, self._writers[topic.name].next(time.time_ns()))
 
     def _check(self) -> None:
-        """Update the readers, even while parameters are published more often."""
+        """Update the topics with readers, at most once per second."""
         now = time.monotonic()
         if now - self._checked > _CHECK_EVERY:
             self._checked = now
             self._read()
 
     def _counts(self) -> dict[str, tuple[int, int]]:
-        """Return the number of messages sent by topic; the readers and their losses are unknown here."""
+        """Return the number of messages sent, by topic; the number of readers and their losses are unknown here."""
         return {name: (output.sent, output.dropped) for name, output in self._outputs.items() if output.sent}
 
     def _declare(self) -> None:
@@ -241,7 +241,7 @@ class RmwZenohServer(RosServer):
     def _read(self) -> None:
         """Update the topics with readers; callable from any thread.
 
-        A reader behind a broken connection counts as gone, but its messages are still numbered for a while.
+        A reader with a broken connection counts as gone, but messages for it are still numbered for a while.
         """
         now = time.monotonic()
         with self._reading:
@@ -253,7 +253,7 @@ class RmwZenohServer(RosServer):
         self._nodes.token(str(sample.key_expr), sample.kind == zenoh().SampleKind.PUT)
 
     def _answer(self, service: Service, query: Any) -> None:
-        """Answer a request of a node; called by a Zenoh thread."""
+        """Answer a node's request; called from a Zenoh thread."""
         origin, payload = Origin.read(data_of(query.attachment)), data_of(query.payload)
         if origin is None or payload is None:
             self.refuse("unknown", f"Expected a request with an attachment of 33 bytes for {service.name}.")
@@ -265,9 +265,9 @@ class RmwZenohServer(RosServer):
         self.request(service, payload, self._nodes.client(origin), send)
 
     def _take(self, topic: str, sample: Any) -> None:
-        """Handle a message of a node; called by a Zenoh thread."""
+        """Handle a node's message; called from a Zenoh thread."""
         origin = Origin.read(data_of(sample.attachment))
-        if origin is None:  # the sender is unknown; rmw_zenoh drops such messages too
+        if origin is None:  # unknown sender; rmw_zenoh drops such messages, too
             self.refuse(
                 "unknown", f"Expected an attachment of 33 bytes on {topic}, as sent by rmw_zenoh since June 2025."
             )

@@ -1,9 +1,9 @@
 """`ServiceServers`: service servers for nodes with Fast DDS and Cyclone DDS, over a minimal RTPS implementation.
 
-rmw_fastrtps relates a response to its request by the inline QoS of both (DDS-RPC, related_sample_identity), which
-cyclonedds can neither read nor write. rmw_cyclonedds relates them by 16 bytes before the fields, so that the bytes no
-longer match the type that cyclonedds checks. This participant has only the readers of requests and the writers of
-responses. Sources: OMG DDSI-RTPS 2.3, chapters 8 and 9; DDS-RPC 1.0, section 7.6.
+rmw_fastrtps links a response to its request through the inline QoS of both (DDS-RPC, related_sample_identity), which
+cyclonedds can neither read nor write. rmw_cyclonedds links them through 16 bytes before the fields, so that the bytes
+no longer match the type that cyclonedds checks. This participant has only request readers and response writers.
+Sources: OMG DDSI-RTPS 2.3, chapters 8 and 9; DDS-RPC 1.0, section 7.6.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ _DATA, _FRAGMENT, _HEARTBEAT, _ACKNACK, _NACK_FRAGMENT, _GAP = 0x15, 0x16, 0x07,
 _SOURCE, _DESTINATION = 0x0C, 0x0E
 _SPDP, _PUBLICATIONS, _SUBSCRIPTIONS = b"\0\1\0\xc2", b"\0\0\3\xc2", b"\0\0\4\xc2"
 _PARTICIPANT, _ANY, _ENDPOINTS = b"\0\0\1\xc1", bytes(4), 0x3F
-_RESPONSES, _REQUESTS = b"\x03", b"\x04"  # kinds of a writer and a reader without key
+_RESPONSES, _REQUESTS = b"\x03", b"\x04"  # entity kinds of a writer and a reader without key
 _VERSION, _NO_VENDOR, _CYCLONE = b"\2\3", b"\0\0", b"\x01\x10"
 _HEADER = b"RTPS" + _VERSION + _NO_VENDOR
-_CLIENT = slice(4, 20)  # client and number that rmw_cyclonedds writes before the fields
-_TOPIC, _ENDPOINT, _KEY, _STATUS = 0x05, 0x5A, 0x70, 0x71  # parameters
+_CLIENT = slice(4, 20)  # client and request number, which rmw_cyclonedds writes before the fields
+_TOPIC, _ENDPOINT, _KEY, _STATUS = 0x05, 0x5A, 0x70, 0x71  # parameter ids
 _PL_CDR = b"\0\3\0\0"
-_RELATED = 0x0083, 0x800F  # of the standard, of Fast DDS
+_RELATED = 0x0083, 0x800F  # parameter ids of the related sample identity: standard, Fast DDS
 _ANNOUNCE, _TICK, _LEASE = 2.0, 0.25, 20  # s
-_PARTICIPANTS = 32  # of this computer, as for Cyclone DDS
-_KEPT = 64  # responses of a writer for retransmission
+_PARTICIPANTS = 32  # participants searched for on this computer, as with Cyclone DDS
+_KEPT = 64  # responses that a writer keeps for retransmission
 _WINDOW = 256
-_LARGEST = 2**19  # bytes of a request
-_FRAGMENTS = 4096  # of a request
-_PARTIAL = 4  # requests of a client of which some parts have come
-_BUFFER = 2**21  # bytes of the socket: a large request comes at once
-_MOST = 1024  # known endpoints of others; more are a flood
+_LARGEST = 2**19  # maximum size of a request in bytes
+_FRAGMENTS = 4096  # maximum number of fragments of a request
+_PARTIAL = 4  # incomplete requests kept per client
+_BUFFER = 2**21  # receive buffer in bytes: all fragments of a large request arrive at once
+_MOST = 1024  # known remote endpoints; more are treated as a flood
 _logger = logging.getLogger("armlab.bridge")
 
 
@@ -63,7 +63,7 @@ def _text(value: str) -> bytes:
 
 
 def _set(base: int, members: Collection[int]) -> bytes:
-    """Return a number set as bytes: the count, followed by the bits of the numbers from a base on."""
+    """Return a number set as bytes: the bit count, followed by one bit per number from the base on."""
     size = max(members, default=base - 1) - base + 1
     bits = [0] * ((size + 31) // 32)
     for k in members:
@@ -83,7 +83,7 @@ def _message(kind: int, flags: int, body: bytes) -> bytes:
 
 
 def _data(writer: bytes, number: int, payload: bytes, inline: bytes = b"") -> bytes:
-    """Return a message for any reader: by the time it arrives, a newer reader may have replaced the known one."""
+    """Return a message for any reader, because a newer reader may have replaced the known one when it arrives."""
     head = struct.pack("<HH", 0, 16) + _ANY + writer + _sn(number)
     if inline:
         inline += _parameter(1, b"")
@@ -121,10 +121,10 @@ def _inline(body: bytes, place: int, flags: int, order: str) -> tuple[dict[int, 
 class _Writer:
     """Reliable writer: messages by number, and the last number acknowledged by each reader.
 
-    A client may discover us before we discover its response reader. `owners` are the participants to which the
-    responses belong; the responses are sent to their readers that appear afterwards. A reader without history skips
-    everything that its first heartbeat announces. It therefore gets empty heartbeats until it has answered one; then it
-    is in `heard`.
+    A client may discover us before we discover its response reader. `owners` are the participants that requested the
+    responses; readers of theirs that appear later still receive the responses. A reader without history skips
+    everything that its first heartbeat announces. It therefore gets empty heartbeats until it has answered one and is
+    added to `heard`.
     """
 
     id: bytes
@@ -150,10 +150,10 @@ class _Reader:
 
     next: int = 1
     early: dict[int, bytes] = field(default_factory=dict)
-    partial: dict[int, tuple[bytearray, set[int]]] = field(default_factory=dict)  # with the fragments that are missing
+    partial: dict[int, tuple[bytearray, set[int]]] = field(default_factory=dict)  # data and missing fragments
 
     def join(self, number: int, total: int, size: int, first: int, part: bytes) -> bytes:
-        """Return a message once all its fragments have arrived, or b"" before; `first` counts from 1."""
+        """Add fragments; return the message once it is complete, otherwise b"". `first` counts from 1."""
         if not self.next <= number < self.next + _WINDOW or not 0 < total <= min(_LARGEST, _FRAGMENTS * size):
             return b""
         while len(self.partial) >= _PARTIAL and number not in self.partial:
@@ -168,12 +168,12 @@ class _Reader:
         return bytes(data)
 
     def put(self, number: int, payload: bytes) -> None:
-        """Keep a message (empty if this number does not exist) until `take` reaches its number."""
+        """Keep a message until `take` reaches its number; the message is empty if the number does not exist."""
         if self.next <= number < self.next + _WINDOW:
             self.early[number] = payload
 
     def skip(self, number: int) -> None:
-        """Go on to a number, before which no more messages will come."""
+        """Skip to a number before which no more messages will arrive."""
         if number > self.next + _WINDOW:
             self.next = number
             self.early.clear()
@@ -191,7 +191,7 @@ class _Reader:
 
 @dataclass
 class _Peer:
-    """Participant: its addresses for discovery and for user traffic, and the time until which it counts as alive."""
+    """Participant: addresses for discovery and for user traffic, and the time until which it counts as alive."""
 
     meta: tuple[str, int]
     default: tuple[str, int]
@@ -200,7 +200,7 @@ class _Peer:
 
 
 class ServiceServers:
-    """Service servers in a separate thread."""
+    """Service servers, run in a separate thread."""
 
     def __init__(
         self,
@@ -218,12 +218,12 @@ class ServiceServers:
         self._prefix = _NO_VENDOR + os.urandom(10)
         self._lock = threading.RLock()
         self._publications, self._subscriptions = _Writer(_PUBLICATIONS), _Writer(_SUBSCRIPTIONS)
-        self._services: dict[bytes, Service] = {}  # by the reader of its requests
+        self._services: dict[bytes, Service] = {}  # by its request reader
         self._writers: dict[bytes, _Writer] = {_PUBLICATIONS: self._publications, _SUBSCRIPTIONS: self._subscriptions}
         self._topics: dict[str, bytes] = {}
         self._peers: dict[bytes, _Peer] = {}
         self._readers: dict[bytes, _Reader] = {}  # by remote writer
-        self._clients: dict[bytes, bytes] = {}  # remote writer of requests to our reader of them
+        self._clients: dict[bytes, bytes] = {}  # remote request writer -> our request reader
         address = socket.inet_aton(host).rjust(16, b"\0")
         self._locator = struct.pack("<iI", 1, self._socket.getsockname()[1]) + address
         for key, service in enumerate(services, 1):
@@ -237,7 +237,7 @@ class ServiceServers:
             ):
                 self._topics[topic] = number + kind
                 writer.add(self._endpoint(number + kind, topic, type_name(type_)))
-        self._counts = itertools.count(1)  # of heartbeats and acknowledgements: one that does not grow is ignored
+        self._counts = itertools.count(1)  # of heartbeats and acknowledgements, which are ignored unless it grows
         self._announced, self._ticked, self._vendor = 0.0, 0.0, _NO_VENDOR
         self._over = False
         self._thread = threading.Thread(target=self._run, name="services over DDS")
@@ -298,7 +298,7 @@ class ServiceServers:
         return _HEADER + self._prefix + destination + b"".join(messages)
 
     def _send(self, packet: bytes, place: tuple[str, int]) -> None:
-        with contextlib.suppress(OSError):  # nobody there, or no route
+        with contextlib.suppress(OSError):  # no receiver or no route
             self._socket.sendto(packet, place)
 
     def _run(self) -> None:
@@ -309,7 +309,7 @@ class ServiceServers:
                 with self._lock:
                     self._tick(time.monotonic())
                     self._receive(packet)
-            except (struct.error, IndexError, ValueError, OSError):  # not a packet of RTPS
+            except (struct.error, IndexError, ValueError, OSError):  # not an RTPS packet
                 continue
             except Exception:
                 _logger.exception("services over DDS")
@@ -327,7 +327,7 @@ class ServiceServers:
                 self._forget(prefix)
             for writer in [prefix + id_ for prefix in self._peers for id_ in (_PUBLICATIONS, _SUBSCRIPTIONS)]:
                 reader = self._readers.setdefault(writer, _Reader())
-                if reader.next == 1:  # one that was forgotten and is back may think that its endpoints are known
+                if reader.next == 1:  # a returning participant may assume that we still know its endpoints
                     self._acknowledge(writer, reader)
         if now - self._ticked > _TICK:
             self._ticked = now
@@ -337,7 +337,7 @@ class ServiceServers:
                         self._heartbeat(writer, guid)
 
     def _heartbeat(self, writer: _Writer, reader: bytes, *before: bytes) -> None:
-        """Send a reader a heartbeat that lists the available messages, optionally after some of them."""
+        """Send a reader a heartbeat listing the available messages, optionally preceded by messages."""
         peer = self._peers.get(reader[:12])
         if peer is None:
             return
@@ -378,7 +378,7 @@ class ServiceServers:
                 peer.until = time.monotonic() + peer.lease
             if kind == _DESTINATION:
                 to = body[:12] if any(body[:12]) else self._prefix
-            elif kind == _SOURCE:  # another participant of the same process
+            elif kind == _SOURCE:  # another participant in the same process
                 self._vendor, prefix = body[6:8], body[8:20]
             elif to != self._prefix:
                 continue
@@ -438,7 +438,7 @@ class ServiceServers:
             writer.forget(guid)
 
     def _known(self, prefix: bytes, writer: bytes) -> _Reader | None:
-        """Return our reader of a remote writer of endpoints or requests, or None if the writer is unknown."""
+        """Return our reader for a remote writer of endpoints or requests, or None for an unknown writer."""
         if prefix in self._peers and writer in (_PUBLICATIONS, _SUBSCRIPTIONS):
             self._readers.setdefault(prefix + writer, _Reader())
         return self._readers.get(prefix + writer)
@@ -450,7 +450,7 @@ class ServiceServers:
             return
         order = "<" if payload[1] & 1 else ">"
         meta = default = None
-        lease = float(_LEASE)  # at most: goals of a client that died go on until then
+        lease = float(_LEASE)  # upper limit, because goals of a crashed client continue until then
         for pid, value in _listed(payload):
             if pid == 0x32 and meta is None:
                 meta = self._place(value, order)
@@ -467,7 +467,7 @@ class ServiceServers:
             for writer in (self._publications, self._subscriptions):
                 guid = prefix + writer.id[:3] + b"\xc7"
                 writer.acknowledged[guid] = 0
-                writer.heard.add(guid)  # its reader has history
+                writer.heard.add(guid)  # this reader has history
                 self._write(writer, guid, range(1, writer.last + 1))
 
     def _place(self, locator: bytes, order: str) -> tuple[str, int] | None:
@@ -477,7 +477,7 @@ class ServiceServers:
         return ("127.0.0.1" if self._is_local else socket.inet_ntoa(locator[20:24])), port
 
     def _take_endpoint(self, writer: bytes, payload: bytes) -> None:
-        """Register a client: the writer of its requests or the reader of its responses."""
+        """Register an endpoint of a client: its request writer or its response reader."""
         found = dict(_listed(payload))
         topic, guid = found.get(_TOPIC, b"")[4:].rstrip(b"\0").decode(errors="replace"), found.get(_ENDPOINT, b"")
         ours = self._topics.get(topic)
@@ -506,7 +506,7 @@ class ServiceServers:
             self._acknowledge(prefix + writer, reader, last)
 
     def _acknowledge(self, writer: bytes, reader: _Reader, last: int = 0) -> None:
-        """Send a writer the numbers of its missing messages; it then sends them or reports which are available."""
+        """Send a writer the numbers of the messages we miss; it then sends them or reports which ones are available."""
         held = [k for k in range(reader.next, min(last + 1, reader.next + _WINDOW)) if k not in reader.early]
         missing = [k for k in held if k not in reader.partial]
         ours = self._clients.get(writer, writer[12:15] + b"\xc7") + writer[12:]

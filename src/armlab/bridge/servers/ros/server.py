@@ -23,10 +23,10 @@ from armlab.errors import CommandRefused
 from armlab.robots import Robot
 
 _KINDS = {"position": "q", "velocity": "qd", "effort": "tau"}
-_SPELLINGS = ("command", "commands")  # of ROS 1 and ROS 2
+_SPELLINGS = ("command", "commands")  # in ROS 1 and ROS 2
 _NUMBERS, _TEXT, _EMPTY = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String", "std_msgs/msg/Empty"
-_LONGEST = 65536  # characters of a text
-_NUMERIC = {int, float, type(None)}  # not bool, a subclass of int; null stands for a number that is not finite
+_LONGEST = 65536  # maximum length of a text in characters
+_NUMERIC = {int, float, type(None)}  # excludes bool, a subclass of int; null stands for a non-finite number
 
 
 class Commands:
@@ -38,7 +38,7 @@ class Commands:
         self._robots = dict(robots)
         self._orders: dict[str, tuple[str, tuple[str, ...]]] = {}
         groups: dict[str, tuple[str, ...]] = {f"/{name}": (name,) for name in robots}
-        both = sorted(robots, key=lambda name: robots[name].side)  # "left" comes before "right"
+        both = sorted(robots, key=lambda name: robots[name].side)  # sorts "left" before "right"
         if [robots[name].side for name in both] == ["left", "right"]:
             groups[f"/{cell}"] = tuple(both)
         for prefix, names in groups.items():
@@ -99,13 +99,13 @@ def _settings(topic: str, content: Any) -> dict[str, Any]:
     return values
 
 
-_AGAIN = 1.0  # s between two publications of the parameters, for new readers
+_AGAIN = 1.0  # s between publications of the parameters, for new readers
 
 
 class RosServer:
     """Base of the ROS servers: converts rows to messages, and node messages to requests.
 
-    A transport defines `write`, `wanted`.
+    A transport defines `write` and `wanted`.
     """
 
     def __init__(self, feed: socket.socket, clients: Callable[[], Clients], tf: bool = False) -> None:
@@ -126,7 +126,7 @@ class RosServer:
         self.latched: frozenset[str] = frozenset([*self._topics.latched, *actions.latched])
 
     def node_of(self, name: str) -> str:
-        """Return the node of a topic or service: an arm if possible, otherwise the cell."""
+        """Return the node that a topic or service belongs to: an arm if possible, otherwise the cell."""
         first = name.split("/")[1]
         return first if first in self.nodes else self.nodes[0]
 
@@ -139,7 +139,7 @@ class RosServer:
         raise NotImplementedError
 
     def answer(self, client: str, text: str) -> None:
-        """Answer in the diagnostics, which all nodes read, because DDS and Zenoh cannot reply to a single node."""
+        """Answer through the diagnostics, which all nodes can read: DDS and Zenoh cannot reply to a single node."""
         self._topics.answer = f"{client}: {text}"
 
     def serve(self, check: Callable[[], None] = lambda: None) -> None:
@@ -167,7 +167,7 @@ class RosServer:
             self._goals.text(message)
 
     def take(self, topic: str, message: Any, client: str) -> None:
-        """Send the requests in a node's message (serialised or decoded) to the loop; for threads of the transport."""
+        """Send the requests in a node's message (serialised or decoded) to the loop; for use in transport threads."""
         try:
             if topic in self._goals.topics:
                 message = plain(content(self._goals.topics[topic], message))
@@ -181,7 +181,7 @@ class RosServer:
             self.refuse(client, str(error))
 
     def request(self, service: Service, cdr: bytes, client: str, send: Callable[[bytes], None]) -> None:
-        """Answer a serialised request of a node; for threads of the transport."""
+        """Answer a node's serialised request; for use in transport threads."""
         try:
             service.take(cdr, client, send)
         except CommandRefused as error:
@@ -193,7 +193,7 @@ class RosServer:
         self._loop.ask(Report(client, why))
 
     def left(self, client: str) -> None:
-        """Report a disconnected client to the loop; for threads of the transport."""
+        """Report a disconnected client to the loop; for use in transport threads."""
         self._goals.leave(client)
         self._loop.ask(Leave(client))
 
@@ -208,11 +208,11 @@ class RosServer:
             self.write(topic, bytes(store().serialize_cdr(message, topic.type)))
 
     def send_latched(self) -> None:
-        """Send the messages that never change once; their writers keep them for late-joining readers."""
+        """Send the messages that never change, once; their writers keep them for late-joining readers."""
         self.send(self._topics.latched.values())
 
     def send_parameters(self) -> None:
-        """Send the values of all parameters, and the diagnostics that are due without rows."""
+        """Send all parameter values, and the diagnostics that are due even without rows."""
         self._parameters_sent, wanted = time.monotonic(), self.wanted()
         self.send(self._topics.of_parameters(self._loop.parameters, wanted))
         self.send(self._topics.of_silence(time.monotonic_ns(), wanted))

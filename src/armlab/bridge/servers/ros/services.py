@@ -36,19 +36,19 @@ class Service:
 
     @property
     def request(self) -> str:
-        """Type of its requests."""
+        """Type of the service's requests."""
         return f"{self.type}_Request"
 
     @property
     def response(self) -> str:
-        """Type of its responses."""
+        """Type of the service's responses."""
         return f"{self.type}_Response"
 
     def take(self, cdr: bytes, client: str, send: Callable[[bytes], None]) -> None:
         """Answer a serialised request; `send` receives the serialised response."""
         try:
             request = store().deserialize_cdr(cdr, self.request)
-        except Exception as error:  # the codec's exceptions on invalid bytes are undocumented
+        except Exception as error:  # the codec's exceptions for invalid bytes are undocumented
             raise CommandRefused(
                 f"Expected a request of {self.name}, got {len(cdr)} invalid bytes ({error})."
             ) from None
@@ -56,9 +56,9 @@ class Service:
 
 
 def register(types: Mapping[str, tuple[str, str]]) -> None:
-    """Add service types to `store`: names such as "std_srvs/srv/Empty" with the fields of the request and the response.
+    """Add service types to `store`: the name, such as "std_srvs/srv/Empty", with the request and response fields.
 
-    The type of the service itself is never sent, but its hash is used in keys and tokens.
+    The service type itself is never sent, but its hash is used in keys and tokens.
     """
     found: Any = get_types_from_msg(_INFO, "service_msgs/msg/ServiceEventInfo")
     for name, texts in types.items():
@@ -83,8 +83,8 @@ def register(types: Mapping[str, tuple[str, str]]) -> None:
 _INFO = "uint8 event_type\nbuiltin_interfaces/Time stamp\nuint8[16] client_gid\nint64 sequence_number"
 
 
-_ANSWER = 1.0  # s for the loop to answer a setting
-_SETTINGS = 256  # that wait; more are a flood
+_ANSWER = 1.0  # s for the loop to answer a parameter setting
+_SETTINGS = 256  # queued settings; more are treated as a flood
 
 
 @dataclass
@@ -99,10 +99,10 @@ class _Setting:
 
 
 class Settings:
-    """Parameter settings, one at a time, because an answer from the loop names the client and the parameter, not the
-    call.
+    """Parameter settings, sent to the loop one at a time.
 
-    Clients are answered without holding the lock, because a transport has its own lock.
+    An answer from the loop names the client and the parameter, but not the call. Clients are answered without holding
+    the lock, because a transport has its own lock.
     """
 
     def __init__(self, loop: LoopEnd) -> None:
@@ -113,7 +113,7 @@ class Settings:
 
     @contextmanager
     def _settling(self) -> Iterator[None]:
-        """Hold the lock; then answer the completed requests."""
+        """Hold the lock, then answer the completed requests."""
         with self._lock:
             yield
             settled, self._settled = self._settled, []
@@ -135,7 +135,7 @@ class Settings:
                     self._ask()
 
     def confirm(self) -> None:
-        """Answer the setting that took effect."""
+        """Answer the setting that has taken effect."""
         with self._settling():
             if self._waiting:
                 one = self._waiting[0]
@@ -210,7 +210,7 @@ def parameter_services(node: str, loop: LoopEnd, settings: Settings) -> list[Ser
 
 
 def _local(text: str) -> str:
-    """Return a definition with the message types of rcl_interfaces."""
+    """Return a definition that uses the message types of rcl_interfaces."""
     return re.sub(r"^(?=[A-Z])", "rcl_interfaces/", text)
 
 

@@ -23,7 +23,7 @@ from armlab.robots import Robot
 from armlab.robots.urdf.writing import write_urdf
 
 _OTHERS = {
-    # Names and order as in ros-industrial/abb_robot_driver_interfaces; constants are not part of a message.
+    # Names and order as in ros-industrial/abb_robot_driver_interfaces; constants are not message fields.
     "abb_egm_msgs/msg/EGMChannelState": (
         "string name\nbool active\nbool egm_convergence_met\nuint8 egm_client_state\nuint8 motor_state\n"
         "uint8 rapid_execution_state\nfloat64 utilization_rate"
@@ -45,19 +45,19 @@ def store() -> Any:
 
 @cache
 def later() -> Any:
-    """Return the message types since Iron, some of which differ (rmw_dds_common)."""
+    """Return the message types as of Iron, some of which differ (rmw_dds_common)."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-_HIGHEST = 232  # larger domains have no UDP port
-_LARGEST = {"trajectory_msgs/msg/JointTrajectory": 2**19}  # bytes of a received message
+_HIGHEST = 232  # larger domain numbers have no UDP port
+_LARGEST = {"trajectory_msgs/msg/JointTrajectory": 2**19}  # maximum size of a received message in bytes
 _USUAL = 2**17
 
 
 def domain_number(given: int | None, environment: Mapping[str, str] = os.environ) -> int:
-    """Return the given domain, else that of ROS_DOMAIN_ID, else 0."""
+    """Return the given domain, or else ROS_DOMAIN_ID, or else 0."""
     text = environment.get("ROS_DOMAIN_ID", "") or "0"
     if given is not None:
         return given
@@ -79,7 +79,7 @@ def content(name: str, cdr: bytes) -> Any:
     try:
         message = store().deserialize_cdr(cdr, name)
         return message if name in _LARGEST else getattr(message, "data", None)
-    except Exception as error:  # the codec's exceptions on invalid bytes are undocumented
+    except Exception as error:  # the codec's exceptions for invalid bytes are undocumented
         raise CommandRefused(f"Expected a {name}, got {len(cdr)} invalid bytes ({error}).") from None
 
 
@@ -102,18 +102,18 @@ class ArmRow:
         self._places, self._data = places, data
 
     def __getitem__(self, name: str) -> tuple[Any, ...]:
-        """Return the numbers of a field, whose name omits the robot."""
+        """Return the numbers of a field; `name` omits the robot."""
         form, offset = self._places[name]
         return form.unpack_from(self._data, offset)
 
     def numbers(self, name: str) -> tuple[float, ...]:
-        """Return the numbers of a field; empty if any is NaN, which means that the field is missing."""
+        """Return the numbers of a field, or an empty tuple if any is NaN, that is, if the field is missing."""
         values = self[name]
         return () if any(map(math.isnan, values)) else values
 
     @cached_property
     def T_base_tool(self) -> np.ndarray:
-        """Pose of the tool in the base (4, 4) at the measured joint positions."""
+        """Tool pose (4, 4) in base axes at the measured joint positions."""
         return kinematics.forward(self.robot, self["q"])
 
     def in_tool_axes(self, wrench: Sequence[float]) -> tuple[float, ...]:
@@ -207,7 +207,7 @@ TOPICS: Mapping[str, tuple[str, Callable[[ArmRow], Any]]] = {
 """Topics per arm, published with each row: type and message function (None without numbers)."""
 
 _TF = "tf2_msgs/msg/TFMessage"
-_TF_PERIOD_NS = 20_000_000  # ns between two messages of /tf
+_TF_PERIOD_NS = 20_000_000  # ns between messages of /tf
 
 
 def _description(robot: Robot) -> Any:
@@ -251,7 +251,7 @@ def _moving_frames(arms: Iterable[ArmRow]) -> Any:
 
 
 _ONCE_A_SECOND = {"diagnostics": "diagnostic_msgs/msg/DiagnosticArray", "parameters": "std_msgs/msg/String"}
-_PERIOD_NS = 1_000_000_000  # ns between two messages of those topics
+_PERIOD_NS = 1_000_000_000  # ns between messages of these topics
 _MONO = Struct("<q")
 
 Messages = Iterable[tuple[RosTopic, Any]]
@@ -268,7 +268,7 @@ class Topics:
         self.answer = ""
         self._schema, self._robots, self._status = schema, dict(robots), Status(schema)
         self._due, self._tf_due, self._last = 0, 0, b""
-        self._silence: tuple[bytes, int] | None = None  # the last row, and the start of the silence
+        self._silence: tuple[bytes, int] | None = None  # last row, and start of the silence
         self._places = {name: places(schema, name) for name in robots}
         self._makers = {f"/{robot}/{name}": (robot, make) for robot in robots for name, (_, make) in TOPICS.items()}
         types = {name: type_ for name, (type_, _) in TOPICS.items()} | _ONCE_A_SECOND
@@ -282,7 +282,7 @@ class Topics:
         self.published |= {name: topic for name, (topic, _) in self.latched.items()}
 
     def of_row(self, data: bytes, wanted: Collection[str]) -> Iterator[tuple[RosTopic, Any]]:
-        """Yield the requested messages of a row: those of its fresh arms, then those due once per second."""
+        """Yield the wanted messages of a row: those of its freshly updated arms, then those due once per second."""
         _, mono_ns, wall_ns = read_head(self._schema, data)
         arms: dict[str, ArmRow] = {}
         for name, robot in self._robots.items():
@@ -301,7 +301,7 @@ class Topics:
         yield from self._once_a_second(mono_ns, 0, wanted)
 
     def of_silence(self, now_ns: int, wanted: Collection[str]) -> Messages:
-        """Return the messages due once per second without rows; empty if a row has arrived since the last call.
+        """Return the messages due once per second even without rows; empty if a row has arrived since the last call.
 
         Call it about once a second, with any monotonic clock [ns].
         """
@@ -313,7 +313,7 @@ class Topics:
         return self._once_a_second(mono_ns + silent_ns, silent_ns, wanted)
 
     def of_parameters(self, parameters: Mapping[str, Mapping[str, Any]], wanted: Collection[str]) -> Messages:
-        """Yield the parameter values (see `LoopEnd.parameters`) as JSON text, for each robot's "parameters"."""
+        """Yield the parameter values (see `LoopEnd.parameters`) as JSON text for each robot's topic "parameters"."""
         text = json.dumps({name: about["value"] for name, about in parameters.items()})
         message = store().types["std_msgs/msg/String"](text)
         for name in (f"/{robot}/parameters" for robot in self._robots):
@@ -339,7 +339,7 @@ class Topics:
 
 
 _OK, _WARN, _ERROR = 0, 1, 2
-_SILENT = 1.0  # s without a packet, reported as an error
+_SILENT = 1.0  # s without a packet after which an error is reported
 
 
 def diagnostics(

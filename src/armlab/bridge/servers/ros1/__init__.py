@@ -1,3 +1,3 @@
-"""ROS 1 server; the system's Python with rospy runs `relay` (docs/ros.md)."""
+"""ROS 1 server; `relay` runs under the system's Python with rospy (docs/ros.md)."""
 
 __all__ = []

@@ -23,15 +23,15 @@ from armlab.bridge.servers.ros.topics import RosTopic, store
 from armlab.bridge.servers.ros1 import relay
 from armlab.errors import LinkError
 
-_ROOM = 500  # messages queued for a slow node: 2 s of one topic
+_ROOM = 500  # messages queued for a slow node: 2 s of one topic's messages
 _SEND_BUFFER = 65536  # bytes; with the default a slow node would get data 30 s old
-_MOST = 64  # connections
+_MOST = 64  # maximum number of connections
 _SIZE = struct.Struct("<I")
 _SIZE_AND_SEQ = struct.Struct("<II")
 
 
 class Subscribers:
-    """Connections of subscribing nodes; a slow node has a queue, which drops its oldest messages."""
+    """Connections of subscribing nodes; messages for a slow node are queued, and the oldest ones dropped."""
 
     def __init__(self, poller: select.poll) -> None:
         self.counts: dict[str, tuple[int, int]] = {}
@@ -44,13 +44,13 @@ class Subscribers:
         return frozenset(one.topic for one in self._connections.values())
 
     def add(self, topic: str, connection: socket.socket, known: Iterable[bytes] = ()) -> str:
-        """Add a connection after its ROS header was sent; return the reason if it is refused."""
+        """Add a connection whose ROS header has been sent; return the reason if it is refused, otherwise ""."""
         one = _Connection(topic, connection)
         if len(self._connections) >= _MOST:
             one.close()
             return f"Expected at most {_MOST} node connections, got one more. Close one."
-        with contextlib.suppress(OSError):  # closed already: the first poll reports it
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else messages wait for an ACK
+        with contextlib.suppress(OSError):  # already closed: the first poll reports this
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # otherwise messages wait for an ACK
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         self._connections[connection.fileno()] = one
         self._poller.register(connection, select.POLLIN)
@@ -68,7 +68,7 @@ class Subscribers:
             self._put(one, data)
 
     def check(self, number: int) -> None:
-        """Handle a polled connection, which can accept data again or was closed (nodes never send)."""
+        """Handle a polled connection, which accepts data again or has been closed (nodes never send)."""
         one = self._connections.get(number)
         if one is not None:
             self._put(one, None)
@@ -114,7 +114,7 @@ class _Connection:
         """Queue a message; return the number of dropped messages."""
         dropped = len(self.waiting) > _ROOM
         if dropped:
-            del self.waiting[1]  # the first one may be sent in part
+            del self.waiting[1]  # the first one may be partly sent
         self.waiting.append(data)
         return int(dropped)
 
@@ -140,7 +140,7 @@ class _Connection:
 
     def close(self) -> None:
         """Shut down the connection, because rospy holds the same socket."""
-        with contextlib.suppress(OSError):  # closed already
+        with contextlib.suppress(OSError):  # already closed
             self.socket.shutdown(socket.SHUT_RDWR)
         self.socket.close()
 
@@ -148,13 +148,13 @@ class _Connection:
 _POLL = 1000  # ms
 _START = 8.0  # s for the relay to register its node
 _END = 2.0  # s for the relay to exit
-_ANSWER_EVERY = 1.0  # s between two answers to one node
-_CLIENTS = 256  # with a known time of their last answer
-_SENTENCE = 1000  # characters of an answer
+_ANSWER_EVERY = 1.0  # s between answers to one node
+_CLIENTS = 256  # clients whose last answer time is kept
+_SENTENCE = 1000  # maximum length of an answer in characters
 
 
 class Ros1Process(RosServer):
-    """Serves until the loop closes the socket."""
+    """Server process, which runs until the loop closes the socket."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
@@ -162,8 +162,8 @@ class Ros1Process(RosServer):
         self._subscribers = Subscribers(self._poller)
         super().__init__(feed, lambda: self._subscribers.counts)
         self._answered: dict[str, float] = {}
-        self._node: socket.socket  # our end of the socket to the relay
-        self._log: IO[bytes]  # the relay's standard error
+        self._node: socket.socket  # our end of the relay's socket
+        self._log: IO[bytes]  # standard error of the relay
 
     def wanted(self) -> frozenset[str]:
         return self._subscribers.wanted
@@ -226,11 +226,11 @@ class Ros1Process(RosServer):
 
     def _begin(self) -> None:
         """Send the node its topics, wait until it is ready, and report this to the loop."""
-        kept = self._topics.latched  # ROS 1 has the description as a parameter of the master
+        kept = self._topics.latched  # in ROS 1, the description is a parameter of the master
         published = {name: _old(one.type) for name, one in self._topics.published.items() if name not in kept}
         taken = {name: _old(type_) for name, type_ in self._commands.types.items()}
         about = {"node": f"armlab_{self._loop.about['cell'].replace('-', '_')}", "published": published, "taken": taken}
-        with contextlib.suppress(OSError):  # it has exited: its output says why
+        with contextlib.suppress(OSError):  # the relay has exited: its output says why
             self._node.send(json.dumps(about).encode())
         until = time.monotonic() + _START
         messages: list[dict[str, Any]] = []
@@ -264,7 +264,7 @@ class Ros1Process(RosServer):
         return found
 
     def _receive(self, messages: Iterable[Mapping[str, Any]] = ()) -> None:
-        """Handle messages from the node (new or passed in) about subscribers and commands of other nodes."""
+        """Handle the node's messages, new or passed in, about subscribers and commands of other nodes."""
         for message in messages or self._messages():
             client = message.get("client", "")
             if message["kind"] == "subscriber":
@@ -278,7 +278,7 @@ class Ros1Process(RosServer):
                 self.take(message["topic"], message["content"], client)
 
     def _connect(self, message: Mapping[str, Any]) -> str:
-        """Start writing to a subscriber; return the reason for a refusal, else it would wait forever."""
+        """Start writing to a subscriber; return the reason for a refusal, after which it would wait forever."""
         if not message["connections"]:
             return "Expected a free file descriptor for the connection, got none. Raise `ulimit -n`."
         topic = message["topic"]
@@ -301,7 +301,7 @@ class Ros1Process(RosServer):
 
 
 def _ros1(topic: RosTopic, cdr: bytes) -> bytes:
-    """Return a message in the wire format of ROS 1."""
+    """Return a message in ROS 1 wire format."""
     return bytes(store().cdr_to_ros1(cdr, topic.type))
 
 

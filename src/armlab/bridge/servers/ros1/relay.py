@@ -1,10 +1,10 @@
 """ROS 1 node of `Ros1Process`: a program for the system's Python (3.6 or newer) that needs only rospy.
 
-Standard input and output are one message socket with JSON objects. The first input has "node" and the types by topic,
-"published" and "taken". Later inputs have a "text" for the ROS log, or the "topic" and "id" of a connection to close.
-Outputs have a "kind": first "ready"; then "command" ("refused" if too long), or "subscriber" of a topic with its
-connection. rospy negotiates the connection, and the bridge writes the messages. The program exits when its input
-closes, and with an error text when the master disappears.
+Standard input and output are one message socket for JSON objects. The first input contains "node" and, in "published"
+and "taken", the types by topic. Later inputs contain a "text" for the ROS log, or the "topic" and "id" of a connection
+to close. Outputs have a "kind": first "ready"; then "command" ("refused" if too long), or "subscriber" with the
+connection of a topic's subscriber. rospy negotiates the connection, and the bridge writes the messages. The program
+exits when its input closes, or with an error text when the master disappears.
 """
 
 import array
@@ -18,9 +18,9 @@ import threading
 from pathlib import Path
 
 _LARGEST = 2**17
-_COMMAND = 65536  # bytes of a command: the limit of a request to the loop
-_NAME = 256  # characters of a node's name, which the node chooses
-_CHECK_EVERY = 0.5  # s between two checks of the master
+_COMMAND = 65536  # maximum bytes of a command, as for a request to the loop
+_NAME = 256  # maximum characters of a node's name, which the node chooses
+_CHECK_EVERY = 0.5  # s between checks of the master
 _PATIENCE = 3.0  # s for the master to answer
 
 
@@ -40,7 +40,7 @@ def main() -> int:
     first = _number(master)
     if first is None:
         return _fail(f"Expected a ROS master at {master.master_uri}, got no answer. Start roscore.")
-    socket.setdefaulttimeout(None)  # else it applies to all sockets of rospy
+    socket.setdefaulttimeout(None)  # otherwise it would apply to all rospy sockets
     about = json.loads(pipe.recv(_LARGEST).decode())
     rospy.init_node(about["node"], disable_signals=True)
     threading.Thread(target=_watch, args=(master, first), daemon=True).start()
@@ -57,20 +57,20 @@ class _Node:
         self._lock, self._handed = threading.Lock(), {}
         listener = self._listener()
         types = {name: _type(name) for name in {*about["published"].values(), *about["taken"].values()}}
-        self._publishers = {  # they only accept connections; the bridge writes
+        self._publishers = {  # rospy only accepts connections; the bridge writes
             topic: rospy.Publisher(topic, types[name], queue_size=1)
             for topic, name in about["published"].items()
             if types[name] is not None
         }
         self._send(kind="ready", missing=sorted(name for name, kind in types.items() if kind is None))
-        self._subscribers = [  # they may call at once, in other threads
+        self._subscribers = [  # callbacks may start immediately, in other threads
             rospy.Subscriber(topic, types[name], self._take, topic, queue_size=1, tcp_nodelay=True)
             for topic, name in about["taken"].items()
             if types[name] is not None
         ]
         for publisher in self._publishers.values():
             publisher.impl.add_subscriber_listener(listener)
-            self._hand_over(publisher)  # earlier subscribers
+            self._hand_over(publisher)  # subscribers that connected earlier
 
     def run(self):
         """Handle messages from the bridge until the input closes: log texts and connections to close."""
@@ -108,7 +108,7 @@ class _Node:
         try:
             number = array.array("i", [one.socket.fileno()])
             self._pipe.sendmsg([json.dumps(message).encode()], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, number)])
-        except (AttributeError, OSError):  # closed, or refused by the system: the node would wait forever
+        except (AttributeError, OSError):  # closed, or refused by the system: end it, or the node would wait forever
             _end(one)
             return False
         return True
@@ -126,13 +126,13 @@ class _Node:
         """Send a message to the bridge unless it is too long; return its size in bytes."""
         data = json.dumps(fields).encode()
         if len(data) <= _COMMAND:
-            with contextlib.suppress(OSError):  # a bridge that does not read: newer commands follow
+            with contextlib.suppress(OSError):  # the bridge does not read: newer commands follow
                 self._pipe.send(data, socket.MSG_DONTWAIT)
         return len(data)
 
 
 def _end(connection):
-    with contextlib.suppress(AttributeError, OSError):  # closed already
+    with contextlib.suppress(AttributeError, OSError):  # already closed
         connection.socket.shutdown(socket.SHUT_RDWR)
 
 
@@ -158,10 +158,10 @@ def _listen_at(host, network):
 
 
 def _number(master):
-    """Return the process id of the master, which changes with a restart, or None without an answer."""
+    """Return the master's process id, which changes when it restarts, or None without an answer."""
     try:
         return master.getPid()
-    except Exception:  # of XML-RPC, HTTP or the socket
+    except Exception:  # from XML-RPC, HTTP or the socket
         return None
 
 

@@ -1,4 +1,4 @@
-"""`Engine`: rosbridge v2 without sockets; converts client operations to loop requests, and rows to messages."""
+"""`Engine`: rosbridge v2 without sockets, converting client operations to loop requests and rows to messages."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from armlab.bridge.servers.rosbridge.protocol import Dialect, Level, Rosapi, ful
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import CommandRefused, UnknownName
 
-_KEPT = 1_000_000_000  # ns that a message waits at most
+_KEPT = 1_000_000_000  # ns, longest time that a message is queued
 _PATIENCE = 10_000_000_000  # ns without progress after which a client is disconnected
-_LARGEST = 4 * 2**20  # bytes queued at most
+_LARGEST = 4 * 2**20  # maximum bytes queued
 
 
 class _Waiting(NamedTuple):
-    """One queued message, its time and topic."""
+    """One queued message with its time and topic."""
 
     ns: int
     topic: str
@@ -84,7 +84,7 @@ class Outbox:
         return one
 
 
-_IDS = 16  # per topic; a client with more ids is faulty
+_IDS = 16  # ids per topic; a client with more ids is faulty
 
 
 class Subscription:
@@ -119,7 +119,7 @@ class Subscription:
         return not self._ids
 
     def is_due(self, now_ns: int) -> bool:
-        """Return whether a message would now be sent or queued; send a queued message that is due."""
+        """Send a queued message if due; return whether a new message would now be sent or queued."""
         if self._waiting and now_ns >= self._due_ns:
             self._send(self._waiting.popleft(), now_ns)
         return self._most > 0 or now_ns >= self._due_ns
@@ -175,7 +175,7 @@ class ClientSession:
         self.advertised: set[str] = set()
         self.warned: set[str] = set()
         self.settings: list[PendingSetting] = []
-        self.level: Level = "error"  # of status messages
+        self.level: Level = "error"  # lowest level of status messages sent
 
     def status(self, level: Level, text: str, now_ns: int, id_: str | int | None = None) -> None:
         """Send the client a status message if its level requires it."""
@@ -254,7 +254,7 @@ class Engine:
             self._answer(self.sessions[message["client"]], message, now_ns)
 
     def tick(self, now_ns: int) -> None:
-        """Handle timeouts and messages due without rows; called a few times per second."""
+        """Handle timeouts and messages that are due even without rows; called a few times per second."""
         self._publish(lambda wanted: self._topics.of_silence(now_ns, wanted.keys()), now_ns)
         self._goals.renew(now_ns)
         for session in self.sessions.values():
@@ -315,7 +315,7 @@ class Engine:
             self._send(published, message, [known], now_ns)
 
     def _known(self, topic: str, type_: str | None, types: Mapping[str, str], what: str) -> Dialect:
-        """Return the dialect of a client, derived from a topic and its type, which must match."""
+        """Return the dialect that a client uses for a topic; the given type must match the topic."""
         if topic not in types:
             raise UnknownName.among(what, topic, types)
         if not type_:
@@ -396,7 +396,7 @@ class Engine:
         session.response(call.service, call.id, values, is_done, now_ns)
 
     def _set(self, session: ClientSession, call: protocol.CallService, given: Mapping[str, Any], now_ns: int) -> None:
-        """Ask the loop to set a value; it answers later."""
+        """Ask the loop to set a value; the loop answers later."""
         _check_rights(session)
         name = parameter_name(given, self._loop.parameters)
         try:
@@ -427,7 +427,7 @@ class Engine:
         self._ask_next(session, one.parameter, now_ns)
 
     def _confirm(self, session: ClientSession, now_ns: int) -> None:
-        """Answer the settings of a client that took effect."""
+        """Answer the settings of a client that have taken effect."""
         for one in [one for one in session.settings if one.sequence is not None]:
             about = self._loop.parameters[one.parameter]
             if about["sequence"] > one.sequence and about["who"] == f"{self._server} {session.name}":

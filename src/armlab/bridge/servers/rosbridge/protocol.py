@@ -23,11 +23,11 @@ Dialect = Literal["ros1", "ros2"]
 
 _TYPE = re.compile(r"([A-Za-z]\w{0,100})/(msg/)?([A-Za-z]\w{0,100})")
 TIME, HEADER = "builtin_interfaces/msg/Time", "std_msgs/msg/Header"
-_FILLER = "structure_needs_at_least_one_member"  # field of empty types in rosbags
+_FILLER = "structure_needs_at_least_one_member"  # field that rosbags adds to empty types
 
 
 def read_type(text: str) -> tuple[str, Dialect]:
-    """Return the ROS 2 name of a type, and the dialect of its spelling."""
+    """Return the ROS 2 name of a type, and the dialect in which it is spelled."""
     found = _TYPE.fullmatch(text)
     if found is None:
         raise CommandRefused(
@@ -47,7 +47,7 @@ def fields(type_: str) -> tuple[str, ...]:
 
 
 def publish(topic: str, message: Any, type_: str, dialect: Dialect, seq: int) -> bytes:
-    """Return the "publish" operation of a message as JSON; ROS 1 headers have `seq`, NaN and infinity become null."""
+    """Return the "publish" operation of a message as JSON; ROS 1 headers get `seq`; NaN and infinity become null."""
     return msgspec.json.encode({"op": "publish", "topic": topic, "msg": _plain(message, type_, dialect, seq)})
 
 
@@ -243,7 +243,7 @@ def parameter_name(arguments: Arguments, known: Mapping[str, Any]) -> str:
 
 
 class Rosapi:
-    """The rosapi services that need no answer from the loop."""
+    """The rosapi services that do not need an answer from the loop."""
 
     def __init__(
         self,
@@ -337,7 +337,7 @@ def _refuse_to_delete(given: Arguments, dialect: Dialect) -> dict[str, Any]:
 
 
 def _details(given: Arguments, dialect: Dialect) -> dict[str, Any]:
-    """Return the fields of a type and its nested types, in the dialect of its spelling."""
+    """Return the fields of a type and of its nested types, in the dialect in which it is spelled."""
     type_, spelling = read_type(_text(given, "type"))
     known = store().fielddefs
     if type_ not in known:
@@ -368,7 +368,7 @@ def _details(given: Arguments, dialect: Dialect) -> dict[str, Any]:
 
 @cache
 def _parts(type_: str, dialect: Dialect) -> dict[str, tuple[str, int]]:
-    """Return type and length of a message's fields, by name."""
+    """Return the type and length of each field of a message, by name."""
     shapes = dict(store().fielddefs[type_][1])
     found = {name: _kind(shapes[name]) for name in fields(type_)}
     if dialect == "ros1":

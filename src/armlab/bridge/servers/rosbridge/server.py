@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from websockets.http11 import Request, Response
 
 
-_SHORTEST = 16  # characters of a token
+_SHORTEST = 16  # minimum length of a token in characters
 _LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1)(:\d{1,5})?")
 
 
 @dataclass(frozen=True, repr=False)
 class Access:
-    """Access control: a token for clients that do more than read, TLS, and the allowed origins of web pages."""
+    """Access control: TLS, allowed web page origins, and a token for clients that do more than read."""
 
     token: bytes | None
     context: ssl.SSLContext | None
@@ -49,7 +49,7 @@ class Access:
         if authorization is None:
             return False
         kind, _, shown = authorization.partition(" ")
-        is_right = hmac.compare_digest(shown.strip().encode(errors="replace"), self.token)  # constant time
+        is_right = hmac.compare_digest(shown.strip().encode(errors="replace"), self.token)  # in constant time
         return True if is_right and kind.lower() == "bearer" else None
 
 
@@ -110,14 +110,14 @@ def _context(certificate: str | None, key: str | None) -> ssl.SSLContext | None:
 _CLIENTS = 16
 _SEND_BUFFER = 65536  # bytes; with the default a slow client would get data 30 s old
 _KEPT = 100  # disconnected clients whose counts are kept
-_TICK = 0.1  # s between two calls of `Engine.tick`
+_TICK = 0.1  # s between calls of `Engine.tick`
 _WRITE_LIMIT = 16384  # bytes buffered in the process before a send blocks
-_CLOSING = 0.5  # s for a client to close
-_PING, _PONG = 5.0, 10.0  # s between two pings, and for the answer, before a client counts as lost
+_CLOSING = 0.5  # s for a client to close its connection
+_PING, _PONG = 5.0, 10.0  # s between pings, and without an answer before a client counts as lost
 
 
 class RosbridgeServer:
-    """Serves until the loop closes the socket."""
+    """rosbridge server process, which runs until the loop closes the socket."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._websockets = _websockets()
@@ -141,13 +141,13 @@ class RosbridgeServer:
             ssl=self._access.context,
             origins=self._access.origins,
             process_request=self._judge,
-            compression=None,  # takes longer than all the rest
+            compression=None,  # would take longer than everything else
             max_size=LARGEST,
             write_limit=_WRITE_LIMIT,
             close_timeout=_CLOSING,
             ping_interval=_PING,
             ping_timeout=_PONG,
-            logger=logging.Logger("armlab.bridge.servers.rosbridge", logging.ERROR),  # lower levels show tokens
+            logger=logging.Logger("armlab.bridge.servers.rosbridge", logging.ERROR),  # lower levels log tokens
         )
         running = asyncio.get_running_loop()
         async with server:
@@ -195,7 +195,7 @@ class RosbridgeServer:
             transport.write(b"".join([one.serialize(mask=False) for one in texts]))
 
     def _judge(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Refuse a connection attempt: too many clients, or a wrong token."""
+        """Return a refusal of a connection attempt (too many clients, or a wrong token), or None."""
         if len(self._connections) >= _CLIENTS:
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"Expected at most {_CLIENTS} clients.\n")
         if self._may_ask(request) is None:

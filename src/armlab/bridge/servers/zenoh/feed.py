@@ -1,4 +1,4 @@
-"""`ZenohFeed`, a client of a bridge on another computer (like `LocalFeed`), and the port and codec of a Zenoh link."""
+"""`ZenohFeed`, which is a `LocalFeed` for a bridge on another computer, and the port and codec of a Zenoh link."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from armlab.errors import ArmlabError, ConfigError, LinkError, UnknownName
 from armlab.robots import Robot
 from armlab.wire.egm import Codec, Drop, Packet, Reference
 
-_VIEW = 30.0  # rows/s of the key "view"
-_DISCOVERY = 0.5  # s in which all robots of a lab are discovered
-_KEPT = 5000  # waiting messages; beyond it the oldest are dropped
+_VIEW = 30.0  # rows/s on the key "view"
+_DISCOVERY = 0.5  # s allowed for discovering all robots of a lab
+_KEPT = 5000  # queued messages, beyond which the oldest are dropped
 _TEXT = 2**16  # bytes that a text message counts for in the inbox
 
 
@@ -53,10 +53,10 @@ class ZenohFeed:
         self._messages: Inbox[bytes | dict[str, Any]] = Inbox(_KEPT)
         self._next: bytes | dict[str, Any] | None = None
         self._rows: list[Any] = []
-        self._gaps: dict[str, Gaps] = {}  # of robots with a subscription to every row
+        self._gaps: dict[str, Gaps] = {}  # for robots with a subscription to every row
         self._pace: Pace | None = None
         self._gone: float | None = None  # time of the disconnection
-        self._is_unsure = False  # whether a returned bridge is in the same run
+        self._is_unsure = False  # True until a returned bridge has reported its run
         self.damaged = self.lost = self.refused = 0
         self._session = self._place.open(patience)
         try:
@@ -90,7 +90,7 @@ class ZenohFeed:
         close_session(self._session)
 
     def wait(self, seconds: float) -> bool:
-        """Return whether a message arrives within so many seconds."""
+        """Return whether a message arrives within this time [s]."""
         if self._next is None:
             self._next = self._messages.get(0.0 if self._has_ended() else seconds)
         return self._next is not None or self._has_ended()
@@ -122,7 +122,7 @@ class ZenohFeed:
                     there = [robot for robot in self._gaps if robot in self._schema.robots]
                     self._gaps = {robot: Gaps(self._schema, robot) for robot in there}
                 return message
-            if message[8:16] == self._schema.id:  # otherwise of a run that was not announced yet
+            if message[8:16] == self._schema.id:  # otherwise from a run that has not been announced yet
                 row = read_row(self._schema, message)
                 self._count(row, message)
                 return row
@@ -144,14 +144,14 @@ class ZenohFeed:
             ]
 
     def _count(self, row: Row, data: bytes) -> None:
-        """Count missing rows, because Zenoh does not report rows dropped for a slow reader to the bridge."""
+        """Count missing rows, because Zenoh does not tell the bridge about rows dropped for a slow reader."""
         before = self.lost.bit_length()
         self.lost += sum(gaps.take(data) for robot, gaps in self._gaps.items() if row.values[f"{robot}.fresh"])
         if self.lost.bit_length() > before:  # 1, 2, 4, ...
             self._report(f"Rows were lost in transit or not read in time: {self.lost} so far.")
 
     def _robots(self) -> list[str]:
-        """Return the robots of the lab, which a new session discovers one by one."""
+        """Return the robots of the lab, which a new session discovers one after another."""
         found: set[str] = set()
         until = time.monotonic() + _DISCOVERY
         while time.monotonic() < until:
@@ -169,7 +169,7 @@ class ZenohFeed:
             self._discovery.ask(self._place.lab, self._arm)
         elif (data := undamaged(sample)) is None:
             self.damaged += 1
-            if self.damaged & (self.damaged - 1) == 0:  # 1, 2, 4, ...: limits the events
+            if self.damaged & (self.damaged - 1) == 0:  # at 1, 2, 4, ..., to limit the events
                 self._report(f"Rows arrived corrupted and were dropped: {self.damaged} so far.")
         elif self._pace is None or self._pace.takes([robot_of(str(sample.key_expr))], time.monotonic()):
             self._take(data)
@@ -193,11 +193,11 @@ class ZenohFeed:
             self._report(f"The bridge of {self.cell} or the connection to it is gone.")
 
     def _has_ended(self) -> bool:
-        gone = self._gone  # may change in a Zenoh thread
+        gone = self._gone  # may be changed by a Zenoh thread
         return gone is not None and time.monotonic() - gone >= self._patience
 
     def _answered(self, lab: str, robot: str, about: bytes) -> None:
-        """Handle the reply of a bridge that is back."""
+        """Handle the reply of a bridge that has returned."""
         if not self._is_unsure:
             return
         try:
@@ -223,7 +223,7 @@ class ZenohFeed:
 
 
 def _whole(data: bytes) -> About:
-    """Return a bridge's reply to "about"; its rows must contain all fields that a `Watch` reads."""
+    """Return a bridge's reply to "about"; raise unless its rows contain all fields that a `Watch` reads."""
     about = read_about(data)
     for robot in about.robots.values():
         about.schema.require(robot)
@@ -245,9 +245,9 @@ def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tupl
 
 
 class ZenohPort:
-    """Receives rows of an arm instead of datagrams; never blocks and never raises after construction.
+    """Port that receives rows of an arm instead of datagrams; never blocks, and never raises after construction.
 
-    Zenoh reconnects by itself. Its threads pass rows on through a socket.
+    Zenoh reconnects automatically. Its threads pass rows on through a socket.
     """
 
     host: str
@@ -294,7 +294,7 @@ class ZenohPort:
         return Arrival(data, (self.host, self.port), time.monotonic_ns()) if data else None
 
     def flush(self) -> None:
-        """Discard waiting rows."""
+        """Discard the queued rows."""
         for _ in range(4000):
             if self.receive() is None:
                 break
@@ -316,12 +316,12 @@ class ZenohPort:
             self.gaps.take(data)
         try:
             self._inner.send(data)
-        except OSError:  # full, or closed
+        except OSError:  # full or closed
             self.errors += 1
 
 
 class ZenohCodec(RowsAsPackets):
-    """Codec from rows to packets of the loop, and from references to commands."""
+    """Codec that converts rows to packets of the loop, and references to commands."""
 
     def __init__(self, robot: Robot, schema: RowSchema) -> None:
         super().__init__()
@@ -329,7 +329,7 @@ class ZenohCodec(RowsAsPackets):
         self._name, self._schema = robot.name, schema
 
     def decode(self, data: bytes) -> Packet | Drop:
-        """Return the packet of a row, or why the row is dropped."""
+        """Return the packet of a row, or the reason for dropping the row."""
         if data == _DAMAGED:
             return Drop("damaged", "a row with a wrong checksum")
         try:
@@ -350,13 +350,13 @@ class ZenohCodec(RowsAsPackets):
         )
 
     def encode(self, ref: Reference) -> bytes:
-        """Return the command's bytes: positions, or positions and velocities."""
+        """Return a command as bytes: positions, or positions and velocities."""
         parts = [ref.q] if ref.qd is None else [ref.q, ref.qd]
         return np.concatenate(parts).astype("<f8").tobytes()
 
 
 def _check(schema: RowSchema, robot: Robot) -> None:
-    """Raise for rows without this arm, or with another arm of the same name."""
+    """Raise if the rows lack this arm or contain a different arm of the same name."""
     if robot.name not in schema.robots:
         raise UnknownName.among("robot of the bridge", robot.name, schema.robots)
     schema.require(robot)

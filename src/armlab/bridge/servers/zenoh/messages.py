@@ -55,16 +55,16 @@ class Attachment(NamedTuple):
 
     @property
     def client(self) -> str:
-        """The complete sender id in hexadecimal, which is unique."""
+        """The complete sender id in hexadecimal; it is unique."""
         return self.sender.hex()
 
 
 def data_of(part: Any) -> bytes | None:
-    """Return the bytes of a payload or an attachment, or None if absent."""
+    """Return the bytes of a payload or attachment, or None if it is absent."""
     return None if part is None else part.to_bytes()
 
 
-_LARGEST = 2**17  # bytes of a message of the loop; a reply to "about" has at most three
+_LARGEST = 2**17  # maximum bytes of a message from the loop; a reply to "about" contains at most three
 _Count = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
 
 
@@ -132,7 +132,7 @@ def read_about(data: bytes) -> About:
     robots = {name: replace(from_toml(text, f"the bridge of {name}"), name=name) for name, text in about.robots.items()}
     for robot in robots.values():
         schema.require(robot, whole=False)
-    for field in schema.fields.values():  # a `Watch` finds the arms by these texts
+    for field in schema.fields.values():  # a `Watch` identifies the arms by these texts
         if field.type == "text" and field.name.removesuffix(".commander") not in robots:
             raise LinkError(f"Expected the commanders of arms to be the only texts in rows, got {field.name[:60]}.")
     return About([{**messages[0], "kind": "about"}, *messages[1:]], schema, robots, about.run, about.cell)
@@ -161,14 +161,14 @@ def _converted(value: Any, type: Any) -> Any:
         raise LinkError(f"Expected a bridge message, got {str(error)[:200].rstrip('.')}.") from None
 
 
-_MOST = 2**26  # bytes in an inbox: ten seconds of all rows of twenty arms
-_LEAST = 256  # bytes that a message counts for at least
+_MOST = 2**26  # bytes in an inbox: ten seconds of rows from twenty arms at the full rate
+_LEAST = 256  # minimum bytes that a message counts for
 
 T = TypeVar("T")
 
 
 class Inbox(Generic[T]):
-    """Messages from Zenoh's threads; a full inbox drops the oldest."""
+    """Messages from Zenoh's threads; a full inbox drops its oldest messages."""
 
     def __init__(self, most: int) -> None:
         self._most, self._size = most, 0
@@ -206,7 +206,7 @@ _NUMBER = struct.Struct("<q")
 
 
 class Gaps:
-    """Counts the missing rows of a subscriber that reads every row of an arm ("state" or "live")."""
+    """Counter of missing rows, for a subscriber to every row of an arm ("state" or "live")."""
 
     rows: int
     lost: int
@@ -218,7 +218,7 @@ class Gaps:
         self.rows = self.lost = self.starts = 0
 
     def take(self, data: bytes) -> int:
-        """Count a row; return the number of missing rows before it."""
+        """Count a row; return the number of rows missing before it."""
         (number,) = _NUMBER.unpack_from(data, self._at)
         if number <= self._last or not self.rows:  # a new run
             self.starts += 1
@@ -235,11 +235,11 @@ _SUM = struct.Struct("<I")
 
 
 def checksum(data: bytes) -> bytes:
-    """Return the CRC-32 of a row, 4 bytes, little-endian. Reference: ISO 3309, the CRC-32 of zlib and Ethernet."""
+    """Return the CRC-32 of a row (4 bytes, little-endian). Reference: ISO 3309, the CRC-32 of zlib and Ethernet."""
     return _SUM.pack(zlib.crc32(data))
 
 
 def undamaged(sample: Any) -> bytes | None:
-    """Return the row of a sample, or None if it is too large or its checksum is wrong or missing."""
+    """Return the row in a sample, or None if it is too large or its checksum is wrong or missing."""
     data = sample.payload.to_bytes()
     return data if len(data) <= LARGEST and data_of(sample.attachment) == checksum(data) else None

@@ -22,25 +22,25 @@ from armlab.bridge.servers.zenoh.security import Security
 from armlab.bridge.servers.zenoh.session import BlockingPublisher, Publisher, close_session, open_near
 from armlab.errors import CommandRefused
 
-_VIEW = 33_000_000  # ns between two rows of the key "view"
-_STATUS = 500_000_000  # ns between two status messages
-_LONGEST = 65536  # bytes of a setting
-_MOST = 64  # joints
-_CLIENTS = 256  # with a known robot for their answers
+_VIEW = 33_000_000  # ns between rows on the key "view"
+_STATUS = 500_000_000  # ns between status messages
+_LONGEST = 65536  # maximum bytes of a setting
+_MOST = 64  # maximum number of joints
+_CLIENTS = 256  # clients whose robot for answers is kept
 _MONO = struct.Struct("<q")
 _UNKNOWN = "unknown"
 
 
 class ZenohProcess:
-    """Serves until the loop closes the socket."""
+    """Zenoh server process, which runs until the loop closes the socket."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._loop = LoopEnd(feed, self._counts)
         self._lab = options["lab"]
         self._arms = {name: _ArmOutput(self._loop, name) for name in self._loop.schema.robots}
         self._recording: dict[str, Any] = {}
-        self._answers: dict[str, str] = {}  # client -> robot of the key for its answers
-        self._declared: list[Any] = []  # undeclared with their last reference
+        self._answers: dict[str, str] = {}  # client -> robot whose key carries the answers
+        self._declared: list[Any] = []  # objects that are undeclared with their last reference
         commands = "zenoh" in self._loop.about.get("commands", ())
         self._session, self._where = open_near(
             options["host"], options["port"], options.get("router", ""), Security.of(options), commands
@@ -63,7 +63,7 @@ class ZenohProcess:
             close_session(self._session)
 
     def _counts(self) -> dict[str, tuple[int, int]]:
-        """Return the numbers of rows sent and dropped by key; the readers are unknown here."""
+        """Return the numbers of rows sent and dropped, by key; the readers are unknown here."""
         rows = {f"{name} {what}": arm.rows.get(what) for name, arm in self._arms.items() for what in _ArmOutput.KINDS}
         return {name: (one.sent, one.dropped) for name, one in rows.items() if one is not None and one.sent}
 
@@ -145,7 +145,7 @@ class ZenohProcess:
             query.reply(key(self._lab, robot, "schema"), self._loop.schema.text)
 
     def _about(self, robot: str, query: Any) -> None:
-        """Reply with the cell, arms, rows, parameters and recording, which a viewer needs first."""
+        """Reply with the first data that a viewer needs: cell, arms, row schema, parameters and recording."""
         messages = [self._loop.about, {"kind": "parameters", "parameters": list(self._loop.parameters.values())}]
         messages += [self._recording] if self._recording else []
         with query:
@@ -186,7 +186,7 @@ class _ArmOutput:
                 one.close()
 
     def row(self, data: bytes) -> None:
-        """Publish a row if it is fresh for this arm."""
+        """Publish a row if it contains new data of this arm."""
         self._count(data)
         if not any(data[self._fresh : self._fresh + 8]):
             return

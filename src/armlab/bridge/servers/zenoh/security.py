@@ -18,16 +18,16 @@ BRIDGE = "bridge"
 USERS = (COMMANDER, BRIDGE, "viewer")
 """Users, each with a password."""
 
-_LARGEST = 2**20  # characters of a file of users
+_LARGEST = 2**20  # maximum number of characters in a user file
 _SERVED = ("state", "live", "view", "events", "status", "parameters", "answer/**", "alive")
 
 
 @dataclass(frozen=True)
 class Security:
-    """Files of one end of a link."""
+    """Credential files of one end of a link."""
 
     ca: Path | None = None  # certificate of the lab's certificate authority; enables TLS
-    certificate: Path | None = None  # of this end, for listening
+    certificate: Path | None = None  # certificate of this end, for listening
     key: Path | None = None
     users: Path | None = None  # lines "user:password" of allowed users; then only `COMMANDER` may command
     secret: Path | None = None  # one line "user:password" with the credentials of this end
@@ -48,7 +48,7 @@ class Security:
 
     @classmethod
     def of(cls, options: Any) -> Security:
-        """Return the security of a table or of link options."""
+        """Return the security settings in a table or in link options."""
         names = [name for name in cls.__dataclass_fields__ if options.get(name)]
         try:
             return cls(**{name: Path(options[name]).expanduser() for name in names})
@@ -59,7 +59,7 @@ class Security:
 
     @property
     def is_safe(self) -> bool:
-        """Whether commands from other computers are allowed: the link is encrypted, and users have passwords."""
+        """Whether commands from other computers can be allowed: the link is encrypted, and users have passwords."""
         return None not in (self.ca, self.certificate, self.key, self.users)
 
     def values(self, listens: bool) -> dict[str, Any]:
@@ -106,7 +106,7 @@ def _lines(path: Path) -> list[tuple[str, str]]:
 
 
 def _rules() -> dict[str, Any]:
-    """Return the access rules, also for routers: all users read, query and stop; one commands; bridges publish."""
+    """Return the access rules, also used for routers: all users read, query and stop; one commands; bridges publish."""
     everything = "armlab/**"
     commands = [key(EVERY, EVERY, what) for what in ("command/**", "param/**")]
     reading = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]

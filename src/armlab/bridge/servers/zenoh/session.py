@@ -19,18 +19,18 @@ from armlab.bridge.urls import split_url
 from armlab.errors import ConfigError, LinkError, MissingExtra
 
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
-_OPENED = 1500  # ms for the other end to answer a connection
-_ROOM = 16  # messages queued per connection, the maximum: two do not last while a process is not scheduled
-_BEFORE_DROP = 20_000  # us before the first drop: a slow reader may just not have been scheduled
-_BEFORE_CLOSE = 250_000  # us, after seconds in buffers: a blocked put delays all declarations
-_TRIES = 2  # to become or find a router: one may end in between
-_FOUND = 1.0  # s in which a router on this computer is found
+_OPENED = 1500  # ms for the other end to accept a connection
+_ROOM = 16  # messages queued per connection (the maximum): two are too few while a process is not scheduled
+_BEFORE_DROP = 20_000  # us before the first drop, because a slow reader may simply not have been scheduled
+_BEFORE_CLOSE = 250_000  # us until a blocked link closes after seconds of buffering: a blocked put delays declarations
+_TRIES = 2  # attempts to become or find a router, because a router may end in between
+_FOUND = 1.0  # s allowed for finding a router on this computer
 _ANYWHERE = "0.0.0.0"
 # Maximum size of a fragmented message. Our largest, a reply to "about", has three texts of 2**17 bytes; our router also
 # forwards messages of other programs, such as small images.
 _LARGEST = 2**20
-_ANSWERS = 2**26  # bytes of all replies to a query: a few KiB each of a thousand bridges
-_UNUSED = "127.0.0.2"  # of this computer; in use only by programs that listen at every address
+_ANSWERS = 2**26  # bytes of all replies to a query: a few KiB from each of a thousand bridges
+_UNUSED = "127.0.0.2"  # address of this computer, in use only by programs that listen at every address
 
 _open: set[Any] = set()
 _lock = threading.Lock()
@@ -53,7 +53,7 @@ def open_session(
     connect: Sequence[str] = (),
     security: Security | None = None,
 ) -> Any:
-    """Return a session, which is closed by `close_session` or at the end of the program.
+    """Return a session, which is closed by `close_session` or when the program ends.
 
     A "router" can be found at its address; a "peer" discovers others through a router; a "client" communicates only
     through its router. Addresses are "HOST:PORT"; failed connections are retried forever.
@@ -67,7 +67,7 @@ def open_session(
         "connect/exit_on_failure": False,
         "connect/retry": _RETRY,
         "scouting/multicast/enabled": False,
-        **({"scouting/delay": 0} if mode == "router" else {}),  # the default waits 0.5 s for multicast
+        **({"scouting/delay": 0} if mode == "router" else {}),  # the default is to wait 0.5 s for multicast
         "transport/unicast/open_timeout": _OPENED,
         "transport/link/rx/max_message_size": _LARGEST,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _BEFORE_DROP,
@@ -101,7 +101,7 @@ def open_near(
     """
     safe = security or Security()
     protocol = "tls" if safe.ca is not None else "tcp"
-    is_open = commands and not safe.is_safe  # to any client
+    is_open = commands and not safe.is_safe  # whether any client could command
     if router:
         _check_router(router, is_open)
     else:
@@ -155,7 +155,7 @@ def _free_port(host: str) -> int:
 
 
 def _check_router(router: str, is_open: bool) -> None:
-    """Raise if any client could command through the configured router."""
+    """Raise if the configured router would let any client command."""
     port = router.rpartition(":")[2]
     if not (port.isascii() and port.isdigit() and 0 < int(port) < 2**16):
         raise ConfigError(f"Expected a router such as 192.168.1.9:7447, got {router!r}.")
@@ -173,7 +173,7 @@ def _check_router_here(host: str, port: int, is_open: bool) -> None:
     with socket.socket() as probe:
         try:
             probe.bind((_UNUSED, port))
-        except OSError:  # in use at every address; on some systems, possibly at another one only
+        except OSError:  # in use at every address, or on some systems possibly at a different one only
             if is_open:
                 raise ConfigError(
                     f"Expected no commands from other computers, but the Zenoh router at port {port} listens at every "
@@ -199,7 +199,7 @@ def wait_for_router(session: Any, patience: float) -> bool:
 
 
 def close_session(session: Any) -> None:
-    """Close a session; closing it again does nothing."""
+    """Close a session; closing it more than once has no effect."""
     with _lock:
         known = session in _open
         _open.discard(session)
@@ -221,7 +221,7 @@ def queried(session: Any, selector: str, patience: float) -> list[tuple[str, byt
 
 
 def _close_at_exit() -> None:
-    """Close open sessions when the main thread ends: Python waits for callback threads before `atexit`."""
+    """Close open sessions when the main thread ends, because Python waits for callback threads before `atexit`."""
     threading.main_thread().join()
     for session in list(_open):
         close_session(session)
@@ -232,12 +232,12 @@ def _short(error: Exception) -> str:
     return str(error).partition(" at /")[0].rstrip(".")
 
 
-_PERIOD = 0.5  # s between two queries to a bridge
+_PERIOD = 0.5  # s between queries to a bridge
 _ANSWER = 2.0  # s for a reply
 
 
 class Discovery:
-    """Queries bridges for "about", each at most twice per second."""
+    """Queries for "about", sent to each bridge at most twice per second."""
 
     def __init__(self, session: Any, answered: Callable[[str, str, bytes], None]) -> None:
         self._session, self._answered = session, answered
@@ -265,8 +265,8 @@ PORT = 7447
 """Default port of Zenoh routers."""
 
 _PATIENCE = 5.0  # s for the first connection
-_TRIED = 0.1  # s between two attempts to reach a router
-_AGAIN = 0.1  # s between two queries: a new session discovers the bridges one after another
+_TRIED = 0.1  # s between attempts to reach a router
+_AGAIN = 0.1  # s between queries: a new session discovers the bridges one after another
 _OPTIONS = ("ca", "secret")
 
 
@@ -280,7 +280,7 @@ class LabAddress(NamedTuple):
 
     @classmethod
     def read(cls, url: str) -> LabAddress:
-        """Return the address in ``zenoh://HOST:PORT/LAB?ca=FILE&secret=FILE``; only the host is needed."""
+        """Return the address in ``zenoh://HOST:PORT/LAB?ca=FILE&secret=FILE``; only the host is required."""
         parts = split_url(url)
         try:
             host, port = parts.hostname, parts.port
@@ -341,11 +341,11 @@ class LabAddress(NamedTuple):
 
 
 _WAITING = 2500  # rows queued for a slow recorder: 10 s of one arm
-_LAST = 1.0  # s to send the queue at the end
+_LAST = 1.0  # s to send the queue when closing
 
 
 class Publisher:
-    """Publisher of one key. It sends only while the key has readers, and drops messages for slow readers."""
+    """Publisher of one key, which sends only while the key has readers and drops messages for slow readers."""
 
     wanted: bool
     sent: int
@@ -383,7 +383,7 @@ class LatchedPublisher(Publisher):
             session,
             key,
             cache=ext.CacheConfig(1),
-            sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None),  # else time stamps
+            sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None),  # else timestamps
             publisher_detection=True,
         )
 
@@ -394,8 +394,8 @@ class LatchedPublisher(Publisher):
 class BlockingPublisher(Publisher):
     """Publisher for readers that need every message; its thread waits for slow readers.
 
-    A stalled reader loses its connection after a few seconds, when the buffers in between are full. It receives
-    messages again after it has reconnected; their numbers reveal the gap.
+    A stalled reader loses its connection after a few seconds, when the intermediate buffers are full. It receives
+    messages again once it has reconnected; their numbers reveal the gap.
     """
 
     def __init__(self, session: Any, key: str) -> None:
@@ -423,7 +423,7 @@ class BlockingPublisher(Publisher):
         return session.declare_publisher(
             key,
             congestion_control=module.CongestionControl.BLOCK,
-            priority=module.Priority.DATA_LOW,  # a separate queue: it does not delay other readers
+            priority=module.Priority.DATA_LOW,  # a separate queue, which does not delay other readers
             express=True,
         )
 
