@@ -357,9 +357,9 @@ def test_read_matrix(tmp_path: Path) -> None:
         read_matrix(two)
     for M, sentence in (
         (np.diag([1.0, 1, -1, 1]), "left-handed"),
-        (np.diag([1.0, 1, 1, 2]), "another matrix"),
+        (np.diag([1.0, 1, 1, 2]), "a matrix that is not a pose"),
         (np.diag([np.nan, 1, 1, 1]), "row 1"),
-        (np.zeros((4, 4)), "another matrix"),
+        (np.zeros((4, 4)), "a matrix that is not a pose"),
         (np.eye(3), "one 4x4 array"),
     ):
         with pytest.raises(LogError, match=sentence):

@@ -101,7 +101,7 @@ class Fit(Shown, Generic[Value]):
             )
         if not np.isfinite(cov).all() or (d and cov.diagonal().min() < 0):
             raise ShapeError(
-                "Expected a finite covariance with a non-negative diagonal, got another matrix. "
+                "Expected a finite covariance with a non-negative diagonal, got a negative, NaN or infinite entry. "
                 "This is a bug in the fit."
             )
         object.__setattr__(self, "cov", cov)

@@ -460,8 +460,8 @@ def mean(
     agreement = sigma[..., 1] + sigma[..., 2]
     if (agreement < AGREEMENT).any():
         raise ShapeError(
-            f"Expected rotations with a well-defined mean, got an agreement of {agreement.min():.2g} of the weights, "
-            f"at least {AGREEMENT:g} is needed. Cluster them first."
+            f"Expected rotations with a well-defined mean, got an agreement of {agreement.min():.2g}, below "
+            f"{AGREEMENT:g}. Cluster them first."
         )
     return start if method == "chordal" else _geodesic(R, share, start)
 

@@ -194,7 +194,7 @@ def read_arms(
                 got = table["q"].shape if "q" in table else ", ".join(table.names)
                 raise LogError(f"Expected positions q (N, {robot.n}) of {robot.name} in {path}, got {got}.")
             if any(robot.name == other.name for other, _, _ in found):
-                raise LogError(f"Expected each arm only once, got {robot.name} again in {path}. Pass one log per arm.")
+                raise LogError(f"Expected each arm only once, got {robot.name} also in {path}. Pass one log per arm.")
             found.append((robot, _with_wrench(table, robot, known, force), held.events if held else ()))
     if not found:
         raise LogError("Expected at least one log to view, got no path. Pass the path of a recording.")

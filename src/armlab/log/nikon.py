@@ -178,7 +178,9 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
     try:
         nearest, distance = se3.project(M)
     except ShapeError as error:
-        raise LogError(f"Expected a pose in {key} of {path}, got another matrix: {str(error).rstrip('.')}.") from None
+        raise LogError(
+            f"Expected a pose in {key} of {path}, got a matrix that is not a pose: {str(error).rstrip('.')}."
+        ) from None
     off = float(np.abs(M[:3, :3].T @ M[:3, :3] - np.eye(3)).max())
     if off > so3.ROTATION_TOLERANCE:
         if not project:

@@ -299,7 +299,7 @@ def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = Non
         )
     wanted = [_points(values, what, len(times), dmp.n) for values, what in ((y, "y"), (yd, "yd")) if values is not None]
     if not wanted:
-        raise ShapeError("Expected positions or velocities to pass, got neither. Pass y or yd.")
+        raise ShapeError("Expected via-point positions or velocities, got neither. Pass y or yd.")
     kinds = [k for k, values in enumerate((y, yd)) if values is not None]
     grid = np.unique(np.concatenate([np.linspace(0.0, dmp.duration, GRID), times]))
     responses = dmp._primitive.response(grid, dmp.tau_d, dmp.duration / FINE)

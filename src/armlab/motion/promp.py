@@ -239,7 +239,9 @@ def _covariance(value: ArrayLike, k: int) -> np.ndarray:
         raise ShapeError(f"Expected a covariance as a number or of shape ({k}, {k}), got shape {given.shape}.")
     matrix = np.eye(k) * given if given.ndim == 0 else given
     if np.abs(matrix - matrix.T).max() > 0 or np.linalg.eigvalsh(matrix)[0] < 0.0:
-        raise ShapeError("Expected a symmetric, positive semidefinite covariance, got another matrix. Correct it.")
+        raise ShapeError(
+            "Expected a symmetric, positive semidefinite covariance, got one without these properties. Correct it."
+        )
     return matrix
 
 

@@ -116,8 +116,8 @@ def require_loaded(controller: AbbController, tasks: Sequence[Task]) -> None:
     missing = [task.name for task in tasks if PROGRAMS[task.name][0] not in task.modules]
     if missing:
         raise LinkError(
-            f"Expected the guidance modules of armlab on {controller.place}, but {', '.join(missing)} has none. Load "
-            "them with armlab abb setup HOST."
+            f"Expected armlab guidance modules in all tasks on {controller.place}, got none in {', '.join(missing)}. "
+            "Load them with armlab abb setup HOST."
         )
 
 

@@ -82,7 +82,7 @@ def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: 
     about = _read_map(map)
     if path.is_file() and not is_text(path):
         raise LogError(
-            f"Expected text at {path}, got another format. Export text from ABB's signal viewer, the only program "
+            f"Expected a text file at {path}, got a binary one. Export text from ABB's signal viewer, the only program "
             "that can read its binary files."
         )
     robot, signals = _of_arm(about, map, arm)

@@ -273,7 +273,9 @@ def read_rosbag2(path: Path) -> Table:
         text = (getattr(bag.storage.metadata, "custom", None) or {}).get("armlab")
         if text is None:
             topics = ", ".join(f"{one.topic} ({one.msgtype})" for one in bag.connections) or "none"
-            raise LogError(f"Expected a rosbag2 written by armlab in {path}, got another rosbag2; topics: {topics}.")
+            raise LogError(
+                f"Expected a rosbag2 written by armlab in {path}, got one of another program; topics: {topics}."
+            )
         return _table(path, bag, text)
 
 

@@ -165,7 +165,7 @@ def label(
         where = pos
         key, pos = yield from text(source, pos, end, dialect.wide, limits.name)
         if key in entries:
-            raise LabCommError(f"Expected distinct notes, got {key!r} again at byte {where}.", where)
+            raise LabCommError(f"Expected distinct notes, got {key!r} twice, at byte {where}.", where)
         entries[key], pos = yield from text(source, pos, end, dialect.wide, limits.name)
     if "" not in entries:
         raise LabCommError(f"Expected a name under the empty key at byte {first}, got no name.", first)

@@ -144,7 +144,7 @@ class ZenohFeed:
             ]
 
     def _count(self, row: Row, data: bytes) -> None:
-        """Count missing rows, because Zenoh does not tell the bridge about rows dropped for a slow reader."""
+        """Count missing rows, because Zenoh does not report rows dropped for a slow reader."""
         before = self.lost.bit_length()
         self.lost += sum(gaps.take(data) for robot, gaps in self._gaps.items() if row.values[f"{robot}.fresh"])
         if self.lost.bit_length() > before:  # 1, 2, 4, ...
