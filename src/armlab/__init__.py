@@ -1,6 +1,6 @@
 """armlab: a robotics laboratory for robot arms.
 
-A robot and a log yield a model file; the model file is used to run the robot; running the robot produces a log.
+Robot descriptions and logs yield model files, model files are used to run robots, and every run produces a log.
 Subpackages (and NumPy) are imported on first use, because ``armlab --help`` needs none of them.
 """
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from armlab.errors import ArmlabError
 
-if TYPE_CHECKING:  # for type checkers and editors, what `__getattr__` does when a program runs
+if TYPE_CHECKING:  # mirrors `__getattr__` for type checkers and editors
     from armlab import (
         bridge,
         calibrate,

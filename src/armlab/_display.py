@@ -11,8 +11,8 @@ from dataclasses import fields
 from html import escape
 from typing import Any
 
-# Colours that most eyes can tell apart: Okabe and Ito, "Color Universal Design" (2008), without yellow, which vanishes
-# on white. Joint i and axis x, y, z have theirs in every figure and in the browser.
+# Colour-blind-safe palette: Okabe and Ito, "Color Universal Design" (2008), without yellow, which vanishes on white.
+# Joint i and the axes x, y, z keep their colours in every figure and in the browser.
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
 PURPLE, ORANGE, SKY, BLACK = "#CC79A7", "#E69F00", "#56B4E9", "#000000"
 GREY = "#4D4D4D"
@@ -23,15 +23,15 @@ AXIS_COLORS = (VERMILION, GREEN, BLUE)
 """Colours of the axes x, y, z."""
 
 
-_WIDTH = 100  # characters of a line
-_LINES = 18  # fields that are listed
-_ENTRIES = 9  # of an array that is written out
-_ROWS = 40  # of a table in a notebook
+_WIDTH = 100  # characters per line
+_LINES = 18  # fields listed
+_ENTRIES = 9  # elements of an array written out in full
+_ROWS = 40  # rows of a notebook table
 
 
 def brief(value: Any, width: int = _WIDTH) -> str:
     """Describe a value in one line; arrays of more than a few numbers are shown by their shape."""
-    import numpy as np  # the help of commands does without
+    import numpy as np  # not needed for command help
 
     if isinstance(value, np.ndarray):
         if value.size <= _ENTRIES and value.ndim <= 1 and value.dtype.kind in "biuf":
@@ -54,7 +54,7 @@ def brief(value: Any, width: int = _WIDTH) -> str:
 
 
 class Shown:
-    """Base of values with a short repr and a table in notebooks."""
+    """Base class of values with a short repr and a table in notebooks."""
 
     __slots__ = ()
 

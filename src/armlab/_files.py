@@ -67,7 +67,7 @@ def _file(number: int) -> tuple[int, int] | None:
 
 
 def apart(number: int) -> int:
-    """Move a newly opened descriptor to a high number, which other code does not use for a previously closed file.
+    """Move a newly opened descriptor to a high number that no other code still uses for a closed file.
 
     The old number is closed, unless no high number is available.
     """
@@ -81,9 +81,9 @@ def apart(number: int) -> int:
 
 _LARGEST = 2**63
 _LONGEST = 1 << 24  # characters; a robot has 5 kB, a motion with its covariance 2 MB
-_MOST = 10_000  # keys and tables, each of which takes the parser up to 0.3 ms
-_MOST_VALUES = 1 << 20  # of all arrays, each of which takes it 3 us
-_DEEPEST = 16  # names in a dotted key; the parser takes the square of it in time
+_MOST = 10_000  # keys and tables; each takes the parser up to 0.3 ms
+_MOST_VALUES = 1 << 20  # values of all arrays; each takes the parser 3 us
+_DEEPEST = 16  # names in a dotted key; parsing time grows with the square of this number
 _QUOTED = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5})?|\'\'\'.*?(?:\'{3,5}|\Z)|"(?:[^"\\\n]|\\.)*+"?|\'[^\'\n]*+\'?|#[^\n]*+',
     re.DOTALL,
@@ -100,7 +100,7 @@ def parsed(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text; raise TomlError for invalid text and for text beyond the bounds.
 
     Python's parser accepts integers of any length, nests as deep as Python allows, and takes quadratic time for
-    dotted keys. The bounds are therefore 64 bits, 16 names, 16 MiB, and 50 000 keys and tables.
+    dotted keys. The bounds are therefore 64 bits, 16 names, 16 MiB, and 10 000 keys and tables.
     """
     try:
         _check_size(text)

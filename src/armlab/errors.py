@@ -106,7 +106,7 @@ class LabCommError(ArmlabError, ValueError):
     offset : int
         Offset of the faulty field in the stream, or None.
     events : list
-        Events from the same piece of the stream before the fault.
+        Events decoded before the fault in the same chunk of the stream.
     path : str
         Faulty part of a value, for example "robot_row.pos".
     line : int
@@ -161,7 +161,7 @@ class NotExcited(ArmlabError, ValueError):
     directions : tuple of str
         Parameters, joints or directions without excitation.
     spread : tuple of str
-        Excitation of each of them in the data as text.
+        Excitation of each in the data, as text.
     """
 
     def __init__(self, message: str, directions: Sequence[str] = (), spread: Sequence[str] = ()) -> None:

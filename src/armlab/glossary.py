@@ -25,13 +25,12 @@ class Symbol(Shown):
     Attributes
     ----------
     name : the symbol as used in code, columns and files.
-    shape : shape in words, N samples, n joints.
+    shape : shape in words, with N samples and n joints.
     unit : SI unit.
-    frame : axes the numbers are in, empty when none.
+    frame : axes in which the numbers are expressed; empty if not applicable.
     kind : real, angle, pose, quaternion, count, flag or text; decides how a column is resampled.
     text : one sentence.
-    column : whether it is also the name, unit and shape of a log column. Other files mean other things by
-        x, y, e or g.
+    column : whether a log column has this name, unit and shape. In other files, x, y, e or g have other meanings.
     """
 
     name: str
@@ -61,7 +60,7 @@ def lookup(name: str) -> Symbol:
 
     Raises
     ------
-    UnknownName : if the glossary does not have it; the message lists what exists.
+    UnknownName : if the symbol is not in the glossary; the message lists the known symbols.
     """
     try:
         return symbols()[name]

@@ -71,7 +71,7 @@ class State(Shown):
     qdd : array, shape (n,), rad/s^2 or m/s^2
         Joint accelerations; None if missing.
     seq : int
-        Sequence number of the robot.
+        The robot's sequence number.
     missed : int
         Packets lost before this one.
     session : int
@@ -118,7 +118,7 @@ class State(Shown):
     robot_ns : int, ns
         Clock of the robot's controller.
     t_receive : int, ns
-        Arrival, wall clock.
+        Arrival time (wall clock).
     sources : mapping
         `bridge.Held` of each source by name: ``state.sources["tracker"]["p"]``.
     robot : str

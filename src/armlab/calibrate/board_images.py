@@ -1,10 +1,10 @@
 """Hand-eye calibration from images of a board: corners, intrinsics, and board poses with covariance.
 
-Corners are detected by OpenCV (extra ``vision``). Intrinsics and poses minimise the reprojection error ``u - proj(T
-p)``. Its standard deviation s gives the covariance of each pose for known intrinsics, ``s^2 (J_i^T J_i)^-1``, and the
-covariance of the shared intrinsics: ``s^2 (sum_i J_k^T (I - P_i) J_k)^-1`` with P_i the projection onto the columns of
-J_i. The two are independent, because the second comes from residuals that poses cannot explain (bundle adjustment:
-Triggs et al. 2000).
+Corners are detected by OpenCV (extra ``vision``). Intrinsics and poses minimise the reprojection error
+``u - proj(T p)``. Its standard deviation s gives the covariance of each pose for known intrinsics,
+``s^2 (J_i^T J_i)^-1``, and the covariance of the shared intrinsics, ``s^2 (sum_i J_k^T (I - P_i) J_k)^-1`` with P_i the
+projection onto the columns of J_i. The two errors are independent, because the intrinsics are determined by residuals
+that poses cannot explain (bundle adjustment: Triggs et al. 2000).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from armlab.models import HandEye
 LEAST_IMAGES, LEAST_FOR_INTRINSICS = 3, 6
 FOCAL = 0.05  # largest relative deviation of the focal length
 FEW_CORNERS = 6  # minimum corners of a board for a pose
-UNLIKE = 4.0  # times the usual reprojection error: wrong corners
+UNLIKE = 4.0  # ratio to the usual reprojection error beyond which corners are wrong
 TRIED, FEW_MARKERS = 10, 4  # images in the search for a dictionary; markers that identify one
-SURE = 2.5  # deviations of chi^2 of a significant misfit
+SURE = 2.5  # standard deviations of chi^2 from which a misfit is significant
 AMBIGUOUS = 2.0  # smallest error ratio of the two pose solutions of a small tag
 FORMS = (
     "charuco:COLUMNSxROWS:SQUARE:MARKER[:DICTIONARY] (squares, m), checkerboard:COLUMNSxROWS:SQUARE (inner corners, "
@@ -102,13 +102,13 @@ class BoardPoses(Shown):
     valid : ndarray of bool, shape (N,)
         Mask of images with a pose.
     failures : dict
-        Reason for a missing pose by name of the image (by number if unnamed).
+        Reason for each missing pose, by image name (by number if unnamed).
     camera_matrix : ndarray, shape (3, 3)
         K [pixel], given or calibrated.
     distortion : ndarray, shape (k,)
         OpenCV coefficients k1, k2, p1, p2, ...
     sigma : float
-        Reprojection error per axis [pixel]: RMS, based on the degrees of freedom.
+        Reprojection error per axis [pixel]: RMS, corrected for degrees of freedom.
     intrinsics_cov : ndarray, shape (d, d)
         Covariance of fx, fy, cx, cy, k1, k2, p1, p2; d = 0 if the intrinsics are given.
     sensitivity : ndarray, shape (N, 6, d)
@@ -126,7 +126,7 @@ class BoardPoses(Shown):
     sensitivity: np.ndarray
 
     def report(self) -> str:
-        """Return text with the intrinsics, the reprojection error, and the images without a pose with the reason."""
+        """Return text with the intrinsics, the reprojection error, and the reason for each image without a pose."""
         K = self.camera_matrix
         values = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *self.distortion]
         names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -245,8 +245,8 @@ def fit_hand_eye_images(
 ) -> Fit[HandEye]:
     """Calibrate the poses of the camera and a board from robot poses and images of the board at rest.
 
-    Calls `fit_hand_eye` with the covariance of each pose. If the residuals of the poses are larger than their
-    covariance explains, the covariance is scaled: ``C chi^2 / dof`` (Birge's ratio), because corner errors in an image
+    Calls `fit_hand_eye` with the covariance of each pose. If the pose residuals exceed what their covariance
+    explains, the covariance is scaled: ``C chi^2 / dof`` (Birge's ratio), because corner errors in an image
     may be correlated and the arm may be inaccurate. The shared error of estimated intrinsics is added: ``C + S C_k
     S^T``, S the sensitivity of the result to the intrinsics.
 
@@ -259,8 +259,8 @@ def fit_hand_eye_images(
     setup : {"eye_to_hand", "eye_in_hand"}
         Fixed camera or camera on the tool.
     noise_robot : array_like, optional
-        Standard deviations of the robot poses (m, rad) or their covariance, as in `fit_hand_eye`, because a camera is
-        often more accurate than the arm.
+        Standard deviations of the robot poses (m, rad) or their covariance, as in `fit_hand_eye`; recommended,
+        because a camera is often more accurate than the arm.
     robust : bool
         Detect and exclude outliers. `Fit.outliers` covers only images with a detected board.
 
@@ -510,9 +510,7 @@ def _pose(
 def _linear(
     cv2: Any, places: np.ndarray, corners: np.ndarray, r: np.ndarray, t: np.ndarray, K: np.ndarray, dist: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residuals (2K,) and their derivatives with respect to the pose (2K, 6), [v; w], and the intrinsics (2K,
-    8).
-    """
+    """Return residuals (2K,) and their derivatives w.r.t. pose (2K, 6), [v; w], and intrinsics (2K, 8)."""
     projected, J = cv2.projectPoints(places, r, t, K, dist)
     by_turn = J[:, :3] @ so3.left_jacobian_inv(-r)
     residual = (corners - projected.reshape(-1, 2)).ravel()

@@ -14,18 +14,18 @@ from armlab.estimation.residual_tests import ResidualCheck
 from armlab.lie import quaternion
 
 Limits = TypeVar("Limits", tuple[float, float], tuple[float, float, float])
-FIXED = 1e-6  # rad: smaller rotations count as none
-NOISE = 3.0  # so do rotations below this many noise deviations
+FIXED = 1e-6  # rad: smaller rotations count as zero
+NOISE = 3.0  # standard deviations of the noise below which rotations also count as zero
 ALIGNED = 0.996  # cosine above which an axis is named by its letter
-THINNED = 2000  # rotations in the search for the largest
+THINNED = 2000  # maximum number of rotations searched for the largest angle
 UNSEEN = 1e-9  # information below which a direction is unobserved
 ROUGH = 0.05  # rad: larger residuals are not sensor noise
 COUNTS = {2: "two", 3: "three"}
 SPREAD_AND_ANGLE = "a share of the spread of the positions and an angle [rad]"
 ANGLE_WEIGHT_LENGTH = "an angle [rad], a share of the weight and a length [m]"
-SUSPECT = 0.02  # relative or rad residual above which other interpretations are tried
+SUSPECT = 0.02  # residual (relative or in rad) above which other interpretations are tried
 MUCH_BETTER = 0.3  # largest residual of the right interpretation, relative to the present one
-FITS = 0.1  # largest residual of it, relative to the spread
+FITS = 0.1  # largest residual of the right interpretation, relative to the spread
 ROBOT, MARKER = "T_base_tool", "T_cam_marker"
 
 
@@ -88,7 +88,7 @@ def doubts_of(check: ResidualCheck, remarks: Sequence[str]) -> tuple[tuple[str, 
 
 
 def require_most(outliers: np.ndarray, what: str, best: Any) -> None:
-    """Raise if a fit excludes at least half of the samples, because it then fits the others by chance."""
+    """Raise if a fit excludes at least half of the samples, because the others may then fit by chance."""
     left, total = int(np.count_nonzero(outliers)), len(outliers)
     if 2 * left < total or not left:
         return

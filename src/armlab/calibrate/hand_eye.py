@@ -57,12 +57,12 @@ NOTHING, FITS_BETTER = (
     1e-4,
     0.1,
 )  # mean square rotation [rad^2] without misfit; relative misfit of a better interpretation
-FAR = 30.0  # m: longer than any arm, but 30 cm in millimetres exceed it
-LATE, ENOUGH = 4.0, 12  # deviations and samples needed for a time offset
-LEAST, LATEST = 0.01, 1.5  # samples: smaller offsets are none, as for unordered poses; larger ones are a wrong pairing
+FAR = 30.0  # m: longer than any arm; 30 cm given in millimetres exceed it
+LATE, ENOUGH = 4.0, 12  # standard deviations and samples needed for a time offset
+LEAST, LATEST = 0.01, 1.5  # samples: smaller offsets count as zero (unordered poses); larger ones mean wrong pairing
 STENCIL = 5  # poses of the interpolating polynomial
 PROBE, TINY = 1e-5, 1e-12  # step in samples of a numerical derivative; rounding in m, rad
-FIRST_ORDER = 0.05  # rad: larger deviations are first-order only
+FIRST_ORDER = 0.05  # rad: larger standard deviations are only first-order approximations
 
 
 def fit_hand_eye(
@@ -92,11 +92,11 @@ def fit_hand_eye(
     noise : noise of T_cam_marker: (sd of each axis of the position [m], of the rotation vector [rad]), or covariance
         (6, 6) or (N, 6, 6) of [v; w], v in camera axes, w in marker axes. Default: estimated.
     noise_robot : the same for T_base_tool, v in base axes, w in tool axes. Never estimated, because data cannot
-        separate the two. Default: exact.
+        separate the two noises. Default: exact.
     robust : detect outliers; `Fit.outliers` marks them, and they are excluded.
-    offset : delay of the camera in samples: it saw the pose of sample i - offset, for samples in the order and even
-        pace of a motion. None: estimated as the last parameter if the motion determines it; the offset is then one of
-        the `doubts` until it is given.
+    offset : camera delay in samples: T_cam_marker[i] shows robot pose i - offset. Needs consecutive, evenly spaced
+        samples of a motion. None: estimated as the last parameter if the motion determines it, and then listed in
+        `doubts`, because it was not given.
     limits : largest accepted standard deviation along any direction: share of the spread of the positions, and [rad].
 
     Returns
@@ -374,7 +374,7 @@ def _require_excitation(equation: HandEyeEquation, noise: float, setup: str) -> 
 
 
 def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
-    """Return the prior knowledge of the standard deviation of rotations [rad]."""
+    """Return the standard deviation of rotations [rad] known before the fit."""
     if equation.noise is not None:
         return float(np.hypot(rotation_sd(equation.noise), rotation_sd(equation.noise_A)))
     if robust:
@@ -400,7 +400,7 @@ def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) ->
 
 
 def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
-    """Raise if records are inconsistent (residuals r (N, 6)), stating the interpretation that would fit if known."""
+    """Raise if records are inconsistent (residuals r (N, 6)), stating the interpretation that would fit, if any."""
     require_order(equation, r, kept)
     turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
     squares, count = (r[kept] ** 2).sum(axis=0), np.count_nonzero(kept)
@@ -486,7 +486,7 @@ def require_samples(N: int, least: int, what: str) -> None:
 
 
 def _cause(equation: HandEyeEquation) -> str:
-    """Return the likely error in the records, which is an interpretation that fits much better, if any."""
+    """Return the likely error in the records: an interpretation that fits much better, if any."""
     cause = _other_reading(equation)
     if cause:
         return cause

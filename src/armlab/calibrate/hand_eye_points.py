@@ -2,7 +2,7 @@
 
     p_ik = Y^-1 A_i s_k + noise,    s_k = X l_k with a known marker
 
-Estimating marker poses as an intermediate step would lose accuracy because of their unequal covariance. Here, samples
+Estimating marker poses as an intermediate step would lose accuracy, because their covariances differ. Here, samples
 with missing points still contribute.
 
 The equation is ``A_i s_k = Y p_ik`` for the points s_k on the tool. A linear initial guess is followed by residuals
@@ -53,11 +53,11 @@ from armlab.lie import se3, so3
 from armlab.models import HandEye
 from armlab.models.sensors import FRAMES
 
-TURNED = 1e-3  # rad, accuracy of robot orientations: smaller rotations count as none
+TURNED = 1e-3  # rad, accuracy of robot orientations: smaller rotations count as zero
 APART = 0.5  # residual over spread above which two records are inconsistent
 ROUND = 0.5  # smallest ratio of singular values of a scaled rotation or mirror image
-SHAPED = 0.25  # relative difference of two different arrangements
-CLEAR = 5.0  # deviations of a significant difference
+SHAPED = 0.25  # relative difference from which two arrangements count as different
+CLEAR = 5.0  # standard deviations from which a difference is significant
 OTHER_UNIT = 2.0  # scale error beyond that of any camera
 
 
@@ -212,7 +212,7 @@ class PointModel:
     point: np.ndarray
     K: int  # number of points
     noise: np.ndarray | None  # variances (3,) or covariance (3, 3) or (m, 3, 3); None: estimate
-    # of the poses of the samples: variances (6,) or covariance (6, 6) or (N, 6, 6); None: exact
+    # noise of the robot poses: variances (6,) or covariance (6, 6) or (N, 6, 6); None: exact
     noise_A: np.ndarray | None = None
 
     @cached_property
@@ -259,9 +259,7 @@ class PointModel:
         return Points(x[:n].reshape(-1, 3), RY, x[n:])
 
     def seen(self, s: np.ndarray, RY: np.ndarray, tY: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return R_Y^T R_A (m, 3, 3), expected points ph (m, 3), and the derivative of p - ph with respect to Y (m, 3,
-        6).
-        """
+        """Return R_Y^T R_A (m, 3, 3), expected points ph (m, 3), and the derivative (m, 3, 6) of p - ph w.r.t. Y."""
         C = (self.RA.transpose(0, 2, 1).reshape(-1, 3) @ RY).reshape(-1, 3, 3).transpose(0, 2, 1)[self.sample]
         ph = (C @ s[self.point][:, :, None])[:, :, 0] + ((self.tA - tY) @ RY)[self.sample]
         J = np.empty((len(ph), 3, 6))
@@ -300,8 +298,7 @@ class PointModel:
     def _measured(
         self, ph: np.ndarray, J: np.ndarray, C: np.ndarray, s: np.ndarray, RY: np.ndarray
     ) -> list[Measurement]:
-        """Return measured minus expected points; with robot noise, which the points of a sample share, grouped by
-        sample.
+        """Return measured minus expected points, grouped by sample if they share the noise of the robot pose.
 
         ph (m, 3) are the expected points, J is (m, 3, d), C = R_Y^T R_A (m, 3, 3), and s (K, 3) are points in tool
         axes.

@@ -192,8 +192,7 @@ def _sorted(scans: Scans, rotations: list[np.ndarray], ratio: float) -> list[Sce
 
 
 def linear_rotations(scans: Scans, ratio: float) -> list[tuple[list[np.ndarray], float]]:
-    """Return rotations from the scans of each plate separately, and the ratio of the scans' length unit to that of the
-    poses.
+    """Return rotations from the scans of each plate separately, and the ratio of the length units of scans and poses.
 
     The ratio is 1 if the scans do not determine it; it is used only if the matrices are nearly products.
 

@@ -3,7 +3,7 @@
     e1 = (c_x p_x + c_y p_y - h) / k,        e2 = asin((c_x l_x + c_y l_y) / k)
 
 Maximum-likelihood estimate from lines or raw profiles in the laser plane. No initial guess is needed, and plates may
-pass through the origin. The problem is that of Bagge Carlson, Johansson and Robertsson (2015).
+pass through the origin. For the problem, see Bagge Carlson, Johansson and Robertsson (2015).
 
 Search: short descents from many initial guesses; the best ones are continued to convergence.
 
@@ -58,7 +58,7 @@ STEPS, TUNING, SETTLED = 9, 5.0, 1e-2  # short descent: maximum steps, c, last s
 BEST, WORSE, SAME = 2, 5.0, 1e-3  # per group: number fitted, ratio to the best, similarity
 LOST = 1.5  # rad, residual of angles and scaled points beyond which no fit is tried; wrong labels leave 2 to 8
 CLEAR = (2e-3, 0.03)  # residual over the spread of the points, and [rad], below which no other starts are tried
-HELD = 0.6  # leverage of a scan's two numbers from which it is suspect
+HELD = 0.6  # leverage (of its two numbers) from which a scan is suspect
 TINY = 1e-12  # m, rad: rounding
 FAILED = (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError)  # failures of a descent
 
@@ -81,7 +81,7 @@ def fit_laser_plane(
     scans : lines (N, 4): a point and a unit direction of either sign, in the laser plane (x, y) [m]; or N raw profiles
         of a plate, each (K, 2).
     plane : (N,) label of the plate of each scan. One plate suffices, three are better.
-    noise : of lines (sd of the point [m], of the angle [rad]); of raw points one sd [m]. Default: estimated.
+    noise : for lines (sd of the point [m], sd of the angle [rad]); for raw points one sd [m]. Default: estimated.
     start : (4, 4) approximate T_tool_sensor; optional.
     robust : detect and exclude outliers; `Fit.outliers` marks them.
     limits : largest accepted standard deviation along any direction: fraction of the spread of the points, and [rad].
@@ -89,8 +89,8 @@ def fit_laser_plane(
     Returns
     -------
     Fit of a `models.LaserSensor`. Parameters: position and rotation vector of T_tool_sensor (covariance of
-    (R Exp(w), t + v): v in tool axes, w in sensor axes), then of each plane two tilts [rad] from the fitted normal, and
-    its offset. Residuals (N, 2) in the laser plane: distance [m], angle [rad]; for raw profiles (M, 1).
+    (R Exp(w), t + v): v in tool axes, w in sensor axes), then for each plane two tilts [rad] from the fitted normal
+    and its offset. Residuals (N, 2) in the laser plane: distance [m], angle [rad]; for raw profiles (M, 1).
 
     Raises
     ------
@@ -149,9 +149,7 @@ def scans_of(T_base_tool: Any, scans: Any, plane: Any, noise: Any) -> tuple[Scan
 
 
 def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
-    """Return the point and direction (N, 2) of each scan; for profiles also the raw points (M, 2) and their scan
-    indices.
-    """
+    """Return the point and direction (N, 2) of each scan; for profiles also the raw points (M, 2) and scan indices."""
     if getattr(scans, "ndim", None) == 2 or (len(scans) and np.ndim(scans[0]) == 1):
         values = numbers(scans, "scans", ShapeError)
         if values.shape != (N, 4):

@@ -306,9 +306,7 @@ def explains(trial: ContractTrial) -> Verdict:
 
 
 def clean(trial: ContractTrial) -> Verdict:
-    """Inputs stay unchanged, outputs are read-only, results are reproducible, and NaN raises an error that states its
-    row.
-    """
+    """Inputs stay unchanged, outputs are read-only, results are reproducible, and NaN raises an error with its row."""
     data = dict(trial.experiment(trial.seed, trial.n).data)
     before = [(name, array.tobytes()) for name, array in _arrays(data)]
     fit = trial.fit(**data)
@@ -425,11 +423,11 @@ class ContractLimits(Shown):
 
     Attributes
     ----------
-    consistent : error of 4 N samples over that of N.
-    honest : NEES over its dimension.
+    consistent : ratio of the error with 4 N samples to the error with N samples.
+    honest : NEES divided by its dimension.
     covered : coverage of stated 95 % intervals.
-    efficient : error over the Cramer-Rao bound.
-    robust : error with 5 % outliers over that of the rest.
+    efficient : ratio of the error to the Cramer-Rao bound.
+    robust : ratio of the error with 5 % outliers to the error with the good samples alone.
     false : largest fraction of good samples flagged.
     """
 
@@ -521,12 +519,11 @@ def check_estimator(
     skip: Mapping[str, str] | None = None,
     seed: int = 0,
 ) -> Contract:
-    """Test a fit for the ten properties of the statistical contract; failures are reported in the result and not
-    raised.
+    """Test a fit for the ten properties of the statistical contract; the result lists failures.
 
     Parameters
     ----------
-    fit : takes `Experiment.data` as keyword arguments, returns a `Fit`.
+    fit : takes `Experiment.data` as keyword arguments and returns a `Fit`.
     experiment : (seed, n) -> `Experiment` of n samples; the same seed gives the same experiment.
     runs : number of experiments; from 1000, the narrower limits of the benchmark apply and efficiency is judged.
     n : samples of an experiment; consistency also needs experiments of 4 n.
@@ -538,7 +535,7 @@ def check_estimator(
     spoil : (data, rng) -> data with 5 % gross outliers and the option that enables their detection, and the outlier
         samples (N,), or None if the fit has no flags.
     noise_given : False if the fit estimates the noise: NEES then exceeds 1 by about 2 / (degrees of freedom).
-    limits : acceptance limits; default: those of the specification for this number of runs.
+    limits : acceptance limits; default: from the specification, for this number of runs.
     skip : property -> reason for skipping it.
     seed : of the first experiment.
 

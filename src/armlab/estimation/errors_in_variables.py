@@ -3,9 +3,9 @@
     (A - E_A) x = y - e_y,    the rows of [E_A e_y] are independent with covariance C_i
 
 With z = [a y] a row, w = [x; -1] and ``s_i = w^T C_i w``, the maximum-likelihood x minimises
-``sum_i (z_i . w)^2 / s_i``. The row is corrected by ``C_i w (z_i . w) / s_i``, and the covariance of x is ``(sum_i a_i
-a_i^T / s_i)^-1``, computed from the corrected rows. With a common covariance ``sigma^2 I``, the problem is solved by
-singular value decomposition after elimination of the exact columns.
+``sum_i (z_i . w)^2 / s_i``. The row is corrected by ``C_i w (z_i . w) / s_i``, and the covariance of x is
+``(sum_i a_i a_i^T / s_i)^-1``, computed from the corrected rows. With a common covariance ``sigma^2 I``, the problem is
+solved by singular value decomposition after elimination of the exact columns.
 """
 
 from __future__ import annotations
@@ -59,16 +59,16 @@ def total_least_squares(
     ----------
     A : (N, p) regressor, N > p.
     y : (N,) measurements.
-    cov : (p + 1, p + 1) covariance of the errors of a row [a y], or (N, p + 1, p + 1) one per row: weighted total least
-        squares. Zero rows and columns mark exact columns, but y must not be the only exact one. Default: the standard
-        deviation is the same for all errors and is estimated.
-    exact : columns of A without errors, for example of an offset; with `cov`, use zeros instead.
+    cov : (p + 1, p + 1) covariance of the errors of a row [a y], or (N, p + 1, p + 1), one per row (weighted total
+        least squares). Zero rows and columns mark exact columns, but y must not be the only exact one. Default: the
+        standard deviation is the same for all errors and is estimated.
+    exact : columns of A without errors, for example the column of an offset; with `cov`, use zeros instead.
     robust : detect outliers, if `cov` is given; `outliers` marks them.
     names : of the p parameters, for messages.
 
     Raises
     ------
-    ShapeError : wrong shapes, values that are not finite with their rows, an invalid covariance.
+    ShapeError : wrong shapes, non-finite values (with their rows), or an invalid covariance.
     NotExcited : too few rows, or indistinguishable columns.
     NotConverged : the weighted iteration did not converge.
 

@@ -62,7 +62,7 @@ class Fit(Shown, Generic[Value]):
     classes : tuple of str
         Names of the classes of measurement with their units, such as "position [m]".
     formal_cov : ndarray, shape (d, d), optional
-        Covariance for white residuals, given if `cov` accounts for time-correlated residuals; it is then far too small.
+        Covariance that assumes white residuals; far too small, and set only if `cov` accounts for time correlation.
         None if `cov` is itself formal, or if the fit was read from a file.
     doubts : tuple of str
         Why the fit may be unreliable, one sentence per reason: failed residual tests, suspicious units. Empty for a
@@ -171,7 +171,7 @@ class Fit(Shown, Generic[Value]):
         Parameters
         ----------
         path : ends in ``.toml``.
-        sources : names of files that the samples come from, with their SHA-256.
+        sources : names of the source files of the samples, stored with their SHA-256.
         """
         statistics = {name: getattr(self, name) for name in SAVED}
         statistics |= {f"excitation_{name}": getattr(self.excitation, name) for name in EXCITATION}
@@ -183,12 +183,13 @@ class Fit(Shown, Generic[Value]):
 
         Parameters
         ----------
-        path : of a model file. kind : refuse files of another kind.
+        path : path of a model file.
+        kind : required kind of the file; default: any.
 
         Raises
         ------
-        ConfigError : the file is damaged, or holds a value without its fit.
-        ModelMismatchError : another kind.
+        ConfigError : the file is damaged, or contains a value without its fit.
+        ModelMismatchError : the file is of another kind.
         """
         value, known = models.load(path, kind), load_statistics(path)
         try:

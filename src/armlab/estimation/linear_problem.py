@@ -203,7 +203,7 @@ def check_spread(
     _, found, rows = np.linalg.svd(scaled, full_matrices=True)
     singular, vectors = np.zeros(p), rows.T
     singular[: len(found)] = found
-    unseen = singular <= NULL * np.abs(vectors.T) @ np.linalg.norm(scaled, axis=0)  # of the columns it combines
+    unseen = singular <= NULL * np.abs(vectors.T) @ np.linalg.norm(scaled, axis=0)  # of the columns combined
     spread = np.divide(1.0, singular, out=np.full_like(singular, np.inf), where=~unseen)
 
     def words(i: int) -> str:
@@ -243,7 +243,7 @@ def _describe(vector: np.ndarray, names: Sequence[str]) -> str:
 
 
 BLOCK_ROUNDS = 10  # rounds without progress before single-constraint pivoting
-ROUNDING = 1e-12  # of a correlation
+ROUNDING = 1e-12  # added to the diagonal of the correlation matrix
 
 
 def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -255,14 +255,14 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
     always terminates.
 
     `x`: (p,) solution without bounds. `cov`: (p, p) covariance of x, up to a factor. `lower`, `upper`: (p,) bounds,
-    lower < upper. Returns: (p,) solution within the bounds, and exactly at active bounds. After Portugal, Judice and
+    lower < upper. Returns: (p,) solution within the bounds, equal to active bounds. After Portugal, Judice and
     Vicente (1994), A comparison of block pivoting and interior-point algorithms.
     """
     if np.all((x >= lower) & (x <= upper)):
         return x
     sd = np.sqrt(np.diag(cov))
     sd = np.where(sd > 0, sd, 1.0)
-    correlation = cov / np.outer(sd, sd) + ROUNDING * np.eye(len(x))  # positive definite: pivoting needs it
+    correlation = cov / np.outer(sd, sd) + ROUNDING * np.eye(len(x))  # positive definite, as pivoting requires
     low, high, free = lower / sd, upper / sd, x / sd
     side = np.zeros(len(x), dtype=int)  # -1 at the lower bound, +1 at the upper
     fewest, patience = len(x) + 1, BLOCK_ROUNDS
@@ -416,9 +416,7 @@ def student_factor(d: np.ndarray, nu: np.ndarray) -> float:
 def solve(
     problem: LinearProblem, factors: Factors, weights: np.ndarray | None = None, kept: np.ndarray | None = None
 ) -> LinearSolution:
-    """Solve using the factors of the blocks `kept` (B,) and class weights (G,), which are estimated iteratively if
-    None.
-    """
+    """Solve using the factors of the blocks `kept` (B,) and class weights (G,); None: estimated iteratively."""
     kept = np.ones(len(factors.rows), dtype=bool) if kept is None else kept
     groups = factors.of_groups(kept)
     if weights is not None:

@@ -41,8 +41,8 @@ class Measurement(Shown):
     sample : (m,) index of the sample (pose, scan, point) of each measurement; default: 0 to m - 1. Outliers are
         detected per sample.
     prior : True for prior knowledge, which cannot be an outlier and does not enter the noise estimate.
-    added : (k, k) or (m, k, k) known part of the noise covariance, in addition to the estimated part; None: no such
-        part.
+    added : (k, k) or (m, k, k) known part of the noise covariance, in addition to the estimated part; None: no
+        known part.
     """
 
     r: np.ndarray
@@ -274,7 +274,7 @@ def descend(
     when the cost has reached its rounding floor.
 
     `sigma`: standard deviation of each noise class. `weight`: (N,) weight of each sample; 0 excludes it.
-    `strict`: raise without convergence; otherwise rows and basis are those before the last step. After
+    `strict`: raise if the descent does not converge; otherwise rows and basis are those before the last step. After
     Madsen, Nielsen and Tingleff (2004), Methods for non-linear least squares problems, algorithm 3.16.
     """
     value, now = start, problem.evaluate(start)
@@ -456,14 +456,14 @@ def nonlinear_least_squares(
     start : initial value.
     robust : detect outliers among the samples; `outliers` marks them.
     schedule : values of c of the graduated loss, in standard deviations, for given noise.
-    near : the start fits the good samples: the loss begins narrow, so that outliers cannot attract it.
+    near : the start already fits the good samples; the loss begins narrow, so that outliers cannot bias the estimate.
     majority : with robust and unknown noise, also search near the solution for the fit of most samples. Needed if a
-        third of the samples share the same error, because they attract the loss and the scale.
+        third of the samples share the same error, because they bias the estimate and inflate the noise scale.
 
     Raises
     ------
     NotConverged : the descent did not converge.
-    NotExcited : fewer numbers than unknowns after exclusion of outliers.
+    NotExcited : fewer residuals than unknowns after exclusion of outliers.
 
     References
     ----------

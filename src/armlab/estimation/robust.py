@@ -1,8 +1,8 @@
 """Robust linear least squares: Huber's loss by reweighting, and trimmed least squares over blocks.
 
 Huber: minimise ``sum rho(r / s)`` with rho quadratic up to k = 1.345 and linear beyond. Every row has the weight
-``min(1, k s / |r|)``; the scale s of each class is the median absolute residual divided by 0.6745. The estimator is 95
-% efficient for Gaussian residuals. For isolated outliers.
+``min(1, k s / |r|)``; the scale s of each class is the median absolute residual divided by 0.6745. The estimator is
+95 % efficient for Gaussian residuals. It suits isolated outliers.
 
 Trimmed: keep the 75 % of the time blocks that fit best together, then add every block consistent with them. This
 handles outlier segments such as contacts and collisions.
@@ -34,8 +34,7 @@ CORRELATION_TIMES = 4.0  # correlation times per block
 
 
 def correlation_time(x: np.ndarray, dt: float) -> float:
-    """Return ``dt (1/2 + sum rho_k)`` [s] of a uniformly sampled record (N,), summed over positive pairs of rho
-    (Geyer).
+    """Return ``dt (1/2 + sum rho_k)`` [s] of a uniform record (N,), summed over positive pairs of rho (Geyer).
 
     The variance of a mean over T >> correlation_time is ``2 s^2 correlation_time / T``.
     """
@@ -237,19 +236,19 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
     weights = np.zeros((number, len(sums.rows)))
     np.add.at(weights, (np.arange(number)[:, None], blocks[chosen]), 1.0)
     solved = found.x + found.stretch * (sums.solve(weights) - found.x)
-    coordinates = (solved - solved.mean(axis=0)) @ np.linalg.pinv(found.basis).T  # in the coordinates of basis
+    coordinates = (solved - solved.mean(axis=0)) @ np.linalg.pinv(found.basis).T  # with respect to basis
     whole, S = count // length * length, coordinates.T @ coordinates / (number - 1)
     share = shrinkage(np.add.reduceat(sums.moment[blocks[:whole]], np.arange(0, whole, length), 0))
     S = (1.0 - share) * S + share * np.trace(S) / len(S) * np.eye(len(S))
     cov = found.basis @ S @ found.basis.T + found.held_cov
-    return Bootstrap(solved, 0.5 * (cov + cov.T), share)  # symmetric to the last bit, as files keep it
+    return Bootstrap(solved, 0.5 * (cov + cov.T), share)  # exactly symmetric, as stored in files
 
 
 def shrinkage(scores: np.ndarray) -> float:
     """Return the fraction (0 to 1) of the scatter of a covariance ``S = scores^T scores`` that is due to chance.
 
-    With this fraction d, ``(1 - d) S + d trace(S) / p`` is nearer to the truth than S (Ledoit and Wolf 2004, lemma
-    3.2).
+    With this fraction d, ``(1 - d) S + d trace(S) / p`` is nearer to the truth than S (Ledoit and Wolf 2004,
+    lemma 3.2).
 
     `scores`: (B, p) gradients of B independent segments, in coordinates with unit formal covariance.
     """
@@ -284,7 +283,7 @@ def block_cv(sums: BlockSums, folds: int = 7, mode: str = "contiguous") -> Cross
 
     Parameters
     ----------
-    sums : of the whole problem.
+    sums : sums of the whole problem.
     folds : number of folds.
     mode : "contiguous": each fold is one segment of time, an unbiased test. "alternate": blocks are assigned to folds
         cyclically, as in published results; this is optimistic because neighbours are correlated.
@@ -315,7 +314,7 @@ def block_cv(sums: BlockSums, folds: int = 7, mode: str = "contiguous") -> Cross
 
 
 HUBER = 1.345
-HUBER_ROUNDS, HUBER_STEP = 30, 1e-8  # step in deviations of the estimate
+HUBER_ROUNDS, HUBER_STEP = 30, 1e-8  # step in standard deviations of the estimate
 NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 SHARE, STARTS = 0.75, 50
 FIRST_STEPS, BEST, LAST_STEPS = 2, 10, 100
@@ -469,7 +468,7 @@ UNOBSERVABLE = 1e-9  # relative singular value
 
 
 def majority_step(J: np.ndarray, r: np.ndarray, sample: np.ndarray, label: np.ndarray, count: int) -> np.ndarray:
-    """Return the step (d,) supported by most samples in the linear problem at a value that outliers attract.
+    """Return the step (d,) supported by most samples in the linear problem at a value biased by outliers.
 
     Uses least trimmed squares with an unknown scale per class. Fits to minimal random sets are refined on their nearest
     samples and selected by the median residual of every class (Rousseeuw and van Driessen 2006). `J`, `r`: (M,)
@@ -517,15 +516,15 @@ def least_squares(
 
     Parameters
     ----------
-    rows : of all classes, block by block; may be generated lazily. Memory is O(p^2) per block of time and class.
+    rows : rows of all classes, block by block; may be generated lazily. Memory is O(p^2) per time block and class.
     names : of the p parameters.
     what : name of the fitted quantity, for messages.
     method : "ols": w = 1. "wls": w = 1 / sd^2 of the residuals of each class, iterated. "irls": the same with Huber's
         loss; reads the rows once per iteration. "lts": wls on the consistent time blocks.
     lower, upper : (p,) bounds; the result lists active bounds and the growth of the residual.
     prior : if given, undetermined directions keep its values and are listed in `excitation.held`.
-    max_condition : of the column-scaled, weighted regressor.
-    seed : of the random starts of "lts".
+    max_condition : largest condition number of the column-scaled, weighted regressor.
+    seed : seed of the random starts of "lts".
 
     Raises
     ------

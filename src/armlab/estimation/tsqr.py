@@ -32,7 +32,7 @@ class Rows(Shown):
     ----------
     A : (m, w) rows of the regressor, with the columns of this class only.
     y : (m,) measurements.
-    block : (m,) index of the block of time of each row, ascending; residuals within a block may be correlated.
+    block : (m,) index of the time block of each row, ascending; residuals within a block may be correlated.
     group : index of the class, from 0; each class has one weight.
     columns : (w,) parameter indices of the columns; default: all.
     """
@@ -51,7 +51,7 @@ class Rows(Shown):
         ----------
         A : (N, k, p) regressor of N samples with k rows each. Zero columns of a class are omitted.
         y : (N, k) measurements.
-        block : (N,) index of the block of time of each sample, ascending.
+        block : (N,) index of the time block of each sample, ascending.
         """
         if A.ndim != 3 or y.shape != A.shape[:2] or block.shape != A.shape[:1]:
             raise ShapeError(
@@ -67,8 +67,8 @@ class Rows(Shown):
 class Factors:
     """Triangular factors of every measurement class in every time block.
 
-    `columns`: (w,) parameter indices of each class. `R`: for each class, (B, w + 1, w + 1) factors of its rows ``[A
-    y]`` per block. `rows`: (B, G) number of rows per block and class.
+    `columns`: (w,) parameter indices of each class. `R`: for each class, (B, w + 1, w + 1) factors of its rows
+    ``[A y]`` per block. `rows`: (B, G) number of rows per block and class.
     """
 
     size: int
@@ -131,7 +131,7 @@ def stack(parts: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def triangle(A: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
-    """Return the triangle R (w, w) of A (m, p) or ``[A y]``, computed in pieces that fit into the cache."""
+    """Return the triangle R (w, w) of A (m, p) or ``[A y]``, computed in chunks that fit into the cache."""
     w = A.shape[1]
     wide = w + (y is not None)
     R = np.zeros((wide, wide), order="F")

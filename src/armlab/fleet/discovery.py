@@ -25,10 +25,10 @@ class FleetRobot(NamedTuple):
     ----------
     lab, robot : names.
     rate : received rows per second [Hz].
-    loss : fraction of missing rows, by the robot's ticks.
-    damaged : rows with a wrong checksum; they count as lost, once a later row arrives.
-    age : of the newest row by the clocks of both computers [s], NaN without rows.
-    commander : the commanding client, "" for none.
+    loss : number of missing rows, from gaps in the robot's ticks.
+    damaged : rows with a wrong checksum; they count as lost once a later row arrives.
+    age : age of the newest row by the clocks of both computers [s]; NaN without rows.
+    commander : the commanding client; "" if none.
     """
 
     lab: str
@@ -41,7 +41,7 @@ class FleetRobot(NamedTuple):
 
 
 def list_robots(place: LabAddress, seconds: float = 2.0) -> list[FleetRobot]:
-    """Return the robots with running bridges after listening to their rows.
+    """Listen for rows, and return the robots with running bridges.
 
     Parameters
     ----------
@@ -82,14 +82,14 @@ class _Seen:
         self._lab, self._robot = lab, robot
         self._schema: RowSchema | None = None
         self._rows = self._damaged = 0
-        self._times = self._ticks = (0, 0)  # of the first and the last row
+        self._times = self._ticks = (0, 0)  # first and last row
         self._commander, self._wall_ns = "", 0
 
     def describe(self, about: bytes) -> None:
         try:
             self._schema = read_about(about).schema
         except ArmlabError:
-            self._schema = None  # shown without rows
+            self._schema = None  # listed without rows
 
     def take(self, data: bytes | None) -> None:
         self._damaged += data is None
@@ -122,7 +122,7 @@ class Router:
     Parameters
     ----------
     host, port : listening address; port 0: any free port.
-    connect : "HOST:PORT" of other routers, whose robots become visible through this one; retried forever.
+    connect : "HOST:PORT" of other routers whose robots become visible through this one; retried forever.
     security : certificates and users; see `servers.zenoh.security.Security`.
 
     Attributes
@@ -131,8 +131,8 @@ class Router:
 
     Raises
     ------
-    ConfigError : a router that is not local, or connected to a remote router, without certificates and users: any
-        client could send commands.
+    ConfigError : certificates and users are missing on a router that is not local or connects to a remote router, so
+        any client could send commands.
     LinkError : port in use.
     MissingExtra : no Zenoh.
     """

@@ -37,8 +37,8 @@ from armlab.models import TorqueModel
 from armlab.models.torque import Training
 from armlab.robots import Robot
 
-DRAFT_SECONDS = 200.0  # of the first logs: ten of 20 s
-AT_ONCE = 4  # logs that are tried at once, at most
+DRAFT_SECONDS = 200.0  # total length of the first logs: ten of 20 s
+AT_ONCE = 4  # most logs tried at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +47,9 @@ class Identified:
 
     Attributes
     ----------
-    fit : of the model; `fit.value.sources` names the logs and, with the reason, those that were skipped.
+    fit : fit of the model; `fit.value.sources` lists the logs used, and the skipped logs with the reason.
     used : names of the logs used for the fit, in order.
-    skipped : the reason by name.
+    skipped : reason for each skipped log, by name.
     """
 
     fit: Fit[TorqueModel]
@@ -80,10 +80,11 @@ def identify(
     ----------
     logs : tables, files or folders of one arm, without contact.
     robot : the arm. Recordings of other arms are skipped.
-    executor : any `concurrent.futures.Executor`, also ``Client.get_executor(pure=False)`` of Dask; none: here.
-        Its workers read the files by path.
+    executor : any `concurrent.futures.Executor`, also ``Client.get_executor(pure=False)`` of Dask, whose workers read
+        the files by path. None: run in this process.
     progress : called with (done, total, what).
-    cache : folder that keeps the sums of files, so that adding ten logs costs only ten logs; None: nothing is kept.
+    cache : folder that stores the sums of files, so that adding ten logs costs only the time of ten logs; None: no
+        cache.
     columns : column names in files of other programs, see `log.read`.
 
     Returns
@@ -93,8 +94,8 @@ def identify(
 
     Raises
     ------
-    LogError : there are no logs, or all were skipped; says why.
-    NotExcited : all logs together do not determine everything, by name.
+    LogError : there are no logs, or all were skipped (states the reason).
+    NotExcited : the logs together do not determine all parameters (names the others).
 
     References
     ----------
@@ -137,7 +138,7 @@ def _draft(
             tables = [_table(name, jobs[name], robot, columns) for name in names]
             draft, pattern = fit_draft(tables, robot, len(jobs), tell, _chooser(executor, tell))
         except NotExcited:
-            if tried.all and names == tried.of(math.inf):  # workers try more of them than a fit may need
+            if tried.all and names == tried.of(math.inf):  # workers may try more logs than the fit needs
                 raise
             wanted = 2.0 * max(wanted, tried.seconds(names))
         else:
@@ -163,7 +164,7 @@ class _Tried:
 
     @property
     def all(self) -> bool:
-        """Whether these are all the logs."""
+        """Whether all logs have been tried."""
         return not self._waiting
 
     def seconds(self, names: Iterable[str]) -> float:
@@ -192,7 +193,7 @@ class _Tried:
 
 
 def _table(name: str, log: Log, robot: Robot, columns: str | None) -> Table:
-    """Return a log that has been readable before."""
+    """Return a log that was readable when it was tried."""
     try:
         return as_table(log, robot, columns)
     except OSError as error:
@@ -244,7 +245,7 @@ def _work(log: Log, pattern: Pattern, cache: Path | None, columns: str | None) -
     return sums
 
 
-VERSION = 2  # of the sums: another when the same log gives others
+VERSION = 2  # of the sums; changes when the same log yields different sums
 _PIECE = 1 << 20
 _TRAINING = ("q_min", "q_max", "qd_peak", "speed_share", "rest_share", "longest_rest")
 
@@ -292,7 +293,7 @@ class SumCache:
         }
         with suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
-            with TemporaryDirectory(dir=self._folder) as own:  # others may keep the sums of an equal file just now
+            with TemporaryDirectory(dir=self._folder) as own:  # another process may be saving the sums of an equal file
                 part = Path(own, path.name)
                 np.savez(part, allow_pickle=False, rows=sums.factors.rows, **groups, **training, **numbers)
                 part.replace(path)

@@ -29,10 +29,10 @@ class Estimated:
     Attributes
     ----------
     path : file with the columns of the estimate, one row per row of the log.
-    rows, seconds : of the log.
+    rows, seconds : length of the log.
     left_out : rows without an estimate.
     contacts : intervals of contact.
-    contact_seconds : their sum.
+    contact_seconds : total duration of contact.
     peak : largest estimated force in contact [N], NaN without contact.
     band : mean two-sigma band of the worst axis [N].
     """
@@ -65,7 +65,7 @@ def estimate(
     Parameters
     ----------
     logs : files or folders.
-    model : of the arm, or its fit.
+    model : torque model of the arm, or its fit.
     robot : the arm.
     folder : output folder; each file is written completely or not at all.
     executor, progress : as in `identify`.
@@ -76,7 +76,7 @@ def estimate(
 
     Returns
     -------
-    `Done` with `Estimated` by name of the log; unusable logs are skipped with a reason.
+    `Done` with `Estimated` by log name; unusable logs are skipped with a reason.
 
     Raises
     ------
@@ -127,12 +127,12 @@ def _estimate(
 
 Log = Table | Path
 
-_MOTION = ("q", "qd", "tau")  # of a log, kept beside the estimate so that it can be viewed
+_MOTION = ("q", "qd", "tau")  # columns of the log stored with the estimate for viewing
 _ENDINGS = {".mcap", ".csv", ".parquet", ".h5", ".hdf5", ".mat", ".db3", ".bag"}
 
 
 def named(logs: Iterable[Table | str | Path] | str | Path) -> Mapping[str, Log]:
-    """Return logs by name; a folder represents all log files in it and its subfolders, sorted by name."""
+    """Return logs by name; a folder stands for all log files in it and its subfolders, sorted by name."""
     found: dict[str, Log] = {}
     files: set[Path] = set()
     given = [logs] if isinstance(logs, str | Path) else list(logs)
@@ -224,7 +224,7 @@ def export(
 
     Returns
     -------
-    `Done` with the path by name of the log; unreadable logs are skipped with a reason.
+    `Done` with the path by log name; unreadable logs are skipped with a reason.
 
     Raises
     ------

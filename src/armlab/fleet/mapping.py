@@ -2,9 +2,9 @@
 
 A killed worker breaks its process pool and every job in it. Finished results are kept, and the rest restarts in a new
 pool. Then the interrupted jobs run one by one, and a job that crashes its worker again is skipped. Dask restarts its
-workers itself but blames every job queued at crashed workers; these jobs also run one by one.
+workers itself but blames every job queued on a crashed worker; these jobs also run one by one.
 
-`workers`: processes on this computer or a Dask cluster.
+`workers` provides processes on this computer or a Dask cluster.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _REPORT_PERIOD = 0.5  # s between two progress reports while no job ends
 _SENTENCE_PERIOD = 1.0  # s between two progress lines, for output to a file
 MAX_CRASHES = 2  # worker crashes before a job is skipped
 _KILLED = "Expected a worker to survive this {}, but it crashed again. Check its memory use and its logs."
-_KILLED_BY_DASK = "KilledWorker"  # by name, because Dask is optional; raised after several workers
+_KILLED_BY_DASK = "KilledWorker"  # by name, because Dask is optional; raised after several crashes
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class Done(Generic[Result]):
 
     Attributes
     ----------
-    results : by name, in the order of the jobs, of the successful jobs.
-    skipped : reason by name of the other jobs.
+    results : results of the successful jobs by name, in job order.
+    skipped : reasons for the other jobs, by name.
     """
 
     results: Mapping[str, Result]
@@ -226,7 +226,7 @@ def workers(count: int = 1, dask: str | None = None) -> Iterator[Executor | None
         if count == 1:
             yield None
             return
-        # Not forked: a fork copies the locks of other threads, such as those of BLAS, but not the threads.
+        # Not forked: a fork copies locks, such as those held by BLAS threads, but not the threads.
         with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
             yield pool
         return

@@ -1,4 +1,4 @@
-"""`FleetRecorder`: records rows of many robots over Zenoh, in one file per robot and run of its bridge."""
+"""`FleetRecorder`: records rows of many robots over Zenoh, in one file per robot and bridge run."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from armlab.log.recording.rows import SELDOM, RowLayout, Slot
 
 _INBOX = 50_000  # messages: 20 s of ten robots; overflow leaves gaps in the ticks
 _ROBOTS = 1000
-_ROOM = 2**28  # bytes of rows waiting for descriptions, of all robots: ten seconds of fifty
+_ROOM = 2**28  # bytes of rows of all robots waiting for descriptions: ten seconds of fifty robots
 _NAME = re.compile(r"[\w+-][\w.+-]{0,99}")  # valid file names
-_WALL = slice(32, 40)  # of the head of a row
+_WALL = slice(32, 40)  # wall clock in the row header
 _PAIR = struct.Struct("<qq")
-_NAMES = 220  # bytes of lab and robot; file systems allow 255 with number and extension
+_NAMES = 220  # bytes of lab and robot names; file systems allow 255, including number and extension
 
 
 class FleetRecorder:
     """Recorder of every robot that sends rows, until closed; a context manager.
 
-    A robot may disappear and return with other rows. Each run of its bridge gets its own MCAP file:
+    A robot may disappear and return with different rows. Each run of its bridge gets its own MCAP file:
     ``lab1-yumi_left.mcap``, then ``-2``. Missing rows are gaps in the robot's ticks; they are listed in an event and in
     the summary of the file. A file that cannot be written is abandoned with a message. Any other error ends only the
     recording of that robot; the other robots continue.
@@ -42,13 +42,13 @@ class FleetRecorder:
     Parameters
     ----------
     place : address of the router; its `lab` may be `EVERY`.
-    folder : for the files.
+    folder : output folder.
     tell : callback for messages to the user, called in a thread of the recorder.
 
     Attributes
     ----------
-    robots : by "lab/robot": rows, lost, damaged, refused, late, paths, failed.
-    strangers : messages under keys of unknown robots.
+    robots : `RobotRecord` by "lab/robot": rows, lost, damaged, refused, late, paths, failed.
+    strangers : number of messages for unknown robots.
 
     Raises
     ------
@@ -152,7 +152,7 @@ class FleetRecorder:
             work(robot)
         except Exception as error:
             self._ended.add(robot.name)
-            with contextlib.suppress(OSError):  # of the abandoned file
+            with contextlib.suppress(OSError):  # while abandoning the file
                 robot.end(f"{type(error).__name__}: {error}")
 
     def _robot(self, where: str) -> RobotRecord | None:
@@ -172,23 +172,23 @@ class FleetRecorder:
 _WAITING = 2500  # rows waiting for their description: 10 s
 _STRANGE = 64  # remembered schemas of invalid rows
 _UNANSWERED = 5.0  # s before rows without a description are abandoned
-_AGAIN = 10.0  # s between a failed file and the next one
+_AGAIN = 10.0  # s between a failed file and the next attempt
 _SILENT = 60.0  # s without a row before a file is finished
-_MOST_HOLES = 10_000  # listed in a file; all are counted
+_MOST_HOLES = 10_000  # gaps listed in a file; all are counted
 
 
 class RobotRecord:
-    """Recordings of one robot; all methods belong to one thread.
+    """Recordings of one robot; call all methods from one thread.
 
     Attributes
     ----------
-    rows, lost : rows written, and rows missing or not written, by the ticks of the robot.
+    rows, lost : rows written, and rows missing or not written, counted by the robot's ticks.
     damaged : rows with a wrong checksum; they are dropped and leave gaps.
     refused : messages that are not rows of this robot.
-    late : rows received before.
+    late : rows dropped because an equal or newer tick was already received.
     last : newest tick, -1 before the first row.
     paths : files so far.
-    failed : why the last one stopped, or None.
+    failed : why the last file stopped, or None.
     wants : whether rows wait for a description.
     """
 
@@ -210,7 +210,7 @@ class RobotRecord:
         self.wants = self._is_unsure = False
         self._waiting: deque[bytes] = deque()
         self._strange: deque[bytes] = deque(maxlen=_STRANGE)
-        self._since: float | None = None  # time since rows wait for a description
+        self._since: float | None = None  # time when rows began to wait for a description
         self._run: _BridgeRun | None = None
         self._file: _RobotFile | None = None
         self._heard = self._retry = 0.0
@@ -335,7 +335,7 @@ class RobotRecord:
         return []
 
     def _sorted(self, run: _BridgeRun, row: bytes, packed: list[bytes]) -> list[bytes]:
-        """Return the rows to write next; a gap is recorded between rows."""
+        """Add a row to the rows to write next; at a gap, write the earlier rows and record the gap."""
         tick = tick_of(row)
         if run.last is not None and tick <= run.last:
             self.late += 1
@@ -418,7 +418,7 @@ class RowColumns:
         self._places: list[slice | bytes] = []
         for name, slot in layout.slots.items():
             if name == SELDOM[0]:
-                break  # rows may end from here on
+                break  # rows may omit the remaining columns
             field = schema.fields.get(f"{robot}.{name}")
             if name == "stamp_ns":
                 self._places.append(_WALL)
@@ -433,12 +433,12 @@ class RowColumns:
 
 
 def stamp_of(packed: bytes) -> int:
-    """Return the wall clock of a row of a recording [ns]."""
+    """Return the wall clock of a recorded row [ns]."""
     return _PAIR.unpack_from(packed)[0]
 
 
 def tick_of(packed: bytes) -> int:
-    """Return the tick of a row of a recording."""
+    """Return the tick of a recorded row."""
     return _PAIR.unpack_from(packed)[1]
 
 
@@ -462,12 +462,12 @@ class _BridgeRun:
         self.stamp_ns = 0
 
     def has_restarted(self, row: bytes) -> bool:
-        """Return whether ticks went back while time advanced, after a restart of the bridge."""
+        """Return whether ticks went back while time advanced, which indicates a bridge restart."""
         return self.last is not None and tick_of(row) <= self.last and stamp_of(row) > self.stamp_ns
 
 
 class _RobotFile:
-    """File and its state."""
+    """Output file with its counts and gaps."""
 
     def __init__(self, path: Path, run: _BridgeRun) -> None:
         self.file = RecordingFile(path, run.robot, run.layout, {}, "")

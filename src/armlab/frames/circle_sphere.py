@@ -51,7 +51,7 @@ def fit_circle(
     Returns
     -------
     Fit of a `Circle`: `residuals` (N, 2) are the distances from the circle within its plane, and the distances from the
-    plane; `cov` (6, 6) belongs to `Circle.names`.
+    plane; `cov` (6, 6) is in the order of `Circle.names`.
 
     Raises
     ------
@@ -88,8 +88,8 @@ def fit_sphere(p: ArrayLike, *, noise: ArrayLike | None = None, robust: bool = F
 
     Returns
     -------
-    Fit of a `Sphere`: `residuals` (N, 1) are signed distances, positive outside; `cov` (4, 4) belongs to
-    `Sphere.names`.
+    Fit of a `Sphere`: `residuals` (N, 1) are signed distances, positive outside; `cov` (4, 4) is in the
+    order of `Sphere.names`.
 
     Raises
     ------

@@ -29,8 +29,8 @@ class BuiltFrame(Shown):
     T : (4, 4) pose in the frame of the features.
     angle : between the two features [rad].
     deviation : of the angle from a right angle [rad].
-    cov : (6, 6) covariance of the pose error [v; w], v along the axes of the features' frame, w along its own axes;
-        Covariance of the frame; None if all features are exact.
+    cov : (6, 6) covariance of the pose error [v; w], v along the axes of the features' frame, w along the axes
+        of the built frame; None if all features are exact.
     """
 
     T: np.ndarray

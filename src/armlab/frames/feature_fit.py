@@ -31,7 +31,7 @@ ALL_SETS = comb(60, 3)  # up to this number, every set is tried
 SOME_SETS = 500
 FLAGGED = 0.999  # quantile of chi^2 beyond which a point is an outlier
 MAX_ITERATIONS = 3
-MAX_SCORING_POINTS = 1000  # points that score the sets, at most
+MAX_SCORING_POINTS = 1000  # maximum number of points that score the sets
 INITIAL_TOLERANCE = 2.0  # initial tolerance factor: the refitted half underestimates the noise
 CHUNK = 200_000  # distances held in memory at once
 
@@ -78,9 +78,7 @@ def result(
 def upward(
     n: np.ndarray, c: np.ndarray, reach: float, toward: ArrayLike | None, normal: ArrayLike | None, what: str
 ) -> np.ndarray:
-    """Return a normal with the sign given by the default rule or the hints; `reach` is the SD of the plane's distance
-    [m].
-    """
+    """Return a normal with the sign of the default rule or the hints; `reach` is the SD of the plane's distance [m]."""
     if toward is not None and normal is not None:
         raise ShapeError("Expected toward= or normal=, got both. Omit one.")
     if normal is not None:

@@ -31,7 +31,7 @@ class Plane(Shown):
     ----------
     n : (3,) unit normal.
     d : distance from the origin along n [m], negative if n points towards the origin.
-    centroid : (3,) point on the plane [m]: that of the measured points, otherwise the point closest to the origin.
+    centroid : (3,) centroid of the measured points [m]; otherwise the point of the plane closest to the origin.
     axes : (2, 3) unit vectors in the plane, the first along the largest extent of the measured points.
     cov : (3, 3) covariance of the `names`: tilt about each axis [rad], offset at the centroid along n [m]; None if the
         plane is exact.
@@ -102,7 +102,7 @@ class Line(Shown):
     ----------
     v : (3,) unit direction.
     r : (3,) foot: the point closest to the origin [m].
-    centroid : (3,) point on the line [m]: that of the measured points, otherwise the foot.
+    centroid : (3,) centroid of the measured points [m]; otherwise the foot.
     axes : (2, 3) unit vectors normal to the line; axis 1, axis 2 and v are right-handed.
     cov : (4, 4) covariance of the `names`: tilt about each axis [rad], offset of the centroid along each [m]; None if
         the line is exact.

@@ -78,9 +78,7 @@ def noise_of(noise: Any) -> float | None:
 
 
 def noises_of(noise: Any, count: int) -> tuple[float | None, np.ndarray | None]:
-    """Return the standard deviation of a coordinate [m], and covariances (N, 3, 3) if they differ between directions or
-    points.
-    """
+    """Return the SD of a coordinate [m], and covariances (N, 3, 3) if they differ between directions or points."""
     if noise is None or np.ndim(noise) == 0:
         return noise_of(noise), None
     C = numbers(noise, "noise", ShapeError)

@@ -31,7 +31,7 @@ class MarkerPoses(Shown):
     ----------
     T : (N, 4, 4) T_cam_marker; NaN with too few visible points.
     valid : (N,) whether the pose exists.
-    rms : (N,) root mean square distance of the visible points from the marker's [m]; NaN without a pose.
+    rms : (N,) root mean square distance of the visible points from the marker points [m]; NaN without a pose.
     cov : (N, 6, 6) of [v; w], v in camera axes, w in marker axes; NaN without a pose.
     noise : standard deviation of each coordinate of a point [m], given or estimated; NaN if not estimable.
     marker : (K, 3) points in marker axes [m], given or estimated.

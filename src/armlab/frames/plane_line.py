@@ -9,8 +9,8 @@ and sigma the noise of a coordinate,
 
 and the errors are uncorrelated. A direction whose spread does not exceed the noise raises NotExcited. If the noise
 differs between directions or points, the cost is the sum of ``e^T S^-1 e``, ``S = D C D^T``, with e the distances of a
-point, D their directions (k, 3) and C its covariance. Its gradient is that of the residuals, where the lever arm of a
-tilt is taken at the most likely point ``p - C D^T S^-1 e`` instead of p.
+point, D their directions (k, 3) and C its covariance. Its gradient equals the gradient of the residuals if the lever
+arm of a tilt is taken at the most likely point ``p - C D^T S^-1 e`` instead of p.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def fit_plane(
 ) -> Fit[Plane]:
     """Fit a plane ``n . x = d`` to points.
 
-    The normal points away from the origin of the points' frame, unless `toward` or `normal` says otherwise.
+    The normal points away from the origin of the points' frame, unless `toward` or `normal` specifies the side.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def fit_plane(
 
     Returns
     -------
-    Fit of a `Plane`: `residuals` (N,) are signed distances; `cov` (3, 3) belongs to `Plane.names`.
+    Fit of a `Plane`: `residuals` (N,) are signed distances; `cov` (3, 3) is in the order of `Plane.names`.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def fit_line(
 
     Returns
     -------
-    Fit of a `Line`: `residuals` (N, 3) are vectors from the line to the points; `cov` (4, 4) belongs to `Line.names`.
+    Fit of a `Line`: `residuals` (N, 3) are vectors from the line to the points; `cov` (4, 4) follows `Line.names`.
 
     Raises
     ------

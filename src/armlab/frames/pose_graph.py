@@ -75,8 +75,7 @@ class Graph:
         self._edges.append(Edge(a, b, T, inputs.covariance(cov, 6, f"the covariance of T_{a}_{b}"), str(source)))
 
     def get(self, a: str, b: str, via: Sequence[str] = ()) -> np.ndarray:
-        """Return the pose (4, 4) of b in a, composed along the shortest path; ties are resolved in favour of the
-        earliest poses.
+        """Return the pose (4, 4) of b in a, along the shortest path; ties are resolved in favour of the earliest poses.
 
         Parameters
         ----------
@@ -85,7 +84,7 @@ class Graph:
 
         Raises
         ------
-        FrameError : an unknown name, with the known ones; frames without a path, with both names.
+        FrameError : an unknown name (lists the known names), or two frames without a path (states both).
         """
         for name in (a, *via, b):
             if name not in self.names:
@@ -315,7 +314,7 @@ class FrameSet(Shown):
     Attributes
     ----------
     names : of the frames.
-    T : (F, 4, 4) their poses in the first of them [m].
+    T : (F, 4, 4) their poses in the first frame [m].
     """
 
     names: tuple[str, ...]

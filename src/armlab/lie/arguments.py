@@ -27,9 +27,7 @@ def array(value: ArrayLike, tail: tuple[int, ...], name: str) -> np.ndarray:
 
 
 def broadcasts(**arguments: tuple[np.ndarray, int]) -> None:
-    """Raise unless the leading axes of the arguments broadcast; each argument is given with the number of axes of one
-    element.
-    """
+    """Raise unless the leading axes of the arguments broadcast; each comes with the number of axes of one element."""
     try:
         np.broadcast_shapes(*(value.shape[: value.ndim - axes] for value, axes in arguments.values()))
     except ValueError:

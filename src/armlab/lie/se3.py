@@ -198,8 +198,8 @@ def adjoint_inv(T_a_b: ArrayLike) -> np.ndarray:
 def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Return a wrench in another frame: ``f_a = R f_b``, ``m_a = R m_b + p × f_a``; power is invariant.
 
-    Axes and moment point change together: the moment of `wrench_b` is about the origin of b, and that of the result
-    about the origin of a.
+    Axes and moment point change together: the moment of `wrench_b` is about the origin of b, and the moment of the
+    result is about the origin of a.
 
     Parameters
     ----------
@@ -413,7 +413,7 @@ def mean(
     ----------
     T : (N, ..., 4, 4), N ≥ 1.
     weights : (N,) or (N, ...), non-negative; default: equal. 0 excludes a pose, even a missing one.
-    method : "chordal" or "geodesic", of the rotations.
+    method : "chordal" or "geodesic" mean of the rotations.
 
     Returns
     -------

@@ -34,7 +34,7 @@ NEGLIGIBLE = 1e-9
 UNDEFINED = 1e-13  # below it, a direction is lost in rounding
 
 METHODS = ("chordal", "geodesic")
-AGREEMENT = 0.1  # of the weights; below it, rotations point everywhere
+AGREEMENT = 0.1  # fraction of the weights; below it, the rotations are too scattered for a mean
 ITERATIONS = 30
 CLOSE = 1e-9  # rad: a Newton step of this size leaves an error of the order of its square
 
@@ -332,11 +332,10 @@ def xy_angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
 
 
 def angle_about(R_a: ArrayLike, R_b: ArrayLike, axis: ArrayLike) -> np.ndarray:
-    """Return the rotation angle of b relative to a about an axis: the twist part ``2 atan2(axis · v, w)`` of ``R_aᵀ
-    R_b``.
+    """Return the rotation angle of b relative to a about an axis: ``2 atan2(axis · v, w)`` of ``R_aᵀ R_b``.
 
-    The remainder is a rotation about a perpendicular axis (swing-twist decomposition). For a pure rotation about z, the
-    result equals `xy_angle`.
+    This is the twist; the remainder is a rotation about a perpendicular axis (swing-twist decomposition). For a pure
+    rotation about z, the result equals `xy_angle`.
 
     Parameters
     ----------

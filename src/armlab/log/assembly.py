@@ -13,7 +13,7 @@ from armlab.log.table import Table
 
 _PADDED = ("q_ext", "q_ext_ref", "q_ext_sent", "rapid_data", "rapid_data_sent")  # padded to the largest robot
 
-_MAX_DISAGREEMENT = 1.0  # s between robot clock and session time per row; more means that the robot clock was set
+_MAX_DISAGREEMENT = 1.0  # s per row between robot clock and session time; more means that the robot clock was set
 
 
 def recording_table(
@@ -25,7 +25,7 @@ def recording_table(
     source: Sequence[str] = (),
     raw: bool = False,
 ) -> Table:
-    """Return the table of the columns (N, ...) that contain values; t = 0 at the first row."""
+    """Return a table of the columns (N, ...) that contain values; t = 0 at the first row."""
     t, clock = recording_clock(values, stamp_ns)
     t, keep, dropped = rows_in_order(t, raw)
     notes = [*notes, *dropped]
@@ -101,7 +101,7 @@ def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:
 def rows_in_order(
     t: np.ndarray, raw: bool, row: Callable[[int], str] = "row {}".format, of: str = ""
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Return increasing times (N,), the mask (N,) of kept rows, and a note on dropped rows, also as a warning."""
+    """Return increasing times (N,), the mask (N,) of kept rows, and a note on dropped rows; warn about them."""
     keep, lost = in_time_order(t)
     if not lost:
         return t, keep, ()

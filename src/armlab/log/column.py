@@ -79,7 +79,7 @@ def heading(column: Column, name: str) -> str:
 
 
 def _check_row_shape(name: str, shape: tuple[int, ...], words: str) -> None:
-    """Compare a row shape with that in the glossary, such as "(N, 4, 4)"; letters match any size."""
+    """Compare a row shape with the glossary entry, such as "(N, 4, 4)"; letters match any size."""
     expected = [word.strip() for word in words.strip("()").split(",") if word.strip()][1:]
     fits = len(expected) == len(shape) and all(
         not word.isdigit() or int(word) == size for word, size in zip(expected, shape, strict=True)
@@ -116,7 +116,7 @@ def _cast(name: str, raw: np.ndarray, kind: str) -> np.ndarray:
         dtype = np.dtype("<i8") if kind == "count" else np.dtype("<f8")
     if raw.dtype == dtype:
         return raw
-    with np.errstate(invalid="ignore"):  # invalid values are refused below
+    with np.errstate(invalid="ignore"):  # invalid values are rejected below
         cast = raw.astype(dtype)
     if kind in ("count", "flag") and not np.array_equal(cast, raw):
         raise ShapeError(f"Expected integers that fit {dtype} in the column {name!r} of kind {kind}.")
@@ -124,7 +124,7 @@ def _cast(name: str, raw: np.ndarray, kind: str) -> np.ndarray:
 
 
 def frozen(array: np.ndarray) -> np.ndarray:
-    """Return the array as C-contiguous and read-only; copy it if its memory is writable elsewhere."""
+    """Return the array as C-contiguous and read-only; copy it if its memory is writable through another array."""
     whole = np.ascontiguousarray(array) if array.ndim else array
     if whole is array and _writable_somewhere(array):
         whole = array.copy()
@@ -158,7 +158,7 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
     return [(0, int(piece), "") if piece.isdigit() else (1, 0, piece) for piece in pieces]
 
 
-_LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # bytes of columns, and cells per number in them
+_LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # column bytes always allowed; padded cells per number beyond
 
 
 def refuse_ragged(count: int, widths: Mapping[str, int], held: int) -> None:

@@ -27,8 +27,8 @@ from armlab.log.file_formats.mat import read_mat
 __all__ = ["read_cloud", "read_matrix", "read_plane"]
 
 MM = 1e-3  # m
-NORMAL = 1e-4  # tolerance of the length of a rounded normal
-LONGEST = 16_000_000  # bytes; a cloud has a hundred or so per point
+NORMAL = 1e-4  # tolerance on the length of a rounded normal
+LONGEST = 16_000_000  # bytes; a cloud takes about a hundred per point
 DECORATION = re.compile(r"[\[\];\"']")
 SEPARATOR = re.compile(r"[\s,]+")
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
@@ -44,7 +44,7 @@ class Cloud:
     p : (N, 3) points in the tracker's frame [m].
     index : (N,) index in the file.
     R : (N, 3, 3) orientation of the probe at each point.
-    stopped : number of the first line that is not a row, from 1; 0 if all lines are rows.
+    stopped : number of the first line that is not a row, counted from 1; 0 if all lines are rows.
     comments : names and values after the rows, for example {"MEAS_OBJECT": "CloudSeam"}.
     """
 
@@ -61,8 +61,8 @@ class PlaneFile:
 
     Attributes
     ----------
-    normal : (3,) of length 1, or as in the file if read raw.
-    point : (3,) point of the plane [m].
+    normal : (3,) normal of length 1, or as in the file if read with `raw`.
+    point : (3,) point on the plane [m].
     stopped, comments : as in `Cloud`.
     """
 
@@ -80,7 +80,7 @@ class PoseFile:
     ----------
     T : (4, 4) pose [m].
     name : name of the variable.
-    distance : distance of the rotation in the file from the nearest rotation (Frobenius norm).
+    distance : Frobenius distance between the rotation block in the file and the nearest rotation matrix.
     """
 
     T: np.ndarray
@@ -120,7 +120,7 @@ def read_plane(path: str | Path, raw: bool = False) -> PlaneFile:
     Parameters
     ----------
     path : text file with a 4x4 matrix [mm].
-    raw : keep the rounded normal of the file; default: normalise it.
+    raw : keep the rounded normal from the file; default: normalise it.
 
     Raises
     ------
@@ -151,11 +151,11 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
     ----------
     path : MAT file.
     name : name of the variable; default: the only 4x4 array of the file.
-    project : use the nearest rotation if that in the file is off by more than 1e-5.
+    project : replace a rotation that is off by more than 1e-5 with the nearest rotation.
 
     Raises
     ------
-    LogError : not a MAT file, damaged, no 4x4 array or several, not a pose, or a rotation that is off by more than
+    LogError : not a MAT file, corrupt, not exactly one 4x4 array, not a pose, or a rotation that is off by more than
         1e-5 without `project`.
     UnknownName : the variable does not exist.
     MissingExtra : v7.3 without h5py.

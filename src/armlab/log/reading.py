@@ -34,9 +34,9 @@ _READERS: dict[str, Callable[..., Table]] = {
     "LabComm": lambda path, raw, names: renamed(path, read_labcomm(path, raw=raw), names),
     "MAT v5": read_mat_table,
     "MAT v7.3": read_mat_table,
-    "rosbag2": lambda path, raw, names: renamed(path, read_rosbag2(path), names),  # of `write`: in order
+    "rosbag2": lambda path, raw, names: renamed(path, read_rosbag2(path), names),  # written by `write`, so rows are in order
 }
-_COLUMN_READERS = {"HDF5": read_hdf5, "Parquet": read_parquet}  # readers of single columns
+_COLUMN_READERS = {"HDF5": read_hdf5, "Parquet": read_parquet}  # can read individual columns
 
 
 def read(
@@ -56,7 +56,8 @@ def read(
     In MCAP files, rosbag2 and ROS 1 bags of other programs, the arm's JointState becomes q, qd and tau, with the joint
     names as labels. A single WrenchStamped becomes wrench_raw. Everything else is named after its topic: "/ft/wrench"
     is ft.wrench (N, 6), a pose becomes matrices (N, 4, 4), a transform is tf.parent.child, and other numbers are
-    topic.field. Topics with separate stamps are held from message to message, with their age in ``<name>_age``.
+    topic.field. Values of topics with their own timestamps are held until the next message, with their age in
+    ``<name>_age``.
 
     An unfinished or damaged file is read as far as possible, with one warning and a note. Rows with non-increasing time
     are dropped; a note and a warning state the first of them.
@@ -64,26 +65,26 @@ def read(
     Parameters
     ----------
     path : file, or folder of a rosbag2; the format is detected from the first bytes.
-    columns : list of columns to read; default: all. As a text or a mapping: the column names in a file of another
+    columns : list of columns to read; default: all. A text or a mapping gives the column names in a file of another
         program: ``"q=joint_{1..6}_pos [deg],tau=current_{1..6}*12.5"`` or ``{"q": ["shoulder", "elbow"]}``, with unit
         and factor if needed, or a preset: ``"ur"`` (RTDE), ``"franka"`` (libfranka, franka_ros), ``"ros"`` (JointState
         as CSV), ``"abb"`` and, for seven joints, ``"abb7"`` (abb_libegm). Without a header, columns are given by
         position: ``"t=1,q={2..7}"``. Other columns keep their names.
-    robot : robot to select if the file holds several. For a log of another program, a robot or its name, in whose joint
-        order the joints are returned, or the first part of its topics.
-    clock : for a log of another program, the topic whose timestamps define the rows; required for topics of several
-    rates.
+    robot : robot to select if the file holds several. For a log of another program: a robot or its name, which sets the
+        joint order of the table, or the first part of its topic names.
+    clock : for a log of another program, the topic whose timestamps define the rows; required if topics have different
+        rates.
     raw : keep rows with non-increasing time.
     progress : called with (done, total, what) while a large file is read.
 
     Returns
     -------
-    Table : t = 0 at the first row, on the robot's clock if recorded. Absent data have no column.
+    Table : t = 0 at the first row, on the robot's clock if recorded. Data that were not recorded have no column.
 
     Raises
     ------
-    LogError : the file is missing, of another format or unreadable. For logs of other programs: topics of several
-        rates, which are listed; several arms; joints that are not the robot's, listed on both sides.
+    LogError : the file is missing, unreadable or in an unknown format. For logs of other programs: topics with
+        different rates (lists them); several arms; joints that do not match the robot's (lists both).
     MissingExtra : pyarrow or h5py is not installed.
     UnknownName : a column, topic, preset or robot does not exist; lists the available ones.
     ConfigError : clock= for a log with one clock, robot= for a file without robot names, or invalid columns=.
@@ -144,7 +145,7 @@ def _refuse_robot(path: Path, robot: Robot | str | None) -> None:
 
 
 def _holes(view: memoryview, found: Contents, clock: int) -> tuple[str, ...]:
-    """Return a sentence about rows of the robot with this clock channel that the recorder dropped."""
+    """Return a sentence about the rows that the recorder dropped for the robot with this clock channel."""
     told = recorded.summary_of(view, found).get("holes")
     robot = found.channels[clock].topic.strip("/").rpartition("/")[0]
     listed = [hole for hole in told if isinstance(hole, list) and len(hole) > 2] if isinstance(told, list) else []
@@ -193,21 +194,21 @@ def read_arm(
     columns: str | Mapping[str, str | Sequence[str]] | None = None,
     needed: Sequence[str] = ("q", "tau"),
 ) -> Table:
-    """Read the log of an arm with q and tau (N, n) in its joint order, and qd if it was recorded.
+    """Read the log of an arm: q and tau (N, n) in the arm's joint order, and qd if recorded.
 
     Parameters
     ----------
     path : log, see `read`.
     robot : the recorded arm.
     progress : called with (done, total, what), see `read`.
-    force : accept a recording of another description of the arm (tool, mount, limits), with a warning.
+    force : accept a recording made with another description of the arm (tool, mount, limits), with a warning.
     columns : column names in the file, as a text or a mapping, see `read`.
     needed : required columns.
 
     Raises
     ------
-    LogError : it cannot be read, lacks positions or torques, or names other joints than the robot's.
-    ModelMismatchError : a recording of another robot, with the differences; or another number of joints.
+    LogError : the log cannot be read, lacks positions or torques, or has joint names other than the robot's.
+    ModelMismatchError : a recording of another robot (lists the differences), or a different number of joints.
     """
     path = Path(path)
     several = _is_of_several(path, robot, force)
@@ -231,7 +232,7 @@ def read_arm(
 
 
 def _source_of(missing: Sequence[str], table: Table, robot: Robot, mapped: bool) -> str:
-    """Return where a log without positions or torques may have them."""
+    """Return a hint on how to obtain the missing positions or torques."""
     if mapped:
         return f"Give their names: --columns '{','.join(f'{name}=NAME_{{1..{robot.n}}}' for name in missing)}'."
     if fitting := fitting_presets(dict.fromkeys(["time", *table.names], (table.t, ""))):

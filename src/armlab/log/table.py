@@ -1,4 +1,4 @@
-"""`Table`: columns over time with units, and the States of a controller in its rows."""
+"""`Table`: time-stamped columns with units; each row can be read as a controller `State`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TAU_SOURCES = ("none", "measured", "reference")
 
 # Optional fields of `State` in a table.
 _ARRAYS = ("qdd", "q_planned", "T_frame_tool", "wrench_raw", "wrench", "q_ext", "rapid_data")
-_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row has its own reply, a State the previous one
+_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row holds its own reply, a State the previous reply
 _NUMBERS = {"seq": int, "missed": int, "session": int, "motors": int, "rapid": int, "mci": int}
 _NUMBERS |= {"utilization": float, "robot_ns": int, "converged": bool, "rapid_digital": bool}
 
@@ -174,7 +174,7 @@ class Table:
     def dt(self) -> np.ndarray:
         """Time since the previous row (N,) [s]: the column `dt` if recorded, otherwise differences of `t`.
 
-        The first row has the median (NaN if it is the only row). Across removed rows, the difference of `t` is used.
+        The first row holds the median (NaN if it is the only row). Across removed rows, the difference of `t` is used.
         """
         steps = np.diff(self.t)
         usual = np.median(steps) if len(steps) else np.nan
@@ -182,9 +182,9 @@ class Table:
         recorded = self.values.get("dt")
         if recorded is None or not len(self):
             return frozen(differences)
-        begins = np.ones(len(self), dtype=bool)  # of sessions: the two may differ there
+        begins = np.ones(len(self), dtype=bool)  # first rows of sessions, where the two may differ
         begins[1:] = np.diff(self["session"]) != 0 if "session" in self else False
-        trusted = begins | (np.abs(recorded - differences) < 0.5 * usual)  # elsewhere rows were removed
+        trusted = begins | (np.abs(recorded - differences) < 0.5 * usual)  # otherwise rows were removed
         return frozen(np.where(trusted & np.isfinite(recorded), recorded, differences))
 
     @cached_property
@@ -326,14 +326,14 @@ class Table:
         return self._derived(f"shifted({dt:g})", t=self.t + dt)
 
     def resample(self, to: float | np.ndarray, *, max_gap: float | None = None) -> Table:
-        """Return the table at other times: numbers linear, poses and quaternions geodesic, counts, flags, texts held.
+        """Resample the table: numbers linearly, poses and quaternions geodesically; counts, flags and text are held.
 
         ``x(t) = (1 - s) x_i + s x_{i+1}``, ``s = (t - t_i) / (t_{i+1} - t_i)``; existing times keep their values.
 
         Parameters
         ----------
         to : float, Hz, or array, shape (M,), s
-            Rate, or increasing times inside the table.
+            Rate, or increasing times within the range of the table.
         max_gap : float, s
             Longest gap between rows that is interpolated; values in longer gaps are NaN. Default: three median periods.
 
@@ -352,20 +352,20 @@ class Table:
                 "rate aliases noise into the signal. Filter first, with signals.lowpass_offline, then select rows."
             )
         values = _at(self, t, "linear", 3.0 * period if max_gap is None else max_gap)
-        values.pop("dt", None)  # the period of the old clock
+        values.pop("dt", None)  # periods of the old clock
         columns = {name: self.columns[name] for name in values}
         operation = f"resample({len(t)} rows, {t[0]:g} to {t[-1]:g} s)"
         return self._derived(operation, t=t, values=values, columns=columns)
 
     def join(self, other: Table, *, fill: str = "hold", max_age: float | None = None) -> Table:
-        """Return the table with the columns of another table at its own times, and the age of each as ``<name>_age``.
+        """Add another table's columns at the times of this table, and the age of each as ``<name>_age``.
 
-        If both tables have a wall clock (`t0_ns`), it aligns them; otherwise their `t` is used.
+        The tables are aligned by wall clock (`t0_ns`) if both have one, otherwise by `t`.
 
         Parameters
         ----------
         other : Table
-            Table with the added columns, whose names must be new.
+            Table with the columns to add, whose names must be new.
         fill : str
             "hold" uses the last row at or before each time; "linear" interpolates as in `resample`.
         max_age : float, s
@@ -400,7 +400,7 @@ class Table:
         return replace(self, values=values, columns=columns, source=source)
 
     def to_pandas(self) -> Any:
-        """Return a pandas DataFrame with a column per component (q1, q2, ...) over t [s]; units in ``attrs["units"]``.
+        """Return a pandas DataFrame with a column per component (q1, q2, ...), indexed by t [s]; units in ``attrs["units"]``.
 
         Raises
         ------
@@ -548,13 +548,14 @@ def _bytes(array: np.ndarray) -> bytes | memoryview:
 
 _HELD = ("count", "flag", "text")
 _MOST_ROWS, _MOST_FOR_ONE = 10_000_000, 1000  # beyond both, the rate or the unit of t is wrong
-_SLOWER = 1.05  # ratio of periods from which resampling lowers the rate
+_SLOWER = 1.05  # ratio of periods above which resampling counts as lowering the rate
 
 
 def concat(*tables: Table) -> Table:
     """Concatenate the rows of several tables on one clock; gaps between them remain.
 
-    If all tables have a wall clock (`t0_ns`), it determines the times of the later ones; otherwise their own t is used.
+    If all tables have a wall clock (`t0_ns`), it sets the times of the later tables; otherwise the t of each table is
+    used.
 
     Parameters
     ----------
@@ -564,7 +565,7 @@ def concat(*tables: Table) -> Table:
     Raises
     ------
     ShapeError
-        No table, different columns, units or kinds, or a table that begins before the previous one has ended.
+        No tables, different columns, units or kinds, or a table that begins before the previous one ends.
     """
     if not tables:
         raise ShapeError("Expected at least one table to concatenate, got none.")
@@ -624,7 +625,7 @@ def _times(table: Table, to: float | np.ndarray) -> np.ndarray:
 
 
 def _at(table: Table, t: np.ndarray, fill: str, max_gap: float) -> dict[str, np.ndarray]:
-    """Return all columns at times inside the table."""
+    """Return all columns at times within the range of the table."""
     left = np.searchsorted(table.t, t, side="right") - 1
     right = np.minimum(left + 1, len(table) - 1)
     gap = table.t[right] - table.t[left]

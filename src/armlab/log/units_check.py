@@ -1,4 +1,4 @@
-"""Checks of units and of motor or joint side; errors state the likely factor."""
+"""Checks for wrong units and for motor-side values; errors state the likely factor."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 from armlab.errors import NotExcited, ShapeError
 from armlab.robots import Robot
 
-TOLERANCE, CORRELATION = 0.1, 0.98  # between velocity and the slope of position
-BEYOND = 3.0  # times the limits: a larger position has another unit
-FLAT = 0.8  # share of rows with the same torque
-LIGHT = 0.1  # kg/m^3, torque over g times reach^4: arms 1 to 60, motors of geared arms < 0.05
-HEAVY, DYNAMIC = 12.0, 3.0  # factor below the links' weight beyond errors of masses; share of torque besides weight
+TOLERANCE, CORRELATION = 0.1, 0.98  # of qd against the derivative of q: relative gain error, correlation
+BEYOND = 3.0  # multiple of the joint limits; a larger position must have another unit
+FLAT = 0.8  # fraction of rows with the same torque
+LIGHT = 0.1  # kg/m^3, torque / (g reach^4): 1 to 60 for arms, < 0.05 for motors of geared arms
+HEAVY, DYNAMIC = 12.0, 3.0  # torque below link weight by more than mass errors explain; allowance for other torque
 GEARED = 10.0
-MOVED = (0.005, np.deg2rad(1.0))  # m, rad: the velocity of a joint that moved less cannot be checked
-FEW = 0.01  # share of rows with distant positions that may be glitches
+MOVED = (0.005, np.deg2rad(1.0))  # m, rad: the velocity of a joint that moved less is not checked
+FEW = 0.01  # fraction of rows with far-off positions that may be glitches
 
 
 def has_moved(q: np.ndarray, robot: Robot) -> np.ndarray:
@@ -89,7 +89,7 @@ def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: 
 
 
 def _meaning(gain: float, correlation: float, gear: float) -> str:
-    """Return the likely cause of a factor between velocity and slope."""
+    """Return the likely cause of a factor between qd and the derivative of q."""
     known = [
         (1.0, "sign"),
         (np.rad2deg(1.0), "degrees per second"),
@@ -111,10 +111,10 @@ def _meaning(gain: float, correlation: float, gear: float) -> str:
 
 
 def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
-    """Raise for implausible torques (N, n) that are constant, or so small that they must be on the motor side.
+    """Raise for torques (N, n) that are constant, or so small that they must be on the motor side.
 
-    If the robot file has link masses, the torque is compared with their weight, otherwise with the reach: half the
-    torque range divided by ``g reach^4`` is 1 to 60 kg/m^3 for arms with 0.5 to 300 kg payload.
+    If the robot file has link masses, the torque is compared with the weight of the links, otherwise with the reach:
+    half the torque range divided by ``g reach^4`` is 1 to 60 kg/m^3 for arms with 0.5 to 300 kg payload.
     """
     check_constant(tau, used, robot)
     sized = _against_links(q, tau, used, robot) if robot.inertias is not None else _against_reach(tau, used, robot)

@@ -22,8 +22,8 @@ from armlab.log.recording.rows import RowLayout
 from armlab.log.table import Table
 from armlab.robots import Robot
 
-_EXACT = 2**53  # whole numbers up to here are exact as real ones
-_TOLD = 1000  # rows of a recording between two words on progress
+_EXACT = 2**53  # integers up to here are exact as floats
+_TOLD = 1000  # rows of a recording between two progress reports
 _FILES: dict[str, Callable[[Table, BinaryIO, Progress], None]] = {
     ".csv": write_csv,
     ".mat": write_mat,
@@ -49,7 +49,7 @@ def write(
     equal up to rounding, because stamps are whole nanoseconds and poses are quaternions. The extension determines the
     format:
 
-    * ``.mcap``: a recording; needs `robot`, whose name and joints are in the topics.
+    * ``.mcap``: a recording; needs `robot`, whose name is the first part of the topics.
     * ``.csv``: ``t [s],q1 [rad],...``, with the fewest digits that read back exactly; missing values are empty. Further
       column attributes are in ``run.csv.toml``.
     * ``.mat``: MATLAB, version 5; one variable per column, units in a struct; columns up to 2 GB.
@@ -59,16 +59,18 @@ def write(
 
     Parameters
     ----------
-    table : table to write; MCAP stores no text columns and no user counts above 2^53.
+    table : table to write; MCAP stores neither text columns nor user-defined counts above 2^53.
     path : path of the file, or of the folder of a rosbag2.
-    robot : the arm. MCAP needs it; in a rosbag2 it gives the joints the names of its URDF, in place of the labels.
-    storage : storage format of a rosbag2, mcap or sqlite3; releases before Iron read the latter without a plugin.
+    robot : the arm, required for MCAP; in a rosbag2, the joint names of its URDF replace the labels.
+    storage : storage format of a rosbag2, mcap or sqlite3; releases before Iron read sqlite3 without a plugin.
     progress : called with (done, total, what).
 
     Raises
     ------
-    ConfigError : unknown file extension, or no robot for MCAP. LogError : the file cannot be written, or the format
-    cannot hold the table. MissingExtra : pyarrow or h5py is not installed. RobotError : the argument is not a robot.
+    ConfigError : unknown file extension, or no robot for MCAP.
+    LogError : the file cannot be written, or the format cannot hold the table.
+    MissingExtra : pyarrow or h5py is not installed.
+    RobotError : the argument is not a robot.
     ShapeError : not a table, or a column that does not fit the robot's joints.
     """
     if not isinstance(table, Table):
@@ -130,10 +132,7 @@ def _remove(path: Path) -> None:
 
 
 def _check_text(table: Table) -> None:
-    """Reject text that files cannot store:
-
-    NUL ends a text in HDF5 and ROS, and a lone surrogate is not valid Unicode.
-    """
+    """Reject text that files cannot store: NUL ends a text in HDF5 and ROS, a lone surrogate is invalid Unicode."""
     for name in table.names:
         if table[name].dtype.kind != "U":
             continue
@@ -188,7 +187,7 @@ def _write_mcap(table: Table, part: Path, path: Path, robot: Robot | None, tell:
     file = RecordingFile(part, robot, layout, {}, "; ".join(table.source), (table.t0_ns, table.clock))
     try:
         for done in range(0, len(block), _TOLD):
-            file.write([row.tobytes() for row in block[done : done + _TOLD]], done)  # ticks may come twice
+            file.write([row.tobytes() for row in block[done : done + _TOLD]], done)  # not ticks, which may repeat
             tell(done, len(block), "rows")
         file.finish({"rows": len(table), "source": list(table.source)})
     except BaseException:

@@ -385,9 +385,7 @@ def _check_screws(name: str, screws: np.ndarray) -> None:
 
 
 def frames_along(z: np.ndarray) -> np.ndarray:
-    """Return rotations with third column z (n, 3) of any length; exact for coordinate axes, the identity for z = (0, 0,
-    1).
-    """
+    """Return rotations with third column along z (n, 3); exact for coordinate axes, the identity for (0, 0, 1)."""
     z = z / np.linalg.norm(z, axis=1, keepdims=True)
     x = np.eye(3)[np.argmin(np.abs(z), axis=1)]
     x = x - (x * z).sum(axis=1, keepdims=True) * z

@@ -8,9 +8,9 @@ from armlab.errors import ModelMismatchError, RobotError
 from armlab.lie import so3
 from armlab.robots.robot import Robot
 
-_EQUAL = 1e-9  # m, rad: rounding of digits, as `Robot.hash` leaves it out
+_EQUAL = 1e-9  # m, rad: smaller differences are rounding, which `Robot.hash` also ignores
 _NAMED = 6  # differences listed in an error
-_LIMITS = {  # field -> words, unit of a revolute joint, unit of a prismatic one
+_LIMITS = {  # field -> words, unit for revolute joints, unit for prismatic joints
     "q_min": ("lower position limit", "rad", "m"),
     "q_max": ("upper position limit", "rad", "m"),
     "qd_max": ("speed limit", "rad/s", "m/s"),

@@ -37,9 +37,9 @@ def load(
 
     Parameters
     ----------
-    name : a name of `names()` or of these packages, or the path of a file that ends in ``.toml`` or ``.urdf``.
+    name : a name from `names()` or from these packages, or the path of a file that ends in ``.toml`` or ``.urdf``.
     base, tip : first and last link of the arm in a URDF, see `urdf.Tree.chain`; default: the root, and the only moving
-        end.
+        tip.
     lock : positions [rad or m] of URDF joints that are held, so that the links behind them keep their mass.
 
     Raises
@@ -75,7 +75,7 @@ def load_chosen(name: str, options: Mapping[str, str]) -> Robot:
 
 
 def description(name: str | Path) -> Path | None:
-    """Return the description file of a robot, or None for a library robot. Errors as `load`."""
+    """Return the description file of a robot, or None for a library robot; raise the errors of `load`."""
     suffix = Path(str(name)).suffix.lower()
     if suffix in (".urdf", ".toml"):
         return Path(name)
@@ -103,7 +103,7 @@ def _of_robot_descriptions(name: str) -> Path | None:
     if find_spec(f"{package.__name__}.{name}") is None:
         return None
     try:
-        with redirect_stdout(sys.stderr):  # it prints what it fetches
+        with redirect_stdout(sys.stderr):  # the package prints its downloads
             module = import_module(f"{package.__name__}.{name}")
             if not hasattr(module, "URDF_PATH") and hasattr(module, "XACRO_PATH"):
                 return Path(import_module(f"{package.__name__}._xacro").get_urdf_path(module))
@@ -117,7 +117,7 @@ def _of_robot_descriptions(name: str) -> Path | None:
 
 
 def _of_example_robot_data(name: str) -> Path | None:
-    """Return a URDF by its name, or by its folder if that contains one of the same name or only one."""
+    """Return a URDF by its name, or by its folder, if this contains a URDF of the same name or a single URDF."""
     files = _example_robot_data()
     inside = [path for path in files.values() if f"/{name}/" in path.as_posix()]
     own = [path for path in inside if path.stem == name.removesuffix("_description")]
@@ -147,11 +147,11 @@ def save(robot: Robot, path: str | Path) -> None:
     Parameters
     ----------
     robot : any robot.
-    path : output file, ending in ``.toml`` or ``.urdf``; an existing one is replaced.
+    path : output file, ending in ``.toml`` or ``.urdf``; an existing file is replaced.
 
     Raises
     ------
-    RobotError : if the extension is another, the file cannot be written, or a name contains invalid characters.
+    RobotError : if the extension is unsupported, the file cannot be written, or a name contains invalid characters.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
@@ -195,7 +195,7 @@ def from_toml(text: str, origin: str) -> Robot:
     Parameters
     ----------
     text : text as written by `to_toml`.
-    origin : its source, for messages.
+    origin : source of the text, for messages.
 
     Raises
     ------

@@ -127,7 +127,7 @@ def _matrix(pi: np.ndarray) -> np.ndarray:
 
 
 def _squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """``x·y 1`` minus the symmetric part of ``x yᵀ``: which is the inertia of masses at x with first moments y."""
+    """``x·y 1`` minus the symmetric part of ``x yᵀ``: the inertia of masses at x with first moments y."""
     product = x[..., :, None] * y[..., None, :]
     return (x * y).sum(axis=-1)[..., None, None] * np.eye(3) - (product + np.swapaxes(product, -1, -2)) / 2
 

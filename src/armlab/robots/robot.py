@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _YUMI_AXES = (1, 2, 7, 3, 4, 5, 6)
 _PARALLEL = 0.03  # axes at a smaller angle [rad] are drawn as parallel
 MOST_JOINTS = 32  # capacity of the compiled kernels
-MOMENT_TOLERANCE = 1e-6  # negative principal moments are rounding up to this share of the largest
+MOMENT_TOLERANCE = 1e-6  # negative principal moments up to this share of the largest are rounding
 SMALLEST_RADIUS = 1e-6  # m; or up to the moment of the whole mass at this radius
 DRIVES = ("friction", "damping", "rotor", "ripple", "noise")
 """Drive parameters of a description: Coulomb friction [N m], viscous friction [N m s/rad], rotor inertia [kg m^2],
@@ -55,8 +55,8 @@ class Robot:
     source : sources of the numbers.
     tau_max : (n,) limits of torque or force [N m or N]; infinite where unlimited.
     inertias : (n, 10) of each link in its link frame, about its origin (see `robots.inertia`), or None when unknown.
-    meshes : n + 1 tuples of `Mesh`: those of the mount, in the frame of the mount, then of link 1 ... n, each in its
-        link frame; or empty.
+    meshes : n + 1 tuples of `Mesh`: for the mount in its frame, then for links 1 ... n, each in its link frame; or
+        empty.
     drives : pairs of a name in `DRIVES` and n numbers, drive parameters for simulation; 0 is unknown.
 
     Raises
@@ -109,7 +109,7 @@ class Robot:
 
     @property
     def ros_joint_names(self) -> tuple[str, ...]:
-        """n names in ROS messages, recordings and URDF: `joint_names`; for a YuMi those of abb_robot_driver.
+        """n names in ROS messages, recordings and URDF: `joint_names`; for a YuMi, the names of abb_robot_driver.
 
         abb_robot_driver counts from base to tool: ABB's axis 7 of a left arm is ``yumi_robl_joint_3``.
         """
@@ -346,9 +346,7 @@ def arm_length(robot: Robot) -> float:
 
 
 def bends(a: np.ndarray, along_a: np.ndarray, b: np.ndarray, along_b: np.ndarray) -> list[np.ndarray]:
-    """Return the corner points of a link between two axes (each a point and a unit vector), the ends of the common
-    normal.
-    """
+    """Return the corner points of a link between two axes (each a point and a unit vector): common-normal ends."""
     across = b - a
     cosine = along_a @ along_b
     sine2 = 1 - cosine**2
@@ -452,7 +450,7 @@ def _check_names(robot: Robot) -> None:
 
 
 def _check_bodies(robot: Robot) -> None:
-    """Inertias must be physically consistent, and meshes must belong to the mount or to a link."""
+    """Check that inertias are physically consistent, and that meshes belong to the mount or to a link."""
     if len(robot.meshes) not in (0, robot.n + 1):
         raise RobotError(
             f"Expected meshes in robot {robot.name!r} of the mount and {robot.n} links, got {len(robot.meshes)} tuples."

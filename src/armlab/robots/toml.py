@@ -218,9 +218,7 @@ def _matrix(pose: Pose, where: str) -> np.ndarray:
 
 
 def write_robot(robot: Robot) -> str:
-    """Return the TOML text of a robot, with DH rows if they reproduce it exactly, otherwise with the pose of each next
-    joint.
-    """
+    """Return the TOML text of a robot, with DH rows if these are exact, otherwise with the pose of each next joint."""
     rows = [{"name": _text(name)} for name in robot.joint_names]
     dh = _dh_columns(robot)
     head: Fields = {"name": _text(robot.name)}

@@ -12,7 +12,7 @@ __all__ = ["central_diff", "decimate", "filtfilt", "lowpass_offline", "smooth_di
 
 UNEVEN = 0.1  # relative deviation of a time step beyond which samples are uneven
 PASSED = 0.8  # fraction of the new Nyquist frequency kept by decimation
-ORDER = 3  # of the polynomials of smooth_diff
+ORDER = 3  # polynomial order of smooth_diff
 WINDOW = 1.25  # bandwidth times window
 NARROWEST, WIDEST = 1e-5, 0.3  # bandwidth over rate: windows of 125000 and of five samples
 
@@ -78,7 +78,7 @@ def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> 
     ----------
     operator : ExpFilter, LowPass2 or Notch.
     x : (N, ...) samples, finite.
-    t : (N,) times [s], strictly increasing; needed for operators without dt or uneven samples.
+    t : (N,) times [s], strictly increasing; needed for operators without dt and for uneven samples.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> 
     Raises
     ------
     ConfigError : the operator is not a filter.
-    ShapeError : values are not finite, times do not increase.
+    ShapeError : values are not finite, or times do not increase.
 
     References
     ----------
@@ -123,7 +123,7 @@ def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
     Parameters
     ----------
     x : (N, ...) samples, finite.
-    rate : of the samples [Hz].
+    rate : sampling rate [Hz].
     factor : at least 1; the new rate is ``rate / factor``.
 
     Returns
@@ -133,7 +133,7 @@ def decimate(x: np.ndarray, rate: float, factor: int) -> np.ndarray:
     Raises
     ------
     ConfigError : factor is not a positive integer.
-    ShapeError : too short, not finite.
+    ShapeError : the record is too short or not finite.
     """
     if not 1 <= number(factor, "the factor", ConfigError) < np.inf or factor % 1:
         raise ConfigError(f"Expected an integer factor >= 1, got {factor:g}. Use Table.resample for other rates.")
@@ -160,7 +160,7 @@ def smooth_diff(x: np.ndarray, t: np.ndarray, bandwidth: float) -> np.ndarray:
 
     Raises
     ------
-    ShapeError : uneven times, an unattainable bandwidth, a record shorter than the window.
+    ShapeError : uneven times, an unattainable bandwidth, or a record shorter than the window.
 
     References
     ----------

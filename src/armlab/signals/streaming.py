@@ -30,7 +30,7 @@ class Operator:
     Parameters
     ----------
     kernel : the compiled operator.
-    dt : step [s], NaN if every sample has a time stamp.
+    dt : step [s], NaN if every sample has a timestamp.
     settling : settling time of a filter [s]; 0 for other operators.
     """
 
@@ -55,12 +55,12 @@ class Operator:
         Parameters
         ----------
         x : sample, a number or an array.
-        t : time stamp [s], for every sample or for none; default: a step of dt.
+        t : timestamp [s], for every sample or for none; default: a step of dt.
 
         Raises
         ------
-        ShapeError : a shape other than that of the first sample, times that do not increase, stamps on some samples
-            only.
+        ShapeError : a shape that differs from the first sample, times that do not increase, or timestamps on some
+            samples only.
         """
         return self._kernel.step(x, t)
 
@@ -70,7 +70,7 @@ class Operator:
         Parameters
         ----------
         x : (N, ...) samples.
-        t : (N,) time stamps [s] or None.
+        t : (N,) timestamps [s] or None.
         """
         return self._kernel.run(x, t)
 
@@ -79,7 +79,7 @@ class Operator:
 
         Parameters
         ----------
-        init : new initial value; default: that of the construction.
+        init : new initial value; default: the value from construction.
         """
         self._kernel.reset(init)
 

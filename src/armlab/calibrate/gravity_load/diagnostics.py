@@ -19,10 +19,10 @@ STILL = 1e-6  # variation of gravity in tool axes that counts as zero
 HAND = 20.0  # Delta from which the handedness is decided
 RICH = 0.1  # variation of gravity in two directions beyond which the readings must follow it
 UNEXPLAINED = 0.5
-ROUGH = 5.0  # residuals over the given noise beyond which they are not noise
+ROUGH = 5.0  # ratio to the given noise beyond which residuals are not noise
 FIRST_ORDER = 0.05  # rad: beyond it, a covariance is only a first-order approximation
 FAR, ABSURD = 1.0, 10.0  # m: a centre of mass farther away possibly, or certainly, has wrong units
-OTHER_UNIT = 2.0  # factor beyond the errors of any weight and gravity
+OTHER_UNIT = 2.0  # factor too large for an error in weight or gravity
 HEAVY, LIGHT = 500.0, 1e-3  # kg, beyond the range of arms and sensors
 LOW_GRAVITY = 1.5  # m/s^2, less than on the Moon
 MANY = 1.0 / 3.0  # fraction of outliers from which the left-handed solution is tried
@@ -134,7 +134,7 @@ def require_motion(equation: WeightEquation) -> float:
 
 
 def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.ndarray, moved: float) -> None:
-    """Raise on readings that do not follow gravity, if it varies enough."""
+    """Raise on readings that do not follow gravity, if gravity varies enough in tool axes."""
     count = np.count_nonzero(kept)
     power = float(equation.weights[kept] @ np.einsum("ij,ij->i", r[kept, :3], r[kept, :3]))
     if moved < RICH or 2 * count < 3 or (equation.noise is not None and power < 3 * count * ROUGH**2):

@@ -3,7 +3,7 @@
     f_i = s m R^T R_base_tool,i^T g + b_f,        tau_i = c x (f_i - b_f) + b_tau,        R = R_tool_sensor
 
 For forces with known gravity, the maximum-likelihood solution has a closed form. Torques refine the rotation, and all
-parameters are then fitted jointly. Umeyama (1991) for the closed form.
+parameters are then fitted jointly. The closed form is due to Umeyama (1991).
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def fit_force_sensor(
     sign : +1 if the sensor reads the suspended weight, -1 if it reads the reaction.
     bias : whether readings without weight may be non-zero.
     mass : known mass of the load [kg]; default: estimated.
-    noise : standard deviation of the force [N]; with torques (sd of force [N], of torque [N m]); or covariance (k, k)
-        or (N, k, k). Default: estimated.
+    noise : standard deviation of the force [N]; with torques (sd of force [N], sd of torque [N m]); or covariance
+        (k, k) or (N, k, k). Default: estimated.
     robust : detect and exclude samples with contact; `Fit.outliers` marks them.
     limits : largest accepted standard deviation along any direction: angle [rad], fraction of the weight, length [m].
 
@@ -238,9 +238,7 @@ def _solved(equation: WeightEquation, start: Load, robust: bool) -> NonlinearSol
 def _better_of_mirrored(
     equation: WeightEquation, found: NonlinearSolution[Load], robust: bool
 ) -> NonlinearSolution[Load]:
-    """Return the better of a minimum and the minimum from its mirror solution: fewer outliers first, then smaller
-    residuals.
-    """
+    """Return the better of a minimum and its mirrored minimum: fewer outliers first, then smaller residuals."""
     start = mirror_solution(equation, found.value)
     if start is None:
         return found

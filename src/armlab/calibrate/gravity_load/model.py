@@ -18,12 +18,12 @@ import numpy as np
 from armlab.estimation import Measurement, NonlinearProblem
 from armlab.lie import so3
 
-ROUNDING = 1e-11  # of the largest reading
+ROUNDING = 1e-11  # fraction of the largest reading
 FLOOR = 1e-6  # noise relative to the readings below which it is rounding
 ROUNDS = 50
 SETTLED = 1e-3  # change of the weights, relative to the largest
-SHORT = 1e-3  # of the median residual: smaller residuals count as this
-FAR = 4.0  # medians beyond which a residual is excluded from the start
+SHORT = 1e-3  # fraction of the median residual: smaller residuals are raised to it
+FAR = 4.0  # ratio to the median residual beyond which a sample is excluded from the initial guess
 NULL = 1e-9
 ALIKE = 0.5  # ratio of the mean weight in tool axes to the weight beyond which the mirror solution is also a minimum
 
@@ -41,7 +41,7 @@ class Load(NamedTuple):
 class WeightEquation:
     RA: np.ndarray  # (N, 3, 3) R_base_tool
     y: np.ndarray  # (N, 3) forces, or (N, 6) with torques
-    pull: np.ndarray | None  # (3,) s g, derivative of gamma by the mass; None for unknown gravity
+    pull: np.ndarray | None  # (3,) s g, derivative of gamma with respect to the mass; None for unknown gravity
     bias: bool  # whether the readings have a bias
     mass: float | None  # known mass; None: estimated
     noise: np.ndarray | None  # variances (k,), or covariance (k, k) or (N, k, k); None: estimated
@@ -163,11 +163,11 @@ class WeightEquation:
 
 
 class Turn(NamedTuple):
-    """Closed-form rotation, mass and bias that minimise ``sum w_i |f_i - m R^T h_i - b|^2``, ``h_i = R_base_tool,i^T
-    pull``.
+    """Closed-form rotation, mass and bias that minimise ``sum w_i |f_i - m R^T h_i - b|^2``.
 
-    Closed form (Umeyama 1991): with weighted means subtracted if there is a bias, ``H = sum w h h^T`` and
-    ``S = sum w h f^T`` with signed singular values s, R is the rotation nearest to S and ``m = (s1 + s2 + s3) / tr H``.
+    Here ``h_i = R_base_tool,i^T pull``. Closed form (Umeyama 1991): with weighted means subtracted if there is a bias,
+    ``H = sum w h h^T`` and ``S = sum w h f^T`` with signed singular values s, R is the rotation nearest to S and
+    ``m = (s1 + s2 + s3) / tr H``.
     The best left-handed solution has -s3 instead of s3.
     """
 
@@ -177,7 +177,7 @@ class Turn(NamedTuple):
     m: float  # mass
     other_m: float  # mass of the best left-handed solution
     power: float  # residual sum of squares
-    signal: float  # total sum of squares; both over the variance if the noise is given
+    signal: float  # total sum of squares; both divided by the variance if the noise is given
     moved: list[float]  # relative variation of gravity in tool axes, along three axes, ascending
     difference: float  # Delta, chi^2 of the best left-handed solution minus that of the best rotation
 
@@ -209,13 +209,13 @@ class Turn(NamedTuple):
         scale = 1.0
         if equation.noise is None:
             N = equation.N if kept is None else int(np.count_nonzero(kept))
-            floor = max(FLOOR**2 * signal / N, np.finfo(float).tiny)  # of noise-free readings; of zero readings
+            floor = max(FLOOR**2 * signal / N, np.finfo(float).tiny)  # for noise-free readings; for zero readings
             scale = max(min(power, other_power) / max(3 * N - 7, 1), floor)
         return cls(R, H, S, m, other_m, power, signal, moved, (other_power - power) / scale)
 
 
 def likely_samples(equation: WeightEquation) -> np.ndarray:
-    """Return the samples (N,) for an initial guess, which are those near the least-absolute-residuals regression.
+    """Return the samples (N,) near a least-absolute-residuals regression, for the initial guess.
 
     Forces are linear in the orientation of the tool, ``f_i = sum_k c_k (R_i)_k + b`` (or in gravity in tool axes if it
     is known). ``sum |r_i|`` is convex, and is robust against contacts.

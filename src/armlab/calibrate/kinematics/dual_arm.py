@@ -71,13 +71,13 @@ def fit_dual_arm(
     ----------
     robot_a, robot_b : nominal arms.
     q_a, q_b : (N, n) simultaneous joint positions [rad or m].
-    pose : (N, 4, 4) of b's tool relative to a's tool; (4, 4) for a closed chain with tools held in a known pose.
-    position : (N, 3) of b's tool point, in a's tool axes [m].
+    pose : (N, 4, 4) poses of b's tool relative to a's tool; (4, 4) for a closed chain with tools held in a known pose.
+    position : (N, 3) positions of b's tool point in a's tool axes [m].
     closed : the tools are joined: b's tool is fixed relative to a's. The pose may be unknown.
-    absolute_a : (N, 4, 4) of a's tool in a frame that then defines the base of a.
+    absolute_a : (N, 4, 4) poses of a's tool in a frame that then defines the base of a.
     visible : (N,), False for missing relative measurements.
-    noise : of the relative measurement, as in `fit_kinematics`. Default: estimated.
-    noise_absolute : of `absolute_a`, (sd [m], sd [rad]) or a covariance; required with `noise`.
+    noise : noise of the relative measurement, as in `fit_kinematics`. Default: estimated.
+    noise_absolute : noise of `absolute_a`, (sd [m], sd [rad]) or a covariance; required with `noise`.
     harmonics : orders of joint errors of both arms, as in `fit_kinematics`.
     joint_terms_a, joint_terms_b : phi (N, n, L) of each arm, as in `fit_kinematics`.
     prior, weak, robust, limits : as in `fit_kinematics`.
@@ -221,7 +221,7 @@ class DualProblem:
         return (*self.arm_a.units, *self.arm_b.units, *("m",) * 3, *("rad",) * 3)
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
-        """Return the limits (d,): a length for metres and an angle for radians."""
+        """Return the limits (d,): `length` for unknowns in metres, `angle` for unknowns in radians."""
         arms = [arm.sizes(length, angle) for arm in (self.arm_a, self.arm_b)]
         return np.concatenate([*arms, np.repeat([length, angle], 3)])
 
@@ -315,7 +315,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         return mask
 
     def nature(self, state: DualState) -> list[UnobservableDirection]:
-        """Return the orientation of b's tool."""
+        """Return the orientation of b's tool, which is structurally unobservable."""
         problem = self.problem
         at = problem.arm_a.size + 6 * problem.arm_b.n + 3
         turns = np.zeros((problem.size, 3))
@@ -325,7 +325,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         ]
 
     def candidates(self, state: DualState) -> list[UnobservableDirection]:
-        """Return joints at rest, common motion of both tools, and the scale."""
+        """Return the candidates: joints at rest, common motion of both tools, and the scale."""
         arm_a, arm_b = self.problem.arm_a, self.problem.arm_b
         a, size = arm_a.size, self.problem.size
         found = joints_at_rest(arm_a, state.a.frames, 0, size, " of arm a")
@@ -353,7 +353,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         return self.result(found, state, self._value, ())
 
     def spaces(self) -> list[float]:
-        """Return the size [m] of the workspace of each measurement (for a closed chain, that of arm a)."""
+        """Return the size [m] of the workspace of each measurement (for a closed chain, the workspace of arm a)."""
         problem = self.problem
         places = [kind.values[kind.visible.reshape(len(kind.values), -1)[:, 0]] for kind in problem.kinds]
         if problem.closed:

@@ -67,20 +67,20 @@ def fit_kinematics(
 
     Parameters
     ----------
-    robot : nominal arm, the start of the fit. A distant measurement frame is located first.
+    robot : nominal arm, from which the fit starts. A distant measurement frame is located first.
     q : (N, n) joint positions [rad or m].
     pose : (N, 4, 4) measured poses of the tool.
-    position : (N, 3) of the tool point, or (N, K, 3) of K points fixed to the tool at unknown positions [m].
-    distance : (N,) from `anchor`, a fixed, approximately known point, to the tool point [m].
+    position : (N, 3) positions of the tool point, or (N, K, 3) of K points at unknown places on the tool [m].
+    distance : (N,) distances from `anchor`, a fixed, approximately known point, to the tool point [m].
     pair_distance : (i, j, d): samples i and j (M,), and the distances d (M,) of their tool points [m].
     anchor : (3,) initial guess of the fixed point, measurement frame [m].
     length_offset, length_scale : estimate ``measured = scale * true + offset`` of distances.
     visible : (N,) or (N, K), False where a measurement is missing; by kind where masks differ: {"position": mask}.
-    noise : of a pose (sd [m], sd [rad]) or 6 sd; of a position one sd or 3 [m]; of a distance one sd; covariances
+    noise : for poses (sd [m], sd [rad]) or 6 sd; for positions one sd or 3 [m]; for distances one sd; or covariances
         (k, k) or (N, k, k). An infinite sd excludes a component. For several kinds: {"pose": ..., "distance": ...}. The
         noise of missing kinds is estimated.
-    model : "local_poe": steps of the frames; "poe": of the screws in the base and the home pose. The result is the
-        same.
+    model : "local_poe": steps of the frames; "poe": steps of the screws in the base and of the home pose. The result
+        is the same.
     free : "all"; "offsets": joint offsets, base and tool; "base_tool"; or a mask (n+1, 6) of the twists [v; w] of the
         frames, with joint j + 1 the z axis of frame j.
     harmonics : orders k of ``a_jk cos k q_j + b_jk sin k q_j`` added to q, with a prior of 0.1 deg on the amplitudes.

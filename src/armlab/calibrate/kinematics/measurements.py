@@ -117,7 +117,7 @@ def _by_kind(value: Any, names: list[str], what: str) -> dict[str, Any]:
 
 
 def _values(name: str, value: Any, N: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the measurements in their shape, and the index pairs of pair distances."""
+    """Return the measurements with validated shape, and the index pairs of pair distances."""
     if name == "pair_distance":
         return _pairs(value, N)
     array = numbers(value, name, ShapeError)

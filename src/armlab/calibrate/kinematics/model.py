@@ -1,6 +1,6 @@
 """Model of a kinematic calibration: unknowns of one arm, and residuals of all kinds of measurement with Jacobian.
 
-The frames are those of `robots.Robot`, with joint axes z: ``T = E_0 Z_1 E_1 ... Z_n E_n``. A step moves each to
+The frames are those of `robots.Robot`, with joint axes z: ``T = E_0 Z_1 E_1 ... Z_n E_n``. A step moves each frame to
 ``E_j Exp([v; w])``. A motion that commutes with Z_j can be moved from E_{j-1} to E_j without effect; this is the gauge.
 """
 
@@ -27,7 +27,7 @@ GAUGE: dict[bool, tuple[int, ...]] = {
 }  # components of [v; w] that commute with Rz, with Tz
 SMALLEST_ROUNDS, SMALLEST_STEP = 20, 1e-12
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
-HARMONIC_PRIOR = np.radians(0.1)  # otherwise amplitudes of degrees compensate the geometry
+HARMONIC_PRIOR = np.radians(0.1)  # otherwise amplitudes of several degrees compensate for errors of the geometry
 
 
 class ArmState(NamedTuple):
@@ -78,7 +78,7 @@ class Arm:
         return (*twists, *("rad",) * self.waves[0].size, *("rad/unit",) * self.terms.shape[2])
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
-        """Return the limits (d,): a length for metres, an angle for radians, and the coefficient for joint terms."""
+        """Return the limits (d,): `length` for metres, `angle` for radians, and its equivalent for joint terms."""
         twists = np.tile([*(length,) * 3, *(angle,) * 3], self.n + 1)
         parts = [twists, np.full(self.waves[0].size, angle)]
         if self.terms.shape[2]:
@@ -122,9 +122,7 @@ class Arm:
         return frame_poses(Chain(state.frames, self.robot.prismatic), state.frames, q)
 
     def jacobian(self, state: ArmState, P: np.ndarray, point: np.ndarray, local: bool = False) -> np.ndarray:
-        """Return the motion (N, 6, d) of points (N, 3) fixed to the tool, in axes of P; `local`: due to steps of the
-        frames.
-        """
+        """Return the motion (N, 6, d) of points (N, 3) fixed to the tool, in axes of P; `local`: by frame steps."""
         J = twist_jacobian(P, point)
         turning = J[:, :, np.arange(self.n), np.where(self.robot.prismatic, 2, 5)]
         flat = J.reshape(len(P), 6, -1)
@@ -261,7 +259,7 @@ class KinematicProblem:
 
     @property
     def tool_held(self) -> bool:
-        """Whether the tool is defined only by several tool points; these move, but its frame does not."""
+        """Whether only several tool points define the tool: the fit then moves the points, not the tool frame."""
         return self.points > 0 and all(kind.name == "position" for kind in self.kinds)
 
     @property
@@ -274,7 +272,7 @@ class KinematicProblem:
         return (*self.arm.units, *("m",) * (3 * self.points + 4), "-")
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
-        """Return the limits (d,): a length for metres, and an angle for radians and for the scale of lengths."""
+        """Return the limits (d,): `length` for metres, `angle` for radians and for the scale of lengths."""
         lengths = np.full(3 * self.points + 4, length)
         return np.concatenate([self.arm.sizes(length, angle), lengths, [angle]])
 
@@ -317,9 +315,7 @@ class KinematicProblem:
         return [*found, *(chosen(one, self.active) for one in self.priors(state))]
 
     def measurements(self, state: State, local: bool = False) -> list[Measurement]:
-        """Return residuals of the data and their derivatives with respect to all unknowns; `local`: to steps of the
-        frames.
-        """
+        """Return residuals of the data and their derivatives w.r.t. all unknowns; `local`: w.r.t. frame steps."""
         P = self.arm.move(state.arm)
         J = self.arm.jacobian(state.arm, P, P[:, -1, :3, 3], local)
         found: list[Measurement] = []

@@ -25,14 +25,14 @@ from armlab.models import KinematicCorrection
 SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
 UNIT = 1e-3  # 1 mm and 1 mrad, the units of the minimum-norm step
 WEAK = ("refuse", "prior")
-MISFIT = 0.1  # of the measured size, or of half a turn: beyond it, samples are inconsistent
+MISFIT = 0.1  # fraction of the measured size, or of half a turn, beyond which samples are inconsistent
 NO_NOISE = 1e-12  # m or rad: below it, records are copies without noise
 GAUGE = 1e-6  # component of an unidentifiable direction beyond which a parameter depends on it
 ROUNDING = 1e-9  # of the largest coordinate: smaller motion is rounding
 NOBODY = np.zeros(0, dtype=int)
-FAR = 0.1  # m or rad from the nominal robot: another measurement frame
-MILLIMETRES = 30.0  # ratio beyond the deviation of any arm from its description
-STILL = 1e-4  # ratio below any unit of length: the tool did not move
+FAR = 0.1  # m or rad from the nominal robot, beyond which the measurement frame is a different one
+MILLIMETRES = 30.0  # ratio beyond any deviation of an arm from its description
+STILL = 1e-4  # ratio too small for any error of unit: the tool did not move
 
 S = TypeVar("S")
 Value = TypeVar("Value")
@@ -120,9 +120,7 @@ def _from_poses(arm: Arm, T: np.ndarray, kind: Kind) -> Arm:
 
 
 def hand_eye(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return X and Y of ``B_i = Y A_i X``: rotations come from the mean of ``R_A (x) R_B``, translations from a linear
-    system.
-    """
+    """Return X and Y of ``B_i = Y A_i X``: rotations by the mean of ``R_A (x) R_B``, translations by least squares."""
     RA, RB = A[:, :3, :3], B[:, :3, :3]
     K = np.einsum("iab,icd->acbd", RA, RB).reshape(9, 9) / len(A)
     U, _, V = np.linalg.svd(K)
@@ -263,7 +261,7 @@ class KinematicEstimation(ABC, Generic[S]):
         excitation = self._judge_fit(data, state, found)
         cov, formal, check = self.covariance(data, state, found, excitation)
         doubts, lines = doubts_of(check, [*notes, *self.match(found), *self.doubts(state)])
-        accuracy = cache(partial(self._accuracy, data, found))  # for the report alone
+        accuracy = cache(partial(self._accuracy, data, found))  # only for the report
         shown = ~np.any(np.abs(excitation.null_space) > GAUGE, axis=1)
         return Fit(
             value=value(state, cov),
@@ -393,7 +391,7 @@ def _cut_to(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> li
 
 
 def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any, outside: np.ndarray = NOBODY) -> None:
-    """Raise on inconsistent samples; the workspace `sizes` [m] are 0 at rest."""
+    """Raise on inconsistent samples; `sizes` [m] are the extents of the workspaces, 0 at rest."""
     for one, size in zip(data, sizes):
         kept = one.r[_kept(one, outside)]
         for unit, space in (("m", size), ("rad", np.pi)):

@@ -230,7 +230,7 @@ class Element:
         return float(self.numbers(name, 1, None if default is None else (default,))[0])
 
     def limit(self, name: str, default: float) -> float:
-        """Return one limit, infinite from `LARGEST` on."""
+        """Return one limit; values of `LARGEST` or more are infinite."""
         word = self.attributes.get(name, "").strip()
         if _LIMIT.fullmatch(word):
             value = float(word)

@@ -24,9 +24,9 @@ from armlab.robots.build import GRAVITY, dexterous_home, frames_along, from_link
 from armlab.robots.robot import Mesh, Robot, body_fault, check_joint_count
 
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
-SHORTEST_AXIS = 1e-6  # a shorter one has no significant digits left
+SHORTEST_AXIS = 1e-6  # shorter axes have no significant digits
 ROUNDING = 0.01  # tolerance of the triangle inequality of moments: rounded files, thin plates
-_TURN_OVER = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x: the other direction of the z axis
+_TURN_OVER = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x, which reverses the z axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +218,7 @@ class Tree:
         omitted, with a warning that states their mass. The home posture is a non-singular posture near the middle of
         all ranges. Gravity is `GRAVITY` in the axes of the root. A joint traversed from child to parent rotates about
         the opposite axis, so that its position keeps its meaning. A mimic joint keeps its own position; see `mimic`. A
-        speed or effort of 0 means unknown, a limit of 1e9 or more means unlimited. An inertia that violates the
+        speed or effort of 0 means unknown, and a limit of 1e9 or more means unlimited. An inertia that violates the
         triangle inequality is used with a warning, and one without a mass is omitted with a warning. `Robot.source`
         lists all assumptions and omissions.
 
@@ -227,14 +227,14 @@ class Tree:
         base : name of the fixed link; default: the root.
         tip : name of the last link; required if several branches move.
         name : name of the robot; default: that of the file.
-        lock : positions [rad or m] of joints held there, by name; the links behind them keep their mass.
+        lock : positions [rad or m] of locked joints, by name; the links behind these joints keep their mass.
 
         Raises
         ------
         UnknownName : if a link or a locked joint does not exist; lists the available ones.
-        RobotError : if the tip is missing and several branches move; when nothing moves between the two; when a joint
+        RobotError : if the tip is missing and several branches move; if nothing moves between the two; if a joint
             between them is floating or planar, has no axis, no range or reversed limits, or mimics a missing joint;
-            when the inertia of a link is not physically consistent. The message states the file and line. Other parts
+            or if the inertia of a link is not physically consistent. The message states the file and line. Other parts
             of the file are not checked.
         """
 
@@ -538,9 +538,7 @@ def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np
 
 
 def _gravity(tree: Tree, base: str) -> tuple[np.ndarray, str]:
-    """Return gravity in base axes, assuming an upright root and joints above the base at 0, and this assumption as
-    text.
-    """
+    """Return gravity in base axes, for an upright root and joints above the base at 0, and this assumption as text."""
     R, moving = np.eye(3), []
     for joint in _ancestry(tree, base):
         R = joint.T_parent_child[:3, :3] @ R

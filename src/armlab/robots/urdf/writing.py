@@ -22,8 +22,8 @@ def write_urdf(
 ) -> str:
     """Return the URDF of a robot; a comment at the top contains the fields that URDF cannot express, and `more`.
 
-    `friction`: damping [N m s/rad] and Coulomb friction [N m] of each joint; default: those of the
-    robot's drives. `prefix` is prepended to the name of each link.
+    `friction`: damping [N m s/rad] and Coulomb friction [N m] of each joint; default: from the robot's
+    drives. `prefix` is prepended to the name of each link.
     """
     _check_text(robot)
     drives = dict(robot.drives)
@@ -113,7 +113,7 @@ def _joint(robot: Robot, i: int, parent: str, child: str, friction: tuple[float,
 
 
 def _limit(value: float) -> str:
-    """URDF has no infinity, so 1e9 [rad, m, rad/s, m/s, N m, N] represents it and is read back as infinite."""
+    """Return the text of a limit: 1e9 [rad, m, rad/s, m/s, N m, N] for infinity, which is read back as infinite."""
     return _number(value) if np.isfinite(value) else ("1e9" if value > 0 else "-1e9")
 
 

@@ -109,19 +109,20 @@ _TWIST = np.array([1e-3, 1e-3, 1e-3, RADIAN, RADIAN, RADIAN])
 
 
 class Details(NamedTuple):
-    """Additional fields of an EgmRobot, in SI units and kinematic joint order. Missing numbers are NaN, other missing
-    fields None.
+    """Additional fields of an EgmRobot, in SI units and kinematic joint order.
+
+    Missing numbers are NaN, and other missing fields are None.
 
     Attributes
     ----------
-    q_ext_planned : (k,) the controller's reference of the external axes.
+    q_ext_planned : (k,) the controller's reference for the external axes.
     T_frame_planned : (4, 4) the controller's reference pose.
     planned_ns : clock of the reference, nanoseconds since 1970.
-    stamp_ns, planned_stamp_ns : of the IEEE 1588 clock.
-    move_index : of RAPID's movement.
+    stamp_ns, planned_stamp_ns : IEEE 1588 timestamps.
+    move_index : index of the RAPID movement.
     collision : whether collision detection triggered.
     collision_quota : (k,) as sent.
-    force_control : whether active (RobotWare 7); otherwise the force is that of the raw sensor.
+    force_control : whether force control is active (RobotWare 7); otherwise the force is the raw sensor reading.
     test_signals : (k,) as sent.
     tau_total, tau_gravity : (n,) torque of the drives, and their feed-forward torque [N m].
     current : (n,) of the motors [A].

@@ -69,7 +69,7 @@ class Packet(NamedTuple):
     T_frame_tool : (4, 4), NaN if absent.
     wrench_raw : (6,) measuredForce, NaN if absent.
     motors, mci, rapid : states as numbered by ABB, 0 if absent.
-    converged : whether the window of EGMAct is met.
+    converged : whether the convergence condition of EGMAct is met.
     utilization : percent, NaN if absent.
     robotware : "6.06", "6.07", "6.10" or "7".
     rapid_data, rapid_digital : RAPIDfromRobot.
@@ -128,7 +128,7 @@ class Reference(NamedTuple):
 
     Attributes
     ----------
-    q, qd, tau : (n,) references; without `qd` no speed reference is sent, `tau` needs the extension.
+    q, qd, tau : (n,) references; without `qd`, no speed reference is sent; `tau` needs the extension.
     seq : our own sequence number.
     tm_ms : the `tm` of the answered packet (0 if missing).
     robot_seq, robot_mono_ns : echoes of the answered packet, sent with the extension only.
@@ -169,7 +169,7 @@ class Codec(Protocol):
         ...
 
 
-_SECONDS = 1.0  # shorter queues are replies in flight
+_SECONDS = 1.0  # queues that last less are replies in flight
 
 
 class StandingQueue:

@@ -1,7 +1,7 @@
 """LabComm codec for self-describing streams of samples in all dialects since 2006, and for the `.lc` language.
 
 A stream consists of VERSION, definitions of sample types, and values of these types. Trees of `types` describe values.
-`Encoder` writes a stream, `Decoder` reads pieces of any size within `Limits`, and `parse_lc` reads type declarations.
+`Encoder` writes a stream, `Decoder` reads chunks of any size within `Limits`, and `parse_lc` reads type declarations.
 The codec uses no sockets or files.
 """
 

@@ -287,9 +287,7 @@ class Known:
 
 
 class Tables:
-    """Samples, references and types by index, and the readers of the samples; these are dicts, because indices may be
-    sparse.
-    """
+    """Samples, references and types by index, and the readers of the samples; dicts, because indices may be sparse."""
 
     def __init__(self, limits: Limits) -> None:
         self.kinds: dict[Kind, dict[int, SampleType]] = {"sample": {}, "ref": {}, "type": {}}
@@ -322,7 +320,7 @@ class Decoder:
     ----------
     dialect : name of the dialect, "auto" to detect it from the first bytes.
     limits : `Limits.server()` by default.
-    require_version : False accepts a stream of the given dialect without announcement.
+    require_version : False accepts a stream of the given dialect without a VERSION.
 
     Attributes
     ----------
@@ -353,7 +351,7 @@ class Decoder:
 
     @property
     def dialect(self) -> str | None:
-        """Name of the dialect; None until detected. it is 2014 until a definition identifies 2014i."""
+        """Name of the dialect; None until detected, and 2014 until a definition identifies 2014i."""
         return None if self._dialect is None else self._dialect.name
 
     def feed(self, data: bytes | bytearray | memoryview) -> list[Event]:
@@ -361,12 +359,12 @@ class Decoder:
 
         Parameters
         ----------
-        data : any piece of the stream.
+        data : any chunk of the stream.
 
         Raises
         ------
-        LabCommError : the stream is malformed. `offset` is the position, `events` has the events before it. Every later
-            call raises the same error.
+        LabCommError : the stream is malformed. `offset` is the position, and `events` has the events before it. Every
+            later call raises the same error.
         """
         if self._error is not None:
             raise self._error

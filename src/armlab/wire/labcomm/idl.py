@@ -1,7 +1,7 @@
 """LabComm's `.lc` declaration language, and the declarations supplied with armlab.
 
-``sample struct { int tm; double pos[7]; } robot_row;`` declares a sample, ``typedef`` names a type for later use. A
-typedef is expanded at each use; its name is not transmitted.
+``sample struct { int tm; double pos[7]; } robot_row;`` declares a sample, and ``typedef`` names a type for later
+use. A typedef is expanded at each use; its name is not transmitted.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def parse_lc(text: str, dialect: str = "2014v1") -> list[SampleType | Typedef]:
 
 
 def to_lc(types: Iterable[SampleType | Typedef]) -> str:
-    """Return the declarations of types; ``parse_lc(to_lc(types), "2014i")`` returns the types again.
+    """Return the declarations of types; ``parse_lc(to_lc(types), "2014i")`` returns the same types.
 
     Parameters
     ----------

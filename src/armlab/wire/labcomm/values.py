@@ -38,15 +38,15 @@ class Limits:
 
     Attributes
     ----------
-    packet : bytes of a body.
-    values : leaves and containers of a packet, one size, nodes of a definition.
-    definitions : per table.
-    nodes : kept per stream.
-    empty_rows : product of the sizes before a size of zero.
-    depth : levels of a type, the root is level 1.
-    name, version : bytes.
-    dims : of an array.
-    entries : of a name with notes.
+    packet : largest number of bytes in a packet body.
+    values : largest number of values in a packet (with containers), of array elements, and of nodes in a definition.
+    definitions : largest number of definitions in a table.
+    nodes : largest number of type nodes stored per stream.
+    empty_rows : largest number of array rows without elements.
+    depth : largest number of levels in a type; the root is level 1.
+    name, version : largest number of bytes.
+    dims : largest number of dimensions of an array.
+    entries : largest number of notes of a name.
     """
 
     packet: int
@@ -104,7 +104,7 @@ class Source:
         self.buf += data
 
     def slice(self, start: int, stop: int) -> bytes:
-        """Return received bytes."""
+        """Return the received bytes between two positions."""
         return bytes(self.buf[start - self.base : stop - self.base])
 
     def need(self, stop: int) -> Walk:
@@ -135,7 +135,7 @@ def number(source: Source, pos: int, end: int, wide: bool) -> Number:
 
 
 def text(source: Source, pos: int, end: int, wide: bool, longest: int) -> Generator[None, None, tuple[str, int]]:
-    """Walk over a string in strict UTF-8, which is part of a name."""
+    """Walk over a string in strict UTF-8 that is part of a name."""
     size, start = yield from number(source, pos, end, wide)
     if size > longest:
         raise LabCommError(f"Expected a name of at most {longest} bytes at byte {pos}, got {size}.", pos)
