@@ -1,4 +1,4 @@
-"""The real-time loop between a controller in Python and a robot."""
+"""Real-time loop between a Python controller and a robot."""
 
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.run import Run

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Order(NamedTuple):
-    """Command of a client to an arm: references, or a trajectory with the name of its goal."""
+    """A client's command to an arm: references, or a trajectory and the name of its goal."""
 
     client: str
     arm: str
@@ -44,7 +44,7 @@ class Order(NamedTuple):
 
 
 def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Command, str]:
-    """Return the command of an order and its problem, "" if valid; a single invalid number makes it invalid."""
+    """Return the command of an order, and its problem or ""; one invalid number makes the whole order invalid."""
     values: dict[str, np.ndarray | None] = {}
     for name in ("q", "qd", "tau"):
         values[name], problem = _vector(order, name, robot)
@@ -62,7 +62,7 @@ def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Co
 
 
 def _vector(order: Order, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
-    """Return one vector (n,) of a command and its problem."""
+    """Return one vector (n,) of a command, and its problem or ""."""
     values = getattr(order, name)
     if values is None:
         return None, ""
@@ -86,14 +86,14 @@ LEASE = 0.1
 Result = tuple[str, str, str]
 """Status of a goal ("executing", "succeeded", "canceled" or "aborted"), how its trajectory ended, and the reason."""
 
-_RESULTS = 64  # of goals that have ended, kept for clients that missed them
+_RESULTS = 64  # results of ended goals, kept for clients that missed them
 _ANSWER_EVERY = 1_000_000_000  # ns between two answers to one client
-_CLIENTS = 256  # clients that are counted or wait; more are a flood
+_CLIENTS = 256  # limit on clients counted and on commands queued, against floods
 
 
 @dataclass(slots=True)
 class _Holder:
-    """Commanding client of an arm: its command in force, the number of the command, its time of arrival [ns]."""
+    """Commanding client of an arm; its current command, with the command's number and arrival time [ns]."""
 
     client: str
     command: Command
@@ -105,13 +105,13 @@ class _Holder:
 class Arbiter:
     """Controller that passes on the newest command of each arm's commanding client, or holds without one.
 
-    A free arm goes to the first valid command of an allowed client. The client keeps the arm by sending commands; it
-    loses it after a silence of `lease` seconds, on disconnection, or by `release`. The first position must lie within
-    `entry` of the measured joints. A refused command changes nothing. Any client may `stop`, only operators may
+    A free arm goes to the first valid command of an allowed client. The client keeps the arm by sending commands, and
+    loses the arm after a silence of `lease` seconds, on disconnection, or by `release`. The first position must lie
+    within `entry` of the measured joints. A refused command changes nothing. Any client may `stop`; only operators may
     `resume`.
 
-    A trajectory is one command that lasts: its server renews the lease while the client lives. `on_goal` receives the
-    beginning and the result of each goal.
+    A trajectory is a single, lasting command: the client's server renews the lease while the client is connected.
+    `on_goal` reports the start and the result of each goal.
     """
 
     poll: Callable[[], None]
@@ -151,14 +151,14 @@ class Arbiter:
         return "" if holder is None else holder.client
 
     def commands(self, client: str) -> bool:
-        """Return whether a client commands an arm or could command it, because it is free."""
+        """Return whether a client commands an arm, or may take one because all arms are free."""
         holders = [holder.client for holder in map(self._holder, self._holders) if holder is not None]
         return client in holders or (not holders and client.partition(" ")[0] in self._allowed)
 
     def submit(self, order: Order) -> None:
         """Queue a command for the next tick; only the newest per client and arm counts."""
         now, why = self._clock(), ""
-        self._results.pop((order.client, order.goal), None)  # a client may use the name of a goal again
+        self._results.pop((order.client, order.goal), None)  # a client may reuse a goal name
         if order.arm not in self._holders:
             why = f"Expected the name of an arm of this cell ({', '.join(self._holders)}), got {order.arm!r}."
         elif self._reserved:
@@ -175,7 +175,7 @@ class Arbiter:
             self._refuse(order, why, now)
 
     def renew(self, client: str, arm: str, goal: str) -> None:
-        """Renew the lease of a trajectory; called by its server while the client is connected."""
+        """Renew the lease of a trajectory; called by the client's server while the client is connected."""
         if not goal:
             return
         holder, (_, waiting) = self._holder(arm), self._inbox.get((arm, client), (0, None))
@@ -194,7 +194,7 @@ class Arbiter:
             self._on_goal(Order(client, arm, goal=goal), known)
 
     def cancel(self, who: str, arm: str, goal: str) -> None:
-        """Bring to rest an arm that follows the trajectory of a goal; open to all clients, like `stop`."""
+        """Cancel a goal and bring the arm that follows its trajectory to rest; open to all clients, like `stop`."""
         if not goal:
             return
         holder = self._holder(arm)
@@ -219,7 +219,7 @@ class Arbiter:
             self._free(arm, "all arms were stopped")
 
     def resume(self, who: str) -> None:
-        """End a stop; each client must restart near the arm. For operators."""
+        """End a stop (operators only); each client must restart near the current position of the arm."""
         if self.stopped:
             self.release(who)
             for _, order in self._inbox.values():
@@ -247,7 +247,7 @@ class Arbiter:
         self._refuse(Order(client, ""), why, self._clock(), answer=False)
 
     def __call__(self, state: State) -> Command | tuple[Command | None, ...] | None:
-        """Return the command of each arm: the newest one of its commanding client, or None (hold)."""
+        """Return the command of each arm: the newest from its commanding client, or None (hold)."""
         self.poll()
         now = self._called_ns = self._clock()
         for arm in self._holders:
@@ -275,7 +275,7 @@ class Arbiter:
         return None if holder is None or self._clock() - holder.received_ns > self._lease_ns else holder
 
     def _judge(self, order: Order, state: State, came_ns: int) -> bool:
-        """Put a command into force for one lease from its arrival; return False if it is refused."""
+        """Activate a command for one lease from its arrival; return False if it is refused."""
         holder = self._holders[order.arm]
         robot = next(one for one in self._robots if one.name == order.arm)
         if self.stopped:
@@ -311,13 +311,13 @@ class Arbiter:
 
     def _command(self, robot: Robot, state: State, is_fresh: bool, dt: float) -> Command | None:
         holder = self._holders[robot.name]
-        if holder is None or self.stopped:  # another thread may stop the arms while a command comes into force
+        if holder is None or self.stopped:  # another thread may stop the arms while a command is being activated
             return None
         if holder.order.trajectory is not None:
             return self._follow(holder.order, holder.order.trajectory, state, 0.0 if is_fresh else dt)
         q, axes, jump = holder.command.q, self._axes[robot.name], self._limits[robot.name].jump
         if not is_fresh and q is not None and np.any(np.abs(axes(q) - axes(_sent(state))) > jump):
-            return None  # the arm held meanwhile: to continue would be a jump, which ends runs
+            return None  # the arm has held meanwhile: continuing would be a jump, which ends the run
         return holder.command
 
     def _follow(self, order: Order, trajectory: TrajectoryController, state: State, dt: float) -> Command | None:
@@ -325,7 +325,7 @@ class Arbiter:
         command, axes = trajectory(state, dt), self._axes[order.arm]
         is_far = command.q is not None and not np.all(
             np.abs(axes(command.q) - axes(_sent(state))) <= self._limits[order.arm].jump
-        )  # NaN is far
+        )  # NaN counts as far
         if not is_far and not trajectory.ending:
             return command
         reason = "The limits of the arm prevent it from following its trajectory." if is_far else trajectory.reason
@@ -355,7 +355,7 @@ class Arbiter:
             self._answered.pop(next(iter(self._answered)))
         if now - self._answered.get(client, -_ANSWER_EVERY) >= _ANSWER_EVERY:
             self._answered[client] = now
-            if answer and order.goal:  # its result says why
+            if answer and order.goal:  # the result of the goal gives the reason
                 self._tell(f"A trajectory of {client} was refused: {why}", warn=True)
             elif answer:
                 self._answer(client, f"{why} {self.refused[client]} commands refused so far.")
@@ -366,7 +366,7 @@ class Arbiter:
 
 
 def _count(counter: Counter[str], client: str) -> None:
-    """Count a client; beyond the limit the oldest entry is dropped."""
+    """Count a client; drop the oldest entry if the counter is full."""
     if client not in counter and len(counter) >= _CLIENTS:
         del counter[next(iter(counter))]
     counter[client] += 1

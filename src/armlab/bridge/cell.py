@@ -1,4 +1,4 @@
-"""A cell: robots, sources, parameters and servers from one TOML file, and its bridge.
+"""Robot cell: robots, sources, parameters and servers from one TOML file, and the bridge that runs them.
 
 By default, network servers listen only on this computer; --listen changes this (`listening`).
 """
@@ -42,11 +42,11 @@ GUARDED = "guarded"
 """Server option: commanding clients need a secret and an encrypted connection."""
 
 _ANYWHERE = "0.0.0.0"
-_ZENOH = ("zenoh", "rmw_zenoh")  # at the same port they share a router, and each reads the messages of both
+_ZENOH = ("zenoh", "rmw_zenoh")  # on the same port they share a router, and each receives the messages of both
 
 
 def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
-    """Return the address of each network server: loopback, or that of --listen."""
+    """Return the address of each network server: loopback, or the address given by --listen."""
     found = {name: "127.0.0.1" for name in cell.servers if name != OPERATOR}
     for word in listen:
         server, _, place = word.partition("=")
@@ -70,7 +70,7 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
 
 
 def is_open(options: Mapping[str, Any], address: str) -> bool:
-    """Return whether clients on other computers reach a server without a secret; such clients may only read."""
+    """Return whether clients on other computers can reach a server without a secret; such clients may only read."""
     return not options.get(GUARDED, False) and not ipaddress.ip_address(address).is_loopback
 
 
@@ -107,7 +107,7 @@ def _check_routers(cell: Cell, addresses: Mapping[str, str]) -> None:
 
 
 def _check_master(cell: Cell) -> None:
-    """Refuse ROS 1 commands with a master on another computer, which could connect unauthenticated nodes."""
+    """Refuse ROS 1 commands if the master is on another computer, where it could connect unauthenticated nodes."""
     if "ros1" not in cell.commands:
         return
     master = cell.servers["ros1"]["master"]
@@ -124,7 +124,7 @@ def _check_master(cell: Cell) -> None:
 
 
 def _router_port(options: Mapping[str, Any]) -> str:
-    """Return the router port on this computer that a Zenoh server uses, "" if it shares none."""
+    """Return the port of the router on this computer that a Zenoh server uses, or "" if it cannot be shared."""
     host, _, port = options["router"].rpartition(":")
     if host:
         return port if is_here(options["router"]) else ""
@@ -138,7 +138,7 @@ def _why(options: Mapping[str, Any]) -> str:
 
 
 def _address(place: str) -> str:
-    """Return the IPv4 address of an address or a network interface."""
+    """Return the IPv4 address given as an address or as the name of a network interface."""
     try:
         address = ipaddress.IPv4Address(place)
     except ValueError:
@@ -170,14 +170,14 @@ class RobotTable(_Table, frozen=True):
     link: str
     base: str | None = None
     tip: str | None = None
-    lock: dict[str, float] = {}  # rad or m of each joint
+    lock: dict[str, float] = {}  # position of each locked joint [rad or m]
     extension: bool = False
     speed: float = 1.0
-    torque: float | list[float] | None = None  # limit for all joints or for each [N m]
+    torque: float | list[float] | None = None  # one limit for all joints, or one per joint [N m]
 
 
 class FieldTable(_Table, frozen=True):
-    """Field of a source; fields of the glossary need no unit."""
+    """Field of a source; fields in the glossary need no unit."""
 
     shape: tuple[int, ...] = ()
     unit: str | None = None
@@ -185,7 +185,7 @@ class FieldTable(_Table, frozen=True):
 
 
 class SourceTable(_Table, frozen=True):
-    """Source of external values: datagrams of another program, or a sample of a LabComm server."""
+    """Source of external values: datagrams from another program, or a sample from a LabComm server."""
 
     fields: dict[_Name, FieldTable]
     period: float
@@ -214,7 +214,7 @@ class ParameterTable(_Table, frozen=True):
 
 
 class LabCommTable(_Table, frozen=True):
-    """LabComm server: ports of each arm, the parameters and the fused rows."""
+    """LabComm server: ports for each arm, the parameters and the fused rows."""
 
     ports: dict[str, _Port] = {}
     parameters: _Port = 7513
@@ -229,7 +229,7 @@ class _Server(_Table, frozen=True):
     """Table of a server."""
 
     def options(self) -> dict[str, Any]:
-        """Return the options of the server process; "guarded" if it requires a secret (see `listening`)."""
+        """Return the options of the server process; "guarded" marks one that requires a secret (see `listening`)."""
         return msgspec.to_builtins(self)
 
 
@@ -252,7 +252,7 @@ class RosbridgeTable(_Server, frozen=True):
     key: str | None = None
 
     def options(self) -> dict[str, Any]:
-        """Return the options; token, certificate and key guard the server."""
+        """Return the options; a token, a certificate and a key together make the server guarded."""
         token = self.token_file or self.token_variable
         return {**super().options(), "guarded": bool(token and self.certificate and self.key)}
 
@@ -291,7 +291,7 @@ class Ros1Table(_Server, frozen=True):
 
 
 class PlotJugglerTable(_Server, frozen=True):
-    """Datagrams for PlotJuggler: its address, and the fields of a robot; default: all numeric fields."""
+    """Datagrams for PlotJuggler: destination, and the fields of each robot to send; default: all numeric fields."""
 
     to: str = "127.0.0.1"
     port: _Port = 9870
@@ -389,7 +389,8 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
 
     Raises
     ------
-    ConfigError Invalid TOML, an unknown or invalid entry, or contradictory entries; one line with the path.
+    ConfigError
+        Invalid TOML, an unknown or invalid entry, or contradictory entries; one line with the path.
     """
     try:
         file = msgspec.convert(parsed(text), File, strict=True)
@@ -452,7 +453,7 @@ def _cell(file: File) -> Cell:
 
 
 def _limits(arm: Robot, one: RobotTable, extension: bool) -> Limits:
-    """Return the limits of an arm; with torques only if its link carries them."""
+    """Return the limits of an arm; setting `torque` requires a link that carries torques."""
     if one.torque is None:
         return Limits.of(arm, speed=one.speed)
     if not (one.link.startswith("sim:") or (extension and one.link.startswith("egm:"))):
@@ -511,7 +512,7 @@ def run_cell(
     controller: Controller | None = None,
     parameters: Parameters | None = None,
 ) -> Run:
-    """Run the bridge of a cell until it ends: EGM to rows, rows to servers, commands of one client back.
+    """Run the bridge of a cell: send EGM data to the servers as rows, and the commanding client's commands to the arms.
 
     Parameters
     ----------
@@ -528,9 +529,9 @@ def run_cell(
     ended : callable
         Called with the finished Run, even if an error is then raised.
     controller : callable
-        Commands the arms instead of the clients, which then only read, set parameters and stop the arms.
+        Commands the arms in place of the clients, which may then only read, set parameters and stop the arms.
     parameters : Parameters
-        Parameters of the controller, made of `Cell.parameters`.
+        Parameters of the controller, built from `Cell.parameters`.
 
     Returns
     -------
@@ -540,8 +541,7 @@ def run_cell(
     Raises
     ------
     ConfigError, UnknownName, LinkError
-        See `listening`, `connect` and `Link.run`. LinkError is also raised if a port or the socket of a server is in
-        use.
+        See `listening`, `connect` and `Link.run`. LinkError is also raised if a port or a server's socket is in use.
     """
     addresses = listening(listen, cell)
     sources = cell.sources()

@@ -55,13 +55,13 @@ GROUP = "armlab.bridge.codecs"
 
 _MOVES = ("links", "prismatic", "coupling", "T_base_mount", "gravity")
 _CALIBRATED = 0.02  # largest difference of an entry [m, 1, m/s^2] that a calibration may explain
-_SCARA = "scara"  # only known to the simulator, not to the library
+_SCARA = "scara"  # exists only in the simulator, not in the library
 
 _METHODS = ("capabilities", "reset", "decode", "encode")
 
 
 def codec_named(name: str, robot: Robot, extension: bool = False, simulated: bool = False) -> Codec:
-    if name == "egm" and simulated:  # whose controller takes linear axes as it sends them
+    if name == "egm" and simulated:  # the simulator receives linear axes in the units in which it sends them
         axes = zip(robot.prismatic, robot.abb_axes, strict=True)
         return EgmCodec(robot, extension, ["mm" if slides and axis > 6 else "deg" for slides, axis in axes])
     if name == "egm":
@@ -106,11 +106,11 @@ def codecs_of(
 
 
 _KEPT_LINES = 20
-_PATIENCE = 5.0  # s to exit before the process is killed
+_PATIENCE = 5.0  # s allowed for the process to exit before it is killed
 
 
 class Simulator:
-    """One ``python -m armlab sim`` process that sends to ports of this computer.
+    """One ``python -m armlab sim`` process that sends to ports on this computer.
 
     A separate process group shields it from Ctrl-C, so that the bridge can bring the arm to rest first.
     """
@@ -122,7 +122,7 @@ class Simulator:
             if value.lower() != "false":
                 arguments += [f"--{name}"] if value.lower() in ("", "true") else [f"--{name}", value]
         self._command = " ".join(["armlab", *arguments[3:]])
-        arguments += ["--parent", str(os.getpid())]  # passed on: this process may end before the child could ask
+        arguments += ["--parent", str(os.getpid())]  # passed on, because this process may end before the child can ask
         self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
         number, errors = os.pipe()
         self._errors = Descriptor(number)
@@ -180,18 +180,18 @@ def connect(
     Parameters
     ----------
     url : str or sequence of str
-        One URL per arm. ``egm://127.0.0.1:6510`` listens for a robot's controller; default ports: 6510, for several
-        arms 6511, 6512, ... ``sim://yumi_right`` starts a simulated robot and stops it with the link. Its query has
-        options of the command armlab sim, ``?seed=1&lockstep=true``; only seeds may differ between arms.
-        ``sim://yumi_left+yumi_right`` starts two robots, ``sim://mine.toml`` the robot described in a file.
-        ``labcomm://host:7511`` connects to a bridge by its LabComm server; ``?order=chain&dialect=2014`` sets the
+        One URL per arm. ``egm://127.0.0.1:6510`` listens for a robot's controller; the default port is 6510, or 6511,
+        6512, ... for several arms. ``sim://yumi_right`` starts a simulated robot and stops it with the link. The query
+        sets options of armlab sim, such as ``?seed=1&lockstep=true``; only seeds may differ between arms.
+        ``sim://yumi_left+yumi_right`` starts two robots, and ``sim://mine.toml`` the robot described in a file.
+        ``labcomm://host:7511`` connects to a bridge through its LabComm server; ``?order=chain&dialect=2014`` sets the
         options of the port. ``zenoh://host:7447/lab`` connects to a bridge or router over Zenoh;
-        ``?ca=lab.pem&secret=commander.secret`` sets its certificate and the client password.
-        ``egm://127.0.0.1:6510?rws=192.168.125.1`` starts RAPID on that ABB controller at the start of each run with a
-        controller, and stops it at the end; ``&ca=FILE`` or ``&insecure=true`` sets the handling of its certificate.
-        User and password are in ``ARMLAB_RWS_USER`` and ``ARMLAB_RWS_PASSWORD``.
+        ``?ca=lab.pem&secret=commander.secret`` sets the certificate and the client password.
+        ``egm://127.0.0.1:6510?rws=192.168.125.1`` starts RAPID on that ABB controller at the start of each run that has
+        a controller, and stops it at the end; ``&ca=FILE`` or ``&insecure=true`` sets how its certificate is checked.
+        The user and password are read from ``ARMLAB_RWS_USER`` and ``ARMLAB_RWS_PASSWORD``.
     robot : Robot or sequence of Robot
-        The arms in the order of the urls.
+        The arms, in the order of the URLs.
     codec : str, Codec or sequence of Codec
         "egm", the name of an entry point in the group ``armlab.bridge.codecs``, or one object per arm with the methods
         of `wire.egm.Codec`.
@@ -200,11 +200,11 @@ def connect(
     answer_stream : bool
         Also reply before guidance begins.
     clock : str
-        "robot" for a robot in lockstep, without deadlines; implied by ``lockstep=true``.
+        "wall", or "robot" for a robot in lockstep, without deadlines; ``lockstep=true`` implies "robot".
     patience : float, s
         Time to wait for a packet before `NoRobot` or `SessionEnded` is raised.
     offer : str
-        Name of the cell by which ``armlab view --live``, ``armlab monitor`` and ``armlab bridge stop`` reach a run;
+        Cell name under which ``armlab view --live``, ``armlab monitor`` and ``armlab bridge stop`` reach a run;
         default: these commands cannot reach the run.
 
     Raises
@@ -212,11 +212,11 @@ def connect(
     ConfigError, UnknownName
         Invalid URL, codec or clock, or ``sim://`` with an arm that is not in the library.
     RobotError
-        The argument is not a robot, or EGM does not report its axes.
+        An arm is not a Robot, or EGM does not report its axes.
     ModelMismatchError
         The simulated arm differs from the robot.
     LinkError
-        A port cannot be bound, or a bridge of that name is running.
+        A port cannot be bound, or a bridge named `offer` is already running.
     MissingExtra
         ``rws=`` was given, but the extra ``abb`` is not installed.
     """
@@ -274,11 +274,11 @@ def _robots(robot: Any) -> list[Robot]:
 
 
 def _check_simulated(robots: Sequence[Robot], where: Sequence[Address]) -> None:
-    """Raise if a simulated arm is unknown, or its links or mount differ; its tool and calibration may differ."""
+    """Raise if a simulated arm is unknown or its links or mount differ; tool and calibration may differ."""
     for robot, address in zip(robots, where, strict=True):
         if address.robot == _SCARA:
             continue
-        with warnings.catch_warnings():  # the robot was loaded with the same ones
+        with warnings.catch_warnings():  # loading the robot gave the same warnings
             warnings.simplefilter("ignore")
             simulated = load_chosen(address.robot, address.options)
         same = simulated.n == robot.n and all(
@@ -290,7 +290,7 @@ def _check_simulated(robots: Sequence[Robot], where: Sequence[Address]) -> None:
 
 
 class Link:
-    """Connection to one or more arms, made by `connect`; runs may follow one another.
+    """Connection to one or more arms, made by `connect`, for one or more consecutive runs.
 
     Attributes
     ----------
@@ -375,48 +375,49 @@ class Link:
         The arm holds until the first command within `Limits.entry` of its position. The run ends
 
         - after `seconds`, or when the controller returns ``Command.stop()``;
-        - when the controller raises or is late too often;
-        - when the robot is lost, or ten sessions in a row end before 0.1 s under guidance;
+        - when the controller raises an error or is late too often;
+        - when the robot is lost, or ten sessions in a row end with less than 0.1 s under guidance;
         - on Ctrl-C.
 
-        The arm is brought to rest first. Ctrl-C raises KeyboardInterrupt once the arm rests and the log is closed. A
-        second Ctrl-C raises immediately; the arm then keeps its last speed until the robot controller times out. If a
-        call of the controller lasts longer than 1 s, Ctrl-C interrupts it, and the arm is brought to rest.
+        The arm is brought to rest first. Ctrl-C raises KeyboardInterrupt once the arm is at rest and the log is closed.
+        A second Ctrl-C raises immediately; the arm then keeps its last speed until the robot controller times out. If a
+        controller call lasts longer than 1 s, Ctrl-C interrupts it, and the arm is brought to rest.
 
-        With several arms, the packets of the pacing arm call the controller with the State of all arms, while all are
-        ready. Each other arm gets its newest command in its own tick. All arms hold when one is not ready, ends its
-        session or falls silent.
+        With several arms, each packet of the pacing arm triggers a controller call with the State of all arms, as long
+        as all are ready. The other arms receive their newest commands in their own ticks. All arms hold when one is not
+        ready, ends its session or falls silent.
 
         Parameters
         ----------
         controller : callable
-            From a State to a Command or None (hold). None only listens and never sends. With several arms it returns a
-            Command for all joints, or a tuple with one Command per arm.
+            Maps a State to a Command or None (hold). With several arms, it returns a Command for all joints, or a tuple
+            with one Command per arm. If None is passed as the controller, the run only listens and never sends.
         seconds : float, s
-            Robot time under guidance, from the first readiness; without a controller, from the first packet.
+            Duration of the run: robot time under guidance or, without a controller, from the first packet.
         wait : str
-            "ahead" polls just before the packet, "block" sleeps, "spin" always polls.
+            "ahead" polls just before each expected packet, "block" sleeps, and "spin" polls continuously.
         limits : Limits or sequence of Limits
             Limits of the references sent, one per arm; default: `Limits.of(robot)`.
         reconnect : str
-            "resume" waits for the next session when the controller ends one, "stop" ends the run.
+            When the robot controller ends a session, "resume" waits for the next one, and "stop" ends the run.
         torque : str
-            Torque commands on a codec without the capability "torque": "refuse" ends the run with `CommandRefused`,
+            Torque commands if the codec lacks the capability "torque": "refuse" ends the run with `CommandRefused`,
             "admittance" moves at ``qd = (tau - torque_model(q, qd)) / damping``.
         record : path
-            File of the recording; default: rows stay in memory. For the files of several arms see `recording.paths`.
+            File of the recording; default: rows stay in memory. For the files of several arms, see `recording.paths`.
         extra : mapping
             Columns of ``Command.record`` by name.
         progress : callable
-            Called ten times a second of robot time with (done, total, activity): seconds under guidance, of `seconds`.
+            Called ten times per second of robot time with (done, total, activity): the seconds under guidance so far
+            and in total, and "moving" or "listening".
         pace : str
-            Name of the pacing arm; default: the first.
+            Name of the pacing arm; default: the first arm.
         feeds : sequence of Feed
-            Receive each row and event after the reply; see `recording.Feed`.
+            Consumers that receive each row and event after the reply; see `recording.Feed`.
         sources : sequence of Source
-            Fused with each packet into `State.sources` and recorded; started and closed with the run.
+            Sources to start and close with the run, fused with each packet into `State.sources`, and recorded.
         damping : array, shape (n,), N m s/rad
-            Damping per joint of the admittance; required for it.
+            Damping of each joint; required for torque="admittance".
         torque_model : callable, TorqueModel or its Fit, or a sequence of them
             Torque (n,) of free motion as a callable of (q, qd), one per arm; default: zero.
         attachments : mapping
@@ -425,16 +426,16 @@ class Link:
         Returns
         -------
         Run
-            Table, report and reason.
+            The table, the report, and the reason for the end of the run.
 
         Raises
         ------
         ConfigError
-            Invalid options, limits for another number of joints, or a robot in lockstep without replies.
+            Invalid options, limits for a different number of joints, or a robot in lockstep without replies.
         UnknownName
             `pace` is not an arm of this link.
         NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed
-            These errors hold the last ten seconds in `.table`.
+            Each of these errors holds the rows of the last ten seconds in `.table`.
         """
         self._check(controller, seconds, wait, reconnect)
         names = [robot.name for robot in self.robots]
@@ -501,7 +502,7 @@ class Link:
             raise LinkError("Expected an open link, got a closed one. Connect again.")
         if controller is not None and not callable(controller):
             raise ConfigError(f"Expected a callable controller, or None to listen, got {controller!r}.")
-        if seconds is not None and not (isinstance(seconds, int | float) and seconds >= 0.0):  # NaN: no end
+        if seconds is not None and not (isinstance(seconds, int | float) and seconds >= 0.0):  # NaN would never end
             raise ConfigError(f"Expected seconds of at least 0, or None to run without a time limit, got {seconds!r}.")
         for name, value, known in (
             ("wait", wait, ("ahead", "block", "spin")),
@@ -532,7 +533,7 @@ def _with_tail(failure: LinkError, arms: Sequence[ArmSession]) -> LinkError:
 
 
 def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Tell, wait: Wait) -> None:
-    """Enter short switches, watchdog and priority. With wait="spin" the loop never yields: normal priority."""
+    """Enter short switches, watchdog and priority; wait="spin" keeps normal priority, because it never yields."""
     stack.enter_context(short_switches())
     stack.enter_context(Guard(loop.overdue, loop.answer_for_controller))
     if wait != "spin":

@@ -1,7 +1,7 @@
 """Robot Web Services (RWS): `AbbController` reads the state of an ABB controller, and loads, starts and stops RAPID.
 
 The client is abb_robot_client (extra ``abb``), which supports RWS 1.0 of RobotWare 6. For RobotWare 7 its requests are
-translated to RWS 2.0 below the client, in the transport of `requests`. The password never appears in a URL, an error, a
+translated to RWS 2.0 below the client, in the `requests` transport. The password never appears in a URL, an error, a
 repr or an event.
 """
 
@@ -37,10 +37,10 @@ INTERFACE = "armlab"
 OLDEST = (6, 7)
 """Oldest supported RobotWare."""
 
-_DEFAULT_USER = "Default User"  # of every controller
-_TIMEOUT = 5.0  # s without a byte
-_LONGEST = 20.0  # s for an answer, however slowly its bytes come
-_LARGEST = 4 << 20  # bytes of an answer
+_DEFAULT_USER = "Default User"  # exists on every controller
+_TIMEOUT = 5.0  # s without receiving a byte
+_LONGEST = 20.0  # s for a complete answer, however slowly its bytes arrive
+_LARGEST = 4 << 20  # bytes per answer
 _SETTLING = 5.0  # s for motors or RAPID to change state
 _FORM, _HAL, _XHTML = (
     "application/x-www-form-urlencoded;v=2.0",
@@ -71,7 +71,7 @@ class RwsError(LinkError):
 
 
 class Credentials:
-    """User and password of a controller; the password never appears in a text of this object."""
+    """User and password of a controller; the password never appears in the repr."""
 
     __slots__ = ("password", "user")
 
@@ -104,7 +104,7 @@ class Task(NamedTuple):
 
 @dataclass(frozen=True)
 class ControllerStatus:
-    """State of a controller; `mode` and `state` are RWS's words, `devices` map names to (address, port)."""
+    """State of a controller; `mode` and `state` are RWS terms, and `devices` maps names to (address, port)."""
 
     name: str
     robotware: str
@@ -127,13 +127,13 @@ class ControllerStatus:
         return self.execution == "running"
 
     def mains(self, task: Task) -> list[str]:
-        """Return the modules of a task with a routine main."""
+        """Return the modules of a task that contain a routine main."""
         return [module for module in task.modules if _MAIN.search(self.texts.get((task.name, module), ""))]
 
 
 def split_host(text: str) -> tuple[list[str], str]:
     """Return the URLs at which a controller may answer, and its name for messages."""
-    if "@" in text:  # never repeated: it may be a password
+    if "@" in text:  # not echoed, because it may contain a password
         raise ConfigError(
             f"Expected a controller without user and password in its address. Set {USER} and {PASSWORD}, and "
             "remove them there."
@@ -155,8 +155,8 @@ def open_controller(
 ) -> AbbController:
     """Return the controller at a host: RobotWare 7 over TLS, or RobotWare 6 over plain HTTP with digest authentication.
 
-    `credentials` is called once a controller answers. `insecure` accepts any certificate; `ca` is a file of
-    trusted ones.
+    `credentials` is called once a controller answers. `insecure` accepts any certificate; `ca` is a file of trusted
+    certificates.
     """
     urls, place = split_host(host)
     verify: bool | str = False if insecure else ca or True
@@ -201,7 +201,7 @@ def _packages() -> tuple[Any, Any]:
 
 
 def _challenge(url: str, place: str, verify: bool | str) -> str:
-    """Return the authentication a server asks for. Sends no credentials."""
+    """Return the authentication scheme that a server requests, without sending credentials."""
     requests, _ = _packages()
     with requests.Session() as session:
         session.trust_env, session.verify = False, verify
@@ -215,7 +215,7 @@ _UNVERIFIED = -1  # status of an RwsError: the certificate was not accepted
 
 @cache
 def _transport() -> Any:
-    """Return a `requests` transport with a time limit, a size limit for answers, and errors as sentences."""
+    """Return a `requests` transport that limits the time and size of answers and reports errors as sentences."""
     requests, _ = _packages()
 
     class Transport(requests.adapters.HTTPAdapter):  # type: ignore[misc]
@@ -267,7 +267,7 @@ def _unreachable(place: str, error: Exception) -> RwsError:
 
 
 def _check(place: str, request: Any, response: Any) -> None:
-    """Raise an error for refused requests; the first challenge of digest authentication passes."""
+    """Raise an error for a refused request; the initial challenge of digest authentication is not an error."""
     status = response.status_code
     if status == 401:
         challenge = response.headers.get("WWW-Authenticate", "").lower()
@@ -294,7 +294,7 @@ def _check(place: str, request: Any, response: Any) -> None:
     raise RwsError(f"Expected {place} to accept {what}, got HTTP {status}, code {code}: {why}.", status, code)
 
 
-_RWS2_PATHS = (  # of RWS 1.0, with its action, and what RWS 2.0 calls it
+_RWS2_PATHS = (  # path in RWS 1.0, with its action, and path in RWS 2.0
     (r"/rw/panel/ctrlstate(\?setctrlstate)?$", r"/rw/panel/ctrl-state"),
     (r"/rw/rapid/tasks/([^/]+)\?((?:de)?activate)$", r"/rw/rapid/tasks/\2"),
     (r"/rw/rapid/modules/([^/]+)\?module-text$", r"/rw/rapid/tasks/{task}/modules/\1/text"),
@@ -314,7 +314,7 @@ def _to_rws2(request: Any) -> None:
     query = dict(parse_qsl(parts.query, keep_blank_values=True))
     query.pop("json", None)
     action = query.pop("action", "") or query.pop("resource", "")
-    if "speedratio" in parts.path:  # keeps its action
+    if "speedratio" in parts.path:  # this path keeps its action
         query |= {"action": action} if action else {}
         action = ""
     path = f"{parts.path}?{action}" if action else parts.path
@@ -418,7 +418,7 @@ class AbbController:
 
     @contextmanager
     def mastership(self) -> Iterator[None]:
-        """Hold mastership of RAPID, without which programs cannot be changed."""
+        """Hold RAPID mastership, which is required to change programs."""
         self._post("rw/mastership/rapid?action=request")
         try:
             yield
@@ -427,7 +427,7 @@ class AbbController:
                 self._post("rw/mastership/rapid?action=release")
 
     def load(self, task: str, name: str) -> None:
-        """Load a file from the controller's home folder into a task, replacing a module of that name."""
+        """Load a file from the controller's home folder into a task, replacing any module of that name."""
         self._post(f"rw/rapid/tasks/{quote(task)}?action=loadmod", modulepath=f"$HOME/{name}", replace="true")
 
     def unload(self, task: str, module: str) -> None:
@@ -490,7 +490,7 @@ class AbbController:
         return found
 
     def _instances(self, kind: str) -> dict[str, dict[str, str]]:
-        """Return the instances of a type of system parameters with their attributes; empty for an unknown type."""
+        """Return the instances of a system parameter type with their attributes; empty for an unknown type."""
         try:
             states = self._states(f"rw/cfg/{kind}/instances")
         except RwsError as error:
@@ -548,7 +548,7 @@ def _options(states: Any) -> Iterator[str]:
 
 
 class SetupStep(NamedTuple):
-    """One step of a setup: what it does, and the call that does it."""
+    """One setup step: its description, and the function that performs it."""
 
     text: str
     run: Callable[[], None]
@@ -557,7 +557,7 @@ class SetupStep(NamedTuple):
 def setup_steps(
     controller: AbbController, status: ControllerStatus, tasks: Sequence[Task], modules: Mapping[str, str]
 ) -> list[SetupStep]:
-    """Return the steps that load the modules (texts by task) at rest; a foreign main is saved and unloaded."""
+    """Return the steps that load modules (texts by task) while RAPID is at rest; save and unload a foreign main."""
     steps = []
     for task in tasks:
         module, text = PROGRAMS[task.name][0], modules[task.name]
@@ -583,7 +583,7 @@ def _unloading(controller: AbbController, task: str, module: str, text: str) -> 
 
 
 def start_steps(controller: AbbController, status: ControllerStatus, tasks: Sequence[Task]) -> list[SetupStep]:
-    """Return the steps from loaded modules at rest to running RAPID."""
+    """Return the steps that start RAPID from rest once the modules are loaded."""
     names = [task.name for task in tasks]
     steps = [SetupStep("set the program pointer to main", lambda: _held(controller, controller.pointer_to_main))]
     if status.state != "motoron":

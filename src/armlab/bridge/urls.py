@@ -1,4 +1,4 @@
-"""URLs of a link; `addresses` parses them into one `Address` per robot."""
+"""Link URLs; `addresses` parses them into one `Address` per robot."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from urllib.parse import SplitResult, parse_qsl, unquote, urlencode, urlsplit
 
 from armlab.errors import ConfigError
 
-_PORT = 6510  # of one arm
-_PORTS = 6511  # of the first of several: 6511 left, 6512 right
+_PORT = 6510  # for a single arm
+_PORTS = 6511  # for the first of several arms: 6511 left, 6512 right
 _ZENOH = 7447  # of the router
-_RWS = ("rws", "ca", "insecure")  # a controller with Robot Web Services, and its certificate
+_RWS = ("rws", "ca", "insecure")  # options: a controller with Robot Web Services, and its certificate
 _LABCOMM = 7511  # of the first arm of a LabComm server: 7511 left, 7512 right
 
 
@@ -43,7 +43,7 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
 
 
 def choosing_arm(url: str, chosen: Mapping[str, str]) -> str:
-    """Return a URL; for a simulated robot, add missing options base, tip and lock."""
+    """Return a URL, with any missing options base, tip and lock added for a simulated robot."""
     missing = urlencode({name: value for name, value in chosen.items() if f"{name}=" not in url})
     return f"{url}{'&' if '?' in url else '?'}{missing}" if missing and url.startswith("sim:") else url
 
@@ -61,7 +61,7 @@ def _shared(address: Address) -> dict[str, str]:
 def split_url(url: str) -> SplitResult:
     try:
         parts = urlsplit(url if isinstance(url, str) else "")
-        if parts.password is not None or "@" in dict(parse_qsl(parts.query)).get("rws", ""):  # never repeated
+        if parts.password is not None or "@" in dict(parse_qsl(parts.query)).get("rws", ""):  # not echoed
             raise ConfigError(
                 "Expected a URL without a password, got a URL with one. Store passwords in environment variables."
             )

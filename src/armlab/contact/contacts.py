@@ -4,7 +4,7 @@ Hypotheses about the contact location:
 
     none     no contact
     point    a force at a known point of the tool: 3 unknowns
-    segment  a force at an unknown point of a line on the tool: 3 + 1
+    segment  a force at an unknown point along a line on the tool: 3 + 1
     wrench   force and moment at the tool: 6
     link k   a force somewhere on link k: the torques of distal joints are zero
 
@@ -29,10 +29,10 @@ from armlab.models.torque import PRIOR
 from armlab.robots import Robot
 
 DECISIVE = 3.0  # log Bayes factor
-EXCLUDED = 6.0  # log Bayes factor against links, 400 to 1: a person who trusts the tool force stands next to the link
-GRID = 50  # places along a segment
+EXCLUDED = 6.0  # log Bayes factor against links, 400 to 1: a person trusting the tool force may stand by the link
+GRID = 50  # points along a segment
 ROWS_PER_MEMORY = 2  # rows used per correlation time
-SLOW = 0.02  # rad/s; below this speed in all joints the friction error is constant: one sample
+SLOW = 0.02  # rad/s; if all joints are slower, the friction error is constant: one sample
 CHUNK = 64  # windows per batch
 UNDECIDED = "undecided"
 
@@ -54,7 +54,7 @@ class Hypotheses(Shown):
     decision : tuple of str, length K
         Most likely hypothesis; "undecided" where it is less than 20 times as likely as the second.
     link : bool array, shape (K,)
-        True in contact while some hypothesis "link k" is not excluded at odds of 400 to 1; a force reported at the tool
+        True in contact unless every hypothesis "link k" is excluded at odds of 400 to 1; a force reported at the tool
         may then act on a link.
     place : array, shape (K,), m
         Most likely contact point on the segment, from its start; NaN without a segment.
@@ -77,7 +77,7 @@ class Hypotheses(Shown):
     def during(self, start: float, end: float) -> str:
         """Describe the decision for a contact from `start` to `end` [s].
 
-        It uses the windows inside the contact, or the nearest window.
+        Uses the windows inside the contact, or else the nearest window.
         """
         inside = (self.t >= start) & (self.t <= end)
         if not inside.any():
@@ -122,21 +122,21 @@ def hypotheses(
 
     Parameters
     ----------
-    table : with q, qd, tau_error and tau_variance (N, n), from `Estimator.run` of a static method.
+    table : log with q, qd, tau_error and tau_variance (N, n), from `Estimator.run` with a static method.
     robot : the arm.
-    point : (3,) of the hypothesis "point", tool axes [m]; default: the tool point, unless there is a segment.
+    point : (3,) contact of the hypothesis "point", tool axes [m]; default: the tool point, unless a segment is given.
     segment : (M, 3) corners of a line on the tool, tool axes [m]; default: no such hypothesis.
     prior : (6,) standard deviations of the wrench [N, N m], at the tool and on links; default: 20 N and 2 N m.
     window : length [s]; shorter contacts are diluted.
     memory : correlation time of the torque error [s], see `correlation_time`. A window counts as window / (2 memory)
-        independent samples. An identified YuMi model behind the 10 Hz filter has 0.02 to 0.06 s in motion. The default
-        of 0.1 s is conservative; above 0.2 s, free motion remains undecided.
+        independent samples. For an identified YuMi model and the 10 Hz filter, it is 0.02 to 0.06 s in motion. The
+        default of 0.1 s is conservative; above 0.2 s, free motion remains undecided.
 
     Raises
     ------
     UnknownName : the table has no estimate.
-    ShapeError : another joint count; a point, segment, prior or time of wrong shape or value; a place further away than
-        the arm is long; a table shorter than a window; no window without missing rows.
+    ShapeError : wrong joint count; a point, segment, prior or time of wrong shape or value; a point further away than
+        the length of the arm; a table shorter than a window; missing rows in every window.
 
     References
     ----------
@@ -182,7 +182,7 @@ def _columns(table: Table, robot: Robot) -> list[np.ndarray]:
 def _places(
     point: ArrayLike | None, segment: ArrayLike | None, prior: ArrayLike | None, robot: Robot
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the point (1 or 0, 3), the places on the segment (GRID or 0, 3), and the standard deviations (6,)."""
+    """Return the point (1 or 0, 3), the points on the segment (GRID or 0, 3), and the standard deviations (6,)."""
     at = np.zeros(3) if point is None else contact_point(point, robot)
     sd = numbers(PRIOR if prior is None else prior, "the prior", ShapeError)
     corners = np.zeros((0, 3)) if segment is None else numbers(segment, "the segment", ShapeError)
@@ -221,7 +221,7 @@ def _windows(table: Table, error: np.ndarray, window: float, memory: float) -> n
 def _scores(
     robot: Robot, q: np.ndarray, error: np.ndarray, variance: np.ndarray, places: np.ndarray, sd: np.ndarray
 ) -> np.ndarray:
-    """Return log N of every row (K, m, 1 + places + 1 + links): no contact, each place, wrench, links."""
+    """Return log N of every row (K, m, 1 + points + 1 + links): no contact, each point, wrench, links."""
     T_base_tool, J = robot.chain.forward_jacobian(q)
     linear, angular = np.swapaxes(J[..., :3, :], -1, -2), np.swapaxes(J[..., 3:, :], -1, -2)  # (..., n, 3)
     arms = np.einsum("...ab,pb->...pa", T_base_tool[..., :3, :3], places)
@@ -266,7 +266,7 @@ def _decided(
     return Hypotheses(t, names, evidence, posterior, decision, possible & contact, place, samples)
 
 
-CHI2_95 = 7.81  # 95 % of a chi-squared variable with three degrees of freedom
+CHI2_95 = 7.81  # 95 % quantile of the chi-squared distribution with three degrees of freedom
 FALSE_ALARMS = 600.0  # s of free motion per false alarm, for normal errors and independent rows
 INDEPENDENT = 0.1  # s; force errors further apart are independent
 SHORTEST = 0.05  # s; friction errors at a reversal are shorter
@@ -280,9 +280,9 @@ class Contact(Shown):
     Attributes
     ----------
     start : float, s
-        First time of the contact on the clock of the table.
+        Start of the contact on the table's clock.
     end : float, s
-        Last time of the contact on the same clock.
+        End of the contact on the same clock.
     force : tuple of 3 floats, N
         Mean force (fx, fy, fz) in base axes.
     band : float, N
@@ -304,7 +304,7 @@ def contacts(table: Table) -> list[Contact]:
 
     Parameters
     ----------
-    table : with wrench_hat and wrench_hat_cov, from `Estimator.run`.
+    table : log with wrench_hat and wrench_hat_cov, from `Estimator.run`.
 
     Raises
     ------
@@ -347,7 +347,7 @@ SOURCES = {"wrench_true": "the true wrench", "wrench": "the force sensor"}
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Shown):
-    """Error of an estimated wrench against a reference.
+    """Error of an estimated wrench relative to a reference.
 
     Attributes
     ----------
@@ -376,16 +376,16 @@ class Comparison(Shown):
 def compare(table: Table) -> Comparison:
     """Compare an estimate with the true wrench if the table contains it, otherwise with a force sensor.
 
-    Errors are ``wrench_hat - wrench_true`` (or the column `wrench`); with a correct covariance, 95.4 % of them are
+    Errors are ``wrench_hat - wrench_true`` or ``wrench_hat - wrench``; with a correct covariance, 95.4 % of them are
     within two sigma.
 
     Parameters
     ----------
-    table : with wrench_hat (N, 6), wrench_hat_cov (N, 6, 6), and wrench_true or wrench (N, 6); base axes, tool point.
+    table : log with wrench_hat (N, 6), wrench_hat_cov (N, 6, 6), wrench_true or wrench (N, 6); base axes, tool point.
 
     Raises
     ------
-    UnknownName : a column is missing, or no row has both.
+    UnknownName : a column is missing, or no row has both estimate and reference.
     ShapeError : `table` is not a table.
     """
     if not isinstance(table, Table):

@@ -1,28 +1,27 @@
-"""Causal estimation of the contact wrench from joint motion and torque at the rate of the loop.
+"""Causal estimation of the contact wrench from joint motion and torque at the control rate.
 
 Static methods take ``tau_e = model - measured = J^T F + error``, low-passed at the model's cut-off, and its covariance
 C_tau(qd) over velocity.
 
 "map"       maximum a posteriori F for F ~ N(0, C_F): ``S = J^T C_F J + C_tau, K = C_F J S^-1, F = K tau_e``. It is
-defined at singular poses, where it returns the prior. Shrinkage causes the bias ``(I - K J^T) F``. "bounded"   near
-rest, friction is bounded rather than random: minimises ``sum max(|tau_e - J^T F| - D, 0)^2 / s^2 +
-            F^T C_F^-1 F`` by semismooth Newton (after Linderoth, Stolt, Robertsson and Johansson, IROS 2013). It
-            reports no contact unless proven, and does not drift at rest. Joints inside their bound contribute nothing.
-"interval" like "bounded", plus the guaranteed interval of every axis for |friction error| <= D, |noise| <= 3 s and
-torque
-            gains within 3 deviations, by linear programming.
-"clip" like "bounded", by an iteration that is easy to audit but needs thousands of rounds. For comparison.
+            defined at singular poses, where it returns the prior. Shrinkage causes the bias ``(I - K J^T) F``.
+"bounded"   treats friction near rest as bounded rather than random: minimises
+            ``sum max(|tau_e - J^T F| - D, 0)^2 / s^2 + F^T C_F^-1 F`` by semismooth Newton (after Linderoth, Stolt,
+            Robertsson and Johansson, IROS 2013). It reports no contact unless proven, and does not drift at rest.
+            Joints inside their bound contribute nothing.
+"interval"  like "bounded", plus the guaranteed interval of every axis for |friction error| <= D, |noise| <= 3 s and
+            torque gains within 3 standard deviations, by linear programming.
+"clip"      like "bounded", by an iteration that is easy to audit but needs thousands of rounds. For comparison only.
 "ls"        weighted least squares without a prior. For comparison only; forces are huge near singular poses.
-"ols"       the same without weights, ``(J J^T)^-1 J tau_e``: TFRT-7651, eq. (1). For comparison.
+"ols"       like "ls" without weights, ``(J J^T)^-1 J tau_e``: TFRT-7651, eq. (1). For comparison only.
 "lund"      ``(J C_tau J^T + C_F^-1)^-1 J C_tau tau_e`` as printed in TFRT-7651, eq. (2). For comparison only; using a
-covariance instead of a weight gives the noisiest joint the largest weight. The sign is armlab's; the report's F_ext is
--F.
+            covariance instead of a weight gives the noisiest joint the largest weight. The sign is armlab's; F_ext in
+            the report is -F.
 
 Momentum methods need no acceleration: ``p = M qd``, ``dp/dt = u + J^T F``, ``u = tau + C^T qd - G - friction``.
 
-"observer"  ``r <- r + (1 - e^(-K h)) (dp/h - u - r)`` is J^T F, low-pass filtered; then F is computed as in "map" (De
-Luca and
-            Mattone 2003).
+"observer"  ``r <- r + (1 - e^(-K h)) (dp/h - u - r)`` is the low-pass filtered J^T F; F is then computed as in "map"
+            (De Luca and Mattone 2003).
 "kf"        Kalman filter of momentum and wrench; the wrench is a random walk with leak (Wahrburg et al. 2015, 2018).
             With ``bias``, the unknown friction after a stop is also a state, and `tare` separates it from contact.
 """
@@ -76,13 +75,13 @@ class Wrench(Shown):
     wrench : (6,) estimate [N, N m].
     cov : (6, 6) posterior covariance, including the uncertainty of the torque gains.
     observability : (6,) 1 - posterior variance / prior variance, in [0, 1], for known gains.
-    torque_error : (n,) filtered model minus measured torque [N m]; of "kf", the part explained by the estimate.
+    torque_error : (n,) filtered model minus measured torque [N m]; for "kf", the part explained by the estimate.
     torque_variance : (n,) variance of `torque_error`.
     prior : (6,) prior variances of the unknowns: the wrench, or a force at a known point (the last three unused).
     flags : bits INVALID, WEAK, STUCK, INFEASIBLE, SINGULAR, TARED.
     active : (n,) joints that contribute; when INFEASIBLE, those that contradict each other.
-    interval : (6, 2) guaranteed smallest and largest value per axis, of the method "interval".
-    at_point : True for a contact at a known point: three unknowns instead of six.
+    interval : (6, 2) guaranteed smallest and largest value per axis, for the method "interval".
+    at_point : True for a contact at a known point, which has three unknowns instead of six.
     tared_at : time of the active tare [s], or None.
     """
 
@@ -162,7 +161,7 @@ STATIC = METHODS[: METHODS.index("observer")]  # in the order of the kernel's `W
 GAIN = 30.0  # 1/s, gain of the observer
 PARTS = 100  # parts per log between progress reports
 TARE, MEMORY = 0.5, 0.1  # s: shortest tare; correlation time of errors
-STAYS = 0.5  # share of the deviation at rest: all of it made the bands of a tared Panda twice too wide
+STAYS = 0.5  # share of the SD at rest: the full SD made the bands of a tared Panda twice too wide
 
 
 class Estimator:
@@ -181,9 +180,9 @@ class Estimator:
     model : TorqueModel or Fit
         Identified torque model or its fit.
     robot : Robot
-        Arm that the model belongs to.
+        Arm to which the model belongs.
     method : str
-        Method, see the module; "map" and "kf" are for motion, "bounded" and "interval" for an arm that may stop.
+        See the module docstring; "map" and "kf" are for motion, "bounded" and "interval" for an arm that may stop.
     prior : array_like, shape (6,), optional
         Standard deviations of the wrench before any measurement [N, N m]. Default: 20 N and 2 N m. At a known point,
         only the first three (force) are used.
@@ -195,11 +194,11 @@ class Estimator:
         (default) is 5 and 0.5, "fast" is 20 and 2.
     leak : float or array_like, shape (6,), optional
         For "kf": decay rate of the wrench [1/s]. Default: unobserved directions keep the prior's uncertainty.
-        0: a random walk.
+        0 gives a pure random walk.
     gain : float, optional
-        Of "observer" [1/s]. Default: 30.
+        For "observer": gain [1/s]. Default: 30.
     bias : bool
-        For "kf": add a friction error per joint as a state, which is constant while the joint rests.
+        For "kf": add a friction error per joint as a state that is constant while the joint rests.
 
     Raises
     ------
@@ -208,8 +207,8 @@ class Estimator:
     UnknownName
         The method or the name of a rate is unknown.
     ShapeError
-        The prior, rate, leak or gain is not positive, or the point is not finite or further away than the length of the
-        arm.
+        The prior, rate, leak or gain is not positive, or the point is not finite or is further away than the length of
+        the arm.
     ConfigError
         An option belongs to another method.
 
@@ -305,8 +304,8 @@ class Estimator:
     def step(self, state: State) -> Wrench:
         """Advance by one state and return the wrench.
 
-        A sample that is not finite or whose torque overflows yields NaN and changes nothing; the time of the next
-        sample counts from the last valid one.
+        A sample that is not finite or whose torque overflows yields NaN and changes nothing; the next time step counts
+        from the last valid sample.
 
         Parameters
         ----------
@@ -333,7 +332,7 @@ class Estimator:
         )
 
     def tare(self) -> None:
-        """Declare that there is no contact now, so that the torque error is friction.
+        """Declare that there is no contact now, so that the torque error is attributed to friction.
 
         This conditions the state on a zero wrench. The tare is valid while every joint stays in place. Once a joint
         moves by more than its presliding distance, its friction changes, so the friction error is discarded and the
@@ -369,24 +368,22 @@ class Estimator:
         """Return the table with the estimate of every row.
 
         Columns: wrench_hat, wrench_hat_cov, observability, tau_error, tau_variance, wrench_flags, wrench_active, and
-        wrench_interval (6, 2) of the method "interval".
+        wrench_interval (6, 2) for the method "interval".
 
         Parameters
         ----------
         table : log with columns q, qd, tau (N, n).
         tare : seconds from the start, or rows, in which the arm rests without contact. The torque error there is
-            friction,
-            as long as every joint stays within its presliding distance, and its standard deviation is halved; these
-            rows have the flag TARED.
+            treated as friction as long as every joint stays within its presliding distance, and the torque standard
+            deviation is halved. These rows have the flag TARED.
         progress : called with (done, total, what), in rows.
 
         Raises
         ------
-        ShapeError : `table` is not a table, has another joint count than the model, or positions in degrees or of the
-            motors.
+        ShapeError : `table` is not a table, its joint count differs from the model's, or its positions are in degrees
+            or on the motor side.
         NotExcited : joints move while no torque changes (torque not measured); or the arm moves during the tare, or
-            rests
-            for less than 0.5 s.
+            rests for less than 0.5 s.
         ConcurrentUse : another thread is in `run`.
         """
         if tare is not None:
@@ -402,7 +399,7 @@ class Estimator:
         check_known(q, tau, self._robot)
         found = self._run(q, qd, tau, np.ascontiguousarray(table.dt), progress)
         missed = (found[5] & INVALID) > 0
-        if missed.any():  # the next row counts its time from the last valid one, as in `step`
+        if missed.any():  # the time step of the next row counts from the last valid row, as in `step`
             found = self._run(q, qd, tau, _bridged(table, missed), progress)
         F, cov, observability, error, variance, flags, active, interval = found
         table = (
@@ -486,7 +483,7 @@ def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -
         seconds = number(tare, "the seconds of a tare", ShapeError)
         span = slice(0, int(np.searchsorted(table.t, table.t[0] + seconds)))
     free = replace(Friction.none(model.n), delta=model.friction.delta, resolution=model.friction.resolution)
-    rested = replace(model, friction=free, friction_map=None, warm_up=None)  # at rest friction is one number
+    rested = replace(model, friction=free, friction_map=None, warm_up=None)  # at rest, friction is a constant per joint
     error = Estimator(rested, robot).run(table)["tau_error"][span]
     t, q = table.t[span], table["q"][span]
     error, steps = error[np.isfinite(error).all(axis=1)], np.ptp(q, axis=0) if len(q) else np.full(model.n, np.inf)

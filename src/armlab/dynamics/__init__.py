@@ -2,7 +2,7 @@
 
     M(q) qdd + C(q, qd) qd + g(q) = tau + J(q)^T f_ext
 
-All functions broadcast over leading axes and are compiled. Motions and torques are those of the joints from base to
+All functions broadcast over leading axes and are compiled. Motions and torques refer to the joints from base to
 tool, revolute [rad, N m] or prismatic [m, N]. Mount, tool and gravity are taken from the robot. For motors behind
 coupled gears, use ``couplings.joint_torque_to_motor(robot, tau)``; their mass matrix is ``G^T M G`` with G =
 `Robot.coupling`.
@@ -13,7 +13,7 @@ limitations. The potential energy of a model is zero at q = 0. The constant weig
 missing, because it is indistinguishable from a torque offset. A model from `identify.fit_gravity` supports only
 `gravity`. `regressor` and `base_regressor` need no masses.
 
-This package is above `models`, because `kinematics` does not import `TorqueModel`. Simulation, estimators and
+This package is layered above `models`, because `kinematics` does not import `TorqueModel`. Simulation, estimators and
 identification call the same kernels (native/math/arm/rigid_body.h).
 """
 

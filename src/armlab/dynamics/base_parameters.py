@@ -1,8 +1,8 @@
 """Base parameters: the identifiable combinations of link parameters.
 
 ``Y pi = Y[:, kept] B pi + D pi``. ``D pi`` is the constant torque of each joint that is indistinguishable from the
-offset of its sensor. It is the weight on a vertical prismatic joint, and zero for revolute arms. Theory:
-docs/theory/identification.md.
+offset of its sensor. It is the weight carried by a vertical prismatic joint, and zero for revolute arms.
+Theory: docs/theory/identification.md.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from armlab.robots import Robot
 LINK_SYMBOLS = ("m", "m c_x", "m c_y", "m c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 POSITIVE = (0, 4, 6, 9)  # masses and moments of inertia
 TOLERANCE = 1e-8
-INDEPENDENT = 0.02  # of a column: nominal arms have 0 or more than 0.5; calibrated arms add their axis errors [rad]
+INDEPENDENT = 0.02  # share of a column: nominal arms have 0 or more than 0.5; calibrated arms add axis errors [rad]
 SEED = 20170101
 
 
@@ -87,7 +87,7 @@ def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequenc
     Parameters
     ----------
     robot : robot description, including gravity.
-    quasi_static : parameters of gravity alone, as excited by slow motion: masses and first moments.
+    quasi_static : only gravity parameters, as excited by slow motion: masses and first moments.
     joints : joints with measured torque; default: all.
 
     Raises
@@ -150,7 +150,7 @@ def _independent(A: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarr
     kept = []
     for column in alive:
         v = A[:, column] / norms[column]
-        for _ in range(2):  # two passes are orthogonal to rounding
+        for _ in range(2):  # two passes are orthogonal to rounding error
             v = v - basis @ (basis.T @ v)
         size = np.linalg.norm(v)
         if size > INDEPENDENT:
@@ -219,7 +219,7 @@ def regressor(robot: Robot, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: np
     Raises
     ------
     RobotError : if `robot` is not a `Robot`.
-    ShapeError : if shapes do not fit or do not broadcast.
+    ShapeError : if shapes are wrong or do not broadcast.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
@@ -260,7 +260,7 @@ def base_regressor(
     Raises
     ------
     RobotError : if `robot` is not a `Robot`.
-    ShapeError : if shapes do not fit or do not broadcast.
+    ShapeError : if shapes are wrong or do not broadcast.
     """
     Y = regressor(robot, q, qd, qdd)
     if not isinstance(base, BaseParameters) or base.B.shape[1] != 11 * robot.n:

@@ -29,7 +29,7 @@ def inverse_dynamics(
     Parameters
     ----------
     robot : Robot or TorqueModel
-        An arm with inertias, or an identified model, without its friction.
+        An arm with inertias, or an identified model, whose friction is ignored.
     q : array_like, shape (..., n), rad or m
         Joint positions.
     qd : array_like, shape (..., n), rad/s or m/s
@@ -49,7 +49,7 @@ def inverse_dynamics(
     ------
     RobotError : for a robot without inertias.
     ModelMismatchError : for a model without inertias, or with a subset of the joints.
-    ShapeError : if shapes do not fit or do not broadcast.
+    ShapeError : if shapes are wrong or do not broadcast.
     """
     body = getattr(robot, "rigid_body", None) or _identified(robot).rigid_body
     return body.rnea(q, qd, qdd, f_ext, out)
@@ -94,7 +94,7 @@ def inverse_dynamics_derivatives(
 
     Raises
     ------
-    RobotError, ModelMismatchError, ShapeError : as `inverse_dynamics`.
+    RobotError, ModelMismatchError, ShapeError : as in `inverse_dynamics`.
 
     References
     ----------
@@ -111,7 +111,7 @@ def gravity(robot: Robot | TorqueModel, q: ArrayLike, out: np.ndarray | None = N
     Parameters
     ----------
     robot : Robot or TorqueModel
-        As in `inverse_dynamics`, but also a model from `identify.fit_gravity`.
+        As in `inverse_dynamics`; a model from `identify.fit_gravity` is also accepted.
     q : array_like, shape (..., n), rad or m
         Joint positions.
     out : array, shape (..., n), optional
@@ -123,7 +123,7 @@ def gravity(robot: Robot | TorqueModel, q: ArrayLike, out: np.ndarray | None = N
 
     Raises
     ------
-    RobotError, ModelMismatchError, ShapeError : as `inverse_dynamics`.
+    RobotError, ModelMismatchError, ShapeError : as in `inverse_dynamics`.
     """
     try:
         body = robot.rigid_body
@@ -157,7 +157,7 @@ def mass_matrix(robot: Robot | TorqueModel, q: ArrayLike, out: np.ndarray | None
 
     Raises
     ------
-    RobotError, ModelMismatchError, ShapeError : as `inverse_dynamics`.
+    RobotError, ModelMismatchError, ShapeError : as in `inverse_dynamics`.
     """
     body = getattr(robot, "rigid_body", None) or _identified(robot).rigid_body
     return body.mass_matrix(q, out)
@@ -183,7 +183,7 @@ def coriolis(robot: Robot | TorqueModel, q: ArrayLike, qd: ArrayLike, out: np.nd
 
     Raises
     ------
-    RobotError, ModelMismatchError, ShapeError : as `inverse_dynamics`.
+    RobotError, ModelMismatchError, ShapeError : as in `inverse_dynamics`.
     """
     body = getattr(robot, "rigid_body", None) or _identified(robot).rigid_body
     return body.coriolis_torque(q, qd, out)
@@ -194,7 +194,7 @@ def coriolis_matrix(
 ) -> np.ndarray:
     """Return the Coriolis matrix C(q, qd) of Christoffel symbols, ``C_ij = sum of Gamma_ijk qd_k``.
 
-    ``dM/dt = C + C^T``, so ``dM/dt - 2 C`` is skew. For only the vector ``C qd``, use `coriolis`.
+    ``dM/dt = C + C^T``, so ``dM/dt - 2 C`` is skew. If only the vector ``C qd`` is needed, use `coriolis`.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def coriolis_matrix(
 
     Raises
     ------
-    RobotError, ModelMismatchError, ShapeError : as `inverse_dynamics`.
+    RobotError, ModelMismatchError, ShapeError : as in `inverse_dynamics`.
     """
     body = getattr(robot, "rigid_body", None) or _identified(robot).rigid_body
     return body.coriolis_matrix(q, qd, out)
@@ -253,7 +253,7 @@ def forward_dynamics(
     ------
     RobotError : for a robot without inertias, or when the mass matrix is not positive definite: a massless link, or
         identified parameters that are not physically consistent.
-    ModelMismatchError, ShapeError : as `inverse_dynamics`.
+    ModelMismatchError, ShapeError : as in `inverse_dynamics`.
     """
     body = getattr(robot, "rigid_body", None) or _identified(robot).rigid_body
     return body.forward_dynamics(q, qd, tau, f_ext, out)
@@ -283,8 +283,7 @@ def forward_dynamics_derivatives(
     tau : array_like, shape (..., n), N m or N
         Joint torques.
     f_ext : array_like, shape (..., 6), N and N m, optional
-        Wrench [f; m] exerted by the environment on the robot at the tool point, constant in base axes.
-        Default: none.
+        Wrench [f; m] exerted by the environment on the robot at the tool point, constant in base axes. Default: none.
     out : tuple of three arrays, shape (..., n, n), optional
         Arrays to write into. Default: new ones.
 
@@ -299,7 +298,7 @@ def forward_dynamics_derivatives(
 
     Raises
     ------
-    RobotError, ModelMismatchError, ShapeError : as `forward_dynamics`.
+    RobotError, ModelMismatchError, ShapeError : as in `forward_dynamics`.
     """
     body = getattr(robot, "rigid_body", None) or _identified(robot).rigid_body
     return body.forward_dynamics_derivatives(q, qd, tau, f_ext, out)
@@ -326,12 +325,11 @@ def energy(
     kinetic : array, shape (...), J
         Kinetic energy.
     potential : array, shape (...), J
-        Potential energy. For a robot, it is zero for masses at the origin of the base. For a model, it is zero at q =
-        0.
+        Potential energy. For a robot, it is zero for masses at the origin of the base; for a model, at q = 0.
 
     Raises
     ------
-    RobotError, ModelMismatchError, ShapeError : as `inverse_dynamics`.
+    RobotError, ModelMismatchError, ShapeError : as in `inverse_dynamics`.
     """
     body = getattr(robot, "rigid_body", None) or _identified(robot).rigid_body
     kinetic, potential = body.energy(q, qd, out)

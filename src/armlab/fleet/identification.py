@@ -38,7 +38,7 @@ from armlab.models.torque import Training
 from armlab.robots import Robot
 
 DRAFT_SECONDS = 200.0  # total length of the first logs: ten of 20 s
-AT_ONCE = 4  # most logs tried at once
+AT_ONCE = 4  # maximum logs tried at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def identify(
     Raises
     ------
     LogError : there are no logs, or all were skipped (states the reason).
-    NotExcited : the logs together do not determine all parameters (names the others).
+    NotExcited : the logs together do not determine all parameters (names the undetermined ones).
 
     References
     ----------

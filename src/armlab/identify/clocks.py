@@ -1,14 +1,14 @@
 """Clocks of a log: uniform time of the rows, interpolation of lost rows, and delays of columns.
 
-Controllers sample at even intervals, but networks and loggers add uneven timestamps. The clock of the rows is a
-monotone fit of stamp against row number: piecewise linear through medians of the stamps in blocks of two seconds. A row
-is lost if all later stamps are delayed by a period; if a row is merely late, later rows are not delayed.
+Controllers sample at even intervals, but networks and loggers make timestamps uneven. The row clock is a monotone fit
+of timestamp against row number: piecewise linear through the median stamps of two-second blocks. A row is lost if all
+later stamps are delayed by a period; if a row is merely late, later rows are not delayed.
 
 A column with delay T shows the motion from T earlier. The estimate minimises ``sum_i w_i log R_i(T)`` over shifts of
-the column, with R_i the residual power of the regression of joint i. The weight w_i is the second derivative of log R_i
-divided by the variance of its first derivative, which is estimated from the scatter between blocks of half a second;
-slow torque errors therefore hardly affect the delay. The variance of the delay is the inverse of the weighted second
-derivative, or the scatter of the joints' delays if that is larger, with the factor of Student's t for few joints.
+the column, with R_i the residual power of the regression for joint i. The weight w_i is the second derivative of log
+R_i divided by the variance of the first derivative. This variance is estimated from the scatter between blocks of half
+a second, so slow torque errors hardly affect the delay. The variance of the delay is the inverse of the weighted second
+derivative, or the scatter of the joints' delays if that is larger, with a Student's t factor for few joints.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ import numpy as np
 BRIDGED = 4  # consecutive lost rows that are interpolated; longer gaps end a segment
 WINDOW = 50  # rows within which a late row is caught up
 CAUGHT_UP = 0.25  # periods: jitter of the earliest row in the window
-BLOCK = 2.0  # s, of the medians
-JITTER = 0.01  # of the period: smaller jitter is rounding of the stamps
+BLOCK = 2.0  # s, length of the blocks for the medians
+JITTER = 0.01  # share of the period: smaller jitter is rounding of the stamps
 EARLIEST, LATEST = -0.06, 0.32  # s, range of the searched delays
-STEP = 0.004  # s, between the shifts of the coarse search
+STEP = 0.004  # s, spacing of the shifts in the coarse search
 LEAST, SURE = 0.5, 4.0  # periods and standard deviations: smaller delays are not corrected
-DOUBT, SAMPLED = 1e-3, 0.2  # s, and periods if they are longer: unmodelled lag of friction
+DOUBT, SAMPLED = 1e-3, 0.2  # s, or periods if longer: unmodelled lag of friction
 FEWEST, SCATTER = 100, 0.5  # rows needed for a delay; s, blocks whose scatter gives its variance
-EXACT = 1e-6  # fraction of power that is rounding
+EXACT = 1e-6  # power fraction attributed to rounding
 VAGUE = 0.01  # s: a delay with a larger standard deviation is unknown
 
 
@@ -36,9 +36,9 @@ VAGUE = 0.01  # s: a delay with a larger standard deviation is unknown
 class Clock:
     """Time of the rows of one log.
 
-    `t`: (N,) time of each row [s]. `index`: (N,) number of its period. `period`: [s]. `jitter`: standard deviation of
-    the stamps [s]. `drift`: largest slow deviation of the stamps from uniform periods [s]. `retimed`: whether t differs
-    from the stamps.
+    `t`: (N,) time of each row [s]. `index`: (N,) period number of each row. `period`: [s]. `jitter`: standard deviation
+    of the stamps [s]. `drift`: largest slow deviation of the stamps from uniform periods [s]. `retimed`: whether t
+    differs from the stamps.
     """
 
     t: np.ndarray
@@ -52,7 +52,7 @@ class Clock:
     def of(cls, t: np.ndarray, q: np.ndarray | None = None, qd: np.ndarray | None = None) -> Clock:
         """Return the clock of rows with stamps t (N,).
 
-        If position and velocity (N, n) agree better with the stamps, the rows were sampled at their stamps.
+        If position and velocity (N, n) agree better with the stamps than with a uniform clock, the stamps are kept.
         """
         period = _period(np.diff(t))
         index = np.arange(len(t)) + np.cumsum(_lost(t, period))
@@ -85,7 +85,7 @@ class Clock:
         return np.interp(index, self.index, self.t), wide, np.isin(index, self.index), edges
 
     def text(self) -> str:
-        """Return a sentence about jitter, drift and lost rows, or an empty text if there are none."""
+        """Return a sentence about jitter, drift and lost rows, or an empty string if there is nothing to report."""
         said = []
         if self.retimed:
             said.append(
@@ -186,8 +186,8 @@ def delay_of(y: np.ndarray, bases: list[np.ndarray], rows: np.ndarray, rate: flo
     a, b = parts.sum(axis=1)
     if a <= 0.5 / VAGUE**2:
         return None
-    push = parts[1] - b / a * parts[0]  # of each joint, at the common delay
-    scatter = len(joints) / max(len(joints) - 3, 1) * np.sum(push**2)  # variance of Student's t: few joints
+    push = parts[1] - b / a * parts[0]  # derivative for each joint, at the common delay
+    scatter = len(joints) / max(len(joints) - 3, 1) * np.sum(push**2)  # variance of Student's t, for few joints
     sd = np.sqrt(max(DOUBT, SAMPLED / rate) ** 2 + max(2.0 * a, scatter) / (2.0 * a) ** 2)
     return Delay(float(best / rate - 0.5 * b / a), float(sd))
 
@@ -200,7 +200,7 @@ def shifts_of(rate: float) -> tuple[int, int]:
 def _shares(
     y: np.ndarray, bases: list[np.ndarray], rows: np.ndarray, joints: np.ndarray, shifts: np.ndarray
 ) -> np.ndarray:
-    """Return the remaining fraction of power (J, S) at each shift."""
+    """Return the residual power fraction (J, S) at each shift."""
     found = []
     for i in joints:
         at = y[rows[:, None] + shifts, i]
@@ -213,7 +213,7 @@ def _shares(
 def _scatter(
     y: np.ndarray, bases: list[np.ndarray], rows: np.ndarray, joints: np.ndarray, best: int, rate: float
 ) -> np.ndarray:
-    """Return half the variance (J,) of the derivative of log R over the delay, from its scatter between blocks."""
+    """Return half the variance (J,) of the derivative of log R with respect to delay, from the scatter of blocks."""
     step, block = max(1, round(STEP * rate)), np.unique(rows // max(1, round(SCATTER * rate)), return_inverse=True)[1]
     found = []
     for i in joints:

@@ -1,5 +1,4 @@
-"""Physically consistent inertial parameters: the parameters with positive masses that are nearest to an identified
-model.
+"""Physically consistent inertial parameters nearest to an identified model.
 
 A link is physically consistent if its pseudo-inertia P is positive definite (Wensing, Kim and Slotine 2018). With the
 information Lambda of the fit on its base parameters,
@@ -28,11 +27,11 @@ from armlab.robots import Robot, inertia
 
 LEAST = 1e-6  # eigenvalue of a pseudo-inertia [kg, kg m^2]
 PULLS = ("log-det", "euclidean")
-# The cost is flat near the optimum: the error of the parameters is its root. The reachable gap depends on the
-# processor; the default of 1e-8 is enough if no smaller one is reached.
+# The cost is flat near the optimum, so the parameter error scales with the square root of the gap. The attainable gap
+# depends on the processor; the default of 1e-8 is accepted if no smaller gap is reached.
 SOLVER = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11}
 SOLVER |= {"reduced_tol_gap_abs": 1e-8, "reduced_tol_gap_rel": 1e-8, "reduced_tol_feas": 1e-6}
-WIDTH = 0.05  # radius of gyration of a default prior, as a share of the reach
+WIDTH = 0.05  # minimum radius of gyration of the default prior, as a share of the reach
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,20 +101,20 @@ def physically_consistent(
 
     Parameters
     ----------
-    fit : result of `fit_dynamics` in this process: a file does not store the information of the log.
+    fit : result of `fit_dynamics` in this process; a file does not store the information matrix of the log.
     robot : the arm.
     prior : (n, 10) link parameters to regularise towards, for example from CAD; must be physically consistent. Default:
         `robot.inertias`, or spheres between the joints.
     pull : regularisation: "log-det" or "euclidean".
     strength : weight of the regularisation; 1 makes a divergence of 1 cost as much as one standard deviation of white
-    noise.
+        noise.
 
     Raises
     ------
     MissingExtra : cvxpy is not installed.
     ModelMismatchError : a model of another robot.
-    ConfigError : a fit from a file, or not of all base parameters.
-    ShapeError : an inconsistent prior or one of wrong shape, or a strength that is not positive.
+    ConfigError : a fit loaded from a file, or without all base parameters.
+    ShapeError : a prior that is inconsistent or has the wrong shape, or a non-positive strength.
     UnknownName : unknown `pull`.
     NotConverged : the solver found no solution.
 
@@ -147,11 +146,10 @@ def physically_consistent(
 
 
 def bodies_of(model: TorqueModel, robot: Robot) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return consistent links (n, 10) and rotors (n,) that reproduce the torques of a model, and the remaining
-    deviation.
+    """Return consistent links (n, 10) and rotors (n,) that reproduce a model's torques, and the remaining deviation.
 
-    Unidentifiable parameters follow the prior under ``B pi = base``. If that is infeasible, the nearest base parameters
-    are used, and their distance in standard deviations of the model is returned.
+    Unidentifiable parameters follow the prior under ``B pi = base``. If that is infeasible, the nearest feasible base
+    parameters are used, and their distance from the model, in standard deviations, is returned.
     """
     model.check_robot(robot)
     if model.quasi_static:
@@ -178,7 +176,7 @@ def bodies_of(model: TorqueModel, robot: Robot) -> tuple[np.ndarray, np.ndarray,
         exact = [*floors, (base.B / size[:, None]) @ pi == target / size]
         _solve(cvxpy, cvxpy.Problem(cvxpy.Minimize(far), exact))
         found = np.asarray(pi.value)
-        found = found + np.linalg.pinv(base.B) @ (target - base.B @ found)  # more exact than the solver
+        found = found + np.linalg.pinv(base.B) @ (target - base.B @ found)  # more accurate than the solver
         away = 0.0
     except NotConverged:
         values, vectors = np.linalg.eigh(model.base_cov)
@@ -201,7 +199,7 @@ def physically_consistent_load(fit: Fit[Payload]) -> Fit[Payload]:
     Raises
     ------
     MissingExtra : cvxpy is not installed.
-    ConfigError : a fit of mass and centre only, which is always consistent.
+    ConfigError : a fit of only mass and centre of mass, which is always consistent.
     NotConverged : the solver found no solution.
     """
     if len(fit.parameters) != 10:
@@ -262,7 +260,7 @@ def _prior(prior: np.ndarray | None, robot: Robot, model: TorqueModel) -> np.nda
 
 
 def _balls(robot: Robot, model: TorqueModel) -> np.ndarray:
-    """Return spheres halfway to the next joint, with a total mass that matches the torques of the log."""
+    """Return spheres centred halfway to the next joint, with a total mass that matches the torques of the log."""
     way = robot.frames[1:, :3, 3]
     length = np.linalg.norm(way, axis=1)
     reach = length.sum()
@@ -278,7 +276,7 @@ def _nearest(
     cvxpy = _cvxpy()
     n = len(prior)
     moments = pseudo_inertia(prior).sum(axis=0)
-    scale = np.diag([*[np.sqrt(np.trace(moments[:3, :3]) / moments[3, 3])] * 3, 1.0])  # entries of equal size
+    scale = np.diag([*[np.sqrt(np.trace(moments[:3, :3]) / moments[3, 3])] * 3, 1.0])  # entries of similar magnitude
     expand = _parameters_of(scale)
     back = np.linalg.inv(scale)
     bodies = [cvxpy.Variable((4, 4), symmetric=True) for _ in range(n)]
@@ -303,7 +301,7 @@ def _solve(cvxpy: Any, problem: Any) -> None:
     """Solve the program; raise if there is no solution."""
     try:
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)  # see SOLVER for the accuracy
+            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)  # SOLVER sets the accuracy
             problem.solve(solver="CLARABEL", **SOLVER)
     except cvxpy.SolverError as error:
         raise NotConverged(
@@ -321,7 +319,7 @@ def _at_least(P: np.ndarray, scale: np.ndarray, least: float) -> np.ndarray:
 
 
 def _parameters_of(scale: np.ndarray) -> np.ndarray:
-    """Return the matrix (10, 16) from the entries of a scaled pseudo-inertia to the parameters."""
+    """Return the matrix (10, 16) that maps the entries of a scaled pseudo-inertia to the parameters."""
     columns = []
     for entry in np.eye(16).reshape(16, 4, 4):
         P = scale @ (0.5 * (entry + entry.T)) @ scale

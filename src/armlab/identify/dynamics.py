@@ -1,5 +1,4 @@
-"""Rigid-body base parameters, friction and ripple of all joints from a log, identified by robust least squares with
-covariance.
+"""Rigid-body base parameters, friction and ripple of all joints from a log, by robust least squares with covariance.
 
     tau_i = Y_i(q, qd, qdd) base + F_f,i(qd_i, s_i) + ripple_i(q_i) + e_i
 
@@ -7,13 +6,13 @@ Five stages, in this order:
 
 1. Record: the logs are validated and cut at gaps (`identify.record`).
 2. Regression: one zero-phase filter for torque and every regressor column, then decimation (`identify.regression`).
-   Torque gains, which differ from 1 by a few percent per joint and divide the torque, are fitted before and after stage
-   3.
-3. Friction structure: for each joint, the kind and width of the sign, the Stribeck speed and the friction terms are
-selected on held-out blocks with a fixed rigid part (`identify.friction_structure`). 4. Solution: all linear parameters
-are fitted by least squares within physical bounds, with joints weighted by 1 / their residual standard deviation
-(`identify.solve`). Their covariance comes from a block bootstrap, because the formal covariance is far too small for
-coloured residuals. Friction drift and the uncertainty of the friction structure are added
+   The torque is divided by torque gains, which differ from 1 by a few percent per joint. They are fitted before and
+   after stage 3.
+3. Friction structure: for each joint, the type and width of the friction sign, the Stribeck speed and the friction
+   terms are selected on held-out blocks with a fixed rigid part (`identify.friction_structure`).
+4. Solution: all linear parameters are fitted by least squares within physical bounds, with joints weighted by 1 / their
+   residual standard deviation. The covariance comes from a block bootstrap, because the formal covariance is far too
+   small for coloured residuals. Friction drift and the uncertainty of the friction structure are added
    (`identify.solve`).
 5. Validation: models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal
    filter. The torque covariance over velocity is fitted to these and scaled to 95.4 % coverage of 2 sigma
@@ -71,9 +70,9 @@ from armlab.robots import Robot
 
 CUTOFF = 10.0  # Hz, cut-off of the estimator's causal filter
 FEWEST = 8.0  # independent segments needed to identify a nonlinear friction parameter
-NO_LOAD = 0.02  # deviation of the load friction of a joint without that term
-UNKNOWN = 1e3  # deviation of a parameter that is not in the prior
-BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # Hz; rad/s^2, m/s^2: largest acceleration for `fit_gravity`, as this quantile
+NO_LOAD = 0.02  # SD of the load friction of joints without that term
+UNKNOWN = 1e3  # SD of a parameter that is not in the prior
+BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # Hz; rad/s^2 or m/s^2: limit for `fit_gravity` on this quantile of acceleration
 
 Progress = Callable[[int, int, str], None]
 
@@ -102,7 +101,7 @@ def fit_dynamics(
     method : {"irls", "lts", "wls", "ols"}
         "irls": joints weighted by 1 / their standard deviation, rows by Huber's loss; isolated torque outliers are
         replaced. "lts": the same with least trimmed squares over blocks of a quarter of a second. "wls", "ols": not
-        robust, with or without weights per joint.
+        robust, with and without weights per joint.
     seed : int
         Seed of the block bootstrap and of the random starts of "lts".
     progress : callable, optional
@@ -178,7 +177,7 @@ def fit_gravity(
     Raises
     ------
     ShapeError : logs that `fit_dynamics` rejects, or motion so fast that inertia would be fitted as gravity.
-    NotExcited : joints or directions that the log does not determine, by name.
+    NotExcited : joints or directions that the log does not determine; the message names them.
     UnknownName : unknown method.
 
     References
@@ -282,8 +281,8 @@ class FitSettings:
     """Options of a fit.
 
     `tell`: progress callback (done, total, what). `joints`: joints with measured torque; None for all. `chooser`:
-    selects the friction structure, see `Design.choose_structure`. `cutoff`: cut-off of the regression [Hz]; None:
-    select. `force`: fit implausible torques.
+    selects the friction structure, see `Design.choose_structure`. `cutoff`: cut-off of the regression [Hz]; None
+    selects one. `force`: fit implausible torques.
     """
 
     what: str
@@ -297,7 +296,7 @@ class FitSettings:
     force: bool = False
 
     def corner(self, data: Record) -> float | None:
-        """Return the given cut-off of the regression [Hz], if any; raise if it exceeds a quarter of the rate."""
+        """Return the regression cut-off [Hz] from the settings, if any; raise if it exceeds a quarter of the rate."""
         if self.cutoff is None:
             return None
         corner, most = positive(self.cutoff, "cut-off [Hz]"), data.rate / 4.0
@@ -341,7 +340,7 @@ class FitProblem:
     """Regression with fixed nonlinear parameters, and the sums of its blocks.
 
     `gain_cov`: (J, J) covariance of the gains. `block`: (N,) block number of each sample; `length` blocks make an
-    independent segment. `theta`: (p,) parameters of the linearisation without slopes. `band`: reason for the cut-off.
+    independent segment. `theta`: (p,) parameters at which the design was linearised. `band`: reason for the cut-off.
     `doubts`: sentences about the torques.
     """
 
@@ -396,9 +395,9 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     return FitProblem(design, gain_cov, sums, block, length, theta, band, doubts)
 
 
-LOWEST, HIGHEST, WAVES = 20.0, 500.0, 6.0  # rad/rad; minimum periods within the range of a joint, more than gravity has
+LOWEST, HIGHEST, WAVES = 20.0, 500.0, 6.0  # rad/rad; minimum periods within a joint's range, more than gravity has
 HIGHEST_SLIDING = 3000.0  # rad/m
-WORTH = 0.1  # smallest share of a line in the residual power
+WORTH = 0.1  # smallest share of the residual power explained by a line
 AT_MOST = 20_000  # samples per search
 
 
@@ -427,7 +426,7 @@ def _searched_lines(design: Design, theta: np.ndarray) -> np.ndarray:
 def _solved(
     design: Design, theta: np.ndarray, settings: FitSettings, block: np.ndarray, length: int
 ) -> tuple[Design, BlockSums]:
-    """Return the design with slopes, and the sums of its blocks; poorly identified nonlinear parameters are fixed."""
+    """Return the design with Jacobian columns and its block sums; poorly identified nonlinear parameters are fixed."""
     sloped = linearised(design, theta, settings.method)
     sums = BlockSums.of(settings.solve(sloped, block[design.rows]))
     spread = sums.spread(length)[sloped.layout.slopes] >= FEWEST

@@ -2,7 +2,7 @@
 
     q_i(t) = centre_i + sum_k a_ik / (2 pi f0 k) sin(2 pi f0 k t) - b_ik / (2 pi f0 k) cos(2 pi f0 k t)
 
-(Swevers et al. 1997). The motion starts and ends at rest, because a quintic window blends it in and out. Seeded
+(Swevers et al. 1997). A quintic window blends the motion in and out, so that it starts and ends at rest. Seeded
 candidates are scaled to the limits. The candidate with the largest log det of the information of the base regressor is
 selected (D-optimality, which is independent of the parameter units). Candidates that collide or exceed the motor
 torques are discarded; those with too little slow motion or too few reversals to identify friction are ranked last.
@@ -57,7 +57,7 @@ class Trajectory(Shown):
 
         Raises
         ------
-        ShapeError : a rate that is not above 0.
+        ShapeError : the rate is not above 0.
         """
         if not 0 < rate < np.inf:
             raise ShapeError(f"Expected a rate above 0 Hz, got {rate:g} Hz. Pass the rate of the controller.")
@@ -67,7 +67,7 @@ class Trajectory(Shown):
 
     @classmethod
     def from_table(cls, table: Table) -> Trajectory:
-        """Return a saved motion, interpolated cubically between rows with the slopes qd.
+        """Return a saved motion, interpolated between rows by cubic Hermite splines with derivatives qd.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ class Trajectory(Shown):
 
         Raises
         ------
-        ShapeError : fewer than two rows, missing values, or ends in motion.
+        ShapeError : fewer than two rows, missing values, or a motion that is not at rest at both ends.
         """
         from scipy.interpolate import CubicHermiteSpline
 
@@ -100,7 +100,7 @@ class Trajectory(Shown):
         return cls(float(end - begin), sample)
 
     def controller(self, approach: float = 4.0) -> Callable[[State], Command]:
-        """Return a controller that moves from the present posture to the start, then runs the motion.
+        """Return a controller that moves from the current posture to the start, then runs the motion.
 
         Its clock advances with the robot's clock by at most 6 ms per cycle, so that the motion continues without a jump
         after lost packets. It restarts in each session.
@@ -174,7 +174,7 @@ def sequence(parts: Sequence[Trajectory], walk: float = 2.0) -> Trajectory:
 RAMP = 2.0  # s, blend at each end
 CANDIDATES = 60
 WIDTH, WIDER, NARROWER = 0.5, 1.2, 0.97  # search widths: about one step in seven is accepted
-SLOW, SLOW_SHARE = 0.1, 0.15  # share of the speed limit, and required share of samples below it
+SLOW, SLOW_SHARE = 0.1, 0.15  # share of the speed limit, and required share of samples below that speed
 TURNS_PER_SECOND = 10.0 / 60.0
 MARGIN = 0.05  # rad or m, distance to the position limits; a tenth of the range if that is less
 
@@ -197,7 +197,7 @@ def design_excitation(
     """Design an excitation trajectory.
 
     Every joint is slower than a tenth of its limit in at least 15 % of the samples, and reverses at least ten times per
-    minute, if any candidate achieves this. With torque limits and masses in the robot file, the motion respects the
+    minute, if any candidate achieves this. If the robot file has torque limits and masses, the motion respects these
     limits.
 
     Parameters
@@ -215,7 +215,7 @@ def design_excitation(
     sigma : (n,) standard deviation of the torque noise [N m], which weights the joints; default: equal.
     collides : collision check of a posture (n,), called ten times per second along each candidate.
     rounds : steps of a search around the best candidate, 5 ms each; 300 reduce the predicted standard deviations by
-    about 20 %.
+        about 20 %.
     progress : called with (done, total, what).
 
     Returns
@@ -302,7 +302,7 @@ SWAY = float(np.deg2rad(2.0))  # rad or m
 def dither(
     centre: np.ndarray, seconds: float, amplitude: float | np.ndarray = SWAY, frequency: float = 0.5
 ) -> Trajectory:
-    """Return a small oscillation of every joint about a posture, which keeps static friction from hiding a small force.
+    """Return a small oscillation of every joint about a posture, so that static friction does not mask a small force.
 
     Joints have different phases, so that they do not reverse simultaneously.
 
@@ -375,7 +375,7 @@ def _scaled(
     )
     scale = shares.min(axis=0)
     coupled = robot.coupling / np.diag(robot.coupling)
-    if np.any(coupled - np.eye(robot.n)):  # the controller limits its axes, on the joints' side of the gears
+    if np.any(coupled - np.eye(robot.n)):  # the controller's limits apply to its axes, on the joint side of the gears
         axes = np.linalg.inv(coupled)
         way, rate, middle = (q - centre) * scale @ axes.T, qd * scale @ axes.T, axes @ centre
         up, down = robot.q_max - margin - middle, middle - robot.q_min - margin
@@ -419,7 +419,7 @@ def _window(t: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _information(robot: Robot, base: BaseParameters, trajectory: Trajectory, f0: float, weights: np.ndarray) -> float:
-    """Return log det of the information of the base parameters over one period."""
+    """Return the log det of the information matrix of the base parameters over one period."""
     t = np.linspace(RAMP, min(RAMP + 1.0 / f0, trajectory.seconds - RAMP), 100)
     A = base_regressor(robot, *trajectory.sample(t), base) * weights[:, None]
     A = A.reshape(-1, A.shape[2])
@@ -579,7 +579,7 @@ def _phases(speeds: list[float], stroke: float, acceleration: float) -> tuple[np
 
 
 RATE = 250.0  # Hz, rate of the predicted log
-THINNED = 50.0  # Hz, at which the regressor is evaluated
+THINNED = 50.0  # Hz, rate at which the regressor is evaluated
 GROUPS = {"first moments": "kg m", "inertias": "kg m^2", "viscous": "N m s/rad", "Coulomb": "N m", "offset": "N m"}
 
 
@@ -608,7 +608,7 @@ class PredictedUncertainty(Shown):
     excitation: Excitation
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Return rows per group: parameters, median and largest expected SD, name of the worst; header first."""
+        """Return the header and a row per group: parameter count, median SD, largest SD and its parameter."""
         rows = [("group", "unit", "parameters", "median sd", "largest sd", "of")]
         for group, unit in GROUPS.items():
             places = [i for i, name in enumerate(self.groups) if name == group]
@@ -624,8 +624,8 @@ def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0
     """Predict the uncertainty of the torque model's parameters from a motion.
 
     The covariance is ``s^2 (A^T A)^-1`` with the regressor A of base parameters and friction along the motion sampled
-    at 250 Hz. Real residuals are coloured, so expect standard deviations that are a few times larger but in the same
-    order.
+    at 250 Hz. Real residuals are coloured, so expect standard deviations that are a few times larger but similarly
+    ranked.
 
     Parameters
     ----------

@@ -21,15 +21,15 @@ from armlab.identify.record import Decimation
 from armlab.kernels import presliding
 from armlab.models.friction import FRICTION_TERMS
 
-# Linear columns, made in `RegressionColumns.plain`; the last two with known gears.
+# Linear columns, computed in `RegressionColumns.plain`; the last two only with known gears.
 FIXED = ("viscous", "offset", "ripple cos", "ripple sin")
-SIGNED = ("coulomb+", "coulomb-", "root", "load")  # columns of the sign and the load, without nonlinear parameter
+SIGNED = ("coulomb+", "coulomb-", "root", "load")  # sign and load columns, without nonlinear parameters
 SHAPED = (*SIGNED, "stribeck")
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionColumns:
-    """Computes the friction columns of J joints from their motion.
+    """Friction columns of J joints, computed from their motion.
 
     `decimation`: filter of the record and its (M,) kept rows. `q`, `qd`: (N, J) positions and velocities.
     `resolution`: (J,) half the smallest encoder step [rad]. `load`: (N, J) torque |x| transmitted to the links.
@@ -47,7 +47,7 @@ class FrictionColumns:
         return FrictionColumns(self.decimation, q, qd, self.resolution[one], self.load[:, one])
 
     def sign(self, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
-        """Return s (N, J) along the record for `delta` and `smooth` (J,) of `FrictionStructure`."""
+        """Return s (N, J) along the record for `delta` and `smooth` (J,) as in `FrictionStructure`."""
         soft = smooth > 0
         z = np.empty(self.q.shape)
         if not soft.all():
@@ -78,10 +78,10 @@ STRIBECK_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # rad/s
 REFINEMENTS = (1.5, 1.25, 1.12, 1.06, 1.03, 1.015)  # factors tried in both directions after the grid
 FEWER = REFINEMENTS[::2]  # after the selection of terms, because Gauss-Newton steps follow
 FOLDS = 4
-GAIN = 0.01  # of the squared held-out error: terms with a smaller improvement are dropped
-DEFAULT_SPEED = 2  # of STRIBECK_SPEEDS, for joints without that term
+GAIN = 0.01  # share of the squared held-out error: terms with a smaller improvement are dropped
+DEFAULT_SPEED = 2  # index in STRIBECK_SPEEDS, for joints without that term
 IDENTIFIED = 1e-6  # smallest eigenvalue of each fold's scaled Gram matrix: no term may depend on a single event
-EXACT = 1e-12  # squared error, relative to the torque, that is rounding
+EXACT = 1e-12  # squared error relative to the torque, below which it is rounding
 # All columns of a joint, in order: terms of FRICTION_TERMS, then ripple with known gears.
 FRICTION = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root", "load")
 COLUMNS = (*FRICTION, "ripple cos", "ripple sin")
@@ -137,7 +137,7 @@ class FrictionStructure:
         )
 
     def same(self, other: FrictionStructure) -> bool:
-        """Return whether the other has the same terms and differs by less than 10 %."""
+        """Return whether the other structure has the same terms and parameters within 10 %."""
         kinds = np.array_equal(self.terms, other.terms) and np.array_equal(self.smooth > 0, other.smooth > 0)
         mine, others = (np.stack([s.delta, s.smooth, s.speed]) for s in (self, other))
         return bool(kinds and np.allclose(mine, others, rtol=0.1))
@@ -197,11 +197,11 @@ class _StructureSearch:
         sums = [(rows.T @ rows, rows.T @ y, float(y @ y)) for rows, y in folds]
         fixed = columns.shape[2]
         at = dict(zip((*SIGNED, *FIXED), (*range(len(SIGNED)), *range(fixed, A.shape[1]))))
-        rest = range(fixed + FIXED.index("ripple cos"), A.shape[1])  # what is in every choice of terms
+        rest = range(fixed + FIXED.index("ripple cos"), A.shape[1])  # columns in every combination of terms
         kinds_of = ({**at, "stribeck": len(SIGNED) + s} for s in range(len(speeds)))
         picks = np.array([[*(place[name] for name in FRICTION), *rest] for place in kinds_of])
         out = _held_out(sums, picks, _mixings(picks.shape[1])[kinds])
-        wide = speeds > self._fastest  # beyond the log's speeds, Stribeck is another viscous term
+        wide = speeds > self._fastest  # beyond the log's speeds, Stribeck acts as another viscous term
         out[np.ix_(wide, TERMS[kinds, 1])] = np.inf
         return out
 
@@ -252,7 +252,7 @@ def choose(choice: StructureChoice) -> FrictionStructure:
     structure = _of_grid(search) if choice.start is None else choice.start
     errors = search.scores(_columns(motion, structure), structure.speed, slice(None))[0]
     simplest = int(np.argmax(errors <= (1.0 + GAIN) * errors.min()))
-    # on the grid, a term may compensate a width between two points
+    # on the grid, a term may compensate for a width between two points
     structure = replace(structure, terms=TERMS[[simplest]])
     return _refine(search, structure, errors[simplest], FEWER)
 

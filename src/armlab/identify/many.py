@@ -2,10 +2,10 @@
 
 1. `fit_draft` fits the first few minutes like `fit_dynamics`, which determines the nonlinear parameters.
 2. `log_sums` reduces one log to triangular factors of its rows, weighted according to their residuals from the draft.
-It is independent of the other logs, so the sums can be computed anywhere, in any order, and cached. 3. `fit_sums` adds
-the sums in the order of the logs and solves; the result is bit-identical wherever the sums were computed.
+   It is independent of the other logs, so the sums can be computed anywhere, in any order, and cached.
+3. `fit_sums` adds the sums in log order and solves; the result is bit-identical wherever the sums were computed.
 
-One reweighting step from a robust draft is as good as many (Bickel 1975, One-step Huber estimates).
+A single reweighting step from a robust draft is as good as several (Bickel 1975, One-step Huber estimates).
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ from armlab.robots import Robot
 
 SAME_RATE = 1.1
 FEWEST_BLOCKS = 60  # in total, for a covariance
-BIN = 1e-9  # share of a sample
+BIN = 1e-9  # relative margin on the block length
 
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Properties of the draft that the sums of a log depend on; sent to workers.
+    """Properties of the draft that determine the sums of a log; sent to workers.
 
-    `free`: (J, 2) bool, nonlinear parameters with a slope. `lines`: ripple lines, fixed for all logs. `gains`: (J,)
-    torque gains. `theta`, `x`: parameters of the draft without and with slopes. `limit`: (J,) residual above which a
-    row is downweighted [N m]. `rate`, `cutoff`: sampling rate and cut-off of the draft [Hz].
+    `free`: (J, 2) bool, nonlinear parameters with a Jacobian column. `lines`: ripple lines, the same for all logs.
+    `gains`: (J,) torque gains. `theta`, `x`: draft parameters without and with nonlinear steps. `limit`: (J,) residual
+    above which a row is downweighted [N m]. `rate`, `cutoff`: sampling rate and cut-off of the draft [Hz].
     """
 
     robot: Robot
@@ -84,7 +84,7 @@ class Pattern:
         return digest.hexdigest()
 
     def design(self, data: Record) -> Design:
-        """Return the regression problem of a record, with the draft's gains, structure and slopes."""
+        """Return the regression problem of a record, with the draft's gains, structure and Jacobian columns."""
         kept = {"structure": self.structure, "lines": self.lines, "cutoff": self.cutoff}
         built = Design.build(data, self.robot, self.base, **kept)
         return built.with_load(self.theta).with_gains(self.gains).with_slopes(self.theta, self.free)
@@ -94,7 +94,7 @@ class Pattern:
 class LogSums:
     """Sums of one log.
 
-    `weight`: sum of the weights of its rows; `inside`: number of rows with weight 1.
+    `weight`: sum of the row weights. `inside`: number of rows with weight 1.
     """
 
     factors: Factors
@@ -155,7 +155,7 @@ def log_sums(table: Table, pattern: Pattern) -> LogSums:
     block = _block(data, pattern.blocks)[design.rows]
     factors = factorise(design.stream(block, np.sqrt(weights)), len(pattern.x))
     return LogSums(
-        # The memory order of arrays from a worker or a file, so that sums are added in the same order.
+        # Same memory layout as arrays from a worker or a file, so that sums are added in the same order.
         factors=replace(factors, R=tuple(map(np.ascontiguousarray, factors.R))),
         weight=float(weights.sum()),
         inside=int(np.count_nonzero(away <= pattern.limit)),
@@ -210,12 +210,12 @@ def _solved(design: Design, sums: Sequence[LogSums]) -> tuple[LinearSolution, Bl
 
 
 def _block(data: Record, count: int) -> np.ndarray:
-    """Return the segment number (N,) of each sample, about `count` segments per log."""
+    """Return the segment number (N,) of each sample, with about `count` segments per log."""
     return data.blocks(data.seconds / count * (1.0 + BIN))
 
 
 def _blocks_of_draft(data: Record, count: int, sums: Sequence[LogSums], first: Sequence[int]) -> np.ndarray:
-    """Return the segment number (N,), among those of all logs, of each sample of the draft."""
+    """Return the segment number (N,) of each sample of the draft, counted over all logs."""
     starts = np.cumsum([0, *(len(one.factors.rows) for one in sums)])
     numbers, row = [], 0
     for k in first:

@@ -32,7 +32,7 @@ from armlab.models.friction import FRICTION_TERMS, Friction
 from armlab.robots import Robot, inertia
 
 # If the residual ``y = tau - tau_model`` is fitted by ``y = A x + e``, an error d of the model's parameters adds
-# ``-C d`` to e, with C = d tau_model / d parameters. All rows share one d: no number of rows averages it out.
+# ``-C d`` to e, with C = d tau_model / d parameters. All rows share one d, so more rows do not average it out.
 
 
 CHUNK = 4096  # rows of the full regressor in memory
@@ -44,7 +44,7 @@ RIPPLE: dict[str, Callable[..., np.ndarray]] = {"ripple cos": np.cos, "ripple si
 class ModelError:
     """Uncertain parameters of a model.
 
-    `base`: its base parameters, or None for a model of some joints only. `cov`: (P, P) covariance of the parameters.
+    `base`: base parameters, or None for a model of only some joints. `cov`: (P, P) covariance of the parameters.
     """
 
     model: TorqueModel
@@ -56,7 +56,7 @@ class ModelError:
 
     @classmethod
     def of(cls, known: TorqueModel | Fit[TorqueModel], robot: Robot) -> ModelError:
-        """Return the uncertainty of a model: rigid body and friction for a fit, only the rigid body for a model."""
+        """Return the uncertainty of a model: rigid body and friction for a fit, rigid body only for a model."""
         model = known.value if isinstance(known, Fit) else known
         names, cov = (known.names, _apart(known)) if isinstance(known, Fit) else (model.base_names, model.base_cov)
         bases = base_parameters(robot), base_parameters(robot, quasi_static=True)
@@ -82,7 +82,7 @@ class ModelError:
         return total
 
     def _own(self, data: Record, wanted: set[str]) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
-        """Yield the names (n,) of one term of all joints, and its slope (N, n)."""
+        """Yield the names (n,) of one term for all joints, and the torque derivative (N, n)."""
         friction, ripple = self.model.friction, self.model.ripple
         for term, names in _own_names(self.robot, self.base).items():
             if wanted.isdisjoint(names):
@@ -106,7 +106,7 @@ class ModelError:
 
 
 def _apart(fit: Fit[TorqueModel]) -> np.ndarray:
-    """Return the covariance of a fit without the common gain error, which its parameters compensate."""
+    """Return the covariance of a fit without the common gain error, for which its parameters compensate."""
     gain_cov = fit.value.gain_cov
     measured = np.flatnonzero(np.diag(gain_cov) > 0)
     if not len(measured):
@@ -136,7 +136,7 @@ def _friction(friction: Friction, data: Record) -> np.ndarray:
 def _rigid(
     A: np.ndarray, data: Record, rows: np.ndarray, joints: np.ndarray, robot: Robot, base: BaseParameters
 ) -> np.ndarray:
-    """Return the sums (J, w, p) over columns of the base parameters."""
+    """Return the sums (J, w, p) for the base-parameter columns."""
     n, moves = robot.n, 0.0 if base.quasi_static else 1.0
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     total = np.zeros((len(joints), A.shape[2], len(base.names)))
@@ -159,8 +159,8 @@ class LoadRecord:
 
     `rows`: (M,) kept rows. `joints`: (j,) moving joints; the others are excluded because friction at rest is unknown.
     `A`: (M, j, 10) filtered columns of the load at the flange. `y`: (M, j) filtered residual of the model [N m].
-    `against`: (j, 10, P) sums of A_i^T C_i per joint, with C the derivatives of its torque with respect to the model
-    parameters; gives the response of the load to model errors. `sources`: name and SHA-256 of each log.
+    `against`: (j, 10, P) sums of A_i^T C_i per joint, with C the derivatives of the joint torque with respect to the
+    model parameters; they give the response of the load to model errors. `sources`: name and SHA-256 of each log.
     """
 
     data: Record
@@ -271,10 +271,10 @@ def fit_payload(
     Parameters
     ----------
     table : Table or sequence of Table
-        Logs with the load, columns q, qd, tau (N, n), without contact.
+        Logs with the load and without contact, with columns q, qd, tau (N, n).
     model : TorqueModel or Fit of TorqueModel
         Model of the arm without the load. With a fit, the covariance includes the uncertainty of masses and friction;
-        with a model, only that of the masses.
+        with a model, only the uncertainty of the masses.
     robot : Robot
         The arm.
     mode : {"static", "dynamic"}
@@ -402,7 +402,7 @@ def _possible(theta: np.ndarray, cov: np.ndarray) -> np.ndarray:
 
 
 def _table(fit: Fit[Payload]) -> str:
-    """Return text with the mass, centre of mass and inertia with standard deviations, followed by the fit."""
+    """Return the mass, centre of mass and inertia with standard deviations as text, followed by the fit."""
     load, theta = fit.value, fit.parameters
     lines = [f"{name:6s} {x: .5g} +- {sd:.2g} {unit}" for name, x, sd, unit in zip(fit.names, theta, fit.sd, fit.units)]
     for axis in range(3):
@@ -433,7 +433,7 @@ def _unknown(error: ModelError, fitted: bool) -> list[str]:
 
 
 def _explained(record: LoadRecord, residuals: np.ndarray, robot: Robot) -> tuple[str, tuple[str, ...]]:
-    """Return a sentence on the share of the arm model's residual explained by the load, as a doubt if it is small."""
+    """Return a sentence on the share of the arm model's residual explained by the load, and a doubt if it is small."""
     power = np.mean(record.y**2, axis=0)
     share = 1.0 - np.mean(residuals**2) / np.mean(power)
     left = f"{np.sqrt(np.mean(power)):.3g} N m RMS"

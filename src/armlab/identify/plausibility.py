@@ -19,15 +19,15 @@ from armlab.log.units_check import GEARED, gears
 from armlab.robots import Robot
 
 DOUBTED, REFUSED = 1.3, 3.0  # ratios of measured and expected torque
-SURE, CERTAIN = 3.0, 5.0  # deviations for a factor and for a sign
-KNOWN = 0.15  # largest deviation of the logarithm of a factor
+SURE, CERTAIN = 3.0, 5.0  # standard deviations required for a factor and for a sign
+KNOWN = 0.15  # largest relative SD of a known factor
 SMALL = 0.01  # share of the torque: smaller friction does not determine the sign
-LOOSE, ROUNDS = 1.0, 4  # deviation of unconstrained gains; iterations of the joint weights
-SUSPECT = 1.5  # deviations of the prior beyond which a gain is checked again
+LOOSE, ROUNDS = 1.0, 4  # prior SD of almost free gains; iterations of the joint weights
+SUSPECT = 1.5  # prior SDs beyond which the gains are checked with a loose prior
 
 
 def check_signs(survey: Survey, used: np.ndarray) -> list[str]:
-    """Return a sentence about the selected joints (n,) whose friction supplies power."""
+    """Return a sentence listing the selected joints (n,) whose friction supplies power."""
     found = [str(i + 1) for i in np.flatnonzero(used) if _gives_power(survey, int(i))]
     if not found:
         return []
@@ -56,7 +56,7 @@ def _slope(X: np.ndarray, y: np.ndarray, others: np.ndarray, of: np.ndarray) -> 
 
 
 def mass_factors(survey: Survey, robot: Robot, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ratio (n,) of measured torque to that of the robot file's masses, and its SD; NaN if unknown."""
+    """Return the ratio (n,) of measured torque to torque from the robot file's masses, and its SD; NaN if unknown."""
     factors = np.full((2, len(used)), np.nan)
     if robot.inertias is None:
         return factors[0], factors[1]

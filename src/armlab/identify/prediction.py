@@ -19,15 +19,15 @@ from armlab.signals import central_diff, lowpass_offline
 
 # Extrapolation: positions, speeds and rest outside the training data.
 #
-# Held-out errors hold only for data like the training data. Per joint, the samples outside the trained range of
-# position and the trained speeds are counted; for the arm as a whole, the share of rest, because friction at rest is
-# only bounded and a model trained in motion does not predict it.
+# Held-out errors hold only for data like the training data. For each joint, the samples outside the trained
+# positions and speeds are counted. For the arm as a whole, the share of rest is compared, because friction at rest is
+# only bounded, and a model trained in motion does not predict it.
 
 
-BESIDE = 0.02  # tolerance of the trained position range, relative to it
+BESIDE = 0.02  # tolerance relative to the trained position range
 RARE = 0.005  # share of training data below which a speed bin is untrained
-ALLOWED = 0.05  # share of samples outside without a warning
-MORE, LONGER = 3.0, 2.0  # ratios of the share and the length of rest to those in training
+ALLOWED = 0.05  # share of samples outside that causes no warning
+MORE, LONGER = 3.0, 2.0  # ratios of the share and length of rest to the training data
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,8 +136,7 @@ def _warnings(
 
 
 def predict(model: TorqueModel | Fit[TorqueModel], table: Table) -> Table:
-    """Return the log with tau, tau_model and tau_sigma (N, n) [N m]: measured torque, modelled torque and standard
-    deviation.
+    """Return the log with tau, tau_model and tau_sigma (N, n) [N m]: measured torque, modelled torque and its SD.
 
     Measured and modelled torque are low-passed with zero phase at the model's cut-off, for which its covariance holds.
     After a stop, tau_sigma includes the possible static friction, as in the estimator. Extrapolation is reported in the
@@ -151,7 +150,7 @@ def predict(model: TorqueModel | Fit[TorqueModel], table: Table) -> Table:
 
     Raises
     ------
-    ShapeError : no segment of 100 rows without a gap, NaN rows, wrong joint count.
+    ShapeError : no gap-free segment of 100 rows, NaN rows, wrong joint count.
     """
     model = value_of(model)
     if not isinstance(model, TorqueModel):

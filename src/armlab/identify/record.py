@@ -22,11 +22,11 @@ from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline
 
 MIN_RATE = 40.0  # Hz: four samples per period of the 10 Hz band of models and estimators
-SLOW_SHARE = 0.25  # of the sampling rate: a faster ripple line aliases
+SLOW_SHARE = 0.25  # share of the sampling rate: a faster ripple line aliases
 
 
 def check_rate(period: float) -> None:
-    """Raise on a sampling rate too low for friction, below `MIN_RATE`."""
+    """Raise if the sampling rate is below `MIN_RATE`, which is too low to identify friction."""
     rate = 1.0 / period
     if rate < MIN_RATE * (1.0 - 1e-6):
         hint = " If t is in milliseconds, divide it by 1000." if rate < 10.0 else ""
@@ -45,8 +45,8 @@ MIN_SECONDS, MIN_BLOCKS = 5.0, 8
 MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: minimum range of a moving joint
 MIN_SEGMENT = 100  # samples; shorter segments between gaps are dropped
 BAND = 5.0  # Hz, band for the comparison of velocity with the derivative of position
-ORDER = 4  # of the low-pass, run forward and backward
-KEPT, MARGIN = 0.99, 10.0  # fraction of the motion's power, and ratio of the velocity cut-off to its frequency
+ORDER = 4  # order of the low-pass, which is run forward and backward
+KEPT, MARGIN = 0.99, 10.0  # share of motion power, and ratio of the velocity cut-off to the frequency of that share
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +56,8 @@ class Record:
     `t`: (N,) time [s], increasing within a segment. `q`, `qd`, `tau`: (N, n). `dt`: (N,) step to the previous sample
     [s]; the period at the start of a segment. `segments`: (start, stop) rows of each segment. `rate`: [Hz].
     `resolution`: (n,) half the smallest encoder step [rad]. `sources`: name and SHA-256 of each log. `bridged`: (B,)
-    interpolated rows that replace lost rows. `delays`: corrected delays of torque and velocity. `notes`: repairs as
-    sentences.
+    interpolated rows that replace lost rows. `delays`: corrected delays of torque and velocity. `notes`: sentences
+    about repairs.
     """
 
     t: np.ndarray
@@ -111,7 +111,7 @@ class Record:
 
 
 def check_blocks(count: int, seconds: float, data: Record) -> None:
-    """Raise if there are fewer than eight independent blocks, because their scatter gives the covariance."""
+    """Raise if there are fewer than eight independent blocks, too few to estimate the covariance from their scatter."""
     if count < MIN_BLOCKS:
         raise NotExcited(
             f"Expected at least {MIN_BLOCKS} blocks of {seconds:.2g} s for the covariance, got {count}. Record longer.",
@@ -125,7 +125,7 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
 
     Parameters
     ----------
-    table : one log or several, each with columns q, tau of `robot`; without qd, the derivative of q is used.
+    table : one or several logs, each with columns q, tau of `robot`; without qd, the derivative of q is used.
     robot : the recorded arm.
     joints : joints whose torque will be fitted, from 0; only these must move and have a valid torque. Default: all.
 
@@ -133,10 +133,10 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
     ------
     RobotError : not a Robot.
     UnknownName : no such joint.
-    ShapeError : not a Table, a repeated log, wrong joint count, NaN rows by number, logs of different rates or below 40
-        Hz, gaps throughout, positions in degrees or on the motor side, velocities inconsistent with positions, or motor
-        torques.
-    NotExcited : a short log, joints at rest by name, constant torque.
+    ShapeError : not a Table, a repeated log, wrong joint count, NaN rows (the message lists them), sampling rates that
+        differ or are below 40 Hz, only short segments between gaps, positions in degrees or on the motor side,
+        velocities inconsistent with positions, or motor torques.
+    NotExcited : a short log, joints at rest (the message names them), or constant torque.
     """
     used = np.bincount(measured_joints(robot, joints), minlength=len(robot.joint_names)) > 0
     return _checked(_tables(table), robot, used, used)
@@ -149,12 +149,12 @@ def prepare_share(table: Table | Sequence[Table], robot: Robot, joints: Sequence
 
 
 def resting(q: np.ndarray, prismatic: np.ndarray) -> np.ndarray:
-    """Return which joints (n,) move by less than 5 degrees, or 20 mm, in positions (N, n)."""
+    """Return the mask (n,) of joints that move by less than 5 degrees, or 20 mm, in positions (N, n)."""
     return np.ptp(q, axis=0) < np.where(prismatic, MIN_SLIDE, MIN_TURN)
 
 
 def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.ndarray) -> Record:
-    """Return the record of logs; joints in `moving` (n,) must move, joints in `used` (n,) need a torque."""
+    """Return the record of logs; joints in `moving` (n,) must move, joints in `used` (n,) need a valid torque."""
     prepared = _joined(tables, robot)
     check_position(prepared.q, robot)
     moved = ~resting(prepared.q, robot.prismatic)
@@ -195,7 +195,7 @@ def _joined(tables: list[Table], robot: Robot) -> Record:
 
 
 def _tables(table: Table | Sequence[Table]) -> list[Table]:
-    """Return one or several logs as a list; raise for other types."""
+    """Return one or several logs as a list; raise on other types."""
     tables: list[Any] = list(table) if isinstance(table, (list, tuple)) else [table]
     if not tables:
         raise ShapeError("Expected at least one log, got an empty list. Pass the log of an excitation trajectory.")
@@ -207,7 +207,7 @@ def _tables(table: Table | Sequence[Table]) -> list[Table]:
 
 
 def check_once(logs: Iterable[tuple[str, str]]) -> None:
-    """Raise if a log (name and SHA-256) is repeated, because repeated data pretend to be additional information."""
+    """Raise if a log (name and SHA-256) is repeated, because repeated data would count as additional information."""
     known: dict[str, str] = {}
     for name, sha256 in logs:
         if sha256 in known:
@@ -235,7 +235,7 @@ def with_velocity(table: Table) -> Table:
 
     Raises
     ------
-    ShapeError : NaN rows, by number.
+    ShapeError : NaN rows; the message lists them.
     """
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)
@@ -278,7 +278,7 @@ def _edges(t: np.ndarray) -> list[int]:
 
 
 def _in_pieces(edges: list[int]) -> ShapeError:
-    """Return the error for a log with only short segments."""
+    """Return the error for a log that has only short segments."""
     return ShapeError(
         f"Expected segments of at least {MIN_SEGMENT} samples without a gap of {BRIDGED + 1} rows, got "
         f"{len(edges) - 2} gaps in {edges[-1]} rows, the longest segment with {int(np.diff(edges).max())} samples. "
@@ -338,7 +338,7 @@ def check_finite(
     advice: str = "Drop them with table.dropna. If torques are missing, record with the research extension; a "
     "simulated arm sends torques if its description has masses.",
 ) -> None:
-    """Raise on missing values in columns (N, n), stating their rows."""
+    """Raise on missing values in columns (N, n), listing the rows."""
     bad = np.flatnonzero(~np.all([np.isfinite(values).all(axis=1) for values in columns], axis=0))
     if len(bad):
         raise ShapeError(
@@ -347,7 +347,7 @@ def check_finite(
 
 
 def _common_rate(rates: list[float]) -> float:
-    """Return the common sampling rate [Hz] of all logs, because they share one filter."""
+    """Return the common sampling rate [Hz] of all logs, which share one filter."""
     if max(rates) > 1.1 * min(rates):
         listed = ", ".join(f"{rate:.4g} Hz" for rate in rates)
         raise ShapeError(
@@ -357,14 +357,14 @@ def _common_rate(rates: list[float]) -> float:
 
 
 def _resolution(q: np.ndarray) -> np.ndarray:
-    """Return half the smallest non-zero step of each joint (n,) [rad], which is the play of the presliding state."""
+    """Return half the smallest non-zero step of each joint (n,) [rad], the play of the presliding state."""
     steps = np.abs(np.diff(q, axis=0))
     smallest = np.where(steps > 1e-12, steps, np.inf).min(axis=0)
     return np.where(np.isfinite(smallest), 0.5 * smallest, 0.0)
 
 
 def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
-    """Raise on fitted joints (n,) with little motion."""
+    """Raise if a fitted joint (n,) hardly moves."""
     if not still.any():
         return
     names = [robot.joint_names[i] for i in np.flatnonzero(still)]
@@ -383,15 +383,15 @@ def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
     )
 
 
-# A coarse regression of each joint's torque on rigid body and friction of the low-passed motion, a few rows a second:
-# it identifies delays, signs and units before the fit.
+# Coarse regression of each joint's torque on rigid-body and friction terms of the low-passed motion, at a few rows per
+# second. It identifies delays, signs and units before the fit.
 
 
 SURVEY_BAND, SURVEY_RATE, SURVEY_ROWS = 8.0, 25.0, 2000  # Hz, rows per second, and maximum rows
-DELTAS = (1e-4, 1e-3, 1e-2)  # rad, presliding distances: friction lags by itself, and peaks at reversals
+DELTAS = (1e-4, 1e-3, 1e-2)  # rad, presliding distances: friction lags the motion and peaks at reversals
 BELLS = (0.03, 0.1)  # rad/s, Stribeck speeds at a medium presliding distance
-WAVES = 4  # half waves of friction over the range of a position
-INDEPENDENT = 1e-7  # of the largest eigenvalue
+WAVES = 4  # half waves of friction over a joint's position range
+INDEPENDENT = 1e-7  # share of the largest eigenvalue
 
 
 @dataclass(frozen=True, eq=False)
@@ -479,7 +479,7 @@ def torque_on_time(data: Record, robot: Robot, used: np.ndarray) -> Record:
 
 
 def _shifted(data: Record, name: str, late: Delay) -> tuple[Record, np.ndarray]:
-    """Return the record with a column shifted by a delay, and the rows (N',) with a shifted value."""
+    """Return the record with a column shifted by a delay, and the rows (N',) that have a shifted value."""
     rows, column = late.seconds * data.rate, getattr(data, name).copy()
     ahead, behind = max(0, int(np.ceil(-rows))), max(0, int(np.ceil(rows)))
     for a, b in data.segments:
@@ -508,8 +508,8 @@ def delay_text(name: str, late: Delay) -> str:
     )
 
 
-# Torque outliers of single samples are replaced before filtering: a filter would spread them over their neighbours, out
-# of reach of any robust loss.
+# Single-sample torque outliers are replaced before filtering, because a filter would spread them over neighbouring
+# samples, where no robust loss can reject them.
 
 
 SPIKE, WINDOW = 6.0, 9  # robust standard deviations, and samples of the median
@@ -532,28 +532,28 @@ def without_outliers(data: Record, found: np.ndarray, model: TorqueModel | None 
 
 
 def _median(x: np.ndarray, data: Record) -> np.ndarray:
-    """Return the median (N, n) of the nine samples around each sample, repeating the ends of a segment."""
+    """Return the median (N, n) of the nine samples around each sample; the ends of a segment are repeated."""
     from scipy.ndimage import median_filter
 
     return np.concatenate([median_filter(x[a:b], size=(WINDOW, 1), mode="nearest") for a, b in data.segments])
 
 
 def _modelled(model: TorqueModel, data: Record) -> np.ndarray:
-    """Return the torque (N, n) of the model; the acceleration is low-passed at a tenth of the rate."""
+    """Return the model torque (N, n); the acceleration is low-passed at a tenth of the rate."""
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     parts = [model.torque(data.q[a:b], data.qd[a:b], qdd[a:b], data.dt[a:b]) for a, b in data.segments]
     return np.concatenate(parts)
 
 
 # Zero-phase low-pass and decimation of a long record: y_m = sum_j h_j x_{m every + j}, |j| <= L, with h the truncated
-# impulse response of a Butterworth filter run forward and backward. Torque and every column of the regressor pass the
-# same h, so linear relations hold exactly. Only kept rows are computed, as products with a narrow matrix, and only
-# a few thousand rows of the regressor exist at once.
+# impulse response of a Butterworth filter run forward and backward. Torque and every regressor column pass through
+# the same h, so linear relations hold exactly. Only kept rows are computed, as products with a small banded matrix,
+# and only a few thousand rows of the regressor exist at once.
 
 
 ENDS = 2.0  # periods of the cut-off dropped at either end, where reflection turns noise into a step
-DECAYED = 1e-6  # of the largest tap
-ROWS_AT_ONCE, WIDE = 1024, 64  # rows whose regressor fits in the cache; with fewer columns more rows
+DECAYED = 1e-6  # share of the largest tap
+ROWS_AT_ONCE, WIDE = 1024, 64  # rows whose regressor fits in the cache; with fewer columns, more rows
 BAND_ROWS = 32  # kept rows per product
 
 
@@ -607,7 +607,7 @@ class Decimation:
 
     @cached_property
     def _band(self) -> np.ndarray:
-        """Matrix for BAND_ROWS kept rows, which contains the taps shifted by `every` from row to row."""
+        """Matrix for BAND_ROWS kept rows; each row contains the taps, shifted by `every` from the row above."""
         T = np.zeros((BAND_ROWS, self.every * (BAND_ROWS - 1) + len(self.taps)))
         for k in range(BAND_ROWS):
             T[k, self.every * k : self.every * k + len(self.taps)] = self.taps

@@ -3,8 +3,8 @@
 All joints share the base-parameter columns. Each joint has its own columns: viscous, Coulomb and offset; Stribeck, root
 and load if selected (`armlab.identify.friction_structure`). With known gears, it also has the cosine and sine of the
 ripple line at twice the gear ratio, because strain-wave gears engage twice per input revolution. Robot files without
-gears have ratio 1. Such a line would be a harmonic of gravity, so `fit_dynamics` searches the residual for lines
-instead.
+gears imply a ratio of 1. Such a line would be a harmonic of gravity, so `fit_dynamics` searches the residual for
+lines instead.
 
 A motor that drives several joints, as in wrists, adds three shared columns. Its angle is ``theta = c q``; its inertia
 and its viscous and Coulomb friction act on all these joints, ``tau = c^T f(theta)``.
@@ -45,20 +45,20 @@ from armlab.models.friction import FRICTION_TERMS, Friction, FrictionTerm, Rippl
 from armlab.models.torque import CoupledMotors
 from armlab.robots import Robot
 
-# Columns of a regression over joint torque, filtered and decimated.
+# Filtered and decimated columns of the regression for joint torque.
 
 
 MIN_CYCLES = 20.0  # rad/rad; a slower ripple line is a harmonic of gravity
 SEEN = 0.5  # fraction of the samples that must not alias a ripple line
-SMOOTH = 0.02  # rad/s, of the sign of coupled motors
+SMOOTH = 0.02  # rad/s, width of the smooth sign of coupled motors
 
 
 @dataclass(frozen=True, eq=False)
 class RegressionColumns:
-    """Computes the columns of J joints of a record.
+    """Regression columns of J joints, computed from a record.
 
     `decimation`: filter of the record and its (M,) kept rows. `joints`: (J,) joints with torque. `motors`: (K, n)
-    angles theta = c q of motors that drive several joints. `lines`: (J,) ripple line of each joint [rad/rad], or (0,)
+    rows c of angles theta = c q of motors that drive several joints. `lines`: (J,) ripple lines [rad/rad], or (0,)
     without ripple columns. `load`: (N, J) torque |x| transmitted to the links, at full rate; zero before the first
     solution.
     """
@@ -90,8 +90,7 @@ class RegressionColumns:
         )
 
     def plain(self, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the columns except those of the friction structure and the base parameters, for the acceleration (N,
-        n).
+        """Return the columns that depend on neither friction structure nor base parameters, for acceleration (N, n).
 
         Returns the torque (M, J); the columns (M, J, 2 or 4) for viscous friction, offset and observable ripple; and
         the acceleration, velocity and smooth sign (M, K, 3) of the coupled motors.
@@ -140,7 +139,7 @@ class RegressionColumns:
         return friction.columns(friction.sign(delta, smooth), speeds)
 
     def lines_are_seen(self) -> bool:
-        """Return whether the sampling resolves ripple in most samples; warn if not."""
+        """Return whether the sampling rate resolves ripple in most samples; warn if not."""
         data = self.data
         share = np.mean(slow_enough(data.qd[:, self.joints], data.rate, self.cycles), axis=0)
         fast = [self.robot.joint_names[joint] for joint, seen in zip(self.joints, share) if seen < SEEN]
@@ -164,8 +163,9 @@ COUPLED = {"rotor": "kg m^2", "viscous": "N m s/rad", "coulomb": "N m"}  # of a 
 class ParameterLayout:
     """Names, units, bounds and positions of p parameters.
 
-    `joints`: (J,) joints with torque. `motors`: (K, n) angles theta = c q of motors that drive several joints.
-    `owners`: (K,) joint to which each motor belongs. `rotors`: (K,) bool, whether the rotor inertia is identifiable.
+    `joints`: (J,) joints with torque. `motors`: (K, n) rows c of angles theta = c q of motors that drive several
+    joints. `owners`: (K,) joint to which each motor belongs. `rotors`: (K,) bool, whether the rotor inertia is
+    identifiable.
     """
 
     robot: Robot
@@ -278,27 +278,27 @@ def independent_rotors(robot: Robot, base: BaseParameters, motors: np.ndarray) -
     return np.linalg.norm(left, axis=0) > DEPENDENT * np.linalg.norm(rotors, axis=0)
 
 
-SAMPLES, DEPENDENT = 100, 1e-6  # random samples of the regressor, and what dependent columns leave of a column
+SAMPLES, DEPENDENT = 100, 1e-6  # random regressor samples, and relative residual of a dependent column
 CUTOFF = 25.0  # Hz, or a tenth of the rate if less
 PAD = 20  # rows of extension at the ends of a segment
 BLOCK = 0.5  # s, blocks assigned cyclically to the folds of the structure selection
-STEP = 0.01  # logarithmic step for numerical derivatives by a nonlinear parameter
+STEP = 0.01  # logarithmic step of a nonlinear parameter for numerical derivatives
 LONGEST = 0.5  # largest logarithmic step
-NOTHING = 1e-12  # of the power of the torque: derivatives without effect
+NOTHING = 1e-12  # share of the torque power: smaller derivatives have no effect
 
 
 @dataclass(frozen=True, eq=False)
 class Design(RegressionColumns):
     """Filtered and decimated regression problem of J joints.
 
-    `owners`: (K,) joint of each coupled motor. `rotors`: (K,) bool, whether its rotor inertia is identifiable:
-    behind a parallel rod it acts as an inertia of the link. `gains`: (J,) ratio of measured to true torque.
-    `tau`: (M, J) filtered torque divided by the gains. `rigid`: for each joint, columns (M, w) of its base parameters.
-    `fixed`: (M, J, 2 or 4) linear columns: viscous, offset, and ripple with known gears.
-    `coupled_motors`: (M, K, 3) filtered acceleration, velocity and sign of the coupled motors. `free`: (J, 2) bool,
-    which of `FrictionStructure.numbers` have a column, which is the derivative of the torque with respect to the
-    logarithm of the number, at the parameters passed to `with_slopes`. `local`: for each joint (M, k), its own columns
-    with derivatives last, then those of the motors that drive it.
+    `owners`: (K,) joint of each coupled motor. `rotors`: (K,) bool, whether its rotor inertia is identifiable; behind a
+    parallel rod, it acts as link inertia. `gains`: (J,) ratio of measured to true torque. `tau`: (M, J) filtered torque
+    divided by the gains. `rigid`: for each joint, columns (M, w) of its base parameters. `fixed`: (M, J, 2 or 4) linear
+    columns: viscous, offset, and ripple with known gears. `coupled_motors`: (M, K, 3) filtered acceleration, velocity
+    and sign of the coupled motors. `free`: (J, 2) bool, which of `FrictionStructure.numbers` have a column. This
+    is the torque derivative with respect to the logarithm of the number, at the parameters passed to `with_slopes`.
+    `local`: for each joint (M, k), its own columns, with derivatives last, then the columns of the motors that drive
+    it.
     """
 
     base: BaseParameters
@@ -326,7 +326,7 @@ class Design(RegressionColumns):
         structure: FrictionStructure | None = None,
         lines: np.ndarray | None = None,
     ) -> Design:
-        """Filter and decimate all columns; the default `lines` are those of the gears."""
+        """Filter and decimate all columns; `lines` default to those of the gears."""
         corner = min(data.rate / 10.0, CUTOFF) if cutoff is None else cutoff
         step = max(1, int(data.rate / (2.5 * corner))) if every is None else every
         measured = np.arange(len(robot.joint_names)) if joints is None else np.asarray(joints)
@@ -515,8 +515,8 @@ class Design(RegressionColumns):
     ) -> Design:
         """Select the friction structure of each joint on held-out blocks of half a second.
 
-        The base parameters in theta (p,) are fixed and determine the load of the joints. `trust`: (M, J)
-        weights of the rows; 0 excludes one. `again`: start from the current structure, which was selected before.
+        The base parameters in theta (p,) are fixed and determine the load of the joints. `trust`: (M, J) weights of
+        the rows; 0 excludes a row. `again`: start from the current structure, which was selected before.
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of used rows, so that all folds have equal size

@@ -64,19 +64,19 @@ def friction_signs(model: TorqueModel, data: Record) -> np.ndarray:
 
 
 def load_torque(model: TorqueModel, data: Record) -> np.ndarray:
-    """Return the torque (N, n) transmitted to the links along a record; the acceleration is low-passed as above."""
+    """Return the torque (N, n) transmitted to the links along a record, using the low-passed acceleration."""
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     return model.chain.rnea(data.q, data.qd, qdd, *model._weights)
 
 
 # Thermal state of the drives of a model along a record, per second (law: models.friction.WarmUp).
 #
-# The thermal state is constant within a second, so that only sums per second are stored of a record.
+# The thermal state is constant within a second, so only sums per second are stored for a record.
 
 
 BIN = 1.0  # s
 SETTLING = 8  # iterations of power and thermal state for given parameters
-FEWEST_SECONDS = 20  # rows per second that determine its power
+FEWEST_SECONDS = 20  # rows needed in a second to determine its power
 
 
 def thermal_state_at(model: TorqueModel, data: Record, rows: np.ndarray) -> np.ndarray:

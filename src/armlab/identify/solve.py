@@ -36,10 +36,10 @@ EXACT = 1e-5  # residuals below this fraction of the measurements are rounding
 class GainProblem:
     """Sums of a regression with unknown gains.
 
-    `sums`: (B, n, p + 1, p + 1) of ``[A y]^T [A y]`` per block and joint, weighted by 1 / variance and by the fraction
-    of effective samples of the joint. `weights`: (n,) weight of a squared residual of each joint [1 / (N m)^2].
-    `gain_sd`: prior standard deviation of the gains; 0 for known gains of 1. `stretch`: ratio of the variation of a
-    robust solution to that of its weighted sums.
+    `sums`: (B, n, p + 1, p + 1) of ``[A y]^T [A y]`` per block and joint, weighted by 1 / variance and by the
+    joint's fraction of effective samples. `weights`: (n,) weight of each joint's squared residuals [1 / (N m)^2].
+    `gain_sd`: prior standard deviation of the gains; 0 for known gains of 1. `stretch`: ratio of the scatter of a
+    robust solution to the scatter of its weighted sums.
     """
 
     sums: np.ndarray
@@ -103,9 +103,9 @@ class GainProblem:
         """Return the covariance (p, p) of x, from the scatter of the blocks and the gains."""
         S, through, pushes = self._reduced(x, g)
         B, A = len(self.sums), self.sums[:, :, :-1, :-1]
-        left = self.sums[:, :, :-1, -1] - (1.0 + g)[:, None] * (A @ x)  # A^T e of blocks and joints
+        left = self.sums[:, :, :-1, -1] - (1.0 + g)[:, None] * (A @ x)  # A^T e per block and joint
         gradients = np.einsum("iab,jib->ja", through, left)
-        white = np.einsum("iab,ibc,idc->ad", through, A.sum(axis=0), through)  # their covariance for white e
+        white = np.einsum("iab,ibc,idc->ad", through, A.sum(axis=0), through)  # covariance for white e
         root = np.linalg.cholesky(white)
         scores = np.linalg.solve(root, (gradients - gradients.mean(axis=0)).T).T
         chance = shrinkage(scores)
@@ -122,7 +122,7 @@ class GainProblem:
         return S, through, (u / d[:, None]).T / self.gain_sd if self.gain_sd else np.zeros((len(x), 0))
 
     def _normal(self, G: np.ndarray, x: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the information on x (p, p), u (n, p) and d (n,) of the module."""
+        """Return the information on x (p, p), and u (n, p) and d (n,) as defined above."""
         Gx = G @ x
         u = k[:, None] * Gx
         d = Gx @ x + (1.0 / self.gain_sd**2 if self.gain_sd else np.inf)
@@ -130,12 +130,12 @@ class GainProblem:
 
 
 ROUNDS = 4
-SHAPE_STEPS = 6  # of Gauss-Newton
+SHAPE_STEPS = 6  # Gauss-Newton steps
 SHARES = (1.0, 0.5, 0.25)  # fractions of a step in the line search
-STAYS = 1e-3  # sum of the squared logarithmic steps
+STAYS = 1e-3  # convergence limit on the norm of the logarithmic steps
 VAGUE = 0.3  # formal SD of a logarithm beyond which the nonlinear parameter is not identified
 TRIMMED = 0.25  # s, blocks for the method "lts"
-MOST_BLOCKS = 1000.0  # of these blocks, because each stores a triangle
+MOST_BLOCKS = 1000.0  # largest number of these blocks, because each stores a triangular factor
 ROBUST = ("irls", "lts")
 
 
@@ -147,10 +147,10 @@ def alternate(
     use: np.ndarray | None = None,
     again: bool = False,
 ) -> tuple[Design, np.ndarray]:
-    """Alternate between the linear parameters and the friction structure until it converges; return both.
+    """Alternate between the linear parameters and the friction structure until convergence; return both.
 
     Undetermined directions are accepted here and checked in the final fit. `use`: (M,) kept rows used in the fit.
-    `again`: the structure has been selected before.
+    `again`: whether the structure has been selected before.
     """
     used = np.ones((len(design.rows), 1)) if use is None else use[:, None].astype(float)
     trust = np.ones_like(design.tau) * used
@@ -262,7 +262,7 @@ def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, se
 
 GAIN_SD = 0.1
 GAIN_ROUNDS = 2  # class weights depend on the gains
-MAX_CONDITION = 1e4  # of a log that determines the parameters
+MAX_CONDITION = 1e4  # largest condition number of a log that determines the parameters
 
 
 def calibrated(
@@ -310,17 +310,17 @@ def gain_share(solution: LinearSolution, gain_cov: np.ndarray) -> np.ndarray:
     return 0.5 * (cov + cov.T)
 
 
-# Friction components of the covariance that short blocks of time miss: drift along the log, and rival structures.
+# Friction contributions to the covariance that short time blocks miss: drift along the log, and rival structures.
 #
 # The block bootstrap covers changes from one half second to the next. Offset drift and warm-up are slow, and another
 # log may select other friction terms; both are added to the covariance of the residuals.
 #
-# Drift. With the solution fixed, each half of the log has its own change of each joint's viscous and Coulomb friction
-# and offset. The squared difference of the halves, minus its sampling variance, is pooled over the joints, relative to
-# their friction torque, because a single joint gives one degree of freedom. Under a random walk the next log of this
-# length differs by sqrt(2) times the difference of the halves, half of this variance in each log. The leakage of a
-# linear drift into other parameters is added, and the bootstrap uses torques without it, because it would take drift
-# for noise in every direction.
+# Drift. With the solution fixed, a change of each joint's viscous friction, Coulomb friction and offset is fitted to
+# each half of the log. The squared difference between the halves, minus its sampling variance, is pooled over the
+# joints relative to their friction torque, because a single joint gives only one degree of freedom. Under a random
+# walk, the next log of this length differs by sqrt(2) times the difference between the halves; each log contributes
+# half of this variance. The leakage of a linear drift into other parameters is added. The bootstrap uses torques
+# without the drift, which it would otherwise treat as noise in every direction.
 #
 # Structures. Rival friction structures are weighted by exp(-t^2 / 2), with t the excess of their held-out squared error
 # over the best, in standard deviations of that excess between blocks. The change of the parameters by each rival adds
@@ -328,13 +328,12 @@ def gain_share(solution: LinearSolution, gain_cov: np.ndarray) -> np.ndarray:
 
 
 DRIFTS = ("viscous", "coulomb", "offset")
-POOLING = 30  # of the pooled variance
-RIDGE = 1e-6  # of the power of a column, if a half of the log does not determine a drift
+POOLING = 30  # iterations of the pooled variance
+RIDGE = 1e-6  # share of a column's power, in case half of the log does not determine a drift
 
 
 def covariance(design: Design, solution: LinearSolution, length: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariance (p, p) of a solution for known gains, and the torque variance (J,) due to drift between
-    logs.
+    """Return the covariance (p, p) for known gains, and the torque variance (J,) due to drift between logs.
 
     `length` blocks form a segment.
     """
@@ -355,7 +354,7 @@ def _without_drift(
         pooled = np.maximum(np.sum(weight * (difference**2 - variance), axis=0) / weight.sum(axis=0), 0.0)
     likely = difference * pooled / np.maximum(pooled + variance, 1e-300)
     share, factors = np.zeros((len(solution.x),) * 2), []
-    torque = np.array([2.0 * power @ pooled for *_, power in found])  # of this log and of another
+    torque = np.array([2.0 * power @ pooled for *_, power in found])  # of this log and of the next
     for R, columns, change, (_, _, moved, leaked, _) in zip(
         solution.factors.R, solution.factors.columns, likely, found, strict=True
     ):
@@ -371,11 +370,10 @@ def _time(blocks: int) -> np.ndarray:
 
 
 def _drifts(design: Design, solution: LinearSolution, length: int, i: int) -> tuple[np.ndarray, ...]:
-    """Return, for one joint, the differences (3,) between the halves and their variances, relative to the friction
-    torque.
+    """Return one joint's differences (3,) between the halves and their variances, relative to its friction torque.
 
-    Also returns the parameters (p, 3) of such a change, which give the leakage of a zero-mean linear drift into the
-    solution, and the mean square torque (3,) of a unit change.
+    Also returns the parameters (p, 3) of a unit change, the leakage of a zero-mean linear drift into the solution, and
+    the mean square torque (3,) of a unit change.
     """
     factors, columns, x = solution.factors, solution.factors.columns[i], solution.x
     A, y = factors.R[i][:, :, :-1], factors.R[i][:, :, -1]

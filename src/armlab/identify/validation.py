@@ -28,13 +28,12 @@ ALPHA2_BOUNDS = (0.25, 25.0)
 REST = 0.01  # share of the peak speed; the arm rests if all joints are below it
 HALF = 1.0  # s, segments of the two halves for the coverage
 UNMEASURED = 1e12  # (N m)^2, variance of an unmeasured torque
-FEWEST = 100  # rows of sliding in each half
-FAST = 0.1  # rad/s: above it the friction bound covers the model error in motion
+FEWEST = 100  # sliding rows in each half
+FAST = 0.1  # rad/s: above this speed, the friction bound covers the model error in motion
 
 
 def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Return causal residuals (N, n) of models fitted without the respective row, and a mask (N, n) of joints in
-    motion.
+    """Return causal residuals (N, n) of models fitted without the respective row, and the motion mask (N, n).
 
     A joint is in motion once it has slid far enough since its last reversal or rest for its friction to be known.
     """
@@ -82,8 +81,8 @@ def assess(
     The torque variance `drift` (J,) due to friction changes between logs is added to the covariance; this error is
     constant within a log, so no filter averages it. Covariance and scale are fitted to one half of the segments and
     validated on the other half, in both directions. The model gets the values fitted to all segments. Joints without
-    measured torque have no figures, and a standard deviation too large for estimators to use them. With an earlier
-    model `before`, joints at rest keep its figures.
+    measured torque have no quality figures, and a standard deviation so large that estimators ignore them. If an
+    earlier model `before` is given, joints at rest keep its figures.
     """
     errors, moving = held_out(folds, data)
     if unseen is not None:
@@ -139,10 +138,10 @@ def held_at_rest(model: TorqueModel, before: TorqueModel, rest: np.ndarray) -> T
 
 
 def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueModel], data: Record) -> TorqueModel:
-    """Return an earlier model with added terms and its own torque covariance and quality figures.
+    """Return a model with terms added to an earlier one, and with its own torque covariance and quality figures.
 
     If `before` was identified from one of these logs, its parameters were fitted to rows that are held out in `folds`.
-    Its loss on held-out rows, ``rms_cv^2 - rms^2``, is therefore added to the errors.
+    The loss of `before` on held-out rows, ``rms_cv^2 - rms^2``, is therefore added to the errors.
     """
     data = replace(data, tau=without_outliers(data, torque_outliers(data), before))
     fold, quality = fold_of(data), before.quality
@@ -248,9 +247,9 @@ def rests(
     return float(np.mean(still)), longest
 
 
-# Torque covariance over velocity by maximum likelihood, per joint, on residuals filtered like the estimator's. Ratio
-# and rate get the information of a uniform prior over their bounds, so that undetermined ones are uncertain instead
-# of exact.
+# Maximum-likelihood torque covariance over velocity, per joint, on residuals filtered as in the estimator. The ratio
+# and rate get the information of a uniform prior over their bounds, so that undetermined values are uncertain rather
+# than exact.
 
 
 STARTS = (5.0, 30.0, 150.0)  # s/rad
@@ -258,13 +257,13 @@ RATE_BOUNDS = (1.0, 500.0)
 MAX_LOG_RATIO = 15.0
 UNIFORM = 12.0  # information of a uniform distribution, times its width squared
 SLOWEST, FASTEST = 0.02, 0.6  # range of the threshold in quantiles of speed
-FEWEST_BELOW = 20  # samples below it
+FEWEST_BELOW = 20  # samples below the threshold
 AROUND = 50  # samples on either side of the threshold for the density of speeds
 TINY = 1e-12
 
 
 def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "exp") -> Fit[VelocityCovariance]:
-    """Fit the variance of the torque residual over joint velocity.
+    """Fit the variance of the torque residual as a function of joint velocity.
 
     Parameters
     ----------
@@ -299,7 +298,7 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
     Cinf = np.exp(theta[:, 0])
     C0 = Cinf * np.exp(theta[:, 1]) if d > 1 else Cinf
     value = velocity_covariance(kind, C0, Cinf, np.exp(theta[:, 2]) if d > 2 else None)
-    ratio = residuals**2 / value.variance(qd)  # removes the variation of the variance with the motion
+    ratio = residuals**2 / value.variance(qd)  # removes the dependence of the variance on motion
     cov = np.zeros((n * d, n * d))
     for i, (_, information) in enumerate(solved):
         share = len(residuals) / effective_samples(ratio[:, i])
@@ -401,10 +400,10 @@ def _exponential(theta: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 COVERAGE, SIGMAS = 0.954, 2.0
-SEEN = 0.9  # smallest observability of the axes in the coverage
+SEEN = 0.9  # smallest observability of axes included in the coverage
 LEAD = 0.5  # s, transient of an estimator
 WAVES = np.array([0.05, 0.07, 0.06, 0.08, 0.09, 0.1])  # Hz, frequencies of the known wrench
-ENOUGH, WINDOW = 50_000, 10.0  # rows for a factor; windows [s]: longer records skip every second one or more
+ENOUGH, WINDOW = 50_000, 10.0  # rows for a factor; s, windows: longer records use every second window or fewer
 
 
 def velocity_noise(data: Record) -> np.ndarray:
@@ -488,7 +487,7 @@ def _runs(
 ) -> Iterator[tuple[tuple[np.ndarray, ...], np.ndarray]]:
     """Yield, segment by segment, the estimates of the folds on their held-out rows, and these rows.
 
-    The filter gets the known wrench, and in each segment a constant torque error of variance `drift` (n,).
+    The filter receives the known wrench and, in each segment, a constant torque error of variance `drift` (n,).
     """
     prior, rate, draw = np.square(PRIOR), np.square(FORCE_RATES["normal"]), np.random.default_rng(0)
     for model, rows in held:
@@ -533,7 +532,7 @@ def parameter_text(fit: Fit[TorqueModel]) -> str:
 
 
 def report(fit: Fit[TorqueModel], solution: LinearSolution | None = None) -> str:
-    """Return all parameters as text, then for each joint the torque, residuals in % of its SD, and friction."""
+    """Return all parameters as text, then for each joint the torque, residuals in % of the torque SD, and friction."""
     model, q = fit.value, fit.value.quality
     header = ("joint", "torque sd", "rms", "fit", "held-out", "viscous", "coulomb +", "coulomb -", "sign", "in 2 sigma")
     units = ("", "", "", "% of sd", "% of sd", "", "", "", "", "%")

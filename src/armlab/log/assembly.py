@@ -49,8 +49,8 @@ def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> t
     """Return t (N,) [s], 0 in the first row, and the name of its clock.
 
     The first available clock is used, in this order: a column `t`; the robot's clock if it is complete, increasing and
-    within 1 s of the session time (otherwise it was set during recording); the session time, with sessions placed
-    according to the stamps; the stamps.
+    within 1 s of the session time (otherwise it was set during recording); the session time, with each session placed
+    by its stamps; the stamps.
     """
     if "t" in values and np.isfinite(values["t"]).any():
         return np.asarray(values["t"], dtype=float), "file"

@@ -34,7 +34,7 @@ _READERS: dict[str, Callable[..., Table]] = {
     "LabComm": lambda path, raw, names: renamed(path, read_labcomm(path, raw=raw), names),
     "MAT v5": read_mat_table,
     "MAT v7.3": read_mat_table,
-    "rosbag2": lambda path, raw, names: renamed(path, read_rosbag2(path), names),  # written by `write`, so rows are in order
+    "rosbag2": lambda path, raw, names: renamed(path, read_rosbag2(path), names),  # from `write`: rows are in order
 }
 _COLUMN_READERS = {"HDF5": read_hdf5, "Parquet": read_parquet}  # can read individual columns
 
@@ -55,7 +55,7 @@ def read(
 
     In MCAP files, rosbag2 and ROS 1 bags of other programs, the arm's JointState becomes q, qd and tau, with the joint
     names as labels. A single WrenchStamped becomes wrench_raw. Everything else is named after its topic: "/ft/wrench"
-    is ft.wrench (N, 6), a pose becomes matrices (N, 4, 4), a transform is tf.parent.child, and other numbers are
+    becomes ft.wrench (N, 6), a pose becomes matrices (N, 4, 4), a transform is tf.parent.child, and other numbers are
     topic.field. Values of topics with their own timestamps are held until the next message, with their age in
     ``<name>_age``.
 

@@ -400,7 +400,7 @@ class Table:
         return replace(self, values=values, columns=columns, source=source)
 
     def to_pandas(self) -> Any:
-        """Return a pandas DataFrame with a column per component (q1, q2, ...), indexed by t [s]; units in ``attrs["units"]``.
+        """Return a pandas DataFrame over t [s] with a column per component (q1, q2, ...); units in ``attrs["units"]``.
 
         Raises
         ------
@@ -554,8 +554,8 @@ _SLOWER = 1.05  # ratio of periods above which resampling counts as lowering the
 def concat(*tables: Table) -> Table:
     """Concatenate the rows of several tables on one clock; gaps between them remain.
 
-    If all tables have a wall clock (`t0_ns`), it sets the times of the later tables; otherwise the t of each table is
-    used.
+    If all tables have a wall clock (`t0_ns`), it sets the times of the later tables; otherwise each table keeps its own
+    t.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ def write(
     equal up to rounding, because stamps are whole nanoseconds and poses are quaternions. The extension determines the
     format:
 
-    * ``.mcap``: a recording; needs `robot`, whose name is the first part of the topics.
+    * ``.mcap``: a recording; needs `robot` for the names of topics and joints.
     * ``.csv``: ``t [s],q1 [rad],...``, with the fewest digits that read back exactly; missing values are empty. Further
       column attributes are in ``run.csv.toml``.
     * ``.mat``: MATLAB, version 5; one variable per column, units in a struct; columns up to 2 GB.
@@ -62,7 +62,7 @@ def write(
     table : table to write; MCAP stores neither text columns nor user-defined counts above 2^53.
     path : path of the file, or of the folder of a rosbag2.
     robot : the arm, required for MCAP; in a rosbag2, the joint names of its URDF replace the labels.
-    storage : storage format of a rosbag2, mcap or sqlite3; releases before Iron read sqlite3 without a plugin.
+    storage : storage format of a rosbag2, mcap or sqlite3; releases before Iron read SQLite without a plugin.
     progress : called with (done, total, what).
 
     Raises

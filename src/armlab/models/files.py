@@ -1,8 +1,8 @@
 """Model files: TOML with provenance and full precision, bound to one robot.
 
 A file begins with ``[meta]``: kind, format, armlab version, command line, UTC time, sources with their SHA-256, robot
-name and hash, and the sign convention of the wrench. Loading rejects another kind, format or sign. The torque model
-has human-readable tables; other values use the generic format.
+name and hash, and the sign convention of the wrench. Loading rejects any other kind, format or sign. Torque models
+have human-readable tables; other values use the generic format.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def register(kind: str, cls: type) -> None:
 
 
 def kind_of(value: object) -> str:
-    """Return the kind of a registered value, or class."""
+    """Return the kind of a registered value or class."""
     own = value if isinstance(value, type) else type(value)
     for kind, cls in _CLASSES.items():
         if own is cls:
@@ -101,7 +101,7 @@ def _units(value: Any, prefix: str = "") -> dict[str, str]:
 
 
 def _check_units(written: Any, known: Mapping[str, str]) -> None:
-    """Reject units in a file that differ from the units in which its numbers are read."""
+    """Reject units in a file that differ from the units in which the numbers are read."""
     for name, unit in written.items() if isinstance(written, dict) else ():
         if known.get(name) != unit:
             raise ConfigError(
@@ -111,7 +111,7 @@ def _check_units(written: Any, known: Mapping[str, str]) -> None:
 
 
 def _check_texts(value: Any, path: Path) -> None:
-    """Reject a value whose sources and robot could not be written to [meta]."""
+    """Reject a value whose sources or robot cannot be written to [meta]."""
     known = provenance("", value)
     texts = [*(("sources", one) for one in known["sources"]), *((k, known[k]) for k in ("robot", "robot_hash"))]
     for name, text in texts:
@@ -150,7 +150,7 @@ def _readable(wanted: str, advice: str) -> Iterator[None]:
 
 
 def encode(item: Any) -> Any:
-    """Return numbers, strings, lists and tables that TOML can express; None becomes an empty table."""
+    """Convert a field to numbers, strings, lists and tables for TOML; None becomes an empty table."""
     if isinstance(item, np.ndarray):
         return {"shape": list(item.shape), "array": item.tolist()} if not item.size else {"array": item.tolist()}
     if item is None:
@@ -348,7 +348,7 @@ def save(
         `Fit.save`.
     path : file name ending in ``.toml``.
     statistics : statistics of the fit, written to the table [fit].
-    sources : names of further source files, stored with their SHA-256.
+    sources : names of additional source files, stored with their SHA-256.
 
     Raises
     ------
@@ -358,7 +358,7 @@ def save(
     path = Path(path)
     if path.suffix != ".toml":
         raise ConfigError(f"Expected a model file name that ends in .toml, got {path}. Add the extension.")
-    if statistics is None and hasattr(value, "value") and hasattr(value, "save"):  # a fit, of a layer above
+    if statistics is None and hasattr(value, "value") and hasattr(value, "save"):  # a fit, from a higher layer
         return value.save(path, sources)
     content = torque_tables(value) if isinstance(value, TorqueModel) else value_file(value)
     content["meta"]["sources"] = [*content["meta"]["sources"], *sources]
@@ -386,8 +386,8 @@ def load(path: str | Path, kind: type[Any] | str | None = None) -> Any:
 
     Raises
     ------
-    ConfigError : if the file is missing, corrupted or has unknown fields; one line with the place.
-    ModelMismatchError : if it has another kind, format or sign convention.
+    ConfigError : if the file is missing, corrupted or has unknown fields; the message is one line with the location.
+    ModelMismatchError : if the file has a different kind, format or sign convention.
     """
     path = Path(path)
     if isinstance(kind, type):

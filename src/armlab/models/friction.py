@@ -5,8 +5,8 @@ Friction of joint i::
     F_f = viscous qd + coulomb_pos max(s, 0) + coulomb_neg min(s, 0) + offset
           + stribeck s exp(-(qd / stribeck_speed)^2) + root s sqrt(|qd|)
 
-with s the presliding state z, or s = tanh(qd / smooth_speed) where smooth_speed > 0. The load x, which is the torque
-that the joint transmits to the links (rigid body minus J^T F), adds the gear friction ``load |x| s``.
+with s the presliding state z, or s = tanh(qd / smooth_speed) where smooth_speed > 0. The load x is the torque that the
+joint transmits to the links (rigid body minus J^T F); it adds the gear friction ``load |x| s``.
 
 The presliding state z in [-1, 1] follows the measured displacement dq (Dahl 1968), exactly if the direction is constant
 within a step::
@@ -29,7 +29,7 @@ from armlab._numbers import number, still
 from armlab.errors import ShapeError
 from armlab.kernels import Drive, basis_weights
 
-SLOW = 0.02  # rad/s, m/s: below it only a bound of friction is known
+SLOW = 0.02  # rad/s, m/s: below this speed, only a bound on friction is known
 
 
 class FrictionTerm(NamedTuple):
@@ -91,7 +91,7 @@ def rows_of(part: Friction | Ripple | WarmUp) -> np.ndarray:
 
 
 def _zeros() -> np.ndarray:
-    """Placeholder for zeros of all joints."""
+    """Return a placeholder for zeros of all joints."""
     return np.zeros(0)
 
 
@@ -164,7 +164,7 @@ class Friction(Shown):
 
     @classmethod
     def none(cls, n: int) -> Friction:
-        """Return friction of zero for n joints; the widths of zero terms are 1."""
+        """Return zero friction for n joints; the widths of zero terms are 1."""
         if not (isinstance(n, int | np.integer) and 0 < n <= 32):
             raise ShapeError(f"Expected a number of joints from 1 to 32, got {n!r}.")
         widths = ("stribeck_speed", "delta")
@@ -172,7 +172,7 @@ class Friction(Shown):
 
     @property
     def rows(self) -> np.ndarray:
-        """Fields in their order, one row each, as `kernels.Drive` expects them."""
+        """Fields in order, one row each, as `kernels.Drive` expects them."""
         return rows_of(self)
 
     def torque(self, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -188,7 +188,7 @@ class Friction(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrictionBound(Shown):
-    """Bounds of the friction error near rest: ``|d| <= torque exp(-(qd / speed)^2) + floor``.
+    """Bound on the friction error near rest: ``|d| <= torque exp(-(qd / speed)^2) + floor``.
 
     Near zero speed, friction is bounded rather than random, and it is constant while the joint rests (Linderoth, Stolt,
     Robertsson and Johansson, IROS 2013).
@@ -200,7 +200,7 @@ class FrictionBound(Shown):
     speed : array, shape (n,), rad/s
         Width of the bound in speed; above 0.
     floor : array, shape (n,), N m
-        Bound of the model error in motion.
+        Bound on the model error in motion.
     """
 
     torque: np.ndarray
@@ -242,7 +242,7 @@ class Ripple:
 
     @classmethod
     def none(cls, n: int) -> Ripple:
-        """Return ripple of zero for n joints."""
+        """Return zero ripple for n joints."""
         return cls(*np.zeros((len(fields(cls)), n)))
 
     def torque(self, q: np.ndarray) -> np.ndarray:
@@ -252,7 +252,7 @@ class Ripple:
 
     @property
     def rows(self) -> np.ndarray:
-        """Fields in their order, one row each, as `kernels.Drive` expects them."""
+        """Fields in order, one row each, as `kernels.Drive` expects them."""
         return rows_of(self)
 
 
@@ -260,15 +260,15 @@ class Ripple:
 #
 #     F = (1 + s)/2 phi(q, |qd|)^T k_pos + (1 - s)/2 phi(q, |qd|)^T k_neg
 #
-# s is the presliding state. Outside its grid phi is that of the nearest edge. Theory: docs/theory/friction.md.
+# s is the presliding state. Outside the grid, phi has its value at the nearest edge. Theory: docs/theory/friction.md.
 
 
 @dataclass(frozen=True, eq=False)
 class RadialBasis:
     """Grid of centres over position and speed for all n joints; speeds are positive and apply to both directions.
 
-    `positions`, `position_widths`: (n, P) [rad], ascending; positive. `speeds`, `speed_widths`: (n, S) [rad/s],
-    ascending and above 0; positive.
+    `positions`, `position_widths`: (n, P) [rad]; positions ascend, widths are positive. `speeds`, `speed_widths`:
+    (n, S) [rad/s]; speeds ascend from above 0, widths are positive.
     """
 
     positions: np.ndarray
@@ -349,12 +349,12 @@ class FrictionMap(Shown):
 #
 #     tau_i = sum_c psi(qd)^T (a_c cos(c q) + b_c sin(c q))
 #
-# c counts cycles per revolution, equal to rad/rad; psi are normalised Gaussians in speed. With two directions each line
-# has separate amplitudes for positive and negative motion.
+# c counts cycles per revolution, equal to rad/rad; psi are normalised Gaussians in speed. With two directions, each
+# line has separate amplitudes for positive and negative motion.
 
 
 SPEEDS = 8
-LARGEST = 1e15  # largest number in ripple lines, joint numbers included
+LARGEST = 1e15  # largest number in ripple lines, including joint numbers
 
 
 def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np.ndarray, np.ndarray]:
@@ -427,7 +427,7 @@ class RippleLines(Shown):
 #     dx/dt = (|F_f qd| / power - x) / time
 #     coulomb: times (1 + of_coulomb x),   viscous: times (1 + of_viscous x)
 #
-# x >= 0 approaches 1 at constant friction power `power`. After Bagge Carlson, Robertsson and Johansson, IROS 2015.
+# x >= 0 approaches 1 at a constant friction power of `power`. After Bagge Carlson, Robertsson and Johansson, IROS 2015.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -468,10 +468,9 @@ class WarmUp(Shown):
         return rows_of(self)
 
     def thermal_state(self, power: np.ndarray, dt: np.ndarray) -> np.ndarray:
-        """Return the thermal state (N, n) before each row, for friction power (N, n) [W] that is constant over each
-        step dt (N,) [s].
+        """Return the thermal state (N, n) before each row, for friction power that is constant over each step.
 
-        `power`: (N, n) |F_f qd|. `dt`: (N,).
+        `power`: (N, n) |F_f qd| [W]. `dt`: (N,) steps [s].
         """
         x = np.empty(np.shape(power))
         now = self.start

@@ -34,16 +34,16 @@ class KinematicCorrection(Shown):
 
     Attributes
     ----------
-    robot : the corrected arm, usable like any `Robot`. Its frame ``base`` is the measurement frame, its tool the
-        measured one; gravity is rotated with the mount.
+    robot : the corrected arm, usable like any `Robot`. Its frame ``base`` is the measurement frame, and its tool
+        is the measured tool; gravity is rotated with the mount.
     robot_name, robot_hash : the nominal robot.
     harmonics : orders k of the joint errors ``a_jk cos k q_j + b_jk sin k q_j``.
     amplitudes : (n, 2 m) ``a_j1 b_j1 a_j2 b_j2 ...`` [rad].
     coefficients : (L,) coefficients of the joint terms.
-    cov : (d, d) covariance of 6 (n+1) frame errors, frame by frame [v; w] in its own axes, n 2 m amplitudes, L
+    cov : (d, d) covariance of 6 (n+1) frame errors ([v; w] of each frame in its own axes), n 2 m amplitudes and L
         coefficients.
     points : (K, 3) tool points in tool axes [m], if several were measured.
-    anchor : (3,) fixed point of measured distances, base axes [m], or None.
+    anchor : (3,) fixed end point of measured distances, base axes [m], or None.
     length_offset, length_scale : errors of the distance instrument: measured = scale * true + offset.
     sources : SHA-256 and name of each log.
     """
@@ -82,7 +82,7 @@ class KinematicCorrection(Shown):
         return self.robot.frames
 
     def check_robot(self, robot: Robot) -> None:
-        """Raise an error unless `robot` is the one that was calibrated.
+        """Raise an error unless `robot` is the arm that was calibrated.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class KinematicCorrection(Shown):
 
         Raises
         ------
-        ModelMismatchError : another arm.
+        ModelMismatchError : a different arm.
         RobotError : `robot` is not a `Robot`.
         """
         advice = "Calibrate this robot, or load the robot that was calibrated."
@@ -195,8 +195,8 @@ class DualArmCorrection(Shown):
     ----------
     arm_a, arm_b : the corrected arms.
     T_basea_baseb : (4, 4) base of b in the base of a.
-    cov : (d, d) joint covariance of the parameters of arm a, of arm b and of the twist [v; w] of T_basea_baseb in its
-        own axes.
+    cov : (d, d) joint covariance of the parameters of arm a, those of arm b, and the twist [v; w] of T_basea_baseb in
+        its own axes.
     sources : SHA-256 and name of each log.
     """
 
@@ -217,7 +217,7 @@ class DualArmCorrection(Shown):
         joint_terms_a: ArrayLike | None = None,
         joint_terms_b: ArrayLike | None = None,
     ) -> np.ndarray:
-        """Return the tool of b relative to the tool of a: ``Z = T_a^-1 T_basea_baseb T_b`` (..., 4, 4).
+        """Return the pose of tool b relative to tool a: ``Z = T_a^-1 T_basea_baseb T_b`` (..., 4, 4).
 
         Parameters
         ----------

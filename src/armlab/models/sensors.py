@@ -1,4 +1,4 @@
-"""Sensor models: force sensors, accelerometers, laser line scanners, and cameras with their marker."""
+"""Sensor models: force sensors, accelerometers, laser line scanners, and cameras with markers."""
 
 from __future__ import annotations
 
@@ -117,8 +117,7 @@ class ForceSensor(Shown):
         return (pairs @ np.swapaxes(R, -1, -2)).reshape(own.shape)
 
     def wrench(self, raw: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray:
-        """Return the wrench exerted by the environment on the robot at the tool point in base axes, as in
-        `State.wrench`.
+        """Return the environment's wrench on the robot at the tool point in base axes, as in `State.wrench`.
 
         ``m_tool = m_sensor + p x f``, with p from the tool point to the sensor's origin.
 
@@ -137,7 +136,7 @@ class ForceSensor(Shown):
 
 
 def _restore_digits(sensor: object, name: str) -> None:
-    """Reject a field that is not a rotation or pose; orthonormalise rounded ones."""
+    """Reject a field that is not a rotation or pose; orthonormalise rounded values."""
     check = kernels.poses if name.startswith("T") else kernels.rotations
     object.__setattr__(sensor, name, still(check(getattr(sensor, name), name), name))
 
@@ -263,7 +262,7 @@ class LaserSensor(Shown):
         return (T[..., :3, :2] @ p[..., None])[..., 0] + T[..., :3, 3]
 
 
-# Camera and marker of a robot: setup and both poses.
+# Hand-eye setup of a camera and a marker, with both poses.
 
 
 FRAMES = {"eye_to_hand": ("T_tool_marker", "T_base_cam"), "eye_in_hand": ("T_base_marker", "T_tool_cam")}

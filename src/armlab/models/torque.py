@@ -2,11 +2,10 @@
 
     tau / gains = x + rotor qdd + F_f(qd, z) + load s |x| + ripple(q) + e,   x = Y(q, qd, qdd) pi - J^T F
 
-with e of covariance ``C_tau = diag(s^2(qd) + doubt^2 (J^T F)^2)``,
-
-where tau is the measured torque of each joint and all other terms are in true newton metres. F is the wrench exerted by
-the environment on the robot, in base axes, at the tool point. `link_parameters` is the minimum-norm parameter vector
-for the identified base parameters: it evaluates the model exactly, but its masses are not physical.
+The error e has covariance ``C_tau = diag(s^2(qd) + doubt^2 (J^T F)^2)``. tau is the measured torque of each joint; all
+other terms are in true newton metres. F is the wrench exerted by the environment on the robot, in base axes, at the
+tool point. `link_parameters` is the minimum-norm parameter vector for the identified base parameters: it evaluates the
+model exactly, but its masses are not physical.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ class VelocityCovariance(Shown):
     Attributes
     ----------
     kind : {"exp", "step", "const"}
-        Dependence on speed.
+        Type of dependence on speed.
     C0 : array, shape (n,), (N m)^2
         Variance at rest; at least `Cinf`.
     Cinf : array, shape (n,), (N m)^2
@@ -92,7 +91,7 @@ class VelocityCovariance(Shown):
 def velocity_covariance(
     kind: str, C0: np.ndarray, Cinf: np.ndarray, shape: np.ndarray | None = None, alpha2: float = 1.0
 ) -> VelocityCovariance:
-    """Return a torque covariance over velocity.
+    """Return a torque covariance as a function of velocity.
 
     Parameters
     ----------
@@ -103,7 +102,7 @@ def velocity_covariance(
 
     Raises
     ------
-    UnknownName : for another kind.
+    UnknownName : unknown `kind`.
     ShapeError : if C0 >= Cinf > 0 does not hold, or a number is not finite.
     """
     zeros = np.zeros_like(numbers(C0, "C0 of a covariance", ShapeError))
@@ -129,8 +128,8 @@ class MomentumNoise:
 
     `memory`: (n,) correlation time of the torque error [s]; its intensity is ``2 s^2 memory``. `qd_noise`: (n,)
     standard deviation of the measured velocity [rad/s]. `alpha2_observer`, `alpha2_kf`: factors on the torque
-    covariance for a 2-sigma coverage of 95.4 % on held-out data. They refer to the observer's residual, and to the
-    Kalman filter's wrench after a known wrench is added to the torques; for the filter, at least 1.
+    covariance for a 2-sigma coverage of 95.4 % on held-out data. The first refers to the observer's residual. The
+    second refers to the Kalman filter's wrench after a known wrench is added to the torques, and is at least 1.
     """
 
     memory: np.ndarray
@@ -158,7 +157,7 @@ class MomentumNoise:
 #
 #     tau = sum_k c_k^T (inertia_k c_k qdd + viscous_k c_k qd + coulomb_k tanh(c_k qd / smooth_speed_k))
 #
-# No set of links and joint friction produces these torques: they are separate terms.
+# No combination of link parameters and joint friction produces these torques, so they are separate terms.
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +182,7 @@ class CoupledMotors:
             raise ShapeError("Expected smooth_speed > 0 for coupled motors, got a value <= 0. Make it positive.")
 
     def torque(self, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        """Return the torque (..., n) [N m] taken from the joints by the motors, given velocity and acceleration."""
+        """Return the joint torque (..., n) [N m] required by the motors at a velocity and acceleration."""
         speed = self._turned(qd)
         own = self.inertia * self._turned(qdd) + self.viscous * speed
         return self._spread(own + self.coulomb * np.tanh(speed / self.smooth_speed))
@@ -326,25 +325,25 @@ class TorqueModel(Shown):
 
     Attributes
     ----------
-    robot_name, robot_hash : the robot of the model; `check_robot` rejects another.
-    frames, prismatic, gravity : its kinematics (n + 1, 4, 4), (n,), and gravity (3,) [m/s^2] in base axes.
+    robot_name, robot_hash : the robot of the model; `check_robot` rejects any other.
+    frames, prismatic, gravity : kinematics (n + 1, 4, 4), (n,), and gravity (3,) [m/s^2] in base axes.
     link_parameters : (n, 10) in link frames, order m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
     rotor : (n,) rotor inertia [kg m^2].
-    friction, ripple, covariance : the other terms.
-    bound : bound of the friction near rest, for bounded-friction estimators.
+    friction, ripple, covariance : friction, torque ripple and torque covariance.
+    bound : bound on the friction near rest, for bounded-friction estimators.
     cutoff : corner frequency [Hz] of the causal residual filter for which `covariance` holds.
     base_names, base_values, base_cov : identified base parameters with their covariance for given gains.
     gains : (n,) measured over true torque; default: 1.
     gain_cov : (n, n) covariance of the gains; default: 0.
-    load_sd : (n,) standard deviation of the load friction; default: 0. `contact_doubt` combines it with that of the
-    gains.
+    load_sd : (n,) standard deviation of the load friction; default: 0. `contact_doubt` combines it with the
+        uncertainty of the gains.
     quality : quality of the fit.
     training : ranges of the training data.
     sources : SHA-256 and name of each log.
-    lines, friction_map, warm_up : drive terms that `identify.fit_friction` adds if they improve the fit, or None.
+    lines, friction_map, warm_up : drive terms that `identify.fit_friction` adds if they improve the fit; else None.
     momentum : noise of torque and velocity for the momentum estimators, or None if unavailable.
     coupled : motors that move several joints, or None.
-    quasi_static : True for gravity, friction and offset alone, without torques from velocity or acceleration of links.
+    quasi_static : True for gravity, friction and offset alone, without torques from link velocities or accelerations.
     """
 
     robot_name: str
@@ -407,7 +406,7 @@ class TorqueModel(Shown):
                 f"Expected friction, ripple, covariance, bound and training for {n} joints and a cut-off above 0 Hz, "
                 f"got {lengths} joints and {self.cutoff:g} Hz."
             )
-        _ = self.drive  # rejects terms with another number of joints
+        _ = self.drive  # rejects terms with a different number of joints
 
     def _repr_html_(self) -> str:
         friction, quality = self.friction, self.quality
@@ -465,7 +464,7 @@ class TorqueModel(Shown):
         )
 
     def check_robot(self, robot: Robot) -> None:
-        """Raise `ModelMismatchError` unless `robot` is the robot of this model, `RobotError` if it is not a robot."""
+        """Raise `ModelMismatchError` unless `robot` is the model's robot, or `RobotError` if it is not a robot."""
         known = self._described(robot) if isinstance(robot, Robot) else None
         advice = "A torque model is bound to one robot description: repeat the identification for this one."
         check_same(robot, "the torque model", self.robot_name, self.robot_hash, known, advice)
@@ -474,7 +473,7 @@ class TorqueModel(Shown):
         """Return the model with the frames, gravity and name of another description of the arm (tool, mount, limits).
 
         Identified parameters are kept. This is exact for limits, tool and names. For a mount, it is exact as far as the
-        motion determined all inertial parameters. It is wrong for links of other lengths.
+        motion determined all inertial parameters. It is wrong if the link lengths differ.
 
         Parameters
         ----------
@@ -484,7 +483,7 @@ class TorqueModel(Shown):
         Raises
         ------
         ModelMismatchError
-            Wrong number or kind of joints.
+            Wrong number or type of joints.
         """
         if not isinstance(robot, Robot):
             raise RobotError.no_robot(robot)
@@ -494,7 +493,7 @@ class TorqueModel(Shown):
         return replace(self, **own)
 
     def _described(self, robot: Robot) -> Robot | None:
-        """Return a robot with the geometry of the model and without limits, or None for another number of joints."""
+        """Return a robot with the geometry of the model and without limits, or None if the joint count differs."""
         if self.frames.shape != robot.frames.shape:
             return None
         links = np.concatenate([robot.links[:1], self.frames[1:-1], robot.links[-1:]])
@@ -568,14 +567,14 @@ class TorqueModel(Shown):
     ) -> MomentumEstimator | CoupledKernel:
         """Return a new momentum estimator kernel for this model.
 
-        The filter's factor alpha^2 scales all its noise, so that it changes the covariance but not the estimate;
-        unobserved directions keep their prior.
+        The filter's factor alpha^2 scales all noise, so it changes the covariance but not the estimate. Unobserved
+        directions keep their prior.
 
         Parameters
         ----------
         prior : (6,) prior variances of the wrench [N^2, (N m)^2].
         rate : (6,) random-walk intensity of the wrench [N^2/s, (N m)^2/s].
-        leak : (6,) decay rate [1/s], or None for the one that keeps the prior: ``alpha^2 rate / (2 prior)``.
+        leak : (6,) decay rate [1/s], or None for the rate that preserves the prior: ``alpha^2 rate / (2 prior)``.
         gain : gain of the observer [1/s].
         filters : True for the Kalman filter, False for the observer.
         biased : add a friction error per joint.
@@ -615,9 +614,7 @@ class TorqueModel(Shown):
 
     @property
     def _gain_variance(self) -> float:
-        """Return the variance of the mean gain over joints with a gain variance, which is the common error of every
-        force.
-        """
+        """Return the variance of the mean gain over joints with a gain variance: the common error of all forces."""
         return float(np.sum(self.gain_cov) / max(np.count_nonzero(np.diag(self.gain_cov)), 1) ** 2)
 
     @property

@@ -24,16 +24,15 @@ if TYPE_CHECKING:
 
 
 _STICK = "#333333"
-_FAINT = 8  # most configurations drawn besides the last one
-_CORNERS = 20  # of a joint's cylinder
+_FAINT = 8  # maximum configurations drawn besides the last one
+_CORNERS = 20  # corners of a joint's cylinder
 _UNIT = {"joint": (0.055, 0.018), "frame": 0.13}  # relative to the arm: length and radius of a joint, length of a frame
 
 
 def robot(
     robot: Robot, q: ArrayLike | None = None, *, path: bool = False, frames: bool = True, ax: Any = None
 ) -> Axes3D:
-    """Draw an arm as a stick figure, with revolute joints as cylinders about their axes and prismatic joints as boxes
-    along their axes.
+    """Draw an arm as a stick figure, with revolute joints as cylinders and prismatic joints as boxes along their axes.
 
     Links follow the joint axes and their common normals, through the origins of the link frames; the dashed line
     connects base and mount. Each joint has the same colour in all figures.
@@ -41,15 +40,15 @@ def robot(
     Parameters
     ----------
     robot : the arm.
-    q : (n,) a configuration, or (N, n) several: the last one is drawn in full, up to eight of the others, evenly
-        spaced, drawn as faint lines. Default: home.
+    q : (n,) a configuration, or (N, n) several: the last one is drawn in full, and up to eight of the others, evenly
+        spaced, as faint lines. Default: home.
     path : draw the path of the tool through all N configurations.
     frames : draw the frames base, flange and tool.
     ax : three-dimensional Axes to draw into, for example those of another arm; default: a new figure.
 
     Returns
     -------
-    The Axes, in metres and in base axes of the robot.
+    The Axes, in metres and in the robot's base axes.
 
     Raises
     ------
@@ -154,12 +153,12 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
     ----------
     robot : the arm.
     points : number of random configurations.
-    seed : of the random numbers; the same seed gives the same cloud.
+    seed : random seed; the same seed gives the same cloud.
     ax : three Axes, the last one three-dimensional; default: a new figure.
 
     Returns
     -------
-    The Figure; its first title states the name, and the smallest and largest distance of the tool from the mount.
+    The Figure; the first title states the robot name and the smallest and largest distances of the tool from the mount.
 
     Raises
     ------
@@ -178,7 +177,7 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
             panel.plot(p[:, i], p[:, j], ".", markersize=0.8, color=_CLOUD, alpha=0.35, rasterized=True, gid="cloud")
             panel.plot(arm[:, i], arm[:, j], color="black", linewidth=2.0, solid_joinstyle="round", gid="arm")
             panel.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
-            panel.set_aspect("equal", adjustable="datalim")  # equal heights of the panels
+            panel.set_aspect("equal", adjustable="datalim")  # panels of equal height
         side.set_title(f"{robot.name}\ntool {reach.min():.2f} to {reach.max():.2f} m from the mount")
         top.set_title(f"{points} random configurations")
         solid.scatter(*p.T, s=0.6, color=_CLOUD, alpha=0.25, depthshade=False, rasterized=True, gid="cloud")
@@ -236,7 +235,7 @@ _draw = robot  # for functions with a parameter named robot
 def manipulability(
     robot: Robot, q: ArrayLike | None = None, part: Literal["position", "rotation"] = "position", *, ax: Any = None
 ) -> Axes3D:
-    """Draw the velocity ellipsoid of the tool, which contains all velocities for joint speeds of norm 1.
+    """Draw the velocity ellipsoid of the tool: its velocities for all joint velocities of norm 1.
 
     ``{J qd : |qd| = 1}``, see `kinematics.ellipsoid` and `kinematics.manipulability`. Along a short axis the tool moves
     slowly and can exert large forces.

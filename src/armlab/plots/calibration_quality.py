@@ -20,19 +20,20 @@ if TYPE_CHECKING:
 
 
 _SINGLE = ("distance", "pair distance", "point", "line")  # noise classes with one number per sample
-_EDGE = 0.03  # of the width, margin beside the first and the last mark
-_MOST = 3  # ellipses in one panel
+_EDGE = 0.03  # fraction of the width: margin beside the first and last marks
+_MOST = 3  # maximum ellipses in one panel
 
 
 def calibration(fit: Fit[Any], truth: ArrayLike | None = None, ax: Any = None) -> Figure:
     """Draw the residuals per sample, quantile plot, two-sigma ellipses and excitation of a calibration.
 
-    Residuals are in standard deviations of their noise class; a straight quantile plot indicates normality. The
-    two-sigma ellipse of two parameters covers 86 % of the probability.
+    Residuals are in units of the standard deviation of their noise class; a straight quantile plot indicates normality.
+    The two-sigma ellipse of two parameters covers 86 % of the probability.
 
     Parameters
     ----------
-    fit : of a `fit_*` of `calibrate`. A fit loaded from a file has no residuals; only the last two panels are drawn.
+    fit : from a `fit_*` function of `calibrate`. A fit loaded from a file has no residuals; only the last two panels
+        are drawn.
     truth : (d,) true parameters, if known; drawn as crosses in the ellipses.
     ax : four Axes, two for a loaded fit; default: a new figure.
 
@@ -70,8 +71,9 @@ def _groups(fit: Fit[Any]) -> dict[str, np.ndarray]:
 
 
 def _owners(classes: Sequence[str], columns: int) -> np.ndarray | None:
-    """Return the class of each column (three columns per class, or one for a distance or line, repeating); None if
-    ambiguous.
+    """Return the class of each column, or None if ambiguous.
+
+    Classes repeat with three columns each, or one for a distance or line.
     """
     if len(classes) == 1:
         return np.zeros(columns, dtype=int)

@@ -33,7 +33,7 @@ def wrench(table: Table, ax: Any = None) -> Figure:
 
     Parameters
     ----------
-    table : with wrench_hat (N, 6), and wrench_hat_cov (N, 6, 6) for the bands; base axes, at the tool point.
+    table : table with wrench_hat (N, 6), and wrench_hat_cov (N, 6, 6) for the bands, in base axes at the tool point.
     ax : (3, 2) Axes, or 3 for the forces only; default: a new figure.
 
     Raises
@@ -122,7 +122,7 @@ _LEAST = 0.02  # hypotheses with a lower peak probability are drawn together
 
 
 def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
-    """Draw the stacked probability of each hypothesis over time, and a bar while a link contact is not excluded.
+    """Draw the stacked hypothesis probabilities over time, and a bar while a link contact cannot be excluded.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
     return panel
 
 
-EDGES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the peak speed
+EDGES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # bin edges, relative to the peak speed
 NOMINAL = 95.4  # % of a normal variable within two sigma
 _FEWEST = 50  # samples needed in a bin
 _WEAK = 0.5
@@ -166,12 +166,12 @@ def coverage(table: Table, ax: Any = None) -> Axes:
 
     Parameters
     ----------
-    table : as above, with qd (N, n).
+    table : table with these columns and qd (N, n).
     ax : Axes to draw into; default: a new figure.
 
     Raises
     ------
-    UnknownName : the table has neither, or no reference for the wrench.
+    UnknownName : the table has neither column, or no reference for the wrench.
     ShapeError : not a Table.
     """
     names, shares = coverage_by_speed(table)
@@ -230,7 +230,7 @@ def observability(table: Table, ax: Any = None) -> Figure:
 
     Parameters
     ----------
-    table : with observability (N, 6), from `contact.Estimator.run`.
+    table : table with observability (N, 6), from `contact.Estimator.run`.
     ax : two Axes (forces, moments); default: a new figure.
 
     Raises

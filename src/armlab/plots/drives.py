@@ -35,18 +35,18 @@ def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) 
     """Draw the steady-state friction of each joint against velocity, with a two-sigma band.
 
     The dark band is the uncertainty of the friction parameters. The light band adds the stated torque error at that
-    velocity, so it should contain 95 % of the points. Each point is the curve plus the residual of a row.
+    velocity, so it should contain 95 % of the points. Each point is the curve value plus the residual of one row.
 
     Parameters
     ----------
     fit : from `identify.fit_dynamics`.
-    table : of free motion, with qd and tau_error (N, n), from `contact.Estimator.run`; adds the points.
+    table : log of free motion with qd and tau_error (N, n), from `contact.Estimator.run`; adds the points.
     ax : one Axes per joint; default: a new figure.
 
     Raises
     ------
     ModelMismatchError : a fit of another kind.
-    ShapeError : not a Fit, or a number of Axes other than that of the joints.
+    ShapeError : not a Fit, or not one Axes per joint.
     """
     expect(fit, Fit)
     model = value_of(fit)
@@ -110,11 +110,11 @@ def own_parameters(fit: Fit[TorqueModel]) -> list[dict[str, int]]:
     return (joints + [{} for _ in range(fit.value.n)])[: fit.value.n]
 
 
-_CELLS = 61  # of the map, per axis
+_CELLS = 61  # map cells per axis
 _SLICES = 3
-_BINS = 16  # of the coverage, per axis
-_ROWS = 8_000  # of a spectrum; more are thinned
-_BEYOND = 1.25  # spectrum limit over the line at twice the gear ratio
+_BINS = 16  # coverage bins per axis
+_ROWS = 8_000  # maximum rows of a spectrum; more are thinned
+_BEYOND = 1.25  # ratio of the spectrum limit to the line at twice the gear ratio
 _FEWEST = 100  # rows needed for an amplitude
 _SLOWEST, _UNGEARED = 1.0, 50.0  # cycles per revolution
 
@@ -133,9 +133,9 @@ def friction_map(
 
     Parameters
     ----------
-    model : with or without `models.friction.FrictionMap`, or its fit.
+    model : torque model with or without a `models.friction.FrictionMap`, or its fit.
     joint : index, from 0.
-    table : training data of the map, with q, qd (N, n).
+    table : training data of the map with q, qd (N, n).
     slices : (k,) positions of the slices [rad]; default: three, evenly spaced.
     ax : two Axes; default: a new figure.
 
@@ -197,7 +197,7 @@ def _cover(panel: Any, q: np.ndarray, qd: np.ndarray, q_shown: np.ndarray, qd_sh
 def spectrum(
     fit: Fit[TorqueModel] | TorqueModel, table: Table, joints: Sequence[int] | None = None, ax: Any = None
 ) -> Figure:
-    """Draw the amplitude spectrum of the torque residual per joint revolution with and without the ripple model.
+    """Draw the torque residual amplitude against cycles per joint revolution, with and without the ripple model.
 
     Ripple depends on position, so its lines are independent of speed; the lines in the model are marked. The upper axis
     counts motor revolutions if the gear ratios are known. Each line uses only rows in which its frequency in time is
@@ -206,7 +206,7 @@ def spectrum(
     Parameters
     ----------
     fit : identified torque model, or its fit.
-    table : of free motion, with q, qd, tau (N, n).
+    table : log of free motion with q, qd, tau (N, n).
     joints : indices of the joints to draw, from 0; default: all.
     ax : one Axes per joint; default: a new figure.
 

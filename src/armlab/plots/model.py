@@ -43,8 +43,8 @@ _RESIDUAL = JOINT_STYLES[0][0]
 def torque_fit(fit: Fit[TorqueModel] | TorqueModel, table: Table, ax: Any = None) -> Figure:
     """Draw the measured and modelled torque of each joint, and the residual with its two-sigma band.
 
-    Both are low-pass filtered at the cut-off of the model; see `identify.predict`. The title of a residual panel states
-    the explained variance, the RMS residual, and the fraction within the band.
+    Measured and modelled torques are low-pass filtered at the cut-off of the model; see `identify.predict`. The title
+    of a residual panel states the explained variance, the RMS residual, and the fraction within the band.
 
     Parameters
     ----------
@@ -109,8 +109,8 @@ def _scale(residual: np.ndarray, sigma: np.ndarray) -> tuple[float | None, float
     return (-1.3 * largest, 1.3 * largest) if largest > 0 else (None, None)
 
 
-_CLOUD_POINTS = 4_000  # of a cloud; more are thinned
-_LAG = 1.0  # s
+_CLOUD_POINTS = 4_000  # maximum points of a cloud; more are thinned
+_LAG = 1.0  # s, longest lag
 _MODELS = (MODEL, JOINT_STYLES[0][0], JOINT_STYLES[2][0])
 
 
@@ -124,7 +124,7 @@ def residual_speed(
 
     Parameters
     ----------
-    table : of free motion, with qd and tau_error (N, n), from `contact.Estimator.run`.
+    table : log of free motion with qd and tau_error (N, n), from `contact.Estimator.run`.
     covariances : name -> `models.torque.VelocityCovariance`, drawn as curves at two sigma.
     joints : indices of the joints to draw, from 0; default: all.
     ax : one Axes per joint; default: a new figure.
@@ -160,14 +160,14 @@ def autocorrelation(table: Table, joints: Sequence[int] | None = None, ax: Any =
 
     Parameters
     ----------
-    table : of free motion, with tau_error (N, n), from `contact.Estimator.run`, evenly sampled.
+    table : evenly sampled log of free motion with tau_error (N, n), from `contact.Estimator.run`.
     joints : indices of the joints to draw, from 0; default: all.
     ax : Axes to draw into; default: a new figure.
 
     Raises
     ------
     UnknownName : a missing column.
-    ShapeError : not a Table, an invalid joint index, fewer than 10 complete rows.
+    ShapeError : not a Table, an invalid joint index, or fewer than 10 complete rows.
     """
     residuals = _residuals(table)
     shown = joints_shown(joints, residuals.shape[1])
@@ -218,7 +218,7 @@ _VELOCITIES = 601
 def velocity_covariance(
     model: Fit[TorqueModel] | TorqueModel | VelocityCovariance, qd_max: float = 1.0, ax: Any = None
 ) -> Axes:
-    """Draw the standard deviation of each joint's torque error against its velocity.
+    """Draw the standard deviation of each joint's torque error against joint velocity.
 
     Parameters
     ----------
@@ -250,7 +250,8 @@ _WEAK, _REFUSED = 300.0, 1e4  # condition numbers of the estimators
 def excitation(found: Excitation, ax: Any = None) -> Axes:
     """Draw the singular values of the scaled regressor in descending order, relative to the largest.
 
-    A direction below 1/300 is weak and needs a longer or richer log. Below 1/10000, a fit raises NotExcited.
+    A direction below 1/300 is weak and needs a longer or richer log. With a direction below 1/10000, a fit raises
+    NotExcited.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 TAUGHT: dict[str, Any] = {"color": "#BFBFBF", "linewidth": 3.5, "zorder": 1}
 """Style of demonstrations: wide lines below the motion."""
 _SAMPLES = 501
-_SETTLES = 1.5  # durations drawn for motions that continue after their end
+_SETTLES = 1.5  # durations drawn for motions that continue beyond their duration
 Goals = Sequence[tuple[float, ArrayLike]]
 
 
@@ -38,8 +38,8 @@ def dmp(
     Parameters
     ----------
     dmp : the primitive.
-    demo : times (N,) and positions (N, n) of the demonstration, drawn wide and grey.
-    goals : (t, g) of goal changes to g (n,) at t [s]; every goal is drawn dashed.
+    demo : times (N,) and positions (N, n) of the demonstration, drawn as a wide grey line.
+    goals : goal changes (t, g), each to goal g (n,) at time t [s]; every goal is drawn dashed.
     ax : five Axes to draw into; default: a new figure.
 
     Raises
@@ -131,7 +131,7 @@ def _run(dmp: Dmp, goals: Goals) -> tuple[Rollout, tuple[np.ndarray, np.ndarray]
 
 
 def _when(dmp: Dmp) -> np.ndarray:
-    """Return the times (n_basis,) [s] of the kernel centres in the phase; evenly spaced for "position"."""
+    """Return the times (n_basis,) [s] of the kernel centres in the phase; evenly spaced for the schedule "position"."""
     if dmp.schedule == "canonical":
         return -np.log(np.maximum(dmp.centres, 1e-12)) * dmp.tau_d / dmp.alpha_x
     share = dmp.centres if dmp.schedule == "time" else 1.0 - dmp.centres
@@ -150,13 +150,13 @@ _DASHES = ("-", "--", "-.")
 
 
 def pose_dmp(dmp: PoseDmp | Fit[PoseDmp], demo: tuple[ArrayLike, ArrayLike] | None = None, ax: Any = None) -> Figure:
-    """Draw the position, and the rotation vector from the goal, of a movement primitive of poses over time.
+    """Draw a pose movement primitive over time: position, and rotation vector from the goal.
 
     Parameters
     ----------
     dmp : the primitive.
-    demo : times (N,) and poses (N, 4, 4) of the demonstration, drawn wide and grey; adds panels with the distance from
-        it.
+    demo : times (N,) and poses (N, 4, 4) of the demonstration, drawn as a wide grey line; adds panels with the distance
+        from the demonstration.
     ax : two Axes to draw into, four with a demonstration; default: a new figure.
 
     Raises
@@ -197,8 +197,8 @@ def _taught(demo: tuple[ArrayLike, ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
     return t - t[0], T
 
 
-_TURN_SAMPLES = 500  # per period
-_MOST = 2000  # samples of a demonstration
+_TURN_SAMPLES = 500  # samples per period
+_MOST = 2000  # maximum samples drawn of a demonstration
 _TICKS = {0.0: "0", np.pi / 2: "π/2", np.pi: "π", 3 * np.pi / 2: "3π/2", 2 * np.pi: "2π"}
 
 
@@ -208,21 +208,21 @@ def periodic_dmp(
     turns: float = 3.0,
     ax: Any = None,
 ) -> Figure:
-    """Draw a periodic movement primitive: position, forcing and kernels over one period, then several periods over
-    time.
+    """Draw a periodic movement primitive: position, forcing and kernels over one period, then several periods.
 
-    The motion in the last panel begins at rest on the baseline (dashed) and converges to the motion above.
+    The motion in the last panel begins at rest on the baseline (dashed) and converges to the periodic motion.
 
     Parameters
     ----------
     dmp : the primitive.
     demo : times (N,) and positions (N, n) of the demonstration, phase 0 at the first; drawn as dots.
-    turns : periods of the last panel.
+    turns : number of periods in the last panel.
     ax : four Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : not a PeriodicDmp, a demonstration of the wrong shape, turns not positive, the wrong number of Axes.
+    ShapeError : not a PeriodicDmp, a demonstration of the wrong shape, non-positive `turns`, or the wrong number of
+        Axes.
     """
     dmp = value_of(dmp)
     expect(dmp, PeriodicDmp)
@@ -278,11 +278,12 @@ def promp(
     Parameters
     ----------
     promp : the distribution.
-    demos : times (N,) and positions (N, n) of each demonstration, drawn thin, scaled to the duration of `promp`.
-    prior : distribution before conditioning, drawn grey.
+    demos : times (N,) and positions (N, n) of each demonstration, drawn as thin lines, scaled to the duration of
+        `promp`.
+    prior : distribution before conditioning, drawn in grey.
     points : via-points (t, y), y (n,).
-    samples : number of motions sampled from it, dotted.
-    seed : of the samples.
+    samples : number of motions sampled from the distribution, drawn dotted.
+    seed : random seed of the samples.
     ax : n Axes to draw into; default: a new figure.
 
     Raises

@@ -29,16 +29,16 @@ _MOST_COMPONENTS = 14
 
 
 def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes | Figure:
-    """Draw columns over time, with one panel per quantity and one colour per joint; commanded and sent values are
-    dashed.
+    """Draw columns over time, with one panel per quantity and one colour per joint.
 
-    Columns that differ only in ``_ref`` or ``_sent`` share a panel. Intervals with an active command limit are shaded.
+    Columns that differ only in ``_ref`` or ``_sent`` share a panel; commanded and sent values are dashed. Intervals
+    with an active command limit are shaded.
 
     Parameters
     ----------
     data : the table.
-    names : columns; default: those of q, qd, tau and wrench_hat that exist.
-    split : one panel per component (joint) instead of a common panel.
+    names : columns; default: q, qd, tau and wrench_hat, as far as they exist.
+    split : draw one panel per component (joint) instead of a common panel.
     ax : Axes to draw into, as many as panels; default: a new figure.
 
     Returns
@@ -187,7 +187,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
 
     Returns
     -------
-    The Axes; the legend states p50, p99, p99.9 and the maximum, and the title the missed and late ticks.
+    The Axes; the legend states p50, p99, p99.9 and the maximum, and the title states the missed and late ticks.
 
     Raises
     ------

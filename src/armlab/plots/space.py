@@ -30,11 +30,11 @@ textbooks.
 AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)
 """Positions of a frame's name: next to it, away from x and y, or beyond z, clear of the arm."""
 _SOLID, _ARROW, _WORD = 5, 6, 7  # z-order; lines have 2
-_EDGE = "#B0B0B0"  # as the grid of three-dimensional axes
-_FLATTEST = 0.3  # smallest side of the box over its largest, for planar robots
-_HALF_SIDE = 0.0925  # of the axes in the figure, in matplotlib's units
+_EDGE = "#B0B0B0"  # colour of the grid of three-dimensional axes
+_FLATTEST = 0.3  # minimum ratio of the smallest to the largest side of the box, for planar robots
+_HALF_SIDE = 0.0925  # half side of the axes in the figure, in matplotlib's units
 _LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # distances of axis labels in a cube; matplotlib's default
-_ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # fractions of the sides in them, under `PROJECTION`
+_ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # how they scale with the sides, in `PROJECTION`
 
 
 def space(ax: Any = None) -> tuple[Figure, Axes3D]:
@@ -133,7 +133,7 @@ def solid(ax: Axes3D, faces: np.ndarray, color: Any, **style: Any) -> None:
 
 
 def _include(ax: Axes3D, points: np.ndarray) -> None:
-    """Add points (N, 3) to the extent, because matplotlib does this only for lines and point clouds."""
+    """Add points (N, 3) to the axes extent, because matplotlib does this only for lines and point clouds."""
     ax.auto_scale_xyz(points[:, 0], points[:, 1], points[:, 2], had_data=ax.has_data())
 
 
@@ -189,8 +189,8 @@ def _ring(ax: Axes3D, centre: np.ndarray, axes: np.ndarray, color: str) -> None:
     ax.plot(*points.T, color=color, linewidth=1.2, gid="circle")
 
 
-_MOST_FRAMES = 12  # along one path
-_MARKS = (("o", 8), ("^", 22), ("s", 14), ("D", 14))  # of successive clouds, with their areas
+_MOST_FRAMES = 12  # maximum per path
+_MARKS = (("o", 8), ("^", 22), ("s", 14), ("D", 14))  # markers of successive clouds, with areas
 _NAMED = 0.15  # default length of a named frame over the size of the scene
 
 
@@ -199,12 +199,12 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
 
     Parameters
     ----------
-    *items : each is a mapping {name: T_a_x (4, 4)} of named frames; or poses (N, 4, 4), drawn as a path from a dot to
-        a square; or points (N, 3), coloured from first to last, with another marker per set; or a `frames.Line` with
+    *items : each is a mapping {name: T_a_x (4, 4)} of named frames; or poses (N, 4, 4), drawn as a path from a dot to a
+        square; or points (N, 3), coloured from first to last, with a different marker per set; or a `frames.Line` with
         its foot if nearby, a `frames.Plane` as a patch with its normal, a circle or a sphere. All items must be in the
         same frame a. NaN creates a gap.
     frames : length [m] of the named frames and of the frames along paths (at most 12 per path, evenly spaced). With 0,
-        paths have no frames and named frames a suitable length.
+        paths have no frames, and named frames have a suitable length.
     ax : three-dimensional Axes to draw into, for example those of `robot`; default: a new figure.
 
     Raises

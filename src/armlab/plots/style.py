@@ -24,9 +24,9 @@ JOINT_STYLES = tuple((color, style) for style in ("-", "-.") for color in COLORS
 """Colour and line style of joints 1, 2, ..., equal in all figures."""
 MODEL = VERMILION
 
-_MOST_POINTS = 20_000  # of one line; longer lines become an envelope
+_MOST_POINTS = 20_000  # maximum points of one line; longer lines become an envelope
 _ENVELOPE_COLUMNS = 4_000
-_COLUMNS = 4  # panels of joints side by side
+_COLUMNS = 4  # joint panels side by side
 _RC: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 9.0,
@@ -137,8 +137,7 @@ def cloud(ax: Axes, x: np.ndarray, y: np.ndarray, label: str) -> None:
 
 
 def envelope(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times and values to draw: unchanged up to 20 000 points, otherwise the minimum and maximum per
-    segment.
+    """Return the times and values to draw: all up to 20 000 points, otherwise each segment's minimum and maximum.
 
     A segment without values is NaN, so that gaps remain gaps.
     """
@@ -196,7 +195,7 @@ def _legend_columns(figure: Figure, labels: list[str]) -> int:
     """Return the number of legend columns that fit (at most seven), because matplotlib would clip the rest."""
     from matplotlib.textpath import TextPath
 
-    size = _RC["legend.fontsize"]  # the line, its padding and the column spacing take 4.8 of it
+    size = _RC["legend.fontsize"]  # line, padding and column spacing take 4.8 times as much
     widest = max((TextPath((0.0, 0.0), label, size=size).get_extents().width for label in labels), default=0.0)
     room = 72.0 * figure.bbox.width / figure.dpi + 2.0 * size
     return max(1, min(len(labels), 7, int(room / (widest + 4.8 * size))))

@@ -29,7 +29,7 @@ _BINS = 20_000  # of 1 us; the last bin collects all longer times
 
 
 class Latency:
-    """Histogram of the times from arrival to reply: bins of 1 us, constant memory."""
+    """Histogram of the latency from arrival to reply, with 1 us bins in constant memory."""
 
     count: int
     longest: float
@@ -45,7 +45,7 @@ class Latency:
         self.longest = max(self.longest, 1e-3 * nanoseconds)
 
     def percentile(self, percent: float) -> float:
-        """Return the percentile of the times [us]; NaN if there are none."""
+        """Return a percentile of the latency [us]; NaN if there are no replies."""
         if not self.count:
             return float("nan")
         index = int(np.searchsorted(np.cumsum(self._bins), percent / 100.0 * self.count))
@@ -56,15 +56,15 @@ class Latency:
         return {name: self.percentile(percent) for name, percent in names.items()} | {"max": self.longest}
 
     def histogram(self) -> dict[str, list[int]]:
-        """Return bin edges ("below_us": 2 us, doubling) and the "count" of times in each bin."""
+        """Return the bin edges ("below_us": doubling from 2 us) and the "count" of replies in each bin."""
         limits = [1 << k for k in range(1, _BINS.bit_length() + 1)]
         counts = [sum(self._bins[before:limit]) for before, limit in zip([0, *limits], limits, strict=False)]
         return {"below_us": limits, "count": counts}
 
 
-_CYCLES = 3  # in a row with messages left in the queue: fewer are replies in transit
+_CYCLES = 3  # consecutive cycles with messages left in the queue; fewer may be replies in transit
 _REMEDY = "End other programs that send to this robot, then restart its EGM session."
-_MAX_SKIPPED = 16  # replies in a row: the robot gets a reply well before its time-out
+_MAX_SKIPPED = 16  # consecutive replies, so that the robot gets one well before its time-out
 
 
 class QueueTrimming:
@@ -97,9 +97,9 @@ class QueueTrimming:
 
 
 _DROPS = 64  # refused datagrams per wake-up: a flood must not block the loop
-_BACKLOG = 1000  # datagrams per wake-up: longer than the queue after any stall
+_BACKLOG = 1000  # datagrams per wake-up: more than are queued after any stall
 _DEADLINE = 0.75  # of a period, from arrival to reply
-_SILENCE = 0.5  # s that end a session
+_SILENCE = 0.5  # s of silence that end a session
 
 
 class End(NamedTuple):
@@ -112,7 +112,7 @@ class End(NamedTuple):
 
 
 class ArmSession:
-    """State of one arm of a loop. Its methods are called under the loop's lock."""
+    """State of one arm in a loop; its methods are called under the loop's lock."""
 
     robot: Robot
     port: Port
@@ -165,7 +165,7 @@ class ArmSession:
         self._surpassed: list[Sample] = []
         self.rows: list[Sample] = []
         self._arrival: Arrival | None = None
-        self._details = getattr(end.codec, "details", None)  # a codec of the user's need not have it
+        self._details = getattr(end.codec, "details", None)  # optional in a user's codec
         self.set_command(None)
 
     @property
@@ -198,13 +198,13 @@ class ArmSession:
                 self._arrival, pending = arrival, sample
                 self._observe(sample, woken_ns)
             if refused == _DROPS or taken == _BACKLOG:
-                break  # before the next one is read from the port: it would be lost
+                break  # before reading another datagram from the port, which would be lost
             arrival = self.port.receive()
         return pending
 
     def _observe(self, sample: Sample, woken_ns: int) -> None:
         if sample.fresh:
-            self.set_command(None)  # a command of the last session: its age counts packets, not the silence
+            self.set_command(None)  # drop the last session's command: its age does not include the silence
         if sample.fresh and sample.session > 1:
             self.supervisor.judge()
         if sample.fresh and sample.session > 1 and not self._resumes:  # restarted before the silence was detected
@@ -233,7 +233,7 @@ class ArmSession:
         call_ns: int = 0,
         late: bool = False,
     ) -> None:
-        """Send the only reply to a packet; `record` later records it and the packets it has overtaken."""
+        """Send the only reply to a packet; `record` later records the packet and those that it overtook."""
         seq = send_ns = -1
         self._went_out = self._left_out = False
         try:
@@ -244,7 +244,7 @@ class ArmSession:
                 self.machine.take_back(self._left_out)
         given = self._given if self._went_out and command is self._given else None
         if isinstance(given, Command) and (given.rapid_data is not None or given.rapid_digital is not None):
-            self._given = replace(given, rapid_data=None, rapid_digital=None)  # these go out once
+            self._given = replace(given, rapid_data=None, rapid_digital=None)  # sent only once
         late = late or (not self._in_lockstep and send_ns > sample.deadline_ns)
         self.was_late: bool = late
         self.late += late
@@ -277,7 +277,7 @@ class ArmSession:
             )
             self.recording.event(what, warn=True)
             return -1, -1
-        self._went_out = True  # whatever fails from here on
+        self._went_out = True  # stays True even if a later step fails
         session.replied(now)
         return seq, now
 

@@ -14,14 +14,14 @@ from armlab.wire.egm import Beside, Packet
 
 _MOST_DATA = 40  # values in EgmRAPIDdata
 _OUTSIDE, _STEP, _FASTER = 0.1, 0.02, 2.0  # as in `feedback`
-_KNOWS_DATA = "7"  # RobotWare
+_KNOWS_DATA = "7"  # RobotWare version that accepts RAPID data
 
 
 class ExternalReferences:
     """References of the external axes and RAPID data, packet by packet.
 
-    The first `Command.q_ext` of a session enables the axes. Each later reply carries their reference; without a new
-    reference, the controller keeps the last one including its speed. RAPID data are sent once.
+    The first `Command.q_ext` of a session enables the axes. Each later reply carries a reference for them; without one,
+    the robot controller would keep the last reference, including its speed. RAPID data are sent once.
     """
 
     moves: bool
@@ -37,12 +37,12 @@ class ExternalReferences:
 
     @property
     def memory(self) -> tuple[bool, bool, Any]:
-        """State of the limiter; restore it if a reply was not sent."""
+        """State of the limiter, to be restored if a reply was not sent."""
         return self.moves, self._entered, None if self._limiter is None else self._limiter.memory
 
     @memory.setter
     def memory(self, memory: tuple[bool, bool, Any]) -> None:
-        """Restore a state."""
+        """Restore a state of the limiter."""
         self.moves, self._entered, sent = memory
         if self._limiter is not None:
             self._limiter.memory = sent
@@ -56,7 +56,7 @@ class ExternalReferences:
     def observe(self, packet: Packet, dt: float) -> str:
         """Check the feedback, because implausible feedback must never become a reference.
 
-        Return the first problem in a row.
+        Return only the first of consecutive problems, else "".
         """
         limits, q = self._limits, packet.q_ext
         if limits is None or q.shape != limits.q_min.shape:
@@ -74,7 +74,8 @@ class ExternalReferences:
     def rest(self, packet: Packet) -> Beside | None:
         """Return the measured positions as the external references of a robot that follows no references.
 
-        The next commanded position must be near. A different number of axes disables them.
+        The next commanded position must be near them. If the number of axes differs from the limits, the axes are
+        disabled.
         """
         self._entered = False
         if not self.moves or self._limiter is None or self._q is None or packet.q_ext.shape != self._limiter.q.shape:
@@ -158,7 +159,7 @@ class ExternalReferences:
         before, memory = limiter.q, limiter.memory
         reply = limiter.step(wanted, None, dt, longest)
         if reply.refused:
-            limiter.memory = memory  # this reply is not sent: the hold begins where the last one ended
+            limiter.memory = memory  # this reply is not sent: the hold continues from the previous one
             k = abs(reply.refused) - 1
             raise CommandRefused(
                 f"Expected a position of external axis {k + 1} near the last one sent, {before[k]:.4f}, got "

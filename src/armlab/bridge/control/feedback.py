@@ -19,9 +19,9 @@ _DECAY = 0.125
 
 _OUTSIDE = 0.1  # rad or m beyond the limits of a joint
 _LAG, _CATCHES_UP = 0.05, 0.2  # s: following error per speed, and time constant of its decay
-_RAMP, _RAMP_LAG = 1.0, 0.3  # s: EGM ramps in (RampInTime); at full speed the arm stays behind for longer
+_RAMP, _RAMP_LAG = 1.0, 0.3  # s: while EGM ramps in (RampInTime), the lag is larger; at full speed it lasts longer
 _FROZEN = 0.1  # s without any change
-_STEP, _FASTER = 0.02, 2.0  # rad or m, and times the speed limit: a larger step is implausible
+_STEP, _FASTER = 0.02, 2.0  # rad or m, and multiple of the speed limit: a larger step is implausible
 
 
 class FeedbackCheck:
@@ -49,7 +49,7 @@ class FeedbackCheck:
         self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
 
     def check(self, q: np.ndarray, dt: float, sent: Reply | None) -> str:
-        """Return why feedback is implausible, "" if plausible."""
+        """Return why the feedback is implausible, or "" if it is plausible."""
         self._since += dt
         same = self._newest is not None and q.tobytes() == self._newest.tobytes()
         self._frozen = self._frozen + dt if same else 0.0
@@ -74,7 +74,7 @@ class FeedbackCheck:
         if problem:
             self.plausible, self.implausible = 0, self.implausible + 1.0
             if not self.confirmed and found <= 0:
-                self.q, self._since = q, 0.0  # the first two contradict each other: neither is trusted
+                self.q, self._since = q, 0.0  # the first two positions contradict each other: neither is trusted
         else:
             self.plausible, self.implausible = self.plausible + 1, max(0.0, self.implausible - _DECAY)
             self.q, self._since = q, 0.0
@@ -128,8 +128,8 @@ MCI_RUNNING = 3
 """MCI state of a robot under EGM guidance."""
 
 _MOTORS_ON = 1
-_RAPID_MOVES = (0, 2)  # undefined (0) stays after a controller restart although RAPID runs
-_ABSENT = 3  # consecutive packets without a state before they count
+_RAPID_MOVES = (0, 2)  # undefined (0) persists after a controller restart although RAPID is running
+_ABSENT = 3  # consecutive packets without a state before it counts as unknown
 
 
 def not_ready_reason(motors: int, rapid: int, mci: int) -> str:
@@ -142,7 +142,7 @@ def not_ready_reason(motors: int, rapid: int, mci: int) -> str:
 
 
 class Readiness:
-    """States in the newest packets; one or two packets without a state do not end a motion."""
+    """Robot states in the newest packets; one or two packets without a state do not end a motion."""
 
     is_unknown: bool
 
@@ -154,7 +154,7 @@ class Readiness:
         self.is_unknown = False
 
     def not_ready_reason(self, packet: Packet) -> str:
-        """Return why the robot would not follow a reference, "" if it would."""
+        """Return why the robot would not follow a reference, or "" if it would."""
         absent = not (packet.motors and packet.mci)
         self._absent = self._absent + 1 if absent else 0
         if self._absent in range(1, _ABSENT):

@@ -1,4 +1,4 @@
-"""`Limits` of a run, the references of a command (`requested`), `Limiter`, and the texts for refused commands."""
+"""`Limits` of a run, the references of a command (`requested`), `Limiter`, and the error texts for refused commands."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SPEED_RISE = 0.1  # s from rest to full speed, for axes of unknown acceleration
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Limits(Shown):
-    """Limits per joint of the references sent.
+    """Per-joint limits on the references sent.
 
     Attributes
     ----------
@@ -34,24 +34,24 @@ class Limits(Shown):
     q_max : array, shape (n,), rad or m
         Highest positions.
     qd_max : array, shape (n,), rad/s or m/s
-        Speeds.
+        Highest speeds.
     qdd_max : array, shape (n,), rad/s^2 or m/s^2
-        Accelerations.
+        Highest accelerations.
     jump : array, shape (n,), rad or m
         Largest step from the last position sent, beyond ``qd_max dt``.
     entry : array, shape (n,), rad or m
         Largest distance of the first position from the held position; at most `jump`.
     tau_max : array, shape (n,), N m or N
-        Torques; None refuses torques.
+        Highest torques; None refuses torque commands.
     tau_rate : array, shape (n,), N m/s or N/s
-        Torque rates; None refuses torques.
+        Highest torque rates; None refuses torque commands.
     external : Limits
         Limits of the external axes, see `Limits.of_axes`; None refuses commands to them.
     following_error : array, shape (n,), rad or m
-        Largest distance of the feedback from the reference, beyond 0.05 s times its speed; default: `jump`.
+        Largest distance of the feedback from the reference, beyond 0.05 s times the reference speed; default: `jump`.
     lag : float, s
         Time constant with which the arm follows its reference: 1/k for a gain k of EGM's position loop (0.2 s for
-        the default of 5 1/s). The reference brakes earlier by the lag times its speed.
+        the default of 5 1/s). The reference starts braking earlier, by the lag times its speed.
 
     Raises
     ------
@@ -85,7 +85,7 @@ class Limits(Shown):
             if len(shape) != 1 or np.shape(getattr(self, name)) != shape:
                 got = f"{name} of shape {np.shape(getattr(self, name))} and q_min of {shape}"
                 raise ConfigError(f"Expected all Limits to have the same shape (n,), got {got}.")
-        if not np.all(self.q_min < self.q_max):  # also NaN, which disables a limit
+        if not np.all(self.q_min < self.q_max):  # also rejects NaN, which would disable a limit
             raise ConfigError(f"Expected Limits with q_min below q_max, got {self.q_min} and {self.q_max}.")
         for name in ("qd_max", "qdd_max", "jump", "entry", "following_error", *torque):
             if not np.all(getattr(self, name) > 0.0):
@@ -123,11 +123,11 @@ class Limits(Shown):
         entry : float, rad or m
             See `Limits`; at most 0.02 m for prismatic joints.
         tau_max : float or array, shape (n,), N m or N
-            Torque limits, reached in 0.1 s at the earliest; default: those of the robot, if it has any.
+            Torque limits, reached in 0.1 s at the earliest; default: the robot's own, if any.
         external : Limits
             Limits of the external axes, see `of_axes`.
         following_error : float or array, shape (n,), rad or m
-            See `Limits`; default: 0.1 rad, 0.02 m for prismatic joints.
+            See `Limits`; default: 0.1 rad, or 0.02 m for prismatic joints.
         lag : float, s
             See `Limits`.
 
@@ -158,8 +158,7 @@ class Limits(Shown):
         q_max: Sequence[float] | np.ndarray,
         qd_max: Sequence[float] | np.ndarray,
     ) -> Limits:
-        """Return limits of external axes that allow full speed after 0.1 s, jumps up to 0.1, and a first position
-        within 0.05.
+        """Return limits of external axes: full speed after 0.1 s, jumps up to 0.1, first position within 0.05.
 
         Parameters
         ----------
@@ -168,7 +167,7 @@ class Limits(Shown):
         q_max : array, shape (k,), rad or m
             Highest positions.
         qd_max : array, shape (k,), rad/s or m/s
-            Speeds.
+            Highest speeds.
 
         Raises
         ------
@@ -212,7 +211,7 @@ class Limiter:
         return self.sent(self.memory)
 
     def sent(self, memory: Memory) -> np.ndarray:
-        """Return the position (n,) sent in a state `memory`."""
+        """Return the last position sent (n,) in the state `memory`."""
         return memory[0][0]
 
     @property
@@ -228,7 +227,7 @@ class Limiter:
         return Reply(sent[0], sent[1], self._none)
 
     def follow(self, q: np.ndarray, qd: np.ndarray) -> Reply:
-        """Track an arm that moves freely: the next reference begins at its `q` and `qd` (n,)."""
+        """Track a freely moving arm: the next reference starts from its `q` and `qd` (n,)."""
         sent = np.stack((q, qd, qd))
         sent.flags.writeable = False
         self.memory = sent, None
@@ -251,7 +250,7 @@ class Limiter:
 
 
 class LinkedLimiter(Limiter):
-    """`Limiter` in axis space, for robots with coupled axes: ABB limits axes, the controller commands joints."""
+    """`Limiter` in axis space, for robots with coupled axes: ABB limits axes, but the controller commands joints."""
 
     def __init__(self, limits: Limits, linkage: Linkage, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
         super().__init__(limits, reach)
@@ -272,7 +271,7 @@ class LinkedLimiter(Limiter):
 
 
 def limiter_of(limits: Limits, robot: Robot) -> Limiter:
-    """Return the limiter of a robot, in the space of its axes."""
+    """Return the limiter of a robot, which works in axis space."""
     linkage, reach = Linkage.of(robot), (robot.q_min, robot.q_max)
     return Limiter(limits, reach) if linkage is None else LinkedLimiter(limits, linkage, reach)
 
@@ -287,7 +286,7 @@ JointName = Callable[[int], str]
 """Name of a joint by its index, from 0."""
 
 _DOUBLE = np.dtype(np.float64)
-_REAL = "f", "i", "u"  # dtype kinds; a conversion would turn others into numbers
+_REAL = "f", "i", "u"  # dtype kinds; conversion would silently turn others into numbers
 _NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
 
 
@@ -300,7 +299,7 @@ def requested(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.nda
         )
     q, qd, tau, shape = command.q, command.qd, command.tau, robot.q_max.shape
     if type(q) is np.ndarray and q.dtype == _DOUBLE and q.shape == shape and qd is tau is None:
-        return np.ascontiguousarray(q), None, None  # the common case, fast
+        return np.ascontiguousarray(q), None, None  # fast path for the common case
     return (
         None if q is None else _vector("q", q, robot),
         None if qd is None else _vector("qd", qd, robot),
@@ -355,7 +354,7 @@ def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.
 
 
 def jump_refusal(q: np.ndarray, sent: np.ndarray, jump: np.ndarray, robot: Robot, name: JointName) -> str:
-    """Return the error text for a position (n,) further than `jump` (n,) from the last position sent, "" if near."""
+    """Return the error text for a position (n,) more than `jump` (n,) from the last position sent, else ""."""
     axes = axes_of(robot)
     q, sent = axes(q), axes(sent)
     excess = np.abs(q - sent) - jump
@@ -378,7 +377,7 @@ def entry_refusal(
     name: JointName | None = None,
     where: str = "holds",
 ) -> str:
-    """Return the error text for a first position too far from the held (or actual) position, "" if near."""
+    """Return the error text for a first position too far from the held (or actual) position, else ""."""
     axes = axes_of(robot)
     q, held = axes(q), axes(held)
     distance = np.abs(q - held)

@@ -1,11 +1,10 @@
-"""The control loop. For every packet, in this order: receive, decode, call the controller, limit, send one reply,
-record.
+"""Control loop; per packet, in this order: receive, decode, call the controller, limit, send one reply, record.
 
 Each packet gets at most one reply; a packet overtaken by a newer one gets none. One arm paces the loop: its packets
-call the controller. The other arms reply in their own ticks with their newest command. Everything except the controller
-runs under one lock, which the watchdog thread takes when the controller is overdue.
+trigger the controller calls. The other arms are answered in their own ticks with their newest commands. Everything
+except the controller runs under one lock, which the watchdog thread takes when the controller is overdue.
 
-`merge_states` combines the States of several arms; `split_command` gives each arm its part of a Command.
+`merge_states` combines the States of several arms; `split_command` splits a Command among the arms.
 """
 
 from __future__ import annotations
@@ -49,9 +48,9 @@ _AGE = list(State.__slots__).index("age")
 
 
 def merge_states(states: Sequence[State], ages: Sequence[float], pace: int, t: float) -> State:
-    """Return the state of all arms: concatenated joint arrays; `arms` holds the State of each arm with its age.
+    """Return the State of all arms: joint arrays are concatenated, and `arms` holds the State and age of each arm.
 
-    Time, sequence and state numbers are those of the pacing arm. Poses and wrenches are NaN; they are in `arms`.
+    Time, sequence and state numbers come from the pacing arm. Poses and wrenches are NaN; read them from `arms`.
     """
     arrays = list(chain.from_iterable(zip(*map(_joints, states), strict=True)))
     flat, clamped = np.concatenate(arrays), np.concatenate([state.clamped for state in states])
@@ -124,14 +123,14 @@ Controller = Callable[[State], Command | Sequence[Command | None] | None]
 """User's controller: maps each state to a command or None (hold); for several arms also to one command per arm."""
 
 _CHECK_EVERY = 0.05  # s between two checks for silence or an interrupt
-_GRACE = 0.25  # of a period, granted to the controller in any case
-_BLAME = 0.5  # of a period: a longer call makes a late cycle the controller's fault
-_HANGS = 1_000_000_000  # ns in one call of the controller, after which it counts as hanging
+_GRACE = 0.25  # of a period, always granted to the controller
+_BLAME = 0.5  # of a period: after a longer call, a late cycle is blamed on the controller
+_HANGS = 1_000_000_000  # ns in one call, after which the controller counts as hanging
 _NAP = 2e-3  # s the watchdog waits for a packet
 _SPARE = 1_000_000  # ns before the next packet, enough to collect garbage
-_PROGRESS = 0.1  # s between two calls of progress
-_STALE_PERIODS, _STALE = 3.0, 0.02  # a longer silence of one arm (the larger limit) holds the others
-_SERVES = 2.5  # periods of the pacing arm for which a command serves another arm
+_PROGRESS = 0.1  # s between two progress calls
+_STALE_PERIODS, _STALE = 3.0, 0.02  # periods and s: an arm silent for longer than both holds the others
+_SERVES = 2.5  # periods of the pacing arm for which the command of another arm stays valid
 _elapsed = attrgetter("machine.elapsed")  # robot time while an arm was ready [s]
 _RESERVE = 2**24  # bytes freed at the end of the run: stopping the arms and reporting the cause need memory
 
@@ -159,12 +158,12 @@ class Loop:
         self.interrupted = self._has_failed = False
         self.reason = ""
         self._lock = threading.Lock()
-        self._reserve: mmap | None = None  # untouched pages: address space, no memory
+        self._reserve: mmap | None = None  # untouched pages use address space but no memory
         self._next_progress = 0.0
         self._checked_ns = time.monotonic_ns()
         self._sessions: tuple[int, ...] = ()
         self._t0 = 0.0
-        # Shared with the watchdog. `_calling` becomes False only under the lock; `_pending` stays while it is True.
+        # Shared with the watchdog. `_calling` becomes False only under the lock; `_pending` is fixed while it is True.
         self._calling = self._taken = self._reported = False
         self._called_ns, self._deadline_ns = 0, 0.0
         self._pending: Sample | None = None
@@ -182,7 +181,7 @@ class Loop:
 
     @property
     def _hangs(self) -> bool:
-        """Whether the controller may never return."""
+        """Whether the controller has been running for so long that it may never return."""
         return self._calling and time.monotonic_ns() - self._called_ns > _HANGS
 
     def run(self) -> None:
@@ -200,7 +199,7 @@ class Loop:
                     self.cycle()
             except Exception as error:
                 with self._lock:
-                    ended = self._has_failed  # again: the arms cannot be brought to rest
+                    ended = self._has_failed  # second failure: the arms cannot be brought to rest
                     if not ended:
                         self._fail(error)
         self._free_reserve()
@@ -223,7 +222,7 @@ class Loop:
             self._pace.recording.catch_up()
 
     def cycle(self) -> None:
-        """Wait for one packet, answer it and those of other arms that wait, record them."""
+        """Wait for one packet, answer it and any waiting packets of other arms, and record them."""
         pending = self.answer(self._waiting.next(_CHECK_EVERY))
         for _ in self._others:  # arms often send together: all replies go out before any bookkeeping
             if self._have_ended() or (found := self._waiting.next(0.0)) is None:
@@ -278,7 +277,7 @@ class Loop:
             self._stop("the progress callback failed", failure)
 
     def overdue(self) -> float:
-        """Called by the watchdog: return the seconds until the controller is overdue, at most 0 if it is."""
+        """Called by the watchdog: return the seconds until the controller is overdue, at most 0 if it is overdue."""
         if not self._calling:
             return 1.0
         return 0.0 if self._taken else 1e-9 * (self._deadline_ns - time.monotonic_ns())
@@ -311,7 +310,7 @@ class Loop:
             arm.record()
 
     def _may_ask(self, pending: Sample | None = None) -> bool:
-        """Whether to call the controller: all arms are ready and recent, and no required source is stale."""
+        """Whether to call the controller: all arms are ready with recent packets, and no required source is stale."""
         for arm in self._arms:
             if not arm.machine.calls or arm.fusion.missing:
                 return False
@@ -466,7 +465,7 @@ class DryRun:
 
 
 def _named(error: BaseException) -> str:
-    """Return type and text of any error."""
+    """Return the type and text of any error."""
     try:
         text = "out of memory" if isinstance(error, MemoryError) else str(error)
     except Exception:

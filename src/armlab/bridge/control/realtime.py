@@ -20,13 +20,13 @@ from armlab.bridge.net.events import Tell, nobody
 from armlab.bridge.net.sockets import Arrival, Port
 
 LOOP_PRIORITY, GUARD_PRIORITY = 50, 55
-_SWITCH_INTERVAL = 5e-4  # s; with Python's 5 ms the watchdog is a cycle late against a busy controller
+_SWITCH_INTERVAL = 5e-4  # s; with Python's default of 5 ms, a busy controller delays the watchdog by a cycle
 _DUE = 700  # new objects after which the youngest generation is collected
 
 
 @contextmanager
 def quiet_memory() -> Iterator[None]:
-    """Disable the garbage collector after a full collection, because a full collection can take thirty cycles."""
+    """Disable the garbage collector after one full collection, because each can take as long as thirty cycles."""
     was_enabled = gc.isenabled()
     gc.collect()
     gc.freeze()
@@ -34,7 +34,7 @@ def quiet_memory() -> Iterator[None]:
     try:
         yield
     finally:
-        gc.collect()  # the loop's objects first, before the frozen ones are searched again
+        gc.collect()  # only the loop's objects, while the others are still frozen
         gc.unfreeze()
         if was_enabled:
             gc.enable()
@@ -48,7 +48,7 @@ def collect_if_due() -> None:
 
 @contextmanager
 def short_switches() -> Iterator[None]:
-    """Switch threads every 0.5 ms, so that the watchdog acts in time against a busy controller."""
+    """Switch threads every 0.5 ms, so that the watchdog acts in time even if the controller is busy."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(before, _SWITCH_INTERVAL))
     try:
@@ -81,8 +81,8 @@ def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
 def interrupts(stop: Callable[[], None]) -> Iterator[None]:
     """Call `stop` on Ctrl-C, SIGTERM and SIGHUP (closed terminal); works in the main thread only.
 
-    A closed terminal may send SIGHUP repeatedly. It counts only once, and not after another signal, so that it never
-    cuts a stop short. An ignored SIGHUP (nohup) stays ignored.
+    A closed terminal may send SIGHUP repeatedly. Only the first counts, and none after another signal, so that it
+    never cuts a stop short. An ignored SIGHUP (nohup) stays ignored.
     """
     came: list[int] = []
 
@@ -100,20 +100,20 @@ Wait = Literal["block", "ahead", "spin"]
 """Ways of waiting."""
 
 _AHEAD = 400_000  # ns before the predicted arrival at which polling begins
-_AFTER = 600_000  # ns after it at which blocking begins
-_LATE_SHARE = 0.02  # of a late arrival that corrects the prediction
+_AFTER = 600_000  # ns after the predicted arrival at which blocking begins
+_LATE_SHARE = 0.02  # fraction of the delay of a late arrival that corrects the prediction
 _LOST = 5  # periods: a larger prediction error restarts the prediction
 
 
 class Prediction:
     """Predicted arrival of the next packet: the phase of the robot's cycle on our clock.
 
-    Early arrivals correct the phase fully, late ones by 2 %: the network only delays packets.
+    Early arrivals correct the phase fully, late ones by 2 %, because the network can only delay packets.
     """
 
     def __init__(self) -> None:
         self._last: float | None = None
-        self.next_ns: float | None = None  # on our monotonic clock, None before the first
+        self.next_ns: float | None = None  # on our monotonic clock; None before the first packet
 
     def add(self, arrival_ns: int, periods: int, period: float) -> None:
         last, period_ns = float(arrival_ns), 1e9 * period
@@ -164,16 +164,16 @@ class Waiting:
             kernels.await_datagram([port.fileno() for _, port in self._ports], int(poll), int(until))
 
     def _soonest(self, now: int) -> float | None:
-        """Return the earliest predicted arrival that has not passed."""
+        """Return the earliest predicted arrival that is not yet past."""
         times = [prediction.next_ns for prediction in self._predictions]
         return min((ns for ns in times if ns is not None and now < ns + _AFTER), default=None)
 
 
 _ROW = 5  # late cycles in a row
-_SHARE = 0.05  # of the cycles of one second
+_SHARE = 0.05  # fraction of the cycles within one second
 _WINDOW = 1_000_000_000  # ns
 _LONGEST_CALL = 250_000_000  # ns
-_PAUSE = 250_000_000  # ns without a call: restarts the window
+_PAUSE = 250_000_000  # ns without a call that restart the window
 _NAP = 2e-3  # s between two checks of the watchdog
 
 
@@ -188,7 +188,7 @@ class Lateness:
         """Add one cycle; return why the controller must stop, or "" if it may continue."""
         self._row = self._row + 1 if late else 0
         if self._recent and now_ns - call_ns - self._recent[-1][0] > _PAUSE:
-            self._recent.clear()  # few cycles remain in a second that is mostly pause: one is more than 5 %
+            self._recent.clear()  # a second that is mostly pause has few cycles: one of them exceeds 5 %
             self._recent_late = 0
         self._recent.append((now_ns, late))
         self._recent_late += late

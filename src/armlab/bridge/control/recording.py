@@ -24,9 +24,9 @@ _logger = logging.getLogger("armlab.bridge")
 class Feed(Protocol):
     """Additional consumer of the rows and events of a run; called in the loop after each reply, so it must be fast.
 
-    A feed that raises is dropped, with an event. An optional method ``begin(tell, files, keep)`` is called at the start
-    with the event callback, the files of the recording and the callback for parameter changes. The dict returned by an
-    optional ``summary()`` is added to the statistics of the run.
+    A feed that raises an error is dropped, and an event reports it. An optional method ``begin(tell, files, keep)`` is
+    called at the start with the event callback, the files of the recording and the callback for parameter changes. The
+    dict returned by an optional ``summary()`` is added to the statistics of the run.
     """
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
@@ -39,7 +39,7 @@ class Feed(Protocol):
 
 
 def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | None]:
-    """Return the file of each arm; several arms add their side (else their name) to the stem."""
+    """Return the file of each arm; with several arms, the side or name of each is added to the stem."""
     if record is None:
         return [None] * len(robots)
     path = Path(record)
@@ -74,7 +74,7 @@ class Recording:
         self._feeds = [] if feeds is None else feeds
         self._reported: set[str] = set()
         self._limited = Limited(self._keep)
-        self._held: deque[tuple[str, bool, int, bool]] = deque()  # events since the last row: no reply waits for them
+        self._held: deque[tuple[str, bool, int, bool]] = deque()  # events since the last row, so that no reply waits
         self.path = None if self._recorder is None else self._recorder.path
         self.events: deque[tuple[int, str]] = deque(maxlen=_KEPT_EVENTS)
         self._early: list[Callable[[int], None]] = []  # waiting for a time stamp
@@ -117,7 +117,7 @@ class Recording:
             self.catch_up()
 
     def event(self, text: str, warn: bool = False, each: bool = False) -> None:
-        """Store an event; it also goes to the logger ``armlab.bridge``, as a warning if `warn`."""
+        """Store an event and send it to the logger ``armlab.bridge``, as a warning if `warn`."""
         self.note(f"{self._label}: {text}" if self._label else text, warn, each)
 
     def note(self, text: str, warn: bool = False, each: bool = False) -> None:
@@ -130,7 +130,7 @@ class Recording:
             self._stamped(lambda stamp: recorder.parameter(*change, stamp), self._clock())
 
     def catch_up(self) -> None:
-        """Store the events since the last row, and those that the rate limit has delayed."""
+        """Store the events since the last row and those delayed by the rate limit."""
         while self._held:
             self._limited(*self._held.popleft())
         if self._limited.waiting:
@@ -169,7 +169,7 @@ class Recording:
                 self.event(f"A feed was dropped: it raised {type(error).__name__}: {error}.", warn=True)
 
     def _report_stop(self, recorder: Recorder) -> None:
-        """Report a failed recording once, while it can still be repaired."""
+        """Report a failed recording once, while the cause can still be fixed."""
         if recorder.failed is not None and recorder.failed not in self._reported:
             self._reported.add(recorder.failed)
             self.event(f"The recording stopped: {recorder.failed}", warn=True)
@@ -188,7 +188,7 @@ class Recording:
         return log.read(self.path)
 
     def close(self, summary: Mapping[str, Any]) -> list[str]:
-        """Close the file. Return the problems of the recording as sentences."""
+        """Close the file; return any recording problems as sentences."""
         self.catch_up()
         self._limited.close()
         self._stamp_early(time.time_ns())  # if no packet arrived

@@ -138,18 +138,18 @@ _CLAMPS = ("position", "velocity", "acceleration", "braking", "torque", "torque 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(Shown):
-    """The result of `Link.run`.
+    """Result of `Link.run`.
 
     Attributes
     ----------
     reason : str
         Why the run ended.
     statistics : mapping
-        Counts and latencies, also stored in the recording as its summary; for several arms, under "arms" by name.
+        Counts and latencies, also stored in the recording as its summary; for several arms, by arm name under "arms".
     events : tuple of (int, str)
         Wall clock [ns] and text of each event.
     path : Path
-        The recording; None if the rows were kept in memory, or for several arms.
+        File of the recording; None if the rows were kept in memory or the run had several arms.
     arms : tuple of Run
         The Run of each arm if there are several, the pacing arm first.
     """
@@ -262,10 +262,10 @@ def _counted(clients: Mapping[str, int]) -> str:
 
 
 def together(tables: Mapping[str, Table]) -> Table:
-    """Return the tables of several arms as one, with columns such as ``yumi_left.q``.
+    """Merge the tables of several arms into one, with columns such as ``yumi_left.q``.
 
-    Rows are those of the first arm. Each other arm contributes its last row at or before that time; ``<robot>.age`` is
-    the age of that row.
+    The rows follow the first arm. Every other arm contributes its last row at or before the time of each;
+    ``<robot>.age`` is the age of the contributed row.
     """
     named = [
         (robot, table.rename({name: f"{robot}.{name}" for name in table.names})) for robot, table in tables.items()

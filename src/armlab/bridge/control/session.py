@@ -21,14 +21,14 @@ NOMINAL_PERIOD = 0.004
 
 _LONGEST = 1.0  # s between two packets; a larger step means that the clock was set
 _WINDOW = 9  # samples of the median
-_TRUSTED = 1.5 * NOMINAL_PERIOD  # s, longest before the first window is complete: a gap is not a cycle
+_TRUSTED = 1.5 * NOMINAL_PERIOD  # s, upper bound until the first window is complete: a gap is not a cycle
 _GAIN = 0.02
-_NEAR = 0.4  # of the estimate: wider than one tick of a clock in milliseconds, narrower than one skipped cycle
+_NEAR = 0.4  # of the estimate: wider than one tick of a millisecond clock, narrower than one skipped cycle
 _WRAP_MS = 2**32
 _SHORTEST = 2e-4  # s between two packets; shorter steps come from bursts or a wrong clock
 _AHEAD, _BEHIND = 1e-3, 0.5  # s by which robot time may lead or trail arrival: jitter, and a stalled network
-_STAYS = 10.0  # s: a longer lag of robot time is a longer route or a slow clock, not a burst
-_DRIFT = 1e-4  # of crystal oscillators
+_STAYS = 10.0  # s: a longer lag of robot time means a longer route or a slow clock, not a burst
+_DRIFT = 1e-4  # relative drift of crystal oscillators
 _WRONG, _WRONG_SHARE = 0.02, 0.01  # s and fraction of time rejected; a delayed first packet causes less
 
 
@@ -43,7 +43,7 @@ class Period:
         self._learnt = False
 
     def add(self, sample: float) -> bool:
-        """Add the time between packets divided by the difference of their numbers [s]; return whether it changed."""
+        """Add the time between packets over their number difference [s]; return whether the period was re-estimated."""
         if sample < _SHORTEST:
             return False
         self._recent.append(sample)
@@ -66,9 +66,9 @@ class RobotClock:
     """Increments of robot time from feedBack.time, else from the header's tm, else from the arrival times.
 
     A clock that steps back, stands still or jumps by more than 1 s is not used for that step. A tm that repeats is too
-    coarse for the cycle and is not used again, because its next step would count twice. `believed` bounds the step of a
-    reference: robot time may lead the arrivals of the fastest packets by 1 ms and trail them by 0.5 s, for example
-    after a network stall.
+    coarse for the cycle and is not used again, because its next increment would count twice. `believed` bounds the step
+    of a reference: robot time may lead the arrivals of the fastest packets by 1 ms and trail them by 0.5 s, for
+    example after a network stall.
     """
 
     exact: bool
@@ -137,12 +137,12 @@ EGM_ERROR = "the controller reported an EGM error"
 
 _SEQUENCES = 2**32
 _HALF = 2**31  # ms: a tm further ahead is in the past
-_FAR = 2**16  # packets ahead; no more fit into the silence that ends a session
+_FAR = 2**16  # packets ahead: more than fit into the silence that ends a session
 _FILTER = 30.0  # Hz, for velocities from differences
-_OVERTAKEN_MS = 100  # a first packet older by less was overtaken in transit: it begins no session
-_SILENT_PERIODS = 5  # of the old source, before another port of the same host may begin a session
-_FOLLOWERS = 3  # consecutive packets out of order are a session of their own
-_REMEMBERED = 8  # sessions whose first packet may arrive again
+_OVERTAKEN_MS = 100  # a first packet that is older by less was overtaken in transit and begins no session
+_SILENT_PERIODS = 5  # periods of silence before another port of the same host may begin a session
+_FOLLOWERS = 3  # consecutive out-of-order packets that form a separate session
+_REMEMBERED = 8  # sessions whose first packet is recognised if it arrives again
 _OWN_SILENCE = 150_000_000  # ns without a reply: shorter than any usual CommTimeout
 _FOREIGN = Drop("foreign source", "only the first sender of a session is answered; each motion task needs its own port")
 _MOTORS_OFF, _RAPID_STOPPED, _MCI_ERROR, _MCI_RUNNING = 2, 1, 1, 3
@@ -160,9 +160,9 @@ class Sample:
     fresh: bool
     qd: np.ndarray
     qd_source: str
-    step: float  # s by which a reference may move on
+    step: float  # s by which a reference may advance
     state: State = field(init=False)
-    stamp_ns: int = 0  # of its row
+    stamp_ns: int = 0  # of the row
     deadline_ns: float = 0.0  # of the reply, on our monotonic clock
     wake_ns: int = 0  # from arrival to the loop
     command: Command | None = None
@@ -176,13 +176,13 @@ class Sample:
 class Session:
     """Tracks one robot controller: sequence numbers, sources, sessions.
 
-    Numbers are compared modulo 2**32. The following packets start a session, whose replies are numbered from 0:
+    Sequence numbers are compared modulo 2**32. These packets start a session, whose replies are numbered from 0:
 
     - the first packet, and the first after a silence;
-    - number 0, also with an earlier clock (the robot restarted), unless its `tm` equals that of this session's first
-      packet or a previous one: that is a late duplicate;
-    - the third consecutive packet older than the newest one, once the others are silent for five periods: the first
-      packet of that session was lost.
+    - number 0, even with an earlier clock (the robot restarted), unless its `tm` matches the first packet of this or a
+      previous session, which makes it a late duplicate;
+    - the third consecutive packet older than the newest one, once no newer ones have arrived for five periods: the
+      first packet of its session was lost.
     """
 
     number: int
@@ -208,7 +208,7 @@ class Session:
         self._last: Sample | None = None
         self._first_tm: int | None = None
         self._past_tms: deque[int | None] = deque(maxlen=_REMEMBERED)
-        self._stray: tuple[Packet, int, int] | None = None  # newest packet out of order, how many in a row, since when
+        self._stray: tuple[Packet, int, int] | None = None  # newest out-of-order packet, number in a row, start [ns]
         self._begun_ns = self._replied_ns = 0
 
     def accept(self, arrival: Arrival) -> Sample | None:
@@ -217,7 +217,7 @@ class Session:
             self.end()
         foreign = self.active and arrival.source != self.source
         if foreign and not (self.source and arrival.source[0] == self.source[0] and self._is_quiet(arrival)):
-            # RAPID restarts fast: only the same host may come back from another port, once the old one is silent
+            # RAPID restarts fast: only the same host may return from another port, once the old port is silent
             return self._drop(_FOREIGN, arrival)
         packet = self._codec.decode(arrival.data)
         if isinstance(packet, Drop):
@@ -241,7 +241,7 @@ class Session:
         self._replied_ns = now_ns
 
     def end(self) -> str:
-        """End the session and return the reason, which is the first cause that fits its last packet."""
+        """End the session and return the reason: the first cause consistent with its last packet."""
         if self.active and self._last is not None:
             self.reason = self._why(self._last)
             self._on_event(f"Session {self.number} ended: {self.reason}.", warn=True)
@@ -264,7 +264,7 @@ class Session:
         return next((text for holds, text in causes if holds), "the controller stopped sending")
 
     def _count(self, packet: Packet, last: Packet) -> int | Drop:
-        """Return the number of packets lost between two, -1 for a new session, or why the later one is dropped."""
+        """Return the number of packets lost in between, -1 for a new session, or the reason to drop the later one."""
         now, then = packet.tm_ms, last.tm_ms
         is_late = now is not None and then is not None and (now - then) % _SEQUENCES >= _HALF  # of an earlier session
         ahead = (packet.seqno - last.seqno) % _SEQUENCES
@@ -289,7 +289,7 @@ class Session:
             follows = follows and 0 < (packet.tm_ms - before.tm_ms) % _SEQUENCES < _HALF
         count, since_ns = (count + 1, since_ns) if follows else (1, arrival.ns)
         self._stray = packet, count, since_ns
-        in_time = arrival.ns - since_ns > 0.5e9 * (_FOLLOWERS - 1) * self.period.seconds  # delayed packets are a burst
+        in_time = arrival.ns - since_ns > 0.5e9 * (_FOLLOWERS - 1) * self.period.seconds  # delayed packets form a burst
         return count >= _FOLLOWERS and in_time and self._is_quiet(arrival)
 
     def _is_quiet(self, arrival: Arrival) -> bool:
@@ -315,7 +315,7 @@ class Session:
         return self._sample(packet, arrival, 0)
 
     def _new_clock(self) -> RobotClock:
-        return RobotClock(math.isfinite(self._timeout_ns), self._on_event)  # lockstep: arrival times mean nothing
+        return RobotClock(math.isfinite(self._timeout_ns), self._on_event)  # in lockstep, arrival times are meaningless
 
     def _sample(self, packet: Packet, arrival: Arrival, missed: int) -> Sample:
         last = self._last

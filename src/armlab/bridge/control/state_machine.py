@@ -4,9 +4,9 @@ WAITING -> HOLDING (not ready: the feedback is echoed; ready: the position is fr
 LISTENING never sends. *Hold* always means that the sent velocity ramps to zero within the acceleration limits and the
 position then stays constant.
 
-The step of a reference is the measured robot time since the last reference sent. Implausible feedback is never echoed
-or held. The robot becomes ready after three plausible packets in a row; three implausible packets in a row stop the
-run.
+The time step of a reference is the measured robot time since the last reference sent. Implausible feedback is never
+echoed or held. The robot becomes ready after three plausible packets in a row; three implausible packets in a row stop
+the run.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ PLAIN = State(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
 
 STOP_TIME = 0.5  # s at rest before a run ends
 _UNSENT = 500  # unsent replies end a stop: after 2 s the robot's own time-out has acted
-_REFUSALS = 3  # in a row end the run
+_REFUSALS = 3  # consecutive refusals that end the run
 _GAP = 3.0  # periods: largest step of a reference after a gap
 _ENTRY_PATIENCE = 1.0  # s of refused entries before a warning
 _BITS = 1, 2, 4, 8, 16, 32  # of `Reply.clamped`
@@ -111,7 +111,7 @@ class StateMachine:
 
     @property
     def _may_be_guided(self) -> bool:
-        """Whether a robot has merely stopped reporting readiness; it then holds without a step to the feedback."""
+        """Whether the robot has merely stopped reporting its states; it then holds without a step to the feedback."""
         return self.guided and self._readiness.is_unknown
 
     @property
@@ -185,10 +185,10 @@ class StateMachine:
         packet, self._before = self._packet, self._memory
         if packet is None or self.mode in _UNANSWERED:
             return None
-        if self.mode is Mode.ENDED and self._rested < STOP_TIME:  # an arm at rest still replies while others stop
+        if self.mode is Mode.ENDED and self._rested < STOP_TIME:  # an arm at rest is still answered while others stop
             return None
         self._longest = _GAP * period
-        if self._dt == 0.0:  # this packet was answered
+        if self._dt == 0.0:  # this packet has been answered
             return self._last
         if not self.ready and self._may_be_guided:
             self._last = self._held()
@@ -208,7 +208,7 @@ class StateMachine:
             self.refusing = ""
             self._last = self._follow(Command() if command is None else command, packet)
         self._dt = 0.0
-        if any(self._last.clamped.tobytes()):  # takes a tenth of the time of ndarray.any
+        if any(self._last.clamped.tobytes()):  # ten times faster than ndarray.any
             self.clamps += [(self._last.clamped & bit) != 0 for bit in _BITS]
             self.worst_ratio = min(self.worst_ratio, self._last.ratio)
         return self._last
@@ -275,7 +275,7 @@ class StateMachine:
         return reply if beside is None else joined(reply, beside)
 
     def _moved(self, q: np.ndarray | None, qd: np.ndarray | None, tau: np.ndarray | None, packet: Packet) -> Reply:
-        """Return the reply for the joints to a valid command."""
+        """Return the joint reply to a valid command."""
         if q is None and qd is None:
             if tau is not None:
                 return self._free(tau, packet)
@@ -334,7 +334,7 @@ class StateMachine:
 
     def _become_ready(self, packet: Packet) -> None:
         self._torques.reset()
-        self._dt = self._passed  # from this packet's feedback on
+        self._dt = self._passed  # counted from this packet's feedback
         self._last = joined(self._limiter.rest(packet.q), self._external.rest(packet))
         self._refused_in_a_row, self._waited, self._warned = 0, 0.0, False
         if not self.guided:

@@ -1,6 +1,6 @@
-"""Reasons to end a run outside the controller: silence, a lost robot, sessions that end immediately.
+"""Reasons outside the controller to end a run: silence, a lost robot, or sessions that end immediately.
 
-`Settings` of a run.
+Also defines `Settings`, the settings of a run.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from armlab.errors import ControllerFailed, LinkError, NoRobot, SessionEnded
 
 _CHECKLIST_AFTER = 5.0  # s without any packet
 _BRIEF = 0.1  # s under guidance: a shorter session does not advance the run
-_BRIEF_IN_A_ROW = 10  # end the run: `Settings.seconds` counts only time under guidance
+_BRIEF_IN_A_ROW = 10  # such sessions end the run: `Settings.seconds` counts only time under guidance
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Supervisor:
         self._elapsed, self._brief = 0.0, 0
 
     def check_silence(self, last_packet_ns: int) -> None:
-        """End the session after silence, and the run if no packet can follow."""
+        """End the session after a silence, and the run if no packet can follow."""
         machine, session, now = self._machine, self._session, time.monotonic_ns()
         if session.silent(now):
             machine.lose(session.end(), self._settings.resume)
@@ -64,11 +64,10 @@ class Supervisor:
             self._on_event(f"No packet yet. {check_list(self._port)}", warn=True)
 
     def judge(self) -> None:
-        """End the run when too many sessions in a row ended immediately; called before the state machine observes a new
-        one.
+        """End the run if too many sessions in a row ended immediately; called before a new session is observed.
 
-        Except in lockstep, a session without guidance does not count, because the robot may be waiting for its
-        operator.
+        Except when listening, in lockstep or after an EGM error, a session without guidance does not count, because the
+        robot may be waiting for its operator.
         """
         machine, session = self._machine, self._session
         gained, self._elapsed = machine.elapsed - self._elapsed, machine.elapsed

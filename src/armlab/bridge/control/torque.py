@@ -1,4 +1,4 @@
-"""Torque references: requests, limits, and an admittance for links without torques.
+"""Torque references: requests, limits, and an admittance for links that carry no torques.
 
 A torque sent with a position or velocity is feed-forward. A torque alone replaces the position loop: the drive then
 adds gravity compensation only. The measured position is also sent, and a hold starts from it.
@@ -73,7 +73,7 @@ class Torques:
     ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
         """Return the references (n,) of a command with a torque; an admittance converts it to a velocity.
 
-        `measured`: whether the robot reports torques; drives without them accept no torque commands.
+        `measured` states whether the robot reports torques; drives that report none accept no torque commands.
         """
         if not np.isfinite(tau).all():
             raise CommandRefused(f"Expected finite numbers in Command.tau, got {tau}. NaN never goes to a robot.")
@@ -110,7 +110,7 @@ class Torques:
     def outside(self, q: np.ndarray, qd: np.ndarray) -> str:
         """Return why a torque-only command is refused because the arm is outside its limits, or "" if it is inside."""
         limits = self._limits
-        if self._linkage is not None:  # limits are those of axes
+        if self._linkage is not None:  # the limits apply to axes
             q, qd = self._linkage.axes(q), self._linkage.axes(qd)
         far = (q < limits.q_min) | (q > limits.q_max)
         fast = np.abs(qd) > limits.qd_max
@@ -125,7 +125,7 @@ class Torques:
         )
 
     def limited(self, reply: Reply, tau: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
-        """Return the reply with `tau` (n,) limited; the rate limit covers at most `longest` [s]."""
+        """Return the reply with `tau` (n,) limited; the rate limit assumes a step of at most `longest` [s]."""
         tau_max, tau_rate = self._limits.tau_max, self._limits.tau_rate
         if (tau is None and self.memory is None) or tau_max is None or tau_rate is None:
             return reply

@@ -71,7 +71,7 @@ def tasks_for(status: ControllerStatus, ports: Sequence[int]) -> list[Task]:
 
 
 def port_findings(status: ControllerStatus, ports: Sequence[int]) -> list[Finding]:
-    """Return whether a task sends to each port."""
+    """Return one finding per port: whether a task sends to it."""
     found = senders(status)
     known = ", ".join(f"{task.name} to {port}" for port, task in found.items()) or "none"
     advice = "Open the port of the task, or change Remote Port Number of its device."
@@ -86,7 +86,7 @@ def port_findings(status: ControllerStatus, ports: Sequence[int]) -> list[Findin
 def controller_findings(
     status: ControllerStatus, tasks: Sequence[Task], modules: Mapping[str, str] | None = None, replace: bool = False
 ) -> list[Finding]:
-    """Return the findings for these tasks; `modules` maps tasks to texts to load, which may `replace` others."""
+    """Return the findings for these tasks; `modules` are texts to load by task; `replace` lets them replace others."""
     checks = (_robotware, _option, _mode, _state, _mastership, _execution, _interface)
     found = [check(status) for check in checks]
     for task in tasks:
@@ -102,7 +102,7 @@ def require(controller: AbbController, found: Sequence[Finding]) -> None:
 
 
 def require_rest(controller: AbbController, status: ControllerStatus) -> None:
-    """Raise if RAPID is running, because a program is changed and started only at rest."""
+    """Raise if RAPID is running, because programs may be changed and started only at rest."""
     if status.is_running:
         busy = ", ".join(task.name for task in status.tasks if task.is_active) or "a task"
         raise LinkError(
@@ -250,7 +250,7 @@ class RapidRun:
     def _stop(self, tell: Tell) -> None:
         try:
             self._stop_once(tell)
-        except KeyboardInterrupt:  # it must not leave RAPID running
+        except KeyboardInterrupt:  # Ctrl-C must not leave RAPID running
             self._stop_once(tell)
             raise
 

@@ -55,7 +55,7 @@ _OLDEST = (3, 11)
 _CYCLE = 0.004  # s
 _LATE = 1e-3  # s: a later wake-up misses a reply at 1 kHz and takes a quarter of an EGM cycle
 _FINE = 1e-6  # s
-_LONG = 0.1  # s of a full collection: more objects than imports create
+_LONG = 0.1  # s for a full collection: longer only with more objects than imports create
 _CONFLICTS = (("viser", "rich", 15), ("viser", "websockets", 17))  # package, dependency, first incompatible version
 _SYSTEM = Path("/sys/devices/system/cpu")
 _THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
@@ -80,7 +80,7 @@ def machine(seconds: float = 2.0) -> list[Finding]:
 
 
 def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
-    """Check the version of Python; also report that of armlab."""
+    """Check the Python version; also report the armlab version."""
     from armlab import __version__
 
     value = f"{'.'.join(map(str, version))} ({sys.executable}), armlab {__version__}"
@@ -88,7 +88,7 @@ def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
 
 
 def packages(version: Callable[[str], str] = importlib.metadata.version) -> Finding:
-    """Check for missing and known incompatible packages."""
+    """Check for missing packages and packages known to be incompatible."""
     found: dict[str, str] = {}
     missing: list[str] = []
     for name in _required():
@@ -189,7 +189,7 @@ def wake_up(
             due += _CYCLE
             sleep(max(due - now(), 0.0))
             late.append(now() - due)
-            due = max(due, now() - _CYCLE)  # cycles missed in a long stall are skipped
+            due = max(due, now() - _CYCLE)  # skip the cycles missed in a long stall
     if not late:
         return Finding("wake-up", "ok", "not measured")
     p50, p99, worst = np.percentile(late, [50, 99, 100])
@@ -201,7 +201,7 @@ def wake_up(
 
 
 def garbage(collect: Callable[[], object] = gc.collect) -> Finding:
-    """Measure a full garbage collection. The loop freezes existing objects, so it only collects new ones."""
+    """Measure a full garbage collection; the loop freezes existing objects, so that a run collects only new ones."""
     objects = len(gc.get_objects())
     start = time.perf_counter()
     collect()

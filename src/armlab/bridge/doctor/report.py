@@ -178,7 +178,7 @@ class EgmListener:
 __all__ = ["DEFAULT_PORTS", "LONGEST", "addresses", "examine", "firewall", "listen", "route_to"]
 
 _FIREWALL = Path("/etc/ufw/ufw.conf")
-_SELF_TEST = 0.2  # s, shortest time of the self-test
+_SELF_TEST = 0.2  # s, shortest duration of the self-test
 
 
 def addresses(found: Mapping[str, str]) -> Finding:
@@ -310,7 +310,7 @@ def examine(
     robots : sequence of Robot
         The arm at each port, to check axes and posture; default: any arm.
     wake_up : float, s
-        Time to measure wake-ups.
+        Duration of the wake-up measurement.
 
     Raises
     ------

@@ -31,8 +31,7 @@ _FASTEST_DRIFT = 1e-3
 
 
 class ClockMap:
-    """Maps timestamps of another clock to ours, using the running minimum over 10 s of (receive - source stamp), with
-    drift.
+    """Maps another clock's timestamps to ours by the running minimum over 10 s of (receive - source), with drift.
 
     Packets can be late but never early, so the minimum is the clock offset plus the smallest delay. A step above 50 ms
     restarts the estimate.
@@ -45,7 +44,7 @@ class ClockMap:
         self._forget()
 
     def _forget(self) -> None:
-        self._points: deque[tuple[int, int]] = deque()  # (source, offset) of the least offset in each bucket
+        self._points: deque[tuple[int, int]] = deque()  # (source, offset) of the smallest offset in each bucket
         self._drift, self._late = 0.0, 0
         self._line: tuple[int, float] = (0, 0.0)  # source stamp and offset there
 
@@ -89,7 +88,7 @@ class ClockMap:
         self._line = (start, first + min(step - self._drift * at for at, step in steps))
 
 
-_AHEAD = 1.0  # s by which a reading may be newer than the packet of its tick, which waited in the port
+_AHEAD = 1.0  # s by which a reading may be newer than the packet of its tick, which may have waited in the port
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -103,11 +102,11 @@ class Held(Shown):
     kept : mapping
         Last values, regardless of their age.
     age : float, s
-        Time since their arrival; infinite before the first reading.
+        Time since the values arrived; infinite before the first reading.
     fresh : bool
-        Whether they are new in this tick.
+        Whether the values are new in this tick.
     stale : bool
-        Whether they are older than the source's `max_age`.
+        Whether the values are older than the source's `max_age`.
     gaps : int
         Readings lost so far.
     seq : int
@@ -165,7 +164,7 @@ class Fusion:
         return MappingProxyType(held)
 
     def ticks(self, seconds: float) -> Iterator[Mapping[str, Held]]:
-        """Yield the held readings at each new reading of the pacing source: rows without a robot."""
+        """Yield the held readings at each new reading of the pacing source, for rows without a robot."""
         pacing = next((source for source in self.sources if source.role == "pacing"), None)
         if pacing is None:
             raise ConfigError("Expected one source with the role pacing, got none. Add a bridge.TimerSource.")

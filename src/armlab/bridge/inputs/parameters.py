@@ -19,9 +19,9 @@ _TYPES = ("float", "int", "bool", "text")
 _VECTOR = re.compile(r"float\[([1-9]\d{0,2})\]")
 _NAME = re.compile(r"[a-zA-Z][a-zA-Z0-9_]{0,63}")
 _LONGEST = 1000  # characters of a text
-_WAITING = 256  # settings that wait for the next tick
+_WAITING = 256  # largest number of settings queued for the next tick
 _LARGEST = sys.float_info.max
-_INTEGERS = 2**53  # beyond it a JSON reader may round
+_INTEGERS = 2**53  # a JSON reader may round larger integers
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -76,7 +76,7 @@ class Parameter(Shown):
             )
         if self.rights not in ("commander", "anyone"):
             raise ConfigError(f'Expected rights "commander" or "anyone" for {self.name}, got {self.rights!r}.')
-        if not self.minimum <= self.maximum:  # also NaN
+        if not self.minimum <= self.maximum:  # also rejects NaN
             raise ConfigError(f"Expected minimum <= maximum for {self.name}, got {self.minimum} and {self.maximum}.")
         try:
             object.__setattr__(self, "default", self._checked(self.default))
@@ -130,13 +130,13 @@ class Parameter(Shown):
         unit = f" [{self.unit}]" if self.unit else ""
         try:
             got = repr(value)[:80]
-        except ValueError:  # an integer of too many digits
+        except ValueError:  # an integer with too many digits
             got = f"a {type(value).__name__} too long to show"
         return CommandRefused(f"Expected {expected} for the parameter {self.name}{unit}, got {got}. The value is kept.")
 
 
 class Change(NamedTuple):
-    """One value that came into force."""
+    """One parameter change that took effect."""
 
     sequence: int
     name: str
@@ -172,6 +172,7 @@ class Parameters:
     ------
     ConfigError
         A name declared twice.
+
     Examples
     --------
     >>> from armlab.bridge import Parameter, Parameters
@@ -204,7 +205,7 @@ class Parameters:
         return dict(self._values)
 
     def last(self, name: str) -> Change | None:
-        """Return the last change of a parameter, or None while it has its default value.
+        """Return the last change of a parameter, or None before the first change.
 
         Parameters
         ----------
@@ -240,7 +241,7 @@ class Parameters:
         self.set_together({name: value}, who)
 
     def set_together(self, values: Mapping[str, Any], who: str = "controller", *, commander: bool = True) -> None:
-        """Set several parameters in the same tick; one invalid value refuses all.
+        """Set several parameters in the same tick; if one value is invalid, all are refused.
 
         Parameters
         ----------
@@ -274,7 +275,7 @@ class Parameters:
         self._waiting.append((checked, who))
 
     def apply(self) -> tuple[Change, ...]:
-        """Apply new values in the order of arrival; called between two ticks. Return the changes."""
+        """Apply new values in order of arrival and return the changes; called between two ticks."""
         if not self._waiting:
             return ()
         changes = []

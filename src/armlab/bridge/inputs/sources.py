@@ -62,7 +62,7 @@ class Reading(NamedTuple):
 
 
 def whole(number: Any, unit: int = 1) -> int:
-    """Convert a received timestamp or number to the integer of a reading."""
+    """Convert a received timestamp or sequence number to the integer that a reading stores."""
     plain = number.item() if isinstance(number, np.generic) else number
     if isinstance(plain, int | float) and abs(plain * unit) < 1 << 64:
         return int(plain * unit)
@@ -77,14 +77,14 @@ class Source:
     name : str
         Name of the source; its columns in the log are ``<name>.<field>``.
     fields : mapping
-        Shape, unit and frame by field; names of the glossary keep their meaning. A calibrated ``wrench`` (6,) in base
+        Shape, unit and frame by field; names in the glossary keep their meaning. A calibrated ``wrench`` (6,) in base
         axes becomes `State.wrench`; a ``wrench_raw`` in sensor axes is converted with the `calibration`.
     period : float, s
         Nominal time between two readings.
     max_age : float, s
         Age at which values become stale; default: three periods or 20 ms, whichever is longer.
     role : str
-        "required": the arms hold while it is stale; "pacing": `Fusion.ticks` follows it; "optional".
+        "required" (the arms hold while the source is stale), "pacing" (`Fusion.ticks` follows it) or "optional".
     robot : str
         Name of the arm that the wrench belongs to, "" for any; default: the arm of the calibration.
     calibration : ForceSensor
@@ -222,7 +222,7 @@ def _check_calibration(name: str, fields: Mapping[str, Column], calibration: obj
 
 
 class ThreadSource(Source):
-    """Source with a thread. Subclass it: `work` runs until `_over` is set and stores readings in `_newest`.
+    """Threaded source to subclass: `work` runs until `_over` is set and stores readings in `_newest`.
 
     Parameters
     ----------
@@ -273,8 +273,8 @@ class CallableSource(ThreadSource):
     fields : mapping
         Columns by field.
     function : callable
-        Returns values by field, or None if there are no new values. If it raises, the reading is kept and `problem` is
-        set.
+        Returns values by field, or None if there are no new values. If it raises an error, the last reading is kept
+        and `problem` is set.
     period : float, s
         Time between two calls.
     options
@@ -302,7 +302,7 @@ class CallableSource(ThreadSource):
                 if given is not None:
                     values = self.values(given)
                     self._newest, seq = Reading(values, 0, time.monotonic_ns(), seq), seq + 1
-            except Exception as error:  # of a user's function: the reading becomes stale, the loop continues
+            except Exception as error:  # from a user's function: the reading becomes stale, but the loop continues
                 self.problem: str = f"{type(error).__name__}: {error}"
 
 
@@ -364,7 +364,7 @@ class ReplaySource(Source):
         super().__init__(name, fields, period, **options)
         self._values = {one.removeprefix(prefix): table[one] for one in names}
         self._ages_ns = np.rint(1e9 * table[f"{prefix}age"])
-        absent = np.full(len(table), np.nan)  # a source without clock or numbers
+        absent = np.full(len(table), np.nan)  # a source without a clock or sequence numbers
         self._counts = {one: table.values.get(f"{prefix}{one}", absent) for one in ("seq", "gaps", "source_time")}
         self._ticks_ns = table["receive_ns"] - table["receive_ns"][0]
         self._begun_ns: int | None = None
@@ -391,7 +391,7 @@ class ReplaySource(Source):
 
 _STAMPS = ("seq", "stamp_ns")
 _DRAINED = 64  # datagrams per tick: a flood must not block the loop
-_BACKLOG = 2000  # at first: datagrams that arrived before the robot's
+_BACKLOG = 2000  # in the first tick: datagrams that arrived before the robot's first packet
 _MOST_GAPS = 1 << 53  # largest integer of the log
 
 
@@ -491,7 +491,7 @@ class UdpSource(Source):
             self.drops += 1
             self.problem: str = self.problem or f"invalid datagram, {type(error).__name__}: {error}"
             return False
-        lost = 0 if last is None else max(seq - last.seq - count, 0)  # restarted numbers are no loss
+        lost = 0 if last is None else max(seq - last.seq - count, 0)  # restarted numbering is not a loss
         gaps = 0 if last is None else min(last.gaps + lost, _MOST_GAPS)
         self._newest = Reading(values, stamp_ns, receive_ns, seq, gaps)
         return True

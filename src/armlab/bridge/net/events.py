@@ -11,14 +11,14 @@ from typing import Protocol
 _EVERY = 1_000_000_000  # ns between two events of one kind
 _EACH = 50  # events of a kind in that time with each=True: commanding clients may change ten times a second
 _KINDS = 64  # limited separately; further kinds share one limit
-_CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|\d[\d.]*")  # differs between events of one kind
+_CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|\d[\d.]*")  # may differ between events of one kind
 
 
 class Tell(Protocol):
     """Callback for events."""
 
     def __call__(self, text: str, warn: bool = False, each: bool = False) -> None:
-        """Report one event: `warn` marks a problem; `each` events are not summarised by later ones of their kind."""
+        """Report one event; `warn` marks a problem, and `each` keeps later events of its kind from replacing it."""
         ...
 
 
@@ -42,7 +42,7 @@ class Limited:
     Events are of one kind if they differ only in numbers and quoted words. The newest event within a second is delayed
     to the end of that second; it keeps its timestamp and counts the events it replaced. A condition that changes with
     every packet therefore cannot fill the disk, and its last state is always reported. Events with ``each=True`` are
-    limited to fifty per kind and second.
+    limited to fifty per second and kind.
     """
 
     waiting: int

@@ -50,7 +50,7 @@ def _has_socket(process: Path, inodes: set[str]) -> bool:
 
 
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux; absent from Python's socket module
-_FLUSHED = 2000  # datagrams: exceeds a receive buffer
+_FLUSHED = 2000  # datagrams: more than a receive buffer holds
 
 
 class Arrival(NamedTuple):
@@ -117,7 +117,7 @@ class Port:
         return self._datagrams.send(data, to) or (self._was_lost() and self._datagrams.send(data, to))
 
     def _was_lost(self) -> bool:
-        """After an error, return whether other code had closed the socket, and bind it again if so."""
+        """After an error, return whether other code has closed the socket, and rebind it if so."""
         self._seen = self._datagrams.errors
         if self._is_closed or self._descriptor.is_open:
             return False
@@ -167,7 +167,7 @@ def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.so
 
 
 _BUFFER = 4 * 2**20  # bytes queued for a server
-_SNDBUFFORCE = 32  # Linux: beyond the system's limit, where permitted
+_SNDBUFFORCE = 32  # Linux: exceeds the system's limit where permitted
 _LARGEST = 2**17
 
 

@@ -112,14 +112,14 @@ def _record(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 RIDGE = 1e-3  # ridge of the friction map, relative to the mean diagonal
 SHORTEST = 0.5  # s, shortest block
 MOST_OF = 20  # minimum number of blocks
-ROWS = 20000  # rows per joint: more are decimated
+ROWS = 20000  # rows per joint: longer records are decimated
 SPEEDS = 8
 HIGHEST = 1.25  # times the ripple line of the model at twice the gear ratio
 
 
 @dataclass(frozen=True, eq=False)
 class _DrivePart:
-    """Coefficients (p,) of one joint, lines (L,), their covariance, and coefficients (5, p) without each fifth."""
+    """Coefficients (p,) of one joint, lines (L,), their covariance, and leave-one-fifth-out coefficients (5, p)."""
 
     name: str
     k: np.ndarray
@@ -147,7 +147,7 @@ class _JointRows:
     half: np.ndarray
     fifth: np.ndarray
     rate: float  # sampling rate of the log
-    step: float  # s, between decimated rows
+    step: float  # s, interval between decimated rows
 
     def of(self, use: np.ndarray) -> _JointRows:
         """Return the selected rows (M,)."""
@@ -172,27 +172,26 @@ class _JointRows:
 
 
 def fit_friction(table: Table | Sequence[Table], model: TorqueModel | Fit[TorqueModel]) -> Fit[TorqueModel]:
-    """Fit warm-up, torque ripple and friction over position to the residual of a model, and keep the terms that improve
-    it.
+    """Fit warm-up, torque ripple and friction over position to model residuals, and keep the terms that reduce them.
 
     Parameters
     ----------
-    table : one log or several of free motion with columns q, qd, tau (N, n); warm-up needs one of 20 minutes. Joints at
-        rest, as in `friction_run`, keep their present terms.
+    table : one or several logs of free motion with columns q, qd, tau (N, n); warm-up needs a log of 20 minutes. Joints
+        at rest, as in `friction_run`, keep their present terms.
     model : identified torque model of the recorded arm, or its fit.
 
     Returns
     -------
-    Fit of `models.TorqueModel`: the model with improving terms, or the same model. It has its own torque covariance and
-    quality: terms fitted without a fifth of the log are validated on that fifth, and the given model's own loss on
-    held-out rows is added if it was identified from the same log. Parameters are the coefficients of the terms, in N m,
-    and the lines, with a covariance from the scatter of blocks and the bias of the ridge; the parameters of warm-up are
-    in `fit_warm_up`.
+    Fit of `models.TorqueModel`: the model with the terms that improve it, or the unchanged model. Torque covariance
+    and quality are reassessed: terms fitted without a fifth of the log are validated on that fifth, and the given
+    model's loss on held-out rows is added if it was identified from the same log. Parameters are the coefficients of
+    the terms, in N m, and the lines, with a covariance from the scatter of blocks and the bias of the ridge. For the
+    parameters of warm-up, see `fit_warm_up`.
 
     Raises
     ------
     ShapeError : NaN rows, wrong joint count, velocity that is not the derivative of position.
-    NotExcited : too short, all joints at rest, or one that hardly slides beyond its presliding distance.
+    NotExcited : a short log, all joints at rest, or a joint that hardly slides beyond its presliding distance.
 
     References
     ----------

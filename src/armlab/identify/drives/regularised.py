@@ -24,7 +24,7 @@ from armlab.estimation.robust import shrinkage
 
 RIDGE = 1e-6  # relative
 FOLDS = 5
-MOST_STRETCHES = 200  # for a covariance
+MOST_STRETCHES = 200  # segments for a covariance
 FULL = 1e-6  # smallest share of a direction determined by other segments
 
 
@@ -41,7 +41,7 @@ def refit(
     """Return ridge coefficients (p,) and their covariance (p, p) from the scatter of blocks.
 
     ``H = A^T A + r 1, r = ridge mean(diag)``, ``cov = H^-1 (S + r^2 v 1) H^-1`` with S the scatter ``sum_b g_b g_b^T``
-    of the moments g_b of the residuals per block. It exceeds the formal covariance if the residuals are correlated.
+    of the moments g_b of the residuals per block. `cov` exceeds the formal covariance if residuals are correlated.
     With few blocks S is shrunk towards a multiple of H (`shrinkage`), because it would be rank-deficient. v is the mean
     square of the coefficients and represents the bias of the ridge for weakly determined coefficients.
     """
@@ -56,11 +56,11 @@ def refit(
 
 
 def _moments(A: np.ndarray, left: np.ndarray, H: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Return the moments (B, p) of segments, which have the variance of the noise.
+    """Return the moments (B, p) of segments, scaled to the variance of the noise.
 
     If a single segment determines a coefficient, the residual contains none of the noise of that segment. With the
-    segment's share M of H, the moment is therefore ``(1 - M)^(-1/2)`` times that of the residuals, in coordinates with
-    H = 1 (Bell and McCaffrey 2002).
+    segment's share M of H, the moment is therefore ``(1 - M)^(-1/2)`` times the moment of the residuals, in coordinates
+    with H = 1 (Bell and McCaffrey 2002).
     """
     number = np.asarray(block) // (1 + int(np.max(block)) // MOST_STRETCHES)
     root = np.linalg.cholesky(H)
@@ -102,7 +102,7 @@ def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float
 GAP = 1e-6  # relative
 ROUNDS = 20000
 PATH = 20  # penalties
-SHORTEST = 1e-3  # smallest penalty over the largest
+SHORTEST = 1e-3  # ratio of the smallest penalty to the largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +185,7 @@ def _gap(sums: LassoSums, size: int, threshold: float, x: np.ndarray) -> tuple[f
 
 
 def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray) -> np.ndarray:
-    """Return which groups (G,) a group lasso selects.
+    """Return the mask (G,) of the groups that a group lasso selects.
 
     The penalty is the largest of 20 whose held-out error is within one standard deviation of the smallest.
     """

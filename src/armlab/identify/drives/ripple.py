@@ -1,8 +1,8 @@
 """Search and fit of torque ripple lines in the residuals of one joint (law: models.friction.RippleLines).
 
 Candidates are the peaks of a least-squares periodogram over position. A group lasso selects among them; finally, a line
-is kept if the held-out error grows by more than 2 % without it. A line has the frequency c |qd| / (2 pi); only samples
-with frequencies below a quarter of the sampling rate are used. Theory: docs/theory/friction.md.
+is kept if removing it increases the held-out error by more than 2 %. A line has the frequency c |qd| / (2 pi); only
+samples in which this is below a quarter of the sampling rate are used. Theory: docs/theory/friction.md.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ CHUNK = 2**22  # numbers in memory at once
 
 @dataclass(frozen=True, eq=False)
 class _LineSearch:
-    """Rows of one joint that are slow enough for a line."""
+    """Rows of one joint; `slow` masks those slow enough for a line."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -43,7 +43,7 @@ class _LineSearch:
 def ripple_lines(
     q: np.ndarray, qd: np.ndarray, y: np.ndarray, rate: float, highest: float, lowest: float = 1.0
 ) -> np.ndarray:
-    """Return the ripple lines (L,) [cycles per revolution] in the residual of one joint, ascending.
+    """Return the ripple lines (L,) [cycles per revolution] in the residual of one joint, in ascending order.
 
     Warns about lines that alias in more than half of the samples.
 
@@ -115,7 +115,7 @@ def _peak(search: _LineSearch, grid: np.ndarray) -> int | None:
     floor = np.array([np.median(power[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1]) for k in range(len(grid))])
     ratio = power / np.maximum(floor, 1e-300)
     k = int(np.argmax(ratio))
-    # the power of noise is exponentially distributed: the median is at one half
+    # noise power is exponentially distributed, with a probability of one half above its median
     return None if len(grid) * 2.0 ** -ratio[k] > P_VALUE else k
 
 
@@ -184,7 +184,7 @@ def ripple_regressor(
 
 
 def ripple_amplitudes(qd: np.ndarray, z: np.ndarray, speeds: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Return the weights (N, 2 S) of both directions and the Gaussians in speed."""
+    """Return the weights (N, 2 S) of the Gaussians in speed, for both directions."""
     along = basis_weights(np.abs(qd), speeds, widths)
     sides = np.stack([0.5 * (1 + z), 0.5 * (1 - z)], axis=1)
     return (sides[:, :, None] * along[:, None, :]).reshape(len(along), -1)
@@ -193,11 +193,10 @@ def ripple_amplitudes(qd: np.ndarray, z: np.ndarray, speeds: np.ndarray, widths:
 def refine_lines(
     q: np.ndarray, amplitudes: np.ndarray, y: np.ndarray, cycles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return refined lines (L,), their columns (N, p), and the derivatives (N, L) of their sum with respect to the
-    lines.
+    """Return refined lines (L,), their columns (N, p), and derivatives (N, L) of their sum with respect to each line.
 
-    The search uses one amplitude per direction; the refinement uses all amplitudes. An error in a line changes the
-    phase at the ends of the range; without the derivatives, the covariance of the coefficients would be too small.
+    The search uses one amplitude per direction; the refinement uses all amplitudes. An error in a line's frequency
+    changes the phase at the ends of the range; without the derivatives, the coefficient covariance would be too small.
     """
     for _ in range(NEWTON):
         A, slopes, left = _bent(q, amplitudes, y, cycles)
@@ -210,7 +209,7 @@ def refine_lines(
 def _bent(
     q: np.ndarray, amplitudes: np.ndarray, y: np.ndarray, cycles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the columns of lines, the derivatives (N, L) of their best sum by the lines, and the residual."""
+    """Return the columns of lines, derivatives (N, L) of their best sum with respect to each, and the residual."""
     A, slopes = _waves(q, amplitudes, cycles)
     x = ridge_solution(A, y, RIDGE)[0]
     shape = len(cycles), -1

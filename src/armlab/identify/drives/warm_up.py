@@ -3,8 +3,8 @@
     y = viscous qd + (of_viscous viscous) x qd + coulomb+ max(s, 0) + coulomb- min(s, 0) + offset + of_coulomb x c
 
 with c the Coulomb torque of the model. For a given time constant and initial thermal state, x follows from the friction
-power and everything else is linear; power and x converge in three iterations. x is constant within a second, so only
-sums per second are stored for a log.
+power, and all other parameters are linear; power and x converge in three iterations. x is constant within a second, so
+only sums per second are stored for a log.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ FEWEST = 40  # segments for a covariance of eight parameters
 COLUMN = np.array([0, 1, 2, 3, 0, 4, 5])  # column of the sums for each linear parameter and y
 DEGREE = np.array([0, 0, 0, 0, 1, 1, 0])  # degree in x
 STEPS = 20  # maximum number of Gauss-Newton steps
-SMALL = 1e-6  # convergence limit in deviations
-GAIN = 0.02  # minimum share of the variance explained by warm-up
+SMALL = 1e-6  # convergence limit in standard deviations
+GAIN = 0.02  # minimum share of the variance that warm-up explains
 NAMES = ("viscous", "coulomb+", "coulomb-", "offset", "of_viscous", "of_coulomb", "time", "start")
 UNITS = ("N m s/rad", "N m", "N m", "N m", "1", "1", "s", "1")
 
@@ -91,7 +91,7 @@ def _linear(sums: _Seconds, x: np.ndarray, used: np.ndarray) -> tuple[np.ndarray
 
 
 def _given(sums: _Seconds, time: float, start: float, used: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Return linear parameters, residual sum of squares and reference power for a time constant and start state."""
+    """Return linear parameters, residual sum of squares and reference power for a time constant and initial state."""
     power, x = sums.power.sum(axis=1), np.zeros(len(sums.rows))
     reference = float(np.median(power[sums.rows > 0]))
     k, left = np.zeros(6), np.inf
@@ -123,16 +123,15 @@ def _joint(sums: _Seconds, used: np.ndarray, guess: np.ndarray | None = None) ->
 
 
 def fit_warm_up(table: Table | Sequence[Table], model: TorqueModel | Fit[TorqueModel]) -> Fit[TorqueModel]:
-    """Fit warm-up together with the viscous and Coulomb friction and offset of every joint, and keep it if it improves
-    the fit.
+    """Fit warm-up together with viscous friction, Coulomb friction and offset of every joint.
 
-    Warm-up must reduce the residual on held-out minutes by at least 2 %; otherwise the friction of the joint is
-    unchanged.
+    Warm-up is kept if it reduces the residual on held-out minutes by at least 2 %; otherwise, the friction of the joint
+    is unchanged.
 
     Parameters
     ----------
-    table : a log of free motion of at least 20 minutes, q, qd, tau.
-    model : identified torque model of that arm, or its fit.
+    table : log of at least 20 minutes of free motion with columns q, qd, tau.
+    model : identified torque model of the recorded arm, or its fit.
 
     Returns
     -------
@@ -208,7 +207,7 @@ def _held_out(sums: _Seconds, guess: np.ndarray, reference: float, fifth: np.nda
 
 
 def _warm(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return viscous ... of_coulomb (6,) and the thermal state x (B,) for its own friction power."""
+    """Return viscous ... of_coulomb (6,) and the thermal state x (B,) for the resulting friction power."""
     k = np.array([*theta[:4], theta[4] * theta[0], theta[5]])
     return k, settled(sums.power, k, theta[6], theta[7], reference)
 

@@ -1,3 +1,3 @@
-"""One module per file format, which reads it as a `Table` and writes it."""
+"""File formats, one module each, for reading and writing a `Table`."""
 
 __all__ = []

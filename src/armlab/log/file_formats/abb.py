@@ -1,8 +1,9 @@
 """Logs of ABB controllers: test signals in text files (`read_abb`), and motor signals of orca or ExtCtrl (`from_orca`).
 
-The numbers of `read_abb` are those of RAPID's ``TestSignDefine channel, signal, unit, axis, time``. Position 4000,
-speed 4001, torque 4002 and external torque 4003 are on the arm side of an axis (ABB's manual, as quoted in
-ros-industrial/abb_libegm, issue 86); other signals keep their number. docs/how_to/exchange_logs.md shows a map.
+`read_abb` uses the signal numbers of RAPID's ``TestSignDefine channel, signal, unit, axis, time``. Position 4000, speed
+4001, torque 4002 and external torque 4003 are on the arm side of an axis (ABB's manual, as quoted in
+ros-industrial/abb_libegm, issue 86); other signals keep their number. docs/how_to/exchange_logs.md shows an example
+map.
 
 Logs of orca and ExtCtrl have one column per motor signal, ``irb2ext.robot[0].joint[2].posRawAbs``: motor angles in
 ABB's axis order. `read_csv` reads the output of lc2csv, `read_labcomm` the stream itself; old names with ``_`` for
@@ -64,7 +65,7 @@ def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: 
         ``rate`` [Hz]; ``separator``, one character (a space matches any number of spaces); ``skip`` lines at the start;
         ``header = false`` without labels, so that the columns are "1", "2", ...; ``arm`` if all signals belong to one
         arm.
-    arm : arm to select from a map with several; a library name or a robot file.
+    arm : arm to select if the map has several; a library name or a robot file.
     raw : keep rows with non-increasing time; default: drop them, with a note and a warning.
 
     Returns
@@ -73,9 +74,8 @@ def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: 
 
     Raises
     ------
-    LogError : not text, such as the binary files of ABB's programs; a missing label, text instead of a number, no
-        clock.
-    ConfigError : an invalid map, without an arm, or with an axis that the arm does not have.
+    LogError : not text, such as the binary files of ABB's programs; a missing label, a non-numeric value, or no clock.
+    ConfigError : an invalid map, a map without an arm, or an axis that the arm does not have.
     UnknownName : `arm` is not in the map.
     """
     path, map = Path(path), Path(map)
@@ -217,8 +217,8 @@ def from_orca(table: Table, robot: Robot, arm: int) -> Table:
     LogError : no positions of this arm (lists the available arms), a missing joint, or a wrong motor unit.
     ShapeError, RobotError : `table` is not a table, `robot` is not a `Robot`.
 
-    Reference: Robotlib.jl, src/read_log.jl and README, whose ``q GR⁻ᵀ`` for torques is ``G⁻¹``, which is the same only
-    for gears without coupling.
+    Reference: Robotlib.jl, src/read_log.jl and README. Its ``q GR⁻ᵀ`` applies ``G⁻¹`` to torques, which agrees with the
+    above only for gears without coupling.
     """
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)

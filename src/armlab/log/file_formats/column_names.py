@@ -1,7 +1,7 @@
 """Mapping of column names of other programs: ``q=joint_{1..6}_pos [deg],tau=current_{1..6}*12.5``, and presets.
 
 An entry is ``NAME=SOURCE``, optionally with a factor and a unit: ``tau=current_{1..6}*{11.2,11.2,9.8,4.4,4.4,4.4}``.
-``{1..6}`` counts, ``{0..}`` counts up to the last column in the file, ``{a,b}`` lists, ``{*}`` matches any text
+``{1..6}`` is a range, ``{0..}`` a range up to the last column in the file, ``{a,b}`` a list; ``{*}`` matches any text
 within one topic and gives the joint name. ``|`` separates alternatives; the first existing one is used. A source may
 omit the prefix of a name up to a ``/`` or ``.``: ``position[{0..}]`` finds ``/joint_states/position[0]``.
 """
@@ -67,7 +67,7 @@ class _Source:
 
     text: str  # as given, for messages
     names: tuple[str, ...]  # patterns without lists
-    factors: tuple[float, ...]  # one, or one per name
+    factors: tuple[float, ...]  # one for all names, or one per name
     unit: str
 
 
@@ -76,7 +76,7 @@ class ColumnNames:
     """Source names of the columns of a table."""
 
     entries: Mapping[str, tuple[_Source, ...]]
-    optional: frozenset[str] = frozenset()  # columns of a preset
+    optional: frozenset[str] = frozenset()  # columns that a file may lack, as in presets
     presets: tuple[str, ...] = ()
     notes: list[str] = field(default_factory=list)
 
@@ -108,7 +108,7 @@ class ColumnNames:
         return cls(entries, frozenset(optional), tuple(presets))
 
     def of_several_files(self) -> ColumnNames:
-        """Return the names for files of which each has some of the columns."""
+        """Return the names for several files that each have some of the columns."""
         return replace(self, optional=frozenset(self.entries), presets=())
 
     def found(self, path: Any, arrays: Arrays) -> tuple[dict[str, tuple[np.ndarray, str]], dict[str, tuple[str, ...]]]:
@@ -150,7 +150,7 @@ class ColumnNames:
         )
 
     def _torque_of_currents(self, path: Any, arrays: Arrays, made: dict[str, tuple[np.ndarray, str]]) -> None:
-        """Compute the torques of a UR from motor currents; torque constants are slopes against the target moment."""
+        """Compute the torques of a UR from motor currents; the target moment determines the torque constants."""
         current, target = (_stacked(arrays, f"{one}_current_") for one in ("actual", "target"))
         if current is None:
             return
@@ -185,13 +185,13 @@ class ColumnNames:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return names for a message."""
+    """Return a list of names for a message."""
     names = list(names)
     return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
 
 
 def fitting_presets(arrays: Arrays) -> str:
-    """Return a sentence that names the presets which fit the columns of a file; empty if none fits."""
+    """Return a sentence that names the presets that fit the columns of a file; empty if none fits."""
     fitting = []
     for preset, text in PRESETS.items():
         entries = dict(_entries(text))
@@ -202,7 +202,7 @@ def fitting_presets(arrays: Arrays) -> str:
 
 
 def is_named(columns: Any) -> bool:
-    """Return whether `columns` of `log.read` maps names, instead of selecting columns."""
+    """Return whether `columns` of `log.read` maps names instead of selecting columns."""
     return isinstance(columns, str | Mapping | ColumnNames)
 
 
@@ -241,7 +241,7 @@ def _source(name: str, text: str) -> _Source:
 
 
 def _counts(names: Sequence[str]) -> tuple[int, ...]:
-    """Return the allowed numbers of factors: as many as names, or any if the names are counted in the file."""
+    """Return the allowed numbers of factors: one per name, or any number if the file determines the names."""
     return tuple(range(2, _MOST)) if any("{" in name for name in names) else (len(names),)
 
 
@@ -339,7 +339,7 @@ def _together(
     """Return the values of one column and their unit."""
     if words := [one for one, (values, _) in zip(members, parts) if values.dtype.kind == "U"]:
         raise LogError(f"Expected numbers in {words[0]} of {path} for {name}, got text. Give another column.")
-    if ":" in name:  # poses have fixed units; the given unit is that of the position
+    if ":" in name:  # poses have fixed units; the given unit applies to the position
         parts = [
             (values * UNITS.get(source.unit if source.unit and k < 3 else unit, ("", 1.0))[1], "")
             for k, (values, unit) in enumerate(parts)
@@ -375,7 +375,7 @@ def _stacked(arrays: Arrays, stem: str) -> np.ndarray | None:
 
 
 def _slope(current: np.ndarray, moment: np.ndarray, qd: np.ndarray) -> float:
-    """Return N m per A; NaN if current and moment are uncorrelated."""
+    """Return the torque constant [N m/A]; NaN if current and moment are uncorrelated."""
     whole = np.isfinite(current) & np.isfinite(moment) & np.isfinite(qd)
     friction = np.stack([np.ones(len(qd)), qd, np.sign(qd) * (np.abs(qd) > 1e-3)], axis=1)[whole]
     rest = [x[whole] - friction @ np.linalg.lstsq(friction, x[whole], rcond=None)[0] for x in (current, moment)]

@@ -42,10 +42,10 @@ from armlab.log.table import Table
 LONGEST = 1 << 20
 """Characters per line: 40 000 numbers in full precision."""
 
-# Limits of expansion: bytes that are always allowed, and the ratio beyond. gzip reaches 1030; recordings of a resting
-# arm with 300 constant columns 154, of a moving one 25.
+# Expansion limits: bytes that are always allowed, and the ratio beyond. gzip reaches 1030, recordings of a resting arm
+# with 300 constant columns reach 154, and recordings of a moving arm 25.
 _UNPACKED, _RATIO = 1 << 24, 200
-_LINES = 1 << 18  # always allowed lines; beyond, one per byte: an increasing time takes at least three bytes
+_LINES = 1 << 18  # lines that are always allowed; beyond, one per byte: an increasing time takes at least three
 _PIECE = 1 << 16
 
 
@@ -143,12 +143,11 @@ def read_csv(
 ) -> Table:
     """Read the table in a text file with one header line; the file may be gzip-compressed.
 
-    A file written by `log.write` is read back exactly if its description file ``run.csv.toml`` is present. For other
-    files:
+    A file written by `log.write` is read back exactly if its description file ``run.csv.toml`` is present.
 
-    Empty fields and "nan" are missing (NaN). Rows with non-increasing time are dropped; a note and a warning state
-    their lines. A column that contains any text is a text column. A leading "- " of a label, as in some ROS exports, is
-    removed.
+    In other files, empty fields and "nan" are missing (NaN). Rows with non-increasing time are dropped; a note and a
+    warning state their lines. A column that contains any text is a text column. A leading "- " in a label, as in some
+    ROS exports, is removed.
 
     Parameters
     ----------
@@ -156,7 +155,7 @@ def read_csv(
     rate : sample rate [Hz] of a file without a clock.
     skip : number of lines before the header.
     separator : field separator; default: the first of ``, ; tab space`` in the header.
-    every : keep one row in so many; filter first if this aliases noise (signals.decimate).
+    every : keep every n-th row (n = `every`); filter first if this would alias noise (signals.decimate).
     raw : keep rows with non-increasing time.
     columns : mapping for columns with other names, see `read`. A file without a header has columns 1, 2, ...
 
@@ -166,8 +165,8 @@ def read_csv(
 
     Raises
     ------
-    LogError : missing file, text, header or clock; lines of unequal length, an unknown unit, duplicate names, a decimal
-        comma; each with the line or the column.
+    LogError : missing file, header or clock; not text; lines of unequal length, an unknown unit, duplicate names, a
+        decimal comma. The message states the line or the column.
     """
     return text_table(path, rate, skip, separator, every, raw, columns)
 
@@ -182,7 +181,7 @@ def text_table(
     columns: Any = None,
     keep_start: bool = False,
 ) -> Table:
-    """Return the table of `read_csv`; with `keep_start` t keeps its offset in the file."""
+    """Return the table of `read_csv`; with `keep_start`, t keeps its offset in the file."""
     path, rate = Path(path), None if rate is None else number(rate, "the rate [Hz]", LogError)
     counts = all(isinstance(one, int) and one >= least for one, least in ((skip, 0), (every, 1)))
     single = separator is None or (isinstance(separator, str) and len(separator) == 1)
@@ -203,7 +202,7 @@ def text_table(
         labels, skip = _numbered(path, labels, where), skip - 1
     names = names_of(path, labels)
     found = _numbers_only(path, skip, separator, len(labels))
-    if not found or not len(found[0]):  # text, or an error with its line
+    if not found or not len(found[0]):  # text, or an error whose line is found below
         texts = _texts(path, skip, separator, len(labels))
         found = [_numbers(path, name, of_one, skip) for (name, _), of_one in zip(names, texts, strict=True)]
         for (name, _), of_one, array in zip(names, texts, found, strict=True):
@@ -237,7 +236,7 @@ def separator_of(path: Path, skip: int = 0) -> str:
         with open_text(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as file:
             line, below = ([*islice(_lines(file, path), skip, skip + 2), "", ""])[:2]
     except (OSError, EOFError, zlib.error, UnicodeDecodeError):
-        return ","  # `rows_in` raises
+        return ","  # `rows_in` raises the error
     found = next((mark for mark in ",;\t" if mark in line), "")
     words = len(line.split(" "))
     return found or (" " if words > 1 and len(below.split(" ")) == words else ",")
@@ -317,7 +316,7 @@ def _columns(rows: list[list[Any]], count: int) -> list[np.ndarray]:
 
 
 def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Join the blocks of a column; the result is integer if one block needs integers and all have them."""
+    """Join the blocks of a column; the result is integer if one block is and all values are whole."""
     if any(part.dtype.kind == "i" for part in parts):
         whole = [_whole(part) for part in parts]
         parts = whole if all(part.dtype.kind == "i" for part in whole) else parts
@@ -370,7 +369,7 @@ def _as_written(path: Path, beside: Description) -> Table:
             raise LogError(
                 f"Expected the columns that {path.name}.toml describes in {path}, got: {str(error).rstrip('.')}."
             ) from None
-    else:  # integers too large for a float keep the other components integer, too
+    else:  # integers too large for a float keep the other components integer as well
         parts = [_whole(part) if kind in _WHOLE else part for kind, part in zip(kinds, parts, strict=True)]
     return beside.table(path, parts[0], put_together(beside, parts[1:], len(parts[0])))
 

@@ -1,4 +1,4 @@
-"""Column descriptions in files: those of armlab's own tables, and the labels and units of other programs."""
+"""Column descriptions in files: of armlab's own tables, and labels and units from other programs."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ NUMBERED = re.compile(
 )  # q1, q_1, cov1_4, q[1]
 
 
-COMMANDS = "sent commands"  # of older libfranka; the names after it come a second time
+COMMANDS = "sent commands"  # in logs of older libfranka; the names after it repeat earlier ones
 
 
 def names_of(path: Path, headings: Sequence[str]) -> list[tuple[str, str]]:
@@ -225,10 +225,10 @@ def labelled_table(
     names: ColumnNames | None = None,
     joints: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
 ) -> Table:
-    """Return the table of arrays by name, each with its unit; the clock is t or time, or is computed from the `rate`
-    [Hz].
+    """Return the table of arrays by name, each with its unit.
 
-    `names` maps other column names; `joints` labels them. With `keep_start` t keeps its offset in the file.
+    The clock is t or time, or is computed from the `rate` [Hz]. `names` maps other column names; `joints` labels the
+    columns. With `keep_start`, t keeps its offset in the file.
     """
     if names is not None:
         arrays, joints = names.found(path, arrays)
@@ -253,7 +253,7 @@ def labelled_table(
 
 
 def _rows_with_values(arrays: Arrays, names: ColumnNames | None) -> tuple[np.ndarray | bool, list[str]]:
-    """Return which rows have a value of a mapped column: PlotJuggler has a row for every message of every topic."""
+    """Return the mask of rows with values in mapped columns, because PlotJuggler has a row for every message."""
     mapped = [name for name in names.entries if name != "t" and name in arrays] if names else []
     numbers = [arrays[name][0] for name in mapped if arrays[name][0].dtype.kind == "f"]
     if not numbers or len(numbers) < len(mapped):
@@ -353,7 +353,7 @@ def _place(label: str) -> tuple[str, tuple[int, ...]]:
 
 
 def _whole(group: dict[tuple[int, ...], str]) -> bool:
-    """Return whether the array is complete, counted from 1."""
+    """Return whether the array is complete, with indices from 1."""
     most = np.max(list(group), axis=0)
     if math.prod(most.tolist()) != len(group):  # before listing all indices of a large one
         return False
@@ -378,7 +378,7 @@ def foreign_table(
     raw: bool = False,
     names: ColumnNames | None = None,
 ) -> Table:
-    """Return the table of arrays by name, with their units; names in logs of the predecessor tools are mapped to ours.
+    """Return the table of arrays by name, with their units; names from the predecessor tools are mapped to armlab's.
 
     The clock is t, time or timestamp. Arrays with matching columns are transposed; arrays of another size are skipped.
     """

@@ -1,7 +1,7 @@
 """`read_labcomm`: read a LabComm stream from a file as a `Table`, in any dialect.
 
-Each leaf of a sample is a column, ``robot_row.pos`` (N, 7), ``irb2ext.robot[0].joint[2].posRawAbs`` (N,): numeric
-arrays remain arrays, structs in arrays are numbered from 0. One sample defines the rows; the others are held.
+Each leaf of a sample becomes a column: ``robot_row.pos`` (N, 7), ``irb2ext.robot[0].joint[2].posRawAbs`` (N,). Numeric
+arrays remain arrays; structs in arrays are numbered from 0. One sample defines the rows; values of the others are held.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from armlab.wire.labcomm import Decoder, Limits, Sample
 from armlab.wire.labcomm.types import Array, Prim, Struct
 
 _PIECE = 1 << 20
-_CLOCKS = {"t_us": 1e-6, "tm": 1e-3, "t": 1.0, "time": 1.0}  # clock fields of a sample, and their unit [s]
+_CLOCKS = {"t_us": 1e-6, "tm": 1e-3, "t": 1.0, "time": 1.0}  # clock fields of a sample, and their units [s]
 _WRAP = 1 << 32  # period of tm: milliseconds in a signed 32-bit integer
 _BRIDGE = ("robot_row", "command_row")
 _UNITS = {"pos": "rad", "vel": "rad/s", "trq": "N m"}  # of the bridge's samples
@@ -83,26 +83,27 @@ class _Leaf:
 def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | None = None, raw: bool = False) -> Table:
     """Read the table in a file with a LabComm stream, as written by the predecessors' loggers.
 
-    One row per value of the defining sample; the others are held, and missing before their first value. A variable-size
-    array has as many columns as its largest value and is padded with NaN. A stream that ends within a packet is read up
-    to that point, with one warning and a note.
+    The table has one row per value of the defining sample; other values are held, and missing before the first. A
+    variable-size array has as many columns as its largest value and is padded with NaN. A stream that ends within a
+    packet is read up to that point, with one warning and a note.
 
     Parameters
     ----------
     path : file with definitions and values, in any self-describing dialect.
-    sample : name of the sample that defines the rows; default: the one with most values.
+    sample : name of the sample that defines the rows; default: the one with the most values.
     rate : sample rate [Hz] of its values. Default: from a field t_us [us], tm [ms], t or time [s] of the sample.
     raw : keep rows with non-increasing time.
 
     Returns
     -------
-    Table : t = 0 at the first row. LabComm has no units: those of the bridge's own rows are known, others are 1.
+    Table : t = 0 at the first row. LabComm has no units: units of the bridge's own rows are known; other columns have
+        unit 1.
 
     Raises
     ------
-    LogError : missing file, not a LabComm stream, a malformed stream (with its byte), no values, no clock, a sample
+    LogError : missing file, not a LabComm stream, a malformed stream (states the byte), no values, no clock, a sample
         declared twice (as numbers and texts, or with arrays of different dimensions), or almost empty columns.
-    UnknownName : `sample` has no values; lists those that have.
+    UnknownName : `sample` has no values; lists the samples with values.
     ShapeError : `rate` is not one number.
     """
     path = Path(path)

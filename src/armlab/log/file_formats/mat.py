@@ -36,7 +36,7 @@ _CELL, _CHARS, _OPAQUE = 1, 4, 17  # classes of matrices
 _NUMERIC = range(6, 16)
 _CLASSES = range(1, 18)
 _COMPLEX = 0x0800
-_UNPACKED, _RATIO = 1 << 26, 200  # always allowed bytes, and ratio beyond
+_UNPACKED, _RATIO = 1 << 26, 200  # bytes that are always allowed, and the ratio beyond
 
 
 def variables_in(data: bytes) -> dict[str, np.ndarray | None]:
@@ -314,7 +314,7 @@ def _cells(values: np.ndarray) -> np.ndarray:
 
 
 class _Told:
-    """File that reports progress for each percent of the bytes written."""
+    """File wrapper that reports progress for each percent of the bytes written."""
 
     def __init__(self, file: BinaryIO, whole: int, progress: Progress) -> None:
         self._file, self._whole, self._progress = file, whole, progress

@@ -130,7 +130,7 @@ def opened(path: Path) -> Iterator[memoryview]:
     yield memoryview(mapped)  # released with the last array that uses it
 
 
-_ANY, _RATIO = 1 << 26, 1000  # always allowed bytes, and ratio beyond: constant columns reach it
+_ANY, _RATIO = 1 << 26, 1000  # bytes that are always allowed, and the ratio beyond, which constant columns reach
 
 
 def check_unpacked_size(path: Path, size: int) -> None:
@@ -162,7 +162,7 @@ def file_hash(path: str | Path) -> str:
 
 
 def origin(path: str | Path) -> str:
-    """Return the first source entry of a table: file name and hash; for a folder, over its files."""
+    """Return the first source entry of a table: file name and hash (for a folder, of all its files)."""
     path = Path(path)
     if not path.is_dir():
         return f"{path.name} sha256 {file_hash(path)}"

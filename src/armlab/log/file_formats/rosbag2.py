@@ -207,7 +207,7 @@ def _types(name: str) -> cdr.Definitions:
 STORAGES = ("mcap", "sqlite3")
 VERSION = 8  # metadata.yaml version: the last with quality of service as text, which releases before Jazzy require
 BLOCK = 10_000  # rows per block
-LAST = 2**31 * 10**9  # ns: a header's stamp holds seconds in 31 bits
+LAST = 2**31 * 10**9  # ns: header stamps hold seconds in 31 bits
 
 
 def write_rosbag2(

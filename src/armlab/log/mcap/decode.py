@@ -236,7 +236,7 @@ _PREFIX = np.dtype(
 class Part:
     """Messages of one channel in part of a file: sequence numbers (k,), log times (k,) and numbers by layout.
 
-    `bad` messages do not match their type; `reason` belongs to the first of them.
+    `bad` messages do not match their type; `reason` refers to the first of them.
     """
 
     sequence: np.ndarray
@@ -262,7 +262,7 @@ def decode_chunk(
 
 
 def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
-    """Return whether messages of the channel begin at the offsets, in increasing order and completely inside."""
+    """Return whether messages of the channel begin at the offsets, in increasing order, and lie completely inside."""
     if not len(offsets):
         return True
     if offsets[0] < 0 or offsets[-1] > len(raw) - _PREFIX.itemsize or (np.diff(offsets) <= 0).any():

@@ -123,7 +123,7 @@ def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
             import zstandard
 
             declared = zstandard.frame_content_size(packed)
-            if declared not in (-1, chunk.size):  # before allocating that size
+            if declared not in (-1, chunk.size):  # checked before allocating that size
                 raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {declared}.")
             return _decompressor().decompress(packed, max_output_size=chunk.size)
         if chunk.compression == "lz4":

@@ -36,7 +36,7 @@ def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
 
 
 def _rename(part: Path, target: Path) -> None:
-    """Rename the finished copy to its final name, unless that name has come into use."""
+    """Rename the finished copy to its final name, unless that name is now in use."""
     try:
         os.link(part, target)  # never replaces a file, as a rename would
     except FileExistsError:
@@ -121,7 +121,7 @@ def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress 
                 if found.channels[channel].type != _EVENTS:
                     times = [min(log, *times), max(log, *times)] if times else [log, log]
                 count += 1
-        writer.close_chunk()  # preserves the chunks of the recorder
+        writer.close_chunk()  # preserves the chunk boundaries of the recorder
         if progress and piece:
             progress(piece.stop, len(view), "copied")
     writer.finish()

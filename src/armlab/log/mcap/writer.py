@@ -58,7 +58,7 @@ class _OpenChunk:
 
 
 class _Index:
-    """Records for the end of the file, buffered in an unnamed temporary file, because a day's worth takes 20 MB.
+    """Records for the end of the file, buffered in an unnamed temporary file, because a day of recording takes 20 MB.
 
     If other code closes its descriptor, the data is lost and `taken` raises.
     """
@@ -106,7 +106,7 @@ class McapWriter:
         self._schemas: dict[tuple[str, str, bytes], tuple[int, bytes]] = {}  # id and record
         self._channels: list[bytes] = []
         self._counts: dict[int, int] = {}
-        self._times: tuple[int, int] | None = None  # first and last of all chunks
+        self._times: tuple[int, int] | None = None  # first and last time of all chunks
         self._index, self._chunks = _Index(_folder(file)), 0
         self._attachments: list[bytes] = []
         self._metadata: list[bytes] = []

@@ -79,7 +79,7 @@ def sources_of(found: Contents, clock: int) -> dict[str, Source]:
     """Return the location of each column of the clock channel's robot."""
     prefix = found.channels[clock].topic.rpartition("/")[0] + "/"
     sources: dict[str, Source] = {}
-    for number, channel in sorted(found.channels.items(), key=lambda item: item[0] == clock):  # its columns last
+    for number, channel in sorted(found.channels.items(), key=lambda item: item[0] == clock):  # clock last
         if not channel.topic.startswith(prefix):
             continue
         for key, text in channel.metadata.items():
@@ -102,7 +102,7 @@ def _source(channel: int, topic: str, key: str, text: str) -> Source:
 
 
 def _values(name: str, source: Source, decoded: Decoded, rows: Decoded, damage: list[str]) -> np.ndarray | None:
-    """Return a column aligned with the rows of the table, or None if no message has it. Adds to the damage."""
+    """Return a column aligned with the rows of the table, or None if no message has it. Append to `damage`."""
     parts = [decoded.fields.get(path) for path in source.fields]
     there = [part for part in parts if part is not None]
     if len(there) < len(parts) or not parts:
@@ -144,7 +144,7 @@ def _on_rows(array: np.ndarray, sequence: np.ndarray, rows: np.ndarray) -> np.nd
 
 
 def kept_clock(found: Contents, sources: Mapping[str, Source], t0_ns: int, clock: str) -> tuple[int, str]:
-    """Return the wall clock at t = 0 and the name of its clock, as stored with a column `t`, otherwise as given."""
+    """Return the wall clock at t = 0 and the name of the clock, as stored with a column `t`, otherwise as given."""
     about = found.channels[sources["t"].channel].metadata if "t" in sources else {}
     return int(about.get(T0_KEY, t0_ns)), about.get(CLOCK_NAME_KEY, clock)
 

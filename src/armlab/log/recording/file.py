@@ -80,7 +80,7 @@ class PersistentFile:
         return Descriptor(number)
 
 
-MAX_CHUNK_ROWS = 250  # one second at 250 Hz, the loss by a corrupt chunk, even after a stall
+MAX_CHUNK_ROWS = 250  # one second at 250 Hz, the most that a corrupt chunk loses, even after a stall
 _EVENT_TYPE = "rcl_interfaces/msg/Log"
 _PARAMETER_TYPE = "armlab_msgs/msg/Parameter"
 
@@ -97,7 +97,7 @@ def recording_path(path: str | Path) -> Path:
 
 
 def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
-    """Open a new file ``run.mcap``, or ``run-2.mcap``, ... if it exists; return also its path."""
+    """Open a new file ``run.mcap``, or ``run-2.mcap``, ... if it exists; return the file and its path."""
     path = Path(path)
     number, candidate = 1, path
     try:
@@ -115,7 +115,7 @@ def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
 class RecordingFile:
     """One recording: topics of one arm in an MCAP file (profile ros2, zstd), on disk from construction.
 
-    `clock`: for a layout with a column `t`: wall clock of t = 0 [ns], and the name of the clock of `t`.
+    `clock`: for a layout with a column `t`, the wall clock at t = 0 [ns] and the name of the clock of `t`.
     """
 
     path: Path

@@ -40,7 +40,7 @@ from armlab.wire import cdr
 SECRET = re.compile(r"token|password|passwd|secret|api[-_ ]?key", re.IGNORECASE)
 """Pattern that matches the names of secret values."""
 
-_TOLD = re.compile(rf"((?:{SECRET.pattern})[\w.-]*+[\"']?\s*[=:]\s*)\S[^\n]*", re.IGNORECASE)  # within a string
+_TOLD = re.compile(rf"((?:{SECRET.pattern})[\w.-]*+[\"']?\s*[=:]\s*)\S[^\n]*", re.IGNORECASE)  # secrets within a string
 _HIDDEN = "***"
 _LEFT_OUT = b"# left out: it may hold a secret, and its values could not be told apart\n"
 _TOP = " "  # section name for the lines before the first section of an INI file
@@ -64,7 +64,7 @@ def redacted(name: str, data: bytes) -> bytes:
 
 
 def _without(value: Any, known: dict[int, Any]) -> Any:
-    """Return a value made of tables, lists and strings without secrets; shared parts are converted once."""
+    """Return nested tables, lists and strings without secrets; shared parts are converted once."""
     if id(value) in known:
         return known[id(value)]
     if isinstance(value, dict):
@@ -133,7 +133,7 @@ _FORMATS: dict[str, tuple[Callable[[str], Any], Callable[[Any], str]]] = {
 
 
 ROBOT = "robot.toml"
-_PATIENCE = 2.0  # s for git
+_PATIENCE = 2.0  # s, timeout for git
 
 
 def metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[str, str]:
@@ -256,7 +256,7 @@ def inspect(path: str | Path) -> Inspection:
 
     Raises
     ------
-    LogError : the file is missing, of another format, or corrupt beyond use.
+    LogError : the file is missing, in another format, or corrupt beyond use.
     """
     path = Path(path)
     check_readable(path)
@@ -279,9 +279,9 @@ def inspect(path: str | Path) -> Inspection:
 
 
 def check_recorded(held: Inspection, robot: Robot) -> None:
-    """Raise `ModelMismatchError` unless a recording has rows of a robot and describes it with the same numbers."""
+    """Raise `ModelMismatchError` unless a recording has rows of a robot and an identical description of it."""
     about = {topic_name(pairs["robot"]): pairs for pairs in held.metadata.values() if pairs.get("robot")}
-    names = held.robots if len(held.robots) > 1 else tuple(about)  # those of topics, in which some letters cannot stand
+    names = held.robots if len(held.robots) > 1 else tuple(about)  # as in topics, invalid characters replaced
     pairs = about.get(topic_name(robot.name), about[names[0]] if len(names) == 1 else {})
     name, digest = pairs.get("robot", robot.name), pairs.get("robot_hash", "")
     advice = "Pass the robot that was recorded, or continue with this one with force=True (--force)."
@@ -298,7 +298,7 @@ def check_recorded(held: Inspection, robot: Robot) -> None:
 def _made(
     view: memoryview, found: Contents, type_: str, make: Callable[[int, bytes, cdr.Layout], One]
 ) -> tuple[One, ...]:
-    """Return `made` (stamp [ns], bytes, layout) for each message of a type; corrupt messages are skipped."""
+    """Return ``make(stamp [ns], bytes, layout)`` for each message of a type; corrupt messages are skipped."""
     made: list[One] = []
     for number, channel in found.channels.items():
         if channel.type != type_ or channel.encoding != "cdr":

@@ -27,17 +27,17 @@ from armlab.log.table import Table
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-_TAIL_RATE = 500.0  # rows per second of a Tail; EGM's fastest rate is 250
-_TAIL_ROWS = 1 << 40  # more than any memory
+_TAIL_RATE = 500.0  # rows per second in a Tail; EGM's fastest rate is 250
+_TAIL_ROWS = 1 << 40  # more than fit in any memory
 
 
 class Log:
-    """In-memory log that grows without copying; holds the standard columns and those of the user.
+    """In-memory log that grows without copying; holds the standard and the user-defined columns.
 
     Parameters
     ----------
-    robot : gives the joints.
-    extra : the user's columns, name -> `Column` with shape, unit and frame.
+    robot : robot whose joints define the columns.
+    extra : user-defined columns, name -> `Column` with shape, unit and frame.
 
     Examples
     --------
@@ -95,7 +95,7 @@ class Log:
         Parameters
         ----------
         path : with the extension .mcap; ``-2``, ``-3`` is appended if it exists.
-        note : kept in the metadata.
+        note : stored in the metadata.
 
         Raises
         ------
@@ -179,8 +179,8 @@ class Syncing:
             self._error = error
 
 
-WRITE_PERIOD = 0.04  # s, maximum loss by a crash of the process
-FLUSH_PERIOD = 0.8  # s, maximum loss by a power failure
+WRITE_PERIOD = 0.04  # s, maximum loss in a process crash
+FLUSH_PERIOD = 0.8  # s, maximum loss in a power failure
 QUEUE_ROWS = 2500  # 10 s at 250 Hz
 MANY_ROWS = 1250  # queued rows that are written immediately
 MOST_COMPLAINTS = 100
@@ -191,12 +191,12 @@ class Recorder:
 
     Parameters
     ----------
-    path : output file, with the extension .mcap; ``-2``, ``-3`` is appended if it exists. The attribute `path` is
-        final.
+    path : output file, with the extension .mcap; ``-2``, ``-3`` is appended if it exists. The attribute `path` holds
+        the actual name.
     robot : the arm; its name is the first part of every topic.
     extra : additional columns of the controller (``Command.record``); `wrench_hat` and `wrench_hat_cov` are built in.
     attachments : name -> bytes stored in the file, for example the robot's description and the model.
-    note : the user's words, kept in the metadata.
+    note : free text, stored in the metadata.
     wait : block `row()` while the queue is full instead of dropping: for links in lockstep, without real time.
 
     Attributes
@@ -293,7 +293,7 @@ class Recorder:
         Parameters
         ----------
         sequence : number of the change.
-        name, value : the parameter.
+        name, value : name and new value of the parameter.
         who : author of the change.
         stamp_ns : wall clock.
         """
@@ -385,7 +385,7 @@ class Recorder:
             self.event(f"{hole[2]} rows dropped, ticks {hole[0]} to {hole[1]}", stamp_ns)
 
     def _complain(self, text: str, tick: Tick) -> None:
-        """Write an event on its first occurrence, because ever-changing texts must not fill the disk."""
+        """Write an event on its first occurrence, up to a limit, because varying texts must not fill the disk."""
         if text not in self._complained and len(self._complained) < MOST_COMPLAINTS:
             self._complained.add(text)
             self.event(text, tick.stamp_ns)

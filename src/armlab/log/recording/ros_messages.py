@@ -20,7 +20,7 @@ CLOCK_KEY = "armlab.clock"  # channel metadata: the messages of this channel are
 CLOCK_NAME_KEY, T0_KEY = "armlab.clock_name", "armlab.t0_ns"
 COLUMN_KEY = "column."  # channel metadata "column.<name>": JSON description of the column <name>
 
-_TICK_NUMBERS = (*(name for name in COUNTS if name != "stamp_ns"), *CODES)  # messages have the stamp in their header
+_TICK_NUMBERS = (*(name for name in COUNTS if name != "stamp_ns"), *CODES)  # the message header holds the stamp
 _OWN_TYPES = {
     "armlab_msgs/msg/Tick": "std_msgs/Header header\n"
     + "".join(f"int64 {name}\n" for name in _TICK_NUMBERS)
@@ -41,7 +41,7 @@ POSE_FIELDS = tuple(f"pose.position.{axis}" for axis in "xyz") + tuple(f"pose.or
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic below a robot's name, with the message fields of each column.
+    """One topic in a robot's namespace, with the message fields of each column.
 
     Sequences of `optional` columns may be empty; the messages of the `clock` are the rows of the table.
     """
@@ -121,7 +121,7 @@ def topic_name(name: str) -> str:
 
 @cache
 def store() -> Any:
-    """Return the known message types: those of ROS 2 Humble and of armlab."""
+    """Return the known message types of ROS 2 Humble and armlab."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     known = get_typestore(Stores.ROS2_HUMBLE)

@@ -1,4 +1,4 @@
-"""One row of a recording as bytes, which is packed in the loop within a few microseconds and unpacked offline."""
+"""One row of a recording as bytes, packed in the loop within a few microseconds and unpacked offline."""
 
 from __future__ import annotations
 
@@ -64,13 +64,13 @@ class Tick(NamedTuple):
     number : tick number of the bridge, increasing.
     seq_sent : sequence number of the reply, -1 if none was sent.
     stamp_ns : wall clock at start plus monotonic time since start, int64 nanoseconds.
-    receive_ns, send_ns : arrival, and the moment before sending (-1 if nothing was sent).
+    receive_ns, send_ns : time of arrival, and time just before sending (-1 if nothing was sent).
     step_ns : time spent in the controller.
     late : whether the controller missed its deadline.
     drops : datagrams dropped so far.
     q_sent, qd_sent, tau_sent : (n,) references sent after the limits, or None.
     clamped : (n,) bits of the active limits, or None.
-    record : values of declared columns known to the bridge, in addition to those of the Command.
+    record : values that the bridge adds to declared columns, besides those of the Command.
     q_ext_sent, rapid_data_sent, rapid_digital_sent : values sent to external axes and to RAPID, or None.
     wake_ns : wake-up latency from the packet's arrival, by the kernel's stamp if available, to the running loop; -1 if
         unknown.
@@ -209,7 +209,7 @@ class RowLayout:
 def with_holes(values: np.ndarray, missing: int | None) -> np.ndarray:
     """Return the values as floats with NaN instead of the missing marker.
 
-    A clock keeps its missing marker 0, because nanoseconds as floats would be wrong by about a hundred.
+    A clock keeps its missing marker 0, because conversion to floats would change nanoseconds by about a hundred.
     """
     if missing is None or missing == NO_CLOCK:
         return values

@@ -27,12 +27,12 @@ from armlab.log.recording.ros_messages import COLUMN_KEY, clock_metadata, column
 from armlab.log.recording.rows import Slot
 
 _SECONDS = struct.Struct("<4sIIIB3xI4xd")  # a message of the column t: stamp, empty frame name, one number
-_NUMBERS = 1 << 32  # of MCAP's sequence
+_NUMBERS = 1 << 32  # sequence numbers in MCAP
 _NEVER = (1 << 63) - 1
 
 
 def seconds_channel(prefix: str, clock: dict[str, str]) -> Channel:
-    """Return the channel of the column `t`, used for times other than those of the messages."""
+    """Return the channel of the column `t`, used when its times differ from those of the messages."""
     topic = column_topic("t")
     metadata = topic.metadata({"t": Slot(resolved(Column(), "t"), 0, 8, "<f8")}) | clock
     return Channel(f"{prefix}{topic.name}", topic.type, definition(topic.type), "ros2msg", "cdr", metadata)
@@ -70,7 +70,7 @@ class SplicedRows:
 
     @property
     def start_ns(self) -> int:
-        """Wall clock of the first row; the maximum for a recording without rows, so that it sets no clock."""
+        """Wall clock of the first row; without rows, the largest value, so that an empty recording sets no clock."""
         return self._wall(0) if self.rows.kept.any() else _NEVER
 
     @property
@@ -96,7 +96,7 @@ class SplicedRows:
         wanted = kept[(t >= start) & (t < stop)]
         if len(wanted) == 0:
             self._first, self._last = 0, 0
-        else:  # messages before the first and after the last row of the table belong to them
+        else:  # messages before the first or after the last row of the table belong to that row
             self._first = int(wanted[0]) if wanted[0] > kept[0] else 0
             self._last = int(wanted[-1]) + 1 if wanted[-1] < kept[-1] else len(self.rows.t)
         self.inside = self._first == 0 and self._last > 0
@@ -170,7 +170,7 @@ class Source:
         self.found.channels = {number: one for number, one in channels if not one.topic.startswith(others)}
 
     def taken(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> tuple[Message, ...]:
-        """Return the messages for the new file: nothing, the message, or the message and `t`.
+        """Return the messages for the new file: none, the message, or the message and its `t`.
 
         Messages between the first and the last selected row and earlier parameter values are kept.
         """
@@ -226,7 +226,7 @@ def _arm(path: Path, view: memoryview, found: Contents, topic: str) -> SplicedRo
 
 
 def metadata(sources: list[Source]) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the maps of all sources by name; different contents with the same name get a numbered name."""
+    """Yield the maps of all sources by name; maps with the same name but different contents get numbered names."""
     known: dict[str, dict[str, str]] = {}
     for source in sources:
         for name, pairs in source.found.metadata.items():
@@ -276,7 +276,7 @@ def summary(sources: list[Source], operation: str) -> dict[str, Any]:
 
 
 def _holes(source: Source) -> list[list[Any]]:
-    """Return the gaps between the selected rows: ticks, rows, number of the first in the new file, and robot."""
+    """Return the gaps between the selected rows: first and last tick, rows, first number in the new file, robot."""
     found = []
     for first, last, rows, *more in summary_of(source.view, source.found).get("holes", []):
         begin, robot = (more[0] if more else first), (more[1] if len(more) > 1 else None)
@@ -305,7 +305,7 @@ def cut(
 
     Parameters
     ----------
-    path : a recording, finished or not; several robots are cut on their own clocks.
+    path : a recording, finished or not; each of several robots is cut on its own clock.
     to : the new file, with the extension .mcap; an existing file is replaced atomically.
     start, stop : seconds of the table.
     robot : select the rows and events of one robot; default: all robots.
@@ -313,7 +313,7 @@ def cut(
 
     Raises
     ------
-    LogError : the file is not a recording of armlab or has no rows in the segment, or the output cannot be written.
+    LogError : the file is not an armlab recording or has no rows in the segment, or the output cannot be written.
     UnknownName : unknown robot.
     ConfigError : an extension other than .mcap, or stop <= start.
     """
@@ -337,18 +337,18 @@ def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | N
     """Merge several recordings into one, and return its path.
 
     Recordings of one robot are joined in the order of their wall clocks; gaps between them remain, as in `concat`. A
-    column missing in one recording is missing in its rows. Recordings of robots that ran simultaneously, such as both
-    arms of a bridge, are stored side by side: ``log.read(to, robot="yumi_left")``.
+    column that one recording lacks is missing in the rows of that recording. Recordings of robots that ran
+    simultaneously, such as both arms of a bridge, are stored side by side: ``log.read(to, robot="yumi_left")``.
 
     Parameters
     ----------
-    paths : two recordings or more, finished or not.
+    paths : two or more recordings, finished or not.
     to : the new file, with the extension .mcap; an existing file is replaced atomically.
     progress : called with (bytes done, total bytes, what).
 
     Raises
     ------
-    LogError : a file is not a recording of armlab; recordings of one robot overlap, have different descriptions of it,
+    LogError : a file is not an armlab recording; recordings of one robot overlap, or have different robot descriptions
         or incompatible columns with the same name; robots that did not run simultaneously; the output cannot be
         written.
     ConfigError : fewer than two files, or an extension other than .mcap.

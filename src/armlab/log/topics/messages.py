@@ -22,7 +22,7 @@ Numbers = dict[str, Any]
 
 _MAX_DEPTH = 32
 _MAX_NAMES = 4096  # per message; larger messages are point clouds or maps
-_LARGEST = 2**63  # larger integers are converted to floats, within their range
+_LARGEST = 2**63  # larger integers are converted to floats, within the float range
 _PROTOBUF_MESSAGE, _PROTOBUF_NUMBERS = 11, {1, 2, 3, 4, 5, 6, 7, 8, 13, 14, 15, 16, 17, 18}
 
 
@@ -144,7 +144,7 @@ def _is_repeated(field: Any, value: Any) -> bool:
     return bool(getattr(field, "is_repeated", hasattr(value, "__len__") and not isinstance(value, str | bytes)))
 
 
-_PACKAGES = {  # packages about programs, not about the robot
+_PACKAGES = {  # packages for software, not for robot data
     "action_msgs", "diagnostic_msgs", "lifecycle_msgs", "rcl_interfaces", "rosgraph_msgs", "rosapi_msgs",
     "statistics_msgs", "type_description_interfaces", "visualization_msgs",
 }  # fmt: skip
@@ -186,7 +186,7 @@ class TopicMessages:
 
 
 def is_measurement(type_: str) -> bool:
-    """Return whether messages of a type have numbers about the robot."""
+    """Return whether messages of a type contain numerical data about the robot."""
     return type_ not in _TYPES and type_.partition("/")[0] not in _PACKAGES
 
 
@@ -282,7 +282,7 @@ def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes
     if isinstance(connection.ext, ConnectionExtRosbag1):
         converter = get_typestore(Stores.EMPTY)
         held = {**converter.fielddefs, **get_types_from_msg(definition.data, name)}
-        if _HEADER in held:  # its seq does not exist in ROS 2
+        if _HEADER in held:  # its field seq does not exist in ROS 2
             held[_HEADER] = held[_HEADER][0], [one for one in held[_HEADER][1] if one[0] != "seq"]
         converter.register(held)
         fields = {one: [(key, _signed(about)) for key, about in entry[1]] for one, entry in held.items()}

@@ -36,7 +36,7 @@ from armlab.robots import Robot
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 _SAME_RATE = 0.01  # relative
-_ANOTHER_CLOCK = 1.0  # s of delay between creation and recording, relative to the rows
+_ANOTHER_CLOCK = 1.0  # s of delay from creation to recording, compared with the rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Choice:
 
 
 def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, notes: Sequence[str]) -> Table:
-    """Return the table of a log's streams; values are held between messages, with their age in extra columns."""
+    """Return the table of a log's streams; values are held between messages, and extra columns give their age."""
     streams = [one for one in streams if len(one.log_ns)]
     if not streams:
         raise LogError(
@@ -74,7 +74,7 @@ def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, note
 
 
 def tables_of_streams(path: Path, streams: Sequence[Stream], choice: Choice) -> dict[str, Table]:
-    """Return each stream as a table by topic; if a topic has several, their first column is part of the name."""
+    """Return each stream as a table by topic; if a topic has several, the first column becomes part of the name."""
     tables: dict[str, Table] = {}
     counts = Counter(one.topic for one in streams)
     for one in streams:
@@ -138,7 +138,8 @@ def _places(robot: Robot, stream: Stream) -> list[str]:
 def joints_among(robot: Robot, names: Sequence[str]) -> list[str]:
     """Return the names that are joints of the robot, in its order; empty if one is missing.
 
-    The names are ROS names or those of the description. A common prefix, as used by drivers for two arms, is ignored.
+    The names may be ROS names or those of the robot description. A common prefix, as used by drivers for two arms, is
+    ignored.
     """
     for wanted in (robot.ros_joint_names, robot.joint_names):
         prefixes = ["", *dict.fromkeys(name.removesuffix(wanted[0]) for name in names if name.endswith(wanted[0]))]
@@ -238,9 +239,7 @@ def _table(rows: Stream, streams: Sequence[Stream], notes: Sequence[str], raw: b
 
 
 def _on_clock(stream: Stream, rows: Stream) -> np.ndarray:
-    """Return the creation time of each message [ns] on the clock of the rows: from its header, or the recording time
-    minus the delay.
-    """
+    """Return creation times [ns] on the clock of the rows: from the header, or recording time minus the delay."""
     if rows.stamp_ns is None:
         return stream.log_ns
     delay = np.median(rows.log_ns - rows.stamp_ns)
@@ -254,10 +253,10 @@ def _joined(table: Table, other: Stream, stamps: np.ndarray, rows: np.ndarray) -
     columns = {name: replace(one, shape=()) for name, one in other.columns.items()}
     if len(stamps) == len(table) and len(rows) == len(table) and np.array_equal(stamps, rows):
         return replace(table, values={**table.values, **other.values}, columns={**table.columns, **columns})
-    if other.topic.endswith("/tf_static"):  # static, whenever it was published
+    if other.topic.endswith("/tf_static"):  # valid at all times, whenever published
         stamps = np.minimum(stamps, table.t0_ns)
     order = np.argsort(stamps, kind="stable")
-    order = order[np.append(np.diff(stamps[order]) > 0, True)]  # the last of equal stamps
+    order = order[np.append(np.diff(stamps[order]) > 0, True)]  # keeps the last of equal stamps
     values: Mapping[str, np.ndarray] = {name: array[order] for name, array in other.values.items()}
     t = (stamps[order] - table.t0_ns) / 1e9
     return table.join(Table(t, values, columns, t0_ns=table.t0_ns))
@@ -277,7 +276,7 @@ def is_foreign(path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """Content of a log's files: options including the robot, topics, and unfinished files."""
+    """Content of a log: options including the robot, topics, and unfinished files."""
 
     files: Sequence[Path]
     choice: Choice
@@ -345,7 +344,7 @@ def _held(path: Path, choice: Choice, robot: Robot | str | None, progress: Progr
         return _held_in_mcap([path], choice, robot, progress)
     pieces = bag_files(path) if path.is_dir() else []
     if pieces and not (path / "metadata.yaml").is_file() and all(one.suffix == ".mcap" for one in pieces):
-        return _held_in_mcap(pieces, choice, robot, progress)  # its recorder was killed
+        return _held_in_mcap(pieces, choice, robot, progress)  # the recorder was killed
     with undamaged(f"bag in {path}"), _reader(path, pieces) as bag:
         inner = _plain_mcap(bag)
         if inner:

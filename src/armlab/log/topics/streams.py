@@ -1,8 +1,8 @@
 """Column names for the numbers in ROS messages (by joint, frame, wrench, pose), and streams of columns from topics.
 
-The messages of a topic become fields (N, k) by dotted name (`mcap.decode`), and these become columns of a
-`Table`. At any depth of a message, a Wrench becomes one column (N, 6), and a Pose or Transform one column of matrices
-(N, 4, 4). A JointState becomes position, velocity and effort by joint; all other fields keep their dotted names.
+The messages of a topic become fields (N, k) by dotted name (`mcap.decode`), and the fields become columns of a `Table`.
+At any depth of a message, a Wrench becomes one column (N, 6), and a Pose or Transform one column of matrices (N, 4, 4).
+A JointState becomes position, velocity and effort by joint; all other fields keep their dotted names.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def _joint_columns(
             lost = np.isfinite(inner[part]).any(axis=1).sum() if part in inner else 0
             if lost:
                 notes.append(f"{name} of {lost} messages are missing: they do not name their joints")
-        elif part in inner:  # without names
+        elif part in inner:  # no joint names
             found[name] = (inner[part], Column(unit=unit, frame="joint"))
     return found
 
@@ -298,7 +298,7 @@ def _stamps(fields: Mapping[str, np.ndarray], header: str) -> np.ndarray | None:
     stamps = seconds[:, 0].astype(np.int64) * 10**9 + rest[:, 0].astype(np.int64)
     if not stamps.any() or (stamps[1:] <= 0).any():
         return None
-    return stamps if stamps[0] > 0 or stamps.max() < _WALL else None  # simulated time begins with 0
+    return stamps if stamps[0] > 0 or stamps.max() < _WALL else None  # simulated time begins at 0
 
 
 def _by_joints(whole: Stream, lists: Sequence[tuple[str, ...]]) -> list[Stream]:
