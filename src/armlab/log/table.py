@@ -554,8 +554,7 @@ _SLOWER = 1.05  # ratio of periods above which resampling counts as lowering the
 def concat(*tables: Table) -> Table:
     """Concatenate the rows of several tables on one clock; gaps between them remain.
 
-    If all tables have a wall clock (`t0_ns`), it sets the times of the later tables; otherwise each table keeps its own
-    t.
+    If all tables have a wall clock (`t0_ns`), it sets the times of the later tables; otherwise their own t does.
 
     Parameters
     ----------

@@ -289,7 +289,7 @@ class Session:
             follows = follows and 0 < (packet.tm_ms - before.tm_ms) % _SEQUENCES < _HALF
         count, since_ns = (count + 1, since_ns) if follows else (1, arrival.ns)
         self._stray = packet, count, since_ns
-        in_time = arrival.ns - since_ns > 0.5e9 * (_FOLLOWERS - 1) * self.period.seconds  # delayed packets form a burst
+        in_time = arrival.ns - since_ns > 0.5e9 * (_FOLLOWERS - 1) * self.period.seconds  # a burst was delayed
         return count >= _FOLLOWERS and in_time and self._is_quiet(arrival)
 
     def _is_quiet(self, arrival: Arrival) -> bool:
