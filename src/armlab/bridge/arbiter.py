@@ -311,7 +311,7 @@ class Arbiter:
 
     def _command(self, robot: Robot, state: State, is_fresh: bool, dt: float) -> Command | None:
         holder = self._holders[robot.name]
-        if holder is None or self.stopped:  # another thread may stop the arms while a command is being activated
+        if holder is None or self.stopped:  # another thread may have stopped the arms meanwhile
             return None
         if holder.order.trajectory is not None:
             return self._follow(holder.order, holder.order.trajectory, state, 0.0 if is_fresh else dt)

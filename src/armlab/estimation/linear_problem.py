@@ -255,7 +255,7 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
     always terminates.
 
     `x`: (p,) solution without bounds. `cov`: (p, p) covariance of x, up to a factor. `lower`, `upper`: (p,) bounds,
-    lower < upper. Returns: (p,) solution within the bounds, equal to active bounds. After Portugal, Judice and
+    lower < upper. Returns: (p,) solution within the bounds, exact at the active ones. After Portugal, Judice and
     Vicente (1994), A comparison of block pivoting and interior-point algorithms.
     """
     if np.all((x >= lower) & (x <= upper)):

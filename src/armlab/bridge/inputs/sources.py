@@ -491,7 +491,7 @@ class UdpSource(Source):
             self.drops += 1
             self.problem: str = self.problem or f"invalid datagram, {type(error).__name__}: {error}"
             return False
-        lost = 0 if last is None else max(seq - last.seq - count, 0)  # restarted numbering is not a loss
+        lost = 0 if last is None else max(seq - last.seq - count, 0)  # a restart of the numbering is no loss
         gaps = 0 if last is None else min(last.gaps + lost, _MOST_GAPS)
         self._newest = Reading(values, stamp_ns, receive_ns, seq, gaps)
         return True

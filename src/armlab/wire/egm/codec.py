@@ -111,7 +111,7 @@ _TWIST = np.array([1e-3, 1e-3, 1e-3, RADIAN, RADIAN, RADIAN])
 class Details(NamedTuple):
     """Additional fields of an EgmRobot, in SI units and kinematic joint order.
 
-    Missing numbers are NaN, and other missing fields are None.
+    Missing numbers are NaN; other missing fields are None.
 
     Attributes
     ----------

@@ -26,7 +26,7 @@ _KERNEL = 65_536  # bytes of the kernel's send buffer: small, so that a slow pee
 
 
 class Peer:
-    """A two-way connection; the encoder is None until the peer's dialect is known."""
+    """Two-way connection. The encoder is None until the peer's dialect is known."""
 
     address: str
     encoder: Encoder | None

@@ -267,7 +267,7 @@ class RmwZenohServer(RosServer):
     def _take(self, topic: str, sample: Any) -> None:
         """Handle a node's message; called from a Zenoh thread."""
         origin = Origin.read(data_of(sample.attachment))
-        if origin is None:  # unknown sender; rmw_zenoh drops such messages, too
+        if origin is None:  # unknown sender: rmw_zenoh also drops such messages
             self.refuse(
                 "unknown", f"Expected an attachment of 33 bytes on {topic}, as sent by rmw_zenoh since June 2025."
             )
