@@ -191,7 +191,7 @@ def _places(
     if segment is None:
         return at[None], corners, sd
     if corners.ndim != 2 or corners.shape[1] != 3 or not np.isfinite(corners).all() or not _length(corners) > 0:
-        raise ShapeError(f"Expected a segment of at least two different points (M, 3) [m], got shape {corners.shape}.")
+        raise ShapeError(f"Expected a polyline of at least two distinct points (M, 3) [m], got shape {corners.shape}.")
     check_distance(corners, robot)
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     grid = np.linspace(0.0, way[-1], GRID)

@@ -48,7 +48,7 @@ class BaseParameters(Shown):
     seen : array, shape (n, p)
         Mask of the base parameters that act on each joint.
     quasi_static : bool
-        Whether only gravity is excited.
+        Whether the motion excites only the gravity parameters.
     """
 
     names: tuple[str, ...]

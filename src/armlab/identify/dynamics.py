@@ -167,7 +167,7 @@ def fit_gravity(
     Parameters
     ----------
     table : logs with columns q, tau (N, n), and qd if measured, without contact.
-    robot : the arm that was recorded, with its gravity.
+    robot : recorded arm, with the gravity vector of its mounting.
     method, seed, progress, prior, cutoff, force : as in `fit_dynamics`.
 
     Returns

@@ -325,8 +325,8 @@ def dither(
     fits = centre.ndim == 1 and width.shape in ((), centre.shape)
     if not fits or not np.isfinite(centre).all() or not np.isfinite(width).all() or not 0 < frequency < np.inf:
         raise ShapeError(
-            f"Expected a finite pose (n,), a finite amplitude and a frequency above 0 Hz, got shape {centre.shape}, "
-            f"{width} rad and {frequency:g} Hz. Pass one position per joint [rad]."
+            f"Expected finite joint positions (n,), a finite amplitude and a frequency above 0 Hz, got shape "
+            f"{centre.shape}, {width} rad and {frequency:g} Hz. Pass one position per joint [rad]."
         )
     omega = 2 * np.pi * frequency
     phase = np.arange(len(centre)) * 2 * np.pi / len(centre)

@@ -150,7 +150,7 @@ def predict(model: TorqueModel | Fit[TorqueModel], table: Table) -> Table:
 
     Raises
     ------
-    ShapeError : no gap-free segment of 100 rows, NaN rows, wrong joint count.
+    ShapeError : NaN rows, a wrong joint count, or no gap-free segment of at least 100 rows.
     """
     model = value_of(model)
     if not isinstance(model, TorqueModel):

@@ -199,7 +199,7 @@ class CausalDiff(Operator):
 
     Parameters
     ----------
-    cutoff : of the low-pass [Hz].
+    cutoff : cut-off frequency of the low-pass filter [Hz].
     dt : step [s]; without it, samples need time stamps.
     init : initial value of the signal.
     """

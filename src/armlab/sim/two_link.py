@@ -140,7 +140,7 @@ def rhs(x: ArrayLike, tau: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
 
 
 def energy(q: ArrayLike, qd: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
-    """Return kinetic plus potential energy (...) [J], which is 0 when hanging down at rest.
+    """Return the total energy (...) [J]; 0 when the arm hangs straight down at rest.
 
     Parameters
     ----------

@@ -142,7 +142,7 @@ def _check_options(
     wanted = 1 if images is not None or robot_topic is not None else 2 if join is not None else len(samples)
     if len(samples) != wanted:
         what = {1: "one file (poses with names of images, or a bag)", 2: "two files, of the robot and of the camera,"}
-        raise ConfigError(f"Expected {what[wanted]} for this, got {len(samples)}. Give them.")
+        raise ConfigError(f"Expected {what[wanted]} with these options, got {len(samples)} files. Pass them.")
 
 
 def _from_images(

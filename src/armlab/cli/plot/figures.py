@@ -115,7 +115,7 @@ def friction(model: Model, log: FreeMotion | None = None, *, figure: ModelFigure
 
 
 def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the friction of one joint against position and velocity; ranges without samples in the log are hatched.
+    """Plot the friction of one joint against position and velocity; ranges without samples in the log are hatched.
 
     Parameters:
         joint: Joint number, from 1.
@@ -233,7 +233,7 @@ def excitation(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     """Draw the singular values of a fit, which show how well its samples determine the parameters.
 
     Parameters:
-        fit: File of `armlab identify` or `armlab calibrate`.
+        fit: File written by `armlab identify` or `armlab calibrate`.
     """
     path = figure.path(fit, "excitation")
     return figure.save(path, armlab.plots.excitation(armlab.estimation.Fit.load(fit).excitation))

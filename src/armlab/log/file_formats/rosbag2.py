@@ -251,8 +251,8 @@ def _stamps(table: Table) -> np.ndarray:
     start = max(int(table.t0_ns), -int(stamps[0]))
     if start + int(stamps[-1]) >= LAST:
         raise LogError(
-            "Expected a log recorded before the year 2038 for a rosbag2, whose stamps end then, got t0_ns "
-            f"{table.t0_ns}. Write another format."
+            f"Expected a log recorded before the year 2038, the limit of rosbag2 timestamps, got t0_ns {table.t0_ns}. "
+            "Write another format."
         )
     return stamps + start
 

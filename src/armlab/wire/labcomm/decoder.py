@@ -221,7 +221,7 @@ class Opening(NamedTuple):
 def opening(
     source: Source, given: Dialect | None, require_version: bool, limits: Limits
 ) -> Generator[None, None, Opening]:
-    """Walk over the version announcement (if any)."""
+    """Parse the version announcement, if any."""
     yield from source.need(1)
     first = source.buf[0]
     guess = _FIRST.get(first) if given is None else given

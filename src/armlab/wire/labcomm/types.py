@@ -141,7 +141,7 @@ class Prim(_Node):
     ----------
     name : boolean, byte, short, int, long, float, double, string or sample (a reference).
     code : type code on the wire.
-    letter : its letter in `struct`, "" for a string.
+    letter : format character of the type in `struct`; "" for a string.
     """
 
     name: str

@@ -49,7 +49,7 @@ class Attachment(NamedTuple):
         if data is None or len(data) != _ATTACHED.size:
             got = "none" if data is None else f"{len(data)} bytes"
             raise CommandRefused(
-                f"Expected an attachment of {_ATTACHED.size} bytes (16 of id, int64 number, int64 ns), got {got}."
+                f"Expected an attachment of {_ATTACHED.size} bytes (16-byte id, int64 number, int64 ns), got {got}."
             )
         return cls(*_ATTACHED.unpack(data))
 
@@ -151,14 +151,14 @@ def _decoded(data: bytes, largest: int) -> Any:
     try:
         return msgspec.json.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LinkError(f"Expected a bridge message in JSON, got {str(error).rstrip('.')}.") from None
+        raise LinkError(f"Expected a bridge message in JSON, got invalid data ({str(error).rstrip('.')}).") from None
 
 
 def _converted(value: Any, type: Any) -> Any:
     try:
         return msgspec.convert(value, type)
     except msgspec.ValidationError as error:
-        raise LinkError(f"Expected a bridge message, got {str(error)[:200].rstrip('.')}.") from None
+        raise LinkError(f"Expected a bridge message, got an invalid one ({str(error)[:200].rstrip('.')}).") from None
 
 
 _MOST = 2**26  # bytes in an inbox: ten seconds of rows from twenty arms at the full rate
