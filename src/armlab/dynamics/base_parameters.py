@@ -1,8 +1,8 @@
 """Base parameters: the identifiable combinations of link parameters.
 
 ``Y pi = Y[:, kept] B pi + D pi``. ``D pi`` is the constant torque of each joint that is indistinguishable from the
-offset of its sensor. It is the weight carried by a vertical prismatic joint, and zero for revolute arms.
-Theory: docs/theory/identification.md.
+offset of its sensor: the weight carried by a vertical prismatic joint, and zero for revolute arms.
+docs/theory/identification.md contains the derivation.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from armlab.robots import Robot
 
 LINK_SYMBOLS = ("m", "m c_x", "m c_y", "m c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 POSITIVE = (0, 4, 6, 9)  # masses and moments of inertia
-TOLERANCE = 1e-8
-INDEPENDENT = 0.02  # share of a column: nominal arms have 0 or more than 0.5; calibrated arms add axis errors [rad]
+TOLERANCE = 1e-8  # relative to the largest column or entry
+INDEPENDENT = 0.02  # fraction of a column: 0 or above 0.5 in nominal arms; calibrated arms add axis errors [rad]
 SEED = 20170101
 
 
@@ -31,24 +31,15 @@ class BaseParameters(Shown):
 
     Attributes
     ----------
-    names : tuple of str, length p
-        Names of the base parameters with the combinations they represent.
-    units : tuple of str, length p
-        Unit of each base parameter: kg, kg m or kg m^2.
-    kept : array, shape (p,)
-        Columns of the regressor [links (10 n), rotors (n)] that represent them.
-    B : array, shape (p, 11 n)
-        ``base = B @ pi`` of link parameters and rotors pi.
-    lift : array, shape (11 n, p)
-        Minimum-norm pi for given base parameters, with ``D pi = 0``.
-    D : array, shape (n, 11 n)
-        Matrix of the constant torque of each joint that is part of its offset.
-    offset_names : tuple of str, length n
-        Names of the offsets with the masses that contribute to them.
-    seen : array, shape (n, p)
-        Mask of the base parameters that act on each joint.
-    quasi_static : bool
-        Whether the motion excites only the gravity parameters.
+    names : p names of the base parameters, with the combinations they represent.
+    units : p units of the base parameters: kg, kg m or kg m^2.
+    kept : (p,) columns of the regressor [links (10 n), rotors (n)] that represent them.
+    B : (p, 11 n) map from link parameters and rotors pi to base parameters, ``base = B @ pi``.
+    lift : (11 n, p) map from base parameters to the minimum-norm pi with ``D pi = 0``.
+    D : (n, 11 n) map from pi to the constant torque of each joint that is part of its offset.
+    offset_names : n names of the offsets, with the masses that contribute to them.
+    seen : (n, p) mask of the base parameters that act on each joint.
+    quasi_static : whether the motion excites only the gravity parameters.
     """
 
     names: tuple[str, ...]
@@ -88,7 +79,7 @@ def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequenc
     ----------
     robot : robot description, including gravity.
     quasi_static : only gravity parameters, as excited by slow motion: masses and first moments.
-    joints : joints with measured torque; default: all.
+    joints : numbers, from 0, of the joints with measured torque; default: all.
 
     Raises
     ------
@@ -196,25 +187,18 @@ def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[i
 
 
 def regressor(robot: Robot, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the regressor of the link parameters: ``inverse_dynamics = Y(q, qd, qdd) pi`` for any masses.
+    """Return the regressor Y (..., n, 10 n) of the link parameters: ``inverse_dynamics = Y(q, qd, qdd) pi``.
+
+    It holds for any masses. Columns have the order of `Robot.inertias`, link by link: m, m c (3), Ixx, Ixy, Iyy, Ixz,
+    Iyz, Izz.
 
     Parameters
     ----------
-    robot : Robot
-        The arm; masses are not needed.
-    q : array_like, shape (..., n), rad or m
-        Joint positions.
-    qd : array_like, shape (..., n), rad/s or m/s
-        Joint velocities.
-    qdd : array_like, shape (..., n), rad/s^2 or m/s^2
-        Joint accelerations.
-    out : array, shape (..., n, 10 n), optional
-        Array to write into. Default: a new one.
-
-    Returns
-    -------
-    Y : array, shape (..., n, 10 n)
-        Columns in the order of `Robot.inertias`, link by link: m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
+    robot : the arm; masses are not needed.
+    q : (..., n) joint positions [rad or m].
+    qd : (..., n) joint velocities [rad/s or m/s].
+    qdd : (..., n) joint accelerations [rad/s^2 or m/s^2].
+    out : (..., n, 10 n) array for the result; default: a new one.
 
     Raises
     ------
@@ -234,28 +218,18 @@ def base_regressor(
     base: BaseParameters,
     out: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the regressor of the base parameters: ``tau = Y_b(q, qd, qdd) (base.B pi) + base.D pi``.
+    """Return the regressor (..., n, p) of the base parameters: ``tau = Y_b(q, qd, qdd) (base.B pi) + base.D pi``.
 
     Its columns are independent; the columns of rotor inertias equal qdd.
 
     Parameters
     ----------
-    robot : Robot
-        The arm; masses are not needed.
-    q : array_like, shape (..., n), rad or m
-        Joint positions.
-    qd : array_like, shape (..., n), rad/s or m/s
-        Joint velocities.
-    qdd : array_like, shape (..., n), rad/s^2 or m/s^2
-        Joint accelerations.
-    base : BaseParameters
-        `base_parameters(robot)`; its `names` are the column names.
-    out : array, shape (..., n, p), optional
-        Array to write into. Default: a new one.
-
-    Returns
-    -------
-    Y_b : array, shape (..., n, p)
+    robot : the arm; masses are not needed.
+    q : (..., n) joint positions [rad or m].
+    qd : (..., n) joint velocities [rad/s or m/s].
+    qdd : (..., n) joint accelerations [rad/s^2 or m/s^2].
+    base : `base_parameters(robot)`; its `names` are the column names.
+    out : (..., n, p) array for the result; default: a new one.
 
     Raises
     ------

@@ -22,28 +22,18 @@ def inverse_dynamics(
     f_ext: ArrayLike | None = None,
     out: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the joint torques of a motion: ``tau = M qdd + C qd + g - J^T f_ext``.
+    """Return the joint torques (..., n) [N m or N] of a motion: ``tau = M qdd + C qd + g - J^T f_ext``.
 
-    Uses the recursive Newton-Euler algorithm (Siciliano et al., Robotics, 2009, section 7.5).
+    The function applies the recursive Newton-Euler algorithm (Siciliano et al., Robotics, 2009, section 7.5).
 
     Parameters
     ----------
-    robot : Robot or TorqueModel
-        An arm with inertias, or an identified model, whose friction is ignored.
-    q : array_like, shape (..., n), rad or m
-        Joint positions.
-    qd : array_like, shape (..., n), rad/s or m/s
-        Joint velocities.
-    qdd : array_like, shape (..., n), rad/s^2 or m/s^2
-        Joint accelerations.
-    f_ext : array_like, shape (..., 6), N and N m, optional
-        Wrench [f; m] exerted by the environment on the robot at the tool point, in base axes. Default: none.
-    out : array, shape (..., n), optional
-        Array to write into. Default: a new one.
-
-    Returns
-    -------
-    tau : array, shape (..., n), N m or N
+    robot : an arm with inertias, or an identified model, whose friction is ignored.
+    q : (..., n) joint positions [rad or m].
+    qd : (..., n) joint velocities [rad/s or m/s].
+    qdd : (..., n) joint accelerations [rad/s^2 or m/s^2].
+    f_ext : (..., 6) wrench [f; m] of the environment on the robot at the tool point, in base axes [N, N m]; default: 0.
+    out : (..., n) array for the result; default: a new one.
 
     Raises
     ------
@@ -66,31 +56,22 @@ def inverse_dynamics_derivatives(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the derivatives of `inverse_dynamics` with respect to position, velocity and acceleration.
 
-    Analytical, in O(n^2). A wrench `f_ext` keeps its components in base axes while the joints move.
+    The derivatives are analytical and take O(n^2) time. A wrench `f_ext` stays constant in base axes.
 
     Parameters
     ----------
-    robot : Robot or TorqueModel
-        As in `inverse_dynamics`.
-    q : array_like, shape (..., n), rad or m
-        Joint positions.
-    qd : array_like, shape (..., n), rad/s or m/s
-        Joint velocities.
-    qdd : array_like, shape (..., n), rad/s^2 or m/s^2
-        Joint accelerations.
-    f_ext : array_like, shape (..., 6), N and N m, optional
-        Wrench [f; m] exerted by the environment on the robot at the tool point, in base axes. Default: none.
-    out : tuple of three arrays, shape (..., n, n), optional
-        Arrays to write into. Default: new ones.
+    robot : as in `inverse_dynamics`.
+    q : (..., n) joint positions [rad or m].
+    qd : (..., n) joint velocities [rad/s or m/s].
+    qdd : (..., n) joint accelerations [rad/s^2 or m/s^2].
+    f_ext : (..., 6) wrench [f; m] of the environment on the robot at the tool point, in base axes [N, N m]; default: 0.
+    out : three arrays (..., n, n) for the results; default: new ones.
 
     Returns
     -------
-    dtau_dq : array, shape (..., n, n)
-        Row i, column j: derivative of torque i with respect to position j.
-    dtau_dqd : array, shape (..., n, n)
-        With respect to velocity; twice the `coriolis_matrix`.
-    dtau_dqdd : array, shape (..., n, n)
-        With respect to acceleration: the `mass_matrix`.
+    dtau_dq : (..., n, n) derivative of torque i with respect to position j, in row i and column j.
+    dtau_dqd : (..., n, n) with respect to velocity; twice the `coriolis_matrix`.
+    dtau_dqdd : (..., n, n) with respect to acceleration: the `mass_matrix`.
 
     Raises
     ------
@@ -106,20 +87,15 @@ def inverse_dynamics_derivatives(
 
 
 def gravity(robot: Robot | TorqueModel, q: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the joint torques that hold the arm at rest, ``g(q) = inverse_dynamics(robot, q, 0, 0)``.
+    """Return the joint torques (..., n) [N m or N] that hold the arm at rest.
+
+    ``g(q) = inverse_dynamics(robot, q, 0, 0)``.
 
     Parameters
     ----------
-    robot : Robot or TorqueModel
-        As in `inverse_dynamics`; a model from `identify.fit_gravity` is also accepted.
-    q : array_like, shape (..., n), rad or m
-        Joint positions.
-    out : array, shape (..., n), optional
-        Array to write into. Default: a new one.
-
-    Returns
-    -------
-    g : array, shape (..., n), N m or N
+    robot : as in `inverse_dynamics`, or a model from `identify.fit_gravity`.
+    q : (..., n) joint positions [rad or m].
+    out : (..., n) array for the result; default: a new one.
 
     Raises
     ------
@@ -137,23 +113,16 @@ def gravity(robot: Robot | TorqueModel, q: ArrayLike, out: np.ndarray | None = N
 
 
 def mass_matrix(robot: Robot | TorqueModel, q: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the mass matrix M(q), whose column j contains the torques for a unit acceleration of joint j alone.
+    """Return the mass matrix M(q) (..., n, n) [kg m^2, kg m or kg].
 
-    Uses the composite-rigid-body algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 6.2); the
-    result is exactly symmetric.
+    Column j contains the torques for a unit acceleration of joint j alone. The composite-rigid-body algorithm
+    (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 6.2) makes the result exactly symmetric.
 
     Parameters
     ----------
-    robot : Robot or TorqueModel
-        As in `inverse_dynamics`.
-    q : array_like, shape (..., n), rad or m
-        Joint positions.
-    out : array, shape (..., n, n), optional
-        Array to write into. Default: a new one.
-
-    Returns
-    -------
-    M : array, shape (..., n, n), kg m^2, kg m or kg
+    robot : as in `inverse_dynamics`.
+    q : (..., n) joint positions [rad or m].
+    out : (..., n, n) array for the result; default: a new one.
 
     Raises
     ------
@@ -164,22 +133,14 @@ def mass_matrix(robot: Robot | TorqueModel, q: ArrayLike, out: np.ndarray | None
 
 
 def coriolis(robot: Robot | TorqueModel, q: ArrayLike, qd: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the vector of Coriolis and centrifugal torques, ``C(q, qd) qd``; the matrix is `coriolis_matrix`.
+    """Return the Coriolis and centrifugal torques ``C(q, qd) qd`` (..., n) [N m or N]; the matrix is `coriolis_matrix`.
 
     Parameters
     ----------
-    robot : Robot or TorqueModel
-        As in `inverse_dynamics`.
-    q : array_like, shape (..., n), rad or m
-        Joint positions.
-    qd : array_like, shape (..., n), rad/s or m/s
-        Joint velocities.
-    out : array, shape (..., n), optional
-        Array to write into. Default: a new one.
-
-    Returns
-    -------
-    tau : array, shape (..., n), N m or N
+    robot : as in `inverse_dynamics`.
+    q : (..., n) joint positions [rad or m].
+    qd : (..., n) joint velocities [rad/s or m/s].
+    out : (..., n) array for the result; default: a new one.
 
     Raises
     ------
@@ -192,24 +153,16 @@ def coriolis(robot: Robot | TorqueModel, q: ArrayLike, qd: ArrayLike, out: np.nd
 def coriolis_matrix(
     robot: Robot | TorqueModel, q: ArrayLike, qd: ArrayLike, out: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the Coriolis matrix C(q, qd) of Christoffel symbols, ``C_ij = sum of Gamma_ijk qd_k``.
+    """Return the Coriolis matrix C(q, qd) (..., n, n) of Christoffel symbols, ``C_ij = sum of Gamma_ijk qd_k``.
 
     ``dM/dt = C + C^T``, so ``dM/dt - 2 C`` is skew. If only the vector ``C qd`` is needed, use `coriolis`.
 
     Parameters
     ----------
-    robot : Robot or TorqueModel
-        As in `inverse_dynamics`.
-    q : array_like, shape (..., n), rad or m
-        Joint positions.
-    qd : array_like, shape (..., n), rad/s or m/s
-        Joint velocities.
-    out : array, shape (..., n, n), optional
-        Array to write into. Default: a new one.
-
-    Returns
-    -------
-    C : array, shape (..., n, n)
+    robot : as in `inverse_dynamics`.
+    q : (..., n) joint positions [rad or m].
+    qd : (..., n) joint velocities [rad/s or m/s].
+    out : (..., n, n) array for the result; default: a new one.
 
     Raises
     ------
@@ -228,31 +181,21 @@ def forward_dynamics(
     f_ext: ArrayLike | None = None,
     out: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the joint accelerations caused by torques: ``qdd = M^-1 (tau + J^T f_ext - C qd - g)``.
+    """Return the joint accelerations (..., n) [rad/s^2 or m/s^2]: ``qdd = M^-1 (tau + J^T f_ext - C qd - g)``.
 
     Parameters
     ----------
-    robot : Robot or TorqueModel
-        As in `inverse_dynamics`.
-    q : array_like, shape (..., n), rad or m
-        Joint positions.
-    qd : array_like, shape (..., n), rad/s or m/s
-        Joint velocities.
-    tau : array_like, shape (..., n), N m or N
-        Joint torques without friction.
-    f_ext : array_like, shape (..., 6), N and N m, optional
-        Wrench [f; m] exerted by the environment on the robot at the tool point, in base axes. Default: none.
-    out : array, shape (..., n), optional
-        Array to write into. Default: a new one.
-
-    Returns
-    -------
-    qdd : array, shape (..., n), rad/s^2 or m/s^2
+    robot : as in `inverse_dynamics`.
+    q : (..., n) joint positions [rad or m].
+    qd : (..., n) joint velocities [rad/s or m/s].
+    tau : (..., n) joint torques or forces [N m or N], without friction.
+    f_ext : (..., 6) wrench [f; m] of the environment on the robot at the tool point, in base axes [N, N m]; default: 0.
+    out : (..., n) array for the result; default: a new one.
 
     Raises
     ------
-    RobotError : for a robot without inertias, or when the mass matrix is not positive definite: a massless link, or
-        identified parameters that are not physically consistent.
+    RobotError : for a robot without inertias, or if the mass matrix is not positive definite because of a massless
+        link or physically inconsistent identified parameters.
     ModelMismatchError, ShapeError : as in `inverse_dynamics`.
     """
     body = getattr(robot, "rigid_body", None) or _identified(robot).rigid_body
@@ -274,27 +217,18 @@ def forward_dynamics_derivatives(
 
     Parameters
     ----------
-    robot : Robot or TorqueModel
-        As in `inverse_dynamics`.
-    q : array_like, shape (..., n), rad or m
-        Joint positions.
-    qd : array_like, shape (..., n), rad/s or m/s
-        Joint velocities.
-    tau : array_like, shape (..., n), N m or N
-        Joint torques.
-    f_ext : array_like, shape (..., 6), N and N m, optional
-        Wrench [f; m] exerted by the environment on the robot at the tool point, constant in base axes. Default: none.
-    out : tuple of three arrays, shape (..., n, n), optional
-        Arrays to write into. Default: new ones.
+    robot : as in `inverse_dynamics`.
+    q : (..., n) joint positions [rad or m].
+    qd : (..., n) joint velocities [rad/s or m/s].
+    tau : (..., n) joint torques or forces [N m or N], without friction.
+    f_ext : as in `inverse_dynamics`, constant in base axes while the joints move.
+    out : three arrays (..., n, n) for the results; default: new ones.
 
     Returns
     -------
-    dqdd_dq : array, shape (..., n, n)
-        Row i, column j: derivative of acceleration i with respect to position j.
-    dqdd_dqd : array, shape (..., n, n)
-        With respect to velocity.
-    dqdd_dtau : array, shape (..., n, n)
-        With respect to torque: the inverse of the mass matrix.
+    dqdd_dq : (..., n, n) derivative of acceleration i with respect to position j, in row i and column j.
+    dqdd_dqd : (..., n, n) with respect to velocity.
+    dqdd_dtau : (..., n, n) with respect to torque: the inverse of the mass matrix.
 
     Raises
     ------
@@ -307,25 +241,20 @@ def forward_dynamics_derivatives(
 def energy(
     robot: Robot | TorqueModel, q: ArrayLike, qd: ArrayLike, out: tuple[np.ndarray, np.ndarray] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return kinetic and potential energy: ``1/2 qd^T M qd`` and ``-sum of m gravity . p`` over the links.
+    """Return the kinetic energy ``1/2 qd^T M qd`` and the potential energy, ``-m gravity . p`` summed over the links.
 
     Parameters
     ----------
-    robot : Robot or TorqueModel
-        As in `inverse_dynamics`.
-    q : array_like, shape (..., n), rad or m
-        Joint positions.
-    qd : array_like, shape (..., n), rad/s or m/s
-        Joint velocities.
-    out : tuple of two arrays, shape (...), optional
-        Arrays to write into. Default: new ones.
+    robot : as in `inverse_dynamics`.
+    q : (..., n) joint positions [rad or m].
+    qd : (..., n) joint velocities [rad/s or m/s].
+    out : two arrays (...) for the results; default: new ones.
 
     Returns
     -------
-    kinetic : array, shape (...), J
-        Kinetic energy.
-    potential : array, shape (...), J
-        Potential energy. For a robot, it is zero for masses at the origin of the base; for a model, at q = 0.
+    kinetic : (...) kinetic energy [J].
+    potential : (...) potential energy [J]. For a robot, it is zero for masses at the origin of the base; for a model,
+        at q = 0.
 
     Raises
     ------
@@ -340,7 +269,7 @@ def energy(
 
 
 def _identified(robot: Any) -> TorqueModel:
-    """Return the torque model of a fit; other values are returned unchanged."""
+    """Return the torque model of a fit."""
     model = getattr(robot, "value", None)
     if not isinstance(model, TorqueModel):
         raise RobotError.no_robot(robot)

@@ -1,4 +1,4 @@
-"""Argument checks for the functions that are not compiled. NaN is accepted, so missing values remain missing."""
+"""Argument checks for functions that are not compiled. NaN is accepted, so missing values remain missing."""
 
 from __future__ import annotations
 
@@ -37,9 +37,8 @@ def broadcasts(**arguments: tuple[np.ndarray, int]) -> None:
 
 def last_row(T: np.ndarray, name: str) -> None:
     off = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(axis=-1)
-    bad = (off > 0) | (
-        np.isnan(off) & ~np.isnan(T[..., :3, :]).any(axis=(-1, -2))
-    )  # a NaN only in the last row must not pass
+    missing = np.isnan(T[..., :3, :]).any(axis=(-1, -2))
+    bad = (off > 0) | (np.isnan(off) & ~missing)  # a pose with NaN only in its last row must not pass
     if bad.any():
         raise ShapeError(f"Expected (0, 0, 0, 1) as the last row of {name}, got an error of {off[bad].max():.3g}.")
 

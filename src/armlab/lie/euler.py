@@ -1,6 +1,6 @@
-"""Roll, pitch, yaw in the conventions zyx (ABB), xyz (Nikon) and zyz, and rotations about one axis.
+"""Roll, pitch and yaw in the conventions zyx (ABB), xyz (Nikon) and zyz, and rotations about one axis.
 
-With angles (r, p, y), a convention lists the axes in the order of the product: zyx is ``Rz(r) Ry(p) Rx(y)``.
+For angles (r, p, y), a convention lists the axes in the order of the product: zyx is ``Rz(r) Ry(p) Rx(y)``.
 """
 
 from __future__ import annotations
@@ -22,69 +22,53 @@ AXES = {"zyx": (2, 1, 0), "xyz": (0, 1, 2), "zyz": (2, 1, 2)}
 
 
 def rot_x(angle: ArrayLike) -> np.ndarray:
-    """Return the rotation about x.
+    """Return the rotation (..., 3, 3) about the x axis.
 
     Parameters
     ----------
-    angle : (...) [rad].
-
-    Returns
-    -------
-    (..., 3, 3).
+    angle : (...) rotation angle [rad].
     """
     return _turn(angle, 0)
 
 
 def rot_y(angle: ArrayLike) -> np.ndarray:
-    """Return the rotation about y.
+    """Return the rotation (..., 3, 3) about the y axis.
 
     Parameters
     ----------
-    angle : (...) [rad].
-
-    Returns
-    -------
-    (..., 3, 3).
+    angle : (...) rotation angle [rad].
     """
     return _turn(angle, 1)
 
 
 def rot_z(angle: ArrayLike) -> np.ndarray:
-    """Return the rotation about z.
+    """Return the rotation (..., 3, 3) about the z axis.
 
     Parameters
     ----------
-    angle : (...) [rad].
-
-    Returns
-    -------
-    (..., 3, 3).
+    angle : (...) rotation angle [rad].
     """
     return _turn(angle, 2)
 
 
 def from_rpy(rpy: ArrayLike, convention: Convention, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the rotation ``R_1(r) R_2(p) R_3(y)`` about the axes of the convention.
+    """Return the rotation (..., 3, 3) about the axes of the convention: ``R_1(r) R_2(p) R_3(y)``.
 
     Parameters
     ----------
     rpy : (..., 3) angles in the order of the product [rad].
     convention : "zyx", "xyz" or "zyz".
-    out : (..., 3, 3) array to write into.
-
-    Returns
-    -------
-    (..., 3, 3).
+    out : (..., 3, 3) array for the result; default: a new one.
 
     Raises
     ------
-    UnknownName : the convention does not exist.
+    UnknownName : unknown convention.
     """
     return kernels.euler_from_rpy(rpy, *_axes(convention), out)
 
 
 def to_rpy(R: ArrayLike, convention: Convention, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the angles with ``from_rpy(to_rpy(R, c), c) = R``.
+    """Return the angles (..., 3) [rad] with ``from_rpy(to_rpy(R, c), c) = R``.
 
     The middle angle is in [-π/2, π/2] for zyx and xyz, and in [0, π] for zyz. If the first and the last axis are
     parallel (gimbal lock), only their sum or difference is determined; the first angle is then 0, and the last is the
@@ -92,18 +76,14 @@ def to_rpy(R: ArrayLike, convention: Convention, out: np.ndarray | None = None) 
 
     Parameters
     ----------
-    R : (..., 3, 3).
+    R : (..., 3, 3) rotation.
     convention : "zyx", "xyz" or "zyz".
-    out : (..., 3) array to write into.
-
-    Returns
-    -------
-    (..., 3) [rad].
+    out : (..., 3) array for the result; default: a new one.
 
     Raises
     ------
     ShapeError : R is not a rotation within `so3.ROTATION_TOLERANCE`.
-    UnknownName : the convention does not exist.
+    UnknownName : unknown convention.
     """
     return kernels.euler_to_rpy(R, *_axes(convention), out)
 

@@ -15,75 +15,61 @@ from armlab.lie import arguments
 __all__ = ["conjugate", "continuous", "from_matrix", "multiply", "slerp", "to_matrix"]
 
 UNIT_TOLERANCE = 1e-3
-"""Largest error of a quaternion's norm that is removed by normalisation; data with three decimals are accepted."""
+"""Largest error of a quaternion's norm that is removed by normalisation; three decimals are sufficient."""
 
 
 def from_matrix(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the quaternion of a rotation with w ≥ 0; at a half turn, the first non-zero component is positive.
+    """Return the unit quaternion (..., 4) of a rotation, with w ≥ 0.
+
+    At a half turn, the first non-zero component is positive.
 
     Parameters
     ----------
-    R : (..., 3, 3).
-    out : (..., 4) array to write into.
-
-    Returns
-    -------
-    (..., 4) wxyz, unit.
+    R : (..., 3, 3) rotation.
+    out : (..., 4) array for the result; default: a new one.
 
     Raises
     ------
     ShapeError : R is not a rotation within `so3.ROTATION_TOLERANCE`.
 
-    Reference: S. W. Shepperd, Quaternion from rotation matrix, J. Guidance and Control 1(3), 1978: divide by the
-    largest component, never by a small one.
+    Reference: S. W. Shepperd, Quaternion from rotation matrix, J. Guidance and Control 1(3), 1978, which
+    divides by the largest component.
     """
     return kernels.quaternion_from_matrix(R, out)
 
 
 def to_matrix(quaternion: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the rotation of a quaternion.
+    """Return the rotation (..., 3, 3) of a quaternion.
 
     Parameters
     ----------
-    quaternion : (..., 4) wxyz, unit to `UNIT_TOLERANCE`; it is normalised.
-    out : (..., 3, 3) array to write into.
-
-    Returns
-    -------
-    (..., 3, 3).
+    quaternion : (..., 4) wxyz, of norm 1 within `UNIT_TOLERANCE`; it is normalised.
+    out : (..., 3, 3) array for the result; default: a new one.
 
     Raises
     ------
-    ShapeError : the norm is not 1.
+    ShapeError : the norm of a quaternion is not 1.
     """
     return kernels.quaternion_to_matrix(quaternion, out)
 
 
 def multiply(p: ArrayLike, q: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the product: ``to_matrix(multiply(p, q)) = to_matrix(p) to_matrix(q)``.
+    """Return the product (..., 4): ``to_matrix(multiply(p, q)) = to_matrix(p) to_matrix(q)``.
 
     Parameters
     ----------
-    p, q : (..., 4) wxyz, leading axes broadcast.
-    out : (..., 4) array to write into.
-
-    Returns
-    -------
-    (..., 4).
+    p, q : (..., 4) wxyz; leading axes broadcast.
+    out : (..., 4) array for the result; default: a new one.
     """
     return kernels.quaternion_multiply(p, q, out)
 
 
 def conjugate(quaternion: ArrayLike) -> np.ndarray:
-    """Return (w, -x, -y, -z), the inverse of a unit quaternion.
+    """Return (w, -x, -y, -z), the inverse (..., 4) of a unit quaternion.
 
     Parameters
     ----------
     quaternion : (..., 4) wxyz.
-
-    Returns
-    -------
-    (..., 4).
     """
     return arguments.array(quaternion, (4,), "quaternion") * (1.0, -1.0, -1.0, -1.0)
 
@@ -91,19 +77,17 @@ def conjugate(quaternion: ArrayLike) -> np.ndarray:
 def slerp(a: ArrayLike, b: ArrayLike, s: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     """Interpolate from a to b along the shorter arc at constant speed: ``(a sin((1-s)Ω) ± b sin(sΩ)) / sin Ω``.
 
+    Return unit quaternions (..., 4) in the hemisphere of a.
+
     Parameters
     ----------
     a, b : (..., 4) wxyz, unit; leading axes broadcast with those of s.
-    s : (...) 0 at a, 1 at b; other values extrapolate.
-    out : (..., 4) array to write into.
-
-    Returns
-    -------
-    (..., 4) unit quaternion in the hemisphere of a.
+    s : (...) path parameter, 0 at a and 1 at b; other values extrapolate.
+    out : (..., 4) array for the result; default: a new one.
 
     Raises
     ------
-    ShapeError : a norm is not 1.
+    ShapeError : the norm of a quaternion is not 1.
 
     Reference: K. Shoemake, Animating rotation with quaternion curves, SIGGRAPH 1985.
     """
@@ -113,20 +97,16 @@ def slerp(a: ArrayLike, b: ArrayLike, s: ArrayLike, out: np.ndarray | None = Non
 def continuous(quaternion: ArrayLike) -> np.ndarray:
     """Choose the signs along axis 0 so that consecutive quaternions are in one hemisphere: ``q[k] · q[k-1] ≥ 0``.
 
-    The first quaternion keeps its sign. Missing samples (NaN) remain missing; the next sample follows the last valid
-    one.
+    The result has the shape of the input. The first quaternion keeps its sign. Missing samples (NaN) remain missing;
+    the next sample follows the last valid sample.
 
     Parameters
     ----------
-    quaternion : (N, ..., 4) wxyz, axis 0 is time.
-
-    Returns
-    -------
-    (N, ..., 4).
+    quaternion : (N, ..., 4) wxyz; axis 0 is time.
 
     Raises
     ------
-    ShapeError : no time axis.
+    ShapeError : the time axis is missing.
     """
     q = arguments.array(quaternion, (4,), "quaternion")
     if q.ndim < 2:

@@ -25,16 +25,12 @@ PATHS = ("linear", "screw")
 
 
 def from_rp(R: ArrayLike, p: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """Return the pose ``[[R, p], [0, 1]]``.
+    """Return the pose ``[[R, p], [0, 1]]`` (..., 4, 4).
 
     Parameters
     ----------
-    R : (..., 3, 3).
-    p : (..., 3) [m], leading axes broadcast with those of R.
-
-    Returns
-    -------
-    (..., 4, 4).
+    R : (..., 3, 3) rotation.
+    p : (..., 3) position [m]; leading axes broadcast with those of R.
 
     Raises
     ------
@@ -46,15 +42,11 @@ def from_rp(R: ArrayLike, p: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
 
 
 def hat(xi: ArrayLike) -> np.ndarray:
-    """Return the matrix of a twist: ``[[hat(w), v], [0, 0]]``.
+    """Return the matrix (..., 4, 4) of a twist: ``[[hat(w), v], [0, 0]]``.
 
     Parameters
     ----------
     xi : (..., 6) twist [v; w].
-
-    Returns
-    -------
-    (..., 4, 4).
     """
     xi = arguments.array(xi, (6,), "xi")
     X = np.zeros((*xi.shape[:-1], 4, 4))
@@ -64,15 +56,11 @@ def hat(xi: ArrayLike) -> np.ndarray:
 
 
 def vee(X: ArrayLike) -> np.ndarray:
-    """Return the twist of a twist matrix: ``vee(hat(xi)) = xi``.
+    """Return the twist [v; w] (..., 6) of a twist matrix: ``vee(hat(xi)) = xi``.
 
     Parameters
     ----------
-    X : (..., 4, 4), upper left skew, last row zero.
-
-    Returns
-    -------
-    (..., 6) [v; w].
+    X : (..., 4, 4), with a skew upper left block and zeros in the last row.
 
     Raises
     ------
@@ -85,31 +73,25 @@ def vee(X: ArrayLike) -> np.ndarray:
 
 
 def exp(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the pose after one unit of time at a twist: ``[[exp(w), V v], [0, 1]]``, V = so3.left_jacobian(w).
+    """Return the pose (..., 4, 4) after one unit of time at a twist: ``[[exp(w), V v], [0, 1]]``.
+
+    V is ``so3.left_jacobian(w)``.
 
     Parameters
     ----------
     xi : (..., 6) twist [v; w]; w = 0 is a pure translation.
-    out : (..., 4, 4) array to write into.
-
-    Returns
-    -------
-    (..., 4, 4).
+    out : (..., 4, 4) array for the result; default: a new one.
     """
     return kernels.se3_exp(xi, out)
 
 
 def log(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the twist with the smallest rotation: ``exp(log(T)) = T``, abs(w) ≤ π.
+    """Return the twist [v; w] (..., 6) with the smallest rotation: ``exp(log(T)) = T``, abs(w) ≤ π.
 
     Parameters
     ----------
-    T : (..., 4, 4).
-    out : (..., 6) array to write into.
-
-    Returns
-    -------
-    (..., 6) [v; w].
+    T : (..., 4, 4) pose.
+    out : (..., 6) array for the result; default: a new one.
 
     Raises
     ------
@@ -119,16 +101,12 @@ def log(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def inv(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the inverse pose: ``[[Rᵀ, -Rᵀ p], [0, 1]]``.
+    """Return the inverse pose (..., 4, 4): ``[[Rᵀ, -Rᵀ p], [0, 1]]``.
 
     Parameters
     ----------
-    T : (..., 4, 4).
-    out : (..., 4, 4) array to write into.
-
-    Returns
-    -------
-    (..., 4, 4).
+    T : (..., 4, 4) pose.
+    out : (..., 4, 4) array for the result; default: a new one.
 
     Raises
     ------
@@ -138,7 +116,7 @@ def inv(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def ad(xi: ArrayLike) -> np.ndarray:
-    """Return the matrix of the Lie bracket: ``hat(ad(xi) eta) = hat(xi) hat(eta) - hat(eta) hat(xi)``.
+    """Return the matrix (..., 6, 6) of the Lie bracket: ``hat(ad(xi) eta) = hat(xi) hat(eta) - hat(eta) hat(xi)``.
 
     It is ``[[hat(w), hat(v)], [0, hat(w)]]``, the derivative of `adjoint`: ``expm(ad(xi)) = adjoint(exp(xi))``. Its
     negative transpose acts on wrenches.
@@ -146,10 +124,6 @@ def ad(xi: ArrayLike) -> np.ndarray:
     Parameters
     ----------
     xi : (..., 6) twist [v; w].
-
-    Returns
-    -------
-    (..., 6, 6) for twists [v; w].
     """
     xi = arguments.array(xi, (6,), "xi")
     result = np.zeros((*xi.shape, 6))
@@ -159,16 +133,14 @@ def ad(xi: ArrayLike) -> np.ndarray:
 
 
 def adjoint(T_a_b: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the matrix Ad with ``twist_a = Ad twist_b``: ``[[R, hat(p) R], [0, R]]``; ``hat(Ad xi) = T hat(xi) T⁻¹``.
+    """Return the matrix Ad (..., 6, 6) with ``twist_a = Ad twist_b`` for twists [v; w]: ``[[R, hat(p) R], [0, R]]``.
+
+    It satisfies ``hat(Ad xi) = T hat(xi) T⁻¹``.
 
     Parameters
     ----------
-    T_a_b : (..., 4, 4).
-    out : (..., 6, 6) array to write into.
-
-    Returns
-    -------
-    (..., 6, 6) for twists [v; w].
+    T_a_b : (..., 4, 4) pose of b in a.
+    out : (..., 6, 6) array for the result; default: a new one.
 
     Raises
     ------
@@ -178,15 +150,11 @@ def adjoint(T_a_b: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def adjoint_inv(T_a_b: ArrayLike) -> np.ndarray:
-    """Return ``adjoint(T)⁻¹ = adjoint(T⁻¹)``.
+    """Return ``adjoint(T)⁻¹ = adjoint(T⁻¹)`` (..., 6, 6), for twists [v; w].
 
     Parameters
     ----------
-    T_a_b : (..., 4, 4).
-
-    Returns
-    -------
-    (..., 6, 6) for twists [v; w].
+    T_a_b : (..., 4, 4) pose of b in a.
 
     Raises
     ------
@@ -196,20 +164,16 @@ def adjoint_inv(T_a_b: ArrayLike) -> np.ndarray:
 
 
 def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return a wrench in another frame: ``f_a = R f_b``, ``m_a = R m_b + p × f_a``; power is invariant.
+    """Return a wrench [f; m] (..., 6) in another frame: ``f_a = R f_b``, ``m_a = R m_b + p × f_a``.
 
     Axes and moment point change together: the moment of `wrench_b` is about the origin of b, and the moment of the
-    result is about the origin of a.
+    result is about the origin of a. Power is invariant; the result equals ``adjoint(T_b_a)ᵀ wrench_b``.
 
     Parameters
     ----------
-    T_a_b : (..., 4, 4), leading axes broadcast.
+    T_a_b : (..., 4, 4) pose of b in a; leading axes broadcast.
     wrench_b : (..., 6) [f; m] in b.
-    out : (..., 6) array to write into.
-
-    Returns
-    -------
-    (..., 6) [f; m] in a, equal to ``adjoint(T_b_a)ᵀ wrench_b``.
+    out : (..., 6) array for the result; default: a new one.
 
     Raises
     ------
@@ -219,16 +183,14 @@ def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike, out: np.ndarray | No
 
 
 def is_pose(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarray:
-    """Return whether each matrix is a pose, with a rotation, a finite position and the last row (0, 0, 0, 1).
+    """Return whether each matrix is a pose: (...) bool, False for NaN and infinity.
+
+    A pose has a rotation, a finite position and the last row (0, 0, 0, 1).
 
     Parameters
     ----------
     T : (..., 4, 4).
     tolerance : largest entry of ``abs(RᵀR - I)`` that passes.
-
-    Returns
-    -------
-    (...) bool; False for NaN and infinity.
 
     Raises
     ------
@@ -244,13 +206,8 @@ def orthonormalise(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> n
 
     Parameters
     ----------
-    T : array_like, shape (..., 4, 4)
-    tolerance : float
-        Largest entry of ``abs(RᵀR - I)`` that counts as rounding.
-
-    Returns
-    -------
-    T : array, shape (..., 4, 4)
+    T : (..., 4, 4).
+    tolerance : largest entry of ``abs(RᵀR - I)`` that counts as rounding.
 
     Raises
     ------
@@ -284,19 +241,15 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
 
 def left_jacobian(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return J with ``exp(xi + dxi) = exp(J dxi) exp(xi)``: ``[[V, Q], [0, V]]``, V = so3.left_jacobian(w).
+    """Return J (..., 6, 6) with ``exp(xi + dxi) = exp(J dxi) exp(xi)``: ``[[V, Q], [0, V]]``.
 
-    Q is the derivative of V in the direction v, so both are one matrix function: ``J = f(ad(xi))`` and
-    ``V = f(hat(w))`` with ``f(X) = I + X/2! + X²/3! + ...``.
+    V is ``so3.left_jacobian(w)``, and Q is its derivative in the direction v: ``J = f(ad(xi))`` and ``V = f(hat(w))``
+    with ``f(X) = I + X/2! + X²/3! + ...``. The right Jacobian is ``left_jacobian(-xi)``.
 
     Parameters
     ----------
     xi : (..., 6) twist [v; w].
-    out : (..., 6, 6) array to write into.
-
-    Returns
-    -------
-    (..., 6, 6). The right Jacobian is ``left_jacobian(-xi)``.
+    out : (..., 6, 6) array for the result; default: a new one.
 
     Reference: T. D. Barfoot, State estimation for robotics, 2017, eq. 7.83 to 7.86 (angular parts last, as here).
     """
@@ -304,32 +257,26 @@ def left_jacobian(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def left_jacobian_inv(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the inverse of `left_jacobian`, in closed form: ``[[V⁻¹, -V⁻¹ Q V⁻¹], [0, V⁻¹]]``.
+    """Return the inverse (..., 6, 6) of `left_jacobian`, in closed form: ``[[V⁻¹, -V⁻¹ Q V⁻¹], [0, V⁻¹]]``.
 
     Parameters
     ----------
     xi : (..., 6) twist [v; w] with w shorter than 2π [rad].
-    out : (..., 6, 6) array to write into.
-
-    Returns
-    -------
-    (..., 6, 6).
+    out : (..., 6, 6) array for the result; default: a new one.
     """
     return kernels.se3_left_jacobian_inv(xi, out)
 
 
 def from_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
-    """Return [v; w] of a twist [w; v], or [f; m] of a wrench [m; f], from a library with the angular part first.
+    """Return [v; w] of a twist [w; v], or [f; m] of a wrench [m; f], in the shape of the input.
+
+    Use it for data from a library with the angular part first.
 
     Parameters
     ----------
-    x : array with length 6 along the axis: twists or wrenches (..., 6); a Jacobian (..., 6, n) with axis -2; a
-        6 × 6 matrix needs it along both axes.
+    x : array of length 6 along the axis: twists or wrenches (..., 6), or a Jacobian (..., 6, n) with axis -2. Convert a
+        6 × 6 matrix along both axes.
     axis : the axis to reorder.
-
-    Returns
-    -------
-    the same shape.
 
     Raises
     ------
@@ -339,16 +286,14 @@ def from_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
 
 
 def to_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
-    """Return [w; v] of a twist [v; w], or [m; f] of a wrench [f; m], for a library with the angular part first.
+    """Return [w; v] of a twist [v; w], or [m; f] of a wrench [f; m]; inverse of `from_angular_first`.
+
+    Use it for a library with the angular part first. The result has the shape of the input.
 
     Parameters
     ----------
-    x : array with length 6 along the axis, as in `from_angular_first`, the inverse function.
+    x : array of length 6 along the axis, as in `from_angular_first`.
     axis : the axis to reorder.
-
-    Returns
-    -------
-    the same shape.
 
     Raises
     ------
@@ -377,26 +322,22 @@ def interpolate(
     path: Literal["linear", "screw"] = "linear",
     out: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Interpolate from a to b: the position along a line, the rotation about one axis, both at constant speed.
+    """Interpolate from a to b, with the position along a line and the rotation about one axis, at constant speed.
 
-    The alternative screw path ``T_a exp(s log(T_a⁻¹ T_b))`` does not depend on the reference point of the body, which
-    moves along a helix. Both ends are exact.
+    Return poses (..., 4, 4) with exact ends. The alternative screw path ``T_a exp(s log(T_a⁻¹ T_b))`` does not depend
+    on the reference point of the body, which moves along a helix.
 
     Parameters
     ----------
-    T_a, T_b : (..., 4, 4) poses in one frame, leading axes broadcast with those of s.
-    s : (...) 0 at a, 1 at b.
+    T_a, T_b : (..., 4, 4) poses in one frame; leading axes broadcast with those of s.
+    s : (...) path parameter, 0 at a and 1 at b.
     path : "linear" or "screw".
-    out : (..., 4, 4) array to write into.
-
-    Returns
-    -------
-    (..., 4, 4).
+    out : (..., 4, 4) array for the result; default: a new one.
 
     Raises
     ------
     ShapeError : an argument is not a pose within `so3.ROTATION_TOLERANCE`.
-    UnknownName : the path does not exist.
+    UnknownName : unknown path.
     """
     check_name(path, "path between poses", PATHS)
     return kernels.se3_interpolate(T_a, T_b, s, path == "screw", out)
@@ -405,19 +346,15 @@ def interpolate(
 def mean(
     T: ArrayLike, weights: ArrayLike | None = None, method: Literal["chordal", "geodesic"] = "chordal"
 ) -> np.ndarray:
-    """Return the mean of poses along axis 0: the mean position and `so3.mean` of the rotations.
+    """Return the mean pose (..., 4, 4) along axis 0: the mean position and `so3.mean` of the rotations.
 
     The result depends on the origin of the moving frame, because its positions are averaged.
 
     Parameters
     ----------
     T : (N, ..., 4, 4), N ≥ 1.
-    weights : (N,) or (N, ...), non-negative; default: equal. 0 excludes a pose, even a missing one.
+    weights : (N,) or (N, ...), non-negative; default: equal. 0 excludes a pose, even if it is missing.
     method : "chordal" or "geodesic" mean of the rotations.
-
-    Returns
-    -------
-    (..., 4, 4).
 
     Raises
     ------

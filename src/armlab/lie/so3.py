@@ -21,34 +21,28 @@ __all__ = [
 ]  # fmt: skip
 
 ROTATION_TOLERANCE = arguments.ROTATION_TOLERANCE
-"""Largest entry of |RᵀR - I| accepted as a rotation; data with six decimals are off by up to 2e-6.
+"""Largest entry of |RᵀR - I| accepted as a rotation; six decimals have errors of up to 2e-6.
 
 For larger errors, use `project`.
 """
 SKEW_TOLERANCE = 1e-9
 ONE_NEAREST = 1e-9
-NEGLIGIBLE = 1e-9
-"""Largest entry of |RᵀR - I| for which a rotation keeps its bits; between the two limits, the nearest rotation is used.
-"""
+NEGLIGIBLE = 1e-9  # largest entry of |RᵀR - I| for which a rotation keeps its bits
 
-UNDEFINED = 1e-13  # below it, a direction is lost in rounding
+UNDEFINED = 1e-13  # length below which a direction is lost in rounding
 
 METHODS = ("chordal", "geodesic")
-AGREEMENT = 0.1  # fraction of the weights; below it, the rotations are too scattered for a mean
+AGREEMENT = 0.1  # fraction of the weights below which the rotations are too scattered for a mean
 ITERATIONS = 30
 CLOSE = 1e-9  # rad: a Newton step of this size leaves an error of the order of its square
 
 
 def hat(w: ArrayLike) -> np.ndarray:
-    """Return the skew matrix of a vector: ``hat(w) x = w × x``.
+    """Return the skew matrix (..., 3, 3) of a vector: ``hat(w) x = w × x``.
 
     Parameters
     ----------
     w : (..., 3).
-
-    Returns
-    -------
-    (..., 3, 3).
     """
     w = arguments.array(w, (3,), "w")
     W = np.zeros((*w.shape, 3))
@@ -60,15 +54,11 @@ def hat(w: ArrayLike) -> np.ndarray:
 
 
 def vee(W: ArrayLike) -> np.ndarray:
-    """Return the vector of a skew matrix: ``vee(hat(w)) = w``.
+    """Return the vector (..., 3) of a skew matrix: ``vee(hat(w)) = w``.
 
     Parameters
     ----------
     W : (..., 3, 3), skew to 1e-9 of its largest entry.
-
-    Returns
-    -------
-    (..., 3).
 
     Raises
     ------
@@ -85,49 +75,39 @@ def vee(W: ArrayLike) -> np.ndarray:
 
 
 def skew_part(M: ArrayLike) -> np.ndarray:
-    """Return the skew part of a matrix: ``(M - Mᵀ) / 2``.
+    """Return the skew part (..., 3, 3) of a matrix: ``(M - Mᵀ) / 2``.
 
     Parameters
     ----------
     M : (..., 3, 3).
-
-    Returns
-    -------
-    (..., 3, 3).
     """
     M = arguments.array(M, (3, 3), "M")
     return (M - np.swapaxes(M, -1, -2)) / 2
 
 
 def exp(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the rotation about w by abs(w): ``I + sin θ/θ hat(w) + 2 sin²(θ/2)/θ² hat(w)²``, θ = abs(w).
+    """Return the rotation (..., 3, 3) about w by the angle θ = abs(w).
+
+    ``I + sin θ/θ hat(w) + 2 sin²(θ/2)/θ² hat(w)²``.
 
     Parameters
     ----------
     w : (..., 3) rotation vector [rad].
-    out : (..., 3, 3) array to write into.
-
-    Returns
-    -------
-    (..., 3, 3).
+    out : (..., 3, 3) array for the result; default: a new one.
     """
     return kernels.so3_exp(w, out)
 
 
 def log(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the rotation vector of minimum length: ``exp(log(R)) = R``, abs(log(R)) ≤ π.
+    """Return the rotation vector (..., 3) [rad] of minimum length: ``exp(log(R)) = R``, abs(log(R)) ≤ π.
 
     It is computed via the quaternion (w, v): ``2 atan2(abs(v), w) v/abs(v)``, which preserves full precision from
     1e-300 rad to a half turn. At a half turn, the first non-zero component is positive.
 
     Parameters
     ----------
-    R : (..., 3, 3).
-    out : (..., 3) array to write into.
-
-    Returns
-    -------
-    (..., 3) [rad].
+    R : (..., 3, 3) rotation.
+    out : (..., 3) array for the result; default: a new one.
 
     Raises
     ------
@@ -137,16 +117,12 @@ def log(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def is_rotation(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarray:
-    """Return whether each matrix is a rotation: ``RᵀR = I`` and ``det R > 0``.
+    """Return whether each matrix is a rotation, ``RᵀR = I`` and ``det R > 0``: (...) bool, False for NaN and infinity.
 
     Parameters
     ----------
     R : (..., 3, 3).
     tolerance : largest entry of ``abs(RᵀR - I)`` that passes.
-
-    Returns
-    -------
-    (...) bool; False for NaN and infinity.
 
     Raises
     ------
@@ -161,20 +137,14 @@ def is_rotation(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarr
 
 
 def orthonormalise(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarray:
-    """Orthonormalise rounded rotations: matrices off by up to `tolerance` are projected, all others are unchanged.
+    """Project rounded rotations onto exact rotations; return all other matrices unchanged.
 
-    Matrices that are orthonormal to 1e-9 keep their bits. Matrices that are not rotations are unchanged and can be
-    detected with `is_rotation`.
+    Matrices that are orthonormal to 1e-9 keep their bits. `is_rotation` detects matrices that are not rotations.
 
     Parameters
     ----------
-    R : array_like, shape (..., 3, 3)
-    tolerance : float
-        Largest entry of ``abs(RᵀR - I)`` that counts as rounding.
-
-    Returns
-    -------
-    R : array, shape (..., 3, 3)
+    R : (..., 3, 3).
+    tolerance : largest entry of ``abs(RᵀR - I)`` that counts as rounding.
 
     Raises
     ------
@@ -203,7 +173,7 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
     Raises
     ------
-    ShapeError : the nearest rotation is not unique (rank below 2, a reflection of equal axes, an infinite entry).
+    ShapeError : an infinite entry, or the nearest rotation is not unique (rank below 2, or a reflection of equal axes).
     """
     M = arguments.array(M, (3, 3), "M")
     R, sigma = nearest(M)
@@ -241,49 +211,39 @@ def nearest(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def left_jacobian(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return J with ``exp(w + dw) = exp(J dw) exp(w)``: ``I + (1 - cos θ)/θ² hat(w) + (θ - sin θ)/θ³ hat(w)²``.
+    """Return J (..., 3, 3) with ``exp(w + dw) = exp(J dw) exp(w)``.
+
+    ``I + (1 - cos θ)/θ² hat(w) + (θ - sin θ)/θ³ hat(w)²``; the right Jacobian is ``left_jacobian(-w)``.
 
     Parameters
     ----------
     w : (..., 3) rotation vector [rad].
-    out : (..., 3, 3) array to write into.
-
-    Returns
-    -------
-    (..., 3, 3). The right Jacobian is ``left_jacobian(-w)``.
+    out : (..., 3, 3) array for the result; default: a new one.
     """
     return kernels.so3_left_jacobian(w, out)
 
 
 def left_jacobian_inv(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the inverse of `left_jacobian`: ``I - hat(w)/2 + (1 - θ/2 cot(θ/2))/θ² hat(w)²``.
+    """Return the inverse (..., 3, 3) of `left_jacobian`: ``I - hat(w)/2 + (1 - θ/2 cot(θ/2))/θ² hat(w)²``.
 
     Parameters
     ----------
     w : (..., 3) rotation vector shorter than 2π [rad].
-    out : (..., 3, 3) array to write into.
-
-    Returns
-    -------
-    (..., 3, 3).
+    out : (..., 3, 3) array for the result; default: a new one.
     """
     return kernels.so3_left_jacobian_inv(w, out)
 
 
 def interpolate(R_a: ArrayLike, R_b: ArrayLike, s: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Interpolate from a to b about one axis at constant speed: ``R_a exp(s log(R_aᵀ R_b))``.
+    """Interpolate from a to b about one axis at constant speed: ``R_a exp(s log(R_aᵀ R_b))`` (..., 3, 3).
 
     Both ends are exact. In between, the result equals `quaternion.slerp`; other values of s extrapolate.
 
     Parameters
     ----------
-    R_a, R_b : (..., 3, 3), leading axes broadcast with those of s.
-    s : (...) 0 at a, 1 at b.
-    out : (..., 3, 3) array to write into.
-
-    Returns
-    -------
-    (..., 3, 3).
+    R_a, R_b : (..., 3, 3) rotations; leading axes broadcast with those of s.
+    s : (...) path parameter, 0 at a and 1 at b.
+    out : (..., 3, 3) array for the result; default: a new one.
 
     Raises
     ------
@@ -293,15 +253,11 @@ def interpolate(R_a: ArrayLike, R_b: ArrayLike, s: ArrayLike, out: np.ndarray | 
 
 
 def angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
-    """Return the angle between two rotations: ``abs(log(R_aᵀ R_b))``.
+    """Return the angle (...) in [0, π] [rad] between two rotations: ``abs(log(R_aᵀ R_b))``, 0 for equal rotations.
 
     Parameters
     ----------
-    R_a, R_b : (..., 3, 3), leading axes broadcast.
-
-    Returns
-    -------
-    (...) in [0, π] [rad]; 0 for equal rotations.
+    R_a, R_b : (..., 3, 3) rotations; leading axes broadcast.
 
     Raises
     ------
@@ -313,13 +269,11 @@ def angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
 def xy_angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
     """Return the heading of b in a: the angle of b's x axis in a's xy plane, ``atan2(R_10, R_00)`` of ``R_aᵀ R_b``.
 
+    The result (...) is in (-π, π] [rad], positive about a's z axis, and NaN if b's x axis is parallel to it.
+
     Parameters
     ----------
-    R_a, R_b : (..., 3, 3), leading axes broadcast.
-
-    Returns
-    -------
-    (...) in (-π, π] [rad], positive about a's z axis; NaN if b's x axis is parallel to it.
+    R_a, R_b : (..., 3, 3) rotations; leading axes broadcast.
 
     Raises
     ------
@@ -335,16 +289,13 @@ def angle_about(R_a: ArrayLike, R_b: ArrayLike, axis: ArrayLike) -> np.ndarray:
     """Return the rotation angle of b relative to a about an axis: ``2 atan2(axis · v, w)`` of ``R_aᵀ R_b``.
 
     This is the twist; the remainder is a rotation about a perpendicular axis (swing-twist decomposition). For a pure
-    rotation about z, the result equals `xy_angle`.
+    rotation about z, the result equals `xy_angle`. The result (...) is in (-π, π] [rad], positive about the axis, and
+    NaN if the swing is a half turn, which leaves the twist undefined.
 
     Parameters
     ----------
-    R_a, R_b : (..., 3, 3), leading axes broadcast with those of the axis.
+    R_a, R_b : (..., 3, 3) rotations; leading axes broadcast with those of the axis.
     axis : (..., 3) in a, of any non-zero length.
-
-    Returns
-    -------
-    (...) in (-π, π] [rad], positive about the axis; NaN if the swing is a half turn, which leaves the twist undefined.
 
     Raises
     ------
@@ -359,16 +310,12 @@ def angle_about(R_a: ArrayLike, R_b: ArrayLike, axis: ArrayLike) -> np.ndarray:
 
 
 def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> np.ndarray:
-    """Return the rotation about an axis by an angle: ``exp(angle axis)``.
+    """Return the rotation (..., 3, 3) about an axis by an angle: ``exp(angle axis)``.
 
     Parameters
     ----------
     axis : (..., 3) of any non-zero length; only its direction counts.
     angle : (...) [rad], leading axes broadcast.
-
-    Returns
-    -------
-    (..., 3, 3).
 
     Raises
     ------
@@ -386,7 +333,7 @@ def to_axis_angle(R: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
     Parameters
     ----------
-    R : (..., 3, 3).
+    R : (..., 3, 3) rotation.
 
     Returns
     -------
@@ -410,7 +357,7 @@ def _direction(axis: ArrayLike) -> np.ndarray:
     length = _length(axis)
     bad = (length == 0) | (length == np.inf)
     if bad.any():
-        raise ShapeError(f"Expected an axis with a direction, got {axis[bad][0]}. Drop such samples.")
+        raise ShapeError(f"Expected an axis of finite, non-zero length, got {axis[bad][0]}. Drop such samples.")
     return axis / length[..., None]
 
 
@@ -426,7 +373,7 @@ def _turn(sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
 def mean(
     R: ArrayLike, weights: ArrayLike | None = None, method: Literal["chordal", "geodesic"] = "chordal"
 ) -> np.ndarray:
-    """Return the mean of rotations along axis 0.
+    """Return the mean (..., 3, 3) of rotations along axis 0; NaN if a rotation with non-zero weight is missing.
 
     The chordal mean minimises ``Σ weight norm(mean - R)²`` (Frobenius): it is the rotation nearest to the mean matrix.
     The geodesic mean minimises ``Σ weight angle(mean, R)²``, and is found by Newton steps from the chordal mean. They
@@ -435,19 +382,15 @@ def mean(
     Parameters
     ----------
     R : (N, ..., 3, 3), N ≥ 1.
-    weights : (N,) or (N, ...), non-negative; default: equal. 0 excludes a rotation, even a missing one.
+    weights : (N,) or (N, ...), non-negative; default: equal. 0 excludes a rotation, even if it is missing.
     method : "chordal" or "geodesic".
-
-    Returns
-    -------
-    (..., 3, 3); NaN if a rotation with non-zero weight is missing.
 
     Raises
     ------
-    ShapeError : an argument is not a rotation, weights of the wrong shape, or no mean: with the singular values ``σ``
-        of the mean matrix and d the sign of its determinant, ``σ₂ + d σ₃ < 0.1``.
-    NotConverged : no geodesic mean (rotations about a half turn apart).
-    UnknownName : the method does not exist.
+    ShapeError : an argument is not a rotation, the weights have the wrong shape, or the mean is undefined: with the
+        singular values ``σ`` of the mean matrix and d the sign of its determinant, ``σ₂ + d σ₃ < 0.1``.
+    NotConverged : the geodesic mean is not unique (rotations about a half turn apart).
+    UnknownName : unknown method.
 
     Reference: R. Hartley, J. Trumpf, Y. Dai, H. Li, Rotation averaging, Int. J. Computer Vision 103, 2013.
     """
@@ -485,7 +428,7 @@ def shares(weights: ArrayLike | None, batch: tuple[int, ...]) -> np.ndarray:
 
 
 def _geodesic(R: np.ndarray, share: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Newton's method, in which the Hessian of angle²/2 is the symmetric part of the inverse left Jacobian."""
+    """Apply Newton's method; the Hessian of angle²/2 is the symmetric part of the inverse left Jacobian."""
     for _ in range(ITERATIONS):
         w = kernels.so3_log(np.swapaxes(mean, -1, -2) @ R)
         gradient = (share[..., None] * w).sum(axis=0)
