@@ -127,7 +127,7 @@ def test_what_a_run_cannot_use_is_refused_before_it_begins(robot: Robot, options
         assert (link.host, link.port > 0) == ("127.0.0.1", True)
         with pytest.raises((ConfigError, LogError), match=words):
             link.run(**{"controller": sway, **options})
-    with pytest.raises(LinkError, match=r"closed one\. Connect again"):
+    with pytest.raises(LinkError, match=r"this link is closed\. Connect again"):
         link.run(sway)
 
 
@@ -141,7 +141,7 @@ def test_what_a_run_cannot_use_is_refused_before_it_begins(robot: Robot, options
         ("egm://127.0.0.1:0", 1, {"clock": "atomic"}, "clock"),
         ("egm://127.0.0.1:0", 1, {"patience": 0.0}, "patience above 0 s"),
         ("sim://yumi_left", 2, {}, "one URL per robot, got 1 for 2"),
-        (["egm://127.0.0.1:6510"] * 2, 2, {}, "a port per arm"),
+        (["egm://127.0.0.1:6510"] * 2, 2, {}, "a separate port for each arm"),
         (["sim://yumi_left", "egm://127.0.0.1:0"], 2, {}, "of the same kind"),
         (["sim://yumi_left?seed=1&loss=0.1", "sim://yumi_right?seed=2"], 2, {}, "the same options"),
         (["egm://127.0.0.1:0"] * 2, 0, {}, "different names"),

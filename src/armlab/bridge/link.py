@@ -1,4 +1,4 @@
-"""`connect` and `Link`: entry points of the bridge."""
+"""Connection of a controller to robots: `connect` returns a `Link`, which runs the controller."""
 
 from __future__ import annotations
 
@@ -51,27 +51,27 @@ if TYPE_CHECKING:
     from armlab.bridge.doctor.controller import RapidRun
 
 GROUP = "armlab.bridge.codecs"
-"""Entry point group; each entry point returns the `wire.egm.Codec` of a Robot."""
+"""Entry point group of additional codecs; each entry point maps a Robot to its `wire.egm.Codec`."""
 
 _MOVES = ("links", "prismatic", "coupling", "T_base_mount", "gravity")
-_CALIBRATED = 0.02  # largest difference of an entry [m, 1, m/s^2] that a calibration may explain
-_SCARA = "scara"  # exists only in the simulator, not in the library
+_CALIBRATED = 0.02  # largest difference of an entry [m, 1, m/s^2] that a calibration can explain
+_SCARA = "scara"  # part of the simulator, not of the library
 
 _METHODS = ("capabilities", "reset", "decode", "encode")
 
 
 def codec_named(name: str, robot: Robot, extension: bool = False, simulated: bool = False) -> Codec:
-    if name == "egm" and simulated:  # the simulator receives linear axes in the units in which it sends them
+    if name == "egm" and simulated:  # the simulator receives linear axes in the units that it sends
         axes = zip(robot.prismatic, robot.abb_axes, strict=True)
         return EgmCodec(robot, extension, ["mm" if slides and axis > 6 else "deg" for slides, axis in axes])
     if name == "egm":
         return EgmCodec(robot, extension)
     from importlib.metadata import entry_points
 
-    brought = entry_points(group=GROUP)
-    if name not in brought.names:
-        raise UnknownName.among("codec", name, ["egm", *sorted(brought.names)])
-    point = brought[name]
+    points = entry_points(group=GROUP)
+    if name not in points.names:
+        raise UnknownName.among("codec", name, ["egm", *sorted(points.names)])
+    point = points[name]
     try:
         codec = point.load()(robot)
     except Exception as error:
@@ -91,7 +91,7 @@ def codec_named(name: str, robot: Robot, extension: bool = False, simulated: boo
 def codecs_of(
     codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool, simulated: bool = False
 ) -> list[Codec]:
-    """Return the codec of each arm, looked up by name or as given."""
+    """Return one codec per arm: created by name, or the objects given."""
     if isinstance(codec, str):
         return [codec_named(codec, robot, extension, simulated) for robot in robots]
     given = list(codec) if isinstance(codec, Sequence) else [codec]
@@ -110,9 +110,9 @@ _PATIENCE = 5.0  # s allowed for the process to exit before it is killed
 
 
 class Simulator:
-    """One ``python -m armlab sim`` process that sends to ports on this computer.
+    """Process ``armlab sim`` that sends to ports on this computer.
 
-    A separate process group shields it from Ctrl-C, so that the bridge can bring the arm to rest first.
+    A separate session shields the process from Ctrl-C, so that the bridge can bring the arm to rest first.
     """
 
     def __init__(self, robots: Sequence[str], ports: Sequence[int], options: Mapping[str, str]) -> None:
@@ -122,23 +122,22 @@ class Simulator:
             if value.lower() != "false":
                 arguments += [f"--{name}"] if value.lower() in ("", "true") else [f"--{name}", value]
         self._command = " ".join(["armlab", *arguments[3:]])
-        arguments += ["--parent", str(os.getpid())]  # passed on, because this process may end before the child can ask
+        arguments += [
+            "--parent",
+            str(os.getpid()),
+        ]  # passed, because this process may end before the child can look it up
         self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
         number, errors = os.pipe()
         self._errors = Descriptor(number)
         self._process = subprocess.Popen(
-            arguments,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=errors,
-            start_new_session=True,
+            arguments, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True
         )
         os.close(errors)
         self._reader = threading.Thread(target=self._read, name="simulator messages", daemon=True)
         self._reader.start()
 
     def gone(self) -> str:
-        """Return why the process has ended, or "" while it is running."""
+        """Return the reason for the end of the process, or "" while the process is running."""
         status = self._process.poll()
         if status is None:
             return ""
@@ -247,9 +246,8 @@ def connect(
             opened.callback(ends[-1].port.close)
         simulator = None
         if is_simulated:
-            simulator = Simulator(
-                [one.robot for one in where], [end.port.port for end in ends], simulator_options(where)
-            )
+            ports = [end.port.port for end in ends]
+            simulator = Simulator([one.robot for one in where], ports, simulator_options(where))
             opened.callback(simulator.stop)
             settings = replace(settings, alive=simulator.gone)
         rapid = None
@@ -274,11 +272,11 @@ def _robots(robot: Any) -> list[Robot]:
 
 
 def _check_simulated(robots: Sequence[Robot], where: Sequence[Address]) -> None:
-    """Raise if a simulated arm is unknown or its links or mount differ; tool and calibration may differ."""
+    """Raise an error if a simulated arm is unknown or differs in links or mount; tool and calibration may differ."""
     for robot, address in zip(robots, where, strict=True):
         if address.robot == _SCARA:
             continue
-        with warnings.catch_warnings():  # loading the robot gave the same warnings
+        with warnings.catch_warnings():  # the same warnings appeared when the robot was loaded
             warnings.simplefilter("ignore")
             simulated = load_chosen(address.robot, address.options)
         same = simulated.n == robot.n and all(
@@ -370,18 +368,18 @@ class Link:
         torque_model: FreeTorque | Sequence[FreeTorque] | None = None,
         attachments: Mapping[str, bytes] | None = None,
     ) -> Run:
-        """Run a controller on the robot, with one call and one reply per packet.
+        """Run a controller on the robot: one call and one reply per packet.
 
-        The arm holds until the first command within `Limits.entry` of its position. The run ends
+        The arm holds until the controller returns a first command within `Limits.entry` of its position. The run ends
 
         - after `seconds`, or when the controller returns ``Command.stop()``;
         - when the controller raises an error or is late too often;
-        - when the robot is lost, or ten sessions in a row end with less than 0.1 s under guidance;
+        - when the robot is lost, or ten consecutive sessions end with less than 0.1 s under guidance;
         - on Ctrl-C.
 
-        The arm is brought to rest first. Ctrl-C raises KeyboardInterrupt once the arm is at rest and the log is closed.
-        A second Ctrl-C raises immediately; the arm then keeps its last speed until the robot controller times out. If a
-        controller call lasts longer than 1 s, Ctrl-C interrupts it, and the arm is brought to rest.
+        The bridge brings the arm to rest before the run ends. Ctrl-C raises KeyboardInterrupt once the arm is at rest
+        and the log is closed. A second Ctrl-C raises it immediately; the arm then keeps its last speed until the robot
+        controller times out. If a controller call lasts longer than 1 s, Ctrl-C interrupts the call.
 
         With several arms, each packet of the pacing arm triggers a controller call with the State of all arms, as long
         as all are ready. The other arms receive their newest commands in their own ticks. All arms hold when one is not
@@ -391,7 +389,7 @@ class Link:
         ----------
         controller : callable
             Maps a State to a Command or None (hold). With several arms, it returns a Command for all joints, or a tuple
-            with one Command per arm. If None is passed as the controller, the run only listens and never sends.
+            with one Command per arm. With None as the controller, the run only listens and never sends.
         seconds : float, s
             Duration of the run: robot time under guidance or, without a controller, from the first packet.
         wait : str
@@ -499,7 +497,7 @@ class Link:
 
     def _check(self, controller: Controller | None, seconds: Any, wait: str, reconnect: str) -> None:
         if self._closed:
-            raise LinkError("Expected an open link, got a closed one. Connect again.")
+            raise LinkError("Expected an open link, but this link is closed. Connect again.")
         if controller is not None and not callable(controller):
             raise ConfigError(f"Expected a callable controller, or None to listen, got {controller!r}.")
         if seconds is not None and not (isinstance(seconds, int | float) and seconds >= 0.0):  # NaN would never end
@@ -520,12 +518,12 @@ class Link:
             what = "controller=None" if controller is None else "answer_stream=False"
             raise ConfigError(
                 f"Expected a reply to every packet, because a robot in lockstep waits for each reply, got {what}. "
-                'Omit lockstep=true and clock="robot", or reply.'
+                'Omit lockstep=true and clock="robot", or pass a controller and keep answer_stream=True.'
             )
 
 
 def _with_tail(failure: LinkError, arms: Sequence[ArmSession]) -> LinkError:
-    """Return the error with the last ten seconds of all arms, if memory allows."""
+    """Attach the last ten seconds of all arms to the error, if memory allows."""
     with suppress(MemoryError):  # the error matters more than its table
         tails = {arm.robot.name: arm.recording.tail() for arm in arms}
         failure.table = together(tails) if len(tails) > 1 else tails[arms[0].robot.name]
@@ -533,7 +531,7 @@ def _with_tail(failure: LinkError, arms: Sequence[ArmSession]) -> LinkError:
 
 
 def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Tell, wait: Wait) -> None:
-    """Enter short switches, watchdog and priority; wait="spin" keeps normal priority, because it never yields."""
+    """Start the watchdog and raise the thread priority; wait="spin" keeps normal priority, because it never yields."""
     stack.enter_context(short_switches())
     stack.enter_context(Guard(loop.overdue, loop.answer_for_controller))
     if wait != "spin":

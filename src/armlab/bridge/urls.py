@@ -1,4 +1,4 @@
-"""Link URLs; `addresses` parses them into one `Address` per robot."""
+"""URLs of links; `addresses` parses them into one `Address` per robot."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from urllib.parse import SplitResult, parse_qsl, unquote, urlencode, urlsplit
 from armlab.errors import ConfigError
 
 _PORT = 6510  # for a single arm
-_PORTS = 6511  # for the first of several arms: 6511 left, 6512 right
-_ZENOH = 7447  # of the router
-_RWS = ("rws", "ca", "insecure")  # options: a controller with Robot Web Services, and its certificate
-_LABCOMM = 7511  # of the first arm of a LabComm server: 7511 left, 7512 right
+_PORTS = 6511  # first of several arms: 6511 left, 6512 right
+_ZENOH = 7447  # port of the router
+_RWS = ("rws", "ca", "insecure")  # options: host of Robot Web Services, and verification of its certificate
+_LABCOMM = 7511  # first port of a LabComm server: 7511 left, 7512 right
 
 
 class Address(NamedTuple):
@@ -38,12 +38,12 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
         )
     bound = [(one.host, one.port) for one in found if one.port and one.scheme != "zenoh"]
     if len(set(bound)) < len(bound):
-        raise ConfigError(f"Expected a port per arm, because each motion task needs its own, got {', '.join(urls)}.")
+        raise ConfigError(f"Expected a separate port for each arm, got {', '.join(urls)}.")
     return found
 
 
 def choosing_arm(url: str, chosen: Mapping[str, str]) -> str:
-    """Return a URL, with any missing options base, tip and lock added for a simulated robot."""
+    """Return a URL; for a simulated robot, add the missing options base, tip and lock."""
     missing = urlencode({name: value for name, value in chosen.items() if f"{name}=" not in url})
     return f"{url}{'&' if '?' in url else '?'}{missing}" if missing and url.startswith("sim:") else url
 
@@ -63,7 +63,7 @@ def split_url(url: str) -> SplitResult:
         parts = urlsplit(url if isinstance(url, str) else "")
         if parts.password is not None or "@" in dict(parse_qsl(parts.query)).get("rws", ""):  # not echoed
             raise ConfigError(
-                "Expected a URL without a password, got a URL with one. Store passwords in environment variables."
+                "Expected a URL without a password, but it contains one. Store passwords in environment variables."
             )
         return parts
     except ConfigError:

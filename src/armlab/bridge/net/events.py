@@ -1,4 +1,4 @@
-"""Events of a run: the callback type `Tell`, the null callback `nobody`, and the rate limit `Limited`."""
+"""Events of a run: callback type `Tell`, null callback `nobody`, and rate limiter `Limited`."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-_EVERY = 1_000_000_000  # ns between two events of one kind
-_EACH = 50  # events of a kind in that time with each=True: commanding clients may change ten times a second
-_KINDS = 64  # limited separately; further kinds share one limit
-_CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|\d[\d.]*")  # may differ between events of one kind
+_EVERY = 1_000_000_000  # ns between two reported events of one kind
+_EACH = 50  # events of one kind per `_EVERY` with each=True: commanding clients may change ten times a second
+_KINDS = 64  # kinds with their own limit; further kinds share one limit
+_CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|\d[\d.]*")  # parts that may differ between events of one kind
 
 
 class Tell(Protocol):
     """Callback for events."""
 
     def __call__(self, text: str, warn: bool = False, each: bool = False) -> None:
-        """Report one event; `warn` marks a problem, and `each` keeps later events of its kind from replacing it."""
+        """Report one event; `warn` marks a problem, and `each` reports all events of a kind up to a limit."""
         ...
 
 
@@ -28,7 +28,7 @@ def nobody(text: str, warn: bool = False, each: bool = False) -> None:
 
 @dataclass(slots=True)
 class _Kind:
-    """Rate limit of one kind: start of its interval, events reported in it, pending event, events it replaced."""
+    """Rate limit of one kind: start of the interval, reported events, delayed event and number of replaced events."""
 
     reported_ns: int
     reported: int = 1
@@ -37,12 +37,12 @@ class _Kind:
 
 
 class Limited:
-    """Rate limit for events: the first event of each kind is reported immediately, then at most one per second.
+    """Rate limiter for events: the first event of a kind is reported immediately, later events at most once a second.
 
-    Events are of one kind if they differ only in numbers and quoted words. The newest event within a second is delayed
-    to the end of that second; it keeps its timestamp and counts the events it replaced. A condition that changes with
-    every packet therefore cannot fill the disk, and its last state is always reported. Events with ``each=True`` are
-    limited to fifty per second and kind.
+    Events that differ only in numbers and quoted words are of one kind. The newest event within a second is delayed to
+    the end of that second; its text counts the events it replaced. A condition that changes with every packet therefore
+    cannot fill the disk, and its last state is always reported. Events with ``each=True`` are limited to fifty per
+    second and kind.
     """
 
     waiting: int
@@ -57,8 +57,9 @@ class Limited:
         with self._lock:
             self.due(stamp_ns)
             name = _CHANGING.sub("#", text)
-            if name not in self._kinds and len(self._kinds) >= _KINDS:
-                self._forget(stamp_ns)
+            if name not in self._kinds and len(self._kinds) >= _KINDS:  # forget the kinds without a recent event
+                kinds = self._kinds.items()
+                self._kinds = {key: kind for key, kind in kinds if kind.pending or not _is_over(kind, stamp_ns)}
                 name = name if len(self._kinds) < _KINDS else ""
             kind = self._kinds.get(name)
             if kind is None:
@@ -84,23 +85,13 @@ class Limited:
     def _publish(self, condition: Callable[[_Kind], bool], now_ns: int) -> None:
         with self._lock:
             ready = [kind for kind in self._kinds.values() if kind.pending is not None and condition(kind)]
-            for kind in sorted(ready, key=_stamp):
+            for kind in sorted(ready, key=lambda kind: kind.pending[2] if kind.pending else 0):
                 if kind.pending is not None:
                     (text, warn, stamp_ns), replaced = kind.pending, kind.replaced
                     kind.reported_ns, kind.reported, kind.pending, kind.replaced = now_ns, 1, None, 0
                     self.waiting -= 1
                     self._report(f"{text} ({replaced} similar events skipped.)" if replaced else text, warn, stamp_ns)
 
-    def _forget(self, now_ns: int) -> None:
-        """Forget the kinds without a recent event."""
-        self._kinds = {
-            name: kind for name, kind in self._kinds.items() if kind.pending is not None or not _is_over(kind, now_ns)
-        }
-
 
 def _is_over(kind: _Kind, now_ns: int) -> bool:
     return abs(now_ns - kind.reported_ns) >= _EVERY  # a robot's clock may be set back
-
-
-def _stamp(kind: _Kind) -> int:
-    return 0 if kind.pending is None else kind.pending[2]

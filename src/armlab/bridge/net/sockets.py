@@ -1,4 +1,4 @@
-"""Sockets: UDP port of an arm, TCP ports of servers, and the socket pair between the loop and a server process."""
+"""Sockets: UDP port of an arm, TCP ports of servers, and the socket pairs between the loop and the server processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LISTENING = "0A"  # state of a TCP socket in /proc/net/tcp
 
 
 def process_using_port(port: int, kind: Literal["udp", "tcp"] = "udp") -> str:
-    """Return the process that uses a port, "process 4711 (armlab sim ...)", or "" if unknown (another user's)."""
+    """Return the process that uses a port, such as "process 4711 (armlab sim ...)", or "" if it is unknown."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         inodes = _inodes(port, kind)
         for process in Path("/proc").iterdir():
@@ -29,7 +29,7 @@ def process_using_port(port: int, kind: Literal["udp", "tcp"] = "udp") -> str:
 
 
 def program(process: int) -> str:
-    """Return the number and command line of a process, as "process 4711 (armlab sim ...)"."""
+    """Return the number and command line of a process, such as "process 4711 (armlab sim ...)"."""
     with contextlib.suppress(OSError), Path(f"/proc/{process}/cmdline").open("rb") as file:
         command = " ".join(file.read(200).replace(b"\0", b" ").decode(errors="replace").split())
         return f"process {process} ({command})"
@@ -50,11 +50,11 @@ def _has_socket(process: Path, inodes: set[str]) -> bool:
 
 
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux; absent from Python's socket module
-_FLUSHED = 2000  # datagrams: more than a receive buffer holds
+_FLUSHED = 2000  # datagrams, more than a receive buffer holds
 
 
 class Arrival(NamedTuple):
-    """One datagram: its bytes, (host, port) of the sender, and its arrival on our monotonic clock [ns]."""
+    """One datagram: its bytes, (host, port) of the sender, and its arrival time on our monotonic clock [ns]."""
 
     data: bytes
     source: tuple[str, int]
@@ -107,22 +107,22 @@ class Port:
         return arrival
 
     def flush(self) -> None:
-        """Discard waiting datagrams, because replies to old packets would send outdated references."""
+        """Discard waiting datagrams, because replies to old packets would contain outdated references."""
         for _ in range(_FLUSHED):
             if self.receive() is None:
                 break
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
-        """Send one datagram. Return whether the system accepted it."""
+        """Send one datagram; return whether the system accepted it."""
         return self._datagrams.send(data, to) or (self._was_lost() and self._datagrams.send(data, to))
 
     def _was_lost(self) -> bool:
-        """After an error, return whether other code has closed the socket, and rebind it if so."""
+        """After an error, rebind the socket if other code has closed it; return whether it was closed."""
         self._seen = self._datagrams.errors
         if self._is_closed or self._descriptor.is_open:
             return False
         self._errors, self._seen = self._errors + self._seen, 0
-        self._socket.detach()  # its number may belong to another file by now
+        self._socket.detach()  # its descriptor may belong to another file by now
         number = apart(socket.socket(socket.AF_INET, socket.SOCK_DGRAM).detach())
         self._bind(socket.socket(fileno=number), self.host, self.port)
         self.on_lost()
@@ -138,7 +138,7 @@ def _why_not(host: str, port: int, error: Exception) -> str:
             "End that program or choose another port."
         )
     if code == errno.EACCES:
-        return f"Expected permission to listen on {host}:{port} ({error}). Choose a port above 1023."
+        return f"Expected permission to listen on {host}:{port}, got {error}. Choose a port above 1023."
     return (
         f"Expected a local address to listen on, got {host}:{port} ({error}). Use an address of this computer; for a "
         "robot simulated on it, 127.0.0.1."
@@ -146,7 +146,7 @@ def _why_not(host: str, port: int, error: Exception) -> str:
 
 
 def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.socket:
-    """Return a non-blocking listening socket; accepted connections send small messages without delay."""
+    """Return a non-blocking listening socket whose connections send small messages without delay."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else a message waits up to 40 ms for an ACK
@@ -167,12 +167,12 @@ def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.so
 
 
 _BUFFER = 4 * 2**20  # bytes queued for a server
-_SNDBUFFORCE = 32  # Linux: exceeds the system's limit where permitted
-_LARGEST = 2**17
+_SNDBUFFORCE = 32  # Linux: may exceed the limit of the system
+_LARGEST = 2**17  # bytes of a message from a server
 
 
 def pair() -> tuple[socket.socket, socket.socket]:
-    """Return two connected sockets that preserve message boundaries: ours, which never blocks, and the server's."""
+    """Return two connected sockets that preserve message boundaries: ours, which is non-blocking, and the server's."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, getattr(socket, "SOCK_SEQPACKET", socket.SOCK_DGRAM))
     ours.setblocking(False)
     for option in (socket.SO_SNDBUF, _SNDBUFFORCE):
@@ -203,21 +203,21 @@ class Outlet:
         return theirs
 
     def close(self) -> None:
-        """Close our end, which ends the server process."""
+        """Close our end; the server process then ends."""
         gone, self._socket, self.where = self._socket, None, None
         if gone is not None:
             gone.detach()
             self._descriptor.close()
 
     def row(self, data: bytes) -> None:
-        """Send one row, or count it as lost; never block."""
+        """Send one row without blocking; count it as lost if it is dropped."""
         if self.send(data):
             self.rows += 1
         else:
             self.lost += 1
 
     def send(self, data: bytes) -> bool:
-        """Send one message without blocking; return False if it is dropped (the process is gone or does not read)."""
+        """Send one message without blocking; return False if it is dropped (the process ended or does not read)."""
         try:
             return self._socket is not None and self._socket.send(data) > 0
         except OSError:  # full, or the process has ended: its supervisor restarts it
@@ -238,7 +238,7 @@ def is_here(place: str) -> bool:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host is a loopback address; False for names."""
+    """Return whether a host is a loopback address; host names return False."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
