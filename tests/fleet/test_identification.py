@@ -83,7 +83,7 @@ def spoilt(short_arm) -> dict[str, tuple[Table, str]]:
     return {
         "nan": (good.with_column("tau", np.where(rows == 5, np.nan, good["tau"])), "finite tau"),
         "other": (Table(good.t, {name: np.tile(good[name], 2) for name in good.names}), "with 2 joints"),
-        "mute": (Table(good.t, {"q": good["q"], "qd": good["qd"]}), "none for tau"),
+        "mute": (Table(good.t, {"q": good["q"], "qd": good["qd"]}), "got no tau among"),
     }
 
 

@@ -307,7 +307,7 @@ def test_descriptions_that_are_damaged_or_of_other_columns(path: Path) -> None:
         assert str(told.value).endswith(".")
     beside.write_text(text, encoding="utf-8")
     for old, new, words in (
-        ("0.2,1.0,1.0,2", "0.2,1.0,1.0,2.5", r"described in .*run\.csv, got other columns: .*'n' of kind count"),
+        ("0.2,1.0,1.0,2", "0.2,1.0,1.0,2.5", r"described in .*run\.csv, got invalid columns: .*'n' of kind count"),
         ("0.1,1.0,1.0,1", "0.1,1.0,1.0,1,7", r"Expected 4 fields .*line 3 "),
         ("0.1,1.0,1.0,1", "0.1,1.0,1.0,1x", r"columns that run\.csv\.toml describes"),
     ):

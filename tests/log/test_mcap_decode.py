@@ -214,7 +214,7 @@ def test_as_many_columns_as_messages_are_read_or_refused_at_once() -> None:
     pieces: list[tuple[np.ndarray, Values]] = [
         (np.array([k]), {((f"x{k}", 1),): np.array([[float(k)]])}) for k in range(20_000)
     ]
-    with pytest.raises(LogError, match="got 20000 rows with 20000 numbers, up to 1 in x0: 20000 name"):
+    with pytest.raises(LogError, match="got 20000 rows with 20000 numbers, up to 1 in x0; padding the 20000 column"):
         assembled(20_000, pieces)
     values = assembled(2000, pieces[:2000])
     assert len(values) == 2000

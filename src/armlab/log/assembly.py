@@ -49,8 +49,8 @@ def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> t
     """Return t (N,) [s], 0 in the first row, and the name of its clock.
 
     The first available clock is used, in this order: a column `t`; the robot's clock if it is complete, increasing and
-    within 1 s of the session time (otherwise it was set during recording); the session time, with each session placed
-    by its stamps; the stamps.
+    within 1 s of the session time (otherwise it was set during recording); the session time, offset by the stamps of
+    each session; the stamps.
     """
     if "t" in values and np.isfinite(values["t"]).any():
         return np.asarray(values["t"], dtype=float), "file"
@@ -73,7 +73,7 @@ def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> t
 
 
 def _before_guidance(session_t: np.ndarray, dt: np.ndarray | None, first: np.ndarray) -> np.ndarray:
-    """Return the session time; times are negative until guidance begins."""
+    """Return the session time, with negative times before guidance begins."""
     if dt is None or not np.isfinite(dt).all():
         return session_t
     session_t = np.array(session_t)
@@ -105,19 +105,14 @@ def rows_in_order(
     keep, lost = in_time_order(t)
     if not lost:
         return t, keep, ()
-    if raw:
-        return _spread(t), np.ones(len(t), dtype=bool), ()
+    if raw:  # 1 ns after the previous row where the clock stands still or steps back
+        steps = np.arange(len(t)) * 1e-9
+        t = np.maximum.accumulate(np.where(np.isfinite(t), t, -np.inf) - steps) + steps
+        return t, np.ones(len(t), dtype=bool), ()
     first = ", ".join(row(int(number)) for number in np.flatnonzero(~keep)[:5])
     note = f"{lost} rows{of} dropped: their time does not advance ({first}{', ...' if lost > 5 else ''})"
     warnings.warn(f"{note}; raw=True keeps them", stacklevel=4)
     return t, keep, (note,)
-
-
-def _spread(t: np.ndarray) -> np.ndarray:
-    """Return increasing times: 1 ns after the previous row if the clock stands still or steps back."""
-    spread = np.where(np.isfinite(t), t, -np.inf)
-    steps = np.arange(len(t)) * 1e-9
-    return np.maximum.accumulate(spread - steps) + steps
 
 
 def _fits(array: np.ndarray, kind: str | None) -> bool:

@@ -46,7 +46,7 @@ class Column(Shown):
 
 
 def resolved(column: Column, name: str) -> Column:
-    """Return the description completed from the glossary; raise if they contradict each other."""
+    """Complete a description from the glossary; raise an error if the two contradict each other."""
     symbol = glossary.columns().get(name)
     if symbol is None and column.unit is None:
         raise ShapeError(
@@ -74,7 +74,7 @@ def resolved(column: Column, name: str) -> Column:
 
 
 def heading(column: Column, name: str) -> str:
-    """Return an axis label or header such as ``"tau [N m]"``."""
+    """Return an axis label or a column header, such as ``"tau [N m]"``."""
     return name if column.unit in (None, "", "1") else f"{name} [{column.unit}]"
 
 
@@ -110,10 +110,7 @@ def _cast(name: str, raw: np.ndarray, kind: str) -> np.ndarray:
         return raw if raw.dtype.kind == "U" else raw.astype(np.str_)
     if raw.dtype.kind not in "biuf":
         raise ShapeError(f"Expected numbers in the column {name!r} of kind {kind}, got values of type {raw.dtype}.")
-    if kind == "flag":
-        dtype = np.dtype(bool)
-    else:
-        dtype = np.dtype("<i8") if kind == "count" else np.dtype("<f8")
+    dtype = np.dtype({"flag": "bool", "count": "<i8"}.get(kind, "<f8"))
     if raw.dtype == dtype:
         return raw
     with np.errstate(invalid="ignore"):  # invalid values are rejected below
@@ -144,7 +141,7 @@ def _writable_somewhere(array: np.ndarray) -> bool:
 
 OLD_NAMES = {"pos": "q", "vel": "qd", "trq": "tau", "pos_o": "q_ref", "vel_o": "qd_ref", "trq_o": "tau_ref"}
 OLD_NAMES |= {"timestamp": "t", "seqnum": "seq"}
-"""Our name by field name of Robotlab.jl's logs."""
+"""Column name by field name of Robotlab.jl's logs."""
 
 
 def alias(name: str) -> str:
@@ -162,13 +159,13 @@ _LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # column bytes always allowed; padde
 
 
 def refuse_ragged(count: int, widths: Mapping[str, int], held: int) -> None:
-    """Raise for ragged values whose padded columns would be large and nearly empty; `widths` by name."""
+    """Raise an error if padding ragged values would give large and nearly empty columns; `widths` is by name."""
     cells = count * sum(widths.values())
     if 8 * cells > _LARGEST and cells > _CELLS_PER_NUMBER * held:
         widest = max(widths, key=lambda path: widths[path])
         raise LogError(
             f"Expected arrays of similar size, got {count} rows with {held} numbers, up to {widths[widest]} in "
-            f"{widest[:80]}: {len(widths)} name(s) that would take {cells} cells."
+            f"{widest[:80]}; padding the {len(widths)} column(s) would take {cells} cells."
         )
 
 
@@ -182,7 +179,7 @@ UNITS = {
     "A": ("A", 1.0), "mA": ("A", 1e-3), "V": ("V", 1.0), "W": ("W", 1.0), "degC": ("degC", 1.0), "Hz": ("Hz", 1.0),
     "1": ("1", 1.0), "": ("", 1.0),
 }  # fmt: skip
-"""Maps units in files to those of armlab and the conversion factor."""
+"""Unit of armlab and conversion factor by unit in a file."""
 
 
 def between(kind: str, a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -220,7 +217,7 @@ def holes(values: np.ndarray, missing: np.ndarray) -> np.ndarray:
 
 
 def spread(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Return the values in the rows of the mask; the other rows are missing."""
+    """Return an array with the values in the masked rows and missing values elsewhere."""
     if inside.all():
         return values
     text = values.dtype.kind == "U"

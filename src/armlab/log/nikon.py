@@ -105,13 +105,8 @@ def read_cloud(path: str | Path) -> Cloud:
     rows, stopped, comments = _rows(Path(path), 7)
     values = np.array(rows)
     R = euler.from_rpy(np.deg2rad(values[:, 4:7]), "xyz")
-    return Cloud(
-        still(MM * values[:, 1:4], "points"),
-        still(values[:, 0], "an index"),
-        still(R, "orientations"),
-        stopped,
-        comments,
-    )
+    p, index = still(MM * values[:, 1:4], "points"), still(values[:, 0], "an index")
+    return Cloud(p, index, still(R, "orientations"), stopped, comments)
 
 
 def read_plane(path: str | Path, raw: bool = False) -> PlaneFile:
@@ -131,13 +126,13 @@ def read_plane(path: str | Path, raw: bool = False) -> PlaneFile:
     M = np.array(rows)
     if M.shape != (4, 4) or M[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise LogError(
-            f"Expected a 4x4 matrix with the last row 0 0 0 1 in {path}, got {len(rows)} rows, the last "
-            f"{[float(x) for x in M[-1]]}. Pass the file of a plane."
+            f"Expected a 4x4 matrix with the last row 0 0 0 1 in {path}, got {len(rows)} rows, of which "
+            f"the last is {[float(x) for x in M[-1]]}. Pass a plane file."
         )
     length = float(np.linalg.norm(M[:3, 2]))
     if not abs(length - 1.0) <= NORMAL:
         raise LogError(
-            f"Expected a normal of length 1 in column 3 of {path}, got {length:.6g}. Pass the file of a plane."
+            f"Expected a normal of length 1 in column 3 of {path}, got {length:.6g}. Pass a plane file."
         )
     return PlaneFile(
         still(M[:3, 2] / (1.0 if raw else length), "a normal"), still(MM * M[:3, 3], "a point"), stopped, comments
@@ -151,12 +146,12 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
     ----------
     path : MAT file.
     name : name of the variable; default: the only 4x4 array of the file.
-    project : replace a rotation that is off by more than 1e-5 with the nearest rotation.
+    project : project a rotation block that is off by more than 1e-5 onto the nearest rotation.
 
     Raises
     ------
-    LogError : not a MAT file, corrupt, not exactly one 4x4 array, not a pose, or a rotation that is off by more than
-        1e-5 without `project`.
+    LogError : not a MAT file, corrupt, not exactly one 4x4 array, not a pose, or a rotation block that is off by
+        more than 1e-5 without `project`.
     UnknownName : the variable does not exist.
     MissingExtra : v7.3 without h5py.
     """
@@ -185,16 +180,25 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
     if off > so3.ROTATION_TOLERANCE:
         if not project:
             raise LogError(
-                f"Expected a rotation in {key} of {path}, got a matrix {float(distance):.3g} away from the nearest one "
-                f"(RᵀR off by {off:.3g}). Pass project=True to project it."
+                f"Expected a rotation in {key} of {path}, got a matrix at a distance of {float(distance):.3g} from the "
+                f"nearest rotation (error of RᵀR: {off:.3g}). Pass project=True to project it."
             )
         M = nearest
     return PoseFile(still(se3.orthonormalise(M), "a pose"), key, float(distance))
 
 
 def _rows(path: Path, columns: int) -> tuple[list[list[float]], int, dict[str, str]]:
-    """Return rows of numbers, the line that ended them (0 at the end of the file), and the comments after them."""
-    lines = _text(path).splitlines()
+    """Return the rows of numbers, the line that ended them (0 at the end of the file), and the comments after them."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(LONGEST + 1)
+    except OSError as error:
+        raise LogError(f"Expected a tracker file at {path}, got: {error.strerror}.") from None
+    if len(data) > LONGEST:
+        raise LogError(f"Expected a tracker file of at most {LONGEST} bytes at {path}, got a larger file. Split it.")
+    if b"\0" in data:
+        raise LogError(f"Expected text at {path}, got binary data. For MAT files use read_matrix.")
+    lines = data.decode("utf-8", errors="replace").lstrip("\ufeff").splitlines()
     rows: list[list[float]] = []
     for k, line in enumerate(lines, start=1):
         words = [word for word in SEPARATOR.split(DECORATION.sub(" ", line)) if word]
@@ -218,16 +222,3 @@ def _rows(path: Path, columns: int) -> tuple[list[list[float]], int, dict[str, s
         raise LogError(f"Expected rows of {columns} numbers in {path}, got {shown}. Pass a tracker file.")
     found = (COMMENT.match(line) for line in (lines[k - 1 :] if k else []))
     return rows, k, {match[1]: match[2] for match in found if match}
-
-
-def _text(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            data = file.read(LONGEST + 1)
-    except OSError as error:
-        raise LogError(f"Expected a tracker file at {path}, got: {error.strerror}.") from None
-    if len(data) > LONGEST:
-        raise LogError(f"Expected a tracker file of at most {LONGEST} bytes at {path}, got more. Split it.")
-    if b"\0" in data:
-        raise LogError(f"Expected text at {path}, got binary data. For MAT files use read_matrix.")
-    return data.decode("utf-8", errors="replace").lstrip("\ufeff")

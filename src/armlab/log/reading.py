@@ -98,7 +98,12 @@ def read(
             return renamed(path, read_foreign(path, choice, robot, progress), names)
         if kind in _READERS or kind in _COLUMN_READERS:
             _refuse_clock(path, clock)
-            _refuse_robot(path, robot)
+            if robot is not None:
+                name = robot.name if isinstance(robot, Robot) else robot
+                raise ConfigError(
+                    f"Expected a recording, or a log whose topics or joints name the robot, for robot={name!r}, got "
+                    f"{path}, which does not name a robot. Omit robot=."
+                )
             reader = _READERS[kind] if kind in _READERS else partial(_COLUMN_READERS[kind], columns=wanted)
             table = reader(path, raw=raw, names=names)
             return table if wanted is None else table.select(*wanted)
@@ -126,30 +131,19 @@ def _read_mcap(path: Path, choice: Choice, robot: Robot | str | None, progress: 
 
 
 def _refuse_clock(path: Path, clock: str | None) -> None:
-    """Raise for a clock option that would have no effect."""
     if clock is not None:
         raise ConfigError(
-            f"Expected clock={clock!r} with a log of another program, which has topics, got {path}, whose rows have "
-            "one clock. Omit it."
-        )
-
-
-def _refuse_robot(path: Path, robot: Robot | str | None) -> None:
-    """Raise for a robot option that would have no effect."""
-    if robot is not None:
-        name = robot.name if isinstance(robot, Robot) else robot
-        raise ConfigError(
-            f"Expected robot={name!r} with a recording or a log of another program, whose topics or joints name the "
-            f"robot, got {path}, which does not name a robot. Omit it."
+            f"Expected a log with topics of another program for clock={clock!r}, got {path}, whose rows have a single "
+            "clock. Omit clock=."
         )
 
 
 def _holes(view: memoryview, found: Contents, clock: int) -> tuple[str, ...]:
-    """Return a sentence about the rows that the recorder dropped for the robot with this clock channel."""
-    told = recorded.summary_of(view, found).get("holes")
+    """Return a note on the rows that the recorder dropped for the robot with this clock channel, if any."""
+    stored = recorded.summary_of(view, found).get("holes")
     robot = found.channels[clock].topic.strip("/").rpartition("/")[0]
-    listed = [hole for hole in told if isinstance(hole, list) and len(hole) > 2] if isinstance(told, list) else []
-    holes = [hole for hole in listed if len(hole) < 5 or hole[4] == robot]
+    holes = [hole for hole in stored if isinstance(hole, list) and len(hole) > 2] if isinstance(stored, list) else []
+    holes = [hole for hole in holes if len(hole) < 5 or hole[4] == robot]
     if not holes:
         return ()
     dropped = sum(hole[2] for hole in holes if isinstance(hole[2], int))
@@ -174,14 +168,14 @@ def _recording(
     try:
         table = recording_table(values, described, rows.log_ns, raw=choice.raw)
     except ArmlabError as error:  # the file's descriptions contradict the glossary or each other
-        raise LogError(f"Expected supported columns in {path}, got other columns: {error}") from None
+        raise LogError(f"Expected supported columns in {path}, got invalid columns: {error}") from None
     t0_ns, clock_name = recorded.kept_clock(found, sources, table.t0_ns, table.clock)
     table = replace(table, t0_ns=t0_ns, clock=clock_name)
     if columns is None:
         return table, damage
     empty = [name for name in wanted if name not in table]
     if empty:
-        raise LogError(f"Expected values of {', '.join(empty)} in {path}, got none in {len(table)} rows.")
+        raise LogError(f"Expected values of {', '.join(empty)} in {path}, got no values in {len(table)} rows.")
     return table.select(*wanted), damage
 
 
@@ -220,8 +214,8 @@ def read_arm(
     missing = [name for name in needed if name not in table]
     if missing:
         raise LogError(
-            f"Expected positions and torques, columns q and tau, in {path}, got none for {' and '.join(missing)} among "
-            f"{listed(table.names)}. {_source_of(missing, table, robot, columns is not None)}"
+            f"Expected positions and torques (columns q and tau) in {path}, got no {' and '.join(missing)} among the "
+            f"columns {listed(table.names)}. {_source_of(missing, table, robot, columns is not None)}"
         )
     if table["q"].shape[1:] != (robot.n,):
         raise ModelMismatchError(
@@ -256,7 +250,7 @@ def in_order_of(robot: Robot, table: Table, path: Path) -> Table:
         order = joints_among(robot, column.labels)
         if not order:
             raise LogError(
-                f"Expected the joints of {robot.name}, {', '.join(robot.ros_joint_names)}, in {name} of {path}, got "
+                f"Expected the joints of {robot.name} ({', '.join(robot.ros_joint_names)}) in {name} of {path}, got "
                 f"{', '.join(column.labels)}. Pass the recorded robot, or the columns in its order: "
                 f"--columns {name}=NAME_{{1..{robot.n}}}."
             )
@@ -267,7 +261,7 @@ def in_order_of(robot: Robot, table: Table, path: Path) -> Table:
 
 
 def _is_of_several(path: Path, robot: Robot, force: bool) -> bool:
-    """Return whether a recording holds several robots; raise for another robot. Other formats do not name a robot."""
+    """Return whether a recording holds several robots; raise an error if it lacks this robot."""
     if not path.is_file() or format_at(path) != "MCAP":
         return False
     held = inspect(path)

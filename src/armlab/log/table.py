@@ -27,7 +27,7 @@ TAU_SOURCES = ("none", "measured", "reference")
 
 # Optional fields of `State` in a table.
 _ARRAYS = ("qdd", "q_planned", "T_frame_tool", "wrench_raw", "wrench", "q_ext", "rapid_data")
-_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row holds its own reply, a State the previous reply
+_PREVIOUS = ("q_sent", "qd_sent", "clamped")  # a row holds the reply to it, whereas a State holds the previous reply
 _NUMBERS = {"seq": int, "missed": int, "session": int, "motors": int, "rapid": int, "mci": int}
 _NUMBERS |= {"utilization": float, "robot_ns": int, "converged": bool, "rapid_digital": bool}
 
@@ -90,6 +90,7 @@ class Table:
         Changes to the data: rows dropped, seconds recovered, conversions.
     source : tuple of str
         Origin of the data and all operations since.
+
     Examples
     --------
     >>> table = Table([0.0, 0.004], {"q": [[0.1], [0.2]], "grip": [1.0, 2.0]}, {"grip": Column(unit="N")})
@@ -112,7 +113,7 @@ class Table:
             raise ShapeError(f"Expected columns of a Table by name, such as {{'q': q}}, got {shortened(self.values)}.")
         unknown = sorted(set(self.columns) - set(self.values))
         if unknown:
-            raise UnknownName(f"Expected descriptions only for columns with values, got {', '.join(unknown)} without.")
+            raise UnknownName(f"Expected descriptions only for columns with values, got {', '.join(unknown)} without values.")
         kept = {name: stored(name, values, self.columns.get(name)) for name, values in self.values.items()}
         _check_lengths(len(t), {name: entry[0] for name, entry in kept.items()})
         notes = [entry[2] for entry in kept.values() if entry[2]]
@@ -209,16 +210,13 @@ class Table:
             if which.ndim != 1 or (which.dtype == bool and len(which) != len(self)) or which.dtype.kind not in "biu":
                 raise ShapeError(
                     f"Expected a slice, a mask of {len(self)} rows or an index of rows, "
-                    f"got shape {which.shape} of {which.dtype}."
+                    f"got an array of shape {which.shape} and type {which.dtype}."
                 )
-        values = {name: array[which] for name, array in self.values.items()}
-        return self._derived("rows", t=self.t[which], values=values)
+        return self._taken(which, "rows")
 
     def between(self, t0: float, t1: float) -> Table:
         """Return the rows with t0 <= t < t1 (seconds), as a view; `t` is not shifted."""
-        first, last = np.searchsorted(self.t, [t0, t1], side="left")
-        values = {name: array[first:last] for name, array in self.values.items()}
-        return self._derived(f"between({t0:g}, {t1:g})", t=self.t[first:last], values=values)
+        return self._taken(slice(*np.searchsorted(self.t, [t0, t1], side="left")), f"between({t0:g}, {t1:g})")
 
     def where(self, mask: np.ndarray | Callable[[Table], np.ndarray]) -> Table:
         """Return the rows where the mask (N,), or a function from the table to a mask, is true."""
@@ -229,12 +227,8 @@ class Table:
         whole = np.ones(len(self), dtype=bool)
         for name in names or self.names:
             whole &= ~missing_rows(self[name])
-        return self._derived(
-            f"dropna({', '.join(names)})",
-            t=self.t[whole],
-            values={name: array[whole] for name, array in self.values.items()},
-            notes=(*self.notes, f"dropna: {len(self) - int(whole.sum())} of {len(self)} rows removed"),
-        )
+        note = f"dropna: {len(self) - int(whole.sum())} of {len(self)} rows removed"
+        return self._taken(whole, f"dropna({', '.join(names)})", notes=(*self.notes, note))
 
     def states(self) -> Iterator[State]:
         """Yield the `State` of each row as the controller received it; absent columns remain missing."""
@@ -379,11 +373,12 @@ class Table:
             Unknown `fill`.
         """
         if fill not in ("hold", "linear"):
-            raise UnknownName.among("way of filling", fill, ("hold", "linear"))
+            raise UnknownName.among("fill method", fill, ("hold", "linear"))
         double = [name for name in other.names if name in self or f"{name}_age" in self]
         if double:
-            both = ", ".join(double)
-            raise ShapeError(f"Expected columns that exist in only one table, got {both} in both; use rename.")
+            raise ShapeError(
+                f"Expected columns that exist in only one table, got {', '.join(double)} in both. Use rename."
+            )
         t = self.t + ((self.t0_ns - other.t0_ns) / 1e9 if self.t0_ns and other.t0_ns else 0.0)
         inside = (t >= other.t[0]) & (t <= (np.inf if fill == "hold" else other.t[-1])) if len(other) else t < -np.inf
         limit = np.inf if max_age is None else max_age
@@ -406,9 +401,9 @@ class Table:
         ------
         MissingExtra : pandas is not installed.
         """
-        frame = _package("pandas").DataFrame(dict(self._components()), index=self.t)
+        frame = _package("pandas").DataFrame({name: one for name, _, one in self._components()}, index=self.t)
         frame.index.name = "t"
-        frame.attrs["units"] = self._component_units()
+        frame.attrs["units"] = {name: unit for name, unit, _ in self._components()}
         return frame
 
     def to_polars(self) -> Any:
@@ -418,7 +413,7 @@ class Table:
         ------
         MissingExtra : polars is not installed.
         """
-        return _package("polars").DataFrame({"t": self.t, **dict(self._components())})
+        return _package("polars").DataFrame({"t": self.t, **{name: one for name, _, one in self._components()}})
 
     def to_arrow(self) -> Any:
         """Return a pyarrow Table with t and a column per component (q1, q2, ...); units are in the field metadata.
@@ -427,10 +422,10 @@ class Table:
         ------
         MissingExtra : pyarrow is not installed.
         """
-        pa, units = _package("pyarrow"), {"t": "s", **self._component_units()}
-        arrays = {name: pa.array(values) for name, values in (("t", self.t), *self._components())}
-        fields = [pa.field(name, array.type, metadata={"unit": units[name]}) for name, array in arrays.items()]
-        return pa.Table.from_arrays(list(arrays.values()), schema=pa.schema(fields))
+        pa = _package("pyarrow")
+        parts = [(name, unit, pa.array(values)) for name, unit, values in (("t", "s", self.t), *self._components())]
+        fields = [pa.field(name, array.type, metadata={"unit": unit}) for name, unit, array in parts]
+        return pa.Table.from_arrays([array for *_, array in parts], schema=pa.schema(fields))
 
     def to_xarray(self) -> Any:
         """Return an xarray Dataset over the coordinate t [s]; columns keep their shape, with attributes unit and frame.
@@ -450,19 +445,12 @@ class Table:
                 coordinates[axes[1]] = (axes[1], list(column.labels), {})
         return xarray.Dataset(variables, coordinates)
 
-    def _components(self) -> Iterator[tuple[str, np.ndarray]]:
-        """Yield the name and values (N,) of each component: q1, q2, ..., T_base_tool1_1."""
+    def _components(self) -> Iterator[tuple[str, str, np.ndarray]]:
+        """Yield the name (q1, q2, ..., T_base_tool1_1), unit and values (N,) of each component."""
+        units = self.units
         for name, array in self.values.items():
             for index in np.ndindex(*array.shape[1:]):
-                yield name + "_".join(str(k + 1) for k in index), np.array(array[(slice(None), *index)])
-
-    def _component_units(self) -> dict[str, str]:
-        units = self.units
-        return {
-            name + "_".join(str(k + 1) for k in index): units[name]
-            for name, array in self.values.items()
-            for index in np.ndindex(*array.shape[1:])
-        }
+                yield name + "_".join(str(k + 1) for k in index), units[name], np.array(array[(slice(None), *index)])
 
     def _repr_html_(self) -> str:
         """Return the notebook view: rows, rate, and a line per column with shape, unit, missing count and range."""
@@ -493,6 +481,10 @@ class Table:
                 numbers = [f"{stats[key][row]:.6g}" for key in ("min", "max", "mean", "sigma")]
                 lines.append((label, self.units[name], *numbers, str(int(stats["missing"][row]))))
         return "\n".join(_aligned(lines))
+
+    def _taken(self, rows: slice | np.ndarray, operation: str, **changes: Any) -> Table:
+        values = {name: array[rows] for name, array in self.values.items()}
+        return self._derived(operation, t=self.t[rows], values=values, **changes)
 
     def _with(self, values: Mapping[str, Any], operation: str) -> Table:
         return self._derived(operation, values=values, columns={name: self.columns[name] for name in values})
@@ -568,12 +560,10 @@ def concat(*tables: Table) -> Table:
     """
     if not tables:
         raise ShapeError("Expected at least one table to concatenate, got none.")
-    first = tables[0]
-    for number, table in enumerate(tables[1:], 2):
-        differ = sorted(set(first.names) ^ set(table.names))
-        differ += [
-            name for name in first.names if name in table and not _alike(first.columns[name], table.columns[name])
-        ]
+    described = [{name: replace(one, labels=()) for name, one in table.columns.items()} for table in tables]
+    first, columns = tables[0], described[0]
+    for number, other in enumerate(described[1:], 2):
+        differ = sorted(name for name in columns.keys() | other.keys() if columns.get(name) != other.get(name))
         if differ:
             raise ShapeError(
                 f"Expected the same columns in all tables, got differences of table {number} in {', '.join(differ)}."
@@ -595,28 +585,24 @@ def concat(*tables: Table) -> Table:
     )
 
 
-def _alike(a: Column, b: Column) -> bool:
-    return (a.unit, a.frame, a.kind, a.shape) == (b.unit, b.frame, b.kind, b.shape)
-
-
 def _times(table: Table, to: float | np.ndarray) -> np.ndarray:
     if np.ndim(to) == 0:
         rate = float(np.asarray(to))
         if not rate > 0.0 or not np.isfinite(rate):
-            raise ShapeError(f"Expected a rate above zero in hertz, got {rate}.")
+            raise ShapeError(f"Expected a rate above 0 Hz, got {rate} Hz.")
         span = table.t[-1] - table.t[0]
         steps = np.floor(span * rate * (1 + 1e-12) + 1e-9)
         if steps > max(_MOST_ROWS, _MOST_FOR_ONE * len(table)):
             raise ShapeError(
                 f"Expected a rate of at most {_MOST_FOR_ONE} rows per recorded row, got {rate:g} Hz over {span:g} s: "
-                f"{steps:.3g} rows of {len(table)}. Pass the rate in hertz and t in seconds."
+                f"{steps:.3g} rows from {len(table)} rows. Pass the rate in hertz and t in seconds."
             )
         rows = int(steps) + 1
         return np.minimum(table.t[0] + np.arange(rows) / rate, table.t[-1])
     t = np.asarray(to, dtype=float)
     outside = np.flatnonzero(~((t >= table.t[0]) & (t <= table.t[-1])))
     if len(outside) or not len(t):
-        got = f"{t[outside[0]]:g} s in row {outside[0]}" if len(outside) else "none"
+        got = f"{t[outside[0]]:g} s in row {outside[0]}" if len(outside) else "no times"
         raise ShapeError(
             f"Expected times between {table.t[0]:g} and {table.t[-1]:g} s, got {got}; there is no extrapolation."
         )

@@ -7,14 +7,14 @@ import numpy as np
 from armlab.errors import NotExcited, ShapeError
 from armlab.robots import Robot
 
-TOLERANCE, CORRELATION = 0.1, 0.98  # of qd against the derivative of q: relative gain error, correlation
-BEYOND = 3.0  # multiple of the joint limits; a larger position must have another unit
+TOLERANCE, CORRELATION = 0.1, 0.98  # relative gain error, and correlation of qd with the derivative of q
+BEYOND = 3.0  # multiple of the joint limits beyond which a position must be in a different unit
 FLAT = 0.8  # fraction of rows with the same torque
 LIGHT = 0.1  # kg/m^3, torque / (g reach^4): 1 to 60 for arms, < 0.05 for motors of geared arms
-HEAVY, DYNAMIC = 12.0, 3.0  # torque below link weight by more than mass errors explain; allowance for other torque
+HEAVY, DYNAMIC = 12.0, 3.0  # largest plausible ratio of link weight to torque; allowance for dynamic torque
 GEARED = 10.0
-MOVED = (0.005, np.deg2rad(1.0))  # m, rad: the velocity of a joint that moved less is not checked
-FEW = 0.01  # fraction of rows with far-off positions that may be glitches
+MOVED = (0.005, np.deg2rad(1.0))  # m, rad: smallest motion of a joint for the velocity check
+FEW = 0.01  # fraction of rows with implausible positions that counts as glitches
 
 
 def has_moved(q: np.ndarray, robot: Robot) -> np.ndarray:
@@ -23,7 +23,7 @@ def has_moved(q: np.ndarray, robot: Robot) -> np.ndarray:
 
 
 def check_known(q: np.ndarray, tau: np.ndarray, robot: Robot) -> None:
-    """Raise for positions in the wrong unit and for unmeasured torques; a few wrong rows are ignored."""
+    """Raise an error for positions in the wrong unit and for unmeasured torques; a few wrong rows are ignored."""
     whole = np.isfinite(q).all(axis=1) & np.isfinite(tau).all(axis=1)
     q, tau = q[whole], tau[whole]
     if not len(q):
@@ -35,7 +35,7 @@ def check_known(q: np.ndarray, tau: np.ndarray, robot: Robot) -> None:
 
 
 def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
-    """Raise if q (N, n) is far outside the limits (degrees, or motor side) in more than a few rows."""
+    """Raise an error if q (N, n) is far outside the joint limits in more than the fraction `few` of the rows."""
     limit = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
     peak = np.abs(q).max(axis=0)
     far = np.flatnonzero(np.isfinite(limit) & (limit > 0) & (peak > BEYOND * limit))
@@ -53,7 +53,7 @@ def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
 
 
 def _side(times: float, joint: int | np.intp, robot: Robot) -> str:
-    """Return the likely unit of a position that is this multiple of its limit."""
+    """Return the likely unit of a position that is `times` its limit."""
     gear, found = gears(robot)[joint], []
     unit = ("millimetres, divide by 1000", 1e3) if robot.prismatic[joint] else ("degrees", np.rad2deg(1.0))
     if times <= 1.05 * unit[1]:
@@ -64,7 +64,7 @@ def _side(times: float, joint: int | np.intp, robot: Robot) -> str:
 
 
 def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: Robot) -> None:
-    """Raise if qd (N, n) of moved joints (n,) differs from the equally filtered derivative of the position."""
+    """Raise an error if qd (N, n) of moved joints (n,) differs from the equally filtered derivative of q."""
     power = np.sum(slope**2, axis=0) + 1e-300
     gain = np.sum(slope * qd, axis=0) / power
     norm = np.sqrt(power * np.sum(qd**2, axis=0) + 1e-300)
@@ -98,10 +98,8 @@ def _meaning(gain: float, correlation: float, gear: float) -> str:
         (1e-3, "thousandths"),
     ]
     if gear >= GEARED:
-        known += [
-            (gear, f"motor side, gear ratio {gear:g}"),
-            (1.0 / gear, f"position on the motor side, ratio {gear:g}"),
-        ]
+        known.append((gear, f"motor side, gear ratio {gear:g}"))
+        known.append((1.0 / gear, f"position on the motor side, ratio {gear:g}"))
     if abs(correlation) >= CORRELATION:
         for factor, words in known:
             if abs(abs(gain) / factor - 1.0) < TOLERANCE and (factor != 1.0 or gain < 0):
@@ -111,10 +109,10 @@ def _meaning(gain: float, correlation: float, gear: float) -> str:
 
 
 def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
-    """Raise for torques (N, n) that are constant, or so small that they must be on the motor side.
+    """Raise an error for torques (N, n) that are constant, or so small that they must be on the motor side.
 
-    If the robot file has link masses, the torque is compared with the weight of the links, otherwise with the reach:
-    half the torque range divided by ``g reach^4`` is 1 to 60 kg/m^3 for arms with 0.5 to 300 kg payload.
+    If the robot file has link masses, the torque is compared with the weight of the links. Otherwise it is compared
+    with the reach: half the torque range divided by ``g reach^4`` is 1 to 60 kg/m^3 for payloads of 0.5 to 300 kg.
     """
     check_constant(tau, used, robot)
     sized = _against_links(q, tau, used, robot) if robot.inertias is not None else _against_reach(tau, used, robot)
@@ -134,7 +132,7 @@ def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot)
 
 
 def check_constant(tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
-    """Raise if the torques (N, n) of joints (n,) are constant in most rows."""
+    """Raise an error if the torques (N, n) of joints (n,) are constant in most rows."""
     share = np.array([np.unique(column, return_counts=True)[1].max() / len(column) for column in tau.T])
     flat = np.flatnonzero(used & (share > FLAT))
     if len(flat):
@@ -152,7 +150,7 @@ def check_constant(tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
 
 
 def _against_links(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot) -> tuple[np.ndarray, str] | None:
-    """Return joints with implausibly small torque compared with the weight of the links, and the evidence."""
+    """Return the joints whose torque is implausibly small for the weight of the links, and the evidence."""
     still = np.zeros_like(q)
     gravity = robot.chain.rnea(q, still, still, robot.gravity, robot.inertias)
     gravity, varied = gravity - gravity.mean(axis=0), tau - tau.mean(axis=0)
@@ -172,7 +170,7 @@ def _against_links(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robo
 
 
 def _against_reach(tau: np.ndarray, used: np.ndarray, robot: Robot) -> tuple[np.ndarray, str] | None:
-    """Return joints with implausibly small torque compared with the reach of the arm, and the evidence."""
+    """Return the joints whose torque is implausibly small for the reach of the arm, and the evidence."""
     g = float(np.linalg.norm(robot.gravity))
     revolute = used & ~robot.prismatic
     reach = float(np.linalg.norm(robot.frames[1:, :3, 3], axis=1).sum())

@@ -78,7 +78,7 @@ def write(
     path, tell = Path(path), progress or (lambda done, total, what: None)
     ending = path.suffix.lower()
     if ending not in ENDINGS:
-        raise ConfigError(f"Expected a file name that ends in {', '.join(ENDINGS)}, got {path}. Change the ending.")
+        raise ConfigError(f"Expected a file name that ends in {', '.join(ENDINGS)}, got {path}. Change the extension.")
     _check_text(table)
     part = path.with_name(f".{path.name}.part")
     try:
@@ -110,7 +110,7 @@ def _write_file(table: Table, part: Path, path: Path, tell: Progress) -> None:
 
 
 def _write_bag(table: Table, part: Path, path: Path, storage: str, robot: Robot | None, tell: Progress) -> None:
-    """Write a folder inside a folder, because rosbags names the message file after its folder."""
+    """Write to a subfolder of `part`, because rosbags names the message file after its folder."""
     if path.exists() and not (path / "metadata.yaml").is_file():
         raise LogError(f"Expected a new name or an existing rosbag2 to replace, but {path} is neither. Move it away.")
     if robot is not None:
@@ -132,23 +132,16 @@ def _remove(path: Path) -> None:
 
 
 def _check_text(table: Table) -> None:
-    """Reject text that files cannot store: NUL ends a text in HDF5 and ROS, a lone surrogate is invalid Unicode."""
+    """Reject text that files cannot store: NUL ends a string in HDF5 and ROS, and lone surrogates are invalid Unicode."""
     for name in table.names:
         if table[name].dtype.kind != "U":
             continue
         for row, word in enumerate(table[name].reshape(len(table), -1).tolist() if len(table) else ()):
-            if any("\0" in part or not _encodes(part) for part in word):
+            text = "".join(word)
+            if "\0" in text or text != text.encode(errors="ignore").decode():
                 raise LogError(
                     f"Expected text without NUL or lone surrogates in the column {name!r}, got {word} in row {row}."
                 )
-
-
-def _encodes(text: str) -> bool:
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def _misfit(name: str, table: Table, shape: tuple[int, ...], robot: Robot) -> ShapeError:

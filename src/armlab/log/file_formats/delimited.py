@@ -70,7 +70,7 @@ def rows_in(path: Path, separator: str) -> Iterator[list[str]]:
     except OSError as error:
         raise LogError(f"Expected a log at {path}, got: {error.strerror or error}.") from None
     except (EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:
-        raise LogError(f"Expected delimited UTF-8 text at {path}, got other data: {error}.") from None
+        raise LogError(f"Expected delimited UTF-8 text at {path}, got invalid data: {error}.") from None
 
 
 def _lines(file: io.TextIOWrapper, path: Path) -> Iterator[str]:

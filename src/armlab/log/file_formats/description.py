@@ -103,7 +103,7 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             )
         except (ArmlabError, ValueError, TypeError, OverflowError) as error:
             raise LogError(
-                f"Expected the columns described in {path}, got other columns: {str(error).rstrip('.')}."
+                f"Expected the columns described in {path}, got invalid columns: {str(error).rstrip('.')}."
             ) from None
 
 
@@ -249,7 +249,7 @@ def labelled_table(
             source=(origin(path),),
         )
     except ArmlabError as error:
-        raise LogError(f"Expected columns that match the glossary in {path}, got other columns: {error}") from None
+        raise LogError(f"Expected columns that match the glossary in {path}, got invalid columns: {error}") from None
 
 
 def _rows_with_values(arrays: Arrays, names: ColumnNames | None) -> tuple[np.ndarray | bool, list[str]]:
@@ -419,7 +419,7 @@ def renamed(path: Path, table: Table, names: ColumnNames | None) -> Table:
         whole = {name: values.get(name, entry[0]) for name, entry in found.items()}
         return replace(table, values=whole, columns=same | new, notes=(*table.notes, *names.notes))
     except ArmlabError as error:
-        raise LogError(f"Expected columns that match the glossary in {path}, got other columns: {error}") from None
+        raise LogError(f"Expected columns that match the glossary in {path}, got invalid columns: {error}") from None
 
 
 def _is_line(array: np.ndarray) -> bool:

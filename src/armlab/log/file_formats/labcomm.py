@@ -125,7 +125,7 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
             refuse_ragged(max(len(leaf.values), counts[pace]), {label: leaf.size}, leaf.held)
         refuse_ragged(counts[pace], sizes, sum(leaf.held for leaf in leaves.values()))
     except LogError as error:
-        raise LogError(f"Expected samples that form a table in {path}, got other samples: {error}") from None
+        raise LogError(f"Expected samples that form a table in {path}, got invalid samples: {error}") from None
     columns = {label: _column(leaf, counts[pace]) for label, leaf in leaves.items()}
     t = _clock(path, columns, pace, counts[pace], rate)
     ends = f"{path.name} ends within a packet: its last {torn} bytes are skipped"
@@ -142,7 +142,7 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
             source=(f"{path.name} sha256 {file_hash(path)}",),
         )
     except ArmlabError as error:
-        raise LogError(f"Expected samples that match the glossary in {path}, got other samples: {error}") from None
+        raise LogError(f"Expected samples that match the glossary in {path}, got invalid samples: {error}") from None
 
 
 def _samples(path: Path) -> tuple[list[Sample], int]:
