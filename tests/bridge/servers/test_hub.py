@@ -146,7 +146,7 @@ def test_stop_is_for_all_and_resume_for_operators(cell: Cell) -> None:
     assert cell.exchange.arbiter.stopped == "labcomm 1"
     assert cell.texts("labcomm", "answer") == [
         "Done.",
-        "Expected an operator, got another client. Resume with armlab bridge resume.",
+        "Only operators may end a stop. Run armlab bridge resume.",
     ]
     cell.say(OPERATOR, "resume")
     cell.row()

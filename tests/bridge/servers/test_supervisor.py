@@ -106,7 +106,7 @@ def test_a_loop_that_has_gone_before_it_described_its_rows_ends_a_server(name: s
     feed = hub.open(name)
     feed.recv(2**17)
     hub.close()
-    with feed, pytest.raises(LinkError, match="Start it again"):
+    with feed, pytest.raises(LinkError, match="Start the bridge again"):
         serve(name, feed, {**labcomm_options([LEFT]), **options, "path": tmp_path / "x"})
     assert not (tmp_path / "x").exists()
 
@@ -148,7 +148,7 @@ def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) 
         until(lambda: any("The server b ended with status -9" in text for text in told))
     assert "The server a could not be supervised. It restarts in 0.01 s. Its output: RuntimeError: odd" in told
     assert sum("The server a" in text for text in told) == 2
-    assert any("Client requests were not handled, ValueError: also odd" in text for text in told)
+    assert any("Client requests could not be handled: ValueError: also odd" in text for text in told)
 
 
 def test_no_server_outlives_a_bridge_that_is_killed(tmp_path: Path) -> None:

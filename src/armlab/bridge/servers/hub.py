@@ -31,12 +31,12 @@ from armlab.robots import Robot, to_toml
 from armlab.state import Command, State
 
 OPERATOR = "local"
-"""Server of the operators: its socket belongs to the user."""
+"""Name of the server for operators; only the user may open its socket."""
 
 _PATIENCE = 0.5  # s for a server to report the counts of its clients, after the arms have come to rest
-_DRAINED = 16  # requests handled per server and poll
+_DRAINED = 16  # maximum number of requests handled per server and poll
 _EVENTS = 1000  # maximum number of events waiting for a run to begin
-_SENTENCE = 1000  # maximum length of a report in characters; it may quote a client's message
+_SENTENCE = 1000  # maximum length of a report in characters, because it may quote a client's message
 _PARTS = 64  # maximum number of parts of a trajectory
 
 
@@ -108,15 +108,12 @@ class Hub:
             self.tell(f"Parameters: {', '.join(f'{name} = {value}' for name, value in values.items())}.")
 
     def summary(self) -> dict[str, Any]:
-        """Return the statistics of a run: parameters, commanding clients, rows by server and client."""
+        """Return the statistics of a run: parameters, obeyed and refused commands by client, and rows by server."""
         servers = {name: self._counted(outlet) for name, outlet in self.outlets.items()}
         self.parameters.running = False
-        values = {
-            name: getattr(value, "tolist", lambda value=value: value)()
-            for name, value in self.parameters.values().items()
-        }
+        values = self.parameters.values().items()
         return {
-            "parameters": values,
+            "parameters": {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values},
             "commands": {arm: dict(clients) for arm, clients in self.arbiter.obeyed.items()},
             "commands_refused": dict(self.arbiter.refused),
             "servers": servers,
@@ -143,7 +140,7 @@ class Hub:
             self.outlets[server].send(text_message("answer", client=rest, text=text, refused=list(refused)))
 
     def report_goal(self, order: Order, result: Result) -> None:
-        """Send the beginning or the result of a goal to its server."""
+        """Send the start or the result of a goal to its server."""
         server, _, rest = order.client.partition(" ")
         if server in self.outlets:
             status, ending, text = result
@@ -227,7 +224,8 @@ class Hub:
             case messages.SetRequest():
                 self._set(client, request, is_operator)
             case messages.CommandRequest():
-                q, qd, tau = (None if one is None else _numbers(one) for one in (request.q, request.qd, request.tau))
+                parts = request.q, request.qd, request.tau
+                q, qd, tau = (None if part is None else np.array(part, dtype=float) for part in parts)  # null: NaN
                 order = Order(client, request.arm, q, qd, tau, request.seq, request.first, request.by_axis)
                 self.arbiter.submit(order)
             case messages.TrajectoryRequest():
@@ -241,7 +239,7 @@ class Hub:
                 act(client)
                 self.answer(client, "Done.")
             case _:
-                self.answer(client, "Expected an operator, got another client. Resume with armlab bridge resume.")
+                self.answer(client, "Only operators may end a stop. Run armlab bridge resume.")
 
     def _take_trajectory(self, client: str, part: messages.TrajectoryRequest) -> None:
         """Store one part of a trajectory, and submit the trajectory with the last part."""
@@ -263,7 +261,7 @@ class Hub:
                 self.report_goal(order, ("aborted", "refused", str(error)))
 
     def _trajectory(self, last: messages.TrajectoryRequest, points: bytes) -> TrajectoryController | None:
-        """Return the controller of a trajectory whose limits its server has checked, or None for an unknown arm."""
+        """Return the controller of a trajectory within limits checked by its server, or None for an unknown arm."""
         robot = self._robots.get(last.arm)
         if robot is None:
             return None
@@ -279,7 +277,3 @@ class Hub:
         except ArmlabError as error:
             self.answer(client, str(error), request.values)
             self.tell(f"A setting of {client} was refused: {error}", warn=True)
-
-
-def _numbers(values: Sequence[float | None]) -> np.ndarray:
-    return np.array([np.nan if value is None else value for value in values], dtype=float)

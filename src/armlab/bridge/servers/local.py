@@ -59,34 +59,19 @@ def cells() -> list[str]:
 
 
 class LocalFeed:
-    """Client of the local feed; a context manager.
-
-    Parameters
-    ----------
-    cell : str
-        Name of the cell; "" selects the only running one.
-    patience : float, s
-        Time to wait for a message.
-
-    Raises
-    ------
-    LinkError
-        The bridge is not running.
-    ConfigError
-        Several bridges are running, and `cell` is "".
-    """
+    """Client of a cell's local feed ("": the only running cell), which waits `patience` seconds for a message."""
 
     def __init__(self, cell: str = "", patience: float = 5.0) -> None:
         if not cell:
             running = cells()
             if len(running) > 1:
                 raise ConfigError(
-                    f"Expected the name of a cell, one of {', '.join(running)}, got none. Give --cell NAME."
+                    f"Expected the name of a running cell ({', '.join(running)}), got none. Give --cell NAME."
                 )
             cell = running[0] if running else ""
         if not cell:
             raise LinkError(
-                "Expected one of your bridges to be running, found none. Start armlab bridge --config CELL."
+                "Expected a running bridge of this user, found none. Start one with armlab bridge --config CELL."
             )
         self.cell = cell
         self._schema: RowSchema | None = None
@@ -112,42 +97,25 @@ class LocalFeed:
         self._socket.close()
 
     def wait(self, seconds: float) -> bool:
-        """Return whether a message arrives in time.
-
-        Parameters
-        ----------
-        seconds : float, s
-            Longest wait.
-        """
+        """Return whether a message arrives within this time [s]."""
         return bool(select.select([self._socket], [], [], max(seconds, 0.0))[0])
 
     def ask(self, request: Request) -> None:
-        """Send a request.
-
-        Parameters
-        ----------
-        request : Request
-            See `messages`.
-        """
+        """Send a request to the bridge."""
         try:
             self._socket.send(msgspec.json.encode(request))
         except OSError as error:
             raise LinkError(f"Expected the bridge to accept a request, got {error}. It may have ended.") from error
 
     def receive(self) -> Row | dict[str, Any]:
-        """Return the next message: a row, or the fields of another message, with its "kind".
-
-        Raises
-        ------
-        LinkError
-            The bridge has ended, or no message arrived in time.
-        """
+        """Return the next message: a row, or the fields of any other message, including its "kind"."""
         while True:
             try:
                 data = self._socket.recv(_LARGEST)
             except TimeoutError:
+                seconds = self._socket.gettimeout()
                 raise LinkError(
-                    "Expected a message from the bridge in time, got none. Check that the bridge is running."
+                    f"Expected a message from the bridge within {seconds:g} s, got none. Check that it is running."
                 ) from None
             except OSError:
                 data = b""
@@ -168,11 +136,11 @@ _EVENTS = 20  # last events, which are sent to a new client
 _KEPT = 100  # disconnected clients whose counts are kept
 _RETRY = 0.005  # s between attempts to send queued requests
 _FRESH = struct.Struct("<q")
-_TAKEN = 16  # messages handled per client before the next client's turn
+_TAKEN = 16  # messages read from a client before the next client's turn
 
 
 class _Client:
-    """One connection: its name and its row rate (None without rows)."""
+    """Connection of one client; `pace` limits its rows (None: no rows)."""
 
     def __init__(self, connection: socket.socket, name: str) -> None:
         self.connection, self.name = connection, name
@@ -311,16 +279,13 @@ class LocalServer:
             try:
                 request = read_request(data)
                 if isinstance(request, Subscribe):
-                    self._subscribe(client, request)
+                    rate = request.rate
+                    client.pace = Pace(0.0 if rate is None else 1.0 / rate) if rate is None or rate > 0.0 else None
                 elif not isinstance(request, Listening | Counted | Report):
                     self._loop.ask(msgspec.structs.replace(request, client=client.name))
             except (LinkError, CommandRefused) as error:
                 client.send(text_message("answer", client=client.name, text=str(error)))
                 self._loop.ask(Report(client.name, str(error)))
-
-    def _subscribe(self, client: _Client, request: Subscribe) -> None:
-        rate = request.rate
-        client.pace = Pace(0.0 if rate is None else 1.0 / rate) if rate is None or rate > 0.0 else None
 
     def _leave(self, client: _Client) -> None:
         self._selector.unregister(client.connection)

@@ -22,7 +22,7 @@ _Joints = Annotated[list[float | None], msgspec.Meta(max_length=64)]  # bounds t
 
 
 class _Message(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_fields=True):
-    """One request; `client` identifies the connection within its server."""
+    """Request; `client` identifies the connection within its server."""
 
     client: str = ""
 
@@ -40,32 +40,28 @@ class CommandRequest(_Message, tag="command", frozen=True):
 
 
 class TrajectoryRequest(_Message, tag="trajectory", frozen=True):
-    """Part `index` of `count` of a trajectory for one arm; the trajectory starts with the last part.
-
-    `points` are rows of float64: time, positions and, if given, velocities and accelerations. `tolerances` are four
-    rows: positions and velocities of the path, then of the goal. `begin` is the start time [s].
-    """
+    """Part `index` of `count` of a trajectory for one arm; the trajectory starts with the last part."""
 
     arm: str = ""
     goal: str = ""
-    points: bytes = b""
-    orders: Annotated[int, msgspec.Meta(ge=1, le=3)] = 1
+    points: bytes = b""  # rows of float64: time, positions and, if given, velocities and accelerations
+    orders: Annotated[int, msgspec.Meta(ge=1, le=3)] = 1  # 1: positions only, 3: up to accelerations
     index: int = 0
     count: int = 1
-    tolerances: bytes = b""
-    goal_time: float = 0.0
-    begin: float = 0.0
+    tolerances: bytes = b""  # four rows of float64: positions and velocities of the path, then of the goal
+    goal_time: float = 0.0  # s
+    begin: float = 0.0  # start time [s]
 
 
 class Renew(_Message, tag="renew", frozen=True):
-    """Renew the lease of a running trajectory, because its client is connected."""
+    """Renew the lease of a running trajectory while its client is connected."""
 
     arm: str = ""
     goal: str = ""
 
 
 class Cancel(_Message, tag="cancel", frozen=True):
-    """Bring the arm that is following a goal's trajectory to rest; open to all clients, like a stop."""
+    """Bring the arm of a running goal to rest; like a stop, any client may send it."""
 
     arm: str = ""
     goal: str = ""
@@ -112,7 +108,7 @@ class Counted(_Message, tag="counted", frozen=True):
 
 
 class Subscribe(_Message, tag="subscribe", frozen=True):
-    """Subscribe a client of the local feed to rows at a rate [1/s]; 0: no rows, None: every row."""
+    """Subscribe a client of the local feed to rows at a rate [rows/s]; 0: no rows, None: every row."""
 
     rate: float | None = 30.0
 
@@ -138,9 +134,9 @@ _DECODER = msgspec.json.Decoder(Request)
 
 
 def read_request(data: bytes) -> Request:
-    """Return the request in `data`."""
+    """Decode a request; refuse invalid and oversized ones."""
     if len(data) > _LARGEST:
-        raise LinkError(f"Expected a request of at most {_LARGEST} bytes, got {len(data)}. Send less at once.")
+        raise LinkError(f"Expected a request of at most {_LARGEST} bytes, got {len(data)}. Send a smaller request.")
     try:
         return _DECODER.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -153,7 +149,7 @@ def text_message(kind: str, **fields: Any) -> bytes:
 
 
 def parameter_message(parameters: Parameters) -> bytes:
-    """Return one message with all parameters: declaration, value in force, and the client that last changed it."""
+    """Return a message with all parameters: declaration, current value, and the client that last changed it."""
     about = []
     for name, value in parameters.values().items():
         declared = parameters.declared[name]
@@ -185,6 +181,6 @@ def _plain(value: Any) -> Any:
 
 
 def limits_of_cell(robots: Iterable[Robot], about: Mapping[str, Any]) -> dict[str, Limits]:
-    """Return the limits of each arm, using the cell's speeds from `about`."""
+    """Return the limits of each arm, with the speed limits of the cell from `about`."""
     speeds = about.get("speeds", {})
     return {one.name: replace(Limits.of(one), qd_max=np.array(speeds.get(one.name, one.qd_max))) for one in robots}

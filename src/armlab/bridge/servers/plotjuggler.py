@@ -23,7 +23,7 @@ _STAMP = len('{"timestamp":1700000000.1234567}')
 
 
 class Datagrams:
-    """JSON datagrams of rows; `fields` are the requested fields that fit into `largest` bytes."""
+    """JSON encoder of rows; `fields` lists the encoded fields, which fit into `largest` bytes."""
 
     def __init__(self, schema: RowSchema, fields: Sequence[str] | None = None, largest: int = _LARGEST) -> None:
         self._schema = schema
@@ -62,7 +62,7 @@ class Datagrams:
 
 
 class _FieldGroup:
-    """Fields of an arm or source in a datagram, with joints and axes numbered from 1."""
+    """Fields of an arm or a source in a datagram; array elements are numbered from 1."""
 
     def __init__(self, schema: RowSchema, source: str, names: Iterable[str] | None = None) -> None:
         known = places(schema, source)
@@ -91,7 +91,7 @@ class PlotJugglerServer:
         except ValueError:
             raise ConfigError(f"Expected an IPv4 address as `to` of plotjuggler, got {to}.") from None
         if not is_here and ipaddress.IPv4Address(self._from).is_loopback:
-            raise ConfigError(f"Expected --listen plotjuggler=ADDRESS, because {to} is another computer. Add it.")
+            raise ConfigError(f"Expected --listen plotjuggler=ADDRESS, because {to} is not this computer. Add it.")
         self._loop = LoopEnd(feed, lambda: {"{}:{}".format(*self._to): (self._sent, self._lost)})
         self._datagrams = Datagrams(self._loop.schema, options["fields"], _LARGEST_HERE if is_here else _LARGEST)
 

@@ -30,7 +30,7 @@ VERSION = 1
 HEAD = struct.Struct("<4sI8sQqq")
 TYPES = {"float64": "<f8", "int64": "<i8", "text": "S1"}
 WORDS = 48  # maximum bytes of a commander's name: server, space, 16 hexadecimal digits
-NOT_SENT = ("stamp_ns", "wake_ns")  # the row header contains the first one
+NOT_SENT = ("stamp_ns", "wake_ns")  # the row header contains stamp_ns
 
 
 def _arm_columns() -> Iterator[tuple[str, str, str, str, tuple[int, ...] | None]]:
@@ -58,36 +58,16 @@ LARGEST = 8192
 
 @dataclass(frozen=True, slots=True)
 class RowField:
-    """One field of a row.
+    """Field of a row."""
 
-    Attributes
-    ----------
-    name : str
-        Name, for example "yumi_left.q".
-    type : str
-        "float64", "int64", or "text" (UTF-8, padded with zero bytes).
-    shape : tuple of int
-        Shape of the values; for a text, the number of bytes.
-    unit : str
-        Unit, as in the glossary.
-    frame : str
-        Frame, as in the glossary.
-    labels : tuple of str
-        Labels along the first axis.
-    source : str
-        Robot or source of the field.
-    offset : int
-        Offset from the beginning of the row in bytes.
-    """
-
-    name: str
-    type: str
-    shape: tuple[int, ...]
-    unit: str
-    frame: str
-    labels: tuple[str, ...]
-    source: str
-    offset: int
+    name: str  # for example "yumi_left.q"
+    type: str  # "float64", "int64", or "text" (UTF-8, padded with zero bytes)
+    shape: tuple[int, ...]  # for a text, the number of bytes
+    unit: str  # as in the glossary
+    frame: str  # as in the glossary
+    labels: tuple[str, ...]  # along the first axis
+    source: str  # robot or source
+    offset: int  # from the beginning of the row [bytes]
 
     @property
     def size(self) -> int:
@@ -194,24 +174,12 @@ _LETTERS = {"float64": "d", "int64": "q"}  # format characters of `struct`
 
 
 class Row(NamedTuple):
-    """One unpacked row.
-
-    Attributes
-    ----------
-    seq : int
-        Number of the row.
-    mono_ns : int, ns
-        Monotonic clock.
-    wall_ns : int, ns
-        Wall clock.
-    values : mapping
-        Read-only arrays, numbers and texts by field name; unpacked on access.
-    """
+    """Unpacked row."""
 
     seq: int
-    mono_ns: int
-    wall_ns: int
-    values: Mapping[str, Any]
+    mono_ns: int  # monotonic clock
+    wall_ns: int  # wall clock
+    values: Mapping[str, Any]  # read-only arrays, numbers and texts by field name; unpacked on access
 
 
 class _Values(Mapping[str, Any]):
@@ -254,12 +222,12 @@ def read_head(schema: RowSchema, data: bytes) -> tuple[int, int, int]:
 
 
 def beginning(schema: RowSchema) -> bytes:
-    """Return the common first bytes of all rows of a schema."""
+    """Return the first bytes that all rows of a schema have in common."""
     return HEAD.pack(MAGIC, schema.size, schema.id, 0, 0, 0)[:_BEGINNING]
 
 
 def clock_ms(robot_ns: int, session_t: float) -> int | None:
-    """Return the robot clock [ms], or else its session clock; None if neither is valid."""
+    """Return the robot clock [ms] if it is set, otherwise the session clock; None for an invalid session clock."""
     if robot_ns:
         return robot_ns // 10**6
     ms = 1e3 * session_t
@@ -267,7 +235,7 @@ def clock_ms(robot_ns: int, session_t: float) -> int | None:
 
 
 def places(schema: RowSchema, source: str) -> dict[str, tuple[struct.Struct, int]]:
-    """Return the format and offset of each numeric field of a source; unpacking only these is ten times as fast."""
+    """Return the format and offset of each numeric field of a source, for unpacking selected fields quickly."""
     return {
         field.name.removeprefix(f"{source}."): (
             struct.Struct(f"<{math.prod(field.shape)}{_LETTERS[field.type]}"),
@@ -279,7 +247,7 @@ def places(schema: RowSchema, source: str) -> dict[str, tuple[struct.Struct, int
 
 
 class _Part:
-    """Fields of one arm: offsets in the row, and the packer."""
+    """Offsets of one arm's fields in a row, and their packer."""
 
     def __init__(self, schema: RowSchema, robot: str) -> None:
         fields = {name: schema.fields[f"{robot}.{name}"] for name, *_ in _arm_columns()}
@@ -373,7 +341,7 @@ _NOTHING.flags.writeable = False
 
 
 class Pace:
-    """Rate limit of rows per arm; a row is accepted when an arm that it updates is due."""
+    """Rate limit of rows per arm; a row is accepted if any arm that it updates is due."""
 
     def __init__(self, every: float) -> None:
         self._every = every

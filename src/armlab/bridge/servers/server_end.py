@@ -38,10 +38,7 @@ Clients = Mapping[str, tuple[int, int]]
 
 
 class LoopEnd:
-    """A server process's end of the socket to the loop (the other end is `hub.Hub`).
-
-    `ask` may be called from any thread, all other methods from one.
-    """
+    """Server's end of the socket to `hub.Hub`; only `ask` may be called from several threads."""
 
     lost: int
     schema: RowSchema
@@ -59,7 +56,9 @@ class LoopEnd:
         while not {"about", "parameters"} <= received:
             messages = self.receive(None)
             if messages is None:
-                raise LinkError("Expected the loop to send its row schema, but it closed the feed. Start it again.")
+                raise LinkError(
+                    "Expected the loop to send its row schema, but it closed the feed. Start the bridge again."
+                )
             received |= {message["kind"] for message in messages if isinstance(message, dict)}
         self._clients = clients
 
@@ -75,10 +74,9 @@ class LoopEnd:
         return {name: from_toml(text, f"the bridge of {name}") for name, text in self.about["robots"].items()}
 
     def receive(self, patience: float | None = 0.0) -> list[bytes | dict[str, Any]] | None:
-        """Return the received messages up to the first row: a row as bytes, others as a dict with "kind".
+        """Return the messages up to the first row (bytes; others: dict with "kind"), or None once the loop has ended.
 
-        Returns None once the loop has ended. Rows are returned one at a time, because checking for another row takes as
-        long as handling one.
+        Rows are returned one at a time, because checking for another row takes as long as handling one.
         """
         self._wait(patience)
         found: list[bytes | dict[str, Any]] = []
@@ -99,10 +97,10 @@ class LoopEnd:
         return found
 
     def ask(self, request: Request) -> bool:
-        """Send a request to the loop; return False if its queue is full.
+        """Send a request to the loop; return False if the socket is full.
 
-        A command, setting, renewal or report is then dropped, because newer ones follow; a stop or release is sent
-        later by `receive`. Trajectory parts leave room for these; the loop detects missing parts.
+        Commands, settings, renewals and reports are then dropped, because newer ones follow; `receive` sends stops and
+        releases later. Trajectory parts leave room for these; the loop detects missing parts.
         """
         data = encoded(request)
         with self._lock:

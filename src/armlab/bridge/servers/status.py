@@ -25,7 +25,7 @@ _BITS = {"position": 1, "velocity": 2, "acceleration": 4, "braking": 8}
 
 
 class _ArmCounts:
-    """Counts of one arm."""
+    """Row statistics of one arm."""
 
     def __init__(self, schema: RowSchema, name: str) -> None:
         self._places = places(schema, name)
@@ -56,7 +56,7 @@ class _ArmCounts:
 
 
 class Status:
-    """Statistics of all rows."""
+    """Row statistics of all arms."""
 
     def __init__(self, schema: RowSchema) -> None:
         self._schema = schema
@@ -72,7 +72,7 @@ class Status:
             arm.add(data, mono_ns)
 
     def summary(self) -> dict[str, Any]:
-        """Return the counts of the feed and of each arm by name; round trips in us, or NaN without any."""
+        """Return the counts of the feed and of each arm by name; round-trip times in us, NaN without rows."""
         arms = {}
         for name, arm in self._arms.items():
             seconds = 1e-9 * (arm.times[-1] - arm.times[0]) if len(arm.times) > 1 else 0.0
@@ -100,7 +100,7 @@ _USED = ("motors", "rapid", "mci", "receive_ns", "seq_sent", "q_ref", "qd_ref", 
 
 
 class Watch:
-    """State of a bridge as text, derived from its messages."""
+    """Formatter of a bridge's state as text, updated by its messages."""
 
     cell: str
     told: int
@@ -194,7 +194,7 @@ def _names(row: Row) -> list[str]:
 
 
 def _size(file: Path) -> int | None:
-    """Return the size of a file in bytes, or None if it is unreadable or on another computer."""
+    """Return the size of a file [bytes], or None if it is unreadable or on another computer."""
     try:
         return file.stat().st_size
     except (OSError, ValueError):  # ValueError: not a path
@@ -210,7 +210,7 @@ def _state(values: dict[str, Any], now_ns: int) -> str:
 
 
 def arm_state(motors: int, rapid: int, mci: int, is_answered: bool, is_commanded: bool) -> str:
-    """Return what an arm that sends packets is doing, or why it cannot move."""
+    """Return the state of an arm that sends packets, or the reason why it cannot move."""
     doing = "listening" if not is_answered else "running" if is_commanded else "holding"
     return not_ready_reason(motors, rapid, mci) or doing
 

@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from types import TracebackType
 from typing import Any
 
 from armlab._files import Descriptor
@@ -45,7 +44,7 @@ def server_command(name: str, options: Mapping[str, Any]) -> list[str]:
 
 
 class _Child:
-    """One server: its command line, process and restarts."""
+    """Command line, process and restarts of one server."""
 
     def __init__(self, name: str, command: Sequence[str]) -> None:
         self.name, self.command = name, list(command)
@@ -92,9 +91,7 @@ class Servers:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -116,7 +113,9 @@ class Servers:
                 raise LinkError(f"Expected the server {failed.name} to listen, but it {failed.failure}")
             if time.monotonic() > until:
                 names = ", ".join(silent)
-                raise LinkError(f"Expected {names} to listen within {patience:g} s, got no report. Start again.")
+                raise LinkError(
+                    f"Expected {names} to listen within {patience:g} s, got no report. Start the bridge again."
+                )
             self._over.wait(_CHECK_EVERY)
         return [where for outlet in self._exchange.outlets.values() for where in outlet.where or ()]
 
@@ -136,7 +135,7 @@ class Servers:
                 self._exchange.idle(_IDLE)
             except Exception as error:
                 what = f"{type(error).__name__}: {error}"
-                self._exchange.tell(f"Client requests were not handled, {what}. The servers continue.", warn=True)
+                self._exchange.tell(f"Client requests could not be handled: {what}. The servers continue.", warn=True)
             self._over.wait(_CHECK_EVERY)
 
     def _check(self, child: _Child) -> None:
@@ -189,10 +188,10 @@ class Servers:
         self._plan(child, f"ended with status {process.returncode}")
 
     def _plan(self, child: _Child, what: str) -> None:
-        """Schedule the restart of a server that has ended; a server that never listened is not restarted.
+        """Schedule the restart of a server that has ended, unless it never listened.
 
-        The restart count is reset once a process has listened for `well` seconds. An immediately recurring fault thus
-        ends the server; a fault that occurs once a day does not.
+        The restart count is reset once a process has listened for `well` seconds, so that only a fault that recurs soon
+        ends the server permanently.
         """
         outlet = self._exchange.outlets[child.name]
         child.has_listened |= outlet.where is not None
@@ -224,10 +223,7 @@ class Servers:
 
 
 class Offering:
-    """Feed that provides the rows of runs to `armlab monitor` and viewers until it is closed.
-
-    Clients may only read, and stop the arms if the controller is wrapped with `stoppable`.
-    """
+    """Feed of a link's rows for `armlab monitor` and viewers; its clients may only read and stop (see `stoppable`)."""
 
     def __init__(self, robots: Sequence[Robot], cell: str) -> None:
         self.exchange: Hub = Hub(robots, [OPERATOR], about={"cell": cell})
