@@ -74,7 +74,7 @@ def test_words_make_a_text_column_with_a_note(tmp_path: Path) -> None:
         ("t [m],x\n0,1\n", r"times in s, ms, us or ns in the column 't'.*got m"),
         ("t,x\n0,1\n,2\n", r"a time in every row.*a missing time in line 3"),
         ("now,x\n0,1\n", r"Expected a column t \[s\]"),
-        ("t,x\n", r"a header and rows of numbers .*got 1 lines"),
+        ("t,x\n", r"a header and rows of numbers .*got 1 lines after the first 0"),
         ("t,q1 [N]\n0,1\n", r"columns that match the glossary"),
         ("t,q1 [deg],q2 [m]\n0,1,2\n", r"one unit for the components of q, got m, rad"),
     ],

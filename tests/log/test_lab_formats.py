@@ -251,9 +251,9 @@ def test_what_is_refused(tmp_path: Path) -> None:
     for wrong, arm, words in (
         (table, 1, r"robot\[1\]\.joint\[0\]\.posRawAbs and so on, got arms 0\. Give another arm"),
         (table.select("force.sensor[0]"), 0, "got columns force"),
-        (table.without(first.replace("joint[0]", "joint[4]")), 0, r"of 7 joints of robot\[0\] .*none of joint \[4\]"),
+        (table.without(first.replace("joint[0]", "joint[4]")), 0, r"of 7 joints of robot\[0\] .*but joints \[4\] are"),
         (twice, 0, r"one posRawAbs per joint, got irb2ext.* and other"),
-        (table.with_column(first, table[first], unit="m"), 0, r"in rad of the motor, got m\."),
+        (table.with_column(first, table[first], unit="m"), 0, r"motor values in rad in irb2ext.*, got m\."),
     ):
         with pytest.raises(LogError, match=words):
             from_orca(wrong, robot, arm)

@@ -131,9 +131,7 @@ def read_plane(path: str | Path, raw: bool = False) -> PlaneFile:
         )
     length = float(np.linalg.norm(M[:3, 2]))
     if not abs(length - 1.0) <= NORMAL:
-        raise LogError(
-            f"Expected a normal of length 1 in column 3 of {path}, got {length:.6g}. Pass a plane file."
-        )
+        raise LogError(f"Expected a normal of length 1 in column 3 of {path}, got {length:.6g}. Pass a plane file.")
     return PlaneFile(
         still(M[:3, 2] / (1.0 if raw else length), "a normal"), still(MM * M[:3, 3], "a point"), stopped, comments
     )

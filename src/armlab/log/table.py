@@ -113,7 +113,7 @@ class Table:
             raise ShapeError(f"Expected columns of a Table by name, such as {{'q': q}}, got {shortened(self.values)}.")
         unknown = sorted(set(self.columns) - set(self.values))
         if unknown:
-            raise UnknownName(f"Expected descriptions only for columns with values, got {', '.join(unknown)} without values.")
+            raise UnknownName(f"Expected descriptions only for columns with values, got some for {', '.join(unknown)}.")
         kept = {name: stored(name, values, self.columns.get(name)) for name, values in self.values.items()}
         _check_lengths(len(t), {name: entry[0] for name, entry in kept.items()})
         notes = [entry[2] for entry in kept.values() if entry[2]]

@@ -132,7 +132,7 @@ def _remove(path: Path) -> None:
 
 
 def _check_text(table: Table) -> None:
-    """Reject text that files cannot store: NUL ends a string in HDF5 and ROS, and lone surrogates are invalid Unicode."""
+    """Reject text that files cannot store: NUL ends a string in HDF5 and ROS; lone surrogates are invalid Unicode."""
     for name in table.names:
         if table[name].dtype.kind != "U":
             continue

@@ -150,7 +150,7 @@ def _fields(path: Path, about: _Map) -> dict[str, list[str]]:
     labels = [label.strip() for label in rows[0]] if rows and about.header else []
     rows = rows[about.header :]
     if not rows:
-        raise LogError(f"Expected lines of numbers in {path}, got none after {about.skip} skipped. Correct the map.")
+        raise LogError(f"Expected lines of numbers in {path}, got none after the first {about.skip}. Correct the map.")
     labels = labels or [str(number) for number in range(1, len(rows[0]) + 1)]
     for number, row in enumerate(rows, start=1 + about.skip + about.header):
         if len(row) != len(labels):
@@ -192,8 +192,7 @@ def _joined(table: Table, robot: Robot, path: Path) -> Table:
     )
 
 
-MOTOR_SIGNALS: dict[str, tuple[str, ...]] = {"q": ("posRawAbs",), "qd": ("velFlt", "velRaw"), "tau": ("trqRaw",)}
-MOTOR_UNITS = {"q": "rad", "qd": "rad/s", "tau": "N m"}
+MOTOR_SIGNALS = {"q": ("rad", ["posRawAbs"]), "qd": ("rad/s", ["velFlt", "velRaw"]), "tau": ("N m", ["trqRaw"])}
 
 
 def from_orca(table: Table, robot: Robot, arm: int) -> Table:
@@ -225,8 +224,8 @@ def from_orca(table: Table, robot: Robot, arm: int) -> Table:
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
     values = {}
-    for name, signals in MOTOR_SIGNALS.items():
-        blocks = [_motors(table, robot, arm, signal, MOTOR_UNITS[name]) for signal in signals]
+    for name, (unit, signals) in MOTOR_SIGNALS.items():
+        blocks = [_motors(table, robot, arm, signal, unit) for signal in signals]
         found = [block for block in blocks if block is not None]
         if found:
             motors = abb_to_logical(robot, found[0])
@@ -263,10 +262,10 @@ def _motors(table: Table, robot: Robot, arm: int, signal: str, unit: str) -> np.
     missing = [joint for joint in range(robot.n) if joint not in found]
     if missing:
         raise LogError(
-            f"Expected {signal} of {robot.n} joints of robot[{arm}] for {robot.name!r}, got none of joint {missing}. "
-            "Pass the robot that was logged."
+            f"Expected {signal} of {robot.n} joints of robot[{arm}] for {robot.name!r}, but joints {missing} are "
+            "missing. Pass the robot that was logged."
         )
     for name in found.values():
         if table.units[name] not in ("1", unit):
-            raise LogError(f"Expected {name} in {unit} of the motor, got {table.units[name]}. Convert it.")
+            raise LogError(f"Expected motor values in {unit} in {name}, got {table.units[name]}. Convert them.")
     return np.stack([table[found[joint]] for joint in range(robot.n)], axis=1)

@@ -57,7 +57,7 @@ _TAIL = re.compile(
     r"^(?P<names>.*?)(?:\*(?P<factor>[-+.\deE]+|\{[^{}]*\}))?(?:\s*\[(?P<unit>[^\[\]\d{}][^\[\]{}]*)\])?$"
 )
 _MOST = 1000  # columns per pattern
-_WRIST = 3  # first of the three equal drives of a UR
+_WRIST = 3  # index of the first of the three equal drives of a UR
 _CORRELATED = 0.7  # smallest correlation of current and moment without friction
 
 
@@ -82,13 +82,9 @@ class ColumnNames:
 
     @classmethod
     def of(cls, told: str | Mapping[str, Any]) -> ColumnNames:
-        """Parse column names from a text or a mapping.
-
-        Raises
-        ------
-        ConfigError : an entry is invalid.
-        UnknownName : a preset is unknown.
-        """
+        """Parse column names from a text or a mapping."""
+        if not isinstance(told, str | Mapping):
+            raise ConfigError(f"Expected columns as 'q=joint_{{1..6}}' or {{'q': 'joint_{{1..6}}'}}, got {told!r}.")
         entries: dict[str, tuple[_Source, ...]] = {}
         presets: list[str] = []
         optional: set[str] = set()
@@ -124,7 +120,8 @@ class ColumnNames:
                 continue
             source, members, stars = match
             parts = [arrays[one] for one in members]
-            if name in self.optional and name != "t" and all(_empty(values) for values, _ in parts):
+            empty = all(values.dtype.kind == "f" and np.isnan(values).all() for values, _ in parts)
+            if empty and name in self.optional and name != "t":
                 continue
             used |= set(members)
             if name == "names":
@@ -180,7 +177,7 @@ class ColumnNames:
         self.notes.append(f"tau is actual_current times {values} N m/A, identified from target_moment")
         for k in guessed:
             self.notes.append(
-                f"joint {k + 1} is loaded too little to identify its constant: it is that of the other wrist joints"
+                f"joint {k + 1} carries too little load: it gets the torque constant of the other wrist joints"
             )
 
 
@@ -199,11 +196,6 @@ def fitting_presets(arrays: Arrays) -> str:
             if all(any(_matches(one, arrays) for one in _sources(name, entries[name])) for name in ("t", "q")):
                 fitting.append(f"--columns {preset}")
     return f"Read these names with {' or '.join(fitting)}." if fitting else ""
-
-
-def is_named(columns: Any) -> bool:
-    """Return whether `columns` of `log.read` maps names instead of selecting columns."""
-    return isinstance(columns, str | Mapping | ColumnNames)
 
 
 def _entries(told: str | Mapping[str, Any]) -> list[tuple[str, Any]]:
@@ -327,10 +319,6 @@ def _one(name: str, arrays: Arrays) -> str | None:
         return name
     ends = [one for one in arrays if one.endswith((f"/{name}", f".{name}"))]
     return ends[0] if len(ends) == 1 else None
-
-
-def _empty(values: np.ndarray) -> bool:
-    return values.dtype.kind == "f" and bool(np.isnan(values).all())
 
 
 def _together(

@@ -13,6 +13,7 @@ import io
 import re
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache, partial
 from itertools import islice, pairwise
 from pathlib import Path
@@ -24,9 +25,9 @@ import tomli_w
 
 from armlab._files import parsed
 from armlab._numbers import number
-from armlab.errors import ConfigError, LogError
+from armlab.errors import LogError
 from armlab.log.column import refuse_ragged
-from armlab.log.file_formats.column_names import ColumnNames, is_named
+from armlab.log.file_formats.column_names import ColumnNames
 from armlab.log.file_formats.description import (
     Description,
     Progress,
@@ -42,10 +43,10 @@ from armlab.log.table import Table
 LONGEST = 1 << 20
 """Characters per line: 40 000 numbers in full precision."""
 
-# Expansion limits: bytes that are always allowed, and the ratio beyond. gzip reaches 1030, recordings of a resting arm
-# with 300 constant columns reach 154, and recordings of a moving arm 25.
+# Bytes of decompressed text that are always allowed, and the expansion ratio allowed beyond. gzip reaches a ratio of
+# 1030, recordings of a resting arm with 300 constant columns reach 154, and recordings of a moving arm reach 25.
 _UNPACKED, _RATIO = 1 << 24, 200
-_LINES = 1 << 18  # lines that are always allowed; beyond, one per byte: an increasing time takes at least three
+_LINES = 1 << 18  # lines that are always allowed; beyond, one per byte of the compressed file
 _PIECE = 1 << 16
 
 
@@ -99,7 +100,7 @@ def _check_unpacked(path: Path, size: int, mtime_ns: int) -> None:
 
 
 def sidecar_path(path: Path) -> Path:
-    """Return the name of the description file: ``run.csv.toml`` of ``run.csv``."""
+    """Return the path of the description file: ``run.csv.toml`` for ``run.csv``."""
     return path.with_name(f"{path.name}.toml")
 
 
@@ -190,7 +191,8 @@ def text_table(
             f"Expected rate > 0, skip >= 0, every >= 1 and one character as separator, got {rate}, {skip}, "
             f"{every} and {separator!r}."
         )
-    beside, where = read_sidecar(path), None if columns is None else _where(columns)
+    where = columns if columns is None or isinstance(columns, ColumnNames) else ColumnNames.of(columns)
+    beside = read_sidecar(path)
     separator = separator or separator_of(path, skip)
     header = rows_of(path, separator, skip + 1)[skip:]
     if beside is not None and rate is None and header == [beside.labels()]:
@@ -220,14 +222,6 @@ def text_table(
         names=where,
         keep_start=keep_start,
     )
-
-
-def _where(columns: Any) -> ColumnNames:
-    if isinstance(columns, ColumnNames):
-        return columns
-    if not is_named(columns):
-        raise ConfigError(f"Expected columns as 'q=joint_{{1..6}}' or {{'q': 'joint_{{1..6}}'}}, got {columns!r}.")
-    return ColumnNames.of(columns)
 
 
 def separator_of(path: Path, skip: int = 0) -> str:
@@ -324,7 +318,7 @@ def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _texts(path: Path, skip: int, separator: str, width: int, least: int = 2) -> list[list[str]]:
-    """Return the texts of each column below the header, because rows would take twice the memory."""
+    """Return the texts below the header by column, because rows would take twice the memory."""
     rows = islice(rows_in(path, separator), skip + 1, None)
     columns: list[list[str]] = [[] for _ in range(width)]
     even = _even(rows, len(columns), skip + 2, separator, path)
@@ -336,12 +330,12 @@ def _texts(path: Path, skip: int, separator: str, width: int, least: int = 2) ->
             column.pop()
     count = len(columns[0]) + 1 if columns else 0
     if count < least:
-        raise LogError(f"Expected a header and rows of numbers in {path}, got {count} lines after {skip} skipped.")
+        raise LogError(f"Expected a header and rows of numbers in {path}, got {count} lines after the first {skip}.")
     return columns
 
 
 def _even(rows: Iterable[list[str]], width: int, first: int, separator: str, path: Path) -> Iterator[list[str]]:
-    """Yield rows of this width; reject others, except empty lines at the end."""
+    """Yield rows with `width` fields; reject other rows, except empty lines at the end."""
     other = None
     for line, row in enumerate(rows, start=first):
         if other is None and len(row) == width:
@@ -375,13 +369,13 @@ def _as_written(path: Path, beside: Description) -> Table:
 
 
 def _whole(array: np.ndarray) -> np.ndarray:
-    """Return floats that are whole numbers as integers, and others unchanged."""
+    """Convert floats to integers if all are whole numbers; otherwise return them unchanged."""
     exact = array.dtype.kind == "f" and bool((np.abs(array) < _EXACT).all() and (array == np.round(array)).all())
     return array.astype(np.int64) if exact else array
 
 
 def _words(texts: Sequence[str], where: str) -> np.ndarray:
-    """Return texts (N,), each as wide as the longest, four bytes per character."""
+    """Return texts (N,) as an array, in which each takes four bytes per character of the longest."""
     sizes = [len(text) // 2 + 1 for text in texts]
     refuse_ragged(len(texts), {where: max(sizes, default=0)}, sum(sizes))
     return np.array(texts, dtype=np.str_)
@@ -400,7 +394,6 @@ def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarr
     filled = [text.strip() or "nan" for text in texts]  # Python strips more kinds of space than NumPy
     try:
         array = np.array(filled, dtype=float)
-        return _whole_numbers(texts, array) if (np.abs(array) >= _EXACT).any() else array
     except ValueError:
         for row, text in enumerate(texts):
             if "," in text and DECIMAL_COMMA.match(text.strip()):
@@ -409,13 +402,10 @@ def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarr
                     f"{row + skip + 2}. Export with points."
                 ) from None
         return _words(texts, f"{path.name}: {name}")
-
-
-def _whole_numbers(texts: Sequence[str], array: np.ndarray) -> np.ndarray:
-    try:
-        return np.array([int(text) for text in texts], dtype=np.int64)
-    except (ValueError, OverflowError):
-        return array
+    if (np.abs(array) >= _EXACT).any():
+        with suppress(ValueError, OverflowError):
+            return np.array([int(text) for text in texts], dtype=np.int64)
+    return array
 
 
 def _is_number(text: str) -> bool:

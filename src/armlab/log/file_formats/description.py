@@ -1,11 +1,11 @@
-"""Column descriptions in files: of armlab's own tables, and labels and units from other programs."""
+"""Column descriptions in files of armlab, and labels and units in files of other programs."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -65,11 +65,6 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def made(cls, columns: Mapping[str, Column], **about: Any) -> Description:
         """Return the description with these columns and other entries by name."""
         return cls(columns=_columns(columns), **about)
-
-    def selected(self, names: Collection[str]) -> Description:
-        """Return the description of the selected columns in the same order."""
-        kept = {name: column for name, column in self.columns.items() if name in names}
-        return msgspec.structs.replace(self, columns=kept)
 
     def described(self) -> dict[str, Column]:
         """Return the columns in order."""
@@ -143,7 +138,7 @@ def components(table: Table) -> Iterator[tuple[str, str, np.ndarray]]:
 
 
 def put_together(about: Description, parts: Sequence[np.ndarray], rows: int) -> dict[str, np.ndarray]:
-    """Return columns (N, k) from their components in the order of `components`, without the clock."""
+    """Join components, in the order of `components` without the clock, into columns (N, k)."""
     values, at = {}, 0
     for name, column in about.columns.items():
         size = int(np.prod(column.shape, dtype=int))
@@ -166,7 +161,7 @@ def distinct(wanted: Mapping[Key, str], taken: Iterable[str] = ()) -> dict[Key, 
 
 
 def _parts(name: str, column: Column) -> Iterator[tuple[str, str]]:
-    """Yield label and unit of each component; for a unit with several parts, forces before moments."""
+    """Yield the label and unit of each component; a compound unit applies to forces, then to moments."""
     units = (column.unit or "1").split(", ")
     for place in np.ndindex(column.shape):
         unit = units[min(sum(index >= 3 for index in place), len(units) - 1)] if len(units) > 1 else units[0]
@@ -192,11 +187,11 @@ NUMBERED = re.compile(
 )  # q1, q_1, cov1_4, q[1]
 
 
-COMMANDS = "sent commands"  # in logs of older libfranka; the names after it repeat earlier ones
+COMMANDS = "sent commands"  # heading in logs of older libfranka, after which earlier names are repeated
 
 
 def names_of(path: Path, headings: Sequence[str]) -> list[tuple[str, str]]:
-    """Return name and unit ("" for none) of each heading: "q1 [deg]" and "q1[deg]" are q1 in deg."""
+    """Return the name and unit ("" if missing) of each heading: "q1 [deg]" and "q1[deg]" are q1 in deg."""
     result, seen, group = [], set(), ""
     for label in headings:
         found = HEADING.match(label.removeprefix("- "))
@@ -253,7 +248,7 @@ def labelled_table(
 
 
 def _rows_with_values(arrays: Arrays, names: ColumnNames | None) -> tuple[np.ndarray | bool, list[str]]:
-    """Return the mask of rows with values in mapped columns, because PlotJuggler has a row for every message."""
+    """Return the mask of rows with values in mapped columns, because PlotJuggler writes a row per message."""
     mapped = [name for name in names.entries if name != "t" and name in arrays] if names else []
     numbers = [arrays[name][0] for name in mapped if arrays[name][0].dtype.kind == "f"]
     if not numbers or len(numbers) < len(mapped):
@@ -262,18 +257,19 @@ def _rows_with_values(arrays: Arrays, names: ColumnNames | None) -> tuple[np.nda
     empty = int(np.count_nonzero(~filled))
     if not empty or empty == len(filled):
         return True, []
-    return filled, [f"{empty} rows without {', '.join(mapped)} are left out"]
+    return filled, [f"{empty} rows without values of {', '.join(mapped)} are skipped"]
 
 
 def _in_si(
     path: Path, arrays: Mapping[str, tuple[np.ndarray, str]], keep_start: bool = False
 ) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
-    """Return the columns in SI with their units ("" if not given in the file)."""
+    """Return the columns in SI units and their descriptions, with the unit "" if the file gives none."""
     values: dict[str, np.ndarray] = {}
     columns: dict[str, Column] = {}
+    units = {unit for symbol in glossary.symbols().values() for unit in symbol.unit.split(", ")}
     for name, (array, unit) in arrays.items():
         symbol = glossary.columns().get(name)
-        kept = (unit, 1.0) if unit in _glossary_units() else None
+        kept = (unit, 1.0) if unit in units else None
         known = kept if symbol is not None and symbol.unit == unit else UNITS.get(unit) or kept
         if known is None:
             raise LogError(
@@ -291,14 +287,10 @@ def _in_si(
     return values, columns
 
 
-def _glossary_units() -> set[str]:
-    return {unit for symbol in glossary.symbols().values() for unit in symbol.unit.split(", ")}
-
-
 def _clock(
     path: Path, values: dict[str, np.ndarray], columns: dict[str, Column], rate: float | None, row: Callable[[int], str]
 ) -> np.ndarray:
-    """Remove the clock (N,) [s] from the columns, or compute it from the rate."""
+    """Remove the clock (N,) [s] from the columns and return it, or compute it from the rate."""
     name = next((clock for clock in CLOCKS if clock in values), None)
     if name is None:
         if rate is None:
@@ -319,7 +311,7 @@ def _clock(
 def _together(
     values: dict[str, np.ndarray], columns: dict[str, Column]
 ) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
-    """Join q1, q2 ... to q (N, n) for array names in the glossary; other columns get their unit."""
+    """Join q1, q2, ... into q (N, n) for arrays of the glossary; complete the units of other columns."""
     groups: dict[str, dict[tuple[int, ...], str]] = {}
     for label, array in values.items():
         name, place = _place(label)
@@ -384,7 +376,7 @@ def foreign_table(
     """
     arrays, joints = (arrays, {}) if names is None else names.found(path, arrays)
     named = {OLD_NAMES.get(name, name): entry for name, entry in arrays.items()}
-    clock = next((name for name in CLOCKS if name in named and _is_line(named[name][0])), None)
+    clock = next((name for name in CLOCKS if name in named and _is_vector(named[name][0])), None)
     if clock is None:
         have = ", ".join(f"{name} {array.shape}" for name, (array, _) in arrays.items()) or "none"
         raise LogError(
@@ -422,8 +414,8 @@ def renamed(path: Path, table: Table, names: ColumnNames | None) -> Table:
         raise LogError(f"Expected columns that match the glossary in {path}, got invalid columns: {error}") from None
 
 
-def _is_line(array: np.ndarray) -> bool:
-    """Return whether at most one axis of an array is longer than 1."""
+def _is_vector(array: np.ndarray) -> bool:
+    """Return whether at most one axis is longer than 1."""
     return array.size == max(array.shape, default=1)
 
 

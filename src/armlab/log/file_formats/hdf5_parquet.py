@@ -89,7 +89,7 @@ def read_hdf5(
             arrays, left_out = _datasets(h5py, whole)
             if not arrays and left_out:
                 raise LogError(
-                    f"Expected arrays of numbers in {path}, got {', '.join(left_out)}: a struct or another compound "
+                    f"Expected arrays of numbers in {path}, got {', '.join(left_out)}: a struct or other compound "
                     "type. Save its fields one by one, in Julia: "
                     'save("log.jld", "pos", log.pos, "vel", log.vel, "trq", log.trq, "timestamp", log.timestamp).'
                 )
@@ -104,7 +104,7 @@ def read_hdf5(
 
 
 def stored_size(h5py: Any, whole: Any) -> int:
-    """Return the uncompressed size of all datasets of a file in bytes; a text counts as 16 bytes."""
+    """Return the uncompressed size of all datasets of a file in bytes; each text counts as 16 bytes."""
     sizes = []
     whole.visititems(lambda _, item: sizes.append(item.nbytes) if isinstance(item, h5py.Dataset) else None)
     return sum(sizes)
@@ -216,7 +216,7 @@ def _as_written(path: Path, file: Any, about: Description, columns: Sequence[str
     wanted = [label for label, owner in zip(labels, owners) if columns is None or owner in columns]
     found = file.read([clock, *wanted])
     if columns is not None:
-        about = about.selected(columns)
+        about = msgspec.structs.replace(about, columns={k: v for k, v in about.columns.items() if k in columns})
     t, *parts = (_array_values(found.column(label)) for label in (clock, *wanted))
     return about.table(path, t, put_together(about, parts, len(t)))
 

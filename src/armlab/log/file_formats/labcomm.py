@@ -26,8 +26,8 @@ from armlab.wire.labcomm import Decoder, Limits, Sample
 from armlab.wire.labcomm.types import Array, Prim, Struct
 
 _PIECE = 1 << 20
-_CLOCKS = {"t_us": 1e-6, "tm": 1e-3, "t": 1.0, "time": 1.0}  # clock fields of a sample, and their units [s]
-_WRAP = 1 << 32  # period of tm: milliseconds in a signed 32-bit integer
+_CLOCKS = {"t_us": 1e-6, "tm": 1e-3, "t": 1.0, "time": 1.0}  # clock fields of a sample and their units in s
+_WRAP = 1 << 32  # ms, period of tm, which is a signed 32-bit integer
 _BRIDGE = ("robot_row", "command_row")
 _UNITS = {"pos": "rad", "vel": "rad/s", "trq": "N m"}  # of the bridge's samples
 _KINDS = {"b": "flag", "i": "count", "f": "real", "U": "text"}
@@ -52,18 +52,18 @@ class _Leaf:
 
     @property
     def size(self) -> int:
-        """Eight-byte cells per row; each text is as wide as the longest, four bytes per character."""
+        """Eight-byte cells per row; a text takes four bytes per character of the longest text."""
         if self.dtype is np.str_:
             return max(value.itemsize for value in self.values) // 8 + 1
         return math.prod(self.shape)
 
     @property
     def held(self) -> int:
-        """Number of cells of the values themselves."""
+        """Number of cells of the values without padding."""
         return sum(value.nbytes // 8 + 1 for value in self.values)
 
     def add(self, value: Any, dtype: Any, row: int, label: str) -> None:
-        """Append a value, possibly of another type if its sample was redeclared."""
+        """Append a value, whose type may differ from that of earlier values if its sample was redeclared."""
         array = np.asarray(value, dtype=dtype)
         if dtype is not self.dtype:
             if np.str_ in (dtype, self.dtype):
@@ -128,17 +128,17 @@ def read_labcomm(path: str | Path, *, sample: str | None = None, rate: float | N
         raise LogError(f"Expected samples that form a table in {path}, got invalid samples: {error}") from None
     columns = {label: _column(leaf, counts[pace]) for label, leaf in leaves.items()}
     t = _clock(path, columns, pace, counts[pace], rate)
-    ends = f"{path.name} ends within a packet: its last {torn} bytes are skipped"
+    notes: tuple[str, ...] = ()
     if torn:
-        warnings.warn(ends, stacklevel=2)
+        notes = (f"{path.name} ends within a packet: its last {torn} bytes are skipped",)
+        warnings.warn(notes[0], stacklevel=2)
     t, keep, dropped = rows_in_order(t, raw)
-    notes = (ends, *dropped) if torn else dropped
     try:
         return Table(
             t[keep],
             {label: values[keep] for label, values in columns.items()},
             {label: Column(unit=_unit(label), kind=_KINDS[values.dtype.kind]) for label, values in columns.items()},
-            notes=notes,
+            notes=(*notes, *dropped),
             source=(f"{path.name} sha256 {file_hash(path)}",),
         )
     except ArmlabError as error:

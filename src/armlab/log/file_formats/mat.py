@@ -36,14 +36,14 @@ _CELL, _CHARS, _OPAQUE = 1, 4, 17  # classes of matrices
 _NUMERIC = range(6, 16)
 _CLASSES = range(1, 18)
 _COMPLEX = 0x0800
-_UNPACKED, _RATIO = 1 << 26, 200  # bytes that are always allowed, and the ratio beyond
+_UNPACKED, _RATIO = 1 << 26, 200  # decompressed bytes that are always allowed; expansion ratio allowed beyond
 
 
 def variables_in(data: bytes) -> dict[str, np.ndarray | None]:
     """Return the variables of a file: real numbers as stored, texts, and cells of texts; other variables are None."""
     order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER])
     if order is None:
-        raise LogError("Expected the byte-order mark IM or MI, got an invalid one.")
+        raise LogError("Expected the byte-order mark IM or MI, got an invalid mark.")
     left = max(_UNPACKED, _RATIO * len(data))
     found = {}
     for kind, body in _elements(memoryview(data)[_HEADER:], order):
@@ -208,30 +208,22 @@ def read_variables(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
     except OSError as error:
         raise LogError(f"Expected a MAT file at {path}, got: {error.strerror}.") from None
     if format_of(head) in ("HDF5", "MAT v7.3"):
-        found = _hdf5(path)
+        h5py = needed("h5py", f"to read {path}, a MAT file of version 7.3", "or save again with save(..., '-v7')")
+        with undamaged(f"MAT file at {path}"), h5py.File(path, "r") as file:
+            check_unpacked_size(path, stored_size(h5py, file))
+            found = {name: _dataset(item, h5py) for name, item in file.items() if not name.startswith("#")}
     elif head.startswith(b"MATLAB 5.0"):
-        found = _version_5(path)
+        try:
+            found = variables_in(path.read_bytes())
+        except (LogError, ValueError, OverflowError) as error:  # inconsistent sizes, invalid characters
+            what = str(error).rstrip(".")
+            raise LogError(f"Expected a valid MAT file at {path}, got a corrupt one: {what[:200]}.") from None
+        found = {name: value for name, value in found.items() if name and not name.startswith("__")}
     else:
         raise LogError(
             f"Expected a MAT file at {path}, got a file that begins with {head[:10]!r}. Save it from MATLAB with save."
         )
     return {k: v for k, v in found.items() if v is not None}, [k for k, v in found.items() if v is None]
-
-
-def _version_5(path: Path) -> dict[str, np.ndarray | None]:
-    try:
-        found = variables_in(path.read_bytes())
-    except (LogError, ValueError, OverflowError) as error:  # inconsistent sizes, invalid characters
-        what = str(error).rstrip(".")
-        raise LogError(f"Expected a valid MAT file at {path}, got a corrupt one: {what[:200]}.") from None
-    return {name: value for name, value in found.items() if name and not name.startswith("__")}
-
-
-def _hdf5(path: Path) -> dict[str, np.ndarray | None]:
-    h5py = needed("h5py", f"to read {path}, a MAT file of version 7.3", "or save again with save(..., '-v7')")
-    with undamaged(f"MAT file at {path}"), h5py.File(path, "r") as file:
-        check_unpacked_size(path, stored_size(h5py, file))
-        return {name: _dataset(item, h5py) for name, item in file.items() if not name.startswith("#")}
 
 
 def _dataset(item: Any, h5py: Any) -> np.ndarray | None:
@@ -293,7 +285,7 @@ def read_mat_table(path: Path, *, raw: bool = False, names: ColumnNames | None =
     of_matlab = matlab_names(about.columns)
     missing = [name for name, own in {"t": "t", **of_matlab}.items() if own not in found]
     if missing:
-        raise LogError(f"Expected the variables described in {path}, but there are none for {', '.join(missing)}.")
+        raise LogError(f"Expected all variables described in {path}, but {', '.join(missing)} are missing.")
     table = about.table(path, np.ravel(found["t"]), {name: found[own] for name, own in of_matlab.items()})
     return renamed(path, table, names)
 

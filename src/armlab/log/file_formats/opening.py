@@ -14,7 +14,7 @@ from typing import Any
 from armlab.errors import ArmlabError, LogError, MissingExtra
 
 FIRST = 1024
-"""Bytes needed by `format_of`: HDF5 may start with a user block of 512 bytes."""
+"""Number of bytes needed by `format_of`, because HDF5 may start with a user block of 512 bytes."""
 
 BAGS = ("rosbag2", "SQLite (rosbag2)", "ROS 1 bag")
 """Formats recorded by ROS programs, besides MCAP."""
@@ -98,7 +98,7 @@ def check_readable(path: str | Path) -> None:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Add the file to a LogError that does not name it."""
+    """Add the path of the file to a LogError that does not name it."""
     try:
         yield
     except LogError as error:
@@ -109,7 +109,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def undamaged(what: str, raised: Any = Exception) -> Iterator[None]:
-    """Turn errors raised for corrupt files (OSError, RuntimeError, KeyError, reader-specific) into one sentence."""
+    """Turn errors raised for corrupt files, which depend on the reader, into a LogError of one sentence."""
     try:
         yield
     except ArmlabError:
@@ -130,11 +130,11 @@ def opened(path: Path) -> Iterator[memoryview]:
     yield memoryview(mapped)  # released with the last array that uses it
 
 
-_ANY, _RATIO = 1 << 26, 1000  # bytes that are always allowed, and the ratio beyond, which constant columns reach
+_ANY, _RATIO = 1 << 26, 1000  # bytes that are always allowed; expansion ratio of constant columns, allowed beyond
 
 
 def check_unpacked_size(path: Path, size: int) -> None:
-    """Reject a file that expands far beyond its size."""
+    """Reject a file that would expand to far more than its size."""
     most = max(_ANY, _RATIO * path.stat().st_size)
     if size > most:
         raise LogError(

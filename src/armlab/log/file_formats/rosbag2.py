@@ -61,7 +61,7 @@ def whole_poses(table: Table) -> list[str]:
 
 
 def topics_of(columns: Mapping[str, Column], poses: Iterable[str]) -> list[BagTopic]:
-    """Return the topics of a table; the same for writing and reading."""
+    """Return the topics of a table, which are the same for writing and reading."""
     rest, topics = dict(columns), [BagTopic("/t", "std_msgs/msg/Float64", {"t": ("data",)})]
     for ending in ("", "_ref", "_sent"):
         parts = {f"{name}{ending}": field for name, field in (("q", "position"), ("qd", "velocity"), ("tau", "effort"))}
@@ -78,13 +78,18 @@ def messages_of(topic: BagTopic, table: Table, stamps: np.ndarray, joint_names: 
     """Yield the message of each row, with `stamps` (N,) [ns] in its header."""
     if topic.type == TEXT:
         (name,) = topic.fields
-        yield from (_text(value) for value in table[name].tolist())
+        for value in table[name].tolist():
+            raw = (value if isinstance(value, str) else json.dumps(value)).encode() + b"\0"
+            yield _ENCAPSULATION + struct.pack("<I", len(raw)) + raw
         return
     values = {name: _encoded(topic, table[name]) for name in topic.fields}
     raw = _sample(topic, table, {name: array.shape[1] for name, array in values.items()}, joint_names)
     found = cdr.layout(raw, topic.type, _types(topic.type))
     block = np.tile(np.frombuffer(raw, dtype=np.uint8), (len(table), 1))
-    filled = {path: part for name, array in values.items() for path, part in _per_field(topic.fields[name], array)}
+    filled: dict[str, np.ndarray] = {}
+    for name, array in values.items():
+        paths = topic.fields[name]
+        filled |= zip(paths, [array] if len(paths) == 1 else np.hsplit(array, len(paths)), strict=True)
     filled |= {"header.stamp.sec": stamps[:, None] // 10**9, "header.stamp.nanosec": stamps[:, None] % 10**9}
     for place in found.fields:
         if place.path in filled and place.count:
@@ -98,7 +103,9 @@ def columns_of(topic: BagTopic, columns: Mapping[str, Column], raws: Sequence[by
     """Return the columns (N, ...) from the messages of a topic."""
     if topic.type == TEXT:
         (name,) = topic.fields
-        return {name: _texts(raws, columns[name].shape)}
+        words = [raw[8 : 7 + struct.unpack_from("<I", raw, 4)[0]].decode() for raw in raws]
+        whole = [json.loads(word) for word in words] if columns[name].shape else words  # arrays are JSON lists
+        return {name: np.array(whole, dtype=np.str_).reshape(len(raws), *columns[name].shape)}
     wanted = frozenset(path for paths in topic.fields.values() for path in paths)
     fields: dict[str, np.ndarray] = {}
     if raws:
@@ -152,13 +159,6 @@ def _encoded(topic: BagTopic, array: np.ndarray) -> np.ndarray:
     return np.where(missing[:, None], np.nan, numbers)
 
 
-def _per_field(paths: Sequence[str], array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    if len(paths) == 1:
-        yield paths[0], array
-    else:
-        yield from ((path, array[:, place : place + 1]) for place, path in enumerate(paths))
-
-
 def _sample(topic: BagTopic, table: Table, counts: Mapping[str, int], joint_names: Sequence[str]) -> bytes:
     """Return a zero message of the topic."""
     name = next(iter(topic.fields))
@@ -187,25 +187,13 @@ def _multi_array(kind: str, shape: Sequence[int]) -> Any:
     return types[kind](layout=layout, data=np.zeros(int(np.prod(shape, dtype=int)), dtype=_NUMBERS.get(kind, "f8")))
 
 
-def _text(value: Any) -> bytes:
-    raw = (value if isinstance(value, str) else json.dumps(value)).encode() + b"\0"
-    return _ENCAPSULATION + struct.pack("<I", len(raw)) + raw
-
-
-def _texts(raws: Sequence[bytes], shape: Sequence[int]) -> np.ndarray:
-    """Return texts (N, ...); arrays are stored as JSON lists."""
-    words = [raw[8 : 7 + struct.unpack_from("<I", raw, 4)[0]].decode() for raw in raws]
-    whole = [json.loads(word) for word in words] if shape else words
-    return np.array(whole, dtype=np.str_).reshape(len(raws), *shape)
-
-
 @cache
 def _types(name: str) -> cdr.Definitions:
     return cdr.definitions(name, definition(name))
 
 
 STORAGES = ("mcap", "sqlite3")
-VERSION = 8  # metadata.yaml version: the last with quality of service as text, which releases before Jazzy require
+VERSION = 8  # of metadata.yaml: the last version with quality of service as text, as required before Jazzy
 BLOCK = 10_000  # rows per block
 LAST = 2**31 * 10**9  # ns: header stamps hold seconds in 31 bits
 
