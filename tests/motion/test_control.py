@@ -220,7 +220,7 @@ def test_several_arms_are_one_motion(reach: Dmp) -> None:
     assert controller.columns()["path"].shape == (14,)
     with pytest.raises(ShapeError, match="yumi_left"):
         wide.controller(arms, limits=limits[:1])
-    with pytest.raises(ShapeError, match="yumi_left and yumi_right, got one with 7"):
+    with pytest.raises(ShapeError, match="yumi_left and yumi_right, got 7"):
         reach.controller(arms)
 
 

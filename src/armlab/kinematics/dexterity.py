@@ -53,21 +53,17 @@ class Ellipsoid(Shown):
 
 
 def singular_values(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarray:
-    """Return the singular values of the Jacobian, or of its rows for one part of the twist.
+    """Return the singular values (..., min(m, n)) of the Jacobian, or of its rows for one part of the twist.
 
-    ``J = U diag(s) V^T``. ``s[..., -1]`` is the smallest tool speed per unit of joint speed over all directions. It is
-    the distance to the nearest singular Jacobian, and 0 in a singular posture. ``s[..., 0] / s[..., -1]`` is the
-    condition number.
+    ``J = U diag(s) V^T``, with descending s and m = 6 rows for the pose, or 3 for a part. ``s[..., -1]`` is the
+    smallest tool speed per unit of joint speed over all directions. It is the distance to the nearest singular
+    Jacobian, and 0 in a singular posture. ``s[..., 0] / s[..., -1]`` is the condition number.
 
     Parameters
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
     part : "pose" for all six rows (mixes metres and radians), "position" [m/rad] or "rotation".
-
-    Returns
-    -------
-    s : (..., min(m, n)) in descending order, with m = 6 rows for the pose and 3 for a part of it.
 
     Raises
     ------
@@ -79,22 +75,18 @@ def singular_values(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarr
 
 
 def manipulability(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarray:
-    """Return Yoshikawa's manipulability, the volume of the twists produced by the unit ball of joint velocities.
+    """Return Yoshikawa's manipulability (...), the volume of the twists produced by the unit ball of joint velocities.
 
-    ``w = sqrt(det(J J^T))``, the product of the singular values. If the arm has fewer joints n than the part has rows,
-    this determinant is 0 in every posture. In that case ``w = sqrt(det(J^T J))``, the volume within the n directions
-    in which the joints can move the tool. An orthogonal factorisation of J, rather than J J^T, keeps the result
-    accurate to the rounding of J near singular postures.
+    ``w = sqrt(det(J J^T))``, the product of the singular values, is 0 in singular postures. If the arm has fewer joints
+    n than the part has rows, this determinant is 0 in every posture. In that case ``w = sqrt(det(J^T J))``, the volume
+    within the n directions in which the joints can move the tool. An orthogonal factorisation of J, rather than J J^T,
+    keeps the result accurate to the rounding of J near singular postures.
 
     Parameters
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
     part : "pose" (mixes metres and radians: compare postures of one robot only), "position" or "rotation".
-
-    Returns
-    -------
-    w : (...), at least 0, and 0 in singular postures.
 
     Raises
     ------
@@ -113,7 +105,7 @@ def manipulability(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarra
 
 
 def manipulability_gradient(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarray:
-    """Return the derivative of `manipulability` with respect to the joint positions.
+    """Return the derivative (..., n) of `manipulability` w with respect to the joints [unit of w per rad or m].
 
     ``dw/dq_k = sum over i of (u_i^T dJ/dq_k v_i) * product of the other singular values``, without division by small
     singular values. In a singular posture, where w has a kink, it is one of the one-sided derivatives.
@@ -123,10 +115,6 @@ def manipulability_gradient(robot: Robot, q: ArrayLike, part: Part = "pose") -> 
     robot : the arm.
     q : (..., n) joint positions [rad or m].
     part : "pose", "position" or "rotation", as in `manipulability`.
-
-    Returns
-    -------
-    gradient : (..., n) [unit of w per rad or m].
 
     Raises
     ------
@@ -149,7 +137,7 @@ def ellipsoid(
     part: Literal["position", "rotation"] = "position",
     kind: Literal["velocity", "force"] = "velocity",
 ) -> Ellipsoid:
-    """Return the velocity or force ellipsoid of the tool.
+    """Return the velocity or force ellipsoid of the tool, in base axes.
 
     ``{J qd : |qd| <= 1}`` (velocity) or ``{f : |J^T f| <= 1}`` (force), with the three rows of J for the part. The
     two ellipsoids share their axes and have reciprocal lengths, so directions of high speed have low force.
@@ -160,11 +148,6 @@ def ellipsoid(
     q : (..., n) joint positions [rad or m].
     part : "position" for the velocity of the tool point or the force on it, "rotation" for angular velocity or moment.
     kind : "velocity" or "force".
-
-    Returns
-    -------
-    Ellipsoid
-        Its axes (..., 3, 3) in base axes and their lengths (..., 3).
 
     Raises
     ------
@@ -251,11 +234,6 @@ def self_motion(
     length : maximum arc length in joint space [rad; m for prismatic joints]; up to 1000.
     points : number of evenly spaced points over the whole length, both ends included, 2 to 1 000 000.
     task : constraint: "pose", "position" of the tool point, or "axis": position and direction of the tool's z axis.
-
-    Returns
-    -------
-    SelfMotion
-        The points, their errors, and why the motion ended.
 
     Raises
     ------

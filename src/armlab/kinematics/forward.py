@@ -16,7 +16,7 @@ _TOOL_AXES = {"base": False, "tool": True}
 
 
 def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: int = 1) -> np.ndarray:
-    """Return the pose of the tool in the base.
+    """Return the poses (..., 4, 4) of the tool in the base.
 
     ``T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n``, including mount and tool.
 
@@ -24,12 +24,8 @@ def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: 
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-    out : (..., 4, 4) output array; None: allocate a new one. Reusing a large one saves a third of the time.
+    out : (..., 4, 4) output array; default: newly allocated. Reusing a large array saves a third of the time.
     threads : number of threads, 1 to 256; the result is bitwise identical.
-
-    Returns
-    -------
-    T_base_tool : (..., 4, 4).
 
     Raises
     ------
@@ -45,7 +41,7 @@ def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: 
 
 
 def link_transforms(robot: Robot, q: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the poses of link frames 1 ... n in the base.
+    """Return the poses (..., n, 4, 4) of link frames 1 ... n in the base.
 
     ``T_base_i = E_0 Z_1(q_1) ... E_{i-1} Z_i(q_i)``: its z axis is joint axis i, and the frame moves with link i.
 
@@ -53,11 +49,7 @@ def link_transforms(robot: Robot, q: ArrayLike, out: np.ndarray | None = None) -
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-    out : (..., n, 4, 4) output array; None: allocate a new one.
-
-    Returns
-    -------
-    T_base_link : (..., n, 4, 4).
+    out : (..., n, 4, 4) output array; default: newly allocated.
 
     Raises
     ------
@@ -74,7 +66,7 @@ def link_transforms(robot: Robot, q: ArrayLike, out: np.ndarray | None = None) -
 def jacobian(
     robot: Robot, q: ArrayLike, frame: Frame = "base", out: np.ndarray | None = None, threads: int = 1
 ) -> np.ndarray:
-    """Return the Jacobian of the tool point: ``[v; w] = J(q) qd``.
+    """Return the Jacobian (..., 6, n) of the tool point: ``[v; w] = J(q) qd``.
 
     Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic). A wrench on the tool at the tool
     point, in the same axes, causes the joint torques ``tau = J^T wrench``.
@@ -84,16 +76,12 @@ def jacobian(
     robot : the arm.
     q : (..., n) joint positions [rad or m].
     frame : axes of v and w, "base" or "tool"; the point is the tool's origin in both.
-    out : (..., 6, n) output array; None: allocate a new one.
+    out : (..., 6, n) output array; default: newly allocated.
     threads : number of threads, 1 to 256; the result is bitwise identical.
-
-    Returns
-    -------
-    J : (..., 6, n), rows [v; w].
 
     Raises
     ------
-    UnknownName : if `frame` is neither "base" nor "tool".
+    UnknownName : if `frame` is not "base" or "tool".
     ShapeError : if the last axis of `q` does not have length n, or `out` does not match.
     RobotError : if `robot` is not a `Robot`.
     ConfigError : if `threads` is not an integer from 1 to 256.
@@ -129,7 +117,7 @@ def forward_jacobian(
 
     Raises
     ------
-    UnknownName : if `frame` is neither "base" nor "tool".
+    UnknownName : if `frame` is not "base" or "tool".
     ShapeError : if the last axis of `q` does not have length n, or `out` is not a pair of separate fitting arrays.
     RobotError : if `robot` is not a `Robot`.
     ConfigError : if `threads` is not an integer from 1 to 256.
@@ -151,7 +139,7 @@ def _resolved(robot: Robot, frame: Frame) -> tuple[Chain, bool]:
 def jacobian_derivative(
     robot: Robot, q: ArrayLike, qd: ArrayLike, frame: Literal["base", "tool"] = "base", out: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the time derivative of the Jacobian along a motion: ``[vd; wd] = J(q) qdd + Jd(q, qd) qd``.
+    """Return the time derivative (..., 6, n) of the Jacobian: ``[vd; wd] = J(q) qdd + Jd(q, qd) qd``.
 
     It is the derivative of the array that `jacobian` returns for the same `frame`. In base axes, `vd` and `wd` are the
     accelerations of the tool point and of the tool. In tool axes they are the rates of the velocity components: ``vd +
@@ -164,15 +152,11 @@ def jacobian_derivative(
     q : (..., n) joint positions [rad or m].
     qd : (..., n) joint velocities [rad/s or m/s], of the shape of `q`.
     frame : axes of the Jacobian, "base" or "tool"; the point is the tool's origin in both.
-    out : (..., 6, n) output array; None: allocate a new one.
-
-    Returns
-    -------
-    Jd : (..., 6, n), rows [vd; wd].
+    out : (..., 6, n) output array; default: newly allocated.
 
     Raises
     ------
-    UnknownName : if `frame` is neither "base" nor "tool".
+    UnknownName : if `frame` is not "base" or "tool".
     ShapeError : if the last axis of `q` does not have length n, `qd` has a different shape, or `out` does not match.
     RobotError : if `robot` is not a `Robot`.
     """
@@ -181,20 +165,16 @@ def jacobian_derivative(
 
 
 def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
-    """Return the Jacobian of the tool pose with respect to perturbations ``E_j Exp([v; w])`` of each frame j.
+    """Return the Jacobian (..., 6, n+1, 6) of the tool pose for perturbations ``E_j Exp([v; w])`` of each frame j.
 
     The tool twist due to frame j is ``J[..., j, :] @ [v; w]``. With ``P_j = E_0 Z_1(q_1) E_1 ... E_j = (R_j, p_j)``,
-    the tool at p moves by ``R_j v + R_j w x (p - p_j)`` and rotates by ``R_j w``. The joint columns are included:
-    the column of joint j + 1 is column w_z (prismatic: v_z) of frame j.
+    the tool at p moves by ``R_j v + R_j w x (p - p_j)`` and rotates by ``R_j w``. The rows
+    are [v; w] at the tool point in base axes. The column of joint j + 1 is column w_z (prismatic: v_z) of frame j.
 
     Parameters
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-
-    Returns
-    -------
-    J : (..., 6, n+1, 6), rows [v; w] at the tool point in base axes.
 
     Raises
     ------

@@ -11,7 +11,7 @@ from armlab._numbers import number, numbers, positive
 from armlab.errors import ConfigError, ShapeError
 
 MAX_SAMPLES = 10_000_000
-FEWEST, MOST = 3, 1000  # kernels
+FEWEST, MOST = 3, 1000  # number of kernels
 
 
 def point(value: Any, what: str) -> np.ndarray:
@@ -28,8 +28,8 @@ def second_point(value: Any, what: str, first: np.ndarray) -> np.ndarray:
     array = point(value, what)
     if array.shape != first.shape:
         raise ShapeError(
-            f"Expected {what} of {first.size} joints, like the first point, got {array.size}. Pass two points of the "
-            "same arm."
+            f"Expected {what} of {first.size} joints, like the first point, got {array.size} joints. Pass "
+            "two points of the same arm."
         )
     return array
 
@@ -45,13 +45,14 @@ def points(value: Any, what: str) -> np.ndarray:
     missing = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if len(missing):
         raise ShapeError(
-            f"Expected finite {what}, got missing values in point {missing[0]} ({len(missing)} in total). Omit them."
+            f"Expected finite {what}, got missing values in point {missing[0]} ({len(missing)} in total). Omit "
+            "these points."
         )
     return array
 
 
 def velocity(value: Any, what: str, n: int) -> np.ndarray:
-    """Return a finite rate (n,); a scalar applies to all joints."""
+    """Return a finite velocity or acceleration (n,); a scalar applies to all joints."""
     return _per_joint(value, what, n, np.isfinite, "finite")
 
 

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 MAX_STEP = 0.004
 """Longest step of integration [s]."""
-MAX_GAP = 0.05  # s between two packets
-_SLACK = 0.02  # fraction of a step
+MAX_GAP = 0.05  # longest time between two packets [s]
+_SLACK = 0.02  # fraction of a step by which dt may exceed it
 NEAR, SLOW = 0.01, 0.02  # rad or m, and rad/s or m/s: arrival tolerances
 SETTLING_TIME = 0.1  # s within both tolerances
 LIMITS = ("q_min", "q_max", "qd_max", "qdd_max")
@@ -48,17 +48,17 @@ class JointLimits(Protocol):
 
 
 class Controller(ABC):
-    """Motion as a controller, a callable ``State -> Command``; created by the `controller` method of a primitive.
+    """Controller of a motion, a callable ``State -> Command``; created by the `controller` method of a primitive.
 
     It starts at rest from the measured position whenever a robot session begins. Time advances by the interval between
-    packets. Position, velocity and acceleration limits are applied last; motion lost to clipping is not made up for.
-    The controller holds at the goal, because the goal may change. The run ends after a gap of more than 50 ms between
-    packets or a state with NaN; `reason` states the cause.
+    packets. Position, velocity and acceleration limits are applied last; clipped motion is not made up later. The
+    controller holds at the goal, because the goal may change. The run ends after a gap of more than 50 ms between
+    packets or a start position with NaN; `reason` states the cause.
 
     Parameters
     ----------
     robot : the arm, or several arms with their joints stacked as in the State of several arms.
-    limits : limits of the reference, one per arm; default: from the robots.
+    limits : limits of the reference for each arm; default: from the robots.
     goal : (n,) initial goal.
 
     Raises
@@ -67,10 +67,10 @@ class Controller(ABC):
 
     Attributes
     ----------
-    done : the motion has ended and the arm has been slow and near the goal for 0.1 s. NaN measurements do not count.
-    frozen : the path is paused because the arm is too far from it.
-    clamped : (n,) limits that acted on this reference: bits 1 position, 2 velocity, 4 acceleration, 8 braking.
-    reason : why the run ended; "" while it runs.
+    done : whether the motion has ended and the arm has been slow and near the goal for 0.1 s, ignoring NaN.
+    frozen : whether the path is paused because the arm is too far from it.
+    clamped : (n,) limits that clipped this reference: bits 1 position, 2 velocity, 4 acceleration, 8 braking.
+    reason : cause of the end of the run; "" during the run.
     """
 
     frozen: bool
@@ -83,7 +83,7 @@ class Controller(ABC):
         within = arms if limits is None else limits if isinstance(limits, Sequence) else (limits,)
         for name in LIMITS:
             if not all(hasattr(one, name) for one in within):
-                raise ShapeError(f"Expected limits with {', '.join(LIMITS)}, got {within!r}. bridge.Limits has them.")
+                raise ShapeError(f"Expected limits with {', '.join(LIMITS)}, got {within!r}. Pass bridge.Limits.")
         if [np.shape(one.q_min) for one in within] != [(arm.n,) for arm in arms]:
             shapes = [np.shape(one.q_min) for one in within]
             raise ShapeError(f"Expected limits for the {self._n} joints of {self._name}, got shapes {shapes}.")
@@ -130,7 +130,7 @@ class Controller(ABC):
 
     def columns(self) -> dict[str, Column]:
         """Return the recorded columns, for ``link.run(extra=...)``."""
-        from armlab.log import Column  # imported here because it doubles the import time of motion
+        from armlab.log import Column  # a lazy import, because it doubles the import time of motion
 
         own = {"qdd_ref": Column((self._n,), unit="rad/s^2"), "path": Column((self._n,), unit="rad")}
         own["limited"] = Column((self._n,), unit="1", kind="count")
@@ -157,7 +157,7 @@ class Controller(ABC):
         return Command(q, qd, record=record | self._record())
 
     def _record(self) -> dict[str, Any]:
-        """Return the additional recorded values of this kind of controller."""
+        """Return additional recorded values of a subclass."""
         return {}
 
     @abstractmethod
@@ -206,7 +206,7 @@ class Controller(ABC):
         return sent[0], sent[2]
 
     def _check_arrival(self, state: State, dt: float) -> None:
-        if np.isnan(_largest(state.q) + _largest(state.qd)):  # a lost measurement says nothing about arrival
+        if np.isnan(_largest(state.q) + _largest(state.qd)):  # a lost measurement is no evidence of arrival
             return
         rests = self._is_over and self._is_near(state) and _largest(state.qd) < SLOW
         self._rested = self._rested + dt if rests else 0.0
@@ -252,7 +252,7 @@ def own_steps(dt: float, pace: Pace) -> list[float]:
 
 
 def at_pace(state: Sequence[np.ndarray], pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return q, qd and qdd of the reference, and the path, for a motion that provides all three."""
+    """Return q, qd and qdd of the reference, and the path, from the state (y, yd, ydd) of a motion at nominal speed."""
     (y, yd, ydd), (_, speed, change) = state, pace
     return y, speed * yd, speed**2 * ydd + change * yd, y
 
@@ -262,4 +262,4 @@ def check_joints(robot: Arms, n: int) -> None:
     arms = robots_of(robot)
     joints, names = sum(arm.n for arm in arms), " and ".join(arm.name for arm in arms)
     if n != joints:
-        raise ShapeError(f"Expected a motion with {joints} joints for {names}, got one with {n} coordinates.")
+        raise ShapeError(f"Expected a motion with {joints} joints for {names}, got {n} coordinates.")

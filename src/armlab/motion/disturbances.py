@@ -32,7 +32,7 @@ class Push(Shown):
     Attributes
     ----------
     t0, t1 : start and end [s].
-    velocity : one number, or one for each pushed coordinate, in the unit of y per second.
+    velocity : a number for all pushed coordinates or for each of them, in the unit of y per second.
     dofs : indices of the coordinates, from 0; default: all.
 
     Raises
@@ -53,7 +53,7 @@ class Push(Shown):
             raise ShapeError(f"Expected a finite velocity, got {self.velocity}.")
 
     def _drive(self, n: int) -> np.ndarray:
-        """Return the imposed velocity (n,), with NaN for free coordinates."""
+        """Return the imposed velocity (n,); NaN for free coordinates."""
         which = np.arange(n) if self.dofs is None else np.asarray(self.dofs)
         whole = which.ndim == 1 and which.dtype.kind in "iu" and bool(((which >= 0) & (which < n)).all())
         if not whole or not which.size or len(set(which.tolist())) < len(which):
@@ -109,7 +109,7 @@ class Displace(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwoDofRun(Shown):
-    """Simulated or recorded run at N times; at an event time, values are those before the event.
+    """Simulated or recorded run at N times; the values at an event time precede the event.
 
     Attributes
     ----------
@@ -183,14 +183,14 @@ class _EventSequence:
             else:
                 raise ShapeError(f"Expected events as Hold, Push, Displace or a plant (a function), got {event!r}.")
         if len(plants) > 1:
-            raise ShapeError(f"Expected at most one plant, got {len(plants)}. Add them in one function.")
+            raise ShapeError(f"Expected at most one plant, got {len(plants)}. Combine them in one function.")
         self._plant = plants[0] if plants else None
         for i, (t0, t1, first) in enumerate(self._pushes):
             for s0, s1, second in self._pushes[:i]:
                 if max(t0, s0) < min(t1, s1) and np.isfinite(first + second).any():
                     raise ShapeError(
                         f"Expected at most one event per coordinate at a time, got two from {max(t0, s0):g} to "
-                        f"{min(t1, s1):g} s. End one before the other begins."
+                        f"{min(t1, s1):g} s. Separate them in time."
                     )
         times = [(t0, t1) for t0, t1, _ in self._pushes] + [(at, at) for at, _ in self._blows]
         self.disturbed = tuple(sorted(times))
@@ -206,7 +206,7 @@ class _EventSequence:
         return y
 
     def advance(self, law: Any, now: float, y: np.ndarray, span: float, steps: int) -> np.ndarray:
-        """Return the state after an interval in which no event begins or ends."""
+        """Return the state after an interval without the start or end of an event."""
         driven = np.full(law.n, np.nan)
         for t0, t1, velocity in self._pushes:
             if t0 <= now < t1:

@@ -42,7 +42,7 @@ class Dmp(Equation, Saved, kind="dmp"):
     schedule : "canonical", "time" or "position".
     scaling : scaling of the forcing: "goal", "none", "amplitude" or "rotate".
     convention : for alpha_x and tau_d: "lund" (1, a third of the duration) or "ijspeert" (alpha_z / 3, the duration).
-    demo_weights : (M, n_basis, n) weights of M >= 3 individual demonstrations; None with fewer.
+    demo_weights : (M, n_basis, n) weights of M >= 3 individual demonstrations; None for fewer demonstrations.
     limits : (2, n) lowest and highest accepted goal; None: no limits.
 
     References
@@ -153,7 +153,7 @@ class Dmp(Equation, Saved, kind="dmp"):
         return Rollout(times, y, yd, ydd, x, f)
 
     def solve(self, t: ArrayLike, *, rtol: float = 1e-10, atol: float = 1e-12, **run: Unpack[RunOptions]) -> Rollout:
-        """Integrate the primitive adaptively (Dormand-Prince, order 8); slow, but the reference for `rollout`.
+        """Integrate the primitive adaptively (Dormand-Prince, order 8): slow, but an accurate reference for `rollout`.
 
         Parameters
         ----------
@@ -255,10 +255,10 @@ class DmpController(Controller):
 
 
 FINE = 4000  # minimum number of response steps over a duration
-GRID = 401  # times at which the change of the path is measured
+GRID = 401  # number of times at which the change of the path is measured
 RIDGE = 1e-7  # relative to the largest singular value: weight directions without effect on the path stay unchanged
-SAME = 1e-10
-MAX_ITERATIONS = 3  # refine the last digits
+SAME = 1e-10  # smallest eigenvalue of independent via-points
+MAX_ITERATIONS = 3  # refinements of the last digits
 
 
 def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | None = None) -> Dmp:
@@ -299,7 +299,7 @@ def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = Non
         )
     wanted = [_points(values, what, len(times), dmp.n) for values, what in ((y, "y"), (yd, "yd")) if values is not None]
     if not wanted:
-        raise ShapeError("Expected via-point positions or velocities, got neither. Pass y or yd.")
+        raise ShapeError("Expected via-point positions or velocities, got neither y nor yd. Pass at least one of them.")
     kinds = [k for k, values in enumerate((y, yd)) if values is not None]
     grid = np.unique(np.concatenate([np.linspace(0.0, dmp.duration, GRID), times]))
     responses = dmp._primitive.response(grid, dmp.tau_d, dmp.duration / FINE)
@@ -317,14 +317,14 @@ def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = Non
 def _least_change(Y: np.ndarray, C: np.ndarray) -> np.ndarray:
     """Return the map (m, r) from constraint residuals to weights that minimises ``|Y dw|`` subject to ``C dw = c``."""
     s, V = np.linalg.svd(Y, full_matrices=False)[1:]
-    inverse = V.T / np.sqrt(s**2 + (RIDGE * s[0]) ** 2)  # of a root of the quadratic form
+    inverse = V.T / np.sqrt(s**2 + (RIDGE * s[0]) ** 2)  # inverse of a square root of the quadratic form
     steps = C @ inverse
     gram = steps @ steps.T
     values = np.linalg.eigvalsh(gram / np.sqrt(np.outer(gram.diagonal(), gram.diagonal())))
     if not values[0] > SAME:
         raise NotExcited(
             f"Expected via-points that {Y.shape[1]} weights can satisfy independently, got linearly dependent "
-            "via-points. Use fewer via-points, or space them further apart.",
+            "via-points. Use fewer via-points, or increase their spacing.",
             ["via-points"],
             [f"{values[0]:.1e}"],
         )

@@ -28,7 +28,7 @@ FORMS = ("steering", "potential")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Capsule(Shown):
-    """Capsule: all points within `radius` of the segment from a to b; a sphere or a point if a = b.
+    """Set of all points within `radius` of the segment from a to b; a sphere or a point if a = b.
 
     Attributes
     ----------
@@ -87,10 +87,10 @@ class AvoidingDmp(Shown):
     Attributes
     ----------
     dmp : primitive, or its fit, with a time-based phase; in two or three coordinates [m], or in the joints of `robot`.
-    obstacles : any number of obstacles, in the coordinates of the motion; with a robot, in base axes.
+    obstacles : obstacles in the coordinates of the motion, or in base axes for a robot.
     clearance : smallest allowed distance from the obstacle surfaces [m].
     reach : distance within which obstacles act [m].
-    form : "steering" or "potential".
+    form : law of avoidance, "steering" or "potential".
     robot : the arm.
     tool : capsule of the tool, in tool axes; default: the tool point.
     links : capsules around the links, by link number from 1, in the axes of `kinematics.link_transforms`.
@@ -126,7 +126,7 @@ class AvoidingDmp(Shown):
                 f"got {self.dmp.n} with schedule {self.dmp.schedule!r}. Pass the robot if these are its joints."
             )
         if self.robot is None and (self.tool is not None or self.links):
-            raise ConfigError("Expected tool and links only with a robot, got no robot. Give robot=.")
+            raise ConfigError("Expected tool and links only with a robot, got no robot. Pass robot=...")
         for name in ("clearance", "reach"):
             object.__setattr__(self, name, number(getattr(self, name), f"{name} [m]", ConfigError))
         if not 0.0 <= self.clearance < self.reach < np.inf:
@@ -288,10 +288,7 @@ class AvoidingStepper(Stepper):
 
 
 class AvoidingController(DmpController):
-    """Controller of a joint-space `AvoidingDmp`; created by `AvoidingDmp.controller`.
-
-    It ends the run if the arm starts within the clearance.
-    """
+    """Controller of a joint-space `AvoidingDmp` that ends the run if the arm starts within the clearance."""
 
     _dmp: AvoidingDmp
     _stepper: AvoidingStepper
@@ -301,7 +298,7 @@ class AvoidingController(DmpController):
     ) -> None:
         if avoiding.robot is None:
             raise ConfigError(
-                "Expected an AvoidingDmp of the joints of a robot, got one in Cartesian space. Give robot=."
+                "Expected an AvoidingDmp of the joints of a robot, got a Cartesian AvoidingDmp. Pass robot=..."
             )
         super().__init__(avoiding.robot, avoiding, settings, limits)
 

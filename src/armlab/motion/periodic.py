@@ -203,7 +203,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         ----------
         robot, limits : as in `Dmp.controller`.
         period, g, r : as in `rollout`.
-        turns : number of periods before rest; the amplitude ramps up over the first and down over the last.
+        turns : number of periods before rest; the amplitude ramps up over the first period and down over the last.
 
         Raises
         ------
@@ -265,11 +265,7 @@ class PeriodicStepper:
 
 
 class PeriodicController(Controller):
-    """Controller of a `PeriodicDmp` that starts at rest.
-
-    The amplitude ramps up over the first period and down over the last. `goal` is the baseline; it may be set while the
-    controller runs.
-    """
+    """Controller of a `PeriodicDmp` that starts and ends at rest; `goal` is the baseline, which may change."""
 
     def __init__(
         self,
@@ -333,10 +329,11 @@ def fit_periodic_dmp(
     ----------
     t : (N,) increasing times [s], over one or more periods; the phase is 0 at the first sample.
     y : (N, n) positions [rad or m].
-    period : period [s]; an error of 1 % spoils a fit to ten periods, so try several and keep the smallest `sigma`.
+    period : period [s]; an error of 1 % spoils a fit to ten periods, so try several values and keep that with the
+        smallest `sigma`.
     n_basis : number of kernels, 3 to 1000.
     h : concentration of the kernels; default: ``(n_basis / (2 pi))^2``.
-    g : (n,) baseline; default: the mean of the samples. The kernels compensate for a different baseline.
+    g : (n,) baseline; default: the mean of the samples. The kernels compensate for any difference.
     alpha_z : constant of the spring, critically damped.
     ridge : penalty on the squared weights.
 
@@ -355,8 +352,8 @@ def fit_periodic_dmp(
     demos = read_demos(t, y, None)
     if len(demos) > 1:
         raise ShapeError(
-            f"Expected one demonstration, got {len(demos)}, whose initial phases would differ. Fit one recording that "
-            "contains many periods."
+            f"Expected one demonstration, got {len(demos)} with different initial phases. Fit a single recording "
+            "of many periods."
         )
     demo = demos[0]
     seconds, penalty = (
@@ -393,7 +390,7 @@ def _check_seen(phi: np.ndarray, triangle: np.ndarray) -> None:
     if excitation.rank < m:
         missing = f"from {turns[i]:.2g} to {ends[i] % 1.0 or 1.0:.2g} of the period"
         raise NotExcited(
-            f"Expected samples over the whole period, but there are none {missing}, which leaves "
+            f"Expected samples over the whole period, got no samples {missing}, which leaves "
             f"{m - excitation.rank} of {m} weights undetermined. Record a whole period, use fewer kernels, or set a "
             "ridge.",
             [excitation.weakest],

@@ -39,7 +39,7 @@ LENGTH = 1e-3  # largest error of a quaternion norm that normalisation corrects
 
 
 class PoseRunOptions(TypedDict, total=False):
-    """Options of a run of a `PoseDmp`; omitted or None: from the demonstration."""
+    """Options of a run of a `PoseDmp`; omitted options and None take the values of the demonstration."""
 
     duration: float | None
     tau_d: float | None
@@ -193,7 +193,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
         """Return a stepper that runs the primitive sample by sample; the goal may change.
 
         Its ``step(dt)`` and `state` return the pose (4, 4), the twist (6,) and its derivative (6,);
-        ``change_goal(goal)`` sets another goal pose, and ``reset()`` returns to the start.
+        ``change_goal(goal)`` sets a new goal pose, and ``reset()`` returns to the start.
 
         Parameters
         ----------
@@ -406,7 +406,7 @@ def shorter_way(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
 
 
 def log(q: np.ndarray) -> np.ndarray:
-    """Return rotation vectors (..., 3) of minimum length."""
+    """Return the rotation vectors (..., 3) of minimum length of quaternions."""
     q = np.where(q[..., :1] < 0.0, -q, q)
     length = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(length, q[..., :1])
@@ -420,7 +420,7 @@ def exp(w: np.ndarray) -> np.ndarray:
 
 
 def matrix(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return poses (..., 4, 4)."""
+    """Return poses (..., 4, 4) from positions (..., 3) and quaternions (..., 4)."""
     T = np.zeros((*p.shape[:-1], 4, 4))
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = quaternion.to_matrix(q), p, 1.0
     return T
@@ -445,7 +445,7 @@ def fit_pose_dmp(
     frame: str = "base",
     hold: float = 0.3,
 ) -> Fit[PoseDmp]:
-    """Fit a movement primitive of poses to one demonstration, using the weights whose motion is closest to it.
+    """Fit a movement primitive of poses to one demonstration, so that its motion is closest to it.
 
     The position is fitted by `fit_dmp`. The orientation is fitted by Gauss-Newton steps that minimise ``sum |log(q_demo
     q^-1)|^2``, starting from a fit to the rotation vector relative to the goal.
@@ -483,8 +483,9 @@ def fit_pose_dmp(
     way = log(quaternion.multiply(q, quaternion.conjugate(q[-1])))  # from the goal
     far = np.flatnonzero(np.linalg.norm(way, axis=1) > MAX_ANGLE)
     if len(far):
+        angle = np.linalg.norm(way[far[0]])
         raise ShapeError(
-            f"Expected orientations within {MAX_ANGLE:g} rad from the last one, got {np.linalg.norm(way[far[0]]):.3g} "
+            f"Expected orientations within {MAX_ANGLE:g} rad of the last sample, got {angle:.3g} rad "
             f"in row {far[0]}: at half a turn, the shorter rotation reverses direction. Fit the motion in two parts."
         )
     options: dict[str, Any] = {"n_basis": n_basis, "schedule": schedule, "convention": convention, "hold": hold}

@@ -29,7 +29,7 @@ from armlab.motion import arguments
 
 __all__ = ["Profile", "blend", "connect", "minimum_jerk", "quintic", "spline", "time_optimal", "trapezoidal"]
 
-PERIOD = 0.004  # s, of the control loop
+PERIOD = 0.004  # period of the control loop [s]
 
 DEGREE = 5
 LINE = np.arange(DEGREE + 1.0)
@@ -88,17 +88,7 @@ def quintic(
     T = positive(duration, "duration [s]")
     v0, v1 = (T * arguments.velocity(v, what, n) for v, what in ((qd0, "qd0"), (qd1, "qd1")))
     a0, a1 = (T * T * arguments.velocity(a, what, n) for a, what in ((qdd0, "qdd0"), (qdd1, "qdd1")))
-    d = end - start
-    c = np.stack(
-        [
-            start,
-            v0,
-            a0 / 2,
-            10 * d - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1,
-            -15 * d + 8 * v0 + 7 * v1 + 1.5 * a0 - a1,
-            6 * d - 3 * (v0 + v1) - 0.5 * (a0 - a1),
-        ]
-    )
+    c = pieces(1.0, (start, end), (v0, v1), (a0, a1))
     return Profile(*stretched(np.array([0.0, 1.0]), c[None], T), dt)
 
 
@@ -108,8 +98,8 @@ def trapezoidal(
 ) -> Profile:  # fmt: skip
     """Return the fastest rest-to-rest motion on a straight line in joint space within velocity and acceleration limits.
 
-    All joints share the phases of constant acceleration, velocity and deceleration; one joint reaches a
-    limit and none exceeds one. Short motions do not reach the velocity limit and have two segments.
+    All joints share the phases of constant acceleration, velocity and deceleration; at least one joint reaches a
+    limit and no joint exceeds its limits. Short motions do not reach the velocity limit and have two segments.
 
     Parameters
     ----------
@@ -127,7 +117,7 @@ def trapezoidal(
     limits = [arguments.joint_limit(x, what, len(d)) for x, what in ((qd_max, "qd_max"), (qdd_max, "qdd_max"))]
     far = np.abs(d) > 0.0
     if not far.any():
-        raise ShapeError("Expected q0 and q1 to differ, got identical points. Give another q1.")
+        raise ShapeError("Expected q0 and q1 to differ, got identical points. Pass a different q1.")
     v, a = (float(np.min(limit[far] / np.abs(d[far]))) for limit in limits)
     if not a < np.inf:
         raise ShapeError("Expected a finite qdd_max for a moving joint, got inf. Pass the limit of the arm.")
@@ -233,7 +223,7 @@ def time_optimal(
 ) -> Profile:
     """Return the fastest motion within velocity, acceleration and jerk limits; all joints arrive together.
 
-    The slowest joint takes its minimum time, and the others take equally long. The path is not a straight line.
+    The slowest joint takes its minimum time, and the other joints take the same time. The path is not a straight line.
 
     Parameters
     ----------
@@ -256,7 +246,7 @@ def time_optimal(
     named = ((qd_max, "qd_max"), (qdd_max, "qdd_max"), (qddd_max, "qddd_max"))
     limits = [arguments.joint_limit(limit, what, n) for limit, what in named]
     if not np.isfinite(limits).all():
-        raise ShapeError("Expected finite limits of velocity, acceleration and jerk, got inf. Give finite ones.")
+        raise ShapeError("Expected finite limits of velocity, acceleration and jerk, got inf. Pass finite limits.")
     rates = [arguments.velocity(v, what, n) for v, what in ((qd0, "qd0"), (qd1, "qd1"))]
     for rate, what in zip(rates, ("qd0", "qd1")):
         fast = np.flatnonzero(np.abs(rate) > limits[0])
@@ -266,7 +256,7 @@ def time_optimal(
                 "Slow down first."
             )
     if np.array_equal(start, end) and not np.any(rates):
-        raise ShapeError("Expected q0 and q1 to differ, got identical points at rest. Give another q1.")
+        raise ShapeError("Expected q0 and q1 to differ, got identical points at rest. Pass a different q1.")
     return Profile(*ruckig_pieces(start, end, *rates, *limits), dt)
 
 
@@ -370,6 +360,24 @@ class Profile(Shown):
         return Profile(*stretched(self.breaks, self.coefficients, k), self.dt)
 
 
+Ends = tuple[np.ndarray, np.ndarray]
+
+
+def pieces(h: np.ndarray | float, q: Ends, qd: Ends | None = None, qdd: Ends | None = None) -> np.ndarray:
+    """Return coefficients (6, ..., n) of the lowest-order polynomials over h [s] between two ends."""
+    d, zero = q[1] - q[0], np.zeros_like(q[0])
+    if qd is None:
+        return np.stack([q[0], d / h, zero, zero, zero, zero])
+    v0, v1 = h * qd[0], h * qd[1]
+    if qdd is None:
+        return np.stack([q[0], qd[0], (3 * d - 2 * v0 - v1) / h**2, (v0 + v1 - 2 * d) / h**3, zero, zero])
+    a0, a1 = h * h * qdd[0], h * h * qdd[1]
+    third = (10 * d - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1) / h**3
+    fourth = (-15 * d + 8 * v0 + 7 * v1 + 1.5 * a0 - a1) / h**4
+    fifth = (6 * d - 3 * (v0 + v1) - 0.5 * (a0 - a1)) / h**5
+    return np.stack([q[0], qd[0], qdd[0] / 2, third, fourth, fifth])
+
+
 def evaluate(breaks: np.ndarray, c: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return q, qd, qdd (..., n) of ``q = sum_k c_k (t - breaks_i)^k``, c (M, 6, n), at times (...,)."""
     piece = np.clip(np.searchsorted(breaks, t, side="right") - 1, 0, len(c) - 1)
@@ -417,7 +425,7 @@ def _at(p: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 
 def stretched(breaks: np.ndarray, c: np.ndarray, k: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same path, slowed down by the factor k."""
+    """Return breaks and coefficients of the same path, slowed down by the factor k."""
     return breaks * k, c / k ** LINE[:, None]
 
 

@@ -24,7 +24,7 @@ UNLIKELY = 1e-6  # relative distance of a point beyond which the motions of the 
 SAME = 1e-10  # fraction of the largest eigenvalue: directions with less variance are fixed
 FLOOR = 1e-6  # fraction of the mean variance, used along directions without variation between demonstrations
 
-FEWEST = 2  # demonstrations
+FEWEST = 2  # number of demonstrations
 WIDTH = 0.8  # standard deviation of the kernels divided by their spacing
 MAX_CONDITION = 1e6
 
@@ -196,7 +196,9 @@ class ProMP(Saved, kind="promp"):
             z.append(point)
             spreads.append(_covariance(spread, len(index)))
         if not rows:
-            raise ShapeError("Expected a position or a velocity to pass, got neither. Pass y or yd.")
+            raise ShapeError(
+                "Expected a position or a velocity to pass, got neither y nor yd. Pass at least one of them."
+            )
         k, R = len(index), np.zeros((len(rows), len(index), len(rows), len(index)))
         for i, spread in enumerate(spreads):
             R[i, :, i] = spread
@@ -240,7 +242,7 @@ def _covariance(value: ArrayLike, k: int) -> np.ndarray:
     matrix = np.eye(k) * given if given.ndim == 0 else given
     if np.abs(matrix - matrix.T).max() > 0 or np.linalg.eigvalsh(matrix)[0] < 0.0:
         raise ShapeError(
-            "Expected a symmetric, positive semidefinite covariance, got one without these properties. Correct it."
+            "Expected a symmetric, positive semidefinite covariance, got a matrix without these properties. Correct it."
         )
     return matrix
 
@@ -277,7 +279,7 @@ def blend(
 ) -> TrajectoryDistribution:
     """Blend primitives by the normalised product of their distributions, each raised to the power of its activation.
 
-    Time-varying activations lead from one motion into another; constant activations intersect the motions.
+    Time-varying activations blend from one motion into the next; constant activations intersect the motions.
 
     ``cov = (sum a_k cov_k^-1)^-1``, ``y = cov sum a_k cov_k^-1 y_k``, for position and velocity jointly.
 
@@ -406,7 +408,7 @@ def _read(t: Any, y: Any) -> list[Demo]:
     demos = read_demos(list(t), list(y), None)
     if len(demos) < FEWEST:
         raise ShapeError(
-            f"Expected at least {FEWEST} demonstrations, got {len(demos)}. The fit needs the differences between them."
+            f"Expected at least {FEWEST} demonstrations, got {len(demos)}. The fit needs their differences."
         )
     return demos
 

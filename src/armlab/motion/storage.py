@@ -57,7 +57,7 @@ class Saved(Shown):
         Raises
         ------
         ConfigError : a damaged file or unknown fields.
-        ModelMismatchError : a file of another kind.
+        ModelMismatchError : the file contains a different kind of model.
         """
         return models.load(path, cls.KIND)
 

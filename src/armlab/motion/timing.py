@@ -220,8 +220,8 @@ class PacedDmp(Shown):
     def controller(self, robot: Arms, *, limits: JointLimits | Sequence[JointLimits] | None = None) -> DmpController:
         """Return a controller ``State -> Command`` at this clock rate that starts at rest at the measured position.
 
-        The limits hold as planned if the arm is at the planned start. With another start or goal, the path differs but
-        the clock rate stays the same, and the references are clipped to the limits of the controller
+        The limits hold as planned if the arm is at the planned start. With a different start or goal, the path differs,
+        but the clock rate stays the same, and the references are clipped to the limits of the controller
         (`Controller.clamped`).
 
         Parameters
@@ -287,7 +287,7 @@ class PacedStepper:
 
 
 def fastest(h: float, slope: np.ndarray, bend: np.ndarray, v_max: np.ndarray, a_max: np.ndarray) -> np.ndarray:
-    """Return the squared clock rate ``z = s'^2`` (M + 1,), at most 1, of the fastest motion along y(s), knots h apart.
+    """Return the squared clock rate ``z = s'^2 <= 1`` (M + 1,) of the fastest motion along y(s) at knots of spacing h.
 
     The velocity is ``y_s sqrt(z)`` and the acceleration ``y_ss z + y_s z_s / 2``, with first and second derivatives y_s
     and y_ss (M + 1, n). With z linear between knots, both limits are linear inequalities in neighbouring values. A
@@ -318,7 +318,7 @@ def fastest(h: float, slope: np.ndarray, bend: np.ndarray, v_max: np.ndarray, a_
 
 
 def _alone(a: np.ndarray, b: np.ndarray, cap: np.ndarray) -> np.ndarray:
-    """Return the largest z (M,) for which some next z satisfies the inequalities of one interval."""
+    """Return the largest z (M,) with a feasible next z, considering only the inequalities of its own interval."""
     with np.errstate(divide="ignore", invalid="ignore"):
         over = np.where(b != 0.0, 1.0 / b, 0.0)
     flat, rises, falls = b == 0.0, b > 0.0, b < 0.0

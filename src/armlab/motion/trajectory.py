@@ -14,17 +14,18 @@ from armlab._numbers import make_read_only, numbers, positive
 from armlab.errors import ShapeError, UnknownName
 from armlab.motion import arguments
 from armlab.motion.control import JointLimits
+from armlab.motion.profiles import pieces
 from armlab.robots import Robot
 from armlab.state import Command, State
 
 Ending = Literal["", "arrived", "refused", "path", "goal", "interrupted"]
 
-MAX_GAP = 0.1  # s between two packets
+MAX_GAP = 0.1  # longest time between two packets [s]
 GOAL_TIME = 2.0
 """Default time after the last point to reach the goal [s]."""
 
-_SENT = 1e-6  # rad or m between the last reference and the goal
-_REST = 1e-3  # rad/s or m/s: largest speed at the last point
+_SENT = 1e-6  # largest distance between the last reference and the goal [rad or m]
+_REST = 1e-3  # largest speed at the last point [rad/s or m/s]
 _PARTS = 16  # subdivisions of a segment at which limits are checked
 _SPARE = 1.0 + 1e-3  # accepted fraction of the speed limit
 
@@ -35,10 +36,8 @@ class Tolerance(Shown):
 
     Attributes
     ----------
-    position : float or array, shape (n,), rad or m
-        Position tolerance; infinite for none.
-    velocity : float or array, shape (n,), rad/s or m/s
-        Velocity tolerance; infinite for none.
+    position : position tolerance, a number or (n,) [rad or m]; infinity disables the check.
+    velocity : velocity tolerance, a number or (n,) [rad/s or m/s]; infinity disables the check.
     """
 
     position: ArrayLike = np.inf
@@ -46,8 +45,8 @@ class Tolerance(Shown):
 
     def spread(self, n: int) -> np.ndarray:
         """Return both tolerances (2, n)."""
-        return np.stack([arguments.joint_limit(self.position, "position tolerance", n),
-                         arguments.joint_limit(self.velocity, "velocity tolerance", n)])  # fmt: skip
+        both = ((self.position, "position tolerance"), (self.velocity, "velocity tolerance"))
+        return np.stack([arguments.joint_limit(value, what, n) for value, what in both])
 
 
 GOAL_TOLERANCE = Tolerance(0.01, 0.02)
@@ -63,22 +62,16 @@ class JointTrajectory(Shown):
 
     Attributes
     ----------
-    t : array, shape (N,), s
-        Increasing times since the start, from 0.
-    q : array, shape (N, n), rad or m
-        Positions.
-    qd : array, shape (N, n), rad/s or m/s
-        Velocities (zero at the last point), or None.
-    qdd : array, shape (N, n), rad/s^2 or m/s^2
-        Accelerations, or None.
-    joints : sequence of str
-        Names of the columns, in any order; empty for the order of the robot.
+    t : (N,) increasing times since the start, from 0 [s].
+    q : (N, n) positions [rad or m].
+    qd : (N, n) velocities [rad/s or m/s], zero at the last point; default: linear interpolation.
+    qdd : (N, n) accelerations [rad/s^2 or m/s^2]; default: linear or cubic interpolation.
+    joints : names of the columns, in any order; default: the order of the robot.
 
     Raises
     ------
-    ShapeError
-        No points, wrong shapes, missing values, non-increasing times, accelerations without velocities, motion at the
-        last point, or repeated joint names.
+    ShapeError : no points, wrong shapes, missing values, non-increasing times, accelerations without velocities, motion
+        at the last point, or repeated joint names.
     """
 
     t: np.ndarray
@@ -115,7 +108,7 @@ class JointTrajectory(Shown):
             object.__setattr__(self, name, values)
         self._check_times()
         if self.qd is None and self.qdd is not None:
-            raise ShapeError("Expected velocities together with accelerations, got none. Pass both, or only positions.")
+            raise ShapeError("Expected velocities together with accelerations, got only accelerations. Pass both.")
         if self.qd is not None and np.abs(self.qd[-1]).max() > _REST:
             raise ShapeError(f"Expected rest at the last point, got velocities {self.qd[-1].tolist()}. Add a point.")
         joints = tuple(self.joints)
@@ -130,7 +123,7 @@ class JointTrajectory(Shown):
             k = int(np.argmin(steps > 0.0)) + 1 if len(steps) and self.t[0] >= 0.0 else 0
             raise ShapeError(
                 f"Expected finite, increasing times from 0 s, got {self.t[k]:g} s at point {k}"
-                f"{f' after {self.t[k - 1]:g} s' if k else ''}. Sort the points and drop repeated ones."
+                f"{f' after {self.t[k - 1]:g} s' if k else ''}. Sort the points and drop repeated points."
             )
 
     @property
@@ -143,15 +136,12 @@ class JointTrajectory(Shown):
 
         Parameters
         ----------
-        joints : sequence of str
-            Names in the order of the robot, for example `Robot.ros_joint_names`.
+        joints : names in the order of the robot, for example `Robot.ros_joint_names`.
 
         Raises
         ------
-        UnknownName
-            A joint of the trajectory is not in `joints`, or one in `joints` is missing from the trajectory.
-        ShapeError
-            The trajectory has no joint names and a different number of columns.
+        UnknownName : the joint names of the trajectory differ from `joints`.
+        ShapeError : the trajectory has no joint names and a different number of columns.
         """
         if not self.joints:
             if self.q.shape[1] != len(joints):
@@ -162,7 +152,7 @@ class JointTrajectory(Shown):
                 raise UnknownName.among("joint", name, joints)
         missing = [name for name in joints if name not in self.joints]
         if missing:
-            raise UnknownName(f"Expected all joints of the arm, got no column for {', '.join(missing)}. Add them.")
+            raise UnknownName(f"Expected all joints of the arm, got no column for {', '.join(missing)}. Add it.")
         at = [self.joints.index(name) for name in joints]
         q, qd, qdd = (None if one is None else one[:, at] for one in (self.q, self.qd, self.qdd))
         return replace(self, q=q, qd=qd, qdd=qdd, joints=tuple(joints))
@@ -174,21 +164,19 @@ class JointTrajectory(Shown):
 
         Parameters
         ----------
-        limits : Robot or bridge.Limits
-            Limits per joint.
+        limits : a Robot or bridge.Limits.
 
         Raises
         ------
-        ShapeError
-            A position or speed is outside the limits; the message states its joint and time.
+        ShapeError : a position or speed is outside the limits; the message states its joint and time.
         """
         if len(self.t) == 1:
             places, speeds, times = self.q[None], None, self.t[None]
         else:
             h = np.diff(self.t)[:, None]
             parts = np.linspace(0.0, 1.0, _PARTS + 1)[:, None, None]
-            ends = [(values if values is None else (values[:-1], values[1:])) for values in (self.q, self.qd, self.qdd)]
-            places, speeds, _ = _evaluate(_pieces(h, *ends), parts * h)
+            ends = [(values[:-1], values[1:]) for values in (self.q, self.qd, self.qdd) if values is not None]
+            places, speeds, _ = _evaluate(pieces(h, *ends), parts * h)
             times = self.t[:-1] + parts[:, :, 0] * h[:, 0]
         self._refuse(~((places >= limits.q_min) & (places <= limits.q_max)), places, times, "positions from {} to {}",
                      limits.q_min, limits.q_max)  # fmt: skip
@@ -218,23 +206,16 @@ class JointTrajectory(Shown):
 
         Parameters
         ----------
-        robot : Robot
-            The arm; columns are sorted by `Robot.ros_joint_names`.
-        limits : Robot or bridge.Limits
-            Limits that the motion must satisfy; default: from the robot.
-        path_tolerance : Tolerance
-            Tolerance during the motion; default: none (the following-error limit of the link still applies).
-        goal_tolerance : Tolerance
-            Tolerance at the end; default: 0.01 rad or m, and 0.02 per second.
-        goal_time : float, s
-            Time allowed after the last point to reach the goal tolerance.
-        begin : float, s
-            Trajectory time at which to begin; earlier points are skipped, and a negative time adds a wait.
+        robot : the arm; columns are sorted by `Robot.ros_joint_names`.
+        limits : Robot or bridge.Limits that the motion must satisfy; default: from the robot.
+        path_tolerance : tolerance during the motion; default: only the following-error limit of the link applies.
+        goal_tolerance : tolerance at the end; default: 0.01 rad or m, and 0.02 rad/s or m/s.
+        goal_time : time allowed after the last point to reach the goal tolerance [s].
+        begin : trajectory time at which to begin [s]; earlier points are skipped, and a negative time adds a wait.
 
         Raises
         ------
-        UnknownName, ShapeError
-            The joints differ from those of the robot, or the motion is outside the limits.
+        UnknownName, ShapeError : the joints differ from those of the robot, or the motion is outside the limits.
         """
         trajectory = self.ordered(robot.ros_joint_names)
         trajectory.check(robot if limits is None else limits)
@@ -246,19 +227,15 @@ class JointTrajectory(Shown):
 class TrajectoryController:
     """Runs a `JointTrajectory` once; created by `JointTrajectory.controller`.
 
-    The first point must be near the arm, or late enough to be reached within the speed limits. The motion ends,
-    and the arm comes to rest, if the arm leaves the path tolerance, if the packets pause, or if the robot begins a new
-    session.
+    The first point must be near the arm, or late enough to be reached within the speed limits. The motion ends, and the
+    arm comes to rest, if the arm leaves the path tolerance, if the packets pause, or if the robot begins a new session.
 
     Attributes
     ----------
-    ending : str
-        "" during the motion, then "arrived", "refused" (at the start), "path" or "goal" (outside that tolerance), or
-        "interrupted".
-    reason : str
-        Why the motion ended without arriving.
-    t : float, s
-        Trajectory time.
+    ending : "" during the motion, then "arrived", "refused" (at the start), "path" or "goal" (outside that tolerance),
+        or "interrupted".
+    reason : cause of a motion that ended without arriving.
+    t : trajectory time [s].
     """
 
     ending: Ending
@@ -297,12 +274,10 @@ class TrajectoryController:
 
         Parameters
         ----------
-        state : State
-            State of the arm.
-        near : float or array, shape (n,), rad or m
-            Largest allowed distance between the arm and a first point at time 0.
-        is_moving : bool
-            Whether the arm already follows references: if so, the motion begins from the last one, otherwise at rest.
+        state : state of the arm.
+        near : largest allowed distance between the arm and a first point at time 0, a number or (n,) [rad or m].
+        is_moving : whether the arm already follows references, so that the motion continues from the last reference
+            instead of starting at rest.
         """
         trajectory, self._session = self._trajectory, state.session
         if state.q.shape != self.goal.shape:
@@ -328,8 +303,8 @@ class TrajectoryController:
                 )
             self._enter(self._k)
             return ""
-        end = [None if one is None else one[self._k] for one in (trajectory.q, trajectory.qd, trajectory.qdd)]
-        self._piece = _pieces(h, _pair(q, end[0]), _pair(qd, end[1]), _pair(rest, end[2]))
+        here, points = (q, qd, rest), (trajectory.q, trajectory.qd, trajectory.qdd)
+        self._piece = pieces(h, *[(a, b[self._k]) for a, b in zip(here, points) if b is not None])
         speed = np.abs(_evaluate(self._piece, np.linspace(0.0, h, 33)[:, None])[1]).max(axis=0)
         if not np.all(speed <= np.maximum(self._qd_max * _SPARE, np.abs(qd))):
             i = int(np.argmax(speed / self._qd_max))
@@ -374,8 +349,9 @@ class TrajectoryController:
             self._piece = np.zeros_like(self._piece)
             self._piece[0] = trajectory.q[k]
             return
-        ends = [None if one is None else (one[k], one[k + 1]) for one in (trajectory.q, trajectory.qd, trajectory.qdd)]
-        self._piece = _pieces(trajectory.t[k + 1] - trajectory.t[k], *ends)
+        points = (trajectory.q, trajectory.qd, trajectory.qdd)
+        ends = [(values[k], values[k + 1]) for values in points if values is not None]
+        self._piece = pieces(trajectory.t[k + 1] - trajectory.t[k], *ends)
 
     def _reference(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """Return position and velocity at the current time."""
@@ -406,39 +382,9 @@ class TrajectoryController:
         return reason
 
 
-Ends = tuple[np.ndarray, np.ndarray] | None
-
-
-def _pair(start: np.ndarray, end: np.ndarray | None) -> Ends:
-    return None if end is None else (start, end)
-
-
 def _is_known(state: State) -> bool:
     """Return whether a reference was sent."""
     return len(state.q_sent) > 0 and not np.isnan(state.q_sent).any()
-
-
-def _pieces(h: np.ndarray | float, q: Ends, qd: Ends, qdd: Ends) -> np.ndarray:
-    """Return coefficients (6, ..., n) of the lowest-order polynomials over h [s] between two ends."""
-    if q is None:
-        raise ShapeError("Expected positions at both ends of a piece, got none.")
-    d, zero = q[1] - q[0], np.zeros_like(q[0])
-    if qd is None:
-        return np.stack([q[0], d / h, zero, zero, zero, zero])
-    v0, v1 = h * qd[0], h * qd[1]
-    if qdd is None:
-        return np.stack([q[0], qd[0], (3 * d - 2 * v0 - v1) / h**2, (v0 + v1 - 2 * d) / h**3, zero, zero])
-    a0, a1 = h * h * qdd[0], h * h * qdd[1]
-    return np.stack(
-        [
-            q[0],
-            qd[0],
-            qdd[0] / 2,
-            (10 * d - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1) / h**3,
-            (-15 * d + 8 * v0 + 7 * v1 + 1.5 * a0 - a1) / h**4,
-            (6 * d - 3 * (v0 + v1) - 0.5 * (a0 - a1)) / h**5,
-        ]
-    )
 
 
 def _evaluate(c: np.ndarray, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -449,7 +395,7 @@ def _evaluate(c: np.ndarray, s: np.ndarray | float) -> tuple[np.ndarray, np.ndar
 
 
 def _outside(q: np.ndarray, qd: np.ndarray, tolerance: np.ndarray, joints: Sequence[str]) -> str:
-    """Describe the largest position or velocity difference beyond its tolerance; "" if none; NaN means unknown."""
+    """Describe the first position or velocity difference beyond its tolerance, or return ""; NaN is ignored."""
     for values, most, what in ((q, tolerance[0], "position"), (qd, tolerance[1], "velocity")):
         over = np.abs(values) > most
         if over.any():

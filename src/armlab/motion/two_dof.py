@@ -27,11 +27,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwoDofDmp(Saved, kind="two_dof_dmp"):
-    """Movement primitive with a coupled path yc that slows down while the arm ya cannot follow.
+    """Movement primitive whose coupled path yc slows down while the arm position ya cannot follow.
 
     The time constant grows with the filtered error beyond a dead zone; docs/theory/two_dof_dmp.md describes the law.
-    All coordinates share the phase x and tau_a, so the path keeps its shape. A static error of 1, 2, 5, 10, 20 mrad
-    slows the motion by 1.01, 1.04, 1.25, 2, 5: set `e0` above the error level caused by sensors, friction and delay.
+    All coordinates share the phase x and tau_a, so the path keeps its shape. A static error of 1, 2, 5, 10 or 20 mrad
+    slows the motion by a factor of 1.01, 1.04, 1.25, 2 or 5: set `e0` above the error caused by sensors, friction and
+    delay.
 
     Attributes
     ----------
@@ -81,7 +82,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         for name in ("e0", "e_scale"):
             values = numbers(getattr(self, name), name, ShapeError)
             if values.shape not in ((), (self.dmp.n,)):
-                raise ShapeError(f"Expected {name} as one number or {self.dmp.n}, got shape {values.shape}.")
+                raise ShapeError(f"Expected {name} as one number or {self.dmp.n} numbers, got shape {values.shape}.")
             least = 0.0 if name == "e0" else np.finfo(float).tiny
             if not ((values >= least) & np.isfinite(values)).all():
                 raise ShapeError(f"Expected {name} {'of at least' if name == 'e0' else 'above'} 0, got {values}.")
@@ -103,7 +104,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
     ) -> TwoDofRun:
         """Simulate an arm with perfect tracking, ``ya'' = ya_ref''``, under disturbances.
 
-        Integration steps are of fourth order and end at every event.
+        The integration is of fourth order, and a step ends at every event.
 
         Parameters
         ----------
@@ -166,7 +167,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         return TwoDofRun(t, *parts)
 
     def stepper(self, **run: Unpack[RunOptions]) -> TwoDofStepper:
-        """Return a stepper that runs the control law sample by sample with a measured arm.
+        """Return a stepper that runs the control law sample by sample with measured positions.
 
         Its ``step(dt, ya, yad)`` takes the time since the last sample [s], 0 at the first, and the measured position
         and velocity (n,). It returns `yc`, `ycd`, `ycdd` of the coupled path and the reference acceleration `ydd_ref`,
@@ -237,7 +238,7 @@ class Reference(NamedTuple):
 
 
 class TwoDofStepper:
-    """One run of a `TwoDofDmp` with a measured arm; created by `TwoDofDmp.stepper`.
+    """One run of a `TwoDofDmp` with measured positions; created by `TwoDofDmp.stepper`.
 
     Between two samples, ya is extrapolated with the last measured velocity, and the control law is integrated in steps
     of at most 4 ms.
@@ -305,7 +306,7 @@ def starting(run: RunParameters) -> np.ndarray:
 
 
 class TwoDofController(Controller):
-    """Controller of a `TwoDofDmp` that integrates its reference acceleration twice, using the measured arm."""
+    """Controller of a `TwoDofDmp` that integrates its reference acceleration twice, using measured positions."""
 
     stepper: TwoDofStepper
 

@@ -341,7 +341,7 @@ def to_local_poe(robot: Robot) -> LocalPoe:
 
 
 def normalise_screw(screw: ArrayLike, keep_pitch: bool = False) -> np.ndarray:
-    """Return the screw with a unit axis and, by default, zero pitch: abs(w) = 1, v ⟂ w.
+    """Return the screw (..., 6) with a unit axis and, by default, zero pitch: abs(w) = 1, v ⟂ w.
 
     A screw with w = 0 is a translation with abs(v) = 1.
 
@@ -349,10 +349,6 @@ def normalise_screw(screw: ArrayLike, keep_pitch: bool = False) -> np.ndarray:
     ----------
     screw : (..., 6) [v; w].
     keep_pitch : keep the part of v along w.
-
-    Returns
-    -------
-    (..., 6), a new array.
 
     Raises
     ------

@@ -1,7 +1,6 @@
 """Conversions between joint orders and between the two sides of the gears, along the last axis.
 
-Controllers count axes and angles in their own way. armlab counts from base to tool, with each joint relative to its
-parent:
+armlab numbers joints from base to tool, and measures each relative to its parent; controllers have other conventions:
 
 * order: ABB's axis 7 of a YuMi arm is the third joint (`abb_to_logical`, `logical_to_abb`);
 * gears and rods: ``q = G q_motor`` (`motor_to_joint` and the three related functions). G has off-diagonal entries if a
@@ -20,111 +19,82 @@ from armlab.errors import RobotError, ShapeError
 from armlab.robots.robot import Robot
 
 __all__ = [
-    "abb_to_logical",
-    "joint_to_motor",
-    "joint_torque_to_motor",
-    "logical_to_abb",
-    "motor_to_joint",
+    "abb_to_logical", "joint_to_motor", "joint_torque_to_motor", "logical_to_abb", "motor_to_joint",
     "motor_torque_to_joint",
-]
+]  # fmt: skip
 
 
 def abb_to_logical(robot: Robot, values: ArrayLike) -> np.ndarray:
-    """Reorder values from ABB's axis numbers to kinematic order, base to tool.
+    """Return values in kinematic order, base to tool, from values in the order of ABB's axis numbers.
 
     Parameters
     ----------
     robot : robot whose `abb_axes` is the order: 1 2 7 3 4 5 6 for a YuMi arm.
-    values : (..., n).
-
-    Returns
-    -------
-    (..., n), a new array.
+    values : (..., n); the result is a new array of this shape.
     """
     return _values(robot, values)[..., np.array(robot.abb_axes) - 1]
 
 
 def logical_to_abb(robot: Robot, values: ArrayLike) -> np.ndarray:
-    """Reorder values from kinematic order to ABB's axis numbers (inverse of `abb_to_logical`).
+    """Return values in the order of ABB's axis numbers from values in kinematic order; inverse of `abb_to_logical`.
 
     Parameters
     ----------
     robot : robot whose `abb_axes` is the order.
-    values : (..., n).
-
-    Returns
-    -------
-    (..., n), a new array.
+    values : (..., n); the result is a new array of this shape.
     """
     return _values(robot, values)[..., np.argsort(robot.abb_axes)]
 
 
 def motor_to_joint(robot: Robot, values: ArrayLike) -> np.ndarray:
-    """Convert motor positions, velocities or accelerations to joints: ``q = G q_motor``.
+    """Convert motor positions, velocities or accelerations to joints: ``q = G q_motor`` (..., n).
 
     Parameters
     ----------
     robot : robot whose `coupling` is G.
     values : (..., n) in kinematic order.
-
-    Returns
-    -------
-    (..., n).
     """
-    values = _values(robot, values)
-    return _through(robot.coupling, values)
+    return _through(robot.coupling, _values(robot, values))
 
 
 def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
-    """Convert joint positions, velocities or accelerations to motors: ``q_motor = G⁻¹ q``.
+    """Convert joint positions, velocities or accelerations to motors: ``q_motor = G⁻¹ q`` (..., n).
 
     Parameters
     ----------
     robot : robot whose `coupling` is G.
     values : (..., n) in kinematic order.
-
-    Returns
-    -------
-    (..., n).
     """
     values = _values(robot, values)
     return _through(np.linalg.inv(robot.coupling), values)
 
 
 def motor_torque_to_joint(robot: Robot, tau_motor: ArrayLike) -> np.ndarray:
-    """Convert motor torques to joint torques, preserving power: ``tau = G⁻ᵀ tau_motor``.
+    """Convert motor torques to joint torques, preserving power: ``tau = G⁻ᵀ tau_motor`` (..., n).
 
     Parameters
     ----------
     robot : robot whose `coupling` is G.
     tau_motor : (..., n) [N m] in kinematic order.
-
-    Returns
-    -------
-    (..., n).
     """
     tau_motor = _values(robot, tau_motor)
     return _through(np.linalg.inv(robot.coupling).T, tau_motor)
 
 
 def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
-    """Convert joint torques to motor torques, preserving power: ``tau_motor = Gᵀ tau``.
+    """Convert joint torques to motor torques, preserving power: ``tau_motor = Gᵀ tau`` (..., n).
 
     Parameters
     ----------
     robot : robot whose `coupling` is G.
     tau : (..., n) [N m] in kinematic order.
-
-    Returns
-    -------
-    (..., n).
     """
     tau = _values(robot, tau)
     return _through(robot.coupling.T, tau)
 
 
 def _through(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the product; a missing motor value affects only the joints that the motor moves."""
+    """Return the product; a missing value (NaN) affects only the joints or motors coupled to it."""
     known = np.isfinite(values)
     result = np.where(known, values, 0.0) @ matrix.T
     return np.where(~known @ (matrix.T != 0), np.nan, result)

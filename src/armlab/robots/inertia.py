@@ -1,7 +1,7 @@
-"""Inertial parameters of bodies: ten numbers that are additive over rigidly attached bodies.
+"""Inertial parameters of bodies: ten numbers that add up over rigidly attached bodies.
 
 ``pi = [m, m cx, m cy, m cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]``: mass, first moments and inertia about the origin of the
-frame in which they are given. ``Ixy`` is the entry of the matrix, so ``-m x y`` for a point mass.
+frame in which they are expressed. ``Ixy`` is the matrix entry: ``-m x y`` for a point mass.
 """
 
 from __future__ import annotations
@@ -21,22 +21,15 @@ _ROWS, _COLUMNS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])  # 
 
 
 class Body(NamedTuple):
-    """Rigid body in data-sheet parameters.
+    """Rigid body in data-sheet parameters, in the axes of its frame."""
 
-    Attributes
-    ----------
-    mass : (...) mass [kg].
-    centre : (..., 3) centre of mass [m]; zero for a massless body.
-    inertia : (..., 3, 3) about the centre of mass, axes of the frame [kg m^2].
-    """
-
-    mass: np.ndarray
-    centre: np.ndarray
-    inertia: np.ndarray
+    mass: np.ndarray  # (...) [kg]
+    centre: np.ndarray  # (..., 3) centre of mass [m]; zero for a massless body
+    inertia: np.ndarray  # (..., 3, 3) about the centre of mass [kg m^2]
 
 
 def from_body(mass: ArrayLike, centre: ArrayLike, inertia: ArrayLike) -> np.ndarray:
-    """Return the parameters of a body: ``I_origin = I_centre + m (c·c 1 - c cᵀ)``.
+    """Return the parameters (..., 10) of a body: ``I_origin = I_centre + m (c·c 1 - c cᵀ)``.
 
     Parameters
     ----------
@@ -44,13 +37,9 @@ def from_body(mass: ArrayLike, centre: ArrayLike, inertia: ArrayLike) -> np.ndar
     centre : (..., 3) centre of mass [m].
     inertia : (..., 3, 3) about the centre of mass [kg m^2].
 
-    Returns
-    -------
-    pi : (..., 10).
-
     Raises
     ------
-    ShapeError : if shapes do not fit or a value is not a number.
+    ShapeError : if shapes do not match or a value is not a number.
     """
     m, c = numbers(mass, "mass", ShapeError), numbers(centre, "centre", ShapeError)
     inertia = numbers(inertia, "inertia", ShapeError)
@@ -72,7 +61,7 @@ def to_body(pi: ArrayLike) -> Body:
 
 
 def transform(T_a_b: ArrayLike, pi: ArrayLike) -> np.ndarray:
-    """Return the parameters of a body in frame a, given its parameters in frame b.
+    """Return the parameters (..., 10) of a body in frame a, given its parameters in frame b.
 
     With R and p of T_a_b and ``h = R m c``: ``m c_a = h + m p`` and
     ``I_a = R I_b Rᵀ + (2 p·h + m p·p) 1 - (p hᵀ + h pᵀ + m p pᵀ)``.
@@ -81,10 +70,6 @@ def transform(T_a_b: ArrayLike, pi: ArrayLike) -> np.ndarray:
     ----------
     T_a_b : (..., 4, 4) pose of b in a.
     pi : (..., 10) in frame b.
-
-    Returns
-    -------
-    (..., 10) in frame a.
 
     Raises
     ------
@@ -127,7 +112,7 @@ def _matrix(pi: np.ndarray) -> np.ndarray:
 
 
 def _squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """``x·y 1`` minus the symmetric part of ``x yᵀ``: the inertia of masses at x with first moments y."""
+    """Return ``x·y 1`` minus the symmetric part of ``x yᵀ``: the inertia of masses at x with first moments y."""
     product = x[..., :, None] * y[..., None, :]
     return (x * y).sum(axis=-1)[..., None, None] * np.eye(3) - (product + np.swapaxes(product, -1, -2)) / 2
 

@@ -15,7 +15,7 @@ from armlab.errors import ConfigError, ShapeError
 from armlab.motion.primitive.equation import UNSCALED
 from armlab.motion.primitive.run import rotation
 
-FEWEST = 3  # samples
+FEWEST = 3  # number of samples
 LISTED = 10  # row numbers in a message
 REVERSAL = 1e-3  # fraction of the displacement: smaller steps back are not a reversal
 PAUSE = 0.05  # fraction of the duration: shorter rests are not a pause
@@ -38,7 +38,7 @@ class Demo:
 
     @cached_property
     def velocity(self) -> np.ndarray:
-        """Central differences on the true time stamps (N, n), one-sided at the ends."""
+        """Central differences at the actual time stamps (N, n), one-sided at the ends."""
         return np.gradient(self.y, self.t, axis=0)
 
     @cached_property
@@ -68,14 +68,14 @@ class Demo:
 
 
 def read_demos(t: Any, y: Any, sample_weights: Any) -> list[Demo]:
-    """Return the demonstrations from one pair of arrays or from lists of them."""
+    """Return the demonstrations in a pair of arrays, or in lists of arrays."""
     many = isinstance(t, Sequence) and len(t) > 0 and np.ndim(t[0]) == 1
     if not many:
         return [_demo(t, y, sample_weights, "")]
     weights = [None] * len(t) if sample_weights is None else sample_weights
     if not (isinstance(y, Sequence) and isinstance(weights, Sequence) and len(y) == len(weights) == len(t)):
         raise ShapeError(
-            f"Expected {len(t)} arrays in y and sample_weights, as in t, got lists of other lengths. Give equal lists."
+            f"Expected {len(t)} arrays in y and sample_weights, as in t, got other lengths. Pass lists of equal length."
         )
     demos = [_demo(*parts, f" of demonstration {k}") for k, parts in enumerate(zip(t, y, weights))]
     widths = {demo.y.shape[1] for demo in demos}
@@ -97,11 +97,11 @@ def _demo(t: ArrayLike, y: ArrayLike, weights: ArrayLike | None, which: str) -> 
         raise ShapeError(f"Expected at least {FEWEST} samples{which}, got {len(times)}. Record the whole motion.")
     if not (np.isfinite(times).all() and np.isfinite(values).all()):
         rows = np.flatnonzero(~(np.isfinite(times) & np.isfinite(values).all(axis=1)))
-        raise ShapeError(f"Expected finite t and y{which}, got NaN or Inf in rows {_listed(rows)}. Drop them.")
+        raise ShapeError(f"Expected finite t and y{which}, got NaN or Inf in rows {_listed(rows)}. Drop these rows.")
     rows = np.flatnonzero(np.diff(times) <= 0) + 1
     if len(rows):
         raise ShapeError(
-            f"Expected increasing times{which}, got repeated or earlier times in rows {_listed(rows)}. Drop them."
+            f"Expected increasing times{which}, got repeated or earlier times in rows {_listed(rows)}. Drop these rows."
         )
     given = np.ones(len(times)) if weights is None else numbers(weights, f"sample_weights{which}", ShapeError)
     if given.shape != times.shape or not np.isfinite(given).all() or given.min() < 0 or not given.any():

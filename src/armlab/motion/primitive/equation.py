@@ -142,7 +142,7 @@ class Equation:
 
     @property
     def unscaled(self) -> tuple[int, ...]:
-        """Coordinates that scaling "goal" leaves unscaled: displacement negligible or under a twentieth of range."""
+        """Coordinates not scaled by the goal, because their displacement is negligible or below 5 % of their range."""
         if self.scaling != "goal":
             return ()
         rounding = ROUNDING * max(self.extent.max(), np.abs([self.y0, self.g]).max())
@@ -201,7 +201,7 @@ class Equation:
 
         Parameters
         ----------
-        y, yd : (..., n).
+        y, yd : (..., n) position and velocity.
         x : phases as in `forcing`.
         """
         y, yd = vector(y, "y", self.n), vector(yd, "yd", self.n)
@@ -209,7 +209,7 @@ class Equation:
         return (spring + self.forcing(x)) / self.tau_d**2
 
     def linearise(self, x: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return A (2n + 1, 2n + 1) and B (2n + 1, n) of ``d/dt [y, yd, x] = A [y, yd, x] + B g`` around a phase.
+        """Return A (2n + 1, 2n + 1) and B (2n + 1, n) of the linearised ``d/dt [y, yd, x] = A [y, yd, x] + B g``.
 
         Parameters
         ----------

@@ -60,7 +60,7 @@ def fit_dmp(
 
     Parameters
     ----------
-    t, y : (N,) increasing times [s] and (N, n) positions [rad or m]; or lists of them, one per demonstration.
+    t, y : (N,) increasing times [s] and (N, n) positions [rad or m]; or lists of such arrays, one per demonstration.
     method : "trajectory", "acceleration" or "lwr".
     n_basis : number of kernels, 3 to 1000.
     schedule : schedule of the phase: "canonical", "time", or "position" for motions without reversals or pauses.
@@ -69,8 +69,8 @@ def fit_dmp(
     convention : for alpha_x and tau_d: "lund" or "ijspeert".
     alpha_z, beta_z : constants of the spring; default of beta_z: alpha_z / 4, critically damped.
     ridge : penalty on the squared weights; `cov` covers the noise, not the bias of the penalty.
-    pin : any of "y0", "v0", "g": taken from the first and last samples instead of fitted. A free goal is hardly
-        separable from the forcing.
+    pin : names among "y0", "v0" and "g" of ends taken from the first and last samples instead of fitted. A free goal
+        is hardly separable from the forcing.
     hold : duration of rest at the goal after the end, divided by the duration of the motion; 0 if the motion does not
         end at rest. Only for "trajectory".
     y0, v0, g : (n,) known start, velocity and goal.
@@ -140,7 +140,7 @@ def _check_options(method: str, schedule: str, scaling: str, bandwidth: float | 
             "Expected a bandwidth only for methods with derivatives, got a bandwidth with 'trajectory'. Omit it."
         )
     if flag(raw_kernels, "raw_kernels") and method != "lwr":
-        raise ConfigError(f"Expected raw_kernels only with method 'lwr', got them with {method!r}. Omit them.")
+        raise ConfigError(f"Expected raw_kernels only with method 'lwr', got raw_kernels with {method!r}. Omit them.")
 
 
 def _pins(pin: Sequence[str], known: dict[str, np.ndarray]) -> tuple[str, ...]:
@@ -161,7 +161,7 @@ def _limits(limits: Any, n: int) -> np.ndarray | None:
     if limits is None:
         return None
     if not isinstance(limits, Sequence | np.ndarray) or len(limits) != 2:
-        raise ShapeError(f"Expected limits as the lowest and highest goal (n,), got {limits!r}. Give two points.")
+        raise ShapeError(f"Expected limits as the lowest and highest goal (n,), got {limits!r}. Pass two points.")
     return np.array([coordinates(a, "limits", n) for a in limits])
 
 
@@ -185,7 +185,7 @@ def _check_monotone(demos: list[Demo]) -> None:
 
 
 def _value(problem: WeightProblem, learned: Learned, reference: ReferenceMotion) -> Dmp:
-    """Return the fitted primitive; its start velocity is closest to those of the demonstrations."""
+    """Return the fitted primitive, whose start velocity is the least-squares fit to those of the demonstrations."""
     scales, demos = problem.scales, problem.demos
     z = np.array([demo.duration for demo in demos])[:, None] / reference.duration * learned.ends[:, 1]
     squares = (scales**2).sum(axis=0)

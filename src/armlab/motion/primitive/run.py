@@ -21,11 +21,11 @@ HALF_TURN = 1e-6  # sine below which opposite directions have no unique smallest
 FORCINGS = ("shift", "scale")
 BRAKE = 1.05  # factor on the peak acceleration of the demonstration
 
-LONGEST = 1e4  # time constants; each takes the solver a step or two
+LONGEST = 1e4  # time constants, each of which takes the solver one or two steps
 
 
 class RunOptions(TypedDict, total=False):
-    """Options of a run of a `Dmp`; omitted or None: from the demonstration."""
+    """Options of a run of a `Dmp`; omitted options and None take the values of the demonstration."""
 
     duration: float | None
     tau_d: float | None
@@ -60,7 +60,7 @@ class Rollout(Shown):
 
 @dataclass(frozen=True)
 class RunParameters:
-    """One run of a primitive, or K runs on one clock: arrays (n,) or (K, n), tau [s], and the kernel of its forcing."""
+    """Parameters of a run with arrays (n,), or of K runs on one clock with arrays (K, n); `tau` is in seconds."""
 
     dmp: Equation
     primitive: Any
@@ -121,7 +121,7 @@ class RunParameters:
         return clock(t, self.tau * self.dmp.duration / self.dmp.tau_d)
 
     def towards(self, g: ArrayLike, scaled: bool) -> RunParameters:
-        """Return this run with another goal (n,); the forcing is scaled with the displacement or left unchanged."""
+        """Return this run with a new goal (n,); the forcing is scaled with the displacement or left unchanged."""
         goal = np.array(vector(g, "g", self.dmp.n))
         _check_one_run({"g": goal}, (self.dmp.n,))
         check_goal(self.dmp, goal)
@@ -183,7 +183,7 @@ def goal_scale(dmp: Equation, y0: np.ndarray, g: np.ndarray) -> np.ndarray:
 
 
 def rotation(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Return the smallest rotation, times the ratio of lengths, that maps one displacement to another (3, 3)."""
+    """Return the smallest rotation, scaled by the ratio of lengths, from the old to the new displacement (3, 3)."""
     a, b = np.linalg.norm(old), np.linalg.norm(new)
     if not (a > 0 and b > 0):
         raise ShapeError(

@@ -78,7 +78,7 @@ class WeightProblem:
         return self.blank.tau_d * demo.duration / self.blank.duration
 
     def blocks(self, alike: bool) -> list[slice]:
-        """Return groups of coordinates that share a matrix: all of them if every demonstration scales them equally."""
+        """Return groups of coordinates that share a matrix: a single group if all are scaled equally."""
         n = self.blank.n
         same = alike and bool((self.scales == self.scales[:, :1]).all())
         return [slice(0, n)] if same else [slice(i, i + 1) for i in range(n)]
@@ -164,7 +164,7 @@ def fit_trajectory(problem: WeightProblem) -> Learned:
 def _solve_block(
     problem: WeightProblem, parts: list[_MotionRows], block: slice, free: list[int]
 ) -> tuple[np.ndarray, ...]:
-    """Solve for coordinates that share one matrix."""
+    """Solve for the coordinates that share a matrix."""
     m, M, f, scale = problem.blank.n_basis, len(parts), len(free), problem.scales[:, block.start]
     heights = np.cumsum([0, *(len(p.kernels) for p in parts)])
     A = np.zeros((heights[-1], m + M * f))
