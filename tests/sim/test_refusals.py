@@ -18,7 +18,7 @@ from armlab.sim.controller.controller import PacketBuilder, SimulatedController
 from armlab.sim.controller.cycles import Timing
 from armlab.sim.controller.guidance import ExternalAxes
 from armlab.sim.controller.settings import ControllerSettings, FaultRates
-from armlab.sim.events import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
+from armlab.sim.events import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript
 from armlab.sim.experiments.cell import cell
 from armlab.sim.two_link import TwoLink, forward, inverse, inverse_dynamics, mass_matrix, rhs
 from armlab.wire.egm.robot_side import RobotSideCodec
@@ -31,12 +31,6 @@ INF, NAN = np.inf, np.nan
 
 def arm(**knobs: float) -> SimulatedArm:
     return SimulatedArm(ROBOT, TRUTH, mismatch=Mismatch(**knobs))  # type: ignore[arg-type]
-
-
-def task(**around: Any) -> SimulatedController:
-    return SimulatedController(
-        arm(), RobotSideCodec(ROBOT), ControllerSettings(program="lead-through"), Surroundings(**around)
-    )
 
 
 def client(host: str = "127.0.0.1", phase: float = 0.0) -> UdpClient:
@@ -78,7 +72,7 @@ REFUSED: list[tuple[type[Exception], str, Callable[[], object]]] = [
         for name in ("program", "stream_queue", "queue", "mode", "activated")
     ),
     (ConfigError, "loss", lambda: FaultRates(loss=1.1)),
-    (ConfigError, "exact state to measure, got none", lambda: Sensors(TRUTH, Mismatch(), 0.004, 0).measure()),
+    (ConfigError, "state to measure, got none", lambda: Sensors(TRUTH, Mismatch(), 0.004, 0).measure()),
     (ConfigError, "period", lambda: SimulatedArm(ROBOT, TRUTH, period=0.0)),
     (ConfigError, "pause", lambda: FaultRates(pause=(1.0, INF))),
     (ConfigError, "until", lambda: FaultRates(until=NAN)),
@@ -104,7 +98,6 @@ REFUSED: list[tuple[type[Exception], str, Callable[[], object]]] = [
     (ShapeError, "increasing times", lambda: path([0.0, 0.0], [[1.0], [2.0]])),
     (ShapeError, "finite", lambda: path([0.0, 1.0], [[1.0], [NAN]])),
     (ShapeError, "postures", lambda: path([0.0, 1.0], [1.0, 2.0])),
-    (ShapeError, "7 joints", lambda: task(hand=HandPath.random(robots.load("ur5e")))),
     *(
         (ConfigError, "with increasing times", lambda text=text: StateScript(text, MOTORS))
         for text in ("0:on,0:off", "x:on", "nan:on", "2:on,1:off")

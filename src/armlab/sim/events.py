@@ -6,7 +6,6 @@ import bisect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -21,16 +20,8 @@ RAPID = {"undefined": 0, "stopped": 1, "running": 2}
 """RAPID states by name. Real controllers may report "undefined" after a restart although RAPID runs."""
 
 
-class TimedState(Protocol):
-    """State over robot time [s]."""
-
-    def at(self, t: float) -> int:
-        """Return the state at robot time `t`."""
-        ...
-
-
 class StateScript:
-    """Piecewise constant state over robot time [s]: one name, or parts as in "0:on,2.5:off,4:on"."""
+    """Piecewise constant state over robot time [s], given as one name or as "0:on,2.5:off,4:on"."""
 
     def __init__(self, text: str, states: Mapping[str, int]) -> None:
         self._times: list[float] = []
@@ -54,12 +45,10 @@ class StateScript:
 
 
 class AppliedWrench:
-    """Wrench at the tool point, piecewise linear over time, and zero before the first and after the last row.
+    """Wrench by the environment on the robot at the tool point: linear between its rows and zero outside them.
 
-    It is exerted by the environment on the robot, in base axes, about the tool point. A weight of 1 kg is
-    ``[0, 0, -9.80665, 0, 0, 0]``.
-
-    `t`: (N,) increasing seconds since guidance began. `wrench`: (N, 6) rows ``[f; m]`` [N, N m].
+    `t`: (N,) increasing times since guidance began [s]. `wrench`: (N, 6) rows ``[f; m]`` [N, N m] in base axes; the
+    weight of a mass of 1 kg is ``[0, 0, -9.80665, 0, 0, 0]``.
     """
 
     def __init__(self, t: np.ndarray, wrench: np.ndarray) -> None:
@@ -81,7 +70,7 @@ class AppliedWrench:
             )
 
     def at(self, t: float) -> np.ndarray | None:
-        """Return the wrench (6,) at guidance time `t`, or None when there is no contact."""
+        """Return the wrench (6,) at guidance time `t`, or None if there is no contact."""
         times = self._t
         if not len(times) or t < times[0] or t > times[-1]:
             return None
@@ -108,7 +97,7 @@ class Grip:
         self._before: tuple[float, np.ndarray] | None = None
 
     def at(self, t: float, T_base_tool: np.ndarray) -> np.ndarray | None:
-        """Return its wrench (6,) on the robot in base axes at the tool point, or None while inactive."""
+        """Return the wrench (6,) of the hand on the robot in base axes at the tool point, or None while inactive."""
         if not self._start <= t < self._end:
             self._T_base_tool = self._before = None
             return None
@@ -128,9 +117,9 @@ _SHARE_OF_RANGE, _SHARE_OF_SPEED = 0.25, 0.1
 
 
 class HandPath:
-    """Joint path over time, smooth between its rows (cubic, continuous velocity) and at rest outside them.
+    """Joint path along which a hand leads the arm: cubic between its rows, and at rest outside them.
 
-    `t`: (N,) increasing seconds since the stream began, at least two. `q`: (N, n) postures [rad or m].
+    `t`: (N,) increasing times since the stream began [s], at least two. `q`: (N, n) joint positions [rad or m].
     """
 
     def __init__(self, t: np.ndarray, q: np.ndarray) -> None:
@@ -150,9 +139,7 @@ class HandPath:
 
     @classmethod
     def random(cls, robot: Robot, seed: int | Sequence[int] = 0, seconds: float = 600.0) -> HandPath:
-        """Return a random smooth path that starts and ends at home, within the limits and below a tenth of the speed
-        limits.
-        """
+        """Return a random smooth path from home to home, within the joint limits and below 10 % of the speed limits."""
         draw = np.random.default_rng(seed)
         t = np.arange(0.0, seconds + 1e-9, 0.05)
         room = _SHARE_OF_RANGE * np.minimum(robot.q_max - robot.q_home, robot.q_home - robot.q_min) / _WAVES
@@ -169,7 +156,7 @@ class HandPath:
         return self._q.shape[1]
 
     def at(self, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return position and velocity, each (n,)."""
+        """Return the joint positions and velocities, each (n,), at a time since the stream began [s]."""
         times = self._t
         if not times[0] <= t < times[-1]:
             return self._q[0 if t < times[0] else -1], np.zeros(self.n)
@@ -183,12 +170,12 @@ class HandPath:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """External events of one controller. Packets are sent only while a RAPID program with EGM `is_open`."""
+    """External events of one controller, which sends packets only while a RAPID program with EGM `is_open`."""
 
     operator: AppliedWrench | None = None
     hand: HandPath | None = None
-    motors: TimedState = field(default_factory=lambda: StateScript("on", MOTORS))
-    rapid: TimedState = field(default_factory=lambda: StateScript("running", RAPID))
+    motors: StateScript = field(default_factory=lambda: StateScript("on", MOTORS))
+    rapid: StateScript = field(default_factory=lambda: StateScript("running", RAPID))
     external: int = 0
     grip: Grip | None = None
     is_open: Callable[[], bool] = lambda: True
@@ -200,12 +187,12 @@ class Surroundings:
         return np.sum(acting, axis=0) if acting else None
 
     def leads(self, program: str, n: int) -> HandPath | None:
-        """Return the hand that leads the arm in a program, or None."""
+        """Return the path of the hand that leads the arm in a program, or None."""
         hand = self.hand if program == "lead-through" else None
         if hand is not None and hand.n != n:
             raise ShapeError(f"Expected a hand path of {n} joints, got a path of {hand.n}.")
         return hand
 
     def is_ready(self, t: float) -> bool:
-        """Return whether motors and RAPID allow guidance at a robot time [s]. RAPID in state UNDEFINED allows it."""
+        """Return whether motors and RAPID allow guidance at a robot time [s]; RAPID may be undefined."""
         return self.motors.at(t) == MOTORS["on"] and self.rapid.at(t) != RAPID["stopped"]

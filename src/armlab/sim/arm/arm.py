@@ -63,7 +63,11 @@ INTEGRAL_TIME = 0.05  # s
 
 
 class JointDrives:
-    """Drives of all joints: inertia with rotors [kg m^2], feedforward share of the bias, time between calls [s]."""
+    """Drives of all joints.
+
+    `inertia`: (n,) with rotors [kg m^2]. `feedforward`: (n,) share of gravity and Coriolis torques fed forward.
+    `step`: time between calls [s].
+    """
 
     gravity: np.ndarray
     saturated: int
@@ -78,7 +82,7 @@ class JointDrives:
         self.alone()
 
     def assist(self, tau: np.ndarray, gain_q: np.ndarray, gain_qd: np.ndarray) -> None:
-        """Set the added torque (n,) [N m] and the scales of the position and velocity gains (n,)."""
+        """Set the added torque (n,) [N m] and the factors (n,) on the position and velocity gains."""
         self._added = (tau, gain_q, gain_qd)
 
     def alone(self) -> None:
@@ -86,9 +90,7 @@ class JointDrives:
         self._added = np.zeros_like(self._inertia), np.ones_like(self._inertia), np.ones_like(self._inertia)
 
     def reset(self, holding: np.ndarray, bias: np.ndarray) -> None:
-        """Set the integral so that the torque is `holding` at rest on the reference; `bias` is the gravity torque [N
-        m].
-        """
+        """Set the integral for the torque `holding` at rest; `bias` is the gravity torque [N m]."""
         self._integral[:] = (holding - self._feedforward * bias) / self._gain
 
     def torque(
@@ -101,7 +103,7 @@ class JointDrives:
         bias: np.ndarray,
         out: np.ndarray,
     ) -> np.ndarray:
-        """Write the torque of this step to `out` and return it; part of the true `bias` [N m] is fed forward."""
+        """Write the torque of this step [N m] to `out` and return it; a share of the true `bias` is fed forward."""
         tau, gain_q, gain_qd = self._added
         error = gain_q * (POSITION_GAIN * (q_ref - q)) + gain_qd * qd_ref - gain_qd * qd
         growth = error * (self._rate * gain_q)
@@ -156,7 +158,7 @@ WARM_SPEED = 0.25  # share of the speed limit at which friction warms the drive 
 
 
 class WornFriction(JointFriction):
-    """Friction state of all joints with temperature; `load` (n,), the torque to the links, is read at every step."""
+    """Friction that also depends on temperature, load and time; `load` (n,) [N m] is read at every step."""
 
     warmth: np.ndarray
 
@@ -188,12 +190,11 @@ class WornFriction(JointFriction):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueState:
-    """Exact state at one instant. Only the command and `tau_gravity`, known to the drives, are sent.
+    """Exact state at one instant. Packets contain only the drives' torque command and `tau_gravity`.
 
-    `q`, `qd`, `qdd`: (n,) position, velocity, acceleration. `tau`: (n,) drive torque, joint side. `tau_friction`: (n,)
-    friction and ripple, against motion. `tau_gravity`: (n,) feedforward of the drives. `q_ref`: (n,) reference of the
-    drives. `wrench`: (6,) exerted by the environment on the robot, base axes, at the tool point. `T_base_tool`: (4, 4)
-    pose of the tool.
+    `q`, `qd`, `qdd`: (n,) position, velocity, acceleration. `tau`: (n,) drive torque, joint side [N m]. `tau_friction`:
+    (n,) friction and ripple, against motion. `tau_gravity`: (n,) feedforward of the drives. `q_ref`: (n,) reference of
+    the drives. `wrench`: (6,) by the environment on the robot, base axes, at the tool point. `T_base_tool`: (4, 4).
     """
 
     q: np.ndarray
@@ -209,7 +210,7 @@ class TrueState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorReading:
-    """Sensor readings at one instant, with noise and quantisation: position, velocity, torque (n,)."""
+    """Readings of the joint sensors at one instant, with noise and quantisation; each array is (n,)."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -235,7 +236,7 @@ class Sensors:
         self._sample = None
 
     def see(self, sample: TrueState) -> None:
-        """Receive the exact state; called once per instant, in order."""
+        """Store the exact state of the next instant."""
         self._torques.append(sample.tau)
         carried = sample.tau - sample.tau_friction - self._truth.rotor * sample.qdd
         before, self._stretch = self._stretch, self._compliance * carried
@@ -243,10 +244,10 @@ class Sensors:
         self._sample = sample
 
     def measure(self) -> SensorReading:
-        """Return the readings of the last instant, with fresh noise."""
+        """Return the readings of the latest instant, with newly drawn noise."""
         sample, truth = self._sample, self._truth
         if sample is None:
-            raise ConfigError("Expected an exact state to measure, got none. Call see() first.")
+            raise ConfigError("Expected a state to measure, got none. Call see() first.")
         noise = self._noise.standard_normal((2, len(truth.pi)))
         q = _quantise(sample.q + self._stretch, truth.q_step)
         qd = sample.qd + self._stretching + truth.qd_noise * noise[0]
@@ -264,28 +265,28 @@ LONGEST_STEP = 1.05e-3  # s
 
 
 class SimulatedArm:
-    """One simulated arm.
+    """Simulated arm with rigid bodies, drives and friction.
 
     Parameters
     ----------
-    robot : robot description; its frames, gravity and home posture are used.
+    robot : robot description, of which the frames, gravity and home posture are used.
     truth : synthetic parameters.
     period : time between two packets [s].
-    q : (n,) start posture; default: the robot's home.
+    q : (n,) initial joint positions [rad or m]; default: the robot's home.
     seed : seed of the measurement noise.
-    mismatch : differences from description and truth; default: none.
+    mismatch : differences between the arm and its description and truth; default: none.
 
     Attributes
     ----------
     robot : robot description.
-    built : the arm that moves.
-    truth : its parameters, including the mismatch.
-    sample : exact state at the last instant.
+    built : description of the simulated arm, including the mismatch.
+    truth : parameters of the simulated arm, including the mismatch.
+    sample : exact state at the latest instant.
     has_torque : True.
 
     Raises
     ------
-    ShapeError : if truth or posture have the wrong number of joints.
+    ShapeError : if `truth` or `q` has the wrong number of joints.
     ConfigError : if the period is not between 0.1 ms and 1 s.
     """
 
@@ -335,11 +336,11 @@ class SimulatedArm:
         self.place(robot.q_home if q is None else q)
 
     def place(self, q: np.ndarray) -> None:
-        """Set the arm to rest at `q`, held by the drives.
+        """Place the arm at rest at `q`, held by the drives.
 
         Parameters
         ----------
-        q : (n,) posture.
+        q : (n,) joint positions [rad or m].
 
         Raises
         ------
@@ -358,12 +359,12 @@ class SimulatedArm:
         self.step(q, self._qd_ref, None)
 
     def step(self, q_ref: np.ndarray, qd_ref: np.ndarray, wrench: np.ndarray | None) -> None:
-        """Advance by one period while the reference moves linearly to the new value.
+        """Advance by one period, in which the reference moves linearly to its new value.
 
         Parameters
         ----------
-        q_ref, qd_ref : (n,) reference of the drives at the end of the period.
-        wrench : (6,) by the environment on the robot, base axes, at the tool point; None for no contact.
+        q_ref, qd_ref : (n,) reference of the drives at the end of the period [rad or m, and per s].
+        wrench : (6,) wrench by the environment on the robot, base axes, at the tool point [N, N m]; None: no contact.
         """
         steps, share = self.steps, 1.0 / self.steps
         q, qd, dq = self._q_ref.copy(), self._qd_ref.copy(), (q_ref - self._q_ref) * share
@@ -381,11 +382,11 @@ class SimulatedArm:
         self._q_ref, self._qd_ref = q_ref.copy(), qd_ref.copy()
 
     def measure(self) -> SensorReading:
-        """Return the sensor readings of the last sample, with fresh noise."""
+        """Return the sensor readings of the latest sample, with newly drawn noise."""
         return self._sensors.measure()
 
     def _advance(self, q_ref: np.ndarray, qd_ref: np.ndarray, qdd_ref: np.ndarray, wrench: np.ndarray | None) -> None:
-        """Compute torques and accelerations at this instant."""
+        """Compute the torques and accelerations at this instant."""
         np.multiply(self._qdd, self.step_time / 2, out=self._qd)
         self._qd += self._half
         q, qd = self._q, self._qd
@@ -426,7 +427,7 @@ _LAG = 8e-3  # s
 class LaggingArm:
     """Kinematic stand-in for `SimulatedArm`: same interface, NaN torques, no noise, no response to wrenches.
 
-    It lags according to ``q += (1 - exp(-T / 8 ms)) (q_ref[k - 2] - q)``, within ABB's 10 to 20 ms.
+    The arm follows ``q += (1 - exp(-T / 8 ms)) (q_ref[k - 2] - q)``, a lag within ABB's range of 10 to 20 ms.
     """
 
     robot: Robot
@@ -443,7 +444,7 @@ class LaggingArm:
         self.place(robot.q_home if q is None else q)
 
     def place(self, q: np.ndarray) -> None:
-        """Set the arm to rest at `q` (n,)."""
+        """Place the arm at rest at `q` (n,)."""
         self._q = np.array(q, dtype=np.float64)
         self._under_way = deque([self._q] * _DEAD_CYCLES)
         self._report(np.zeros_like(self._q), self._q)
@@ -471,22 +472,22 @@ def record(
 
     Parameters
     ----------
-    arm : the arm; it is placed at the start of the motion, and its noise sequence continues.
+    arm : the arm, which is placed at the start of the motion; its noise sequence continues.
     motion : reference of the drives.
-    wrench : function of the times (N,) that returns the wrench (N, 6) by the environment on the robot, base axes, at
-        the tool point.
-    seed : seed of jitter and loss of time stamps.
+    wrench : function of the times (N,) [s] that returns the wrenches (N, 6) by the environment on the robot, base axes,
+        at the tool point [N, N m].
+    seed : seed of the jitter of time stamps and of the loss of samples.
 
     Raises
     ------
-    ConfigError : a jitter of half a period or more, which would reverse the order of times.
+    ConfigError : a jitter of half a period or more, which could reverse the order of the times.
     ShapeError : a motion with the wrong number of joints, or a wrench of wrong shape.
     """
-    from armlab.log import Table  # lazy: a simulator that only sends starts without it
+    from armlab.log import Table  # lazy: `armlab sim` starts without it
 
-    knobs, period, n = arm.mismatch, arm.period, arm.robot.n
-    if not knobs.jitter < period / 2:
-        raise ConfigError(f"Expected a jitter below half a period of {period} s, got {knobs.jitter} s.")
+    mismatch, period, n = arm.mismatch, arm.period, arm.robot.n
+    if not mismatch.jitter < period / 2:
+        raise ConfigError(f"Expected a jitter below half a period of {period} s, got {mismatch.jitter} s.")
     count = int(motion.seconds / period)
     t = period * np.arange(1, count + 1)
     q_ref, qd_ref, _ = motion.sample(t)
@@ -502,9 +503,9 @@ def record(
         measured = arm.measure()
         seen[:, k] = measured.q, measured.qd, measured.tau
     values = dict(zip(("q", "qd", "tau"), seen)) | ({} if wrench is None else {"wrench_true": pushes})
-    rng = np.random.default_rng([knobs.seed, seed])
-    stamps = t + knobs.jitter * rng.uniform(-1.0, 1.0, count)
-    return Table(stamps, values).rows(rng.uniform(size=count) >= knobs.lost)
+    rng = np.random.default_rng([mismatch.seed, seed])
+    stamps = t + mismatch.jitter * rng.uniform(-1.0, 1.0, count)
+    return Table(stamps, values).rows(rng.uniform(size=count) >= mismatch.lost)
 
 
 def scara() -> Robot:

@@ -1,13 +1,13 @@
 """`Mismatch`: differences between the simulated arm and its description; all are 0 by default.
 
-Errors per joint, link or axis are uniformly distributed between minus and plus the parameter. Each has its own random
-stream, so that changing one parameter does not affect the errors of the others.
+Errors per joint, link or axis are uniformly distributed between minus and plus the parameter. Each parameter has its
+own random stream, so that changing it does not affect the errors of the others.
 
-    built    base_turn, base_shift, link_length, joint_zero: frames of the moving arm, not of its description
-    bodies   mass, centre, payload; friction, saturation: its parameters
-    drives   warm_up, load_friction, ripple_jump, offset_drift: friction that depends on more than position and velocity
-    seen     elasticity, torque_delay, torque_constant, gear_ratio, gear_sign, quantisation: sensor readings
-    logged   jitter, lost: recording of the readings
+    geometry   base_turn, base_shift, link_length, joint_zero: frames of the simulated arm, not of its description
+    dynamics   mass, centre, payload, friction, saturation: parameters of the bodies and drives
+    friction   warm_up, load_friction, ripple_jump, offset_drift: dependence on more than position and velocity
+    sensors    elasticity, torque_delay, torque_constant, gear_ratio, gear_sign, quantisation: readings
+    recording  jitter, lost: time stamps and samples
 
 The fields are options of ``armlab sim``, whose help loads this file; NumPy is therefore imported only to draw errors.
 """
@@ -35,14 +35,14 @@ COUNTS = ("gear_sign", "torque_delay", "seed")
 
 @dataclass(frozen=True, repr=False)
 class Mismatch(Shown):
-    """Differences from the description; if all are zero, the arm is bit-identical.
+    """Differences between the simulated arm and its description; by default, the arm equals its description exactly.
 
     Attributes
     ----------
     base_turn : float
-        Rotation of the mount about each of its axes [rad].
+        Rotation error of the mount about each of its axes [rad].
     base_shift : float
-        Shift of the mount along each of its axes [m].
+        Position error of the mount along each of its axes [m].
     link_length : float
         Error of each coordinate of the translation from one joint frame to the next [m].
     joint_zero : float
@@ -60,24 +60,24 @@ class Mismatch(Shown):
     warm_up : float
         Relative loss of viscous friction in a warm drive; time constant 12 minutes, cold at the start.
     load_friction : float
-        Largest increase of a joint's Coulomb friction per unit of torque that the joint transmits to its link.
+        Largest increase of a joint's Coulomb friction per unit of torque transmitted to its link.
     ripple_jump : float
         Phase jump of the torque ripple when a joint reverses [rad].
     elasticity : float
-        Deflection of each gear at the torque limit [rad], between encoder and link. Without resonance.
+        Quasi-static deflection of each gear between encoder and link at the torque limit [rad].
     torque_delay : int
         Delay of the measured torque in samples.
     torque_constant : float
         Relative error of each joint's measured torque.
     gear_ratio : float
-        Relative error of each gear ratio in the conversion from the motor; position and velocity increase, torque
-        decreases.
+        Relative error of each gear ratio in the conversion from motor to joint: it scales position and velocity, and
+        inversely torque.
     gear_sign : int
-        Number of joints with the wrong sign in the conversion from the motor.
+        Number of joints with the wrong sign in the conversion from motor to joint.
     quantisation : float
         Relative increase of the quantisation steps of position and torque; 1 doubles them.
     jitter : float
-        Largest error of a timestamp in a recording [s].
+        Largest error of a time stamp in a recording [s].
     lost : float
         Probability that a sample is missing in a recording.
     offset_drift : float
@@ -119,24 +119,24 @@ class Mismatch(Shown):
             value = getattr(self, field.name)
             if not 0 <= value < math.inf or (field.name in SHARES and value >= 1):
                 top = "below 1" if field.name in SHARES else "finite"
-                raise ConfigError(f"Expected the mismatch {field.name} of at least 0 and {top}, got {value}.")
+                raise ConfigError(f"Expected the mismatch {field.name} to be at least 0 and {top}, got {value}.")
             if field.name in COUNTS and value != int(value):
                 raise ConfigError(f"Expected an integer for the mismatch {field.name}, got {value}.")
 
 
-def draw(mismatch: Mismatch, knob: str, *shape: int) -> np.ndarray:
-    """Return errors of this shape, uniform between minus and plus the parameter; every call returns the same errors."""
-    return float(getattr(mismatch, knob)) * _random(mismatch, knob).uniform(-1.0, 1.0, shape)
+def draw(mismatch: Mismatch, name: str, *shape: int) -> np.ndarray:
+    """Return errors uniform between minus and plus the parameter; every call returns the same errors."""
+    return float(getattr(mismatch, name)) * _random(mismatch, name).uniform(-1.0, 1.0, shape)
 
 
-def _random(mismatch: Mismatch, knob: str) -> np.random.Generator:
+def _random(mismatch: Mismatch, name: str) -> np.random.Generator:
     import numpy as np
 
-    return np.random.default_rng([mismatch.seed, [field.name for field in fields(mismatch)].index(knob)])
+    return np.random.default_rng([mismatch.seed, [field.name for field in fields(mismatch)].index(name)])
 
 
 def built_robot(mismatch: Mismatch, robot: Robot) -> Robot:
-    """Return the robot as built, whose base pose, link lengths and joint zeros differ from the description `robot`."""
+    """Return the robot as built, with errors in base pose, link lengths and joint zeros."""
     import numpy as np
 
     from armlab.lie import so3
@@ -156,7 +156,7 @@ def built_robot(mismatch: Mismatch, robot: Robot) -> Robot:
 
 
 def built_truth(mismatch: Mismatch, truth: Truth, robot: Robot) -> Truth:
-    """Return the truth as built: masses, centres of mass, payload, friction, torque limits, quantisation."""
+    """Return the truth as built, with errors in bodies, friction, torque limits and quantisation."""
     from armlab.robots import inertia
 
     n, changed = robot.n, {}

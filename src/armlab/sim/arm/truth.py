@@ -1,8 +1,8 @@
-"""Synthetic truth of the simulated arms: masses, friction, ripple, noise. Assumptions, not measurements.
+"""Synthetic truth of the simulated arms: masses, friction, ripple and noise, assumed rather than measured.
 
-Masses and inertias are those of the robot's description; a few library robots without masses have invented ones. Drive
-parameters are not published by manufacturers; they are invented in plausible proportions to the torque limits, as
-ground truth for identification and force estimation. The wire carries only the drives' torque command and gravity
+Masses and inertias are taken from the robot's description, or invented for a few library robots without masses.
+Manufacturers do not publish drive parameters. As ground truth for identification and force estimation, they are
+invented in plausible proportions to the torque limits. Packets contain only the drives' torque command and gravity
 feedforward, which no part of armlab reads. docs/theory/simulated_arm.md describes the rules.
 """
 
@@ -19,7 +19,7 @@ from armlab.robots import Robot, inertia
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Truth(Shown):
-    """Synthetic parameters of one simulated arm; arrays are (n,), joint side, unless stated otherwise.
+    """Synthetic parameters of one simulated arm, as arrays (n,) on the joint side unless stated otherwise.
 
     Attributes
     ----------
@@ -27,20 +27,20 @@ class Truth(Shown):
         ``m, m cx, m cy, m cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz``.
     rotor : rotor inertia [kg m^2].
     tau_max : torque at which the drives saturate [N m].
-    coulomb_pos, coulomb_neg : Coulomb friction for positive and negative motion, both counted positive [N m].
-    static_ratio : break-away over Coulomb friction.
+    coulomb_pos, coulomb_neg : Coulomb friction for positive and negative motion, both at least 0 [N m].
+    static_ratio : ratio of break-away to Coulomb friction.
     stribeck_speed : width of the Stribeck curve [rad/s].
     viscous : viscous friction [N m s/rad].
     offset : constant torque [N m].
     delta : presliding distance [rad].
     ripple : amplitude of the torque ripple [N m].
-    ripple_cycles : ripple phase per joint angle [rad/rad], the number of cycles per revolution.
+    ripple_cycles : ripple phase per joint angle [rad/rad], equal to the number of cycles per revolution.
     ripple_phase : phase of the ripple [rad].
     tau_noise : standard deviation of the torque measurement [N m].
     tau_step : quantisation of the torque measurement [N m].
     q_step : quantisation of the position measurement [rad].
-    qd_noise : standard deviation of the velocity [rad/s].
-    feedforward : share of gravity and Coriolis torques that the drive feeds forward.
+    qd_noise : standard deviation of the velocity measurement [rad/s].
+    feedforward : share of gravity and Coriolis torques that the drives feed forward.
     """
 
     pi: np.ndarray
@@ -74,11 +74,11 @@ class Truth(Shown):
             object.__setattr__(self, field.name, value)
 
     def without(self, *effects: str) -> Truth:
-        """Return the truth without some effects: "friction", "ripple", "noise" or "offset".
+        """Return the truth without some effects.
 
         Parameters
         ----------
-        *effects : effects to remove. "noise" includes the quantisation of measurements.
+        *effects : effects to remove: "friction", "ripple", "offset", or "noise", which includes the quantisation.
 
         Raises
         ------
@@ -117,7 +117,7 @@ class Truth(Shown):
 
 @dataclass(frozen=True)
 class _Sizes:
-    """Parameters per robot: link masses [kg], cylinder sizes [m], torque limits [N m], rotors [kg m^2]."""
+    """Parameters of one robot: link masses [kg], torque limits [N m], rotor inertias [kg m^2], cylinder sizes [m]."""
 
     mass: tuple[float, ...]
     tau_max: tuple[float, ...]
@@ -163,7 +163,7 @@ def _invented(robot: Robot) -> _Sizes | None:
 
 
 def no_masses(robot: Robot) -> str:
-    """Return why an arm can only be simulated kinematically, or "" if its masses are known."""
+    """Return why an arm can only be simulated kinematically, or "" if it has masses."""
     if _invented(robot) or (robot.inertias is not None and robot.inertias[:, 0].any()):
         return ""
     return (
@@ -175,8 +175,8 @@ def no_masses(robot: Robot) -> str:
 def synthetic_truth(robot: Robot) -> Truth:
     """Return the synthetic truth, with masses from the description and drives in proportion to its torque limits.
 
-    Library robots without inertias get invented masses if these are defined. Joints without an effort limit get three
-    times the torque that holds the outstretched arm. Values in `Robot.drives` replace the proportions.
+    A few library robots without inertias have invented masses. The torque limit of a joint without an effort limit is
+    three times the torque that holds the outstretched arm. Values in `Robot.drives` replace the proportions.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def synthetic_truth(robot: Robot) -> Truth:
     Returns
     -------
     Truth
-        Masses and drives (assumptions; see the module).
+        Assumed masses and drive parameters.
 
     Raises
     ------
@@ -237,25 +237,22 @@ def synthetic_truth(robot: Robot) -> Truth:
     )
 
 
-ROTOR_ACCELERATION = 100.0  # rad/s^2 or m/s^2 acceleration of the drive alone at its torque limit
-GEAR, SPINDLE = 100.0, 600.0  # defaults; rad/m: a spindle with 10 mm lead
-HOLDING = 3.0  # torque limit over the torque that holds the stretched arm
+ROTOR_ACCELERATION = 100.0  # rad/s^2 or m/s^2: acceleration of the drive alone at its torque limit
+GEAR, SPINDLE = 100.0, 600.0  # default transmission ratios: gear, and spindle with 10 mm lead [rad/m]
+HOLDING = 3.0  # ratio of the torque limit to the torque that holds the outstretched arm
 SHORTEST_LEVER = 0.02  # m
-WEAKEST = 0.05  # least torque limit over the largest one
+WEAKEST = 0.05  # ratio of the smallest to the largest holding torque assumed
 
 
 def _torque_limits(robot: Robot) -> np.ndarray:
-    """Return the limits (n,) of torque or force; default: three times the torque that holds the outstretched arm.
-
-    In the outstretched arm, the distance from a joint to each mass is the sum of the link lengths between them.
-    """
+    """Return the limits (n,) of torque or force; default: three times the torque that holds the outstretched arm."""
     if np.isfinite(robot.tau_max).all() or robot.inertias is None:
         return robot.tau_max
     mass, g = robot.inertias[:, 0], max(float(np.linalg.norm(robot.gravity)), 9.8)
     centre = np.linalg.norm(inertia.to_body(robot.inertias).centre, axis=1)
     strokes = np.where(robot.prismatic, np.nan_to_num(np.maximum(-robot.q_min, robot.q_max), posinf=0.0), 0.0)
     along = np.cumsum(np.linalg.norm(robot.links[:-1, :3, 3], axis=1) + strokes)
-    reach = np.maximum(along + centre - along[:, None], SHORTEST_LEVER)  # (joint, mass)
+    reach = np.maximum(along + centre - along[:, None], SHORTEST_LEVER)  # (joint, mass): sum of link lengths between
     beyond = np.triu(np.ones((robot.n, robot.n)))
     hold = g * np.where(robot.prismatic, beyond @ mass, (beyond * reach) @ mass)
     least = WEAKEST * hold.max() / np.where(robot.prismatic, max(float(along[-1]), 0.1), 1.0)
@@ -263,11 +260,10 @@ def _torque_limits(robot: Robot) -> np.ndarray:
 
 
 def cylinder(mass: float, p: np.ndarray, radius: float, shortest: float) -> np.ndarray:
-    """Return the inertial parameters (10,) of a solid cylinder from the origin of a link frame to the next origin at p
-    [m].
+    """Return the inertial parameters (10,) of a solid cylinder from the link frame's origin to the next origin p [m].
 
-    ``centre = p / 2``, axis along p (z where p = 0), length ``max(|p|, shortest)``;
-    ``I_axial = m r^2 / 2``, ``I_across = m (3 r^2 + L^2) / 12``, moved to the origin by Steiner's rule.
+    Centre ``p / 2``, axis along p (z if p = 0), length ``L = max(|p|, shortest)``, ``I_axial = m r^2 / 2`` and
+    ``I_across = m (3 r^2 + L^2) / 12``, moved to the origin by the parallel-axis theorem.
     """
     length = float(np.linalg.norm(p))
     axis = p / length if length > 0 else np.array([0.0, 0.0, 1.0])

@@ -19,19 +19,18 @@ from armlab.sim.controller.settings import FaultRates
 from armlab.wire.egm.robot_side import SensorMessage
 
 _LARGEST = 65535
-_DRAINED = 64  # datagrams read per cycle: bounds a flood
-_SO_TIMESTAMPNS = 35  # Linux: the kernel stamps arrivals; the constant is not in Python's socket module
+_DRAINED = 64  # most datagrams read per cycle, even in a flood
+_SO_TIMESTAMPNS = 35  # Linux: the kernel stamps arrivals; Python's socket module lacks the constant
 _LOOK = 0.25  # s between checks whether to keep waiting
-_FIRST = 0.5  # s for the first reply to a stream, after which the peer is a listener
+_FIRST = 0.5  # s to wait for the first reply to a stream, after which the peer counts as a listener
 _REFUSED_PAUSE = 0.05  # s before a packet is resent to a port that is not bound yet
 
 
 class UdpClient:
-    """One controller and its socket; sends `phase` seconds after the common start of the cycle."""
+    """One controller and its socket, which sends `phase` seconds after the common start of the cycle."""
 
     controller: SimulatedController
     phase: float
-    heard: float
 
     def __init__(
         self,
@@ -69,24 +68,24 @@ class UdpClient:
         self._socket.close()
 
     def prepare(self) -> bool:
-        """Build the packet of the next cycle ahead of time; return whether there is one."""
+        """Build the packet of the next cycle in advance; return whether the cycle has a packet."""
         self._packet = self.controller.packet()
         return self._packet is not None
 
     def send(self) -> None:
-        """Send the prepared packet, modified by the faults."""
+        """Send the prepared packet, subject to the faults."""
         controller = self.controller
         datagrams = [(controller.cycle, self._packet)] if self._packet is not None else []
         if self._outgoing is not None:
             datagrams = self._outgoing.through(datagrams, controller.uptime)
-        # newest first, so that a peer answers only one of them, whenever it reads
+        # newest first, so that a peer answers only one datagram, whenever it reads
         datagrams = sorted(datagrams, key=lambda item: -item[0])
         self._awaited = False
         if self._packet is not None:
             controller.inbox.stamp(time.time_ns(), controller.uptime)
         for number, datagram in datagrams:
             self._put(datagram)
-            if number > self._newest:  # a peer answers packets newer than all previous ones
+            if number > self._newest:  # a peer answers only packets newer than all before
                 self._awaited, self._newest, self._expected = True, number, controller.packets.tm_ms(number)
 
     def drain(self) -> None:
@@ -101,9 +100,8 @@ class UdpClient:
     def wait(self, patience: float, alive: Callable[[], bool]) -> bool:
         """Wait for the reply to the packet just sent; return False on timeout.
 
-        Packets removed by faults are not waited for. While the peer's port is not bound, the packet is resent. A stream
-        needs no replies. The controller waits once for a peer that has never replied; then it sends one packet per
-        period.
+        A packet lost to a fault needs no reply, nor does a stream. While the peer's port is not bound, the packet is
+        resent. After waiting once for a peer that has never replied, the controller sends one packet per period.
         """
         if self._packet is None and not self._awaited:
             self.drain()  # discard datagrams from before this session
@@ -118,7 +116,7 @@ class UdpClient:
             left = deadline - now
             if not self._refused and now - bound >= listens:
                 break
-            if left <= 0 or not alive():  # also in a flood of invalid datagrams
+            if left <= 0 or not alive():  # checked even in a flood of invalid datagrams
                 return False
             if data is not None:
                 continue
@@ -132,14 +130,14 @@ class UdpClient:
         return True
 
     def _listens(self) -> float:
-        """Return the time to wait for a peer that may only listen [s]; infinite if it has to answer."""
+        """Return how long to wait for a peer that may only listen [s]; infinite if the peer must answer."""
         if self._has_answered or self.controller.phase != "streaming":
             return math.inf
         first, self._is_first = self._is_first, False
         return _FIRST if first else self.controller.arm.period
 
     def _receive(self, data: bytes) -> bool:
-        """Read one datagram from the socket; return whether it is the reply that lockstep waits for."""
+        """Process one received datagram; return whether it is the reply that lockstep waits for."""
         if self._incoming is not None:
             self._arrived.append((self._arrival, data))
             message = self.controller.inbox.read(data, count=False)
@@ -159,7 +157,7 @@ class UdpClient:
             self._arrived.clear()
 
     def _put(self, datagram: bytes) -> None:
-        """Send a datagram; try twice if the first attempt only reports that an earlier datagram was refused."""
+        """Send a datagram; try again if the first attempt only reports that an earlier datagram was refused."""
         self._refused = False
         for _ in range(2):
             try:
@@ -169,7 +167,7 @@ class UdpClient:
                 self._count(error)
 
     def _get(self) -> bytes | None:
-        """Return the next datagram, or None. Socket errors, for example from an unbound port, are counted."""
+        """Return the next datagram, or None; count socket errors, for example from an unbound port."""
         try:
             data, extra, _, _ = self._socket.recvmsg(_LARGEST, 64)
         except BlockingIOError:
@@ -191,7 +189,7 @@ class UdpClient:
 
 
 CORRUPTED = -1
-"""Number of a corrupted datagram."""
+"""Sequence number that stands for a corrupted datagram."""
 
 _NEVER_VALID = 0x07  # an invalid first byte of a protobuf message
 
@@ -204,11 +202,11 @@ class Faults:
         self._random = np.random.default_rng(seed)
         self._under_way: list[tuple[float, int, tuple[int, bytes]]] = []  # (time when due, order of arrival, item)
         self._order = self._losing = 0
-        share, length = rates.loss, rates.burst  # burst probability for a share `loss` of lost datagrams
+        share, length = rates.loss, rates.burst  # probability that a burst begins, for the overall share `loss`
         self._begins = share / (length - share * (length - 1)) if share else 0.0
 
     def through(self, datagrams: list[tuple[int, bytes]], now: float) -> list[tuple[int, bytes]]:
-        """Return the (number, bytes) pairs that arrive in this cycle, given those sent; delayed datagrams come last.
+        """Return the (number, bytes) pairs that arrive in this cycle, delayed datagrams last.
 
         A corrupted datagram has the number `CORRUPTED`.
         """
@@ -245,7 +243,7 @@ class Faults:
         return True
 
     def _spoil(self, data: bytes) -> bytes:
-        """Truncate the datagram and overwrite some bytes, so that it is always invalid."""
+        """Truncate the datagram and overwrite some bytes, so that it is invalid."""
         spoiled = bytearray(data[: max(1, int(self._random.integers(len(data) + 1)))] or b"\0")
         spoiled[self._random.integers(len(spoiled))] = int(self._random.integers(256))
         spoiled[0] = _NEVER_VALID

@@ -1,15 +1,15 @@
 """`SimulatedController`: one motion task of the simulated robot controller, without sockets.
 
-ABB's cycle (3HAC073318-001, section 2.3): build and send the packet; take at most one message from a FIFO queue
-(without a message, hold the last reference including its speed); move. The reply to a packet takes effect in the next
-cycle at the earliest. A surplus reply adds a permanent lag of one cycle, which is reported as an event after 1 s.
+Each cycle follows ABB (3HAC073318-001, section 2.3): build and send the packet, take at most one message from a FIFO
+queue, and move. Without a message, the last reference holds, including its speed. The reply to a packet takes effect in
+the next cycle at the earliest. A surplus reply adds a permanent lag of one cycle, reported as an event after 1 s.
 
-Phases: ``streaming`` (packets say STOPPED) -> ``guiding`` (RUNNING) -> ``failing`` (ERROR, while the arm brakes) ->
+Phases: ``streaming`` (packets report STOPPED) -> ``guiding`` (RUNNING) -> ``failing`` (ERROR, while the arm brakes) ->
 ``paused`` (no packets) -> the next session or ``over``. Guidance returns to streaming when the motors or RAPID stop.
 
 `ReplyQueue` matches replies with packets by the sequence number that the research extension echoes, else by the `tm` of
 the header, else by order. Matching by order is correct only if the peer answers every packet. If several packets share
-a millisecond, `tm` refers to the oldest unanswered one.
+a millisecond, `tm` refers to the oldest unanswered packet.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessa
 from armlab.wire.egm.types import StandingQueue
 
 EPOCH_NS = 1_500_000_000_000_000_000
-"""Start of robot time; fixed, so that every run sends the same bytes."""
+"""Start of the robot's clock [ns], constant so that every run sends the same bytes."""
 
 OPTIONAL_FIELDS = {
     "tm": "tm_ms",
@@ -46,16 +46,16 @@ OPTIONAL_FIELDS = {
     "mciConvergenceMet": "converged",
     "utilizationRate": "utilization",
 }
-"""Optional fields of EgmRobot by their names on the wire."""
+"""Optional fields of EgmRobot: names on the wire, and fields of `RobotMessage`."""
 
 _UPTIME_MS = 10_000  # tm of the first packet; an echoed 0 would look like "no tm"
 
 
 class PacketBuilder:
-    """Builds EgmRobot messages, `phase` seconds behind the robot's clock.
+    """Encoder of EgmRobot messages, sent `phase` seconds behind the robot's clock.
 
-    RobotWare 7: `torque_reference` sends the drive torque as torqueRef; `data` is the number of RAPID data values sent
-    back in addition to the digital value.
+    For RobotWare 7, `torque_reference` sends the drive torque as torqueRef, and `data` is the number of RAPID data
+    values sent back in addition to the digital value.
     """
 
     codec: RobotSideCodec
@@ -80,11 +80,11 @@ class PacketBuilder:
             self._left_out[OPTIONAL_FIELDS[field]] = None
 
     def time_ns(self, cycle: int) -> int:
-        """Return the robot's clock in a cycle [ns]: multiples of the period, minus the phase."""
+        """Return the robot's clock in a cycle [ns]: a multiple of the period plus the phase."""
         return EPOCH_NS + round((cycle * self._period + self._phase) * 1e9)
 
     def tm_ms(self, cycle: int) -> int:
-        """Return the `tm` of a cycle's packet in whole milliseconds; packets of shorter periods share it."""
+        """Return the `tm` of a cycle's packet [ms], an integer, which packets of a period below 1 ms share."""
         return _UPTIME_MS + int((cycle * self._period + self._phase) * 1e3 + 1e-6)
 
     def encode(
@@ -96,10 +96,10 @@ class PacketBuilder:
         target: ReferenceDecoder | None = None,
         **condition: Any,
     ) -> bytes:
-        """Return the bytes of a cycle's packet, including RAPID's echo of `target` and the fields of `condition`."""
+        """Return the bytes of a cycle's packet with RAPID's echo of `target` and the fields in `condition`."""
         measured, sample = arm.measure(), arm.sample
         feels = arm.has_torque
-        heard = target if self._data else None
+        echoed = target if self._data else None
         message = RobotMessage(
             tm_ms=self.tm_ms(cycle),
             q=measured.q,
@@ -109,8 +109,8 @@ class PacketBuilder:
             T_frame_tool=arm.robot.chain.forward(measured.q),
             utilization=guidance.utilization,
             wrench_raw=np.array(sample.wrench) if self._force else None,
-            rapid_data=heard.rapid_data[: self._data].tolist() if heard else (),
-            rapid_digital=heard.rapid_digital if heard else None,
+            rapid_data=echoed.rapid_data[: self._data].tolist() if echoed else (),
+            rapid_digital=echoed.rapid_digital if echoed else None,
             tau_reference=sample.tau if self._torque_reference and feels else None,
             qd=measured.qd,
             tau=measured.tau if feels else None,
@@ -125,7 +125,7 @@ class PacketBuilder:
 
 
 QUEUE_LENGTH = 64
-"""Capacity of the reply queue and of the list of packets to match; surplus messages are dropped."""
+"""Capacity of the reply queue and of the list of packets to match; further messages are dropped."""
 
 _CONTENT = {
     "joint": ("q", "no joints", "joint references"),
@@ -136,7 +136,7 @@ _CONTENT = {
 
 @dataclass(slots=True)
 class Sent:
-    """Packet awaiting its reply: number, `tm`, cycle, whether under guidance, clock just before sending [ns]."""
+    """Packet that awaits its reply; `stamp_ns` is the time just before sending [ns]."""
 
     seq: int
     tm_ms: int
@@ -167,18 +167,18 @@ class ReplyQueue:
         self._last_seqno: int | None = None
 
     def note(self, sent: Sent) -> None:
-        """Register a packet that was built."""
+        """Register a new packet."""
         self._sent.append(sent)
 
     def stamp(self, nanoseconds: int, uptime: float) -> None:
-        """Set the send time of the newest packet; a missing reply to the previous one counts as missed."""
+        """Set the send time of the newest packet, and count the previous packet as missed if it has no reply."""
         if self._sent:
             self._sent[-1].stamp_ns = nanoseconds
         if len(self._sent) > 1 and self._sent[-2].guiding and not self._sent[-2].answered:
             self._statistics.miss(uptime)
 
     def read(self, data: bytes, count: bool = True) -> SensorMessage | Drop:
-        """Decode a datagram; return the message, or why it is invalid in this mode."""
+        """Decode a datagram; return the message, or a `Drop` if it is invalid in this mode."""
         found = self._codec.decode_sensor(data)
         if isinstance(found, SensorMessage):
             self._statistics.mtypes[found.mtype] += count
@@ -187,10 +187,7 @@ class ReplyQueue:
         return found
 
     def match(self, message: SensorMessage, arrival_ns: int, uptime: float) -> Sent | None:
-        """Return the packet answered by a message, or None; count duplicates and round trips.
-
-        An arrival of 0 means unknown.
-        """
+        """Return the packet that a message answers, or None; an arrival time of 0 means unknown."""
         counts = self._statistics.counts
         counts["duplicates"] += message.seqno is not None and message.seqno == self._last_seqno
         self._last_seqno = message.seqno
@@ -204,14 +201,14 @@ class ReplyQueue:
         return sent
 
     def put(self, message: SensorMessage, cycle: int | None) -> bool:
-        """Append a message and, if known, the cycle of the packet it answers; return False if the queue is full."""
+        """Append a message and the cycle of the packet it answers, if known; return False if the queue is full."""
         if len(self._queue) >= QUEUE_LENGTH:
             return False
         self._queue.append((message, cycle))
         return True
 
     def take(self, cycle: int) -> SensorMessage | None:
-        """Return the next message, or None, and record its age. In mode "newest", all earlier messages are dropped."""
+        """Return the next message, or None, and record its age; mode "newest" drops all earlier messages."""
         self._statistics.queue[len(self._queue)] += 1
         if not self._queue:
             return None
@@ -225,7 +222,7 @@ class ReplyQueue:
         return message
 
     def standing(self) -> str:
-        """Return a sentence if the queue has not been empty for 1 s, else ""; called once per cycle."""
+        """Return a message if the queue has not been empty for 1 s, else ""; called once per cycle."""
         return self._standing.after(len(self._queue), self._period)
 
     def _find(self, message: SensorMessage) -> tuple[str, Sent | None]:
@@ -250,9 +247,9 @@ _SKIP = "Skip this number of replies once, then send one per packet, or use --qu
 
 
 class SimulatedController:
-    """One motion task with one session at a time, one sequence, one queue and one arm.
+    """Motion task of one arm, with one session at a time.
 
-    `wire`: robot side of the wire, or a `PacketBuilder`. `scene`: surroundings, or only a wrench.
+    `wire`: codec of the robot side, or a `PacketBuilder`. `scene`: surroundings, or only a wrench.
     """
 
     arm: SimulatedArm | LaggingArm
@@ -309,7 +306,7 @@ class SimulatedController:
 
     @property
     def guidance_time(self) -> float:
-        """Time since the start of guidance in this session [s]; negative before."""
+        """Time since the start of guidance in this session [s], negative before it."""
         return (self.cycle - self._guided_since) * self._settings.period
 
     def packet(self) -> bytes | None:
@@ -350,7 +347,7 @@ class SimulatedController:
         return found
 
     def advance(self, takes: bool = True) -> None:
-        """Take at most one message (none in a missed cycle), then move the reference and the arm by one period."""
+        """Take at most one message if `takes` is set, then move the reference and the arm by one period."""
         if self.phase in _MCI and not self._surroundings.is_open():
             self._enter("paused")
         self._in_phase += 1
@@ -369,12 +366,12 @@ class SimulatedController:
         self.cycle += cycles
 
     def lose_peer(self) -> None:
-        """End the session as CommTimeout does; used in lockstep, where robot time stops while the peer is silent."""
+        """End the session like CommTimeout; for lockstep, in which robot time stops while the peer is silent."""
         if self.phase in _MCI:
             self._no_data()
 
     def stop(self, reason: str) -> None:
-        """End permanently."""
+        """End the task permanently."""
         if self.phase != "over":
             self.reason: str = reason
             self._enter("over")
@@ -456,7 +453,7 @@ class SimulatedController:
                 self.stop("the program ran once")
 
     def _take(self) -> None:
-        """Step 5 of the cycle: apply the next message, or hold the last reference."""
+        """Apply the next message, or hold the last reference."""
         message = self.inbox.take(self.cycle)
         if standing := self.inbox.standing():
             self._event(0, f"{standing} {_SKIP}")

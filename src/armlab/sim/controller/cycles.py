@@ -15,10 +15,10 @@ _CATCH_UP = 25  # cycles in which the arm moves without packets after a stall
 
 @dataclass(frozen=True)
 class Timing:
-    """Time base: in lockstep, each cycle waits for its reply, otherwise for the clock. All times are in s.
+    """Time base of a run: in lockstep, each cycle waits for its reply, otherwise for the clock.
 
-    `seconds`: robot time at which the run ends. `patience`: timeout of a lockstep reply, after which the session ends.
-    `gone`: silence after which lockstep ends.
+    `seconds`: robot time at which the run ends [s]. `patience`: timeout of a reply in lockstep, after which the session
+    ends [s]. `gone`: duration of silence after which a lockstep run ends [s].
     """
 
     lockstep: bool = False
@@ -41,12 +41,12 @@ def run(
     alive: Callable[[], bool] = lambda: True,
     observe: Callable[[UdpClient], None] | None = None,
 ) -> str:
-    """Run until all controllers are over, the time is up, or `alive` returns False; return the reason as text.
+    """Run until all controllers are over, the time is up, or `alive` returns False; return the reason.
 
-    `observe` is called with a channel after its packet is built. All controllers have the same period.
+    `observe` is called with each channel after its packet is built. All controllers have the same period.
     """
     gc.collect()
-    gc.freeze()  # excluded from collections, which would cost cycles
+    gc.freeze()  # exclude existing objects from collections, whose pauses would cost cycles
     try:
         return (_lockstep if pace.lockstep else _real_time)(channels, pace, alive, observe or (lambda _: None))
     finally:
@@ -74,7 +74,7 @@ def _end(channels: Sequence[UdpClient], pace: Timing, alive: Callable[[], bool])
 def _lockstep(
     channels: Sequence[UdpClient], pace: Timing, alive: Callable[[], bool], observe: Callable[[UdpClient], None]
 ) -> str:
-    """Send the packet of each arm in turn, move the arms while the peer computes, then wait for the replies."""
+    """For each arm in turn, send its packet, move it while the peer computes, then wait for the reply."""
     while True:
         reason = _end(channels, pace, alive)
         if reason:
@@ -92,9 +92,7 @@ def _lockstep(
 def _real_time(
     channels: Sequence[UdpClient], pace: Timing, alive: Callable[[], bool], observe: Callable[[UdpClient], None]
 ) -> str:
-    """Keep the schedule ``t0 + k T + phase``; cycles missed by this process pass without packets, and are never sent in
-    a burst.
-    """
+    """Keep the schedule ``t0 + k T + phase``; cycles that this process misses pass without packets."""
     period = channels[0].controller.arm.period
     start = time.monotonic() + period
     due = {phase: start + phase for phase in sorted({channel.phase for channel in channels})}
@@ -126,9 +124,7 @@ def _real_time(
 
 
 def _miss(channels: Sequence[UdpClient], cycles: int) -> None:
-    """Let cycles pass without packets, and move the arm only in the first ones, because a long stall is not made up
-    for.
-    """
+    """Let cycles pass without packets; the arm moves only in the first `_CATCH_UP` cycles."""
     for channel in channels:
         channel.controller.statistics.counts["skipped"] += cycles
         for _ in range(min(cycles, _CATCH_UP)):

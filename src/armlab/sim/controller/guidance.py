@@ -1,9 +1,8 @@
 """Reference generation from messages: `ReferenceDecoder`, `Guidance` (joint mode), `ExternalAxes`.
 
-The reference generator is ABB's (3HAC073318-001, section 2.3); its filter is our own model
-(docs/theory/simulated_arm.md). Pose and path correction are for codec tests; the goal is the inverse-kinematics posture
-nearest to the planned one. A path correction shifts the posture at the start of guidance along y and z of the tool
-frame.
+The reference generator follows ABB (3HAC073318-001, section 2.3); its filter is our own model
+(docs/theory/simulated_arm.md). Pose and path modes serve to test codecs: the goal is the inverse-kinematics solution
+nearest to the planned joint positions. A path correction shifts the initial tool position along y and z of the tool.
 """
 
 from __future__ import annotations
@@ -40,12 +39,12 @@ class Guidance:
         self.begin()
 
     def begin(self) -> None:
-        """Start guidance from this posture: reset the ramp, the filters and the deviation."""
+        """Start guidance at the current position: reset the ramp, the filters and the deviation."""
         self._start, self._time = self.q, 0.0
         self._filters = [self.qd] * self._stages
 
     def follow(self, q_ref: np.ndarray | None, qd_ref: np.ndarray | None) -> None:
-        """Advance by one period towards a reference; default: hold the position, zero velocity."""
+        """Advance by one period towards a reference; None holds the position or sets zero velocity."""
         settings = self._settings
         self._time += settings.period
         wanted = np.zeros_like(self.q) if qd_ref is None else qd_ref
@@ -63,11 +62,11 @@ class Guidance:
         self.q = self.q + wanted * settings.period
 
     def lead(self, q: np.ndarray, qd: np.ndarray) -> None:
-        """Set the reference to the pose that a hand imposes."""
+        """Set the reference to the position and velocity imposed by a hand."""
         self.q, self.qd, self.utilization = q, qd, 0.0
 
     def let_go(self, q: np.ndarray, free: np.ndarray) -> None:
-        """Track the arm in uncontrolled joints, so that control can resume without a jump."""
+        """Set the reference of the joints in `free` to the measured position, so that control resumes smoothly."""
         self.q = np.where(free, q, self.q)
 
     def brake(self) -> None:
@@ -77,7 +76,7 @@ class Guidance:
         self.utilization = 0.0
 
     def violation(self) -> str:
-        """Return a sentence about the limit that the reference violates, or an empty string."""
+        """Return a description of the limit that the reference violates, or an empty string."""
         outside = self._outside(self.q, _OVERSHOOT)
         far = np.abs(self.q - self._start) > self._settings.max_deviation
         if outside.any():
@@ -87,14 +86,12 @@ class Guidance:
         return ""
 
     def refusal(self, q_ref: np.ndarray) -> str:
-        """Return a sentence about the joint whose received reference is out of bounds, or an empty string."""
+        """Return a description of the joint whose received reference is out of bounds, or an empty string."""
         outside = self._outside(q_ref, 0.0)
         return f"reference of {self._joint(outside)} out of bounds" if outside.any() else ""
 
     def _outside(self, q: np.ndarray, margin: float) -> np.ndarray:
-        """Return the mask of ABB's axes that are out of range; these equal the joints, except in robots with a parallel
-        rod.
-        """
+        """Return the mask of ABB's axes that are out of range; only a parallel rod makes them differ from joints."""
         axes = q if self._linkage is None else self._linkage.axes(q)
         return (axes < self._robot.q_min - margin) | (axes > self._robot.q_max + margin)
 
@@ -113,10 +110,7 @@ _FASTEST = 1.0  # rad/s
 
 
 class ExternalAxes:
-    """At most six external axes, which start at 0 rad and move with the controller's gain at up to 1 rad/s:
-
-    ``q += T k (q_ref - q)``.
-    """
+    """At most six external axes, from 0 rad at up to 1 rad/s: ``q += T k (q_ref - q)`` with the controller's gain."""
 
     def __init__(self, count: int, settings: ControllerSettings) -> None:
         if not 0 <= count <= _MOST:
@@ -124,7 +118,7 @@ class ExternalAxes:
         self.q, self._gain, self._period = np.zeros(count), settings.gain, settings.period
 
     def follow(self, q_ref: np.ndarray | None) -> None:
-        """Advance by one period; the axes hold if the references are None or too few."""
+        """Advance by one period; hold if the references are None or too few."""
         if q_ref is None or len(q_ref) < len(self.q):
             return
         qd = np.clip(self._gain * (q_ref[: len(self.q)] - self.q), -_FASTEST, _FASTEST)
@@ -136,13 +130,12 @@ _LARGEST_GAIN = 2.0
 
 
 class ReferenceDecoder:
-    """References of one motion task; q, qd and q_ext are initially None. RAPID variables persist across sessions.
+    """References of one motion task; RAPID variables persist across sessions.
 
-    `tau` is the added torque [N m]; `gain_q` and `gain_qd` scale the drive's gains in [0, 2].
+    `tau` is the added torque [N m]; `gain_q` and `gain_qd` are factors on the drive's gains, from 0 to 2.
     """
 
     rapid_data: np.ndarray
-
     q: np.ndarray | None
     qd: np.ndarray | None
     q_ext: np.ndarray | None
@@ -154,7 +147,7 @@ class ReferenceDecoder:
         self.begin(robot.q_home)
 
     def begin(self, q: np.ndarray) -> None:
-        """Clear all references, because a new session begins at posture q."""
+        """Clear all references for a new session that begins at joint positions `q`."""
         self.q = self.qd = self.q_ext = None
         self._start = q
         self.release()
@@ -172,7 +165,7 @@ class ReferenceDecoder:
         return bool((self.gain_q == 1).all() and (self.gain_qd == 1).all() and not self.tau.any())
 
     def read(self, message: SensorMessage, planned: np.ndarray) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """Return the references (q, qd) of a message; None if no posture reaches the pose. NaN is passed on."""
+        """Return the references (q, qd) of a message, which may be NaN; None if the pose is out of reach."""
         if self._mode == "joint":
             q = message.q if message.q_reference is None else message.q_reference
             qd = message.qd if message.qd_reference is None else message.qd_reference
@@ -196,7 +189,7 @@ class ReferenceDecoder:
         return found.q, np.linalg.pinv(chain.jacobian(planned), rcond=1e-3) @ twist
 
     def accept(self, message: SensorMessage, q: np.ndarray, qd: np.ndarray | None) -> None:
-        """Store the references and drive parameters of a message; absent fields are reset to their defaults."""
+        """Store the references and drive parameters of a message; missing drive parameters return to their defaults."""
         n = self._robot.n
         self.q, self.qd = q, qd
         if message.q_ext is not None:
@@ -210,7 +203,7 @@ class ReferenceDecoder:
         self.gain_qd = np.ones(n) if message.gain_qd is None else message.gain_qd.clip(0.0, _LARGEST_GAIN)
 
     def apply(self, drive: JointDrives | None) -> None:
-        """Pass torque and gains to the drives (None for an arm without masses)."""
+        """Set the torque and gains of the drives, which are None for an arm without masses."""
         if drive is None:
             return
         if self.is_plain:
@@ -219,13 +212,13 @@ class ReferenceDecoder:
             drive.assist(self.tau, self.gain_q, self.gain_qd)
 
     def release(self) -> None:
-        """End guidance, and restore the drive's own gains without added torque."""
+        """Restore the drive's own gains, without added torque."""
         n = self._robot.n
         self.tau, self.gain_q, self.gain_qd = np.zeros(n), np.ones(n), np.ones(n)
 
 
 def is_number(values: np.ndarray) -> bool:
-    """Return whether all values are finite and their sums cannot overflow."""
+    """Return whether all values are finite and small enough that sums cannot overflow."""
     return bool((np.abs(values) < _ABSURD).all())
 
 

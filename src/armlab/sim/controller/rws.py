@@ -1,8 +1,8 @@
 """Robot Web Services of the simulated controller: `VirtualController` keeps its state, `RwsServer` answers HTTP.
 
 RobotWare 6 uses RWS 1.0 (digest authentication, JSON with ``?json=1``); RobotWare 7 uses RWS 2.0 (TLS, basic
-authentication, ``application/hal+json;v=2.0``). Resources and return codes are those of public documents and programs;
-see docs/decisions/abb.md. RAPID is not interpreted; a started task with EGM instructions opens the EGM session.
+authentication, ``application/hal+json;v=2.0``). Resources and return codes follow public documents and programs; see
+docs/decisions/abb.md. RAPID is not interpreted: starting a task with EGM instructions opens its EGM session.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Any
 from urllib.parse import parse_qsl, quote, unquote, urlsplit
 
 from armlab.errors import LinkError, UnknownName
-from armlab.sim.events import MOTORS, RAPID
+from armlab.sim.events import MOTORS, RAPID, StateScript
 
 FAULTS = {
     "version": "RobotWare 6.05",
@@ -43,7 +43,7 @@ FAULTS = {
     "address": "the UDP devices send to another computer",
     "interface": "no external motion interface",
 }
-"""Selectable faults of the controller."""
+"""Selectable faults of the controller, with descriptions."""
 
 _TASKS = {"yumi_left": ("T_ROB_L", "armlab_l"), "yumi_right": ("T_ROB_R", "armlab_r")}
 _GUIDANCE = {"T_ROB1": "ArmlabJoint", "T_ROB_L": "ArmlabYumiL", "T_ROB_R": "ArmlabYumiR"}
@@ -72,7 +72,7 @@ _REJECTED = {
 
 
 class Rejected(Exception):
-    """Refused request, with the HTTP status, return code and text of the controller."""
+    """Rejected request, with the controller's HTTP status, return code and text."""
 
     def __init__(self, kind: str) -> None:
         super().__init__(kind)
@@ -92,8 +92,8 @@ class _Task:
     egm: bool = False  # set up since the program pointer was at main
 
 
-class _Live:
-    """State that requests can change, with the interface of `StateScript`."""
+class _Live(StateScript):
+    """State that requests can change."""
 
     def __init__(self, read: Callable[[], int]) -> None:
         self._read = read
@@ -149,7 +149,7 @@ class VirtualController:
         return any(task.runs for task in self.tasks)
 
     def scene(self, index: int) -> dict[str, Any]:
-        """Return the motor, RAPID and EGM state of a task as the simulated arm sees it."""
+        """Return the motor, RAPID and EGM state of a task as fields of `Surroundings`."""
         task = self.tasks[index]
         return {
             "motors": _Live(lambda: MOTORS["on" if self.state == "motoron" else "off"]),
@@ -250,13 +250,16 @@ class VirtualController:
 
 @dataclass(frozen=True)
 class _Request:
-    """Request: the groups of its route, its fields, and the session that sent it."""
+    """HTTP request with the groups of its route, its fields and its session."""
 
     groups: tuple[str, ...]
     form: Mapping[str, str]
     query: Mapping[str, str]
     body: bytes
     session: str
+
+
+_Answer = Callable[[VirtualController, _Request], Any]
 
 
 def _state(kind: str, name: str, /, **values: str) -> dict[str, Any]:
@@ -305,14 +308,8 @@ def _module_text(box: VirtualController, asked: _Request) -> list[dict[str, Any]
 
 
 def _load(box: VirtualController, asked: _Request) -> None:
-    _require_master(box, asked)
     path, replace = asked.form.get("modulepath", ""), asked.form.get("replace", "false")
     box.load(box.task(asked.groups[0]), path if path.startswith("$") else f"${path}", replace == "true")
-
-
-def _unload(box: VirtualController, asked: _Request) -> None:
-    _require_master(box, asked)
-    box.unload(box.task(asked.groups[0]), asked.form.get("module", ""))
 
 
 def _select(active: bool) -> Callable[[VirtualController, _Request], None]:
@@ -320,16 +317,6 @@ def _select(active: bool) -> Callable[[VirtualController, _Request], None]:
         box.task(asked.form.get("task") or "".join(asked.groups)).is_active = active
 
     return select
-
-
-def _reset(box: VirtualController, asked: _Request) -> None:
-    _require_master(box, asked)
-    box.reset_pointer()
-
-
-def _start(box: VirtualController, asked: _Request) -> None:
-    _require_master(box, asked)
-    box.start()
 
 
 def _request(box: VirtualController, asked: _Request) -> None:
@@ -357,11 +344,16 @@ def _held(box: VirtualController, asked: _Request) -> list[dict[str, Any]]:
     ]
 
 
-def _require_master(box: VirtualController, asked: _Request) -> None:
-    """RobotWare 7 requires mastership for each change; RobotWare 6 takes it implicitly if it is free."""
-    implicit = not box.is_rws2 or asked.query.get("mastership") == "implicit"
-    if box.holder != asked.session and not (implicit and not box.holder):
-        raise Rejected("master")
+def _mastered(change: Callable[[VirtualController, _Request], None]) -> _Answer:
+    """Return a change that requires mastership, which RobotWare 6 takes implicitly if it is free."""
+
+    def answer(box: VirtualController, asked: _Request) -> None:
+        implicit = not box.is_rws2 or asked.query.get("mastership") == "implicit"
+        if box.holder != asked.session and not (implicit and not box.holder):
+            raise Rejected("master")
+        change(box, asked)
+
+    return answer
 
 
 def _devices(box: VirtualController, _: _Request) -> list[dict[str, Any]]:
@@ -404,7 +396,6 @@ def _value(box: VirtualController, asked: _Request) -> list[dict[str, Any]]:
 
 
 def _set_value(box: VirtualController, asked: _Request) -> None:
-    _require_master(box, asked)
     box.values[box.symbol(asked.groups[0].split("/"))] = asked.form.get("value", "")
 
 
@@ -432,7 +423,6 @@ def _delete(box: VirtualController, asked: _Request) -> None:
         raise Rejected("file")
 
 
-_Answer = Callable[[VirtualController, _Request], Any]
 _ROUTES: tuple[tuple[str, str, str, _Answer], ...] = (  # method, RWS 1.0 with its action, RWS 2.0, answer
     ("GET", "/rw/system", "/rw/system", _system),
     ("GET", "/rw/panel/opmode", "/rw/panel/opmode", lambda b, _: [_state("pnl-opmode", "opmode", opmode=b.mode)]),
@@ -456,19 +446,29 @@ _ROUTES: tuple[tuple[str, str, str, _Answer], ...] = (  # method, RWS 1.0 with i
             _state("rap-execution", "execution", ctrlexecstate=("stopped", "running")[b.is_running], cycle="forever")
         ],
     ),
-    ("POST", r"/rw/rapid/execution\?start", "/rw/rapid/execution/start", _start),
+    ("POST", r"/rw/rapid/execution\?start", "/rw/rapid/execution/start", _mastered(lambda b, _: b.start())),
     ("POST", r"/rw/rapid/execution\?stop", "/rw/rapid/execution/stop", lambda b, _: b.stop()),
-    ("POST", r"/rw/rapid/execution\?resetpp", "/rw/rapid/execution/resetpp", _reset),
+    (
+        "POST",
+        r"/rw/rapid/execution\?resetpp",
+        "/rw/rapid/execution/resetpp",
+        _mastered(lambda b, _: b.reset_pointer()),
+    ),
     ("GET", "/rw/rapid/tasks", "/rw/rapid/tasks", _tasks),
     ("POST", r"/rw/rapid/tasks/(\w+)\?activate", "/rw/rapid/tasks/activate", _select(True)),
     ("POST", r"/rw/rapid/tasks/(\w+)\?deactivate", "/rw/rapid/tasks/deactivate", _select(False)),
-    ("POST", r"/rw/rapid/tasks/(\w+)\?loadmod", r"/rw/rapid/tasks/(\w+)/loadmod", _load),
-    ("POST", r"/rw/rapid/tasks/(\w+)\?unloadmod", r"/rw/rapid/tasks/(\w+)/unloadmod", _unload),
+    ("POST", r"/rw/rapid/tasks/(\w+)\?loadmod", r"/rw/rapid/tasks/(\w+)/loadmod", _mastered(_load)),
+    (
+        "POST",
+        r"/rw/rapid/tasks/(\w+)\?unloadmod",
+        r"/rw/rapid/tasks/(\w+)/unloadmod",
+        _mastered(lambda b, r: b.unload(b.task(r.groups[0]), r.form.get("module", ""))),
+    ),
     ("GET", "/rw/rapid/modules", r"/rw/rapid/tasks/(\w+)/modules", _modules),
     ("GET", r"/rw/rapid/modules/(\w+)\?module-text", r"/rw/rapid/tasks/(\w+)/modules/(\w+)/text", _module_text),
     ("POST", r"/rw/rapid/symbols\?search-symbols", "/rw/rapid/symbols/search", _symbols),
     ("GET", "/rw/rapid/symbol/data/RAPID/(.+)", "/rw/rapid/symbol/RAPID/(.+)/data", _value),
-    ("POST", r"/rw/rapid/symbol/data/RAPID/(.+)\?set", "/rw/rapid/symbol/RAPID/(.+)/data", _set_value),
+    ("POST", r"/rw/rapid/symbol/data/RAPID/(.+)\?set", "/rw/rapid/symbol/RAPID/(.+)/data", _mastered(_set_value)),
     ("GET", "/rw/mastership/rapid", "/rw/mastership/edit", _held),
     ("POST", r"/rw/mastership(?:/rapid)?\?request", "/rw/mastership(?:/edit)?/request", _request),
     ("POST", r"/rw/mastership(?:/rapid)?\?release", "/rw/mastership(?:/edit)?/release", _release),
@@ -498,7 +498,7 @@ class RwsServer:
             self._server = _QuietServer(("127.0.0.1", port), handler)
         except OSError as error:
             raise LinkError(
-                f"Expected a free TCP port for Robot Web Services, got {port}: {error.strerror}. Choose another."
+                f"Expected a free TCP port for Robot Web Services, got {port}: {error.strerror}. Choose another port."
             ) from None
         if box.is_rws2 and tls is not None:
             self._server.socket = tls.wrap_socket(self._server.socket, server_side=True, do_handshake_on_connect=False)
@@ -506,7 +506,7 @@ class RwsServer:
         threading.Thread(target=self._server.serve_forever, name="RWS", daemon=True, args=(0.1,)).start()
 
     def close(self) -> None:
-        """Stop answering."""
+        """Stop the server."""
         self._server.shutdown()
         self._server.server_close()
 
@@ -530,7 +530,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Log nothing, because headers contain credentials."""
 
     def do_GET(self) -> None:
-        """Answer one request of any method."""
+        """Answer a request of any method."""
         size = self.headers.get("Content-Length", "0")
         if not size.isdigit() or int(size[:12]) > _LARGEST:
             self.close_connection = True

@@ -38,21 +38,21 @@ _PERIODS = {"joint": 0.004032, "pose": 0.004032, "path": 0.024}  # s
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """RAPID and system parameters of a real controller; the defaults correspond to armlab's RAPID templates.
+    """RAPID and system parameters of the controller, with defaults from armlab's RAPID templates.
 
     Attributes
     ----------
     period : float
-        Time between two packets, and between two messages taken [s]. 0: 4.032 ms as on a real controller, or 24 ms for
-        path corrections, the default of RAPID's \\SampleRate.
+        Time between two packets, and between two messages taken [s]. 0 selects 4.032 ms as on a real controller, or
+        24 ms for path corrections, the default of RAPID's \\SampleRate.
     gain : float
-        k, the proportional position gain [1/s].
+        Proportional position gain k [1/s].
     filter : float
-        LpFilter, bandwidth of the speed filter [Hz].
+        LpFilter: bandwidth of the speed filter [Hz].
     level : int
-        Filter level: 0 filters once, 1 and 2 twice.
+        Filter level: 0 filters once, 1 and 2 filter twice.
     position_gain : float
-        g, PosCorrGain; 0 is pure velocity control.
+        PosCorrGain g; 0 selects pure velocity control.
     ramp_in : float
         RampInTime [s].
     max_deviation : float
@@ -60,28 +60,28 @@ class ControllerSettings:
     max_speed : float
         MaxSpeedDeviation [rad/s], limited to the speed of the robot's fastest joint.
     window : float
-        Half-width of the convergence window [rad]; 0: never converges.
+        Half-width of the convergence window [rad]; 0 disables convergence.
     condition_time : float
-        CondTime, time within the window that ends the session [s].
+        CondTime: time within the window that ends the session [s].
     comm_timeout : float
-        CommTimeout, duration of silence that ends the session [s].
+        CommTimeout: duration of silence that ends the session [s].
     stream : float
         Duration of streaming (MCI stopped) before guidance begins [s].
     restart : float
         Time from the end of a session to the next [s].
     program : str
-        "loop" starts another session when one ends, "once" does not. "stream" only streams, without guidance;
-        "lead-through" also streams, while a hand leads the arm.
+        "loop" starts another session when a session ends, "once" does not. "stream" only streams, without guidance.
+        "lead-through" streams while a hand leads the arm.
     stream_queue : str
         Treatment of messages that arrive while the controller only streams: "drop", or "keep" for the following
         guidance. The behaviour of a real controller is unknown.
     queue : str
-        Message taken by a cycle: "fifo" takes the oldest, as in ABB's manual; "newest" takes the newest and drops all
-        others.
+        Message taken by a cycle: "fifo" takes the oldest message, as in ABB's manual. "newest" takes the newest message
+        and drops all others.
     mode : str
-        Kind of guidance, and required content of messages: "joint" references, a "pose", or corrections of a "path".
+        Kind of guidance and required content of messages: "joint" references, a "pose", or corrections of a "path".
     activated : str
-        Mode prepared by RAPID; if it differs from `mode`, event 41826 occurs. None: the same.
+        Mode activated by RAPID; if it differs from `mode`, event 41826 occurs. None: the same mode.
 
     Raises
     ------
@@ -127,13 +127,13 @@ class ControllerSettings:
 
     @classmethod
     def abb_defaults(cls) -> ControllerSettings:
-        """Return ABB's default settings, with very low speed and sessions that end when the robot stands still."""
+        """Return ABB's default settings, with a very low speed and sessions that end when the robot stands still."""
         return cls(max_speed=math.radians(1.0), window=math.radians(0.5))
 
 
 @dataclass(frozen=True)
 class FaultRates:
-    """Fault rates of one direction.
+    """Rates of network faults in one direction.
 
     Attributes
     ----------

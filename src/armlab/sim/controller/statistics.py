@@ -1,4 +1,4 @@
-"""Statistics of the simulated controller on its peer, and the event log of one motion task."""
+"""Statistics on the peer of the simulated controller, and the event log of one motion task."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from armlab.wire.egm import Drop
 
-_WARM_UP = 1.0  # s excluded from all statistics of times: a peer's first reply may be slow
-_KEPT = 100_000  # newest times kept for the quantiles: bounded memory
+_WARM_UP = 1.0  # s; excluded from the timing statistics, because a peer's first replies may be slow
+_KEPT = 100_000  # number of latest times from which quantiles are computed
 
 
 class ControllerEvent(NamedTuple):
@@ -29,10 +29,10 @@ class ControllerEvent(NamedTuple):
 class Statistics:
     """Counters of one motion task.
 
-    Starved cycles found the queue empty; overtaken replies were replaced by newer ones. Skipped cycles passed without a
-    packet; overruns are skipped cycles caused by this process. Missed packets had no valid reply within one period;
-    duplicates repeat the number of the previous reply. The age of a reply is the number of cycles from its packet to
-    its use, at least 1. The first second is excluded from times, misses and overruns.
+    Starved cycles found the queue empty. Overtaken replies were replaced by newer replies. Skipped cycles passed
+    without a packet; overruns are skipped cycles caused by this process. Missed packets had no valid reply within one
+    period. Duplicates repeat the number of the previous reply. The age of a reply is the number of cycles from its
+    packet to its use, at least 1. Times, misses and overruns exclude the first second.
     """
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class Statistics:
         self._work: deque[float] = deque(maxlen=_KEPT)
 
     def trip(self, seconds: float, uptime: float) -> None:
-        """Record a round trip [s], measured from just before sending to the kernel's receive stamp of the reply."""
+        """Record a round-trip time [s], from just before sending to the kernel's time stamp of the reply."""
         if uptime > _WARM_UP:
             self._round_trips.append(seconds)
 
@@ -59,7 +59,7 @@ class Statistics:
         self.counts["missed"] += uptime > _WARM_UP
 
     def record_reply(self, rapid_data: np.ndarray | None, rapid_digital: bool | None, q_ext: np.ndarray | None) -> None:
-        """Record the RAPID values and references of external axes [rad] of a reply; None means not sent."""
+        """Record the RAPID values and external-axis references [rad] of a reply; None means not sent."""
         for name, values, kept in (("RAPID data", rapid_data, self.rapid), ("external axes", q_ext, self.external)):
             if values is not None:
                 self.counts[name] += 1
@@ -80,7 +80,7 @@ class Statistics:
             self.counts["overruns"] += overruns
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all statistics as plain numbers, for JSON; times in microseconds."""
+        """Return all statistics as numbers for JSON, with times in microseconds."""
         return {
             "counts": {name: count for name, count in sorted(self.counts.items()) if count},
             "drops": dict(sorted(self.drops.items())),
@@ -106,7 +106,7 @@ class Statistics:
         return text
 
     def text(self) -> str:
-        """Return everything except the events as lines of text, times in microseconds."""
+        """Return all statistics except the events as lines of text, with times in microseconds."""
         values = self.as_dict()
         values.pop("events")
         width = max(map(len, values))
@@ -118,7 +118,7 @@ class Statistics:
 
 
 def _quantiles(seconds: deque[float]) -> dict[str, float]:
-    """Return p50, p90, p99, p99.9 and max in microseconds; empty if there are no data."""
+    """Return the quantiles p50, p90, p99, p99.9 and max [us], or an empty dict if there are no data."""
     if not seconds:
         return {}
     names, shares = ("p50", "p90", "p99", "p99.9", "max"), (0.5, 0.9, 0.99, 0.999, 1.0)
@@ -126,14 +126,14 @@ def _quantiles(seconds: deque[float]) -> dict[str, float]:
 
 
 class EventLog:
-    """Event log of a robot; reports events and the first dropped datagram of each kind per session."""
+    """Event log of a robot, which reports events and the first dropped datagram of each kind per session."""
 
     def __init__(self, task: str, statistics: Statistics, on_event: Callable[[ControllerEvent], None] | None) -> None:
         self._task, self._statistics, self._on_event = task, statistics, on_event
         self.begin()
 
     def begin(self) -> None:
-        """Begin a session, so that each kind of drop is reported again."""
+        """Begin a session, in which each kind of drop is reported again."""
         self._told: set[str] = set()
 
     def tell(self, uptime: float, number: int, text: str) -> None:
@@ -144,7 +144,7 @@ class EventLog:
             self._on_event(event)
 
     def drop(self, uptime: float, drop: Drop, data: bytes) -> None:
-        """Count an invalid datagram; report the first of its kind."""
+        """Count an invalid datagram, and report the first of its kind."""
         self._statistics.drops[drop.reason] += 1
         if drop.reason not in self._told:
             self._told.add(drop.reason)

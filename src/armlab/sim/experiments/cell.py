@@ -1,6 +1,6 @@
 """Calibration cell with known ground truth: imperfect arm, camera, marker, force sensor and line scanner.
 
-Each experiment has its own generator, ``default_rng([seed, run])``, so equal numbers give equal data in tests,
+Each experiment has its own generator, ``default_rng([seed, run])``, so equal seeds and runs give equal data in tests,
 benchmarks and examples.
 """
 
@@ -19,9 +19,9 @@ from armlab.sim.experiments.sensors import CAMERA, MovingSights, Poses, Scanned,
 
 @dataclass(frozen=True, repr=False)
 class CalibrationCell(Shown):
-    """Calibration experiments with known ground truth; each method draws one.
+    """Calibration experiments with known ground truth, drawn by one method each.
 
-    An experiment holds the recorded data, the ground truth, and `given`, the arguments for the matching fit.
+    An experiment contains the recorded data, the ground truth, and `given`, the arguments for the matching fit.
 
     Attributes
     ----------
@@ -40,26 +40,26 @@ class CalibrationCell(Shown):
         robot: tuple[float, float] | None = None,
         wrong: int = 0,
     ) -> Poses:
-        """Draw poses of a robot (A) and of a marker in a camera (B), ``A X = Y B``.
+        """Draw poses A of a robot and B of a marker in a camera, with ``A X = Y B``.
 
         Parameters
         ----------
         run : number of the experiment.
         N : number of poses.
         tilt : largest tilt of the tool from one orientation [rad]; None: any orientation.
-        camera : noise of B (m, rad).
-        robot : noise of A (m, rad); None: exact.
+        camera : noise of B (position [m], rotation [rad]).
+        robot : noise of A (position [m], rotation [rad]); None: exact.
         wrong : number of outliers, the first poses of the marker: rotated by 10 degrees and moved by 50 mm.
         """
         return sensors.seen_poses([self.seed, run], N, tilt, camera, robot, wrong)
 
     def moving_hand_eye(self, run: int = 0, N: int = 60, *, jitter: float = 0.01) -> MovingSights:
-        """Draw two recordings of a moving arm: its joints at 250 Hz, and a camera with a jittering `clock`.
+        """Draw two recordings of a moving arm: its joint positions at 250 Hz, and a camera with a jittering `clock`.
 
         Parameters
         ----------
         run : number of the experiment.
-        N : number of images, ten per second.
+        N : number of images, at 10 Hz.
         jitter : jitter of the image times [s].
         """
         return moving_sights([self.seed, run, 1], self.clock(run, N, jitter=jitter))
@@ -97,23 +97,23 @@ class CalibrationCell(Shown):
         bias: bool = True,
         contacts: int = 0,
     ) -> Weighed:
-        """Draw orientations of a tool (RA) and readings (y) of a force sensor that carries 1 kg.
+        """Draw tool orientations RA and readings y of a force sensor that carries 1 kg.
 
         Parameters
         ----------
         run : number of the experiment.
         N : number of samples.
-        sigma : noise of forces [N].
+        sigma : noise of the forces [N].
         tilt : largest tilt of the tool from one orientation [rad]; None: any orientation.
-        torque : noise of torques [N m]; None: forces only.
-        unknown : draw an arbitrary direction of gravity.
-        bias : draw nonzero readings without load.
-        contacts : number of first samples with a contact of 20 N.
+        torque : noise of the torques [N m]; None: forces only.
+        unknown : whether to draw a random direction of gravity.
+        bias : whether to draw a sensor bias.
+        contacts : number of samples with a contact of 20 N, at the beginning.
         """
         return sensors.weighed([self.seed, run], N, sigma, tilt, torque, unknown, bias, contacts)
 
     def accelerometer(self, run: int = 0, N: int = 50, *, sigma: float = 0.02) -> Weighed:
-        """Draw orientations of a tool (RA) and readings (y) of an accelerometer at rest.
+        """Draw tool orientations RA and readings y of an accelerometer at rest.
 
         Parameters
         ----------
@@ -133,15 +133,15 @@ class CalibrationCell(Shown):
         harmonics: bool = False,
         wrong: int = 0,
     ) -> KinematicRun:
-        """Draw joint positions (q) of an IRB 2400 with kinematic errors, and measured tool poses (pose).
+        """Draw joint positions `q` of an IRB 2400 with kinematic errors, and measured tool poses `pose`.
 
         Parameters
         ----------
         run : number of the experiment.
         N : number of samples.
-        truth : "lpoe", errors in every frame of the arm; "dh", errors in every number of its table.
-        tool : use a nominal tool away from the flange.
-        harmonics : add joint errors of orders 1 and 2, 0.02 deg.
+        truth : "lpoe" for errors in every frame of the arm, "dh" for errors in every number of its DH table.
+        tool : whether the nominal tool is away from the flange.
+        harmonics : whether to add joint errors of orders 1 and 2 with amplitudes of about 0.02 deg.
         wrong : number of outliers, the first poses: rotated by 2 degrees and moved by 20 mm.
 
         Raises
@@ -149,12 +149,11 @@ class CalibrationCell(Shown):
         ConfigError : unknown `truth`.
         """
         if truth not in ("lpoe", "dh"):
-            raise ConfigError(f"Expected truth 'lpoe' or 'dh', got {truth!r}. Choose either.")
+            raise ConfigError(f"Expected truth 'lpoe' or 'dh', got {truth!r}.")
         return kinematics.kinematic_run(run, self.seed, N, truth, tool, harmonics, wrong)
 
     def distances(self, run: int = 0, N: int = 120) -> DistanceRun:
-        """Draw the same arm with a fixed point (anchor) and its distances from the tool (distance) with 0.05 mm of
-        noise.
+        """Draw the arm of `kinematics` with an anchor point and its distances from the tool, with 0.05 mm of noise.
 
         Parameters
         ----------
@@ -175,7 +174,7 @@ class CalibrationCell(Shown):
         return kinematics.dual_run(run, self.seed, N, wrong)
 
     def laser(self, run: int = 0, N: int = 60, *, size: float = 1.0, plates: int = 3, wrong: int = 0) -> Scanned:
-        """Draw poses of a tool (A) and lines (scans) that its scanner measures on flat plates (plane).
+        """Draw tool poses A and the lines `scans` that a scanner on the tool measures on flat plates `plane`.
 
         Parameters
         ----------
@@ -225,5 +224,5 @@ def cell(seed: int) -> CalibrationCell:
     ((20, 4, 4), (20, 4, 4))
     """
     if seed < 0:
-        raise ConfigError(f"Expected a seed of at least 0, got {seed}. Choose another one.")
+        raise ConfigError(f"Expected a seed of at least 0, got {seed}. Choose a larger seed.")
     return CalibrationCell(seed)

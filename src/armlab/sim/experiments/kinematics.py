@@ -1,7 +1,7 @@
 """Kinematic calibration experiments with known ground truth, drawn in the order of the code.
 
-The arm is an IRB 2400 with a perturbed table or perturbed frames, measured by poses, distances or a second arm. The
-truth is computed frame by frame, independently of the kernels used by the fits.
+The arm is an IRB 2400 with a perturbed DH table or perturbed frames, measured by poses, distances or a second arm. The
+truth is computed frame by frame, independently of the kernels that the fits use.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from armlab.lie import se3, so3
 from armlab.robots import Robot, from_local_poe
+from armlab.sim.experiments import sensors
 
 DEGREE = np.pi / 180.0
 ALPHA = np.array([-90.0, 0.0, -90.0, -90.0, 90.0, 0.0]) * DEGREE
@@ -29,7 +30,7 @@ TURN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class LocalArm:
-    """``T = F_1 exp(xi_1 q_1) ... F_{n+1}`` with joint errors: amplitudes (n, 2 m) of the orders 1 ... m."""
+    """``T = F_1 exp(xi_1 q_1) ... F_{n+1}``, with amplitudes (n, 2 m) of joint errors of orders 1 to m."""
 
     frames: np.ndarray
     screws: np.ndarray
@@ -48,7 +49,7 @@ class LocalArm:
 
 @dataclass(frozen=True, eq=False)
 class KinematicRun:
-    """Experiment: nominal robot, truth, joint positions, noisy and true poses, and a validation set."""
+    """Experiment with a nominal robot, the true arm, joint positions, noisy poses and a validation set."""
 
     noise: ClassVar[tuple[float, float]] = NOISE  # noise of the poses (m, rad)
     robot: Robot
@@ -64,7 +65,7 @@ class KinematicRun:
         return {"robot": self.robot, "q": self.q, "pose": self.pose}
 
     def error(self, T: np.ndarray) -> tuple[float, float]:
-        """Return the RMS errors of validation poses (200, 4, 4): distance [mm] and angle [deg]."""
+        """Return the RMS position error [mm] and angle error [deg] of validation poses (200, 4, 4)."""
         away = np.sum((T - self.pose_valid)[:, :3, 3] ** 2, axis=1)
         turn = so3.angle(T[:, :3, :3], self.pose_valid[:, :3, :3])
         return 1e3 * float(np.sqrt(np.mean(away))), float(np.sqrt(np.mean(turn**2))) / DEGREE
@@ -75,7 +76,7 @@ class KinematicRun:
 
 
 def dh_arm(table: tuple[np.ndarray, ...] = (OFFSET, D, A, ALPHA), tool: bool = False) -> LocalArm:
-    """Return the arm of a table (theta, d, a, alpha): ``A = Rz(q + theta) Tz(d) Tx(a) Rx(alpha)``, F = A(0)."""
+    """Return the arm of a DH table (theta, d, a, alpha): ``A = Rz(q + theta) Tz(d) Tx(a) Rx(alpha)``, F = A(0)."""
     frames = [_dh(*row) for row in zip(*table)]
     end = np.eye(4)
     end[:3, 3] = TOOL if tool else (0.0, 0.0, 0.0)
@@ -107,14 +108,12 @@ def moved(arm: LocalArm, shifts: np.ndarray, turns: np.ndarray) -> LocalArm:
 
 
 def noisy(T: np.ndarray, rng: np.random.Generator, noise: tuple[float, float] = NOISE) -> np.ndarray:
-    """Return noisy poses; all rotations are drawn first."""
-    turns = noise[1] * rng.standard_normal((len(T), 3))
-    shifts = noise[0] * rng.standard_normal((len(T), 3))
-    return se3.from_rp(T[:, :3, :3] @ so3.exp(turns), T[:, :3, 3] + shifts)
+    """Return poses with noise (m, rad), drawn first for all rotations."""
+    return sensors.noisy(rng, T, noise)
 
 
 def perturbed(rng: np.random.Generator, truth: str, tool: bool) -> LocalArm:
-    """Return the truth: "lpoe" perturbs every frame, "dh" every number of the table."""
+    """Return the true arm: "lpoe" perturbs every frame, "dh" every number of the table."""
     if truth == "dh":
         e = rng.standard_normal((6, 4)) * [0.1 * DEGREE, 5e-4, 5e-4, 0.1 * DEGREE]
         return dh_arm((OFFSET + e[:, 0], D + e[:, 1], A + e[:, 2], ALPHA + e[:, 3]), tool)
@@ -131,7 +130,7 @@ def kinematic_run(
     harmonics: bool = False,
     wrong: int = 0,
 ) -> KinematicRun:
-    """Return experiments K1 to K4 and K7: poses, or only their positions; see `CalibrationCell`."""
+    """Return experiment K1, K2, K3, K4 or K7; see `CalibrationCell.kinematics`."""
     rng = np.random.default_rng([seed, run])
     arm = perturbed(rng, truth, tool)
     q, q_valid = (rng.uniform(-np.pi, np.pi, (m, 6)) for m in (n, VALIDATION))
@@ -143,7 +142,7 @@ def kinematic_run(
 
 @dataclass(frozen=True, eq=False)
 class DistanceRun(KinematicRun):
-    """Arm with a fixed point (3,), its distances (N,) from the tool, and its initial `guess`."""
+    """Experiment with an anchor point (3,), its distances (N,) from the tool, and its initial `guess`."""
 
     noise_distance: ClassVar[float] = 5e-5  # m
     anchor: np.ndarray
@@ -157,7 +156,7 @@ class DistanceRun(KinematicRun):
 
 
 def distance_run(run: int, seed: int = 2300, n: int = 120) -> DistanceRun:
-    """Return experiment K5: an arm with tool, its fixed point and distances with 0.05 mm of noise."""
+    """Return experiment K5 with an anchor point and distances with 0.05 mm of noise."""
     rng = np.random.default_rng([seed, run])
     arm = perturbed(rng, "lpoe", True)
     q, q_valid = (rng.uniform(-np.pi, np.pi, (m, 6)) for m in (n, VALIDATION))
@@ -170,7 +169,7 @@ def distance_run(run: int, seed: int = 2300, n: int = 120) -> DistanceRun:
 
 
 def spoilt(pose: np.ndarray, rng: np.random.Generator, wrong: int, angle: float, length: float) -> np.ndarray:
-    """Return poses with outliers, the first of which are rotated and shifted in random directions."""
+    """Return poses of which the first are outliers, rotated and shifted in random directions."""
     pose = pose.copy()
     for T in pose[:wrong]:
         u, v = (w / np.linalg.norm(w) for w in rng.standard_normal((2, 3)))
@@ -181,7 +180,7 @@ def spoilt(pose: np.ndarray, rng: np.random.Generator, wrong: int, angle: float,
 
 @dataclass(frozen=True, eq=False)
 class DualRun:
-    """Experiment with two arms: nominal robots, truths, joint positions, poses of tool b relative to tool a."""
+    """Experiment with two nominal robots, the true arms, joint positions, and poses of tool b relative to tool a."""
 
     noise: ClassVar[tuple[float, float]] = NOISE  # noise of the poses (m, rad)
     robot_a: Robot
@@ -210,7 +209,7 @@ NOMINAL_PAIR = se3.from_rp(so3.exp([0.0, 0.0, np.pi]), [1.8, 0.0, 0.0])
 
 
 def dual_run(run: int, seed: int = 2400, n: int = 60, wrong: int = 0) -> DualRun:
-    """Return experiment K6: two arms whose tools face each other; outliers as in K7."""
+    """Return experiment K6 with two arms whose tools face each other, and outliers as in K7."""
     rng = np.random.default_rng([seed, run])
     arms = []
     for _ in range(2):

@@ -1,8 +1,8 @@
 """Sensor experiments with known ground truth: hand-eye at rest and in motion, force sensor, accelerometer, scanner.
 
 Random numbers are drawn in the order of the code. The line scanner hits plates e_j.x = 1 within 0.2 m. Scans are drawn
-in batches, so only their distribution follows the specification, not the individual samples. Scans nearly parallel to a
-plate, which the fit would reject, are redrawn.
+in batches; their distribution, but not each sample, follows the specification. Scans nearly parallel to a plate, which
+the fit would reject, are drawn again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MARKER = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Noisy poses of a robot and a marker, and the ground truth: X, Y, and both records without noise."""
+    """Noisy poses A of a robot and B of a marker, and the ground truth: X, Y, and the poses without noise."""
 
     A: np.ndarray
     B: np.ndarray
@@ -42,7 +42,7 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """Robot poses and points (N, 3, 3) of a marker, and the ground truth: X, Y, both records without noise."""
+    """Noisy robot poses A and marker points p (N, 3, 3), and the ground truth: X, Y, and both without noise."""
 
     A: np.ndarray
     p: np.ndarray
@@ -59,13 +59,13 @@ class Sights:
 
 
 def rotations(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Return rotations (count, 3, 3) of random quaternions."""
+    """Return random rotations (count, 3, 3), uniformly distributed."""
     q = rng.standard_normal((count, 4))
     return quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
 
 
 def tilted(rng: np.random.Generator, count: int, angle: float) -> np.ndarray:
-    """Return rotations (count, 3, 3) within `angle` of the identity."""
+    """Return rotations (count, 3, 3) within `angle` [rad] of a random rotation."""
     axes = rng.standard_normal((count, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     middle = rotations(rng, 1)[0]
@@ -73,7 +73,7 @@ def tilted(rng: np.random.Generator, count: int, angle: float) -> np.ndarray:
 
 
 def noisy(rng: np.random.Generator, T: np.ndarray, noise: tuple[float, float]) -> np.ndarray:
-    """Return noisy poses (N, 4, 4); all rotations are drawn first."""
+    """Return poses (N, 4, 4) with noise (m, rad), drawn first for all rotations."""
     R = T[:, :3, :3] @ so3.exp(noise[1] * rng.standard_normal((len(T), 3)))
     return se3.from_rp(R, T[:, :3, 3] + noise[0] * rng.standard_normal((len(T), 3)))
 
@@ -96,7 +96,7 @@ def seen_poses(
     robot: tuple[float, float] | None = None,
     wrong: int = 0,
 ) -> Poses:
-    """Return experiment H1; H2 with tilt [rad]; H3 with wrong first samples; H4 with robot noise."""
+    """Return experiment H1, or H2 with `tilt` [rad], H3 with `wrong` outliers, H4 with `robot` noise."""
     rng = np.random.default_rng(seed)
     RX, tX = rotations(rng, 1)[0], 0.1 * rng.standard_normal(3)
     RY, tY = rotations(rng, 1)[0], rng.standard_normal(3)
@@ -115,7 +115,7 @@ def seen_points(
     missing: float = 0.2,
     robot: tuple[float, float] | None = None,
 ) -> Sights:
-    """Return experiment H5: three LEDs, some of them hidden; optional robot noise."""
+    """Return experiment H5 with three LEDs, some of them hidden, and optional robot noise."""
     rng = np.random.default_rng(seed)
 
     def poses(count: int, size: float) -> np.ndarray:
@@ -134,12 +134,12 @@ def seen_points(
 RATE = 250.0  # Hz
 REACH = 0.7  # rad, in each direction
 SLOW, FAST = 0.05, 0.12  # Hz
-AHEAD = 0.2  # s between the first row of the arm and the first image
+AHEAD = 0.2  # s from the first row of the arm's recording to the first image
 
 
 @dataclass(frozen=True, eq=False)
 class MovingSights:
-    """Recordings of the joints q and of poses T_cam_marker during one motion, and the true poses."""
+    """Recordings of joint positions q and poses T_cam_marker during one motion, and the true poses."""
 
     robot: Robot
     arm: Table
@@ -150,7 +150,7 @@ class MovingSights:
 
 def moving_sights(seed: Any, looked: np.ndarray) -> MovingSights:
     """Return both recordings of a smooth motion of an IRB 2400, with images at the times `looked` (N,) [s]."""
-    from armlab.log import Column, Table  # lazy: a simulator that only sends starts without it
+    from armlab.log import Column, Table  # lazy: `armlab sim` starts without it
 
     rng, robot = np.random.default_rng(seed), load("irb2400")
     frequency, phase = rng.uniform(SLOW, FAST, robot.n), rng.uniform(-np.pi, np.pi, robot.n)
@@ -175,10 +175,10 @@ CONTACT = 20.0  # N
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """Orientations of a tool and readings of a sensor with a load, and the ground truth.
+    """Tool orientations and readings of a sensor with a load, and the ground truth.
 
-    `bias` is -R^T o of the specification, followed by the torque bias. `weight` is in base axes; `exact` holds the
-    readings without noise and contact, and `touched` the samples with contact.
+    `bias` is -R^T o of the specification, followed by the torque bias. `weight` is in base axes. `exact` contains the
+    readings without noise and contact; `touched` marks the samples with contact.
     """
 
     RA: np.ndarray
@@ -206,7 +206,7 @@ def weighed(
     bias: bool = True,
     contacts: int = 0,
 ) -> Weighed:
-    """Return experiment F1; F2 with `tilt` [rad]; F3 with `contacts`; F4 with `torque`; F5 with `unknown`."""
+    """Return experiment F1, or F2 with `tilt` [rad], F3 with `contacts`, F4 with `torque`, F5 with `unknown`."""
     rng = np.random.default_rng(seed)
     R = rotations(rng, 1)[0]
     weight = GRAVITY
@@ -231,7 +231,7 @@ def weighed(
 
 
 def touched(rng: np.random.Generator, y: np.ndarray, rows: Any) -> np.ndarray:
-    """Return readings with 20 N contacts in some rows (F3)."""
+    """Return readings with contacts of 20 N in some rows (F3)."""
     y = y.copy()
     y[rows, :3] += CONTACT * rotations(rng, len(y))[rows, 0]
     return y
@@ -256,7 +256,7 @@ FLATTEST = 0.06  # sine of the angle between plate and laser plane
 
 @dataclass(frozen=True, eq=False)
 class Scanned:
-    """Scans of plates, and the ground truth: sensor pose, normals, offsets, scans without noise."""
+    """Scans of plates, and the ground truth: sensor pose X, normals n, offsets d, and scans without noise."""
 
     A: np.ndarray
     scans: np.ndarray
@@ -279,9 +279,7 @@ def turns(angles: np.ndarray) -> np.ndarray:
 
 
 def scanned(seed: Any, N: int = 60, size: float = 1.0, plates: int = 3, wrong: int = 0) -> Scanned:
-    """Return experiment L1 with noise 0.5 mm times `size`, or L3 with the first `wrong` scans off by 20 mm and 10
-    degrees.
-    """
+    """Return experiment L1 with noise of `size` times 0.5 mm, or L3 with the first `wrong` scans as outliers."""
     rng = np.random.default_rng(seed)
     X = se3.from_rp(turns(rng.standard_normal(3)), 0.5 * rng.standard_normal(3))
     plane = np.arange(N) % plates
@@ -302,7 +300,7 @@ def scanned(seed: Any, N: int = 60, size: float = 1.0, plates: int = 3, wrong: i
 
 
 def hits(rng: np.random.Generator, X: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the tool poses and exact lines (n, 4) of the trials that hit plate j."""
+    """Return the tool poses and exact lines (n, 4) of random trials that hit plate j."""
     e = np.eye(3)[j]
     A = se3.from_rp(turns(1.5 * rng.standard_normal((TRIES, 3))), 0.6 * rng.standard_normal((TRIES, 3)) + 2 * e)
     S = A @ X
