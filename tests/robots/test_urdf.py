@@ -250,7 +250,7 @@ def test_refusals_of_arms_and_files(tmp_path: Path, tree: Tree) -> None:
     path, table = written(tmp_path, TWO_ARMS), tmp_path / "a.toml"
     robots.save(robots.load("dh_test"), table)
     none = "Expected a moving joint between '{}' and '{}' of the URDF text, got none"
-    only = "Expected base, tip and lock only with a URDF, got them with"
+    only = "Expected base, tip and lock only with a URDF, got base, tip or lock with"
     cases = [
         (RobotError, r"one moving branch below link 'body' of .*arm\.urdf, got several: cup, tip_a, tip_b\. Select",
          lambda: robots.load(path)),

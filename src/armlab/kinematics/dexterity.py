@@ -23,15 +23,15 @@ _ROWS = {"pose": slice(0, 6), "position": slice(0, 3), "rotation": slice(3, 6)}
 
 Task = Literal["pose", "position", "axis"]
 
-# of the twist in tool axes: the rotation about the tool's z axis comes last
+# rows of the twist in tool axes, in which the rotation about the tool's z axis comes last
 _TASK_ROWS = {"pose": 6, "position": 3, "axis": 5}
-_STEP = 0.02  # rad: the longest step of the integration
-_SHORTEST = 1e-7  # rad: curves that need shorter steps end
-_EXACT = 1e-12  # m and rad: residual of the correction, and rounding margin at the limits
-_DRIFT = 1e-4  # largest correction of a step over its length
-_MOST = 10**6  # points
-_FARTHEST = 1e3  # rad or m; a longer self-motion that is closed would repeat
-_SINGULAR = 1e-9  # of the largest singular value
+_STEP = 0.02  # longest integration step [rad]
+_SHORTEST = 1e-7  # shortest integration step [rad]
+_EXACT = 1e-12  # residual of the correction [m, rad], and rounding margin at the limits
+_DRIFT = 1e-4  # largest correction of a step, relative to its length
+_MOST = 10**6  # largest number of points
+_FARTHEST = 1e3  # largest length [rad or m]; a longer closed self-motion would repeat
+_SINGULAR = 1e-9  # relative to the largest singular value
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,7 +108,7 @@ def manipulability_gradient(robot: Robot, q: ArrayLike, part: Part = "pose") -> 
     """Return the derivative (..., n) of `manipulability` w with respect to the joints [unit of w per rad or m].
 
     ``dw/dq_k = sum over i of (u_i^T dJ/dq_k v_i) * product of the other singular values``, without division by small
-    singular values. In a singular posture, where w has a kink, it is one of the one-sided derivatives.
+    singular values. In a singular posture, where w has a kink, the result is a one-sided derivative.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ class SelfMotion(Shown):
     position_error : (N,) displacement of the tool point from the start [m]; at most 1e-9.
     rotation_error : (N,) rotation of the tool from the start [rad]; at most 1e-9. Task "axis": of its z axis
         only; task "position": 0.
-    end : why the motion ended: "length" (the full length was reached), "limit of joint k", "optimum" or "singular".
+    end : reason for the end: "length" (the full length was reached), "limit of joint k", "optimum" or "singular".
     """
 
     q: np.ndarray
@@ -238,10 +238,9 @@ def self_motion(
     Raises
     ------
     RobotError : if the robot has no redundant joint for the task, or is not a `Robot`.
-    SingularPoseError
-        If `q` is singular, `direction` is a sign although several directions exist, or `direction` has no
-        null-space component.
-    ShapeError : if `q` is not (n,), finite and inside the limits, or another argument does not match.
+    SingularPoseError : if `q` is singular, `direction` is a sign although several directions exist, or `direction` has
+        no null-space component.
+    ShapeError : if `q` is not (n,), finite and inside the limits, or if an argument is invalid.
     UnknownName : if `task` is unknown.
     """
     curve = _Curve(robot, _checked(robot, q, length, points, task), task)
@@ -281,8 +280,8 @@ class _Curve:
         s, Vt = np.linalg.svd(self.error(q)[1])[1:]
         if self.rank and s[self.rank - 1] <= _SINGULAR * s[0]:
             raise SingularPoseError(
-                f"Expected a regular start posture, got a singular one, {q.tolist()}, where the self-motion has no "
-                "unique tangent. Start close to it."
+                f"Expected a regular start posture, got the singular posture {q.tolist()}, where the self-motion "
+                "has no unique tangent. Start close to it."
             )
         if callable(direction):
             self.climbs = direction
@@ -295,12 +294,12 @@ class _Curve:
                 )
             wanted = direction * np.sign(Vt[-1, np.argmax(np.abs(Vt[-1]))]) * Vt[-1]
         else:
-            wanted = _vector(self.robot, direction, "direction (when it is neither 1 nor -1 nor a function)")
+            wanted = _vector(self.robot, direction, "direction (other than 1, -1 or a function)")
         along = self.projected(q, wanted)
         if np.linalg.norm(along) <= 1e-9 * np.linalg.norm(wanted):
             raise SingularPoseError(
                 "Expected a direction with a component along the self-motion, got a direction that only moves the "
-                "tool, or an objective at its optimum. Give another direction."
+                "tool, or an objective at its optimum. Pass a different direction."
             )
         return q, along / np.linalg.norm(along)
 

@@ -99,7 +99,7 @@ def forward_jacobian(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the pose of the tool and its Jacobian, ``T_base_tool(q)`` and ``J(q)``, in one pass along the arm.
 
-    The results equal those of `forward` and `jacobian` bit for bit, but take little more time than one of them.
+    The results equal those of `forward` and `jacobian` bit for bit, but take little more time than `jacobian` alone.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ _EXPLANATIONS = {
 Task = Literal["pose", "position", "axis", "direction"]
 Objective = Literal["posture", "mid_range", "limits", "manipulability"]
 ROWS = dict(zip(get_args(Task), (6, 3, 5, 2)))
-MOST_STEPS = 10**6  # per start; a history of this length takes 16 MB per goal
+MOST_STEPS = 10**6  # largest number of iterations per start; their history takes 16 MB per goal
 _KINDS = dict(zip(get_args(Objective), (1, 1, 2, 3)))
 _INTEGER, _NUMBER = (int, np.integer), (int, float, np.integer, np.floating)
 
@@ -52,14 +52,15 @@ def inverse(
     The solver takes Levenberg-Marquardt steps ``dq = J^T (J J^T + lambda I)^-1 e`` with ``lambda = damping |e|^2`` and
     ``e = [p_goal - p; log(R_goal R^T)]``, where metres are scaled by three over the length of the arm. Joints that
     would leave their limits are held there while the other joints compensate. If the search stalls, it restarts from a
-    table of random postures, those with the tool closest to the goal first. The result is always within the limits.
+    table of random postures, beginning with those that place the tool closest to the goal. The result is always within
+    the limits.
 
     Parameters
     ----------
     robot : the arm.
     T_base_tool : (..., 4, 4) goals: poses of the tool in the base.
-    q0 : (n,) or (..., n) initial guess [rad or m], one posture or one per goal; clipped to the limits. None: the home
-        posture or a random one, whichever places the tool closer to the goal.
+    q0 : (n,) or (..., n) initial posture [rad or m], for all goals or for each goal; clipped to the limits. Default:
+        the home posture or a random posture, whichever places the tool closer to the goal.
     task : "pose", "position" (of the tool point), "axis" (position and direction of a tool axis) or "direction" (of
         that axis only).
     axis : (3,) tool axis for the tasks "axis" and "direction", in the tool frame.
@@ -70,7 +71,7 @@ def inverse(
         "limits": the largest ``|x|``, smoothed: ``log(sum of exp(s x) + exp(-s x)) / s`` with s = 1000, plus a
         thousandth of "mid_range";
         "manipulability": ``-log(det(J J^T)) / 2`` of the task rows of the Jacobian.
-    posture : (n,) or (..., n) target; only with the objective "posture". None: `q0`, or else the home posture.
+    posture : (n,) or (..., n) target of the objective "posture"; default: `q0`, or the home posture without `q0`.
     tol : position tolerance [m] and rotation tolerance [rad]; one number for both, or a pair.
     maxiter : iterations per start, 0 to 1 000 000; if all starts fail, the best continues for as many again.
     starts : maximum number of starts; 1: only `q0`.
@@ -82,19 +83,18 @@ def inverse(
 
     Returns
     -------
-    IkSolution with arrays of the batch shape; for unsolved goals, it holds the posture with the smallest error and the
-    reason.
+    IkSolution with arrays of the batch shape. For unsolved goals, it contains the posture with the smallest error and
+    the reason.
 
     Raises
     ------
-    ShapeError
-        If a goal is not a pose or not finite (its index is reported), or `q0`, `axis` or `posture` does not match.
+    ShapeError : if a goal is not a pose or not finite (the message states its index), or if `q0`, `axis` or `posture`
+        has the wrong shape.
     UnknownName : if `task` or `objective` is unknown.
     RobotError : if `robot` is not a `Robot`.
     ConfigError : if `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of range, or `posture` is given
         without its objective.
-    NotConverged
-        With `strict`, if a goal is not solved; `best` is the `IkSolution`.
+    NotConverged : with `strict`, if a goal is not solved; `best` is the `IkSolution`.
 
     References
     ----------
@@ -142,7 +142,7 @@ class IkSolution:
     slope : (...) norm of the objective gradient along the self-motion of the joints inside their limits; NaN without
         an objective or a solution.
     history : (..., maxiter + 1, 2) smallest errors so far [m, rad] after each step of the descent that produced `q`
-        (the continued best start if all starts failed), then NaN; None unless requested.
+        (the continued best start if all starts failed), then NaN; None without `history`.
     """
 
     q: np.ndarray
@@ -230,7 +230,7 @@ def kernel_objective(
     robot: Robot, name: Objective | None, posture: ArrayLike | None, q0: ArrayLike | None
 ) -> tuple[int, ArrayLike | None, np.ndarray | None]:
     if posture is not None and name != "posture":
-        raise ConfigError(f'Expected objective="posture" with a posture, got objective={name!r}. Omit one.')
+        raise ConfigError(f'Expected objective="posture" with a posture, got objective={name!r}. Omit one of them.')
     if name is None or name == "manipulability":
         return _KINDS.get(name or "", 0), None, None
     if name == "posture":

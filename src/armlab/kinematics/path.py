@@ -16,12 +16,12 @@ from armlab.kinematics.inverse import REASONS, ROWS, Objective, Task, check_sear
 from armlab.robots import Robot
 
 _TEXTS = np.array(["jump" if reason == "bound" else reason for reason in REASONS])
-ATTEMPTS = 10  # breaks per path for which detours are tried
-CANDIDATES = 32  # starts at a break: half near the previous row, half anywhere
-SPREAD = 0.6  # rad: standard deviation of the starts near the previous row
-LOOK_BACK, LOOK_AHEAD = 1000, 1000  # rows
+ATTEMPTS = 10  # number of breaks per path for which detours are tried
+CANDIDATES = 32  # number of starts at a break: half near the previous row, half anywhere
+SPREAD = 0.6  # standard deviation of the starts near the previous row [rad]
+LOOK_BACK, LOOK_AHEAD = 1000, 1000  # numbers of rows
 NEAR = 1  # kernel objective "posture"
-TOGETHER = 1e-6  # rad: postures closer than this are equal
+TOGETHER = 1e-6  # distance below which postures are equal [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class IkPath:
         "singular": no joint reduces the error;
         "jump": the pose is reached on this branch, but further than `max_step` from the previous row;
         "iterations": the error was still falling at the iteration limit.
-    branch_changes : (k,) indices of the rows at which the path breaks and continues on another branch.
+    branch_changes : (k,) indices of the rows at which the path breaks and continues on a different branch.
     iterations : (N,) number of descent iterations.
     """
 
@@ -96,21 +96,21 @@ def inverse_path(
     Every pose is solved as in `inverse`, starting from the previous row and its last step. Joints therefore stay on
     their branch and keep their direction of motion through singular postures. Near singular postures, damping and the
     step limit bound the joint motion; random starts around the previous row help if the descent stalls. If the path
-    breaks, the row states the reason. The path then continues on the same branch, or on another one from a row listed
-    in `IkPath.branch_changes`.
+    breaks, the row states the reason. The path then continues on the same branch, or on a different branch from a row
+    listed in `IkPath.branch_changes`.
 
     Parameters
     ----------
     robot : the arm.
     T_base_tool : (N, 4, 4) consecutive poses of the tool in the base.
-    q0 : (n,) posture near the first row [rad or m]. None: the home posture or a random one.
+    q0 : (n,) posture near the first row [rad or m]; default: the home posture or a random posture.
     max_step : largest joint step between rows [rad or m], one number or (n,), for example the speed limit times the
-        period. None: 0.05 rad plus five times the length of the pose step (in rad; metres are scaled by three over the
-        length of the arm).
-    objective, posture : as in `inverse`, for every row. None: minimise the motion between rows; a closed path may then
-        end in a different posture from where it began. With an objective, each row depends only on its pose as long as
-        the minimum does not jump, so a closed path is also closed in joint space.
-    task, axis, tol, maxiter, starts, damping : as in `inverse`; `starts` applies to the search for another branch.
+        period. Default: 0.05 rad plus five times the length of the pose step (in rad; metres are scaled by three over
+        the length of the arm).
+    objective, posture : as in `inverse`, for every row. Default: minimise the motion between rows; a closed path may
+        then end in a posture that differs from the start. With an objective, each row depends only on its pose if the
+        minimum does not jump, so a closed path is also closed in joint space.
+    task, axis, tol, maxiter, starts, damping : as in `inverse`; `starts` applies to the search for a new branch.
     strict : raise an exception if the path breaks.
 
     Returns
@@ -119,13 +119,11 @@ def inverse_path(
 
     Raises
     ------
-    ShapeError : if the poses are not (N, 4, 4), valid and finite, or another argument does not match.
+    ShapeError : if the poses are not (N, 4, 4), valid and finite, or if an argument has the wrong shape.
     UnknownName : if `task` or `objective` is unknown.
     RobotError : if `robot` is not a `Robot`.
-    ConfigError
-        If `tol`, `maxiter`, `starts` or `damping` is out of range, or `posture` is given without its objective.
-    NotConverged
-        With `strict`, if the path breaks; `best` is the `IkPath`.
+    ConfigError : if `tol`, `maxiter`, `starts` or `damping` is out of range, or if `posture` lacks its objective.
+    NotConverged : with `strict`, if the path breaks; `best` is the `IkPath`.
     """
     from armlab.kernels import follow_path
 
@@ -185,9 +183,9 @@ class Rows(NamedTuple):
 
 
 Follow = Callable[[np.ndarray, np.ndarray, int, np.ndarray | None, np.ndarray | None], Rows]
-"""(T, q0, objective, its reference, its scale) -> rows"""
+"""Function ``(T, q0, objective, reference, scale) -> rows``."""
 Solve = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""(T (4, 4), q0 (k, n)) -> solutions (k, n), success (k,)"""
+"""Function ``(T (4, 4), q0 (k, n)) -> solutions (k, n), success (k,)``."""
 
 
 def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve: Solve) -> Rows:

@@ -21,28 +21,25 @@ RAMP_TIME = 0.1
 """Time [s] in which the default acceleration limit reaches the speed limit."""
 
 LIKE_DEGREES = (8.0 * np.pi, 500.0)
-"""Limits between these values [rad] are usually degrees; few axes have four revolutions, and ABB's reach 96."""
+"""Limits between these values [rad] are usually in degrees: few axes exceed four revolutions, and ABB axes reach 96."""
 SCREW_TOLERANCE = 1e-9
-"""Tolerance of a joint screw relative to a unit axis without pitch."""
+"""Largest error of the length and of the pitch of a unit screw without pitch."""
 
 
 class Details(TypedDict, total=False):
-    """Builder arguments in addition to the geometry (see `Robot`), and their defaults.
+    """Arguments of the builders in addition to the geometry (see `Robot`), and their defaults.
 
     Attributes
     ----------
-    q_min, q_max, qd_max : infinite.
-    qdd_max : `qd_max` reached in `RAMP_TIME`.
-    q_home : zero, moved inside the limits.
+    q_min, q_max, qd_max, tau_max : infinite.
+    qdd_max : acceleration that reaches `qd_max` in `RAMP_TIME`.
+    q_home : zero, or the limit closest to zero.
     joint_names : joint_1, joint_2 ...
     T_base_mount, T_flange_tool, coupling : identity.
     gravity : `GRAVITY`.
     abb_axes : 1, 2 ... n.
-    side, source : empty.
-    tau_max : infinite.
-    inertias : None.
-    meshes : none.
-    drives : unknown.
+    side, source, meshes : empty.
+    inertias, drives : unknown.
     """
 
     q_min: ArrayLike
@@ -67,14 +64,14 @@ class Details(TypedDict, total=False):
 def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, **details: Unpack[Details]) -> Robot:
     """Return the robot with revolute or prismatic joints along z between constant poses.
 
-    ``T_mount_flange = L_0 Z_1(q_1) L_1 ... Z_n(q_n) L_n``. Warns about revolute limits that look like degrees.
+    ``T_mount_flange = L_0 Z_1(q_1) L_1 ... Z_n(q_n) L_n``. A warning reports revolute limits that look like degrees.
 
     Parameters
     ----------
     name : name of the robot.
-    links : (n+1, 4, 4) the poses L.
-    prismatic : (n,) bool, default all revolute.
-    **details : limits, mount, tool and more, see `Details`.
+    links : (n+1, 4, 4) poses L.
+    prismatic : (n,) bool; default: all revolute.
+    **details : limits, mount, tool and more; see `Details`.
 
     Raises
     ------
@@ -131,21 +128,21 @@ def from_dh(
     Standard: ``A_j = Rz(theta_j) Tz(d_j) Tx(a_j) Rx(alpha_j)``.
     Modified: ``A_j = Rx(alpha_j) Tx(a_j) Rz(theta_j) Tz(d_j)``, with alpha and a as printed in row j (alpha_{j-1} and
     a_{j-1} in Craig's notation). ``theta_j = offset_j + q_j``; the position of a prismatic joint is added to d_j
-    instead. Warns about angles of more than one revolution and revolute limits that look like degrees.
+    instead. Warnings report angles of more than one revolution and revolute limits that look like degrees.
 
     Parameters
     ----------
     name : name of the robot.
     alpha, a, d, offset : (n,) columns of the table [rad, m, m, rad]; a scalar applies to all rows.
-    prismatic : (n,) bool, default all revolute.
-    modified : True for the modified convention.
-    **details : limits, mount, tool and more, see `Details`.
+    prismatic : (n,) bool; default: all revolute.
+    modified : whether the table follows the modified convention.
+    **details : limits, mount, tool and more; see `Details`.
 
     Raises
     ------
     RobotError : if the columns have different lengths, contain NaN, or the numbers are inconsistent.
     """
-    if not isinstance(modified, bool | np.bool_):  # the text "standard" is truthy
+    if not isinstance(modified, bool | np.bool_):  # the string "standard" is truthy
         raise RobotError(f"Expected modified of robot {name!r} to be True or False, got {modified!r}.")
     alpha, a, d, offset = _columns(name, alpha=alpha, a=a, d=d, offset=offset)
     for key, angles in (("alpha", alpha), ("offset", offset)):
@@ -162,18 +159,16 @@ def from_dh(
     return from_links(name, links, prismatic, **details)
 
 
-_NEAR, _STEPS = (
-    0.06,
-    (0.25, 0.5, 0.75, 1.0, 1.25),
-)  # sufficient conditioning; search radius of homes, rad or share of the range
+_NEAR = 0.06  # sufficient inverse condition number of a home posture
+_STEPS = (0.25, 0.5, 0.75, 1.0, 1.25)  # search radii, as fractions of the room around the middle
 _TRIES = 64
 
 
 def dexterous_home(robot: Robot) -> np.ndarray:
-    """Return a non-singular posture (n,) near the middle of all ranges if there is one.
+    """Return a non-singular posture (n,) near the middle of all ranges, if the search finds it.
 
-    Selects, from random postures near the middle, the one with the best-conditioned Jacobian (lengths divided by the
-    reach). Joints without a range start at 0.
+    It has the best-conditioned Jacobian (lengths divided by the reach) of the random postures near the middle. Joints
+    without a range start at 0.
     """
     limited = np.isfinite(robot.q_min) & np.isfinite(robot.q_max)
     low, high = np.where(limited, robot.q_min, 0.0), np.where(limited, robot.q_max, 0.0)
@@ -234,7 +229,7 @@ def _doubt(what: str) -> None:
 
 
 def _screw_z(angle: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Rz(angle) Tz(shift), (n, 4, 4)."""
+    """Return Rz(angle) Tz(shift) (n, 4, 4)."""
     T = np.tile(np.eye(4), (len(angle), 1, 1))
     c, s = np.cos(angle), np.sin(angle)
     T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1] = c, -s, s, c
@@ -243,7 +238,7 @@ def _screw_z(angle: np.ndarray, shift: np.ndarray) -> np.ndarray:
 
 
 def _screw_x(angle: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Rx(angle) Tx(shift), (n, 4, 4)."""
+    """Return Rx(angle) Tx(shift) (n, 4, 4)."""
     T = np.tile(np.eye(4), (len(angle), 1, 1))
     c, s = np.cos(angle), np.sin(angle)
     T[:, 1, 1], T[:, 1, 2], T[:, 2, 1], T[:, 2, 2] = c, -s, s, c
@@ -270,9 +265,9 @@ def from_poe(name: str, screws: ArrayLike, T_home: ArrayLike, **details: Unpack[
     Parameters
     ----------
     name : name of the robot.
-    screws : (n, 6) xi [v; w] in the frame of the mount; w = 0 makes a prismatic joint.
-    T_home : (4, 4) the flange at q = 0.
-    **details : limits, mount, tool and more, see `Details`.
+    screws : (n, 6) xi [v; w] in the frame of the mount; w = 0 for a prismatic joint.
+    T_home : (4, 4) pose of the flange in the mount at q = 0.
+    **details : limits, mount, tool and more; see `Details`.
 
     Raises
     ------
@@ -294,8 +289,8 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
     ----------
     name : name of the robot.
     poses : (n+1, 4, 4) ``A_1 ... A_n, A_flange``.
-    screws : (n, 6) xi [v; w], each in the frame of its A; w = 0 makes a prismatic joint.
-    **details : limits, mount, tool and more, see `Details`.
+    screws : (n, 6) xi [v; w], each in the frame of its A; w = 0 for a prismatic joint.
+    **details : limits, mount, tool and more; see `Details`.
 
     Raises
     ------
@@ -310,7 +305,7 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
     _check_screws(name, screws)
     v, w = screws[:, :3], screws[:, 3:]
     axes = np.where(w.any(axis=1, keepdims=True), w, v)
-    # exp(xi q) = C Z(q) C⁻¹, C at the point of the axis nearest to the origin; 0 for prismatic joints
+    # exp(xi q) = C Z(q) C⁻¹, with C at the point of the axis nearest to the origin, or at 0 for a prismatic joint
     frames = se3.from_rp(frames_along(axes), np.cross(w, v))
     links = poses.copy()
     links[:-1] = links[:-1] @ frames
@@ -321,7 +316,7 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
 def to_local_poe(robot: Robot) -> LocalPoe:
     """Return the robot as a local product of exponentials, including mount and tool.
 
-    A_j ends at the frame where joint j + 1 begins, so ``xi_j = Ad(E_j⁻¹) e`` with the z axis e of joint j.
+    A_j ends at the frame in which joint j + 1 begins, so ``xi_j = Ad(E_j⁻¹) e``, where e is the z axis of joint j.
 
     Parameters
     ----------
@@ -348,7 +343,7 @@ def normalise_screw(screw: ArrayLike, keep_pitch: bool = False) -> np.ndarray:
     Parameters
     ----------
     screw : (..., 6) [v; w].
-    keep_pitch : keep the part of v along w.
+    keep_pitch : whether to keep the part of v along w.
 
     Raises
     ------

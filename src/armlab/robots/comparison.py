@@ -1,4 +1,4 @@
-"""Textual differences between two robot descriptions, and the error for a file that belongs to another robot."""
+"""Textual differences between two robot descriptions, and the error for a file of a different robot."""
 
 from __future__ import annotations
 
@@ -22,14 +22,16 @@ _PLAIN = {"gravity": "gravity [m/s^2]", "coupling": "gears", "abb_axes": "ABB's 
 
 
 def differences(robot: Robot, other: Robot) -> tuple[str, ...]:
-    """List the differences between two robots, one phrase each: geometry first, names last.
+    """Return the differences between two robots, one phrase each: geometry first, names last.
 
     Parameters
     ----------
-    robot : Robot
-        Robot whose values come first in each phrase.
-    other : Robot
-        Robot whose values follow after "not".
+    robot : robot whose values come first in each phrase.
+    other : robot whose values follow "not".
+
+    Raises
+    ------
+    RobotError : an argument is not a `Robot`.
     """
     for one in (robot, other):
         if not isinstance(one, Robot):
@@ -57,10 +59,9 @@ def differences(robot: Robot, other: Robot) -> tuple[str, ...]:
 
 
 def check_same(robot: Robot, what: str, name: str, digest: str, other: Robot | None, advice: str) -> None:
-    """Raise `ModelMismatchError` unless a robot is the one that a file belongs to.
+    """Raise `ModelMismatchError` unless a file, named by `what`, belongs to a robot.
 
-    `what`: the file and its kind; `name`, `digest`: name and hash of its robot; `other`: that robot, as far as the file
-    describes it; `advice`: the remedy.
+    The file states the name and the hash `digest` of its robot, and may describe it (`other`); `advice` is the remedy.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)

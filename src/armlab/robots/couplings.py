@@ -54,7 +54,8 @@ def motor_to_joint(robot: Robot, values: ArrayLike) -> np.ndarray:
     robot : robot whose `coupling` is G.
     values : (..., n) in kinematic order.
     """
-    return _through(robot.coupling, _values(robot, values))
+    values = _values(robot, values)
+    return _through(robot.coupling, values)
 
 
 def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:

@@ -33,20 +33,20 @@ def load(
     """Load a robot from the library by name, or from a TOML or URDF file.
 
     Other names, such as ``panda_description``, are looked up in the packages ``robot_descriptions`` and
-    ``example-robot-data`` if these are installed (extra ``robots``).
+    ``example-robot-data`` if they are installed (extra ``robots``).
 
     Parameters
     ----------
     name : a name from `names()` or from these packages, or the path of a file that ends in ``.toml`` or ``.urdf``.
     base, tip : first and last link of the arm in a URDF, see `urdf.Tree.chain`; default: the root, and the only moving
         tip.
-    lock : positions [rad or m] of URDF joints that are held, so that the links behind them keep their mass.
+    lock : positions [rad or m] of locked URDF joints, by name; the links behind a locked joint keep their mass.
 
     Raises
     ------
-    UnknownName : if the robot, or a link or joint of the URDF, does not exist; lists the available names.
-    RobotError : if the file is missing or inconsistent; names file, joint or line, and value. Also when several
-        branches of a URDF move and the tip is missing; lists the tips.
+    UnknownName : if the robot, or a link or joint of the URDF, does not exist; the message lists the available names.
+    RobotError : if the file is missing or inconsistent, or if several branches of a URDF move and the tip is missing;
+        the message states the file, the joint or line, and the value, or lists the tips.
     """
     if not isinstance(name, str | Path):
         raise UnknownName.among("robot", str(name), names())
@@ -56,7 +56,7 @@ def load(
 
         return urdf.read(path).chain(base, tip, lock=lock)
     if not (base is tip is lock is None):
-        raise RobotError(f"Expected base, tip and lock only with a URDF, got them with {name}. Omit them.")
+        raise RobotError(f"Expected base, tip and lock only with a URDF, got base, tip or lock with {name}. Omit them.")
     return _from_library(str(name)) if path is None else _from_file(path)
 
 
@@ -117,7 +117,7 @@ def _of_robot_descriptions(name: str) -> Path | None:
 
 
 def _of_example_robot_data(name: str) -> Path | None:
-    """Return a URDF by its name, or by its folder, if this contains a URDF of the same name or a single URDF."""
+    """Return a URDF by its name, or by a folder that contains a URDF of the same name or a single URDF."""
     files = _example_robot_data()
     inside = [path for path in files.values() if f"/{name}/" in path.as_posix()]
     own = [path for path in inside if path.stem == name.removesuffix("_description")]
@@ -199,7 +199,7 @@ def from_toml(text: str, origin: str) -> Robot:
 
     Raises
     ------
-    RobotError : the text is inconsistent; names origin, joint or line, and value.
+    RobotError : the text is inconsistent; the message states the origin, the joint or line, and the value.
     """
     if not isinstance(text, str):
         raise RobotError(f"Expected the text of a robot file, got {shortened(text)}. For a file, call robots.load.")

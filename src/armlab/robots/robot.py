@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from armlab.kernels import Chain, InverseSolver, RigidBody
 
 _YUMI_AXES = (1, 2, 7, 3, 4, 5, 6)
-_PARALLEL = 0.03  # axes at a smaller angle [rad] are drawn as parallel
+_PARALLEL = 0.03  # angle [rad] below which axes are drawn as parallel
 MOST_JOINTS = 32  # capacity of the compiled kernels
-MOMENT_TOLERANCE = 1e-6  # negative principal moments up to this share of the largest are rounding
-SMALLEST_RADIUS = 1e-6  # m; or up to the moment of the whole mass at this radius
+MOMENT_TOLERANCE = 1e-6  # fraction of the largest principal moment: smaller negative moments are rounding
+SMALLEST_RADIUS = 1e-6  # radius [m]: moments below that of the whole mass at this radius are rounding
 DRIVES = ("friction", "damping", "rotor", "ripple", "noise")
 """Drive parameters of a description: Coulomb friction [N m], viscous friction [N m s/rad], rotor inertia [kg m^2],
-amplitude of the torque ripple and standard deviation of the torque signal [N m]. All are on the joint side, and forces
-for prismatic joints."""
+amplitude of the torque ripple and standard deviation of the torque signal [N m]. All refer to the joint side; prismatic
+joints have the corresponding linear units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Robot:
 
     ``T_base_tool(q) = E_0 Z_1(q_1) E_1 Z_2(q_2) ... Z_n(q_n) E_n`` with ``Z(q) = Rz(q)`` for a revolute joint and
     ``Tz(q)`` for a prismatic joint; ``E_0 ... E_n`` are `frames`. *Link frame* i is ``E_0 Z_1 ... E_{i-1} Z_i``: its z
-    axis is joint axis i. Arrays are read-only; robots are equal when all their fields are.
+    axis is joint axis i. Arrays are read-only; robots are equal if all their fields are equal.
 
     Attributes
     ----------
@@ -54,14 +54,14 @@ class Robot:
     side : "left", "right" or "".
     source : sources of the numbers.
     tau_max : (n,) limits of torque or force [N m or N]; infinite where unlimited.
-    inertias : (n, 10) of each link in its link frame, about its origin (see `robots.inertia`), or None when unknown.
+    inertias : (n, 10) inertial parameters of each link in its frame (see `robots.inertia`); None: unknown.
     meshes : n + 1 tuples of `Mesh`: for the mount in its frame, then for links 1 ... n, each in its link frame; or
         empty.
-    drives : pairs of a name in `DRIVES` and n numbers, drive parameters for simulation; 0 is unknown.
+    drives : drive parameters for simulation, as pairs of a name in `DRIVES` and n numbers; 0: unknown.
 
     Raises
     ------
-    RobotError : if fields are inconsistent; names the field, the joint and the value.
+    RobotError : if fields are inconsistent; the message states the field, the joint and the value.
     """
 
     name: str
@@ -109,7 +109,7 @@ class Robot:
 
     @property
     def ros_joint_names(self) -> tuple[str, ...]:
-        """n names in ROS messages, recordings and URDF: `joint_names`; for a YuMi, the names of abb_robot_driver.
+        """Names in ROS messages, recordings and URDF: `joint_names`, or for a YuMi the names of abb_robot_driver.
 
         abb_robot_driver counts from base to tool: ABB's axis 7 of a left arm is ``yumi_robl_joint_3``.
         """
@@ -119,7 +119,7 @@ class Robot:
 
     @cached_property
     def frames(self) -> np.ndarray:
-        """(n+1, 4, 4) ``E_0 ... E_n``, mount and tool included."""
+        """Constant poses ``E_0 ... E_n`` (n+1, 4, 4), including mount and tool."""
         frames = self.links.copy()
         frames[0] = self.T_base_mount @ frames[0]
         frames[-1] = frames[-1] @ self.T_flange_tool
@@ -160,7 +160,7 @@ class Robot:
 
     @cached_property
     def screws(self) -> np.ndarray:
-        """(n, 6) joint screws ``[v; w]`` at q = 0, base axes, about the base origin."""
+        """Joint screws ``[v; w]`` (n, 6) at q = 0, in base axes about the base origin."""
         T = np.eye(4)
         screws = np.zeros((self.n, 6))
         for screw, frame, slides in zip(screws, self.frames, self.prismatic):
@@ -175,7 +175,7 @@ class Robot:
 
     @cached_property
     def T_home(self) -> np.ndarray:
-        """(4, 4) pose of the tool in the base at q = 0."""
+        """Pose (4, 4) of the tool in the base at q = 0."""
         T = np.linalg.multi_dot(self.frames)
         T.flags.writeable = False
         return T
@@ -202,7 +202,7 @@ class Robot:
         return digest.hexdigest()
 
     def with_tool(self, T_flange_tool: np.ndarray) -> Robot:
-        """Return the robot with another tool: ``T_base_tool = T_base_flange @ T_flange_tool``.
+        """Return the robot with a different tool: ``T_base_tool = T_base_flange @ T_flange_tool``.
 
         The tool has no mass; to include its weight, add a body to the last link (see `robots.inertia`).
 
@@ -213,7 +213,7 @@ class Robot:
         return replace(self, T_flange_tool=T_flange_tool)
 
     def with_base(self, T_base_mount: np.ndarray) -> Robot:
-        """Return the robot with another mount; gravity is unchanged in base axes, and meshes of the mount move with it.
+        """Return the robot with a different mount, whose meshes move with it; gravity is unchanged in base axes.
 
         Parameters
         ----------
@@ -286,7 +286,7 @@ def _axis_numbers(value: tuple[Any, ...], name: str) -> tuple[int, ...]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mesh(Shown):
-    """Reference to one mesh of a link; the file is never read. Meshes are equal when all their fields are.
+    """Reference to a mesh of a link, whose file is never read. Meshes are equal if all their fields are equal.
 
     Attributes
     ----------
@@ -297,8 +297,7 @@ class Mesh(Shown):
 
     Raises
     ------
-    RobotError : if the kind is unknown, the file name is empty, the pose is invalid, or a factor is zero or not
-        finite.
+    RobotError : if the kind is unknown, the file name is empty, the pose is invalid, or a factor is 0 or not finite.
     """
 
     kind: Literal["visual", "collision"]
@@ -339,14 +338,14 @@ class Mesh(Shown):
 
 
 def arm_length(robot: Robot) -> float:
-    """Return the length of the outstretched arm from mount to tool [m] for scaling drawings; 1 for zero length."""
+    """Return the length of the outstretched arm from mount to tool [m], or 1 for zero length."""
     steps = np.linalg.norm(np.concatenate([robot.links, robot.T_flange_tool[None]])[:, :3, 3], axis=1)
     strokes = np.nan_to_num(np.maximum(-robot.q_min, robot.q_max), posinf=0.0)[robot.prismatic]
     return float(steps.sum() + strokes.sum()) or 1.0
 
 
 def bends(a: np.ndarray, along_a: np.ndarray, b: np.ndarray, along_b: np.ndarray) -> list[np.ndarray]:
-    """Return the corner points of a link between two axes (each a point and a unit vector): common-normal ends."""
+    """Return the ends of the common normal of two axes, given as points and unit vectors, to draw a link."""
     across = b - a
     cosine = along_a @ along_b
     sine2 = 1 - cosine**2
@@ -435,7 +434,7 @@ def _check_names(robot: Robot) -> None:
             if not isinstance(word, str):
                 raise RobotError(f"Expected text in {field} of robot {robot.name!r}, got {word!r}.")
             if field != "source" and not word.strip():
-                raise RobotError(f"Expected a name in {field} of robot {robot.name!r}, got {word!r}. Give it one.")
+                raise RobotError(f"Expected a name in {field} of robot {robot.name!r}, got {word!r}. Enter a name.")
     for field in ("joint_names", "abb_axes"):
         value = getattr(robot, field)
         if len(value) != robot.n or len(set(value)) != robot.n:

@@ -1,4 +1,4 @@
-"""Read and write robot files in TOML without loss. The format is described in docs/decisions."""
+"""Lossless reader and writer of robot files in TOML. docs/decisions describes the format."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Pose(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Joint(msgspec.Struct, forbid_unknown_fields=True):
-    """Joint: its DH row or the pose of the next joint; limits, home and gear."""
+    """Joint with its DH row or the pose of the next joint, limits, home and gear."""
 
     name: str
     kind: Literal["revolute", "prismatic"] = "revolute"
@@ -214,7 +214,7 @@ def _matrix(pose: Pose, where: str) -> np.ndarray:
             R = quaternion.to_matrix(pose.quaternion)
         return se3.from_rp(R, pose.position)
     except ShapeError as error:
-        raise RobotError(f"Expected a pose in {where}, got none. {error}") from None
+        raise RobotError(f"Expected a pose in {where}, got an invalid pose. {error}") from None
 
 
 def write_robot(robot: Robot) -> str:
@@ -365,5 +365,5 @@ def _number(value: float) -> str:
 
 
 def _text(value: str) -> str:
-    """Return a TOML basic string, which equals a JSON string except for the delete character."""
+    """Return a TOML basic string: a JSON string with the delete character escaped."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

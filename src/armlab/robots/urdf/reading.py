@@ -18,8 +18,7 @@ from armlab.robots.robot import Mesh
 from armlab.robots.urdf.tree import Follow, Joint, JointKind, Link, Tree
 
 MOST_PARTS = 2000  # links or joints per file; a humanoid with two hands has 150
-LARGEST = 1e9
-"""Limits from this value on mean unlimited; larger numbers are rejected elsewhere."""
+LARGEST = 1e9  # limits of at least this value mean unlimited; elsewhere, such numbers are rejected
 
 DEEPEST = 64  # nesting of elements; URDF needs 5
 MOST_BYTES, MOST_ELEMENTS = 1 << 24, 100_000  # a humanoid with two hands has 200 kB and 3000
@@ -33,15 +32,15 @@ def read(path: str | Path) -> Tree:
 
     Parameters
     ----------
-    path : the file. Expand xacro first: ``xacro robot.xacro > robot.urdf``.
+    path : path of the file. Expand xacro first: ``xacro robot.xacro > robot.urdf``.
 
     Raises
     ------
-    RobotError : if the file is missing, is not a URDF, or is not a tree; names file, line and remedy.
+    RobotError : if the file is missing, is not a URDF, or is not a tree; the message states the file, line and remedy.
 
     References
     ----------
-    The format is URDF 1.0, see wiki.ros.org/urdf/XML.
+    URDF 1.0, wiki.ros.org/urdf/XML.
     """
     try:
         data = Path(path).read_bytes()
@@ -59,12 +58,12 @@ def parse(text: str | bytes, file: str = "the URDF text") -> Tree:
 
     Parameters
     ----------
-    text : the XML.
-    file : its name, for messages.
+    text : XML of the description.
+    file : name of the file, for messages.
 
     Raises
     ------
-    RobotError : as `read`.
+    RobotError : as in `read`.
     """
     if not isinstance(text, str | bytes):
         raise RobotError(f"Expected the text of a URDF, got {text!r}. For a file, call urdf.read.")
@@ -93,7 +92,7 @@ def _link(element: Element) -> Link:
 
 
 def _inertia(inertial: Element) -> np.ndarray | None:
-    """Return the parameters about the link's origin, or None if all are 0, as in links that only name a frame."""
+    """Return the parameters about the link's origin, or None if all are 0, as in links that only define a frame."""
     mass, moments = inertial.need("mass").number("value"), inertial.need("inertia")
     xx, xy, xz, yy, yz, zz = (moments.number(f"i{axes}") for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))
     about_centre = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

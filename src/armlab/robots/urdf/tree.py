@@ -24,8 +24,8 @@ from armlab.robots.build import GRAVITY, dexterous_home, frames_along, from_link
 from armlab.robots.robot import Mesh, Robot, body_fault, check_joint_count
 
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
-SHORTEST_AXIS = 1e-6  # shorter axes have no significant digits
-ROUNDING = 0.01  # tolerance of the triangle inequality of moments: rounded files, thin plates
+SHORTEST_AXIS = 1e-6  # axes below this length have no significant digits
+ROUNDING = 0.01  # tolerance of the triangle inequality of moments, for rounded files and thin plates
 _TURN_OVER = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x, which reverses the z axis
 
 
@@ -36,7 +36,7 @@ class Link:
     Attributes
     ----------
     name : name of the link.
-    inertia : (10,) inertial parameters about the origin of its frame (see `robots.inertia`), or None without mass.
+    inertia : (10,) inertial parameters about the origin of its frame (see `robots.inertia`); None: no mass.
     meshes : meshes of the link.
     line : first line of the element in the file.
     """
@@ -69,7 +69,7 @@ class Joint:
     axis : (3,) direction of the axis in the child's frame, of any length.
     q_min, q_max : limits of position [rad or m]; infinite without a limit, 0 where a required limit is missing.
     qd_max, tau_max : limits of speed and of torque or force; infinite where unknown.
-    follows : the joint that it mimics, or None.
+    follows : mimic relation, or None.
     line : first line of the element in the file.
     damping, friction : viscous and Coulomb friction; 0 where unknown.
     """
@@ -148,7 +148,7 @@ class Tree:
 
     Raises
     ------
-    RobotError : if links and joints do not form a tree; names file and line.
+    RobotError : if links and joints do not form a tree; the message states file and line.
     """
 
     name: str
@@ -219,7 +219,7 @@ class Tree:
         all ranges. Gravity is `GRAVITY` in the axes of the root. A joint traversed from child to parent rotates about
         the opposite axis, so that its position keeps its meaning. A mimic joint keeps its own position; see `mimic`. A
         speed or effort of 0 means unknown, and a limit of 1e9 or more means unlimited. An inertia that violates the
-        triangle inequality is used with a warning, and one without a mass is omitted with a warning. `Robot.source`
+        triangle inequality is used, and an inertia without a mass is omitted, each with a warning. `Robot.source`
         lists all assumptions and omissions.
 
         Parameters
@@ -231,7 +231,7 @@ class Tree:
 
         Raises
         ------
-        UnknownName : if a link or a locked joint does not exist; lists the available ones.
+        UnknownName : if a link or a locked joint does not exist; the message lists the available names.
         RobotError : if the tip is missing and several branches move; if nothing moves between the two; if a joint
             between them is floating or planar, has no axis, no range or reversed limits, or mimics a missing joint;
             or if the inertia of a link is not physically consistent. The message states the file and line. Other parts
@@ -314,7 +314,7 @@ def _check_roots(tree: Tree) -> None:
         reached.add(name)
         waiting += [joint.child for joint in tree.child_joints[name]]
     for joint in tree.joints:
-        if joint.child not in reached:  # every link has at most one parent joint, so this one is on or below a loop
+        if joint.child not in reached:  # every link has at most one parent joint, so this joint is on or below a loop
             raise fault(tree, joint, "joints that lead away from one root", f"a loop through joint {joint.name!r}")
 
 
@@ -333,7 +333,7 @@ def follow(tree: Tree, joint_names: Iterable[str]) -> Mimic:
 
 
 def _leader(tree: Tree, joints: dict[str, Joint], joint: Joint) -> tuple[str, float, float]:
-    """Return the free joint that a joint ultimately mimics (itself if it is free), with factor and offset."""
+    """Return the free joint that a joint ultimately mimics (or the free joint itself), with factor and offset."""
     multiplier, offset, passed = 1.0, 0.0, {joint.name}
     while joint.follows is not None:
         follows = joint.follows
@@ -447,7 +447,7 @@ def _ancestry(tree: Tree, link: str) -> list[Joint]:
 
 
 def _steps(tree: Tree, way: list[tuple[Joint, bool]]) -> tuple[list[Step], np.ndarray]:
-    """Merge the fixed joints; return the moving joints and the pose of the tip in the frame of the last one."""
+    """Merge fixed joints; return the moving joints, and the pose of the tip in the frame of the last moving joint."""
     turns = iter(se3.from_rp(frames_along(np.array([joint.axis for joint, _ in way if joint.moves]))))
     steps, T = [], np.eye(4)
     for joint, upwards in way:
@@ -464,7 +464,7 @@ def _steps(tree: Tree, way: list[tuple[Joint, bool]]) -> tuple[list[Step], np.nd
 
 
 def _rigid(tree: Tree, link: str, T: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the poses of all links rigidly attached to a link at pose T, starting with the link itself."""
+    """Return the poses of a link at pose T and of all links rigidly attached to it."""
     poses, waiting = {}, [(link, T)]
     while waiting:
         name, T = waiting.pop()
@@ -501,7 +501,7 @@ def _check_joint(tree: Tree, joint: Joint) -> None:
 
 
 def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np.ndarray | None, list[str]]:
-    """Return the inertias (n, 10), or None if the file has none, and the joints without known mass behind them."""
+    """Return the inertias (n, 10), or None for a file without masses, and the joints without known mass behind them."""
     inertias, massless, odd, weightless = np.zeros((len(steps), 10)), [], [], []
     for pi, step in zip(inertias, steps):
         for name, T in step.T_link_body.items():
