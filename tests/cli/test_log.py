@@ -163,7 +163,7 @@ def test_resample_makes_the_rate_even_and_leaves_gaps_missing(path: Path, tmp_pa
     said = command(["log", "resample", gappy, "--rate", 250, "-o", tmp_path / "even.mcap"])
     even = read(tmp_path / "even.mcap")
     assert np.ptp(np.diff(even.t)) < 1e-8
-    assert f"249 rows became {len(even)}" in said.err
+    assert f"249 rows resampled to {len(even)}" in said.err
     assert len(even) == len(table)
     np.testing.assert_allclose(even["q"][[10, 120]], table["q"][[10, 120]], atol=1e-6)
     np.testing.assert_allclose(even["q"][100], table["q"][[99, 101]].mean(axis=0), atol=1e-6)

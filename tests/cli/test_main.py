@@ -80,7 +80,7 @@ def test_help_fills_the_terminal(columns: int, command, monkeypatch: pytest.Monk
     monkeypatch.setenv("COLUMNS", str(columns))
     lines = command(["run", "--help"]).out.splitlines()
     assert max(map(len, lines)) <= columns
-    first = next(line for line in lines if line.startswith("The file needs"))
+    first = next(line for line in lines if line.startswith("The file defines"))
     assert len(first) > columns - 15
 
 

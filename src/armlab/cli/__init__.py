@@ -64,7 +64,7 @@ _COMMANDS = {
 }
 
 
-_EXAMPLES = {  # of commands without subcommands
+_EXAMPLES = {  # examples of commands without subcommands
     "demo": "armlab demo --fast -o first",
     "sim": "armlab sim yumi_left --to 127.0.0.1:6510 --seconds 60",
     "monitor": "armlab monitor yumi_left",
@@ -82,13 +82,7 @@ _EXAMPLES = {  # of commands without subcommands
 
 
 def build_app(verb: str = "", shown: WrappedHelp | None = None) -> App:
-    """Return the application with all commands, not yet imported.
-
-    Parameters
-    ----------
-    verb : command of the user, whose own help replaces its line in the list of all.
-    shown : formatter of the help.
-    """
+    """Return the application with all commands, not yet imported; `verb`: requested command, which has its own help."""
     from cyclopts import App, Parameter
 
     from armlab import __version__
@@ -119,10 +113,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Parameters
     ----------
-    arguments : words after ``armlab``; default: those of the process.
+    arguments : words after ``armlab``; default: the arguments of this process.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    nowhere = Path(os.devnull)  # for streams closed by the shell: armlab robot list >&-
+    nowhere = Path(os.devnull)  # replaces streams closed by the shell: armlab robot list >&-
     sys.stdout, sys.stderr = sys.stdout or nowhere.open("w"), sys.stderr or nowhere.open("w")
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]
@@ -156,7 +150,7 @@ def _run(words: list[str]) -> int:
         _say(f"{' '.join(str(error).split())} (see {' '.join(['armlab', *(error.command_chain or ())])} --help)")
         return WRONG_USE
     finally:
-        take_robot_options([])  # valid for one command
+        take_robot_options([])  # options apply to one command only
     sys.stdout.flush()
     return result if isinstance(result, int) else 0
 
@@ -185,7 +179,7 @@ def _say(message: str) -> None:
 
 @contextmanager
 def _short_warnings() -> Iterator[None]:
-    """Show warnings as one line, without the source line."""
+    """Print each warning on one line, without its source line."""
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_args, **_kwargs: _say(f"note: {message}")
         yield
@@ -193,9 +187,9 @@ def _short_warnings() -> Iterator[None]:
 
 @contextmanager
 def _interruptible() -> Iterator[list[int]]:
-    """Treat SIGTERM and a closed terminal like Ctrl-C, so that logs are closed and simulators stopped.
+    """Treat SIGTERM and a closed terminal like Ctrl-C; yields the list of received signals.
 
-    Yields the signals.
+    Logs are then closed and simulators stopped.
     """
     came: list[int] = []
 
@@ -212,22 +206,14 @@ def _interruptible() -> Iterator[list[int]]:
 _BREAK_IN_PARAGRAPH = re.compile(r"(?<=\S)[ \t]*\n(?![\s*-])")
 
 
-def unwrapped(text: str) -> str:
-    """Join the lines of each paragraph; keep empty lines, lists and indented lines."""
-    return _BREAK_IN_PARAGRAPH.sub(" ", text)
-
-
-_A_ROBOT = re.compile(r"\blibrary\b|\brobot file|file of the arm", re.IGNORECASE)  # in the text of a parameter
+_A_ROBOT = re.compile(r"\blibrary\b|\brobot file|file of the arm", re.IGNORECASE)  # in the help of a robot parameter
 _OF_A_URDF = "For a URDF, --tip LINK, --base LINK and --lock JOINT=VALUE select the arm."
 
 
 class WrappedHelp:
-    """Default cyclopts formatter that removes the line breaks of docstrings.
+    """Default cyclopts formatter that removes the line breaks of docstrings."""
 
-    `takes_robot`: whether the help shown has a robot parameter.
-    """
-
-    takes_robot = False
+    takes_robot = False  # True if the displayed help has a robot parameter
 
     def render_usage(self, console: Console, options: ConsoleOptions, usage: Any) -> None:
         _default().render_usage(console, options, usage)
@@ -240,7 +226,8 @@ class WrappedHelp:
         from attrs import evolve
 
         if panel.format == "parameter":
-            self.takes_robot |= any(_A_ROBOT.search(_plain(entry.description)) for entry in panel.entries)
+            texts = (getattr(entry.description, "primary_renderable", entry.description) for entry in panel.entries)
+            self.takes_robot |= any(_A_ROBOT.search(str(text)) for text in texts)
         entries = [evolve(entry, description=_wrapped(entry.description)) for entry in panel.entries]
         _default()(console, options, panel.copy(entries=entries))
 
@@ -251,15 +238,11 @@ def _default() -> Any:
     return DefaultFormatter()
 
 
-def _plain(shown: Any) -> str:
-    return str(getattr(shown, "primary_renderable", shown))
-
-
 def _wrapped(shown: Any) -> Any:
-    """Unwrap the displayed text."""
+    """Join the lines of each paragraph of a displayed text; keep empty lines, lists and indented lines."""
     from rich.text import Text
 
     text = getattr(shown, "primary_renderable", None)
     if isinstance(text, Text):
-        shown.primary_renderable = Text(unwrapped(text.plain), end=text.end)
+        shown.primary_renderable = Text(_BREAK_IN_PARAGRAPH.sub(" ", text.plain), end=text.end)
     return shown

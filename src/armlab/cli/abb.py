@@ -1,4 +1,4 @@
-"""``armlab abb``: bring an ABB controller from power-on to a running EGM program via Robot Web Services."""
+"""``armlab abb``: set up, start and stop an EGM program on an ABB controller via Robot Web Services."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Tasks = Annotated[
     list[str] | None,
     Parameter(
         name="--task",
-        help="Motion task; repeat the option for several tasks. Default: all tasks that armlab recognises.",
+        help="Motion task; repeat the option for several tasks. Default: all tasks with a name known to armlab.",
     ),
 ]
 
@@ -49,7 +49,7 @@ def connected(host: str, insecure: bool, ca: Path | None) -> AbbController:
 
 @abb.command(help_epilogue="Example: armlab abb status 192.168.125.1")
 def status(host: str, *, task: Tasks = None, insecure: Insecure = False, ca: Ca = None, json: Json = False) -> int:
-    """Check the controller: version, options, mode, motors, tasks, programs and EGM configuration. Changes nothing.
+    """Check a controller: version, options, mode, motors, tasks, programs and EGM configuration. Changes nothing.
 
     Exit codes: 0 ready, 3 warnings, 1 failures.
 
@@ -82,7 +82,7 @@ def setup(
         host: Address of the controller, such as 192.168.125.1.
         modules: Folder with your own modules under the same file names, such as ArmlabJoint.mod; armlab supplies any
             missing modules.
-        replace: Overwrite modules and files that differ; save and unload any other module with a main routine.
+        replace: Overwrite modules and files that differ, and save and unload any other module with a main routine.
     """
     from armlab.bridge.doctor.controller import controller_findings, known_tasks, require, require_rest
     from armlab.bridge.rws import setup_steps, start_steps
@@ -134,7 +134,7 @@ def stop(host: str, *, dry_run: DryRun = False, insecure: Insecure = False, ca: 
 
 
 def _module(task: str, folder: Path | None) -> str:
-    """Return the text of a task's guidance module: the user's if present, else the one supplied by armlab."""
+    """Return the text of a task's guidance module, from the user's folder if present, otherwise from armlab."""
     from armlab.bridge.rws import PROGRAMS
     from armlab.cli.support.settings import read_text
 

@@ -1,4 +1,4 @@
-"""``armlab bridge`` and ``armlab monitor``: run a cell, control and monitor a running cell, create certificates."""
+"""``armlab bridge`` and ``armlab monitor``: run, control and monitor a cell, and create its certificates."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 _WHOLE = re.compile(r"[-+]?[1-9][0-9]*(_[0-9]+)*")
-_PATIENCE = 10.0  # s, timeout of an answer
+_PATIENCE = 10.0  # s, timeout for a reply
 
 bridge: App = App(
     name="bridge",
@@ -41,11 +41,11 @@ bridge: App = App(
 
 @bridge.default
 def start(*, config: Path | None = None, listen: list[str] | None = None, seconds: float | None = None) -> int:
-    """Run the bridge of a cell until Ctrl-C. Prints its addresses first, and a summary at the end.
+    """Run the bridge of a cell until Ctrl-C. Prints its addresses at the start, and a report at the end.
 
     Parameters:
         config: TOML file that describes the cell (robots, sources, parameters and servers); default: from the settings.
-        listen: SERVER=ADDRESS or SERVER=INTERFACE: let other computers read from a server. Such a server accepts no
+        listen: SERVER=ADDRESS or SERVER=INTERFACE: let other computers read from this server, which then accepts no
             commands.
         seconds: Stop after this much robot time under guidance [s].
     """
@@ -57,12 +57,12 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
         raise ConfigError("Expected a cell file, got none. Add --config cell.toml, or set `cell` in armlab.toml.")
     cell = parse_cell(read_text(Path(known), "a cell"), str(known))
     run = run_cell(cell, listen or (), seconds, ready=note, ended=lambda run: result(run.report()))
-    return FAILED if run.statistics["problems"] else 0  # as the report says
+    return FAILED if run.statistics["problems"] else 0
 
 
 @bridge.command(name="set", help_epilogue="Example: armlab bridge set gain=2.5 force=[0,0,5]")
 def set_parameters(*setting: str, cell: Cell = "") -> None:
-    """Set parameters of a running bridge (all or none), and show the resulting values.
+    """Set parameters of a running bridge, and show the resulting values. If a value is refused, none is set.
 
     Parameters:
         setting: NAME=VALUE, for example gain=2.5, force=[0,0,5], gentle=true. Without settings, show all parameters.
@@ -103,7 +103,7 @@ def release(*, cell: Cell = "") -> None:
 
 @bridge.command(help_epilogue="Example: armlab bridge resume")
 def resume(*, cell: Cell = "") -> None:
-    """End a stop, so that arms can be commanded again."""
+    """End a stop, so that the arms can be commanded again."""
     from armlab.bridge.servers.messages import Resume
 
     _operate(Resume(), cell)
@@ -129,7 +129,7 @@ def _operate(request: Request, cell: str) -> None:
 
 
 def _await(feed: Any, kind: str) -> dict[str, Any]:
-    """Return the next message of a kind; raise on an error reply."""
+    """Return the next message of a kind; raise if the bridge refuses the request."""
     end = time.monotonic() + _PATIENCE
     while time.monotonic() < end:
         message = feed.receive()
@@ -160,9 +160,9 @@ _CURVE = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
 def write_certificates(folder: Path, hosts: Sequence[str] = ()) -> list[Path]:
     """Write a lab's certificate authority, the certificate and key of a bridge, and users with their passwords.
 
-    ``lab.pem`` may be given to everyone. ``bridge.pem``, ``bridge.key`` and ``users.txt`` stay with the bridge (and the
-    lab's router). ``USER.secret`` is for that user only. ``lab.key`` signs further bridges and stays private. Only the
-    owner can read the keys and passwords. An existing authority and existing users are kept.
+    ``lab.pem`` is public. ``bridge.pem``, ``bridge.key`` and ``users.txt`` stay with the bridge (and the lab's router).
+    ``USER.secret`` is for that user only. ``lab.key`` signs the certificates of further bridges and stays private. Only
+    the owner can read the keys and passwords. An existing authority and existing users are kept.
     """
     names = ["localhost", "127.0.0.1", *hosts]
     for name in names:
@@ -171,7 +171,11 @@ def write_certificates(folder: Path, hosts: Sequence[str] = ()) -> list[Path]:
     before = os.umask(0o077)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        written = [] if (folder / "lab.key").exists() else _authority(folder)
+        written = []
+        if not (folder / "lab.key").exists():
+            written = [folder / "lab.key", folder / "lab.pem"]
+            extension = "basicConstraints=critical,CA:TRUE"
+            _certify(*written, "-subj", "/CN=armlab lab", "-addext", extension)
         return written + _bridge(folder, names) + _users(folder)
     except OSError as error:
         raise ConfigError(f"Expected a folder to write certificates to, but {error}.") from None
@@ -179,18 +183,15 @@ def write_certificates(folder: Path, hosts: Sequence[str] = ()) -> list[Path]:
         os.umask(before)
 
 
-def _authority(folder: Path) -> list[Path]:
-    key, certificate = folder / "lab.key", folder / "lab.pem"
-    subject = ["-subj", "/CN=armlab lab", "-addext", "basicConstraints=critical,CA:TRUE"]
+def _certify(key: Path, certificate: Path, *subject: str) -> None:
+    """Write a key and a self-signed certificate."""
     _openssl("req", "-x509", *_CURVE, "-days", _DAYS, *subject, "-keyout", str(key), "-out", str(certificate))
-    return [key, certificate]
 
 
 def self_signed(folder: Path) -> ssl.SSLContext:
-    """Return the context of a server on this computer with a new self-signed certificate."""
+    """Return the TLS context of a server on this computer with a new self-signed certificate."""
     key, certificate = folder / "self.key", folder / "self.pem"
-    subject = ["-subj", "/CN=127.0.0.1", "-addext", "subjectAltName=IP:127.0.0.1,DNS:localhost"]
-    _openssl("req", "-x509", *_CURVE, "-days", _DAYS, *subject, "-keyout", str(key), "-out", str(certificate))
+    _certify(key, certificate, "-subj", "/CN=127.0.0.1", "-addext", "subjectAltName=IP:127.0.0.1,DNS:localhost")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(certificate, key)
     return context
@@ -249,8 +250,8 @@ def _openssl(*words: str) -> None:
         )
 
 
-_RATE = 10.0  # Hz of the display
-_LINES = 1.0  # s between two lines without a terminal
+_RATE = 10.0  # Hz, refresh rate of the display
+_LINES = 1.0  # s between lines if the output is not a terminal
 
 
 def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", seconds: Seconds = None) -> None:
@@ -258,7 +259,7 @@ def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", secon
 
     Parameters:
         robot: Show only this arm.
-        zenoh: Address of a bridge on another computer, for example zenoh://192.168.1.5:7447/lab1.
+        zenoh: Address of a bridge on another computer, such as zenoh://192.168.1.5:7447/lab1.
     """
     from rich.console import Console
 
@@ -274,11 +275,7 @@ def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", secon
     with ZenohFeed(zenoh, robot or "") if zenoh else LocalFeed(cell) as feed:
         feed.ask(Subscribe(rate=_RATE))
         try:
-            if console.is_terminal:
-                _live(console, feed, watch, end)
-            else:
-                for line in _lines(feed, watch, end):
-                    result(line)
+            (_live if console.is_terminal else _lines)(console, feed, watch, end)
         except LinkError as error:
             note(str(error))
 
@@ -292,13 +289,13 @@ def _live(console: Any, feed: Any, watch: Watch, end: float) -> None:
             live.update(table(watch, time.time_ns()), refresh=True)
 
 
-def _lines(feed: Any, watch: Watch, end: float) -> Any:
+def _lines(_: Any, feed: Any, watch: Watch, end: float) -> None:
     told = 0
     while time.monotonic() < end:
         _hear(feed, watch, _LINES)
-        yield from watch.lines(time.time_ns())
-        for text in list(watch.events)[len(watch.events) - min(watch.told - told, len(watch.events)) :]:
-            yield f"  {text}"
+        events = list(watch.events)[len(watch.events) - min(watch.told - told, len(watch.events)) :]
+        for line in (*watch.lines(time.time_ns()), *(f"  {text}" for text in events)):
+            result(line)
         told = watch.told
 
 
@@ -311,7 +308,7 @@ def _hear(feed: Any, watch: Watch, seconds: float) -> None:
 
 
 def table(watch: Watch, now_ns: int) -> RenderableType:
-    """Return the state of the arms as a table, one column per arm, with recording and events below."""
+    """Return a table with one column per arm, and the state of the recording and the events below it."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text

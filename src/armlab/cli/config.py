@@ -17,8 +17,8 @@ config: App = App(name="config", help="Show the settings from files, the environ
 def show(*, config: Path | None = None, origin: bool = False, json: bool = False) -> None:
     """Show all settings, and all values of a cell.
 
-    The first source with the setting wins: a command-line option, an environment variable such as ARMLAB_SPEED,
-    armlab.toml in this folder, armlab/armlab.toml in ~/.config (or in XDG_CONFIG_HOME), the default.
+    The sources of a setting are, in order of precedence: a command-line option, an environment variable such as
+    ARMLAB_SPEED, armlab.toml in this folder, armlab/armlab.toml in ~/.config (or in XDG_CONFIG_HOME), the default.
 
     Parameters:
         config: TOML file of the cell; default: from the settings.
@@ -47,7 +47,7 @@ def show(*, config: Path | None = None, origin: bool = False, json: bool = False
 
 
 def _written(value: Any) -> str:
-    """Return a value in TOML notation; - for None."""
+    """Return a value in TOML notation, or "-" for None."""
     if value is None:
         return "-"
     if isinstance(value, bool):
@@ -62,7 +62,7 @@ def _written(value: Any) -> str:
 
 
 def completion(shell: Literal["bash", "fish", "zsh"]) -> None:
-    """Print a shell's completion script for commands, options and values; one line installs it.
+    """Print the completion script of a shell for commands, options and values. Install it with one line:
 
     - bash: armlab completion bash > ~/.local/share/bash-completion/completions/armlab
     - zsh: armlab completion zsh > DIR/_armlab, where DIR is a folder of $fpath

@@ -1,4 +1,4 @@
-"""``armlab demo``: run the whole workflow in simulation and report it in tables, figures and a summary file."""
+"""``armlab demo``: run the whole workflow in simulation, with tables, figures and a summary file."""
 
 from __future__ import annotations
 
@@ -41,16 +41,12 @@ HOLD, RAMP, GAP = 1.0, 0.1, 0.3  # s, per press
 LAG = 0.1  # s, lag of the estimate after a change of force
 REST = 3.6  # s at rest at the end
 SWAY = math.radians(2.0)  # rad or m
-UNIT = 1.35  # N, force unit of a YuMi: presses and targets of other arms are scaled by it
-TORQUE_ERROR = 0.01  # share of each torque limit; the force unit is the resulting force error
-SEES = 30.0  # largest force error of an observable axis over the smallest one
+UNIT = 1.35  # N, force unit of a YuMi; scales the presses and targets of other arms
+TORQUE_ERROR = 0.01  # relative to each torque limit; the force unit is the resulting force error
+SEES = 30.0  # largest ratio of force errors between observable axes
+AXES = "xyz"
 PRESSES: tuple[tuple[str, int, float], ...] = (
-    ("+x", 0, 5.0),
-    ("-x", 0, -5.0),
-    ("+y", 1, 5.0),
-    ("-y", 1, -5.0),
-    ("+z", 2, 5.0),
-    ("-z", 2, -5.0),
+    *((f"{sign}{name}", axis, force) for axis, name in enumerate(AXES) for sign, force in (("+", 5.0), ("-", -5.0))),
     ("weight +x", 0, 4.905),
     ("weight -z", 2, -4.905),
 )
@@ -59,8 +55,8 @@ PRESSES: tuple[tuple[str, int, float], ...] = (
 def force_unit(robot: Robot) -> tuple[float, np.ndarray]:
     """Return the RMS force error [N] caused by 1 % torque errors at home, and the mask (3,) of observable axes.
 
-    ``C = (J W Jᵀ)⁻¹`` with W the inverse squares of 1 % of the torque limits; x, y, z on the diagonal. With fewer than
-    six joints, J is the Jacobian of the tool point alone, because the contact is a pure force.
+    The variances are the diagonal of ``(J W Jᵀ)⁻¹``, where W has the inverse squares of 1 % of the torque limits. With
+    fewer than six joints, J is the Jacobian of the tool point alone, because the contact is a pure force.
     """
     import numpy as np
 
@@ -77,20 +73,20 @@ def force_unit(robot: Robot) -> tuple[float, np.ndarray]:
 class Plan:
     """Motions and presses of the demo. Times are seconds of guidance time in the second run."""
 
-    excitation: Trajectory  # excitation, test: motions of the two runs
-    test: Trajectory
+    excitation: Trajectory  # motion of the first run
+    test: Trajectory  # motion of the second run
     presses: tuple[tuple[str, int, float, float, float], ...]  # name, axis, force [N], start and end of the full force
-    free: tuple[float, float]  # free, sway, rest: windows of the second run
-    sway: tuple[float, float]
-    rest: tuple[float, float]
-    times: np.ndarray  # times, wrenches: (K,), (K, 6) corners of the operator's wrench
-    wrenches: np.ndarray
-    scale: float = 1.0  # scale of presses and targets: force unit over that of a YuMi
+    free: tuple[float, float]  # window of free motion
+    sway: tuple[float, float]  # window of presses during small motion
+    rest: tuple[float, float]  # window of a press at rest
+    times: np.ndarray  # (K,) corners of the operator's wrench
+    wrenches: np.ndarray  # (K, 6)
+    scale: float = 1.0  # scale of presses and targets: ratio of the force unit to that of a YuMi
     seen: tuple[bool, ...] = (True, True, True)  # observable axes
 
     @classmethod
     def make(cls, robot: Robot, seed: int) -> Plan:
-        """Plan the motions of a robot; `seed` chooses the excitation and the free motion."""
+        """Plan the motions of a robot; `seed` determines the excitation and the free motion."""
         import numpy as np
 
         unit, seen = force_unit(robot)
@@ -101,11 +97,8 @@ class Plan:
         free = armlab.identify.design_excitation(
             robot, FREE, f0=0.12, harmonics=5, speed=0.45, acceleration=8.0, seed=1000 + seed
         )
-        motions = [
-            free,
-            armlab.identify.dither(robot.q_home, sway_length, width),
-            armlab.identify.dither(robot.q_home, REST, amplitude=0.0),
-        ]
+        sway = armlab.identify.dither(robot.q_home, sway_length, width)
+        motions = [free, sway, armlab.identify.dither(robot.q_home, REST, amplitude=0.0)]
         sway_start = APPROACH + FREE + WALK
         rest_start = sway_start + sway_length + WALK
         presses, times, wrenches = [], [], []
@@ -149,14 +142,14 @@ def demo(
     robot: str = "yumi_right",
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
 ) -> int:
-    """Run a simulated YuMi from excitation to the estimated force of a hand; no robot is needed.
+    """Run the whole workflow on a simulated YuMi, from excitation to the estimated force of a hand.
 
     --robot selects another arm whose description has masses; its torque limits scale the forces and targets.
     Ends with status 1 if an estimate misses its target.
 
     Parameters:
         fast: Run in lockstep, as fast as the computer can, instead of in real time.
-        view: Also show the arm, the force and the curves in the browser while the demo runs.
+        view: Also show the arm, the force and the curves in the browser during the demo.
         seed: Seed of the motions, the noise and the operator.
         robot: Name in the library, or a robot file with masses.
         output: New folder for logs, model, figures and summary; default: demo-<time>.
@@ -170,7 +163,7 @@ def demo(
     folder = output or Path(f"demo-{datetime.now(UTC):%Y%m%d-%H%M%S}")
     try:
         outcome = rehearse(robot, seed, folder, fast, view)
-    except LinkError:  # late, or far behind the reference
+    except LinkError:  # the loop was late, or the arm was far behind its reference
         if not fast:
             note("Real time requires an idle computer; armlab demo --fast runs the same demo without it.")
         raise
@@ -207,7 +200,7 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
     with ExitStack() as stack:
         cell = f"demo-{os.getpid()}" if view else ""
         if view:
-            line = stack.enter_context(beside(cell, robot_name))  # a separate process cannot delay the run
+            line = stack.enter_context(beside(cell, robot_name))  # in a separate process, which cannot delay the run
             result(line)
             sys.stdout.flush()
             if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
@@ -233,7 +226,7 @@ def _url(robot: str, fast: bool, seed: int, operator: Path | None = None) -> str
 
 
 def _estimating(plan: Plan, estimator: Estimator) -> Any:
-    """Return the controller that moves the arm, estimates the wrench and records it."""
+    """Return a controller that moves the arm, and estimates and records the wrench."""
     move = plan.test.controller(APPROACH)
 
     def step(state: State) -> Command:
@@ -245,31 +238,30 @@ def _estimating(plan: Plan, estimator: Estimator) -> Any:
 
 
 def _drive(robot: Robot, url: str, controller: Any, seconds: float, path: Path, tell: Any, cell: str) -> Any:
-    extra = {"observability": armlab.log.Column(shape=(6,))}  # wrench_hat and its covariance are declared by default
+    extra = {"observability": armlab.log.Column(shape=(6,))}  # wrench_hat and its covariance are always declared
     with armlab.bridge.connect(url, robot, offer=cell) as link:
         return link.run(controller, seconds, record=path, extra=extra, progress=tell)
 
 
-SEEN = 0.9  # smallest observability of an axis that counts
-MAX_RMS = 1.5  # N per axis, with contact and in free motion; times the scale
-PRIOR = (20.0, 20.0, 20.0, 2.0, 2.0, 2.0)  # N, N m: prior of the estimator; times max(scale, 1)
-MAX_PRESS_ERROR = 0.15  # mean over the press, relative to the weight
+SEEN = 0.9  # smallest observability of an axis in the RMS errors
+MAX_RMS = 1.5  # N per axis, with contact and in free motion; multiplied by the scale
+PRIOR = (20.0, 20.0, 20.0, 2.0, 2.0, 2.0)  # N, N m, prior of the estimator; multiplied by max(scale, 1)
+MAX_PRESS_ERROR = 0.15  # mean error during a press, relative to the weight
 COVERAGE = (0.85, 0.99)
-MAX_HOLES = 0.02  # largest share of cycles without an estimate, lost on a busy machine
-AXES = "xyz"
+MAX_HOLES = 0.02  # largest share of cycles without an estimate, which are lost on a busy computer
 
 
 @dataclass(frozen=True)
 class DemoVerdict:
     """Comparison of the estimate with the operator's forces."""
 
-    # name, true force, estimated force (x, y, z) [N], 2-sigma along the press [N], error along the press [N]
+    # name, true force [N], estimated force (x, y, z) [N], 2-sigma band and error along the press [N]
     presses: tuple[dict[str, Any], ...]
-    rms: np.ndarray  # rms, free_rms: (3,) error with the operator and in free motion [N], on observable axes
-    free_rms: np.ndarray
-    coverage: float  # share of force samples inside 2 sigma while the arm moves and the operator presses
-    rest_inside: float  # share of samples at rest inside 2 sigma
-    rest_band: np.ndarray  # their mean 2-sigma (3,) [N]
+    rms: np.ndarray  # (3,) RMS error with the operator on observable axes [N]
+    free_rms: np.ndarray  # (3,) RMS error in free motion on observable axes [N]
+    coverage: float  # share of forces inside 2 sigma during presses and motion
+    rest_inside: float  # share of forces inside 2 sigma at rest
+    rest_band: np.ndarray  # (3,) mean 2-sigma band at rest [N]
     holes: float  # share of cycles without an estimate
     bar: float = MAX_RMS  # target of the RMS errors [N]
     seen: tuple[bool, ...] = (True, True, True)
@@ -302,20 +294,13 @@ class DemoVerdict:
 
     def text(self) -> str:
         rows = [("press", "true [N]", "estimated x", "y", "z", "2-sigma", "error")]
-        rows += [
-            (
-                p["name"],
-                f"{p['true']:+.2f}",
-                *(f"{f:+.2f}" for f in p["force"]),
-                f"{p['band']:.2f}",
-                f"{p['error']:+.2f}",
-            )
-            for p in self.presses
-        ]
+        for p in self.presses:
+            forces = (f"{force:+.2f}" for force in (p["true"], *p["force"]))
+            rows.append((p["name"], *forces, f"{p['band']:.2f}", f"{p['error']:+.2f}"))
         rms, free, band = (" ".join(f"{v:.2f}" for v in a) for a in (self.rms, self.free_rms, self.rest_band))
         return "\n".join(
             [
-                aligned(rows, right=(1, 2, 3, 4, 5, 6)),
+                aligned(rows, right=range(1, 7)),
                 f"force error x y z, RMS while swaying and pressing  {rms} N (target {self.bar:.3g})",
                 f"false force x y z, RMS in free motion              {free} N (target {self.bar:.3g})",
                 f"inside 2 sigma while swaying and pressing          {100 * self.coverage:.1f} % (target 85 to 99)",
@@ -352,20 +337,18 @@ def judge(table: Table, plan: Plan) -> DemoVerdict:
 
     if not len(t) or t[-1] < plan.presses[-1][4]:
         raise LogError(
-            f"Expected a run of {plan.presses[-1][4]:.1f} s, with all presses, got {t[-1] if len(t) else 0.0:.1f} s. "
+            f"Expected a run of {plan.presses[-1][4]:.1f} s with all presses, got {t[-1] if len(t) else 0.0:.1f} s. "
             "Run the demo again."
         )
     sway, rest = window(plan.sway), window(plan.rest)
-    for edge in plan.presses[-1][3:]:  # the filtered estimate lags behind changes of the force
+    for edge in plan.presses[-1][3:]:  # the filtered estimate lags behind force changes
         rest &= ~window((edge - RAMP, edge + RAMP + LAG))
     presses = []
     for name, axis, true, start, end in plan.presses:
         rows = window((start + 0.1, end))
-        mean = force[rows].mean(axis=0)
-        band = float(2 * sigma[rows, axis].mean())
-        presses.append(
-            {"name": name, "true": true, "force": mean.tolist(), "band": band, "error": float(mean[axis] - true)}
-        )
+        mean, band = force[rows].mean(axis=0), float(2 * sigma[rows, axis].mean())
+        press = {"name": name, "true": true, "force": mean.tolist(), "band": band}
+        presses.append(press | {"error": float(mean[axis] - true)})
     return DemoVerdict(
         presses=tuple(presses),
         rms=rms(sway),
@@ -387,14 +370,10 @@ def figures(folder: Path, outcome: dict[str, Any], verdict: DemoVerdict) -> list
     """Write torque.png, wrench.png and summary.json to the folder; return all files in it."""
     from armlab.plots.style import png
 
-    plan, table = outcome["plan"], outcome["estimate"]
-    truth = table.with_column("wrench_true", plan.wrench(table["session_t"]))
-    excited = armlab.log.read(folder / "excite.mcap")
-    for name, drawn in (
-        ("torque.png", armlab.plots.torque_fit(outcome["fit"].value, excited)),
-        ("wrench.png", armlab.plots.wrench(truth)),
-    ):
-        (folder / name).write_bytes(png(drawn, dpi=120))
+    table, excited = outcome["estimate"], armlab.log.read(folder / "excite.mcap")
+    truth = table.with_column("wrench_true", outcome["plan"].wrench(table["session_t"]))
+    (folder / "torque.png").write_bytes(png(armlab.plots.torque_fit(outcome["fit"].value, excited), dpi=120))
+    (folder / "wrench.png").write_bytes(png(armlab.plots.wrench(truth), dpi=120))
     summary = {
         "passed": verdict.passed,
         "missed": list(verdict.missed),

@@ -19,12 +19,12 @@ from armlab.errors import ConfigError, LinkError
 if TYPE_CHECKING:
     from armlab.bridge.doctor.machine import Finding
 
-_ROW_BYTES = 600  # bytes recorded per packet of seven joints with torques, compressed
-_PACKETS = 250 * 3600  # per hour
+_ROW_BYTES = 600  # recorded bytes per packet of seven joints with torques, compressed
+_PACKETS = 250 * 3600  # packets per hour
 _LEAST_HOURS = 1.0
-_LEAST_SPEED = 5e6  # bytes per second: ten times the rate of two arms
+_LEAST_SPEED = 5e6  # bytes/s, ten times the data rate of two arms
 _BLOCK = bytes(1 << 20)
-_LONGEST_SYNC = 0.5  # s: the recorder syncs every 0.8 s
+_LONGEST_SYNC = 0.5  # s; the recorder syncs every 0.8 s
 
 
 def doctor(
@@ -36,16 +36,17 @@ def doctor(
     ca: Path | None = None,
     json: Json = False,
 ) -> int:
-    """Check the computer, the network and the robot; print a line per check: verdict, finding, advice.
+    """Check the computer, the network and the robot; print the verdict, finding and advice of each check.
 
     Listens on the ports and sends nothing to a robot. Exit codes: 0 success, 3 warnings, 1 failures.
 
     Parameters:
-        robot: Expected robot at each port (library name or robot file), to compare axes and posture.
-        port: UDP ports, separated by commas; default: 6510, 6511 and 6512, or as `armlab record` for these robots.
+        robot: Robot expected at each port (library name or robot file), whose axes and posture are checked.
+        port: UDP ports, separated by commas; default: 6510, 6511 and 6512, or the ports of `armlab record` for these
+            robots.
         seconds: Listening time [s].
-        rws: Address of the ABB controller; the command then also reports why EGM is not running, like armlab abb
-            status.
+        rws: Address of the ABB controller; like armlab abb status, the command then also reports why EGM is not
+            running.
         ca: File with the certificate of the controller or of its certificate authority.
     """
     from armlab.bridge.doctor.report import LONGEST, examine
@@ -62,7 +63,7 @@ def doctor(
 
 
 def _controller(host: str, ports: Sequence[int] | None, insecure: bool, ca: Path | None) -> list[Finding]:
-    """Return findings on the controller and on the tasks that send to these ports (on all tasks if none do)."""
+    """Return findings on the controller and on the tasks that send to these ports, or on all tasks if none does."""
     from armlab.bridge.doctor.controller import controller_findings, known_tasks, port_findings, senders
     from armlab.bridge.doctor.machine import Finding
     from armlab.cli.abb import connected
@@ -77,7 +78,7 @@ def _controller(host: str, ports: Sequence[int] | None, insecure: bool, ca: Path
 
 
 def disk(folder: Path) -> Finding:
-    """Measure the disk for logs: write speed, sync time, hours of free space."""
+    """Measure the write speed and sync time of the disk for logs, and its free space in hours of recording."""
     from armlab.bridge.doctor.machine import Finding
 
     syncs: list[float] = []
@@ -96,5 +97,5 @@ def disk(folder: Path) -> Finding:
     hours = shutil.disk_usage(folder).free / (_ROW_BYTES * _PACKETS)
     value = f"{1e-6 * speed:.0f} MB/s, sync {1e3 * max(syncs):.1f} ms at most, space for {hours:.0f} h of one arm"
     bad = hours < _LEAST_HOURS or speed < _LEAST_SPEED or max(syncs) > _LONGEST_SYNC
-    advice = "Record to a local disk with enough space: rows that cannot be written in time are lost (and counted)."
+    advice = "Record to a local disk with enough space: rows that cannot be written in time are counted as lost."
     return Finding.judged("disk", "warning", bad, value, advice)

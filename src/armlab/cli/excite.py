@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 SPEED = 0.6  # share of the speed limits
-_FOR = "designed for "  # robot and hash, in the source of a motion
-_ROUNDING = 1e-6  # rad or m, tolerance of a saved motion at the limits
-ROUNDS = 300  # rounds of the search for the most informative motion
+_FOR = "designed for "  # followed by robot and hash in the source of a motion
+_ROUNDING = 1e-6  # rad or m, tolerance at the limits for a saved motion
+ROUNDS = 300  # iterations of the search for the most informative motion
 
 
 @Parameter(name="*")
@@ -47,7 +47,7 @@ class ExcitationOptions:
         seconds: Length of the motion, at least 10 [s].
         f0: Base frequency [Hz]; the motion repeats after 1 / f0.
         harmonics: Number of harmonics: the motion contains frequencies up to harmonics times f0.
-        speed: Peak speed as a share of the robot's limits, in (0, 1]; default: 0.6, or the setting if that is lower.
+        speed: Peak speed as a fraction of the robot's limits, in (0, 1]; default: 0.6, or the setting if it is lower.
         acceleration: Peak acceleration [rad/s^2].
         seed: Seed of the motion.
     """
@@ -84,10 +84,10 @@ def excite(
         robot: Name in the library, or a robot file.
         output: Write the motion to this CSV file: t, q, qd, qdd at 250 Hz.
         motion: Shape of the motion.
-        joint: Instead, move only this joint (name, or number from 1) at ten constant speeds in both directions, to
-            identify its friction.
-        saved: Use the motion in this file (written by -o) instead of designing one.
-        noise: Standard deviation of the robot's torque signal [N m]; the printed deviations scale with it.
+        joint: Design a friction identification motion instead: move only this joint (name, or number from 1) at ten
+            constant speeds in both directions.
+        saved: Use the motion in this file (written by -o) instead of a new design.
+        noise: Standard deviation of the robot's torque signal [N m]; the predicted standard deviations scale with it.
         figure: Draw the motion to this PNG, SVG or PDF.
         run: Link on which to run the motion: egm://HOST:PORT for a real robot, sim://yumi_left or sim://FILE for a
             simulated one.
@@ -98,7 +98,7 @@ def excite(
 
     if output is None and run is None:
         raise ConfigError(
-            "Expected an output file (-o motion.csv) or a link to run the motion on (--run), got neither."
+            "Expected an output file (-o motion.csv) or a link on which to run the motion (--run), got neither."
         )
     require_positive("noise", noise, "N m")
     require_positive("approach", approach, "s")
@@ -121,7 +121,7 @@ def excite(
         expected = armlab.identify.predicted_uncertainty(trajectory, arm, noise) if joint is None else None
         tell(1, 1, "done")
     if json:
-        told = {} if expected is None else _plain(expected)
+        told = {} if expected is None else _data(expected)
         print_json({"robot": arm.name, **vars(motion), "speed": speed, "seconds": trajectory.seconds, **told})
     elif expected is None:
         result(f"{trajectory.seconds:.1f} s of motion")
@@ -144,7 +144,7 @@ def excite(
 
 
 def _saved(path: Path, robot: Robot, force: bool) -> Table:
-    """Return a motion of this robot; reject motions designed for or recorded with another robot."""
+    """Return the saved motion; refuse a motion designed for or recorded with another robot."""
     from armlab.cli.support.log_input import by_force, check_log
     from armlab.robots.comparison import check_same
 
@@ -160,7 +160,7 @@ def _saved(path: Path, robot: Robot, force: bool) -> Table:
 
 
 def _check_masses(robot: Robot, url: str) -> None:
-    """Reject the excitation of a simulated arm without torques."""
+    """Refuse to excite a simulated arm without masses, which reports no torques."""
     from armlab.sim.arm.truth import no_masses
 
     if url.startswith("sim:") and (why := no_masses(robot)):
@@ -182,15 +182,16 @@ def _design(
     )
 
 
-def _plain(expected: PredictedUncertainty) -> dict[str, Any]:
-    parameters = zip(expected.names, expected.units, expected.groups, expected.sd, strict=True)
-    keys = ("name", "unit", "group", "sd")
-    found = {"condition": expected.excitation.condition, "weakest": expected.excitation.weakest}
-    return {**found, "parameters": [dict(zip(keys, values, strict=True)) for values in parameters]}
+def _data(expected: PredictedUncertainty) -> dict[str, Any]:
+    """Return the prediction as data for JSON."""
+    rows = zip(expected.names, expected.units, expected.groups, expected.sd, strict=True)
+    parameters = [dict(zip(("name", "unit", "group", "sd"), row, strict=True)) for row in rows]
+    excitation = expected.excitation
+    return {"condition": excitation.condition, "weakest": excitation.weakest, "parameters": parameters}
 
 
 def _check_positions(robot: Robot, table: Table) -> None:
-    """Reject a motion from a file that exceeds the position limits of this arm."""
+    """Refuse a motion that exceeds the position limits of this arm."""
     import numpy as np
 
     q = table["q"]
@@ -208,7 +209,7 @@ def _check_positions(robot: Robot, table: Table) -> None:
 
 
 def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
-    """Reject a motion faster than the settings allow, unless requested by --speed."""
+    """Refuse a motion faster than the setting `speed`, unless --speed is given."""
     import numpy as np
 
     from armlab.cli.support.settings import load_settings

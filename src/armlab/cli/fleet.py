@@ -31,7 +31,7 @@ Ca = Annotated[Path | None, Parameter(help="CA certificate of the router: lab.pe
 Secret = Annotated[Path | None, Parameter(help="Password file (such as viewer.secret), if the router requires one.")]
 _ROUTER = "127.0.0.1:7447"
 _PORT = 7447
-_LOOK = 0.2  # s between two checks of the clock
+_POLL = 0.2  # s, longest sleep before the clock is checked
 
 fleet: App = App(name="fleet", help="Manage many robots: router, recorder, status list, batch jobs.")
 
@@ -54,7 +54,7 @@ def router(
     Parameters:
         listen: Address of the network interface; remote access requires certificates and users.
         port: TCP port.
-        connect: HOST:PORT of another router, whose robots become visible through this one.
+        connect: HOST:PORT of another router, whose robots become visible through this router.
         ca: CA certificate of the lab: lab.pem of armlab bridge certificates.
         certificate: Certificate of this router: bridge.pem.
         key: Private key of the certificate: bridge.key.
@@ -82,7 +82,7 @@ def record(
     secret: Secret = None,
     seconds: Seconds = None,
 ) -> int:
-    """Record every robot that sends rows to a separate file, until Ctrl-C.
+    """Record each robot that sends rows to its own file, until Ctrl-C.
 
     Parameters:
         output: Folder for the files, LAB-ROBOT.mcap; created if missing.
@@ -100,10 +100,9 @@ def record(
         finally:
             recorder.close()
             robots = recorder.robots
-            rows = [["robot", "rows", "lost", "damaged", "refused"]]
-            for name, one in sorted(robots.items()):
-                rows.append([name, *map(str, (one.rows, one.lost, one.damaged, one.refused))])
-            result(aligned(rows, (1, 2, 3, 4)) if robots else "No robots recorded.")
+            counts = ("rows", "lost", "damaged", "refused")
+            rows = [(name, *(str(getattr(one, count)) for count in counts)) for name, one in sorted(robots.items())]
+            result(aligned([("robot", *counts), *rows], (1, 2, 3, 4)) if robots else "No robots recorded.")
     return FAILED if any(one.failed for one in robots.values()) else 0
 
 
@@ -151,7 +150,7 @@ def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> LabAd
 def _wait(seconds: float | None) -> None:
     end = float("inf") if seconds is None else time.monotonic() + seconds
     while (left := end - time.monotonic()) > 0.0:
-        time.sleep(min(left, _LOOK))
+        time.sleep(min(left, _POLL))
 
 
 @Parameter(name="*")
@@ -175,7 +174,7 @@ class Job:
     force: bool = False
 
     def arm(self, logs: tuple[Path, ...]) -> Robot:
-        """Return the given arm, or the one named by the first recording."""
+        """Return the given arm, or the arm named by the first readable recording."""
         from armlab.fleet.logs import named
 
         if self.robot is not None:
@@ -191,7 +190,7 @@ class Job:
 
     @contextmanager
     def work(self, title: str) -> Iterator[tuple[Executor | None, Callable[[int, int, str], None]]]:
-        """Yield the executor and its progress callback."""
+        """Yield the executor and the progress callback of a batch job."""
         from armlab.fleet.mapping import workers
 
         with workers(self.workers, self.dask) as executor, progress(title) as tell:
@@ -204,9 +203,9 @@ def identify(
 ) -> int:
     """Identify gravity, inertia and friction from many logs of one arm; save the model.
 
-    The result is bit-identical for any number of workers. The sums of each log are cached, so that additional logs cost
-    only their own processing time. The command ends with status 3 if logs are unusable (they are listed) or if the
-    model is poor. A poor model is saved only with --force.
+    The result is bit-identical for any number of workers. The sums over each log are cached, so that only additional
+    logs are processed. The command ends with status 3 if logs are unusable (they are listed) or if the model is poor. A
+    poor model is saved only with --force.
 
     Parameters:
         logs: Recordings of free motion without contact, or folders of them.
@@ -244,8 +243,8 @@ def estimate(
 ) -> int:
     """Estimate the contact force in many logs of one arm; write one file per log.
 
-    Prints a line per log: length, number and duration of contacts, largest force, mean 2-sigma band. Unusable logs are
-    listed, and the command then ends with status 3.
+    For each log, prints the length, the number and duration of contacts, the largest force and the mean 2-sigma band.
+    Unusable logs are listed, and the command then ends with status 3.
 
     Parameters:
         logs: Recordings with positions, velocities and torques, or folders of them.
@@ -291,7 +290,7 @@ def export(
         logs: Files of any supported format, or folders of them.
         format: Output format: csv, mat, parquet, h5, mcap or rosbag2.
         output: Folder for the files.
-        job: See `Job`; the robot is used for mcap.
+        job: See `Job`; only mcap uses the robot.
     """
     from armlab import fleet
 

@@ -36,8 +36,8 @@ log: App = App(name="log", help="Show, export, cut, resample, merge, open and re
 def show(file: Path, *, columns: Columns = None, json: Json = False, parameters: bool = False) -> None:
     """Show the content of a log: rows, rate, columns with units and ranges; for a recording also metadata and events.
 
-    For a foreign log (an MCAP file or a bag), topics are listed separately. The log name of a cell with several arms
-    selects the files of all its arms.
+    For a foreign log (an MCAP file or a bag), topics are listed separately. The log name of a cell selects the files of
+    all its arms.
 
     Parameters:
         file: A finished or unfinished recording, or a log in another format.
@@ -51,7 +51,7 @@ def show(file: Path, *, columns: Columns = None, json: Json = False, parameters:
 
 
 def _held(file: Path, columns: str | None, json: bool, parameters: bool) -> Any:
-    """Return the content of one file to show: text, or data for scripts."""
+    """Return the content of a file as text, or as data for JSON."""
     import warnings
 
     from armlab.cli.support.log_input import reading_bar
@@ -68,7 +68,7 @@ def _held(file: Path, columns: str | None, json: bool, parameters: bool) -> Any:
         return parameters_text(held) if held else "This log has no parameters."
     robots = held.robots if held and len(held.robots) > 1 else (None,)
     with warnings.catch_warnings(), reading_bar(file) as tell:
-        warnings.simplefilter("ignore")  # the notes of the table are shown below
+        warnings.simplefilter("ignore")  # repeated by the notes of the table
         if is_foreign(file) and columns is None:
             tables = armlab.log.read_topics(file, progress=tell)
         else:
@@ -79,12 +79,12 @@ def _held(file: Path, columns: str | None, json: bool, parameters: bool) -> Any:
 
 
 def _files_of(file: Path) -> list[Path]:
-    """Return a file, or the recordings with this name from a cell of several arms, such as cellleft.mcap."""
+    """Return the file, or the recordings of all arms of a cell with this log name, such as cellleft.mcap."""
     if file.exists():
         return [file]
     found = []
     for path in sorted(file.parent.glob(f"{escape(file.stem)}?*{file.suffix}")):
-        end = re.sub(r"-\d+$", "", path.stem.removeprefix(file.stem))  # suffix of a name that was taken
+        end = re.sub(r"-\d+$", "", path.stem.removeprefix(file.stem))  # without the number of a repeated name
         with suppress(LogError, OSError):
             robot = armlab.log.inspect(path).metadata.get("armlab", {}).get("robot", "")
             if end in ("left", "right", f"-{robot}"):
@@ -111,11 +111,11 @@ def export(
     Parameters:
         file: A log in any of these formats, finished or unfinished.
         output: The new file (for rosbag2, the new folder).
-        robot: Robot to select from a recording of several robots, or from a foreign log by its joints or the first part
-            of its topic names. For .mcap and .rosbag2: library name or file of the arm if the log has no robot
-            description.
+        robot: Robot to select from a recording of several robots. For a foreign log: robot whose joints to read, or the
+            first part of its topic names. For .mcap and .rosbag2: library name or file of the arm if the log has no
+            robot description.
         clock: For a foreign log: the topic whose timestamps define the rows; see armlab log show.
-        storage: For rosbag2: sqlite3 for ROS 2 releases before Iron.
+        storage: Storage format of a rosbag2; use sqlite3 for ROS 2 releases before Iron.
     """
     from armlab.log.file_formats.delimited import sidecar_path
     from armlab.log.file_formats.mat import matlab_names
@@ -151,7 +151,7 @@ def export(
 
 
 def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
-    """Return the recorded or given arm for the joint names of a new file; None if the format has no joint names."""
+    """Return the recorded or given arm, whose joint names a new file stores; None if its format stores none."""
     from armlab.log.file_formats.opening import format_at
     from armlab.log.recording.metadata import described
     from armlab.log.topics.reader import is_foreign
@@ -169,7 +169,7 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
 
 @log.command(help_epilogue="Example: armlab log recover run.mcap")
 def recover(file: Path, *, output: Path | None = None) -> None:
-    """Write a repaired copy of a truncated or corrupt log. The original is not modified.
+    """Repair a copy of a truncated or corrupt log. The original is not modified.
 
     Parameters:
         file: The recording.
@@ -177,10 +177,8 @@ def recover(file: Path, *, output: Path | None = None) -> None:
     """
     with progress("recover") as tell:
         done = armlab.log.recover(file, output, progress=tell)
-    note(
-        f"{done.messages} messages over {done.seconds:.3f} s; lost: {done.torn} bytes at the end, "
-        f"{done.lost_chunks} corrupt chunks"
-    )
+    lost = f"lost: {done.torn} bytes at the end, {done.lost_chunks} corrupt chunks"
+    note(f"{done.messages} messages over {done.seconds:.3f} s; {lost}")
     result(str(done.path))
 
 
@@ -195,7 +193,7 @@ def cut(
     output: Annotated[Path, Parameter(alias="-o")],
     force: Force = False,
 ) -> None:
-    """Write a segment of a log: the rows with --from <= t < --to. The original is not modified.
+    """Copy a segment of a log: the rows with --from <= t < --to. The original is not modified.
 
     A recording keeps its metadata, its attachments, the parameters in force, and the events of the segment. Times t are
     not shifted: 12.3 s is the same instant in both files.
@@ -243,11 +241,11 @@ def resample(
     output: Annotated[Path, Parameter(alias="-o")],
     force: Force = False,
 ) -> None:
-    """Resample a log at a uniform rate. Numbers are interpolated linearly, poses and quaternions along geodesics;
-    counts, flags and texts are held.
+    """Resample a log at a uniform rate.
 
-    Useful for logs with skipped cycles or jittered timestamps. The rate must not be lower than that of the log; to
-    downsample, filter first.
+    Numbers are interpolated linearly, and poses and quaternions along geodesics. Counts, flags and texts keep the value
+    of the previous row. Use it for logs with skipped cycles or jittered timestamps. The rate must not be lower than
+    that of the log; to downsample, filter first.
 
     Parameters:
         file: A finished or unfinished recording, or a log in another format.
@@ -268,7 +266,7 @@ def resample(
         table = armlab.log.read(file, columns, robot=robot if names_robots(file) else None)
         even = table.resample(rate, max_gap=max_gap)
         armlab.log.write(even, output, arm, progress=tell)
-    note(f"{len(table)} rows became {len(even)}")
+    note(f"{len(table)} rows resampled to {len(even)}")
     result(str(output))
 
 
@@ -317,7 +315,7 @@ _EVENTS_SHOWN = 20
 
 
 def _data(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> dict[str, Any]:
-    """Return the content of a log for scripts."""
+    """Return the content of a log as data for JSON."""
     told = [_table_data(table) for table in tables.values()]
     several = "robots" if held and held.robots else "tables"
     rows = told[0] if list(tables) == [""] else {several: dict(zip(tables, told, strict=True))}
@@ -352,7 +350,7 @@ def parameters_data(held: Inspection) -> dict[str, Any]:
 
 
 def _table_data(table: Table) -> dict[str, Any]:
-    """Return the content of a table for scripts."""
+    """Return the content of a table as data for JSON."""
     from armlab.log.table import component_names, statistics, timing
 
     holes = table.missing()
@@ -374,7 +372,7 @@ def _table_data(table: Table) -> dict[str, Any]:
 
 
 def _recording_data(held: Inspection) -> dict[str, Any]:
-    """Return the additional content of a recording for scripts."""
+    """Return the additional content of a recording as data for JSON."""
     return {
         "format": "MCAP",
         "bytes": held.size,
@@ -397,8 +395,7 @@ def _exchanged_text(file: Path, kind: str, tables: Mapping[str, Table]) -> str:
 
 
 def _table_texts(tables: Mapping[str, Table]) -> list[str]:
-    """Return the rows, notes and columns of each table, and its name if there are several tables."""
-
+    """Return a description of each table (size, rate, notes, columns), with its name if there are several tables."""
     blocks = [] if tables else ["no topic with numeric data"]
     for name, table in tables.items():
         first, *rest = str(table).splitlines()
@@ -411,9 +408,7 @@ def _table_texts(tables: Mapping[str, Table]) -> list[str]:
 def _began(t0_ns: int) -> str:
     from datetime import UTC, datetime
 
-    if not t0_ns:
-        return "-"
-    return datetime.fromtimestamp(t0_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    return f"{datetime.fromtimestamp(t0_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S UTC}" if t0_ns else "-"
 
 
 def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
@@ -421,17 +416,11 @@ def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
     began = min((table.t0_ns for table in tables.values()), default=0)
     blocks = [f"{held.path}: {held.size / 1e6:.2f} MB, {state}, began {_began(began)}"]
     for about in held.metadata.values():
-        blocks.append(
-            aligned(
-                [(key, value) for key, value in about.items() if value and "\n" not in value and key != "attachments"]
-            )
-        )
+        shown = [pair for pair in about.items() if pair[1] and "\n" not in pair[1] and pair[0] != "attachments"]
+        blocks.append(aligned(shown))
     blocks += _table_texts(tables)
     if skipped := held.summary.get("skipped"):
-        blocks.append(
-            f"According to its clock, the controller skipped {skipped} cycles: no packets were sent, so "
-            "these rows are missing."
-        )
+        blocks.append(f"According to its clock, the controller skipped {skipped} cycles, so these rows are missing.")
     blocks.append(aligned([("attachment", "bytes"), *((n, str(len(d))) for n, d in held.attachments.items())], (1,)))
     lines = [f"{_when(event.stamp_ns, began):>12}  {event.text}" for event in held.events[:_EVENTS_SHOWN]]
     more = len(held.events) - len(lines)
@@ -440,13 +429,13 @@ def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
 
 
 def _when(stamp_ns: int, t0_ns: int) -> str:
-    """Return seconds since the first row; "-" for timestamps from another clock, as in lockstep."""
+    """Return the time since the first row; "-" for timestamps of another clock, as in lockstep."""
     seconds = (stamp_ns - t0_ns) / 1e9
     return f"{seconds:.3f} s" if abs(seconds) < 30 * 86_400 else "-"
 
 
 def _column_rows(table: Table) -> list[tuple[str, ...]]:
-    """Return one row per column: shape of a row, unit, frame, missing, minimum and maximum over its components."""
+    """Return a row per column: its shape, unit, frame, number of missing values, minimum and maximum."""
     import numpy as np
 
     from armlab.log.table import statistics
@@ -466,11 +455,11 @@ def _column_rows(table: Table) -> list[tuple[str, ...]]:
 class Viewer:
     """A program that opens MCAP files."""
 
-    title: str  # title, program: display name and command
-    program: str
-    arguments: tuple[str, ...]  # before the file name
+    title: str
+    program: str  # command
+    arguments: tuple[str, ...]  # arguments before the file name
     source: str  # installation hint
-    remark: str = ""  # hint before opening
+    remark: str = ""  # printed before opening
 
 
 VIEWERS = {
@@ -479,7 +468,7 @@ VIEWERS = {
     "rerun": Viewer(
         "Rerun",
         "rerun",
-        ("--bind", "127.0.0.1"),  # default: all interfaces
+        ("--bind", "127.0.0.1"),  # the default is all network interfaces
         "pip install rerun-sdk, into a separate environment",
         " It may connect to external hosts; `rerun analytics disable` prevents that.",
     ),
@@ -487,13 +476,12 @@ VIEWERS = {
 
 
 def chosen(wanted: Sequence[str]) -> tuple[Viewer, str]:
-    """Return the program to open a recording with, and its path."""
+    """Return the program that opens a recording, and its path."""
     if len(wanted) > 1:
         raise ConfigError(f"Expected one program to open the log with, got {' and '.join(wanted)}. Omit one.")
     places = {name: shutil.which(viewer.program) for name, viewer in VIEWERS.items()}
     for name in wanted or VIEWERS:
-        place = places[name]
-        if place is not None:
+        if place := places[name]:
             return VIEWERS[name], place
     there = ", ".join(VIEWERS[name].title for name, place in places.items() if place) or "none of these programs"
     missing = "; ".join(f"{VIEWERS[name].title}: {VIEWERS[name].source}" for name in wanted or VIEWERS)

@@ -26,8 +26,7 @@ def show(
     form: Annotated[Form, Parameter(name="--as")] = "text",
     frame: list[str] | None = None,
 ) -> None:
-    """Show a result (poses as matrix and quaternion, parameters with standard deviations), or convert it for another
-    program.
+    """Show a result (poses as matrix and quaternion, parameters with standard deviations), or export it.
 
     - tf: commands that publish the poses (ros2 run tf2_ros static_transform_publisher ...).
     - urdf: fixed joints with their origins.
@@ -70,7 +69,7 @@ def show(
 
 
 def poses_of(value: Any) -> dict[tuple[str, str], np.ndarray]:
-    """Return the poses of a value, keyed by the frames (a, b) in their names T_a_b."""
+    """Return the poses T_a_b of a result by their frames (a, b)."""
     import numpy as np
 
     from armlab.models.sensors import FRAMES
@@ -104,10 +103,14 @@ def _text(a: str, b: str, T: np.ndarray) -> str:
 
 
 def _tf(a: str, b: str, T: np.ndarray) -> str:
-    (x, y, z), (qw, qx, qy, qz) = _position_and_turn(T)
-    numbers = {"x": x, "y": y, "z": z, "qx": qx, "qy": qy, "qz": qz, "qw": qw}
-    told = " ".join(f"--{name} {value:.12g}" for name, value in numbers.items())
-    return f"ros2 run tf2_ros static_transform_publisher {told} --frame-id {a} --child-frame-id {b}"
+    options = " ".join(f"--{name} {value}" for name, value in _components(T).items())
+    return f"ros2 run tf2_ros static_transform_publisher {options} --frame-id {a} --child-frame-id {b}"
+
+
+def _components(T: np.ndarray) -> dict[str, str]:
+    """Return position and quaternion as text by component: x, y, z, qx, qy, qz, qw."""
+    p, (w, *xyz) = _position_and_turn(T)
+    return {name: f"{value:.12g}" for name, value in zip(("x", "y", "z", "qx", "qy", "qz", "qw"), (*p, *xyz, w))}
 
 
 def _urdf(a: str, b: str, T: np.ndarray) -> str:
@@ -123,10 +126,8 @@ def _camera(form: str, value: Any, named: dict[tuple[str, str], np.ndarray], nam
     """Return the camera pose in the format of easy_handeye or MoveIt."""
     if not isinstance(value, armlab.models.HandEye):
         raise ConfigError(f"Expected a hand-eye calibration in {file} for --as {form}, got a {type(value).__name__}.")
-    on_hand = value.setup == "eye_in_hand"
     cam = names.get("cam", "cam")
     (a, b), T = next(((pair, T) for pair, T in named.items() if cam in pair))
-    (x, y, z), (qw, qx, qy, qz) = _position_and_turn(T)
     if form == "moveit":
         words = _tf(a, b, T).partition("static_transform_publisher ")[2]
         return (
@@ -139,10 +140,9 @@ def _camera(form: str, value: Any, named: dict[tuple[str, str], np.ndarray], nam
         "tracking_base_frame": cam,
         "tracking_marker_frame": names.get("marker", "marker"),
     }
-    lines = [
-        "parameters:",
-        f"  eye_on_hand: {str(on_hand).lower()}",
-        *(f"  {key}: {name}" for key, name in frames.items()),
-    ]
-    numbers = {"x": x, "y": y, "z": z, "qx": qx, "qy": qy, "qz": qz, "qw": qw}
-    return "\n".join([*lines, "transformation:", *(f"  {key}: {number:.12g}" for key, number in numbers.items())])
+    on_hand = "true" if value.setup == "eye_in_hand" else "false"
+    parameters = {"eye_on_hand": on_hand, **frames}
+    return "\n".join([
+        "parameters:", *(f"  {key}: {name}" for key, name in parameters.items()),
+        "transformation:", *(f"  {key}: {number}" for key, number in _components(T).items()),
+    ])  # fmt: skip

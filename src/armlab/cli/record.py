@@ -29,10 +29,10 @@ def record(
     """Record the EGM data of robots. Sends nothing, so it cannot move the robots.
 
     Ends after --seconds of packets, after --patience without packets, or on Ctrl-C. The log then contains every
-    received packet. Killing the process loses one or two packets; a power failure loses up to 0.8 s.
+    received packet. If the process is killed, one or two packets are lost; a power failure loses up to 0.8 s of data.
 
     Parameters:
-        robot: Names in the library, or robot files; one log each.
+        robot: Library names or robot files; each robot has its own log.
         port: UDP ports to listen on, one per robot, separated by commas; default: from the settings, otherwise 6510 for
             one robot, 6511, 6512, ... for several.
         output: Log file, such as run.mcap; with several robots, the side or name is appended: runleft.mcap,
@@ -82,7 +82,7 @@ _STEPS = """Lead-through, step by step:
 
 
 def _urls(port: str | None, arms: list[Robot]) -> list[str]:
-    """Return one link per arm, on all network interfaces."""
+    """Return the URL of each arm's link, on all network interfaces."""
     if not arms:
         raise ConfigError("Expected the name of a robot, got none. For example: armlab record yumi_left -o run.mcap.")
     numbers = known_ports(arms) if port is None else ports_in(port)
@@ -92,11 +92,11 @@ def _urls(port: str | None, arms: list[Robot]) -> list[str]:
 
 
 def _told(files: list[Path]) -> int:
-    """Report the content of the logs; remove logs without rows. Return the exit code."""
+    """Report the size of each log, remove logs without rows, and return the exit code."""
     kept = 0
     for path in files:
         table = armlab.log.read(path)
-        is_whole = bool(armlab.log.inspect(path).summary)  # an unfinished one lacks its last rows
+        is_whole = bool(armlab.log.inspect(path).summary)  # an unfinished log lacks its last rows
         if len(table) or not is_whole:
             kept += is_whole
             result(f"{path}: {len(table)} packets, {table.t[-1] - table.t[0] if len(table) else 0.0:.2f} s")

@@ -43,7 +43,7 @@ def show(
 ) -> None:
     """Show a robot (joints, limits, gears, home posture), and optionally draw it. For a URDF, show the tree of links.
 
-    With --base, --tip or --lock, show this arm of a URDF instead.
+    With --base, --tip or --lock, show the selected arm of the URDF instead.
 
     Parameters:
         name: Name in the library, or the path of a description, .toml or .urdf.
@@ -65,7 +65,7 @@ def show(
 
 @robot.command(help_epilogue="Example: armlab robot convert arm.urdf arm.toml --tip tool0")
 def convert(source: str, target: Path, *, force: Force = False) -> None:
-    """Write a robot losslessly as TOML, or as URDF for other programs.
+    """Convert a robot losslessly to TOML, or to URDF for other programs.
 
     For a URDF, --base, --tip and --lock select the arm.
 
@@ -90,7 +90,7 @@ def export(
     model: Path | None = None,
     force: Force = False,
 ) -> None:
-    """Write a robot with its calibrated and identified parameters for other programs.
+    """Export a robot with its calibrated and identified parameters for other programs.
 
     Inertias become physically consistent <inertial> elements; unidentifiable parameters are chosen freely and do not
     change the torques. Viscous and Coulomb friction become <dynamics>. Rotor inertias (armature in Pinocchio and
@@ -110,7 +110,7 @@ def export(
 
     check_output(target, force, (".toml", ".urdf"))
     if calibrated is None and model is None:
-        raise ConfigError("Expected --calibrated FILE, --model FILE or both, got none. See armlab robot convert.")
+        raise ConfigError("Expected --calibrated FILE, --model FILE or both, got neither. See armlab robot convert.")
     arm = load_robot(name)
     found = arm if calibrated is None else _calibrated(arm, calibrated)
     if model is None:
@@ -122,7 +122,7 @@ def export(
         if away > 0.0:
             note(
                 "No physically consistent inertias reproduce the torques of this model: its base parameters change by "
-                f"{away:.2g} standard deviations in total. Richer motion in the log reduces their uncertainty."
+                f"{away:.2g} standard deviations in total. A richer motion in the log reduces their uncertainty."
             )
         if target.suffix == ".toml":
             armlab.robots.save(found, target)

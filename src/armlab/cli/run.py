@@ -14,12 +14,12 @@ from cyclopts import Parameter
 import armlab
 from armlab.cli import FAILED
 from armlab.cli.support.options import Columns, Force, Json, as_given, links_to, load_robot
-from armlab.cli.support.output import Narrator, check_output, note, print_json, progress, result
+from armlab.cli.support.output import Narrator, check_output, note, progress, result
 from armlab.errors import ConfigError, ControllerFailed
 
 if TYPE_CHECKING:
     from armlab.bridge import Link, Run
-    from armlab.motion import JointTrajectory, TrajectoryController
+    from armlab.motion import JointTrajectory
     from armlab.robots import Robot
 
 
@@ -40,21 +40,22 @@ def run(
 ) -> int:
     """Run a controller from a file on a robot, record a log, and print a report.
 
-    The file needs only a function State -> Command; returning None holds the position. A dictionary `extra` in the file
-    declares the columns of Command.record. The run ends after --seconds, on Command.stop(), or on Ctrl-C; the arm is
-    brought to rest first.
+    The file defines a function State -> Command; the value None holds the position. A dictionary `extra` in the file
+    declares the columns of Command.record. The run ends after --seconds, on Command.stop(), or on Ctrl-C, and first
+    brings the arm to rest.
 
     Parameters:
         robot: Library name or robot file; yumi_left+yumi_right for two arms.
         controller: FILE.py:NAME; FILE.py alone selects the function `controller`. Default: hold position.
         link: egm://HOST:PORT for a real robot, where HOST is an address of this computer; separate two arms by a comma.
             Default: a simulated robot.
-        log: Prefix of the log name, to which the time is appended; or a folder, in which the robot's name is the
-            prefix. Default: in the log folder of the settings.
+        log: Prefix of the log name, to which the time is appended; or a folder, where the prefix is the robot's name.
+            Default: the log folder of the settings.
         no_log: Record nothing.
         seconds: Stop after this much robot time under guidance [s].
         speed: Fraction of the robot's speed and acceleration limits, in (0, 1]; default: from the settings, else 1.
-        wait: How to wait for packets; default: from the settings, else ahead. spin: busy waiting on one core.
+        wait: Method of waiting for packets: ahead (default, or from the settings), block, or spin (busy waiting on one
+            core).
         interactive: Open a Python prompt after the run, with `log` (the table), `run` and `robot`.
     """
     from armlab.cli.support.settings import load_settings
@@ -87,7 +88,7 @@ def run(
     result(done.report())
     if interactive:
         _prompt(done, end)
-    return FAILED if done.statistics["problems"] else 0  # as the report says
+    return FAILED if done.statistics["problems"] else 0
 
 
 CHECKS = """A real arm will move now: keep clear, keep a hand on the emergency stop, and start slowly (--speed 0.1).
@@ -95,7 +96,7 @@ Follow this order: automatic mode, or manual mode with the enabling device; moto
 
 
 def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] | None]:
-    """Return the controller in a file and the columns it declares as `extra`, or None."""
+    """Return the controller in a file, and the columns that the file declares as `extra`, or None."""
     from importlib.util import module_from_spec, spec_from_file_location
 
     path, name = _file_and_name(place)
@@ -132,7 +133,7 @@ def _file_and_name(place: str) -> tuple[Path, str]:
 
 
 def _raised_at(error: Exception) -> str:
-    """Return the lines in the user's files that led to a controller's error, innermost last."""
+    """Return the lines of the user's files in the traceback of a controller's error, innermost last."""
     from traceback import extract_tb
 
     own = Path(__file__).parents[1]
@@ -146,7 +147,7 @@ def _hold(state: object) -> None:
 
 
 def _base(log: str | None, no_log: bool, robot: str) -> Path | None:
-    """Return the log name including the time: one file per arm and run."""
+    """Return the path of the log, which includes the time; None with --no-log."""
     from armlab.cli.support.settings import log_folder
 
     if no_log:
@@ -159,12 +160,12 @@ def _base(log: str | None, no_log: bool, robot: str) -> Path | None:
     else:
         start = str(log_folder() / name if log is None else log).removesuffix(".mcap")
     path = Path(f"{start}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.mcap")
-    check_output(path, force=True, endings=[".mcap"])  # the recorder appends -2 to a second start in this second
+    check_output(path, force=True, endings=[".mcap"])  # a second run in the same second gets the suffix -2
     return path
 
 
 def _files(link: Link) -> list[Path]:
-    """Return the logs of the last run, including numbers appended to their names."""
+    """Return the paths of the logs of the last run."""
     last = link.last
     runs = () if last is None else last.arms or (last,)
     return [one.path for one in runs if one.path is not None and one.path.exists()]
@@ -179,8 +180,8 @@ def _prompt(done: Run, link: Link) -> None:
     code.interact("Available: log (table), run (report), robot, np. Ctrl-D ends.", local=names, exitmsg="")
 
 
-_REST = 1e-3  # rad/s or m/s of the last row
-_LONGEST = 3.0  # s after the last point and the wait for the goal
+_REST = 1e-3  # rad/s or m/s, largest speed of the last row
+_LONGEST = 3.0  # s, timeout for the goal after the last point
 
 
 def play(
@@ -197,19 +198,19 @@ def play(
     """Run a joint trajectory on a robot, or replay the motion in a log.
 
     Moves the robot to the start at moderate speed, runs the trajectory, records a log, and prints the distance from the
-    goal. The path between points is linear for positions only, cubic with velocities, quintic with accelerations. A
-    trajectory outside the limits is refused. To replay at another speed, fit a primitive: armlab dmp fit.
+    goal. The path between points is linear with positions alone, cubic with velocities, and quintic with accelerations.
+    A trajectory outside the limits is refused. To replay at another speed, fit a primitive: armlab dmp fit.
 
     Parameters:
-        file: JSON of a trajectory_msgs/JointTrajectory or of a FollowJointTrajectory goal; or a log or CSV file. From a
-        log, the references sent (q_sent) are replayed, otherwise the columns q, qd and qdd.
+        file: A trajectory_msgs/JointTrajectory or a FollowJointTrajectory goal in JSON; or a log or CSV file. Replays
+        the references in the column q_sent, otherwise the columns q, qd and qdd.
         robot: Library name or robot file.
         link: egm://HOST:PORT for a real robot; default: a simulated robot.
         speed: Allowed fraction of the robot's speed limits, in (0, 1]; default: from the settings, else 1.
         log: Recording of the motion; -2, -3 is appended if it exists. Default: play.mcap in the log folder.
-        force: Also replay a log of another robot.
+        force: Replay a log of another robot.
     """
-    from armlab.cli.dmp.playing import Walk
+    from armlab.cli.dmp.playing import Walk, report_motion
     from armlab.cli.support.settings import load_settings, log_folder
 
     arm = load_robot(robot)
@@ -224,22 +225,7 @@ def play(
         end.run(Walk(trajectory.ordered(arm.ros_joint_names).q[0], limits.qd_max), limits=limits)
         whole = trajectory.duration + _LONGEST
         done = end.run(controller, whole, limits=limits, record=log or log_folder() / "play.mcap", progress=tell)
-    return _report(controller, trajectory.duration, done, json)
-
-
-def _report(controller: TrajectoryController, seconds: float, done: armlab.bridge.Run, json: bool) -> int:
-    """Print how the motion ended, and return the exit code."""
-    import numpy as np
-
-    off = float(np.abs(done.table["q"][-1] - controller.goal).max())
-    reason = "arrived" if controller.done else controller.reason or done.reason
-    if json:
-        print_json({"seconds": seconds, "goal_error": off, "reason": reason, "log": str(done.path)})
-    else:
-        result(f"{seconds:.2f} s of motion, ended {off:.2g} rad from the goal: {reason}")
-    for problem in done.statistics["problems"]:
-        note(problem)
-    note(f"log: {done.path}")
+    report_motion(arm, controller, trajectory.duration, done, json)
     return 0 if controller.done and not done.statistics["problems"] else FAILED
 
 

@@ -1,4 +1,4 @@
-"""``armlab sim``: simulate arms and their EGM controllers; options, input and output files."""
+"""``armlab sim``: simulate arms and their EGM controllers."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _AXES = {"6": "irb1200", "7": "yumi_right", "scara": "scara"}
 
 @dataclass(frozen=True)
 class FaultOptions:
-    """`FaultRates` as options, with pairs given as text."""
+    """`FaultRates` as command options, with pairs of numbers as text."""
 
     loss: float = FaultRates.loss
     duplicate: float = FaultRates.duplicate
@@ -55,7 +55,7 @@ class FaultOptions:
         return FaultRates(**{**given, "delay": pair("delay", self.delay), "pause": pair("pause", self.pause)})
 
 
-_attributes = (FaultRates.__doc__ or "").partition("    Attributes\n")[2]  # single source of the help texts
+_attributes = (FaultRates.__doc__ or "").partition("    Attributes\n")[2]  # shared help texts
 FaultOptions.__doc__ = f"{FaultOptions.__doc__}\n\n    Attributes\n{_attributes.partition('    Raises')[0]}"
 
 
@@ -64,8 +64,8 @@ class PacketOptions:
     """Packet contents.
 
     Attributes:
-        robotware: RobotWare version: 6.06 sends radians and no time; 6.07 adds the time, 6.10 the utilisation, 7 later
-        fields.
+        robotware: RobotWare version: 6.06 sends radians and no time; 6.07 adds the time, 6.10 the utilisation rate,
+            and 7 the later fields.
         axes: Number of axes, instead of a robot name: 6 for irb1200, 7 for yumi_right, scara for a generic SCARA robot.
         external: Number of external axes in addition to the robot axes.
         rapid_data: Number of RAPID data values sent back, in addition to the digital value (RobotWare 7).
@@ -106,9 +106,8 @@ class SurroundingOptions:
             guidance, then N and N m in base axes at the tool point. Rows are interpolated linearly.
         hand: With --program lead-through: CSV file of the path along which a hand leads the first robot, t,q1,q2,... in
             rad; default: a random smooth path.
-        grip: START,END in guidance time [s], between which a hand grips the tool of the first robot and holds it in
-            place.
-        motors: Motor state over robot time, such as on, or 0:on,2.5:off,4:on; undefined is also allowed.
+        grip: START,END in guidance time [s]: interval in which a hand holds the tool of the first robot in place.
+        motors: Motor state over robot time: on, off or undefined, such as on, or 0:on,2.5:off,4:on.
         rapid: RAPID state over robot time: running, stopped, or undefined (stuck, as after a restart).
     """
 
@@ -162,7 +161,7 @@ class RwsOptions:
 
     @contextmanager
     def serving(self, box: VirtualController | None) -> Iterator[None]:
-        """Serve during the block with a self-signed certificate, like OmniCore controllers."""
+        """Run the services during the block, for RWS 2.0 with a self-signed certificate as on OmniCore controllers."""
         if box is None or self.rws is None:
             yield
             return
@@ -189,11 +188,11 @@ def pair(name: str, text: str) -> tuple[float, float]:
 
 
 _OPERATOR = ("t", "fx", "fy", "fz", "mx", "my", "mz")
-_SHOWN = 80  # characters of a wrong line quoted in an error
+_SHOWN = 80  # characters quoted from an invalid line
 
 
 def read_operator(path: Path) -> AppliedWrench:
-    """Return the operator described by a CSV file with the header ``t,fx,fy,fz,mx,my,mz``."""
+    """Return the operator's wrench in a CSV file with the header ``t,fx,fy,fz,mx,my,mz``."""
     from armlab.sim.events import AppliedWrench
 
     table = _read(path, _OPERATOR, "an operator file")
@@ -201,7 +200,7 @@ def read_operator(path: Path) -> AppliedWrench:
 
 
 def read_hand(path: Path, n: int) -> HandPath:
-    """Return the path of a hand described by a CSV file with the header ``t,q1,q2,...``."""
+    """Return the path of a guiding hand in a CSV file with the header ``t,q1,q2,...``."""
     from armlab.sim.events import HandPath
 
     table = _read(path, ("t", *(f"q{i + 1}" for i in range(n))), "a hand path")
@@ -211,7 +210,7 @@ def read_hand(path: Path, n: int) -> HandPath:
 
 
 def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
-    """Return the numbers of a CSV file whose first column is increasing time."""
+    """Return the numbers in a CSV file whose first column is an increasing time."""
     import numpy as np
 
     from armlab.cli.support.settings import read_text
@@ -238,19 +237,19 @@ def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
 
 
 class TextFile:
-    """New text file; errors name the file."""
+    """New text file whose errors include its path."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._file: TextIO = self._named(lambda: path.open("w", encoding="utf-8"))
+        self._file: TextIO = self._attempt(lambda: path.open("w", encoding="utf-8"))
 
     def write(self, text: str) -> None:
-        self._named(lambda: self._file.write(text))
+        self._attempt(lambda: self._file.write(text))
 
     def close(self) -> None:
-        self._named(self._file.close)
+        self._attempt(self._file.close)
 
-    def _named(self, work: Callable[[], Any]) -> Any:
+    def _attempt(self, work: Callable[[], Any]) -> Any:
         try:
             return work()
         except OSError as error:
@@ -260,7 +259,7 @@ class TextFile:
 
 
 def truth_writer(file: TextFile, controller: SimulatedController) -> Callable[[UdpClient], None]:
-    """Write the header of the truth file; return the function that writes a row per packet."""
+    """Write the header of the truth file, and return the function that writes a row per packet."""
     import numpy as np
 
     joints = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m", "tau_friction": "N m"}
@@ -310,19 +309,19 @@ def sim(
     Masses are taken from the robot's description; friction and noise are synthetic. See the documentation.
 
     Parameters:
-        robot: Library names or robot files, one motion task each; none with --axes.
+        robot: Library names or robot files, one per motion task. Omit them with --axes.
         to: HOST:PORT of the bridge; for several robots, one address each, separated by commas.
-        lockstep: Wait for each reply and run as fast as the peer; equal seeds produce identical bytes.
+        lockstep: Wait for each reply, and run as fast as the bridge replies; equal seeds produce identical bytes.
         seed: Seed of the noise, the faults and the random hand; for several robots, optionally one seed each, separated
             by commas.
         seconds: Stop after this much robot time [s]; default: run until Ctrl-C.
         extension: Also send velocities and torques (research extension, field 101), and accept torque and gain
             commands.
-        phase: With several robots: delay of each robot's packets after those of the previous one [s].
+        phase: With several robots: delay of each robot's packets after those of the previous robot [s].
         truth: CSV output file for the exact state, friction and wrench of every packet (one robot only).
         stats: JSON output file for counters and round-trip times of each robot; repeated names are numbered.
         json: Print events as JSON, one object per line.
-        patience: Timeout of one reply in lockstep [s].
+        patience: Timeout for a reply in lockstep [s].
         abb_defaults: Use ABB's default settings: speed deviation 1 deg/s, convergence after 1 s within 0.5 deg.
             Explicit options take precedence.
         content: Content of the packets.
@@ -366,7 +365,7 @@ def sim(
         observe = truth_writer(exact, channels[0].controller) if exact else None
         opened.enter_context(services.serving(box))
         try:
-            # never outlive the parent
+            # end with the parent process
             reason = run(channels, pace, alive=lambda: os.getppid() == parent, observe=observe)
             code = FAILED if any(channel.controller.dead for channel in channels) else 0
         except KeyboardInterrupt:
@@ -382,12 +381,10 @@ def sim(
 
 
 def _with_abb_defaults(settings: ControllerSettings) -> ControllerSettings:
-    """Return the settings with ABB's defaults for all options that the user did not give."""
-    ours, careless = ControllerSettings(), ControllerSettings.abb_defaults()
-    names = [field.name for field in fields(ControllerSettings)]
-    return replace(
-        settings, **{name: getattr(careless, name) for name in names if getattr(settings, name) == getattr(ours, name)}
-    )
+    """Return the settings with ABB's defaults for all options that the user omitted."""
+    ours, abb = ControllerSettings(), ControllerSettings.abb_defaults()
+    omitted = [one.name for one in fields(settings) if getattr(settings, one.name) == getattr(ours, one.name)]
+    return replace(settings, **{name: getattr(abb, name) for name in omitted})
 
 
 def _seeds(seed: str, count: int) -> list[int]:
@@ -398,7 +395,7 @@ def _seeds(seed: str, count: int) -> list[int]:
 
 
 def _addresses(to: str) -> list[tuple[str, int]]:
-    """Return (host, port) per robot."""
+    """Return the host and port of each robot."""
     found = []
     for word in to.split(","):
         host, _, port = word.strip().rpartition(":")
@@ -410,7 +407,7 @@ def _addresses(to: str) -> list[tuple[str, int]]:
 
 @dataclass(frozen=True)
 class _SharedOptions:
-    """Options common to all robots of one command."""
+    """Options common to all robots of a command."""
 
     content: PacketOptions
     around: SurroundingOptions
@@ -429,23 +426,15 @@ class _SharedOptions:
 
         content, settings = self.content, self.settings
         robot = simulated(name)
-        is_rw7 = content.robotware == "7"
-        codec = RobotSideCodec(
-            robot,
-            content.robotware,
-            self.extension,
-            force=content.force,
-            external=content.external,
-            data=content.rapid_data,
-        )
+        both: dict[str, Any] = {"force": content.force, "data": content.rapid_data}
+        codec = RobotSideCodec(robot, content.robotware, self.extension, external=content.external, **both)
         packets = PacketBuilder(
             codec,
             settings.period,
             fields=[name.strip() for name in content.fields.split(",") if name.strip()],
             phase=index * self.phase,
-            force=content.force,
-            torque_reference=is_rw7 and settings.level == 0 and not settings.only_streams,
-            data=content.rapid_data,
+            torque_reference=content.robotware == "7" and settings.level == 0 and not settings.only_streams,
+            **both,
         )
         if self.around.hand and not index and settings.program != "lead-through":
             raise ConfigError(
@@ -456,8 +445,8 @@ class _SharedOptions:
         if self.box is not None:
             scene = replace(scene, **self.box.scene(index))
         controller = SimulatedController(self._arm(robot, seed, index), packets, settings, scene, self.tell)
-        both = [options.rates() for options in self.faults]
-        ways = [Faults(rates, [*seed, i], settings.period) if rates.any else None for i, rates in enumerate(both, 1)]
+        rates = [options.rates() for options in self.faults]
+        ways = [Faults(one, [*seed, i], settings.period) if one.any else None for i, one in enumerate(rates, 1)]
         return UdpClient(controller, *address, *ways, phase=index * self.phase)
 
     def _arm(self, robot: Robot, seed: list[int], index: int) -> SimulatedArm | LaggingArm:
@@ -473,10 +462,9 @@ class _SharedOptions:
                     "that holds the outstretched arm"
                 )
             return SimulatedArm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)
-        useless = {"operator": self.around.operator and not index, "grip": self.around.grip and not index}
-        useless["mismatch"] = self.mismatch != Mismatch(seed=self.mismatch.seed)
-        for option, given in useless.items():
-            if given:
-                raise ConfigError(f"Expected an arm with masses for --{option}, but {why}. Omit --{option}.")
+        unusable = {"operator": self.around.operator and not index, "grip": self.around.grip and not index}
+        unusable["mismatch"] = self.mismatch != Mismatch(seed=self.mismatch.seed)
+        if option := next((option for option, given in unusable.items() if given), None):
+            raise ConfigError(f"Expected an arm with masses for --{option}, but {why}. Omit --{option}.")
         note(f"note: {why}. It follows references and ignores torques and hands")
         return LaggingArm(robot, period)

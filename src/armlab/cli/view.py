@@ -20,8 +20,7 @@ from armlab.errors import ConfigError, LinkError
 if TYPE_CHECKING:
     from armlab.models import TorqueModel
 
-_START = 30.0  # s, timeout of the start of a view
-_END = 5.0  # s, timeout of its end
+_START, _END = 30.0, 5.0  # s, timeouts for the start and the end of a view
 ABOVE = 5  # parent folders searched for a mesh package
 
 
@@ -51,9 +50,9 @@ def view(
             Robots are added as they appear and marked when they disappear.
         zenoh: Address of the bridge or router, such as zenoh://192.168.1.5:7447/lab1; with --fleet
             zenoh://127.0.0.1:7447.
-        robot: Name in the library, or a robot file, for logs without an embedded robot description, one per log, and
-            for meshes, which neither a recording nor a bridge contains. Mesh files are searched for in its folder and
-            in the parent folders. A recording or bridge of another robot is rejected.
+        robot: Library name or robot file: one per log without an embedded robot description, and for meshes, which
+            recordings and bridges do not contain. Mesh files are searched for in its folder and in the parent folders.
+            A recording or bridge of another robot is refused.
         model: Model file of `armlab identify`, used to estimate the force if the log or bridge has no estimate; one per
             arm.
         cell: With --live: name of the cell; required if several cells are running.
@@ -132,7 +131,7 @@ def _mesh_folders(robots: Sequence[str], packages: Sequence[Path] | None) -> lis
 
 
 def _open(url: str) -> None:
-    """Print the address immediately, flushed for programs that read it."""
+    """Print the address, and flush it for programs that read it."""
     result(f"View: {url}")
     sys.stdout.flush()
 
@@ -141,12 +140,12 @@ def _open(url: str) -> None:
 def beside(cell: str, robot: str | None = None) -> Iterator[str]:
     """Show a bridge in the browser during the block, from a separate process; yields the address.
 
-    `robot`: the arm of the bridge as typed, for its meshes.
+    `robot`: arm of the bridge as the user typed it; adds its meshes.
     """
     words = [sys.executable, "-m", "armlab", "view", "--live", "--cell", cell, *(mesh_option(robot) if robot else ())]
     with TemporaryFile("w+") as said:
         options: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": said}
-        # separate session: Ctrl-C reaches only the caller, which first brings the arm to rest
+        # in a separate session, so that Ctrl-C reaches only the caller, which first brings the arm to rest
         process = subprocess.Popen(words, text=True, start_new_session=True, **options)
         try:
             yield _first_line(process, said)
@@ -160,7 +159,7 @@ def beside(cell: str, robot: str | None = None) -> Iterator[str]:
 
 
 def _first_line(process: subprocess.Popen[str], said: IO[str]) -> str:
-    """Return the first line that a view prints once the page can be opened."""
+    """Return the first line of a view, which it prints once the page can be opened."""
     out = process.stdout
     came = out is not None and select.select([out], [], [], _START)[0]
     line = out.readline().strip() if out is not None and came else ""

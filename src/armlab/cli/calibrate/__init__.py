@@ -42,8 +42,6 @@ calibrate.command(
     name="dual-arm",
     help_epilogue="Example: armlab calibrate dual-arm yumi_left yumi_right samples.csv -o arms.toml",
 )
-
-
 calibrate.command(
     hand_eye,
     name="hand-eye",
@@ -74,9 +72,9 @@ def force_sensor(
         wrench: Name of the column with the readings; default: see above.
         gravity: Gravity in base axes [m/s^2]; default: downwards.
         unknown_gravity: Also identify the direction of gravity.
-        sign: 1 if the sensor reads the weight of its load, -1 if it reads the reaction.
+        sign: 1 if the sensor measures the weight of its load, -1 if it measures the reaction.
         mass: Known mass of the load [kg].
-        no_bias: Assume that the readings have no bias.
+        no_bias: Assume readings without bias.
         noise: Known standard deviations of forces [N] and torques [N m].
         robust: Detect samples with contact and exclude them.
     """
@@ -109,14 +107,14 @@ def accelerometer(
 ) -> int:
     """Identify the axes and bias of a tool-mounted accelerometer from readings at rest in many orientations.
 
-    A file contains the poses T_base_tool, as for hand-eye, and acc1, acc2, acc3 in sensor axes [m/s^2], which point
-    upwards at rest. A MAT file contains acc (N, 3).
+    A file contains the poses T_base_tool, as for hand-eye, and the acceleration acc1, acc2, acc3 in sensor axes
+    [m/s^2], which points upwards at rest. A MAT file contains acc (N, 3).
 
     Parameters:
         gravity: Gravity in base axes [m/s^2]; default: downwards.
         scale: Also identify the scale of the readings.
         noise: Known standard deviation of a reading [m/s^2].
-        robust: Detect and exclude samples that were not at rest.
+        robust: Detect samples in motion and exclude them.
     """
     more: dict[str, Any] = {} if gravity is None else {"gravity": gravity}
 
@@ -144,7 +142,7 @@ def laser(
 
     Parameters:
         noise: Known standard deviations of a point [m] and of the angle of a line [rad].
-        robust: Detect and exclude wrong scans.
+        robust: Detect wrong scans and exclude them.
     """
     import numpy as np
 

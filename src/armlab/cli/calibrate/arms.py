@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -27,7 +28,8 @@ Harmonics = Annotated[
     Parameter(consume_multiple=True, help="Orders of the periodic joint errors, such as 1 2."),
 ]
 Weak = Annotated[
-    Literal["refuse", "prior"], Parameter(help="Handling of unidentifiable directions: refuse, or fix them by a prior.")
+    Literal["refuse", "prior"],
+    Parameter(help="Handling of unidentifiable directions: refuse the fit, or fix them by a prior."),
 ]
 Robust = Annotated[bool, Parameter(help="Detect and exclude outliers.")]
 _NUMBERS = {"pose": 2, "position": 1, "distance": 1, "pair_distance": 1, "absolute_a": 2}
@@ -49,22 +51,23 @@ def kinematics(
     """Calibrate an arm from joint positions and measured poses, positions or distances of its tool.
 
     A file contains q1 ... qn and at least one kind of measurement: the pose, as for hand-eye; position1 ... position3;
-    distance, from a fixed point; or pair_distance, from the tool position in sample pair_with of the same file (counted
-    from 0). Leave missing measurements empty.
+    distance, from a fixed point; or pair_distance, from the tool position in the sample with the number pair_with (from
+    0) of the same file. Leave missing measurements empty.
 
     Parameters:
         robot: Library name or robot file of the nominal arm.
         anchor: Approximate position of the fixed point for distances [m].
         length_offset: Identify a constant offset of the distances, for example of a draw-wire sensor.
-        noise: Known standard deviations, in this order: poses [m and rad], positions [m], distances [m], pair distances
-            [m].
-        free: Parameters to identify: all; offsets: joint offsets, base and tool; base_tool.
+        noise: Known standard deviations of the measurements in the files, in this order: poses [m and rad], positions
+            [m], distances [m], pair distances [m].
+        free: Parameters to identify: all; joint offsets, base and tool (offsets); or base and tool (base_tool).
         corrected: Also write the corrected arm as a robot file, .toml.
     """
     arm = load_robot(robot)
     files = () if corrected is None else (corrected,)
-    _check_robots(files, wanted)
-    length = 0  # of the previous samples
+    for path in files:
+        check_output(path, wanted.force, (".toml",))
+    length = 0  # number of samples in the previous files
 
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
         nonlocal length
@@ -111,13 +114,14 @@ def dual_arm(
     Parameters:
         robot_a: Library name or robot file of the measuring arm (nominal).
         robot_b: Library name or robot file of the measured arm (nominal).
-        closed: The tools are rigidly joined, and there is no other measurement.
+        closed: The tools are rigidly connected, which replaces the measurement.
         noise: Known standard deviations: poses [m and rad] or positions [m], then absolute_a [m and rad].
         corrected: Also write the corrected arms a and b as robot files, .toml.
     """
     kinds = ("pose", "position", "absolute_a")
     arms = load_robot(robot_a), load_robot(robot_b)
-    _check_robots(corrected or (), wanted)
+    for path in corrected or ():
+        check_output(path, wanted.force, (".toml",))
 
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
         joints = [read.vectors(f"q_{letter}", (arm.n,)) for letter, arm in zip("ab", arms, strict=True)]
@@ -125,7 +129,7 @@ def dual_arm(
         return measured_rows(read, joints, seen, every=closed)[:-1]
 
     def fit(q_a: np.ndarray, q_b: np.ndarray, *measured: np.ndarray) -> Any:
-        told, visible = _kinds(dict(zip(kinds, measured, strict=False)))  # none for joined tools
+        told, visible = _kinds(dict(zip(kinds, measured, strict=False)))  # without measurements if closed
         sizes = _noises(noise, list(told) or ["pose"])
         more: dict[str, Any] = {"noise": sizes.get("pose", sizes.get("position")), "closed": closed}
         more |= {"noise_absolute": sizes.get("absolute_a"), "weak": weak, "robust": robust}
@@ -139,7 +143,7 @@ def dual_arm(
 
 
 def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
-    """Return joints, poses, positions, distances, pair distances, and the partner sample of each pair."""
+    """Return joint positions, poses, positions, distances, pair distances, and the other sample of each pair."""
     import numpy as np
 
     q = read.vectors("q", (arm.n,))
@@ -160,7 +164,7 @@ def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
 
 
 def _measurements(read: Samples, N: int, names: tuple[str, ...]) -> list[np.ndarray]:
-    """Return the measurements by name, NaN if not in the file."""
+    """Return the named measurements; NaN if the file does not contain them."""
     import numpy as np
 
     if not any(name in read for name in names):
@@ -178,7 +182,7 @@ def _measurements(read: Samples, N: int, names: tuple[str, ...]) -> list[np.ndar
 
 
 def _seen(values: np.ndarray) -> np.ndarray:
-    """Return a mask of valid measurements: (N,), or (N, K) of positions (N, K, 3)."""
+    """Return a mask of available measurements: (N,), or (N, K) for positions (N, K, 3)."""
     import numpy as np
 
     lead = 2 if values.shape[2:] == (3,) else 1
@@ -200,12 +204,5 @@ def _noises(values: list[float] | None, names: list[str]) -> dict[str, Any]:
         wanted = ", ".join(f"{name}: {'m and rad' if n == 2 else 'm'}" for name, n in zip(names, counts, strict=True))
         raise ConfigError(f"Expected {sum(counts)} numbers for --noise ({wanted}), got {len(values)}.")
     rest = iter(values)
-    return {
-        name: tuple(next(rest) for _ in range(n)) if n > 1 else next(rest)
-        for name, n in zip(names, counts, strict=True)
-    }
-
-
-def _check_robots(files: tuple[Path, ...], wanted: Wanted) -> None:
-    for path in files:
-        check_output(path, wanted.force, (".toml",))
+    found = ((name, tuple(islice(rest, n))) for name, n in zip(names, counts, strict=True))
+    return {name: sizes if len(sizes) > 1 else sizes[0] for name, sizes in found}

@@ -1,4 +1,4 @@
-"""``armlab calibrate hand-eye``: from samples, two synchronised files, a ROS bag, or board images."""
+"""``armlab calibrate hand-eye``: samples, two synchronised files, topics of a ROS bag, or images of a board."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 Setup = Literal["eye_to_hand", "eye_in_hand"]
 Join = Literal["nearest", "linear"]
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp"}
-_ROUNDING = 1e-6  # s, rounding of a clock that starts in 1970
-_PERIODS = 3.0  # default gap in periods of the robot's record
+_ROUNDING = 1e-6  # s, rounding error of Unix time
+_PERIODS = 3.0  # default of --max-gap in sample periods of the robot's file
 
 
 def hand_eye(
@@ -58,13 +58,14 @@ def hand_eye(
 
     A file contains the poses T_base_tool and T_cam_marker, one sample per row: T_cam_marker_x, _y, _z [m or mm in the
     header] and the rotation as _qw, _qx, _qy, _qz, as the rotation vector _rx, _ry, _rz of OpenCV and UR, or as _roll,
-    _pitch, _yaw [rad or deg], R = Rz(yaw) Ry(pitch) Rx(roll); or T_cam_marker1_1 ... T_cam_marker4_4; in a MAT file
-    (N, 4, 4) or (4, 4, N). For other column names: --columns T_base_tool:rotvec=actual_TCP_pose_{0..5}; instead of
-    rotvec also wxyz, xyzw, rpy, euler_zyx, euler_xyz, euler_zyz, matrix; append _deg for degrees.
+    _pitch, _yaw [rad or deg], R = Rz(yaw) Ry(pitch) Rx(roll). A pose may also be a matrix, with the columns
+    T_cam_marker1_1 ... T_cam_marker4_4; in a MAT file, it has the shape (N, 4, 4) or (4, 4, N). For other column names:
+    --columns T_base_tool:rotvec=actual_TCP_pose_{0..5}; instead of rotvec also wxyz, xyzw, rpy, euler_zyx, euler_xyz,
+    euler_zyz, matrix; append _deg for degrees.
     Instead of T_cam_marker, a file may contain the marker points in camera axes, p_cam1_x, p_cam1_y, p_cam1_z, p_cam2_x
     ...; in a MAT file p_cam (N, K, 3). Leave hidden points empty.
-    With --images, the file contains a column image (the name of an image in that folder) and T_base_tool, or the joint
-    positions q1, q2 ... if --robot is given.
+    With --images, the file contains a column image (the name of an image in that folder) and T_base_tool, or with
+    --robot the joint positions q1, q2 ... instead.
 
     Parameters:
         images: Folder of images of a board, taken at rest.
@@ -75,14 +76,14 @@ def hand_eye(
         join: For two synchronised files with a column t, one with T_base_tool or q and one with T_cam_marker: use the
             nearest or the interpolated robot pose at each camera time.
         max_gap: With --join: largest time difference to a robot pose, such as 20ms; default: three sample periods.
-        robot_topic: Topic of the robot poses in a ROS bag: /tf:base->tool0, or a topic of poses.
-        camera_topic: Topic of the marker poses in a ROS bag: /tf:camera->marker, or a topic of poses.
+        robot_topic: Topic of the robot poses in a ROS bag: /tf:base->tool0, or a topic with poses.
+        camera_topic: Topic of the marker poses in a ROS bag: /tf:camera->marker, or a topic with poses.
         marker: File with the marker points, one per row: marker_x, marker_y, marker_z [m or mm in the header]. Default:
             estimated.
         setup: eye_to_hand: fixed camera, marker on the tool. eye_in_hand: camera on the tool, fixed marker.
         noise: Known standard deviations of the camera: poses [m and rad] or points [m].
-        noise_robot: Standard deviations of the robot poses [m and rad]; default: exact poses. They cannot be identified
-            from samples.
+        noise_robot: Standard deviations of the robot poses [m and rad], which cannot be identified from samples;
+            default: exact poses.
         robust: Detect outliers and exclude them.
     """
     import numpy as np
@@ -141,15 +142,15 @@ def _check_options(
         raise ConfigError(f"Expected --max-gap {max_gap} with --join nearest or linear, got no --join. Add it.")
     wanted = 1 if images is not None or robot_topic is not None else 2 if join is not None else len(samples)
     if len(samples) != wanted:
-        what = {1: "one file (poses with names of images, or a bag)", 2: "two files, of the robot and of the camera,"}
-        raise ConfigError(f"Expected {what[wanted]} with these options, got {len(samples)} files. Pass them.")
+        what = {1: "one file (poses with names of images, or a bag)", 2: "two files (robot and camera)"}
+        raise ConfigError(f"Expected {what[wanted]} with these options, got {len(samples)}.")
 
 
 def _from_images(
     samples: Sequence[Path], folder: Path, board: str, intrinsics: Path | None, robot: str | None,
     told: Mapping[str, Any], wanted: Wanted,
 ) -> int:  # fmt: skip
-    """Calibrate from images that a file lists next to the robot poses."""
+    """Calibrate from a file with image names and robot poses."""
     import numpy as np
 
     wanted.check(wanted.output, (".toml",))
@@ -157,7 +158,7 @@ def _from_images(
     if "image" not in read.values:
         raise LogError(
             f"Expected a column named image with the names of the images in {read.path}, got {', '.join(read.values)}. "
-            "Add one, or give its name: --columns image=NAME."
+            "Add this column, or give its name: --columns image=NAME."
         )
     names, T = [str(name) for name in read.values["image"]], tool_poses(read, robot)
     pictures = _pictures(folder, names, read.path)
@@ -195,7 +196,7 @@ def _pictures(folder: Path, names: Sequence[str], path: Path) -> dict[str, np.nd
 
 
 def camera_in(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return the camera matrix and the distortion from an OpenCV, ROS (camera_info) or JSON file."""
+    """Return the camera matrix and the distortion coefficients in an OpenCV, ROS (camera_info) or JSON file."""
     import numpy as np
     from ruamel.yaml import YAML, YAMLError
 
@@ -214,13 +215,13 @@ def camera_in(path: Path) -> tuple[np.ndarray, np.ndarray]:
         return K.reshape(3, 3), dist.ravel()
     except (YAMLError, StopIteration, RuntimeError, TypeError, ValueError, KeyError):
         raise LogError(
-            f"Expected camera_matrix and distortion_coefficients, as OpenCV and ROS write them, in {path}, got other "
-            "keys."
+            f"Expected camera_matrix and distortion_coefficients in the format of OpenCV or ROS in {path}, got other "
+            "keys or values."
         ) from None
 
 
 def joined(read: Sequence[Samples], robot: str | None, join: Join, gap: float | None) -> Samples:
-    """Return the camera samples with the robot poses at their times."""
+    """Return the samples of the camera with the robot poses at the same times."""
     camera = [one for one in read if "T_cam_marker" in one or "p_cam" in one]
     arm = [one for one in read if one not in camera]
     if len(camera) != 1 or len(arm) != 1:
@@ -237,7 +238,7 @@ def joined(read: Sequence[Samples], robot: str | None, join: Join, gap: float | 
 
 
 def at_times(T: np.ndarray, t: np.ndarray, times: np.ndarray, join: Join, gap: float | None, what: str) -> np.ndarray:
-    """Return poses (M, 4, 4) at other times, NaN if none is near."""
+    """Return the nearest or interpolated poses (M, 4, 4) at other times; NaN beyond the largest time difference."""
     import numpy as np
 
     from armlab.log.column import pose_between
@@ -275,7 +276,7 @@ def at_times(T: np.ndarray, t: np.ndarray, times: np.ndarray, join: Join, gap: f
 
 
 def from_topics(path: Path, robot_topic: str, camera_topic: str, join: Join, gap: float | None) -> Samples:
-    """Return the samples of two topics of a bag at the camera times."""
+    """Return the poses of two topics of a bag at the times of the camera."""
     from armlab.log.file_formats.opening import origin
 
     tables = armlab.log.read_topics(path)
@@ -302,7 +303,7 @@ def _chained(
 
 
 def _edges(tables: Mapping[str, Any], topic: str, path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return times and poses along the path between two frames, or of a topic of poses."""
+    """Return the times and poses of the transforms between two frames, or of a topic with poses."""
     name, _, pair = topic.partition(":")
     if not pair:
         found = [table for key, table in tables.items() if key.split(" ")[0] == name]
@@ -334,7 +335,7 @@ def _edges(tables: Mapping[str, Any], topic: str, path: Path) -> list[tuple[np.n
 
 
 def _way(steps: Mapping[str, Mapping[str, Any]], start: str, goal: str) -> list[Any]:
-    """Return the shortest path between two frames."""
+    """Return the transforms along the shortest path between two frames; empty if there is no path."""
     came: dict[str, tuple[str, Any]] = {start: ("", None)}
     waiting = deque([start])
     while waiting and goal not in came:

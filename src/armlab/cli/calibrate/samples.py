@@ -1,4 +1,4 @@
-"""Calibration samples from CSV, MAT or MCAP: named poses, vectors and numbers; fit of all files, and its report."""
+"""Samples of a calibration from CSV, MAT or MCAP files, the fit to all files, and its report."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ if TYPE_CHECKING:
 SampleFile = Annotated[Path, Parameter(help="CSV, MAT or MCAP files; several files are joined.")]
 Deviations = Annotated[list[float] | None, Parameter(consume_multiple=True)]
 ArmOfPoses = Annotated[str | None, Parameter(help="Library name or file of the arm, to compute T_base_tool from q.")]
-_QUATERNION_LENGTH = 1e-3  # difference from one
+_QUATERNION_LENGTH = 1e-3  # largest difference from one
 _CLOCKS = ("t", "time")
 _UNITS = {r"force\d*": "N", r"acc\d*": "m/s^2", r"(position|(pair_)?distance)\d*": "m", r"\w+_[xyz]": "m"}
-_TOGETHER = re.compile(r"(?!scans)(\w*?)(\d+|_[xyz])$")  # columns that share a unit
+_TOGETHER = re.compile(r"(?!scans)(\w*?)(\d+|_[xyz])$")  # components of a quantity, which share a unit
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Contents of sample files."""
+    """Contents of a sample file."""
 
-    path: Path  # of the file, for messages
-    values: Mapping[str, np.ndarray]  # name -> array (N, ...)
+    path: Path
+    values: Mapping[str, np.ndarray]  # arrays (N, ...) by name
     source: str  # name of the file and its SHA-256
-    units: Mapping[str, str] = field(default_factory=dict)  # name -> unit, if given in the file
-    start: float = 0.0  # s, file clock at t = 0
+    units: Mapping[str, str] = field(default_factory=dict)  # units in the file by name
+    start: float = 0.0  # s, time of the file's clock at t = 0
 
     def __contains__(self, name: object) -> bool:
         text = str(name)
@@ -51,7 +51,7 @@ class Samples:
 
     @property
     def clock(self) -> np.ndarray:
-        """Times (N,) [s] on the clock of the file."""
+        """Times (N,) on the clock of the file [s]."""
         return self.numbers("t") + self.start
 
     def numbers(self, name: str) -> np.ndarray:
@@ -92,7 +92,7 @@ class Samples:
         if array.ndim == 2 and array.shape[1] % 3 == 0:
             return array.reshape(len(array), -1, 3)
         if array.ndim == 3 and array.shape[2] != 3 and array.shape[0] == 3:
-            array = array.transpose(2, 1, 0)  # samples last, as poses (4, 4, N)
+            array = array.transpose(2, 1, 0)  # samples last, like poses (4, 4, N)
         if array.ndim != 3 or array.shape[2] != 3:
             raise LogError(f"Expected points {name} of shape (N, K, 3) in {self.path}, got {array.shape}.")
         return array
@@ -133,7 +133,7 @@ class Samples:
 
 
 def read_pair(paths: Sequence[Path], columns: str | None) -> list[Samples]:
-    """Return the columns of a robot's and a camera's file; `columns` names those of either file."""
+    """Return the columns of a robot's and a camera's file; `columns` maps the names in both files."""
     from armlab.log.file_formats.column_names import ColumnNames
 
     if columns is None:
@@ -168,7 +168,7 @@ def read_samples(path: Path, columns: str | ColumnNames | None = None) -> Sample
     names = ColumnNames.of(columns) if isinstance(columns, str) else columns
     timed = any(label.split("[")[0].strip() in _CLOCKS for label in labels) or "t" in (names.entries if names else ())
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # equal to the notes of the table, which are shown below
+        warnings.simplefilter("ignore")  # repeated by the notes of the table
         if labels:
             table = text_table(path, None if timed else 1.0, columns=names, keep_start=timed)
         else:
@@ -199,10 +199,10 @@ _NUMBERS_OF["matrix"] = 13  # 16 with the position
 
 
 def pose_of(numbers: np.ndarray, form: str, what: str) -> np.ndarray:
-    """Return poses (N, 4, 4) from rows of position [m] and rotation; empty rows are NaN.
+    """Return poses (N, 4, 4) from rows of position [m] and rotation in one of these forms; empty rows are NaN.
 
     wxyz, xyzw: quaternion. rotvec: rotation vector, as in OpenCV and UR. rpy: roll, pitch, yaw with R = Rz(yaw)
-    Ry(pitch) Rx(roll), as in ROS and URDF. euler_zyx: R = Rz(a) Ry(b) Rx(c), angles in that order; euler_xyz,
+    Ry(pitch) Rx(roll), as in ROS and URDF. euler_zyx: angles a, b, c with R = Rz(a) Ry(b) Rx(c); euler_xyz and
     euler_zyz likewise. matrix: 16 numbers, row by row. The suffix _deg means degrees.
     """
     import numpy as np
@@ -224,23 +224,22 @@ def pose_of(numbers: np.ndarray, form: str, what: str) -> np.ndarray:
         if len(bad):
             raise LogError(
                 f"Expected quaternions of length 1 in {what}, got {length[bad[0]]:.6g} in sample {bad[0]} ({len(bad)} "
-                "such samples). Correct the file."
+                "invalid samples in total). Correct the file."
             )
         turn = turn / length[:, None]
         R = armlab.lie.quaternion.to_matrix(turn if kind == "wxyz" else np.roll(turn, 1, axis=1))
     elif kind == "rotvec":
         R = armlab.lie.so3.exp(turn)
-    elif kind == "rpy":
-        R = armlab.lie.euler.from_rpy(turn[:, ::-1], "zyx")
-    else:
-        R = armlab.lie.euler.from_rpy(turn, kind.removeprefix("euler_"))  # pyright: ignore[reportArgumentType]
+    else:  # rpy lists the angles of euler_zyx in reverse order
+        order: Any = "zyx" if kind == "rpy" else kind.removeprefix("euler_")
+        R = armlab.lie.euler.from_rpy(turn[:, ::-1] if kind == "rpy" else turn, order)
     T = armlab.lie.se3.from_rp(R, p)
     T[gone] = np.nan  # not measured
     return T
 
 
 def _check_units(path: Path, labels: Sequence[str]) -> None:
-    """Reject components if only some have a unit, because they would be read in different units."""
+    """Refuse components of which only some have a unit, because they would be read in different units."""
     groups: dict[str, set[bool]] = {}
     for label in labels:
         found = _TOGETHER.match(label.split("[")[0].strip())
@@ -255,7 +254,7 @@ def _check_units(path: Path, labels: Sequence[str]) -> None:
 
 
 def _readings(array: np.ndarray) -> list[np.ndarray]:
-    """Return all interpretations of an array as poses: samples first or last, rows or columns first."""
+    """Return all interpretations of an array as poses: samples first or last, row-major or column-major."""
     import numpy as np
 
     if array.ndim == 3:
@@ -268,7 +267,7 @@ def _readings(array: np.ndarray) -> list[np.ndarray]:
     return [array[None]] if array.shape == (4, 4) else []
 
 
-_DEGREES = 20.0  # rad, above any joint range
+_DEGREES = 20.0  # rad, larger than any joint range
 
 
 def run_fit(
@@ -282,8 +281,8 @@ def run_fit(
 ) -> int:
     """Read sample files, fit all of them together, write the requested output, and return the exit code.
 
-    `parts` extracts arrays of equal length from one file; `fit` takes these arrays, joined over the files. `corrected`
-    returns the corrected arms of a fit by file name.
+    `parts` extracts arrays of equal length from a file; `fit` receives these arrays, joined over the files. `corrected`
+    returns the corrected arms of a fit by the file to write.
     """
     wanted.check(wanted.output, (".toml",))
     if not files:
@@ -293,8 +292,7 @@ def run_fit(
     twice = next((one.path for i, one in enumerate(samples) if hashes[i] in hashes[:i]), None)
     if twice is not None:
         raise ConfigError(
-            f"Expected different files, got {twice} twice. Each sample may be used only once: remove "
-            "the duplicate file."
+            f"Expected different files, got {twice} twice. Each sample may be used only once: omit the duplicate file."
         )
     return fit_samples(job, samples, parts, fit, wanted, sources, corrected)
 
@@ -327,8 +325,8 @@ def measured_rows(
 ) -> tuple[np.ndarray, ...]:
     """Return the rows with a measurement; recordings also contain rows between the samples of a sensor.
 
-    A row needs all arrays of `needed` and, unless `every` is set, one array of `some`. Returns these rows of both, and
-    their row numbers in the file.
+    A row needs values in all arrays of `needed` and, unless `every` is set, in at least one array of `some`. Returns
+    these rows of all arrays, and their row numbers in the file.
     """
     import numpy as np
 
@@ -352,7 +350,7 @@ def measured_rows(
 
 
 def _require_whole(read: Samples, needed: Sequence[np.ndarray], there: np.ndarray) -> None:
-    """Reject incomplete poses or vectors, stating their row in the file; points may be hidden."""
+    """Refuse incomplete poses or vectors, with their row in the file; single points may be missing."""
     import numpy as np
 
     for part in needed:
@@ -361,14 +359,14 @@ def _require_whole(read: Samples, needed: Sequence[np.ndarray], there: np.ndarra
             if len(bad):
                 raise LogError(
                     f"Expected complete samples in {read.path}, got missing numbers in {len(bad)} of {len(there)} "
-                    f"rows, first in row {bad[0]} (from 0). Clear or correct the whole measurement in these rows."
+                    f"rows, first in row {bad[0]} (from 0). Correct or delete the whole measurement in these rows."
                 )
 
 
 def _first_times(
     read: Samples, needed: Sequence[np.ndarray], some: Sequence[np.ndarray], there: np.ndarray
 ) -> np.ndarray:
-    """Return the rows (N,) that do not repeat an earlier row; duplicates would bias the noise estimate."""
+    """Return a mask (N,) of rows that do not repeat an earlier row; duplicates would bias the noise estimate."""
     import numpy as np
 
     flat = [np.ascontiguousarray(part.reshape(len(part), -1), dtype=float) for part in (*needed, *some)]
@@ -383,20 +381,19 @@ def _first_times(
         note(f"{len(numbers) - len(seen)} of {len(numbers)} rows of {name} are duplicates and are used once")
     kept = np.flatnonzero(first)
     for part in flat[len(needed) if some else 1 :]:
-        if part.shape[1] >= 3:
-            held = np.count_nonzero((part[kept][1:] == part[kept][:-1]).all(axis=1))
-            if held:
-                note(f"{held} rows of {name} repeat the previous measurement; they may be held values")
+        held = np.count_nonzero((part[kept][1:] == part[kept][:-1]).all(axis=1))
+        if held and part.shape[1] >= 3:
+            note(f"{held} rows of {name} repeat the previous measurement; they may be held values")
     return first
 
 
 def noise_of(values: Sequence[float] | None) -> Any:
-    """Return the deviations in the format of the fits: None, one number, or a tuple."""
+    """Return the standard deviations in the format of the fits: None, a number, or a tuple."""
     return None if values is None else values[0] if len(values) == 1 else tuple(values)
 
 
 def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
-    """Return T_base_tool (N, 4, 4), either recorded or computed from the joint positions of the given robot."""
+    """Return the poses T_base_tool (N, 4, 4) in the file, or computed from the joint positions of the given robot."""
     if robot is None:
         return read.poses("T_base_tool")
     import numpy as np
@@ -413,8 +410,8 @@ def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
 
 
 _MANY = 0.3  # largest plausible share of outliers
-_FEW = 1.5  # measurements per parameter
-_ROUGH = {"[m]": 0.01, "[rad]": 0.05}  # larger deviations are not sensor noise
+_FEW = 1.5  # smallest number of measurements per parameter
+_ROUGH = {"[m]": 0.01, "[rad]": 0.05}  # largest plausible standard deviations of sensor noise
 
 
 @Parameter(name="*")
@@ -431,9 +428,8 @@ class Wanted(Results):
         """Print the fit, write the requested files, including corrected arms, and return the exit code."""
         verdict = judge(fit)
         self.say({**numbers(fit), "sources": list(sources)}, fit.report(), verdict)
-        saves: dict[Path, Callable[[Path], object]] = {
-            path: partial(armlab.robots.save, arm) for path, arm in arms.items()
-        }
+        saves: dict[Path, Callable[[Path], object]]
+        saves = {path: partial(armlab.robots.save, arm) for path, arm in arms.items()}
         if self.output is not None:
             saves[self.output] = partial(fit.save, sources=sources)
         code = self.keep(verdict, saves)
@@ -445,7 +441,7 @@ NOTHING = Wanted()
 
 
 def numbers(fit: Fit[Any]) -> dict[str, Any]:
-    """Return the fit for scripts."""
+    """Return the fit as data for JSON."""
     found = fit.excitation
     return {
         "parameters": parameters(fit),
@@ -460,7 +456,7 @@ def numbers(fit: Fit[Any]) -> dict[str, Any]:
 
 
 def judge(fit: Fit[Any]) -> Verdict:
-    """Return the verdict, with advice."""
+    """Return the verdict on a fit, with advice."""
     import numpy as np
 
     found = Verdict()
@@ -486,7 +482,7 @@ def judge(fit: Fit[Any]) -> Verdict:
             "There are few measurements per parameter, so the noise and standard deviations are unreliable."
         )
         found.ahead.append("Take more samples.")
-    found.ahead.append(f"The worst direction is {fit.excitation.weakest}: add samples that excite it.")
+    found.ahead.append(f"The weakest direction is {fit.excitation.weakest}: add samples that excite it.")
     return found
 
 
@@ -503,7 +499,7 @@ def _page(job: str, fit: Fit[Any], verdict: Verdict, sources: tuple[str, ...]) -
     page.section("Parameters")
     rows = zip(fit.names, fit.parameters, fit.sd, fit.units, strict=True)
     page.table([
-        ["parameter", "value", "deviation", "unit"],
+        ["parameter", "value", "standard deviation", "unit"],
         *([name, f"{value:.6g}", f"{sd:.2g}", unit] for name, value, sd, unit in rows),
     ])  # fmt: skip
     page.section("Report")

@@ -44,18 +44,17 @@ def fit(
     json: Json = False,
     force: Force = False,
 ) -> int:
-    """Fit a movement primitive to the motion in a log, or to several demonstrations, and save it.
+    """Fit a movement primitive to one or several demonstrations in logs, and save it.
 
-    Periods of rest before and after the motion are skipped. Prints the RMS error between the primitive and the
-    demonstrations.
+    Rest before and after the motion is skipped. Prints the RMS error between the primitive and the demonstrations.
 
     Parameters:
-        logs: One log per demonstration: MCAP, CSV, MAT or Parquet; exactly one for pose and periodic, at least two for
-        promp.
+        logs: One log per demonstration: MCAP, CSV, MAT or Parquet. The kinds pose and periodic need one log, and promp
+        at least two.
         output: Output file, .toml.
         kind: joints; pose (of the tool); periodic (rhythmic motion); promp (distribution over several demonstrations).
         column: Columns that form the motion; default: q, or T_base_tool with pose.
-        robot: Library name or robot file: computes the poses from q (with pose), and selects the joints of a foreign
+        robot: Library name or robot file, to compute the poses from q (with pose), and to order the joints of a foreign
             bag.
         start: Start of the motion in the log [s].
         end: End of the motion in the log [s].
@@ -106,9 +105,9 @@ def play(
 ) -> int:
     """Play a movement primitive on a robot (--robot), or write it to a file (--output).
 
-    On a robot: moves to the start, runs the motion, records a log, and prints the distance from the goal. A joint
-    motion waits while the arm is held, and continues after release. A motion that exceeds the robot's speed limits is
-    slowed down.
+    On a robot, the command moves to the start, runs the motion, records a log, and prints the distance from the goal. A
+    joint motion waits while the arm is held, and continues after release. A motion that exceeds the robot's speed
+    limits is slowed down.
 
     Parameters:
         primitive: File of `armlab dmp fit`, or another saved primitive.
@@ -116,15 +115,15 @@ def play(
         link: egm://HOST:PORT for a real robot; default: a simulated robot.
         output: Write the motion to this file instead of moving the robot: .csv, or .mcap with --robot (which applies
             the robot's limits).
-        duration: Duration of the motion, or of one period [s]; default: that of the demonstration.
-        start: Start of the motion, comma-separated: joint positions [rad or m], or position and quaternion
+        duration: Duration of the motion, or of one period [s]; default: duration of the demonstration.
+        start: Start of the motion, comma-separated: joint positions [rad or m], or position [m] and quaternion
             w,x,y,z of the tool.
         goal: Goal in the same form; for a periodic motion, its baseline.
-        via: Via-point TIME:Y,Y,... of a joint motion, with the time of the demonstration [s].
+        via: Via-point TIME:Y,Y,... of a joint motion, at a time of the demonstration [s].
         amplitude: Amplitude factor of a periodic motion.
         turns: Number of periods of a periodic motion; default: 4.
         speed: Fraction of the robot's speed limits, in (0, 1]; default: from the settings, else 1.
-        firm: Send the path open loop instead of waiting for an arm that is held.
+        firm: Do not wait for a held arm: send the path open loop.
         log: Recording of the motion; -2, -3 is appended if it exists. Default: dmp.mcap in the log folder.
         force: Replace an existing --output file, and play a joint-space primitive of another robot.
     """
@@ -155,7 +154,7 @@ def play(
 def _plan(
     primitive: Path, given: dict[str, Any], robot: str, speed: float | None, firm: bool, force: bool
 ) -> tuple[Robot, PlannedMotion, Limits]:
-    """Return the robot, its motion within the limits, and the limits themselves."""
+    """Return the robot, its motion within the limits, and the limits."""
     from armlab.cli.dmp.playing import motion_of, resolved
     from armlab.cli.support.log_input import check_taught
     from armlab.cli.support.settings import load_settings
@@ -168,22 +167,12 @@ def _plan(
 
 def _move(robot: Robot, motion: PlannedMotion, limits: Limits, links: list[str], log: Path, json: bool) -> int:
     """Move to the start, run the motion, and print the distance from the goal."""
-    from armlab.cli.dmp.playing import SETTLES, Walk, distance
+    from armlab.cli.dmp.playing import SETTLES, Walk, report_motion
 
     controller, seconds = motion.controller, motion.seconds
     with armlab.bridge.connect(links, robot) as end, progress("motion") as tell:
         end.run(Walk(motion.q_start, limits.qd_max), limits=limits)
         whole = seconds + SETTLES
         done = end.run(controller, whole, limits=limits, record=log, extra=controller.columns(), progress=tell)
-    off = distance(robot, done.table["q"][-1], controller.goal)
-    reason = "arrived" if controller.done else controller.reason or done.reason
-    if json:
-        print_json({"seconds": seconds, "goal_error": max(off.values()), "reason": reason, "log": str(done.path)})
-    else:
-        apart = " and ".join(f"{value:.2g} {unit}" for unit, value in off.items())
-        result(f"{seconds:.2f} s of motion, ended {apart} from the goal: {reason}")
-    problems = done.statistics["problems"]
-    for problem in problems:
-        note(problem)
-    note(f"log: {done.path}")
-    return FAILED if controller.reason or problems else 0
+    report_motion(robot, controller, seconds, done, json)
+    return FAILED if controller.reason or done.statistics["problems"] else 0

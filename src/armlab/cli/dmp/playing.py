@@ -1,4 +1,4 @@
-"""Playback of each kind of movement primitive on an arm or as a table."""
+"""Playback of all kinds of movement primitives on an arm or as a table."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 import armlab
 from armlab.cli.support.options import as_given
+from armlab.cli.support.output import note, print_json, result
 from armlab.errors import ConfigError, LinkError, ShapeError
 
 if TYPE_CHECKING:
@@ -28,16 +29,16 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "pose_dmp": ("duration", "start", "goal"),
     "periodic_dmp": ("duration", "goal", "amplitude", "turns"),
 }
-"""Run options by kind of primitive."""
+"""Options of a run by kind of primitive."""
 DT = 0.004  # s
-SOFT = 2.0  # rad/s^2 or m/s^2, acceleration on the way to the start
-SETTLES = 1.0  # s after the end
-TURNS = 4.0  # default periods of a periodic motion
+SOFT = 2.0  # rad/s^2 or m/s^2, acceleration of the motion to the start
+SETTLES = 1.0  # s, settling time after the motion
+TURNS = 4.0  # default number of periods of a periodic motion
 
 
 @dataclass(frozen=True)
 class PlannedMotion:
-    """A controller with its start configuration q_start (n,) and its duration."""
+    """Controller of a motion, with its start configuration q_start (n,) and its duration [s]."""
 
     controller: Controller
     q_start: np.ndarray
@@ -56,9 +57,8 @@ def numbers_in(text: str | None, option: str) -> np.ndarray | None:
 def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
     """Return the primitive with its via-points, and the remaining options of its run.
 
-    A distribution over motions is replaced by the primitive of its mean, conditioned on start, goal and via-points.
-
-    `given`: value by option, None if omitted; via as words "TIME:Y,Y,...".
+    A distribution over motions is replaced by a primitive for its mean, conditioned on start, goal and via-points.
+    `given` contains the value of each option, or None; via-points are texts "TIME:Y,Y,...".
     """
     kind = getattr(primitive, "KIND", type(primitive).__name__)
     if kind not in OPTIONS:
@@ -99,7 +99,7 @@ def rolled_out(primitive: Any, run: Mapping[str, Any]) -> Table:
 
 @as_given()
 def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limits, firm: bool) -> PlannedMotion:
-    """Return the motion of the arm, stretched in time to keep the velocity limits."""
+    """Return the motion of the arm, slowed down if needed to respect the velocity limits."""
     if isinstance(primitive, armlab.motion.PoseDmp):
         return _pose_motion(primitive, run, robot, limits)
     if isinstance(primitive, armlab.motion.PeriodicDmp):
@@ -108,7 +108,7 @@ def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limi
 
 
 def rehearsed(motion: PlannedMotion) -> armlab.log.Table:
-    """Return the commands to an arm with perfect tracking: q and qd (N, n) at 250 Hz."""
+    """Return the commands q and qd (N, n) of a motion at 250 Hz for an arm with perfect tracking."""
     from armlab.state import State
 
     q, qd, unknown = motion.q_start, np.zeros_like(motion.q_start), np.full_like(motion.q_start, np.nan)
@@ -125,7 +125,7 @@ def rehearsed(motion: PlannedMotion) -> armlab.log.Table:
 
 
 def distance(robot: Robot, q: np.ndarray, goal: np.ndarray) -> dict[str, float]:
-    """Return the distance of an arm at q (n,) from a goal, by unit: m and rad from (4, 4), rad from (n,)."""
+    """Return the distance of an arm at q (n,) from a goal by unit: m and rad for a pose (4, 4), rad for joints (n,)."""
     if goal.ndim == 1:
         return {"rad": float(np.abs(q - goal).max())}
     T_base_tool = armlab.kinematics.forward(robot, q)
@@ -133,8 +133,21 @@ def distance(robot: Robot, q: np.ndarray, goal: np.ndarray) -> dict[str, float]:
     return {"m": float(np.linalg.norm(T_base_tool[:3, 3] - goal[:3, 3])), "rad": float(turned)}
 
 
+def report_motion(robot: Robot, controller: Any, seconds: float, done: armlab.bridge.Run, json: bool) -> None:
+    """Print the reason for the end of a motion, its distance from the goal, and the problems of the run."""
+    off = distance(robot, done.table["q"][-1], controller.goal)
+    reason = "arrived" if controller.done else controller.reason or done.reason
+    if json:
+        print_json({"seconds": seconds, "goal_error": max(off.values()), "reason": reason, "log": str(done.path)})
+    else:
+        apart = " and ".join(f"{value:.2g} {unit}" for unit, value in off.items())
+        result(f"{seconds:.2f} s of motion, ended {apart} from the goal: {reason}")
+    for line in (*done.statistics["problems"], f"log: {done.path}"):
+        note(line)
+
+
 class Walk:
-    """Minimum-jerk controller from the measured configuration to q (n,); ends the run on arrival."""
+    """Controller that moves from the measured configuration to q (n,) with minimum jerk, and then ends the run."""
 
     def __init__(self, q: np.ndarray, qd_max: np.ndarray) -> None:
         self._q, self._qd_max, self._begin = q, qd_max, 0.0
@@ -162,7 +175,7 @@ def _point(word: str) -> tuple[float, np.ndarray]:
 
 
 def _mean(promp: ProMP, points: Sequence[tuple[float, np.ndarray]], run: Mapping[str, Any], fit: Any) -> Dmp:
-    """Return the primitive of the mean motion through start, goal and points, in the given duration."""
+    """Return a primitive for the mean motion through start, goal and via-points, in the given duration."""
     ends = [(when, run[name]) for name, when in (("start", 0.0), ("goal", promp.duration)) if name in run]
     for when, y in (*points, *ends):
         promp = promp.condition(when, y)
@@ -178,14 +191,14 @@ def _joint_motion(
     dmp = law if isinstance(law, Dmp) else law.dmp
     follows = dmp if firm else law if isinstance(law, TwoDofDmp) else TwoDofDmp(dmp)
     start, goal, wanted = run.get("start", dmp.y0), run.get("goal"), run.get("duration", dmp.duration)
-    follows.controller(robot, limits=limits, g=goal, duration=wanted)  # raises before any computation
+    follows.controller(robot, limits=limits, g=goal, duration=wanted)  # raises for invalid options
     pace = wanted / dmp.duration
-    seconds = pace * shortest_duration(dmp, limits.qd_max * pace, y0=start, g=goal)  # as requested, or stretched
+    seconds = pace * shortest_duration(dmp, limits.qd_max * pace, y0=start, g=goal)  # as requested, or slower
     return PlannedMotion(follows.controller(robot, limits=limits, g=goal, duration=seconds), np.array(start), seconds)
 
 
 def _pose_motion(dmp: PoseDmp, run: Mapping[str, Any], robot: Robot, limits: Limits) -> PlannedMotion:
-    """Return the motion from the configuration nearest to home, by continuous inverse kinematics."""
+    """Return the joint motion along the poses by inverse kinematics, from the configuration nearest to home."""
     dmp.controller(robot, limits=limits, goal=run.get("goal"))
     seconds = float(run.get("duration", dmp.duration))
     T = dmp.rollout(DT, duration=seconds, start=run.get("start"), twist0=np.zeros(6), goal=run.get("goal")).T

@@ -1,4 +1,4 @@
-"""Fits of movement primitives to demonstrations in logs, one per kind."""
+"""Fits of all kinds of movement primitives to demonstrations in logs."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 """Options of `armlab dmp fit` by kind of primitive."""
 POSES = "T_base_tool"
-MOVES = 0.02  # of the largest speed: below it the arm rests
-STILL = 2e-3  # rad/s or m/s: velocity noise at rest
-MARGIN = 0.1  # s of rest kept at both ends
+MOVES = 0.02  # slowest motion, relative to the largest speed
+STILL = 2e-3  # rad/s or m/s, velocity noise at rest
+MARGIN = 0.1  # s of rest that is kept at both ends
 
 
 @dataclass(frozen=True)
 class Demonstration:
-    """Times (N,) and positions (N, n), or poses (N, 4, 4), of one log; sources are stored in the saved file."""
+    """Times t (N,) with positions (N, n) or poses (N, 4, 4) from a log, and the sources to store with a fit."""
 
     t: np.ndarray
     y: np.ndarray
@@ -44,14 +44,14 @@ class Demonstration:
 
 @dataclass(frozen=True)
 class MotionWindow:
-    """Part of a log with the motion: from `start` to `end` [s], without the rest around it unless `whole`."""
+    """Part of a log from `start` to `end` [s], without the rest before and after the motion unless `whole`."""
 
     start: float | None = None
     end: float | None = None
     whole: bool = False
 
     def __post_init__(self) -> None:
-        """Raise on NaN times."""
+        """Refuse times that are not finite."""
         for name in ("start", "end"):
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
@@ -59,7 +59,7 @@ class MotionWindow:
 
 
 def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options whose value is not None."""
+    """Return the options with a value; refuse options that the kind of primitive does not have."""
     if kind not in KINDS:
         raise UnknownName.among("kind of primitive", kind, KINDS)
     chosen = {name: value for name, value in given.items() if value is not None}
@@ -105,9 +105,8 @@ def read_demonstration(
             "Add --robot NAME to compute them from q, or give their --column."
         )
     names = columns or ((POSES,) if kind == "pose" else ("q",))
-    part = table.between(
-        table.t[0] if window.start is None else window.start, np.inf if window.end is None else window.end
-    )
+    start = -np.inf if window.start is None else window.start
+    part = table.between(start, np.inf if window.end is None else window.end)
     y = _side_by_side(part, names)
     rows = slice(None) if window.whole else _moving(part.t, y, f"{' '.join(names)} of {path}")
     sources = [source for source in table.source if "sha256" in source]
@@ -130,7 +129,7 @@ def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]
 
 
 def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:
-    """Return the result for scripts."""
+    """Return the result as data for JSON."""
     value = found.value
     told = {"kind": kind, "demonstrations": demos, "samples": found.n}
     told["rms"] = np.sqrt((found.residuals**2).mean(axis=0))

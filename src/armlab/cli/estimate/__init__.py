@@ -1,4 +1,4 @@
-"""``armlab estimate``: the contact wrench in a log, with its uncertainty."""
+"""``armlab estimate``: estimate the contact wrench in a log, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = []
 
 
-LEAST = 1.0  # s, shortest log for locating contacts
+LEAST = 1.0  # s, shortest log in which contacts are located
 
 
 @Parameter(name="*")
@@ -61,26 +61,25 @@ def estimate(
     prior: ContactPrior = ContactPrior(),
     wanted: Results = PLAIN,
 ) -> int:
-    """Estimate the contact force in a log with a model.
+    """Estimate the contact force in a log with a torque model.
 
-    Prints the range, mean 2-sigma band and observability of each axis (with --method interval also the limits). Lists
-    each contact with its mean force and possible location, and ends with a verdict that reports gaps and skipped rows.
-    The force is exerted by the environment on the robot, in base axes, at the tool point.
+    Prints the range, mean 2-sigma band and observability of each axis (with --method interval also the limits), the
+    mean force and possible location of each contact, and a verdict that reports gaps and skipped rows. The force is
+    exerted by the environment on the robot, in base axes, at the tool point.
 
     Parameters:
-        robot: Library name or robot file; must be the robot of the model.
+        robot: Library name or robot file of the robot of the model.
         log: Recording of this robot with positions, velocities and torques.
         model: Model file of `armlab identify`.
         method: map: most probable force, for continuous motion. bounded: no contact unless proven, for an arm that also
             stops. interval: like bounded, with guaranteed limits. kf, observer: momentum methods, without acceleration.
-            ls, lund,
-            clip: for comparison.
+            ls, lund, clip, ols: for comparison.
         force_rate: With method kf: expected rate of change of the force.
         bias: With method kf: estimate a friction error per joint, reset after each stop.
-        tare: Time from the start in which the arm rests without contact [s]; the friction identified from it is valid
-            until the arm moves.
+        tare: Time from the start during which the arm rests without contact [s]; the friction identified from it is
+            valid until the arm moves.
         output: Also write the estimate of every row with q, qd and tau, .mcap (for armlab view) or .csv.
-        prior: Prior of the contact.
+        prior: Prior of the contact wrench.
     """
     from armlab.cli.estimate import report as report_of
     from armlab.cli.support.log_input import doubts, model_for, read_log
@@ -113,23 +112,29 @@ def estimate(
 
 
 def _believed(table: Table, arm: Robot, method: str, prior: ContactPrior) -> Hypotheses | None:
-    """Return the contact locations, or None for methods without a static torque error."""
+    """Return the contact locations, or None for short logs and momentum methods."""
     if method in ("observer", "kf") or table.t[-1] - table.t[0] < LEAST:
         return None
     return armlab.contact.hypotheses(table, arm, point=prior.point, prior=prior.deviations)
 
 
 def _say(table: Table, method: str, found: list[tuple[Contact, str]], verdict: Verdict, json: bool) -> None:
-    """Print the table of the axes, the contacts with their locations, and the verdict; or print everything as JSON."""
+    """Print the table of the axes, the contacts with their locations, and the verdict, as text or as JSON."""
     from armlab.cli.estimate.report import axes, limits, rows
     from armlab.cli.support.log_input import gaps, left_out
 
     if json:
-        contacts = [{**vars(contact), "where": place} for contact, place in found]
-        missing = [{"after": after, "seconds": seconds} for after, seconds in gaps(table)]
-        said = {"rows": len(table), "left_out": left_out(table), "gaps": missing, "method": method}
-        said |= {"contacts": contacts, "axes": axes(table)}
-        print_json({**said, "verdict": vars(verdict)})
+        print_json(
+            {
+                "rows": len(table),
+                "left_out": left_out(table),
+                "gaps": [{"after": after, "seconds": seconds} for after, seconds in gaps(table)],
+                "method": method,
+                "contacts": [{**vars(contact), "where": place} for contact, place in found],
+                "axes": axes(table),
+                "verdict": vars(verdict),
+            }
+        )
         return
     head, *lines = rows(table)
     result(aligned([head, *lines], right=range(1, len(head))))
@@ -143,7 +148,7 @@ def _say(table: Table, method: str, found: list[tuple[Contact, str]], verdict: V
 
 
 def _check(table: Table, log: Path) -> None:
-    """Reject a log without usable rows; report the number of unusable ones."""
+    """Refuse a log without usable rows; report the number of unusable rows."""
     import numpy as np
 
     from armlab.cli.support.log_input import left_out

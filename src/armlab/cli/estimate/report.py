@@ -1,4 +1,4 @@
-"""Report of ``armlab estimate``: tables of axes and contacts, the verdict and the HTML page."""
+"""Report of ``armlab estimate``: tables of axes and contacts, verdict, and HTML page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 COLUMNS = ("wrench_hat", "wrench_hat_cov", "observability", "wrench_flags", "wrench_active", "wrench_interval")
-MOTION = ("q", "qd", "tau")  # lets armlab view show the arm of a written estimate
+MOTION = ("q", "qd", "tau")  # needed by armlab view to show the arm of an estimate
 AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 
 
@@ -43,7 +43,7 @@ def axes(table: Table) -> list[dict[str, float | str]]:
 
 
 def _limits(table: Table, axis: int) -> dict[str, float]:
-    """Return the median lower and upper limit of an axis and the share of rows in which they exclude zero."""
+    """Return the median limits of an axis, and the share of rows in which the limits exclude zero."""
     if "wrench_interval" not in table:
         return {}
     low, high = table["wrench_interval"][:, axis].T
@@ -54,7 +54,7 @@ def _limits(table: Table, axis: int) -> dict[str, float]:
 
 
 def limits(table: Table, contact: Contact) -> list[tuple[float, float]]:
-    """Return the median limits of the force in x, y, z during a contact; empty without the method "interval"."""
+    """Return the median limits of the force in x, y, z during a contact; empty unless the method is "interval"."""
     if "wrench_interval" not in table:
         return []
     inside = table["wrench_interval"][(table.t >= contact.start) & (table.t <= contact.end), :3]
@@ -63,7 +63,7 @@ def limits(table: Table, contact: Contact) -> list[tuple[float, float]]:
 
 
 def rows(table: Table) -> list[tuple[str, ...]]:
-    """Return the table of the axes as text, header first."""
+    """Return the rows of the table of axes, header first."""
     words = {"min": "min", "max": "max", "rms": "rms", "two_sigma": "2-sigma", "observability": "observability"}
     if "wrench_interval" in table:
         words |= {"limit_low": "limit from", "limit_high": "limit to", "proven": "share beyond zero"}
@@ -72,9 +72,9 @@ def rows(table: Table) -> list[tuple[str, ...]]:
 
 
 def columns(table: Table, believed: Hypotheses | None) -> Table:
-    """Return the output columns of an estimate, and the probability of each contact location.
+    """Return the output columns of an estimate, with the probability of each contact location.
 
-    The probabilities are p_none, p_point, p_link_1 and so on, from the window nearest to the row.
+    The columns p_none, p_point, p_link_1, ... are the probabilities in the window nearest to the row.
     """
     written = table.select(*(name for name in (*COLUMNS, *MOTION) if name in table))
     if believed is not None:
@@ -91,7 +91,7 @@ def places(contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tup
 
 
 def contact_rows(table: Table, contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[str, ...]]:
-    """Return the contacts as text, header first; forces include limits if the method provides them."""
+    """Return the rows of the table of contacts, header first; forces include the limits of the method "interval"."""
     found: list[tuple[str, ...]] = [
         ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]", "possible location")
     ]
@@ -103,16 +103,16 @@ def contact_rows(table: Table, contacts: Sequence[Contact], believed: Hypotheses
 
 
 SEEN, WEAK = 0.9, 0.5  # observability
-SLOW = 0.01  # rad/s: below it in all joints the arm rests
-OFTEN = 0.05  # share of rows that is reported
-HONEST = 0.90  # share inside 2 sigma
-NAMED = 3  # longest gaps that are listed
+SLOW = 0.01  # rad/s, largest joint speed at rest
+OFTEN = 0.05  # smallest share of rows that is reported
+HONEST = 0.90  # smallest share of errors inside 2 sigma
+NAMED = 3  # number of longest gaps that are listed
 
 
 def judge(
     table: Table, model: TorqueModel, prior: np.ndarray, contacts: Sequence[Contact], doubts: Sequence[str] = ()
 ) -> Verdict:
-    """Return the verdict on an estimate with advice; `prior`: variances (6,)."""
+    """Return the verdict on an estimate, with advice; `prior`: variances (6,)."""
     advice = ["Correct the log first: forces estimated from it are unreliable."]
     found = Verdict(bad=list(doubts), ahead=advice if doubts else [])
     if contacts:
@@ -147,9 +147,9 @@ def _seen(found: Verdict, table: Table) -> None:
         still = np.asarray((np.abs(table["qd"][known]) < SLOW).all(axis=1))
         hard = (observability[known] < WEAK).any(axis=1)
         if np.mean(still[hard]) > 0.5:
-            found.ahead.append("Move the joints slightly (identify.dither): at rest, static friction hides the force.")
+            found.ahead.append("Move the joints slightly (identify.dither): at rest, static friction masks the force.")
         else:
-            found.ahead.append("Use a pose away from singular ones, or --point for a known contact point.")
+            found.ahead.append("Use a pose farther from singularities, or --point with a known contact point.")
 
 
 def _whole(found: Verdict, table: Table) -> None:
@@ -181,11 +181,11 @@ def _flags(found: Verdict, table: Table) -> None:
     if share[STUCK] > OFTEN:
         found.bad.append(
             f"In {100 * share[STUCK]:.0f} % of the rows every joint torque is within its friction bound, which may "
-            "hide a force."
+            "mask a force."
         )
         found.ahead.append(
-            "Use the limits there: see the tables, the dotted lines in the figure, and wrench_interval in the output "
-            "file."
+            "Use the limits for these rows: see the tables, the dotted lines in the figure, and wrench_interval in the "
+            "output file."
             if "wrench_interval" in table
             else "For these rows, use the limits of --method interval."
         )
@@ -200,7 +200,9 @@ def _reach(found: Verdict, table: Table, model: TorqueModel, prior: np.ndarray) 
     """Report where the log exceeds the training range of the model, and where the prior shrinks the estimate."""
     if away := armlab.identify.extrapolation(model, table.dropna("q", "qd")).warnings:
         found.bad += away
-        found.ahead.append("Repeat the identification with motions in this range, or trust these segments less.")
+        found.ahead.append(
+            "Repeat the identification with motions in this range; until then, use these forces with care."
+        )
     largest = np.nanmax(np.abs(table["wrench_hat"]) / np.sqrt(prior), axis=0)
     beyond = [AXES[i] for i in range(6) if largest[i] > 2]
     if beyond:
@@ -209,7 +211,7 @@ def _reach(found: Verdict, table: Table, model: TorqueModel, prior: np.ndarray) 
 
 
 def _truth(found: Verdict, table: Table) -> None:
-    """Compare with a force sensor or a simulated operator if the log contains one."""
+    """Compare the estimate with a force sensor or a simulated operator if the log contains its wrench."""
     try:
         compared = armlab.contact.compare(table)
     except UnknownName:
@@ -221,15 +223,15 @@ def _truth(found: Verdict, table: Table) -> None:
 def page(
     table: Table, verdict: Verdict, contacts: Sequence[Contact], believed: Hypotheses | None, about: str, tell: Tell
 ) -> HtmlReport:
-    """Return the page; `tell` is the progress callback (done, total, what)."""
+    """Return the HTML page of the report."""
     page = HtmlReport("Contact wrench", about)
     page.verdict(verdict)
     words = (
         "Wrench exerted by the environment on the robot, in base axes, at the tool point [N, N m]. Observability: "
-        "1 determined by the torques, 0 by the prior."
+        "1 if determined by the torques, 0 if determined by the prior."
     )
     if "wrench_interval" in table:
-        words += " Limits: medians over all rows, and the share of rows in which they exclude zero."
+        words += " Limits: medians over all rows, and the share of rows in which the limits exclude zero."
     page.section("Per axis", words)
     page.table(rows(table))
     page.section("Contacts", "" if contacts else "None: the force never exceeds the level of free motion.")
@@ -249,7 +251,7 @@ def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str,
         ),
         (
             "Observability over time",
-            "It depends on the pose and on joint friction. Shaded: at least one axis is below 0.5.",
+            "Observability depends on the pose and on joint friction. Shaded: at least one axis is below 0.5.",
             lambda: armlab.plots.observability(table),
         ),
         (
@@ -261,8 +263,8 @@ def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str,
     if believed is not None:
         where = (
             "Contact location",
-            "Probability of each location, in windows of one second. Bar at the top: a link that is not excluded at "
-            "odds of 400 to 1.",
+            "Probability of each location, in windows of one second. Bar at the top: contact on a link cannot be "
+            "excluded at odds of 400 to 1.",
             lambda: armlab.plots.hypotheses(believed),
         )
         shown.insert(1, where)

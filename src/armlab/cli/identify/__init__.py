@@ -37,23 +37,23 @@ def identify(
 ) -> int:
     """Identify gravity, inertia and friction from logs; save the model.
 
-    Prints a table per joint and a verdict with advice for the next log. A poor model is saved only with --force;
-    otherwise the command ends with status 3. The command ends with status 1 if the logs do not determine the model.
+    Prints a table per joint, and a verdict with advice for the next log. A poor model is saved only with --force;
+    otherwise the command ends with status 3. If the logs do not determine the model, it ends with status 1.
 
     Parameters:
         robot: Name in the library, or a robot file.
         logs: Recordings of free motion without contact, with positions, velocities and torques, for example from armlab
             excite.
         output: Model file to write, .toml.
-        method: irls: robust (iteratively reweighted least squares). lts: trimmed (ignores the worst quarter of the
-            segments). wls, ols: not robust, with or without a weight per joint.
+        method: irls: robust (iteratively reweighted least squares). lts: robust (least trimmed squares, ignores the
+            worst quarter of the segments). wls, ols: not robust, with or without a weight per joint.
         gravity_only: Identify only gravity and friction, from a log of slow motion (accelerations below 1 rad/s^2), for
             an arm that must not move fast; sufficient for contact forces in slow motion. Default: also identify
             inertia, which needs a log of fast motion.
-        drives: Also identify torque ripple, position-dependent friction and warm-up (logs of at least 20 minutes) per
-            joint; terms that reduce the held-out residual are kept. The verdict states whether the logs determine them.
+        drives: Also identify torque ripple, position-dependent friction and (with logs of at least 20 minutes) warm-up
+            per joint. Only terms that reduce the held-out residual are kept.
         cutoff: Cut-off frequency of the regression filter [Hz]; default: chosen by cross-validation (see the report).
-        test: Another recording without contact, used to test the model.
+        test: Another recording without contact, to test the model.
     """
     from armlab.cli.identify import report as report_of
     from armlab.cli.support.log_input import read_log
@@ -90,7 +90,7 @@ def identify(
 
 
 def _with_drives(fit: Fit[TorqueModel], tables: Sequence[Table]) -> Fit[TorqueModel]:
-    """Return the fit with the drive terms that improve it; if that fails, the fit without them and the reason."""
+    """Return the fit with the drive terms that improve it; if identification fails, add the reason to its doubts."""
     try:
         return replace(fit, value=armlab.identify.fit_friction(tables, fit.value).value)
     except (NotExcited, ShapeError) as error:

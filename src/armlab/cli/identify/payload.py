@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 
-LARGEST = 0.1  # largest relative deviation of the mass
-LEAST = 3.0  # smallest mass in deviations
+LARGEST = 0.1  # largest relative standard deviation of the mass
+LEAST = 3.0  # smallest mass, in standard deviations
 
 
 def payload(
@@ -40,15 +40,15 @@ def payload(
 ) -> int:
     """Identify a payload at the flange from motor torques: mass, centre of mass and, with --mode dynamic, inertia.
 
-    Prints each quantity with its standard deviation, in flange axes.
+    Prints all quantities with their standard deviations, in flange axes.
 
     Parameters:
-        robot: Library name or robot file; must be the robot of the model.
-        log: Recording with the load and without contact; contains positions, velocities and torques.
+        robot: Library name or robot file of the robot of the model.
+        log: Recording with the load and without contact, with positions, velocities and torques.
         model: Model file of `armlab identify` for the arm without the load.
         without: Recording of the same motion without the load, which cancels model errors.
-        mode: static: mass and centre of mass. dynamic: also inertia, which needs fast wrist motion.
-        gain: Relative uncertainty of the torque constants.
+        mode: static: mass and centre of mass. dynamic: also inertia, which needs fast motion of the wrist.
+        gain: Relative standard deviation of the torque constants.
         output: Also save the payload to this .toml file.
     """
     from armlab.cli.support.log_input import model_for, read_log
@@ -57,7 +57,7 @@ def payload(
     wanted.check(output, (".toml",))
     arm = load_robot(robot)
     known = model_for(model, arm, wanted.force)
-    # the fit includes the uncertainty of friction
+    # with its fit, the model includes the uncertainty of friction
     told = replace(armlab.estimation.Fit.load(model), value=known) if load_statistics(model) else known
     table = read_log(log, arm, wanted.force, columns, fit=True)
     empty = None if without is None else read_log(without, arm, wanted.force, columns, fit=True)
@@ -78,7 +78,7 @@ def payload(
 
 
 def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> Verdict:
-    """Return the verdict, with advice."""
+    """Return the verdict on a payload, with advice."""
     import numpy as np
 
     from armlab.cli.identify.report import POOR
@@ -87,7 +87,9 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
     mass, sd = fit.value.mass, fit.sd[0]
     found = Verdict()
     if mass < LEAST * sd:
-        found.bad.append(f"{1e3 * mass:.0f} g is not distinguishable from no load: the deviation is {1e3 * sd:.0f} g.")
+        found.bad.append(
+            f"{1e3 * mass:.0f} g is not distinguishable from no load: the standard deviation is {1e3 * sd:.0f} g."
+        )
     elif sd > LARGEST * mass:
         found.bad.append(f"The mass has a standard deviation of {100 * sd / mass:.0f} %.")
         found.ahead.append("Record the same motion without the load and pass it with --without.")
@@ -121,12 +123,11 @@ def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict,
     page = HtmlReport(f"Load of {1e3 * fit.value.mass:.0f} g", about)
     page.verdict(verdict)
     page.section("Load", "In flange axes; the standard deviations include the unknown joint gains.")
-    rows = [("parameter", "value", "deviation", "unit")]
+    rows = [("parameter", "value", "standard deviation", "unit")]
     rows += [(n, f"{x:.5g}", f"{s:.2g}", u) for n, x, s, u in zip(fit.names, fit.parameters, fit.sd, fit.units)]
     page.table(rows)
     page.section("Torques", "Measured torque, and modelled torque with the load; the band is 2 sigma of the model.")
-    drawn = armlab.plots.torque_fit(fit.value.added_to(model), table)
-    page.figure(png(drawn), "measured and modelled torque of each joint")
+    page.figure(png(armlab.plots.torque_fit(fit.value.added_to(model), table)), "measured and modelled joint torques")
     page.section("Report")
     page.verbatim(fit.report())
     return page

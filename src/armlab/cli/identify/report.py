@@ -1,4 +1,4 @@
-"""Report of ``armlab identify``: verdict, figures for scripts, and the HTML page."""
+"""Report of ``armlab identify``: verdict, numbers for JSON, and HTML page."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 
-FINE, POOR = 0.10, 0.25  # residual over torque standard deviation
-HONEST = (0.92, 0.985)  # share inside 2 sigma
-WORSE = 1.5  # held-out over training residual
-STRETCHED = 3.0  # alpha
-SLOW, SLOW_SHARE = 0.1, 0.15  # share of the speed limit, and required share of samples below it
-NARROW = 0.25  # share of a joint's range
-MOVING = 0.01  # share of the peak speed
+FINE, POOR = 0.10, 0.25  # residual relative to the torque standard deviation
+HONEST = (0.92, 0.985)  # share of values inside 2 sigma
+WORSE = 1.5  # held-out residual relative to the training residual
+STRETCHED = 3.0  # covariance scale alpha
+SLOW, SLOW_SHARE = 0.1, 0.15  # fraction of the speed limit, and required share of samples below it
+NARROW = 0.25  # fraction of a joint's range
+MOVING = 0.01  # fraction of the peak speed
 
 
 @dataclass(frozen=True, eq=False)
 class ModelTrial:
-    """Evaluation of the model on a log of free motion, where the true wrench is zero."""
+    """Evaluation of a model on a log of free motion, where the true wrench is zero."""
 
     unseen: bool  # True for a separate test log
-    estimate: Table  # columns of `contact.Estimator.run`, and wrench_true, all zeros
-    log: Table  # of that motion
-    share: np.ndarray  # (n,) RMS torque error in motion over torque standard deviation
-    force_rms: np.ndarray  # (3,) false force in motion [N]
-    coverage: float  # share of the forces inside 2 sigma
+    estimate: Table  # columns of `contact.Estimator.run`, and wrench_true with zeros
+    log: Table
+    share: np.ndarray  # (n,) RMS torque error in motion, relative to the torque standard deviation
+    force_rms: np.ndarray  # (3,) RMS false force in motion [N]
+    coverage: float  # share of forces inside 2 sigma
 
 
 def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> ModelTrial:
@@ -69,7 +69,7 @@ def judge(fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table], trial: M
 def _judge_fit(found: Verdict, fit: Fit[TorqueModel], trial: ModelTrial) -> None:
     quality = fit.value.quality
     held_out = quality.rms_cv / quality.torque_sd
-    judged = np.isfinite(held_out)  # joints that did not move have none
+    judged = np.isfinite(held_out)  # NaN for joints that did not move
     fine, poor = (held_out <= FINE) | ~judged, judged & (held_out > POOR)
     worst = int(np.nanargmax(held_out)) if judged.any() else 0
     if fine.all():
@@ -85,8 +85,8 @@ def _judge_fit(found: Verdict, fit: Fit[TorqueModel], trial: ModelTrial) -> None
     if poor.any():
         found.bad.append(f"{_joints(poor)}: up to {100 * held_out[worst]:.0f} % of the torque SD is unexplained.")
         found.ahead.append(
-            f"Look at the residuals of {_joints(poor)}: a pattern over speed indicates friction, a pattern over "
-            "position ripple or a moving load."
+            f"Inspect the residuals of {_joints(poor)}: a pattern over speed indicates friction, and a pattern over "
+            "position indicates ripple or a moving load."
         )
     worse = quality.rms_cv > WORSE * quality.rms
     if worse.any():
@@ -140,7 +140,7 @@ def _judge_honesty(found: Verdict, model: TorqueModel, trial: ModelTrial) -> Non
             found.bad.append(f"The momentum methods' covariance was scaled by {worst:.1f} to reach 95 % coverage.")
         ends = {model.momentum.alpha2_observer, model.momentum.alpha2_kf} & {*ALPHA2_BOUNDS}
         if ends:
-            found.bad.append(f"A momentum method's covariance scale is at its bound {max(ends):g} of its scale.")
+            found.bad.append(f"The covariance scale of a momentum method is at its bound {max(ends):g}.")
     sentence = f"Without contact the estimated force in the {where} is {force} N RMS in x, y, z instead of zero"
     inside = f"{100 * trial.coverage:.0f} % inside 2 sigma"
     (found.good if trial.coverage >= HONEST[0] else found.bad).append(f"{sentence}; {inside}.")
@@ -166,7 +166,7 @@ def _judge_motion(found: Verdict, fit: Fit[TorqueModel], robot: Robot, tables: S
     if narrow.any():
         found.ahead.append(
             f"{_joints(narrow)} moved over less than {100 * NARROW:.0f} % of the range: the model extrapolates "
-            "outside this range. Record motions there before you work there."
+            "outside this part. Record motions there before you use the model there."
         )
     qd = np.concatenate([np.abs(table["qd"]) for table in tables])
     hasty = np.mean(qd < SLOW * robot.qd_max, axis=0) < SLOW_SHARE
@@ -181,13 +181,13 @@ def _judge_motion(found: Verdict, fit: Fit[TorqueModel], robot: Robot, tables: S
 
 
 def _joints(which: np.ndarray) -> str:
-    """Return a list of joint numbers as text: "joint 2", "joints 1, 3"."""
+    """Return the joints of a mask as text: "joint 2", "joints 1, 3"."""
     numbered = [str(i + 1) for i in np.flatnonzero(which)]
     return f"joint{'s' if len(numbered) > 1 else ''} {', '.join(numbered)}"
 
 
 def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
-    """Return the figures of the report for scripts: overall, and per joint."""
+    """Return the numbers of the report for JSON, overall and per joint."""
     model = fit.value
     quality, friction, covariance = model.quality, model.friction, model.covariance
     columns = {
@@ -225,7 +225,7 @@ def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
 
 
 def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table, about: str, tell: Tell) -> HtmlReport:
-    """Return the page; `tell` is the progress callback (done, total, what)."""
+    """Return the HTML page of the report."""
     from armlab.identify.validation import parameter_rows
 
     page = HtmlReport(f"Torque model of {fit.value.robot_name}", about)
@@ -239,7 +239,7 @@ def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table,
     page.table(_residual_rows(fit, trial))
     page.section("Friction per joint", "Standard deviations are from a block bootstrap.")
     page.table(_friction_rows(fit, trial))
-    page.figures([*_of_the_torque(fit, trial, log), *_of_the_force(fit, trial)], tell)
+    page.figures(_drawings(fit, trial, log), tell)
     page.section("Parameters", "Identifiable parameters: only these combinations affect the torques.")
     head = ("value", "standard deviation", "unit", "parameter")
     page.table([head, *parameter_rows(fit)], f"{len(fit.names)} parameters with standard deviations")
@@ -282,12 +282,12 @@ def _friction_rows(fit: Fit[TorqueModel], trial: ModelTrial) -> list[list[str]]:
 
 
 def _deviation(fit: Fit[TorqueModel], own: dict[str, int], kinds: tuple[str, ...]) -> str:
-    """Return the standard deviation of one friction parameter as text; empty if it was not identified."""
+    """Return the standard deviation of a friction parameter as text; empty if it was not identified."""
     place = next((own[kind] for kind in kinds if kind in own), None)
     return "" if place is None else f" ± {fit.sd[place]:.3f}"
 
 
-def _of_the_torque(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Drawing]:
+def _drawings(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Drawing]:
     model, estimate = fit.value, trial.estimate
     shown = "The test log" if trial.unseen else "The first log"
     return [
@@ -300,35 +300,28 @@ def _of_the_torque(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list
         (
             "Residual over speed",
             "Residual torque of each joint against its speed with 2-sigma curves",
-            "The curves should envelop the points. A step at zero indicates wrong Coulomb friction.",
+            "95 % of the points should be between the curves. A step at zero indicates wrong Coulomb friction.",
             lambda: armlab.plots.residual_speed(estimate, {"model": model.covariance}),
         ),
         (
             "Friction",
             "Friction of each joint against its speed with uncertainty",
-            "Dark band: uncertainty of the parameters. Light band: including the torque error at that speed; contains "
+            "Dark band: uncertainty of the parameters. Light band: also the torque error at that speed; should contain "
             "95 % of the points.",
             lambda: armlab.plots.friction(fit, estimate),
         ),
         (
             "Torque ripple",
             "Amplitude of the torque residual against cycles per revolution",
-            "Peaks are ripple of gears and motors; dotted lines are included in the model.",
+            "Peaks are ripple of gears and motors; dotted lines mark the ripple in the model.",
             lambda: armlab.plots.spectrum(model, log),
         ),
         (
             "Residual autocorrelation",
             "Autocorrelation of the residuals against the lag",
-            "Correlated residuals make formal standard deviations too small; this report uses a block bootstrap "
-            "instead.",
+            "Correlated residuals make formal standard deviations too small; this report uses a block bootstrap.",
             lambda: armlab.plots.autocorrelation(estimate),
         ),
-    ]
-
-
-def _of_the_force(fit: Fit[TorqueModel], trial: ModelTrial) -> list[Drawing]:
-    shown = "The test log" if trial.unseen else "The first log"
-    return [
         (
             "Excitation",
             "Singular values of the regressor",
@@ -339,18 +332,18 @@ def _of_the_force(fit: Fit[TorqueModel], trial: ModelTrial) -> list[Drawing]:
             "Force without contact",
             "Estimated wrench against time with a 2-sigma band; the true wrench is zero",
             f"{shown} with the estimator. The band should contain zero 95 % of the time.",
-            lambda: armlab.plots.wrench(trial.estimate),
+            lambda: armlab.plots.wrench(estimate),
         ),
         (
             "Observability",
             "Observability of each axis against time",
             "1: determined by the torques. 0: determined by the prior.",
-            lambda: armlab.plots.observability(trial.estimate),
+            lambda: armlab.plots.observability(estimate),
         ),
         (
             "Coverage by speed",
             "Share of forces within 2 sigma per speed bin",
             "A calibrated uncertainty contains 95.4 % at every speed.",
-            lambda: armlab.plots.coverage(trial.estimate),
+            lambda: armlab.plots.coverage(estimate),
         ),
     ]

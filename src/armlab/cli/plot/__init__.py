@@ -11,19 +11,19 @@ __all__ = []
 
 plot: App = App(
     name="plot",
-    help="Plot logs, models, robots and movement primitives. The command names are those of the functions in "
+    help="Plot logs, models, robots and movement primitives. The commands have the names of the functions in "
     "armlab.plots.",
     help_epilogue="Example: armlab plot torque_fit model.toml excite.mcap -o fit.svg. Prints the path of the figure.",
 )
 
-_COMMANDS = {  # by group: each command and the words of its example
+_COMMANDS = {  # commands by group, each with the arguments of its example
     "Logs": {
         figures.table: "press.mcap q tau",
         figures.poses: "press.mcap --robot yumi_right",
         figures.scene: "press.mcap --robot yumi_right --frames 0.1",
         figures.latency: "run.mcap -o latency.svg",
     },
-    "Models of torque": {
+    "Torque models": {
         figures.torque_fit: "model.toml excite.mcap",
         figures.friction: "model.toml",
         figures.friction_map: "model.toml excite.mcap --joint 3",
@@ -39,7 +39,7 @@ _COMMANDS = {  # by group: each command and the words of its example
         figures.coverage: "press.mcap --model model.toml",
         figures.hypotheses: "model.toml press.mcap",
     },
-    "Any fit": {figures.calibration: "camera.toml", figures.excitation: "camera.toml"},
+    "Fits": {figures.calibration: "camera.toml", figures.excitation: "camera.toml"},
     "Robots": {figures.robot: "irb2400", figures.workspace: "irb2400", figures.manipulability: "irb2400"},
     "Movement primitives": {
         figures.dmp: "motion.toml",

@@ -44,7 +44,7 @@ def table(log: Path, *columns: str, split: bool = False, figure: LogFigure = OF_
 
 
 def poses(log: Path, *, column: PoseColumn = None, robot: PoseRobot = None, figure: LogFigure = OF_LOG) -> int:
-    """Draw position and rotation vector of the tool against time.
+    """Draw the position and rotation vector of the tool against time.
 
     Parameters:
         log: Recording with poses, or with q and --robot.
@@ -67,11 +67,11 @@ def scene(
     """Draw tool paths, measured points, planes and frames in space.
 
     Parameters:
-        logs: Recordings with poses, or with q and --robot; one path per log.
-        cloud: Points measured by a tracker.
-        plane: Plane measured by a tracker.
-        pose: Frame from a MAT file, labelled with the name of the file.
-        frames: Length of the frames along paths [m]; 0: no frames.
+        logs: Recordings with poses, or with q and --robot. Each log is drawn as a path.
+        cloud: File of points measured by a laser tracker.
+        plane: File of a plane measured by a laser tracker.
+        pose: MAT file of a frame, which is labelled with the name of the file.
+        frames: Length of the frames along paths [m]; 0 draws no frames.
     """
     from armlab.log import nikon
 
@@ -102,20 +102,20 @@ def latency(log: Path, *, figure: LogFigure = OF_LOG) -> int:
 
 
 def torque_fit(model: Model, log: FreeMotion, *, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw measured and modelled torque of each joint, and the residual with its 2-sigma band."""
+    """Draw the measured and modelled torque of each joint, and the residual with its 2-sigma band."""
     path = figure.path(log, "torque_fit")
     return figure.save(path, armlab.plots.torque_fit(*figure.with_log(model, log)))
 
 
 def friction(model: Model, log: FreeMotion | None = None, *, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the friction of each joint against velocity with its uncertainty, and the samples of a log as points."""
+    """Draw the friction of each joint against velocity with its uncertainty; the samples of a log are points."""
     path = figure.path(model, "friction")
     fit = armlab.estimation.Fit.load(model, "torque_model")
     return figure.save(path, armlab.plots.friction(fit, None if log is None else figure.estimate(fit.value, log)))
 
 
 def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, figure: ModelFigure = OF_MODEL) -> int:
-    """Plot the friction of one joint against position and velocity; ranges without samples in the log are hatched.
+    """Draw the friction of a joint against position and velocity; ranges without samples in the log are hatched.
 
     Parameters:
         joint: Joint number, from 1.
@@ -123,13 +123,12 @@ def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, fig
     path = figure.path(model, f"friction_map_{joint}")
     known = torque_model(model)
     (number,) = joints_in(str(joint), known.n)
-    return figure.save(
-        path, armlab.plots.friction_map(known, number, None if log is None else figure.log_of(known, log))
-    )
+    table = None if log is None else figure.log_of(known, log)
+    return figure.save(path, armlab.plots.friction_map(known, number, table))
 
 
 def spectrum(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the spectrum of the torque residual per joint revolution with and without the ripple model."""
+    """Draw the torque residual against cycles per joint revolution, with and without the ripple model."""
     path = figure.path(log, "spectrum")
     known, drawn = chosen_of(model, joints)
     return figure.save(path, armlab.plots.spectrum(known, figure.log_of(known, log), drawn))
@@ -145,9 +144,8 @@ def residual_speed(model: Model, log: FreeMotion, *, joints: Joints = None, figu
     """Draw the torque residual against velocity, with the 2-sigma curves of the model."""
     path = figure.path(log, "residual_speed")
     known, drawn = chosen_of(model, joints)
-    return figure.save(
-        path, armlab.plots.residual_speed(figure.estimate(known, log), {"model": known.covariance}, drawn)
-    )
+    residuals, covariances = figure.estimate(known, log), {"model": known.covariance}
+    return figure.save(path, armlab.plots.residual_speed(residuals, covariances, drawn))
 
 
 def autocorrelation(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
@@ -164,7 +162,7 @@ def wrench(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
 
 
 def wrenches(*logs: Path, figure: LogFigure = OF_LOG) -> int:
-    """Draw the estimated forces of several arms side by side, on one scale.
+    """Draw the estimated forces of several arms side by side, on the same scale.
 
     Parameters:
         logs: Outputs of `armlab estimate`, or recordings with an estimate; one per arm.
@@ -184,12 +182,11 @@ def observability(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
 
 
 def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_MODEL) -> int:
-    """Draw the fraction of errors within 2 sigma by speed: wrench errors against a sensor, or torque errors with
-    --model.
+    """Draw the share of wrench errors (with --model: of torque errors) within 2 sigma against speed.
 
     Parameters:
-        log: Recording with a force estimate and a force sensor, or of free motion with --model.
-        model: Model file of `armlab identify`; compares its torques with the log.
+        log: Recording with an estimate and a force sensor; with --model, a recording of free motion.
+        model: Model file of `armlab identify`, to compare its torques with the log.
     """
     path = figure.path(log, "coverage")
     if model is not None:
@@ -206,19 +203,18 @@ def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_M
 def hypotheses(
     model: Model, log: Annotated[Path, Parameter(help="Recording with contact.")], *, figure: ModelFigure = OF_MODEL
 ) -> int:
-    """Draw the probabilities of the contact hypotheses: whether there is contact, and where."""
+    """Draw the probabilities of the contact hypotheses: no contact, or contact at each location."""
     path = figure.path(log, "hypotheses")
     known = torque_model(model)
-    return figure.save(
-        path, armlab.plots.hypotheses(armlab.contact.hypotheses(figure.estimate(known, log), figure.robot_of(known)))
-    )
+    believed = armlab.contact.hypotheses(figure.estimate(known, log), figure.robot_of(known))
+    return figure.save(path, armlab.plots.hypotheses(believed))
 
 
 def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     """Draw the uncertainty of a calibration and the excitation of its samples.
 
     Parameters:
-        fit: File of `armlab calibrate`. The file has no residuals; draw them with armlab calibrate --figure.
+        fit: Result of `armlab calibrate`. It has no residuals; to draw them, use armlab calibrate --figure.
     """
     path = figure.path(fit, "calibration")
     found = armlab.estimation.Fit.load(fit)
@@ -233,13 +229,13 @@ def excitation(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     """Draw the singular values of a fit, which show how well its samples determine the parameters.
 
     Parameters:
-        fit: File written by `armlab identify` or `armlab calibrate`.
+        fit: Result of `armlab identify` or `armlab calibrate`.
     """
     path = figure.path(fit, "excitation")
     return figure.save(path, armlab.plots.excitation(armlab.estimation.Fit.load(fit).excitation))
 
 
-Posture = Annotated[Path | None, Parameter(help="Recording with q.")]
+Posture = Annotated[Path | None, Parameter(help="Recording with joint positions q.")]
 
 
 def robot(robot: RobotName, log: Posture = None, *, tool_path: bool = False, figure: LogFigure = OF_LOG) -> int:
@@ -253,7 +249,7 @@ def robot(robot: RobotName, log: Posture = None, *, tool_path: bool = False, fig
 
 
 def workspace(robot: RobotName, *, figure: FigureFile = BESIDE) -> int:
-    """Draw the workspace of an arm: side view, top view, and in space."""
+    """Draw the workspace of an arm in a side view, a top view and in space."""
     path = figure.path(robot, "workspace")
     return figure.save(path, armlab.plots.workspace(load_robot(robot)))
 
@@ -277,14 +273,14 @@ def manipulability(
 def dmp(
     primitive: Primitive,
     *demos: Path,
-    column: Annotated[str | None, Parameter(help="Column of those logs; default: q, or T_base_tool for poses.")] = None,
+    column: Annotated[str | None, Parameter(help="Column of the logs; default: q, or T_base_tool for poses.")] = None,
     robot: PoseRobot = None,
     figure: FigureFile = BESIDE,
 ) -> int:
     """Draw a movement primitive of any kind against time, with its demonstrations.
 
     Parameters:
-        demos: Logs of the demonstrations, without rest; several for a distribution over motions.
+        demos: Logs of the demonstrations, drawn without rest; several logs for a distribution over motions.
     """
     from armlab.cli.dmp.teaching import MotionWindow, read_demonstration
     from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
@@ -301,7 +297,7 @@ def dmp(
     if isinstance(motion, ProMP):
         return figure.save(path, armlab.plots.promp(motion, shown))
     if len(shown) > 1:
-        raise ConfigError(f"Expected one demonstration (only promp takes several), got {len(shown)}. Remove some.")
+        raise ConfigError(f"Expected one demonstration (except for promp), got {len(shown)}. Omit the others.")
     plots: Any = armlab.plots
     draw = {PoseDmp: plots.pose_dmp, PeriodicDmp: plots.periodic_dmp, Dmp: plots.dmp}[type(motion)]
     return figure.save(path, draw(motion, shown[0] if shown else None))
@@ -323,13 +319,13 @@ def two_dof(
     goal: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     figure: FigureFile = BESIDE,
 ) -> int:
-    """Draw the response of a movement primitive to a disturbance: arm, path, undisturbed motion, error.
+    """Draw the response of a movement primitive to a disturbance: arm, path, undisturbed motion and error.
 
     Parameters:
         log: Recording of `armlab dmp play`.
-        disturbed: Interval START,END of a disturbance [s], shaded.
-        duration: Duration of the run [s]; default: that of the demonstration.
-        goal: Goal of the run, comma-separated; default: that of the demonstration.
+        disturbed: Interval START,END of a disturbance [s], which is shaded.
+        duration: Duration of the run [s]; default: duration of the demonstration.
+        goal: Goal of the run, comma-separated; default: goal of the demonstration.
     """
     from armlab.cli.dmp.playing import numbers_in
 
@@ -340,7 +336,9 @@ def two_dof(
         raise ConfigError(f"Expected a joint-space primitive in {primitive}, got a Cartesian one. Choose another file.")
     read = armlab.log.read(log)
     if "path_error" not in read:
-        raise LogError(f"Expected a two-degree-of-freedom run in {log}, got no such columns. Record it without --firm.")
+        raise LogError(
+            f"Expected a two-degree-of-freedom run in {log}, got none of its columns. Record it without --firm."
+        )
     spans = [numbers_in(word, "disturbed") for word in disturbed or ()]
     if any(span is None or len(span) != 2 for span in spans):
         raise ConfigError(f"Expected --disturbed as START,END, got {' '.join(disturbed or ())}.")

@@ -26,12 +26,12 @@ POSES = ("T_base_tool", "T_frame_tool")
 
 Model = Annotated[Path, Parameter(help="Model file of `armlab identify`.")]
 FreeMotion = Annotated[Path, Parameter(help="Recording of free motion, preferably not used in the fit.")]
-Estimate = Annotated[Path, Parameter(help="Output of `armlab estimate`, or recording with an estimate.")]
+Estimate = Annotated[Path, Parameter(help="Output of `armlab estimate`, or a recording with an estimate.")]
 RobotName = Annotated[str, Parameter(help="Library name or robot file.")]
-PoseRobot = Annotated[str | None, Parameter(help="Library name or robot file; computes the poses from q.")]
+PoseRobot = Annotated[str | None, Parameter(help="Library name or robot file, to compute the poses from q.")]
 PoseColumn = Annotated[str | None, Parameter(help="Column of poses; default: T_base_tool or T_frame_tool.")]
-Primitive = Annotated[Path, Parameter(help="File of `armlab dmp fit`.")]
-Joints = Annotated[str | None, Parameter(help="Comma-separated numbers from 1; default: all.")]
+Primitive = Annotated[Path, Parameter(help="Primitive file of `armlab dmp fit`.")]
+Joints = Annotated[str | None, Parameter(help="Comma-separated joint numbers from 1; default: all joints.")]
 
 
 @Parameter(name="*")
@@ -41,7 +41,7 @@ class FigureFile:
 
     Attributes:
         output: PNG, SVG or PDF; default: in the folder of the input, named after the input and the figure.
-        show: Also open a window.
+        show: Also show the figure in a window.
         force: Replace an existing file, and draw a recording of another robot.
     """
 
@@ -50,14 +50,14 @@ class FigureFile:
     force: bool = False
 
     def path(self, source: Path | str, name: str) -> Path:
-        """Return the output path of a figure; raise early if it cannot be written."""
+        """Return the output path of a figure; raise if it cannot be written."""
         beside = Path(source)
         path = beside.with_name(f"{beside.stem}_{name}.png") if self.output is None else self.output
         check_output(path, self.force, FIGURES)
         return path
 
     def save(self, path: Path, drawn: Any) -> int:
-        """Write a figure, print its path, open a window if requested; return the exit code."""
+        """Write a figure, print its path, open a window if requested, and return the exit code."""
         save_figure(drawn, path)
         result(str(path))
         if self.show:
@@ -75,8 +75,8 @@ class LogPart:
     Attributes:
         start: First time [s]; default: the beginning.
         end: Last time [s]; default: the end.
-        arm: Arm to read from a recording of several.
-        where: Column names in a file from another program; see armlab log export.
+        arm: Arm to select from a recording of several arms.
+        where: Column names in a file of another program; see armlab log export.
     """
 
     start: float | None = None
@@ -85,7 +85,7 @@ class LogPart:
     where: Annotated[Columns, Parameter(name="--columns")] = None
 
     def read(self, path: Path, robot: str | None = None, model: TorqueModel | None = None) -> Table:
-        """Return the selected part of a log; reject a recording of another robot than the given one or the model's."""
+        """Return the selected part of a log; refuse a recording whose robot is not the given or the model's robot."""
         from armlab.cli.support.log_input import check_log
         from armlab.log.topics.reader import is_foreign, read_joints
 
@@ -117,7 +117,7 @@ class LogPart:
         return read
 
     def positions(self, path: Path | None, robot: str) -> np.ndarray | None:
-        """Return the joint positions (N, n) of the selected part without missing rows; None without a log."""
+        """Return the complete joint positions (N, n) in the selected part of a log; None without a log."""
         import numpy as np
 
         if path is None:
@@ -137,7 +137,7 @@ class LogFigure(LogPart, FigureFile):
 class ModelFigure(LogFigure):
     """Figure of a torque model and part of a log."""
 
-    robot: Annotated[str | None, Parameter(help="Robot file, if the model's robot is not in the library.")] = None
+    robot: Annotated[str | None, Parameter(help="Robot file if the robot of the model is not in the library.")] = None
 
     def robot_of(self, model: TorqueModel) -> Robot:
         arm = load_robot(model.robot_name if self.robot is None else self.robot)
@@ -175,7 +175,7 @@ def chosen_of(model: Path, joints: str | None) -> tuple[TorqueModel, list[int] |
 
 
 def poses_in(table: Table, path: Path, column: str | None, robot: str | None) -> np.ndarray:
-    """Return the poses of the tool (N, 4, 4): from a robot, a given column, or a default column."""
+    """Return the tool poses (N, 4, 4): computed from q with a robot, otherwise from the given or default column."""
     if robot is not None:
         return armlab.kinematics.forward(load_robot(robot), table["q"])
     name = column or next((name for name in POSES if name in table), None)

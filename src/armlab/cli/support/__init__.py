@@ -1,3 +1,3 @@
-"""Shared code of the commands: options, settings, output, reports, figures, input logs."""
+"""Code shared by the commands: options, settings, output, reports, figures and input logs."""
 
 __all__ = []

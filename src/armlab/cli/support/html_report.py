@@ -1,4 +1,4 @@
-"""Reports as one self-contained HTML file without scripts; loads nothing from the network."""
+"""Reports as self-contained HTML files without scripts, which load nothing from the network."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ summary {{ cursor: pointer; color: #555; }}
 
 @dataclass
 class Verdict:
-    """Verdict of a report."""
+    """Findings and advice of a report."""
 
-    good: list[str] = field(default_factory=list)  # positive findings
-    bad: list[str] = field(default_factory=list)  # negative findings
+    good: list[str] = field(default_factory=list)
+    bad: list[str] = field(default_factory=list)
     ahead: list[str] = field(default_factory=list)  # advice
 
     @property
     def parts(self) -> tuple[tuple[str, list[str]], ...]:
-        """Titles and sentences of non-empty parts."""
+        """Title and sentences of each non-empty part."""
         named = (("Good", self.good), ("Not good", self.bad), ("Next", self.ahead))
         return tuple((title, sentences) for title, sentences in named if sentences)
 
@@ -67,11 +67,11 @@ class Verdict:
 
 @dataclass
 class HtmlReport:
-    """A report, built from top to bottom."""
+    """A report that is built from top to bottom."""
 
-    title: str  # title of the page
+    title: str
     about: str  # subtitle: robot, files, time
-    pieces: list[str] = field(default_factory=list)  # HTML so far
+    pieces: list[str] = field(default_factory=list)  # HTML of the parts added so far
 
     def verdict(self, verdict: Verdict) -> None:
         """Add the box with the verdict."""
@@ -86,7 +86,7 @@ class HtmlReport:
         self.pieces.append(f"<h2>{escape(title)}</h2>" + (f'<p class="note">{escape(words)}</p>' if words else ""))
 
     def table(self, rows: Sequence[Sequence[str]], folded: str = "") -> None:
-        """Add a table; the first row is the head. Text columns are left-aligned, numbers right-aligned."""
+        """Add a table whose first row is the header. Text is left-aligned, numbers are right-aligned."""
         head, *body = rows
         words = [any(row[k][:1].isalpha() and row[k] != "nan" for row in body) for k in range(len(head))]
         head_cells = "".join(_cell("th", cell, text) for cell, text in zip(head, words, strict=True))
@@ -127,7 +127,7 @@ class HtmlReport:
 
 
 def _cell(kind: str, text: str, words: bool) -> str:
-    """Return one cell; units and values with uncertainty are never wrapped."""
+    """Return the HTML of a cell; units and values with uncertainty are never wrapped."""
     whole = re.sub(r"\[[^]]*\]|± \S+", lambda found: found[0].replace(" ", "\N{NO-BREAK SPACE}"), text)
     opened = f'{kind} class="words"' if words else kind
     return f"<{opened}>{escape(whole)}</{kind}>"

@@ -1,4 +1,4 @@
-"""Input logs of commands: reject logs without torques or of another robot, and report implausible data."""
+"""Input logs of commands: reject logs of another robot, and report implausible data."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ BAND = 5.0  # Hz, band for comparing velocity with the derivative of position
 SHORTEST = 100  # rows
 LARGE = 50_000_000  # bytes; reading more takes seconds
 FEW = 0.01  # largest share of rows that a fit may skip
-LOST = 1.5  # median steps: a longer one is a gap
+LOST = 1.5  # longer steps are gaps [median steps]
 
 
 @contextmanager
 def reading_bar(path: Path) -> Iterator[Progress | None]:
-    """Show a progress bar while the block reads a large log; yields the callback of `log.read`, or None."""
+    """Show a progress bar while the block reads a large log; yields the callback for `log.read`, or None."""
     files = [path] if path.is_file() else [one for one in path.glob("*") if one.is_file()]
     if not sys.stderr.isatty() or sum(one.stat().st_size for one in files) < LARGE:
         yield None
@@ -41,9 +41,9 @@ def reading_bar(path: Path) -> Iterator[Progress | None]:
 
 
 def read_log(path: Path, robot: Robot, force: bool = False, columns: str | None = None, *, fit: bool = False) -> Table:
-    """Return the log with q, qd and tau; a missing velocity is the derivative of the position.
+    """Return the log with q, qd and tau; a missing velocity is computed from the positions.
 
-    `columns` gives other column names. With `fit`, a few incomplete rows are skipped.
+    `columns` maps other column names. With `fit`, a few incomplete rows are skipped.
     """
     with reading_bar(path) as tell:
         table = armlab.log.read_arm(path, robot, tell, force=force, columns=columns)
@@ -56,7 +56,7 @@ def read_log(path: Path, robot: Robot, force: bool = False, columns: str | None 
 
 
 def _whole_rows(table: Table, names: list[str], path: Path) -> Table:
-    """Return the table without non-finite rows if there are only a few; rows without any number count as lost."""
+    """Return the table without its incomplete rows if there are only a few; rows without any number count as lost."""
     values = np.hstack([table[name] for name in names])
     lost = np.asarray(~np.isfinite(values).all(axis=1))
     some = lost & np.isfinite(values).any(axis=1)
@@ -69,7 +69,7 @@ def _whole_rows(table: Table, names: list[str], path: Path) -> Table:
 
 @contextmanager
 def by_force(force: bool) -> Iterator[None]:
-    """Refuse another robot in the block and suggest --force; with `force`, end the block with a note."""
+    """Add advice about --force to a robot mismatch in the block; with `force`, print the mismatch as a note instead."""
     try:
         yield
     except ModelMismatchError as error:
@@ -108,7 +108,7 @@ _TAUGHT = "taught on "  # robot and hash, in the sources of a primitive of joint
 
 
 def taught_on(path: Path, robot: Robot | None) -> tuple[str, ...]:
-    """Return the line that names the robot of a demonstration: the given robot or that of the recording."""
+    """Return the line that names the robot of a demonstration: the given robot, or the robot of the recording."""
     from armlab.log.file_formats.opening import format_at
 
     if robot is not None:
@@ -134,10 +134,7 @@ def check_taught(path: Path, robot: Robot, force: bool = False) -> None:
 
 
 def model_for(path: Path, robot: Robot, force: bool = False) -> TorqueModel:
-    """Return the torque model in a file; reject a model of another robot description, or adapt it with `force`.
-
-    `force`: continue, and print a note about the differences.
-    """
+    """Return the torque model in a file; refuse a model of another robot description, or adapt it with `force`."""
     model: TorqueModel = armlab.models.load(path, "torque_model")
     with by_force(force):
         model.check_robot(robot)
@@ -146,13 +143,10 @@ def model_for(path: Path, robot: Robot, force: bool = False) -> TorqueModel:
 
 
 def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tuple[str, ...]:
-    """Return implausible properties of a log: velocities that are not the derivatives of the positions, and motor
-    torques.
+    """Return errors for velocities that are not the derivatives of the positions, and for implausible torques.
 
-    `identify.prepare` rejects such logs. A log used only for estimation may contain rest, so the check uses the motion
-    in its longest segment without a gap.
-
-    `table`: with q, qd, tau (N, n).
+    `identify.prepare` rejects such logs. Logs for estimation may contain rest, so this check uses only the motion in
+    the longest segment without a gap. The table has q, qd and tau (N, n).
     """
     from armlab.log.units_check import check_torque, check_velocity, has_moved
     from armlab.signals import lowpass_offline
@@ -176,7 +170,7 @@ def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tupl
 
 
 def gaps(table: Table) -> list[tuple[float, float]]:
-    """Return (time of the preceding row, length) of each gap [s]: a step longer than 1.5 times the usual step."""
+    """Return (time of the preceding row, length) of each gap [s]: a step longer than 1.5 times the median step."""
     steps = np.diff(table.t)
     after = np.flatnonzero(steps > LOST * np.median(steps)) if len(steps) else []
     return [(float(table.t[k]), float(steps[k])) for k in after]

@@ -1,4 +1,4 @@
-"""Option values: number checks, link URLs, UDP ports."""
+"""Option values: numbers, robots, link URLs and UDP ports."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ Columns = Annotated[
         "ros, abb, abb7."
     ),
 ]
-# contact.Method, whose import is too slow for a help text
+# equal to contact.Method, whose import is too slow for the help
 ForceMethod = Literal["map", "bounded", "interval", "observer", "kf", "clip", "ls", "lund", "ols"]
 Cell = Annotated[str, Parameter(help="Name of the cell; required if several cells are running.")]
 
 
 @contextmanager
 def as_given() -> Iterator[None]:
-    """Turn library errors into usage errors; decorates functions that only process command words."""
+    """Convert ShapeError to a usage error in a block that only processes options; also used as a decorator."""
     try:
         yield
     except ShapeError as error:
@@ -42,19 +42,19 @@ def as_given() -> Iterator[None]:
 
 
 def require_positive(option: str, value: float | None, unit: str = "") -> None:
-    """Reject a number that is not positive and finite; None means not given."""
+    """Reject a number that is not positive and finite; None is accepted."""
     if value is not None and not (math.isfinite(value) and value > 0.0):
         raise ConfigError(f"Expected --{option} above 0{f' {unit}' if unit else ''} and finite, got {value:g}.")
 
 
 def require_seconds(value: float | None) -> None:
-    """Reject a negative or non-finite waiting time; None means not given."""
+    """Reject a negative or NaN waiting time; None is accepted."""
     if value is not None and not value >= 0.0:
         raise ConfigError(f"Expected a time of at least 0 s, got {value}.")
 
 
 _URDF_OPTIONS = ("base", "tip", "lock")
-_chosen: dict[str, str] = {}  # the arm of a URDF, for all robots of the command
+_chosen: dict[str, str] = {}  # options that select the arm of a URDF, for all robots of the command
 
 
 def take_robot_options(words: Sequence[str]) -> list[str]:
@@ -85,24 +85,24 @@ def load_robot(word: str) -> Robot:
 
 
 def is_arm_chosen() -> bool:
-    """Return whether --base, --tip or --lock select an arm of a URDF."""
+    """Return whether --base, --tip or --lock selects an arm of a URDF."""
     return bool(_chosen)
 
 
 def as_typed(word: str) -> list[str]:
-    """Return a robot with the options that chose its arm, for another command."""
+    """Return the robot and the options that select its arm, as words of another command."""
     return [word, *(part for name, value in _chosen.items() for part in (f"--{name}", value))]
 
 
 def mesh_option(word: str) -> list[str]:
-    """Return --robot for a description that may have meshes; else nothing."""
+    """Return the option --robot for a description that may have meshes; otherwise an empty list."""
     from armlab.robots.files import names
 
     return [] if word in names() or word.endswith(".toml") else ["--robot", *as_typed(word)]
 
 
 def simulated(word: str) -> Robot:
-    """Return the robot that ``armlab sim`` simulates for a word."""
+    """Return the robot of ``armlab sim`` for a library name, a file or scara."""
     if word == "scara":
         from armlab.sim.arm.arm import scara
 
@@ -111,13 +111,13 @@ def simulated(word: str) -> Robot:
 
 
 def sim_url(robots: str, **options: object) -> str:
-    """Return the URL of the simulated robots (joined by +) with the selected arm."""
+    """Return the URL of simulated robots, whose names are joined by +; for a URDF, it includes the selected arm."""
     query = urlencode({**_chosen, **options})
     return f"sim://{'+'.join(quote(word) for word in robots.split('+'))}{query and '?'}{query}"
 
 
 def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
-    """Return the URL of each link from comma-separated words; None means simulation."""
+    """Return the URL of each link in a comma-separated list; None means simulation."""
     from armlab.bridge.urls import addresses, choosing_arm
 
     same = sim_url(robot)
@@ -131,14 +131,14 @@ def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
 
 
 def joints_in(words: str, n: int) -> list[int]:
-    """Parse joint numbers; the result is counted from 0."""
+    """Return joint indices from 0 for comma-separated joint numbers from 1."""
     numbers = [int(word) if word.strip().isdecimal() else 0 for word in words.split(",")]
     if not all(1 <= number <= n for number in numbers):
         raise ConfigError(f"Expected joint numbers from 1 to {n}, separated by commas, got {words!r}.")
     return [number - 1 for number in numbers]
 
 
-_ONE, _FIRST = 6510, 6511  # port of one arm, first port of several
+_ONE, _FIRST = 6510, 6511  # port of a single arm, first port of several arms
 
 
 def ports_in(text: str) -> list[int]:
@@ -150,7 +150,7 @@ def ports_in(text: str) -> list[int]:
 
 
 def known_ports(arms: Sequence[Robot]) -> list[int]:
-    """Return a port per arm: from the settings, else 6510 for one arm, 6511, 6512, ... for several."""
+    """Return a port per arm: from the settings, else 6510 for a single arm and 6511, 6512, ... for several arms."""
     from armlab.cli.support.settings import load_settings
 
     known = load_settings().settings.ports
@@ -158,7 +158,7 @@ def known_ports(arms: Sequence[Robot]) -> list[int]:
 
 
 def seconds_in(text: str, option: str) -> float:
-    """Parse a duration such as ``20ms``, ``0.02s`` or ``0.02``, in seconds."""
+    """Return a duration such as ``20ms``, ``0.02s`` or ``0.02`` in seconds."""
     found = re.fullmatch(r"([\d.eE+-]+)\s*(us|ms|s)?", text.strip())
     with suppress(ValueError):
         seconds = float(found[1]) * {"us": 1e-6, "ms": 1e-3}.get(found[2] or "s", 1.0) if found else math.nan

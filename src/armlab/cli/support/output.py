@@ -42,7 +42,7 @@ def print_json(data: Any) -> None:
 
 
 def aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
-    """Return rows of text as lines with aligned columns; `right` lists the right-aligned columns."""
+    """Return rows of text with aligned columns; `right` lists the indices of right-aligned columns."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))] if rows else []
     lines = []
     for row in rows:
@@ -52,15 +52,17 @@ def aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
 
 
 def refuse_overwrite(path: Path, force: bool) -> None:
-    """Raise `ConfigError` when `path` exists and `force` is not set."""
+    """Raise `ConfigError` if `path` exists and `force` is not set."""
     if path.exists() and not force:
         raise ConfigError(f"Expected a new file, but {path} already exists. Choose another name or add --force.")
 
 
 def check_output(path: Path, force: bool, endings: Sequence[str], inputs: Sequence[Path] = ()) -> None:
-    """Raise `ConfigError` before the work begins if the result could not be written."""
+    """Raise `ConfigError` if the result could not be written, before any computation."""
     if path.suffix.lower() not in endings:
-        raise ConfigError(f"Expected a file name that ends in {' or '.join(endings)}, got {path}. Change the ending.")
+        raise ConfigError(
+            f"Expected a file name that ends in {' or '.join(endings)}, got {path}. Change the file extension."
+        )
     if not path.parent.is_dir():
         raise ConfigError(
             f"Expected {path} in an existing folder, but {path.parent} does not exist. Create the folder first."
@@ -76,7 +78,7 @@ def check_output(path: Path, force: bool, endings: Sequence[str], inputs: Sequen
 
 
 def _holds(outer: Path, inner: Path) -> bool:
-    """Return whether one file or folder is or contains the other, after resolving links."""
+    """Return whether the outer file or folder is or contains the inner one, after resolving links."""
     place = inner.resolve()
     return any(outer.samefile(one) for one in (place, *place.parents))
 
@@ -90,9 +92,9 @@ def save_figure(drawn: Any, path: Path) -> None:
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[float, float, str], None]]:
-    """Show a progress bar on standard error during the block; yields its callback (done, total, what).
+    """Show a progress bar on standard error during the block; yields its callback (done, total, step).
 
-    If standard error is not a terminal, each new `what` is printed on a separate line.
+    If standard error is not a terminal, each new step is printed on a separate line.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -109,13 +111,8 @@ def progress(title: str) -> Iterator[Callable[[float, float, str], None]]:
 
         yield say
         return
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console) as bar:
+    percent = TextColumn("{task.percentage:3.0f} %")
+    with Progress(TextColumn("{task.description}"), BarColumn(), percent, TimeElapsedColumn(), console=console) as bar:
         task = bar.add_task(title, total=1.0)
         yield lambda done, total, what: bar.update(task, completed=done / total, description=f"{title}: {what}")
 
@@ -138,12 +135,12 @@ _QUIET = logging.NullHandler()
 
 
 class Narrator:
-    """Writer of run events to standard error, with warnings about the first packets."""
+    """Prints run events to standard error, and warnings about the first packets."""
 
     def __init__(self, listens: bool = False, q_home: dict[str, list[float]] | None = None) -> None:
         self._listens, self._q_home = listens, dict(q_home or {})
         self._guided: set[str] = set()
-        # Without a handler Python would print the warnings of the bridge a second time.
+        # Without a handler, Python would print the warnings of the bridge a second time.
         logging.getLogger("armlab.bridge").addHandler(_QUIET)
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
@@ -151,8 +148,8 @@ class Narrator:
             self._guided.add(state.robot)
             note(
                 f"warning: {state.robot} is in EGM guidance and waits for references. This command sends nothing, so "
-                "the controller will report 41822 and stop. To record motion by hand, let RAPID run EGMStreamStart "
-                "only."
+                "the controller will report event 41822 and stop. To record lead-through motion, let RAPID run only "
+                "EGMStreamStart."
             )
         home = self._q_home.pop(state.robot, None)
         if home is None:
@@ -171,20 +168,14 @@ class Narrator:
 
 def print_findings(findings: list[Finding], json: bool) -> int:
     """Print findings and return the exit code."""
+    verdicts = [finding.verdict for finding in findings]
     if json:
         print_json([asdict(finding) for finding in findings])
     else:
-        result("\n".join(_lines(findings)))
-    verdicts = {finding.verdict for finding in findings}
+        width = max(len(finding.name) for finding in findings)
+        for finding in findings:
+            result(f"{finding.verdict:7}  {finding.name:{width}}  {finding.value}")
+            if finding.advice:
+                result(f"{'':7}  {'':{width}}  -> {finding.advice}")
+        result(", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in ("ok", "warning", "failure")))
     return FAILED if "failure" in verdicts else DOUBTFUL if "warning" in verdicts else 0
-
-
-def _lines(findings: list[Finding]) -> list[str]:
-    width = max(len(finding.name) for finding in findings)
-    lines: list[str] = []
-    for finding in findings:
-        lines.append(f"{finding.verdict:7}  {finding.name:{width}}  {finding.value}")
-        if finding.advice:
-            lines.append(f"{'':7}  {'':{width}}  -> {finding.advice}")
-    counts = [f"{sum(f.verdict == verdict for f in findings)} {verdict}" for verdict in ("ok", "warning", "failure")]
-    return [*lines, ", ".join(counts)]

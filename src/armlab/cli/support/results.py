@@ -1,4 +1,4 @@
-"""Additional output of commands that fit or estimate: HTML page, figure, JSON."""
+"""Output of commands that fit or estimate: HTML page, figure, JSON."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Results:
     force: bool = False
 
     def check(self, output: Path | None, endings: Sequence[str], inputs: Sequence[Path] = ()) -> None:
-        """Reject invalid output files before the work begins."""
+        """Reject invalid output files, before any computation."""
         for path, known in ((output, endings), (self.report, (".html",)), (self.figure, FIGURES)):
             if path is not None:
                 check_output(path, self.force, known, inputs)
@@ -52,7 +52,7 @@ class Results:
             result(f"{text}\n\n{verdict.text()}")
 
     def keep(self, verdict: Verdict, saves: Mapping[Path, Callable[[Path], object]]) -> int:
-        """Save a good result (any result with --force) to files; return the exit code of the command."""
+        """Save the result unless it is poor and --force is missing; return the exit code of the command."""
         if saves and verdict.bad and not self.force:
             names = ", ".join(map(str, saves))
             note(f"not saved because the result is poor: {names}. Follow the advice, or add --force to save it anyway.")
@@ -63,7 +63,7 @@ class Results:
         return 0
 
     def write(self, draw: Callable[[Any], Any], page: Callable[[Tell], HtmlReport]) -> None:
-        """Write the figure and the page if requested; `draw` takes the module `armlab.plots`."""
+        """Write the figure and the page if requested; `draw` receives the module `armlab.plots`."""
         if self.figure is not None:
             save_figure(draw(armlab.plots), self.figure)
             note(f"figure: {self.figure}")
@@ -77,6 +77,6 @@ PLAIN = Results()
 
 
 def parameters(fit: Fit[Any]) -> list[dict[str, Any]]:
-    """Return the parameters of a fit, for scripts."""
+    """Return the parameters of a fit for JSON output."""
     columns = zip(fit.names, fit.parameters, fit.sd, fit.units, strict=True)
     return [{"name": name, "value": value, "sd": sd, "unit": unit} for name, value, sd, unit in columns]

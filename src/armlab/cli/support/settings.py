@@ -1,4 +1,4 @@
-"""`UserSettings`: option defaults from files and the environment."""
+"""User settings: option defaults from files and the environment."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def read_text(path: Path, what: str) -> str:
 
 
 PREFIX = "ARMLAB_"
-_CREDENTIALS = ("ARMLAB_RWS_USER", "ARMLAB_RWS_PASSWORD")  # of a controller; never shown as settings
+_CREDENTIALS = ("ARMLAB_RWS_USER", "ARMLAB_RWS_PASSWORD")  # credentials of a controller; never shown as settings
 _FILE = "armlab.toml"
-_PATHS = ("cell", "logs")  # relative to the settings file
+_PATHS = ("cell", "logs")  # paths relative to the settings file
 
 _Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
 
@@ -36,11 +36,11 @@ class UserSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes
     ----------
-    cell : the cell of `armlab bridge`.
+    cell : cell file of `armlab bridge`.
     logs : folder of automatically named recordings.
-    ports : name of a robot -> its UDP port.
+    ports : UDP port by name of the robot.
     speed : fraction of a robot's speed and acceleration limits, in (0, 1].
-    wait : how a run waits for packets.
+    wait : method of waiting for packets.
     """
 
     cell: str | None = None
@@ -52,14 +52,14 @@ class UserSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class LoadedSettings:
-    """`UserSettings` and their origins."""
+    """Effective settings and their origins."""
 
-    settings: UserSettings  # the values in force
-    origins: Mapping[str, str]  # name -> file, variable, or "default"
+    settings: UserSettings
+    origins: Mapping[str, str]  # file, variable or "default", by name of the setting
 
 
 def load_settings(environment: Mapping[str, str] | None = None) -> LoadedSettings:
-    """Return the settings in force in this folder, using the given environment or that of the process."""
+    """Return the effective settings in this folder, with the given environment or that of the process."""
     variables = os.environ if environment is None else environment
     values: dict[str, Any] = {}
     origins = dict.fromkeys(UserSettings.__struct_fields__, "default")
@@ -72,7 +72,7 @@ def load_settings(environment: Mapping[str, str] | None = None) -> LoadedSetting
 
 
 def user_file(environment: Mapping[str, str]) -> Path:
-    """Return the path of the user's settings file, in the XDG base directory."""
+    """Return the path of the user's settings file, which is in the XDG base directory."""
     folder = environment.get("XDG_CONFIG_HOME") or "~/.config"
     return Path(folder).expanduser() / "armlab" / _FILE
 
