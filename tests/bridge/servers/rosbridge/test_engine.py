@@ -130,7 +130,7 @@ def test_what_cannot_be_done_comes_back_as_a_status(bench: Bench, operation: dic
         ("[" * 20000, "a rosbridge v2 operation in JSON"),
         (b"{}", "a text message"),
         ("\ud800", "valid Unicode text"),
-        ("9" * LARGEST + "9", f"at most {LARGEST} characters"),
+        ("9" * LARGEST + "9", f"a message of at most {LARGEST} characters"),
     ],
     ids=range(4),
 )

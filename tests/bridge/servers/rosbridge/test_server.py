@@ -274,7 +274,7 @@ def test_with_a_token_those_who_know_it(secret: Path) -> None:
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o644, 0o660])
 def test_a_file_that_others_read_is_no_secret(secret: Path, mode: int) -> None:
     secret.chmod(mode)
-    with pytest.raises(ConfigError, match=f"got mode {mode:04o}. chmod 600"):
+    with pytest.raises(ConfigError, match=f"got mode {mode:04o}. Run chmod 600"):
         read_access({"token_file": str(secret)})
 
 

@@ -81,7 +81,7 @@ def test_a_command_comes_back_and_a_second_commander_gets_a_sentence(start: Star
 
 NO_COMMANDS = [
     ("position", b"1234567", attached(1), "8 bytes each, got 7 bytes"),
-    ("position", bytes(8 * 65), attached(1), "1 to 64 numbers for .*, got 520 bytes"),
+    ("position", bytes(8 * 65), attached(1), "1 to 64 float64 numbers for .*, got 520 bytes"),
     ("position", b"", attached(1), "got 0 bytes"),
     ("position", bytes(8 * 200), attached(1), "got 1600 bytes"),
     ("motion", bytes(8 * 7), attached(1), "as many velocities as positions"),

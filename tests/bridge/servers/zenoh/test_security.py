@@ -185,8 +185,8 @@ def test_files_that_do_not_fit(lab: Path, tmp_path: Path) -> None:
         ({"secret": two}, "got 2"),
         ({"secret": bad}, "line 1 of"),
         ({"users": users}, "commander:PASSWORD"),
-        ({"certificate": lab / "bridge.pem", "ca": lab / "lab.pem"}, "together"),
-        ({"certificate": lab / "bridge.pem", "key": lab / "bridge.key"}, "together"),
+        ({"certificate": lab / "bridge.pem", "ca": lab / "lab.pem"}, "all of"),
+        ({"certificate": lab / "bridge.pem", "key": lab / "bridge.key"}, "all of"),
     ):
         with pytest.raises(ConfigError, match=words):
             Security(**options)

@@ -26,7 +26,7 @@ _KERNEL = 65_536  # bytes of the kernel's send buffer: small, so that a slow pee
 
 
 class Peer:
-    """Two-way connection. The encoder is None until the peer's dialect is known."""
+    """Connection with a queue; the encoder is None until the peer's dialect is known."""
 
     address: str
     encoder: Encoder | None
@@ -78,7 +78,7 @@ class Peer:
         self._queue = deque(kept)
 
     def flush(self) -> bool:
-        """Send while the socket accepts data, with one write per packet; return False if the connection is closed."""
+        """Send while the socket accepts data, one write per packet; return False if the connection is closed."""
         while self._rest or self._queue:
             data, is_row = (self._rest, False) if self._rest else self._queue.popleft()
             self.sent += is_row
@@ -107,7 +107,7 @@ class Peer:
         return self.decoder.feed(data)
 
     def overdue(self, now: float) -> str:
-        """Return why the connection must be closed at `now` (monotonic, s), or "" if it may stay open."""
+        """Return the reason for closing the connection at `now` (monotonic) [s], or ""."""
         if self.decoder.pending:
             position, since = self._packet
             if position != self.decoder.offset:
@@ -126,11 +126,11 @@ class Peer:
 
 
 OnCommand = Callable[[str, Row, str], None]
-"""Called with the name of the channel, a valid command and the address of its client."""
+"""Function of channel name, valid command and client address."""
 
 
 class Channel:
-    """One port."""
+    """Port of a LabComm server."""
 
     name: str
     port: int
@@ -289,15 +289,13 @@ Value = float | bool | str | Sequence[float] | np.ndarray
 """Value of a parameter."""
 
 OnSet = Callable[[str, Any, str], Any]
-"""Called with parameter name, requested value and client. Returns the value in force, or None if a later call of
-`LabCommServer.parameter` publishes it."""
+"""Function of parameter name, requested value and client that returns the value in force (None: published later)."""
 
 
 class ParameterChannel(Channel):
-    """Parameter channel with one sample type per parameter.
+    """Parameter channel: a sample sets its parameter, and changes are sent to all subscribers in their types.
 
-    Clients set a parameter by sending its sample; changes are sent to all subscribers in their types. A number is
-    ``double name``, a list ``double name[_]`` (or with its size), a Boolean ``boolean name``, a text ``string name``.
+    Types: ``double name``, ``double name[_]`` (or with its size), ``boolean name`` and ``string name``.
     """
 
     def __init__(
@@ -364,7 +362,7 @@ class ParameterChannel(Channel):
 
 
 def _is_valid(value: Any) -> bool:
-    """Return whether a value is valid for a parameter: finite numbers, or a text that every client can decode."""
+    """Return whether a value consists of finite numbers, or is a text that every client can decode."""
     if isinstance(value, str):
         return "\0" not in value and not any("\ud800" <= one <= "\udfff" for one in value)
     return all(math.isfinite(one) for one in (value if isinstance(value, list) else [value]))

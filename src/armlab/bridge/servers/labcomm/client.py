@@ -32,12 +32,12 @@ def connected(host: str, port: int, patience: float) -> socket.socket:
         return socket.create_connection((host, port), timeout=patience)
     except (OSError, OverflowError) as error:
         raise LinkError(
-            f"Expected a LabComm server at {host}:{port}, got: {error}. Start it (armlab bridge) or check the address."
+            f"Expected a LabComm server at {host}:{port}, got: {error}. Start it (armlab bridge), or check the address."
         ) from error
 
 
 def greeted(connection: socket.socket, address: str, encoder: Encoder, samples: Iterable[SampleType]) -> Peer:
-    """Return a peer with VERSION and the definitions of our types queued."""
+    """Return a peer whose queue contains VERSION and the definitions of these types."""
     peer = Peer(connection, address, encoder)
     peer.push(encoder.version(), may_drop=False)
     for sample in samples:
@@ -46,7 +46,7 @@ def greeted(connection: socket.socket, address: str, encoder: Encoder, samples: 
 
 
 class LabCommClient:
-    """Connection to one port, which immediately defines its command type; a context manager.
+    """Client of one port of a LabComm server; a context manager.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ class LabCommClient:
         self.send(self._types.accepted, self._types.value(row, self._types.accepted))
 
     def stop(self) -> None:
-        """Bring all arms of the bridge to rest, whichever client commands them; only an operator can end the stop.
+        """Bring all arms of the bridge to rest; only an operator can end the stop.
 
         Raises
         ------
@@ -203,7 +203,7 @@ class LabCommClient:
         return self._awaited(seconds, self._types.rows)
 
     def _awaited(self, seconds: float, selected: Callable[[list[Event]], list[Any]]) -> list[Any]:
-        """Return the selected events as soon as there are any, or an empty list after `seconds`."""
+        """Return the selected events as soon as any arrive, or an empty list after `seconds`."""
         end, left = time.monotonic() + seconds, max(seconds, 0.0)
         while True:
             self._flush()
@@ -296,10 +296,7 @@ _STAMPS = {"t_us": 1000, "tm": 10**6}  # ns per unit
 
 
 class LabCommSource(ThreadSource):
-    """Newest value of one sample type, received in a thread that reconnects automatically.
-
-    The stream defines the type. A field ``t_us`` or ``tm`` is used as the sample's clock.
-    """
+    """Newest value of one sample type, received in a thread that reconnects; a field t_us or tm is its clock."""
 
     host: str
     port: int
@@ -370,10 +367,7 @@ def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tupl
 
 
 class RowPort:
-    """Connection to a LabComm server in place of a bound UDP port; reconnects automatically.
-
-    It never blocks and never raises after construction; errors are counted.
-    """
+    """Connection to a LabComm server in place of a UDP port; never blocks, counts errors, and reconnects."""
 
     host: str
     port: int

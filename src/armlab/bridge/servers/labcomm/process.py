@@ -1,8 +1,6 @@
-"""`LabCommProcess`: a LabComm server process between the loop's feed and its clients.
+"""`LabCommProcess`: LabComm server process between the loop's feed (see `servers.hub`) and its clients.
 
-Rows, events and parameters arrive from the loop through a socket (see `servers.hub`); commands and parameter settings
-return through it. The process cannot delay the loop, because the loop drops unread rows. It has only one thread,
-because handing a row to another thread takes longer than handling it.
+It has one thread, because passing a row to another thread takes longer than handling it.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ from armlab.robots import Robot
 
 
 def arm_in(values: Mapping[str, Any], name: str) -> FusedArm | None:
-    """Return the arm's part of a loop row; None before the arm's first row, or without a valid clock."""
+    """Return an arm's part of a loop row, or None before its first packet or without a valid clock."""
     tm = clock_ms(values[f"{name}.robot_ns"], values[f"{name}.session_t"])
     if tm is None or not math.isfinite(values[f"{name}.age"]):
         return None
@@ -68,7 +66,7 @@ def labcomm_options(
     types: str | None = None,
     follows_client: bool = False,
 ) -> dict[str, Any]:
-    """Return the options of a server for these arms; default ports: 7511 (left or only arm) and 7512 (right)."""
+    """Return the options of a server for these arms; default ports: 7511 (left or single arm) and 7512 (right)."""
     for robot in robots:
         ArmChannel(robot.name, 0, None, robot.abb_axes, order, types, dialect)  # detects invalid options early
     if ports is None:
@@ -96,7 +94,7 @@ class LabCommProcess:
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
-        self._commands: dict[tuple[str, str], CommandRequest] = {}  # newest of each turn; the loop uses no others
+        self._commands: dict[tuple[str, str], CommandRequest] = {}  # newest of each turn, because only it takes effect
         self._loop = LoopEnd(feed, lambda: self._ports.clients)
         self._sequences = self._set_sequences()
         schema, self._sources = self._loop.schema, defaultdict[str, list[str]](list)
@@ -118,7 +116,7 @@ class LabCommProcess:
             ports.close()
 
     def _take(self) -> bool:
-        """Send a limited number of messages from the loop; return False once the loop has ended."""
+        """Handle a limited number of messages from the loop; return False once the loop has ended."""
         for _ in range(_ROWS):
             messages = self._loop.receive()
             if messages is None:
@@ -167,7 +165,7 @@ class LabCommProcess:
         self._loop.ask(SetRequest(client, {name: value}))
 
     def _value(self, name: str) -> Value:
-        """Return a parameter value as LabComm sends it: every number is a double."""
+        """Return a parameter value for LabComm, in which every number is a double."""
         value = self._loop.parameters[name]["value"]
         if isinstance(value, list):
             return [float(one) for one in value]

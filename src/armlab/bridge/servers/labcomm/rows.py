@@ -20,7 +20,7 @@ Order = Literal["abb", "chain"]
 """Order of the joints on the wire."""
 
 STOP = idl.samples("armlab")["stop"]
-"""``sample void stop``: brings all arms to rest, from any client on any port."""
+"""``sample void stop``, which brings all arms to rest; accepted from any client on any port."""
 
 _YUMI = (1, 2, 7, 3, 4, 5, 6)
 _VECTORS = ("pos", "vel", "trq")
@@ -101,7 +101,7 @@ class RowTypes:
         return [self.row(one.value) for one in events if isinstance(one, Sample) and (one.name, one.type) == accepted]
 
     def command(self, value: Mapping[str, Any]) -> Row:
-        """Return the command in a wire value; `vel` and `trq` are ignored if all their elements are zero or NaN."""
+        """Return the command in a wire value; `vel` and `trq` are omitted if all their elements are zero or NaN."""
         row = self.row(value)
         if row.q is None or not np.isfinite(row.q).all():
             raise LabCommError(f"Expected finite positions in a command, got {value.get('pos')}.")

@@ -35,10 +35,7 @@ _SNIFF = 0.15  # s that a port with follows_client waits for the client's first 
 
 
 class Ports:
-    """Sockets of all channels, served in turn.
-
-    `counts` and `clients` may be read from any thread, all other methods from one.
-    """
+    """Sockets of all channels; only `counts` and `clients` may be read from other threads."""
 
     def __init__(
         self, channels: Sequence[Channel], host: str, on_event: Tell, on_stop: Callable[[str], None], beside: Any
@@ -95,10 +92,7 @@ class Ports:
         self._flush_all(channel)
 
     def turn(self) -> bool:
-        """Wait at most 50 ms for client events and handle them; return whether there were any.
-
-        Each client gets a limited share, so a client that sends continuously cannot delay the others.
-        """
+        """Wait at most 50 ms for client events; handle a limited share per client; return whether any came."""
         ready = self._selector.select(_CHECK_EVERY)
         served, most = False, max(_TURN // max(len(ready), 1), _LEAST)
         for key, mask in ready:
@@ -138,7 +132,7 @@ class Ports:
         address, peers = f"{host}:{port}", self._peers[channel.name]
         if len(peers) >= _CLIENTS:
             connection.close()
-            self._report(f"{channel.name}: {address} was closed, {_CLIENTS} clients are connected.", warn=True)
+            self._report(f"{channel.name}: {address} was closed, because {_CLIENTS} clients are connected.", warn=True)
             return
         peer = Peer(connection, address, None if channel.follows_client else Encoder(channel.dialect))
         peers.append(peer)
@@ -255,7 +249,7 @@ class LabCommServer:
     host : str
         Address to listen on; default: this computer only.
     on_event : callable
-        Called in the server's thread with a text when a client connects, or is disconnected (with the reason).
+        Called in the server's thread with a text when a client connects or is disconnected.
     on_stop : callable
         Called in the server's thread with the address of a client that sent ``void stop`` on any port.
 

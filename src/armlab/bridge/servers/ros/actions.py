@@ -158,12 +158,12 @@ def _tolerance(given: Iterable[_JointTolerance], robot: Robot, usual: Tolerance)
 
 @dataclass
 class Goal:
-    """One trajectory of a client."""
+    """Trajectory of a client."""
 
     client: str
     arm: str
     name: str
-    on_result: Callable[[int, int, str], None]
+    on_result: Callable[[int, int, str], None]  # called once, with the status, error code and text
     on_feedback: Callable[[dict[str, Any]], None] | None = None
     on_status: Callable[[int], None] = lambda status: None
     is_message: bool = False
@@ -175,11 +175,7 @@ class Goal:
 
 
 class Goals:
-    """Trajectories of all clients of a server: their requests, leases, feedback and results.
-
-    A goal's `on_result` is called once, with the status, error code and text. A refused goal is aborted immediately, so
-    that its client receives the reason.
-    """
+    """Trajectories of all clients of a server: their requests, leases, feedback and results."""
 
     def __init__(self, loop: LoopEnd) -> None:
         self._loop, self._robots = loop, loop.robots()
@@ -191,7 +187,7 @@ class Goals:
         self.actions: dict[str, str] = {f"/{name}/{CONTROLLER}/follow_joint_trajectory": name for name in self._robots}
 
     def start(self, goal: Goal, message: Mapping[str, Any]) -> None:
-        """Start the goal of an action; a refused goal is aborted."""
+        """Start the goal of an action; a refused goal is aborted with the reason."""
         try:
             requests = self._request(goal, _converted(message, _Goal))
         except ArmlabError as error:
@@ -202,7 +198,7 @@ class Goals:
             self._send(goal, requests)
 
     def start_message(self, topic: str, client: str, message: Any, refuse: Callable[[str], None]) -> None:
-        """Start a trajectory received on a topic; if it does not reach its goal, `refuse` is called with the reason."""
+        """Start a trajectory received on a topic; call `refuse` with the reason if it is aborted."""
 
         def on_result(status: int, code: int, text: str) -> None:
             if status == ABORTED:
@@ -221,7 +217,7 @@ class Goals:
             self._loop.ask(Cancel(goal.client, goal.arm, goal.name))
 
     def running(self, arm: str = "", client: str = "", name: str = "") -> list[Goal]:
-        """Return the active goals of an arm, a client or a name."""
+        """Return the active goals of an arm, of a client, or with a name."""
         found = tuple(self._goals.values())
         return [one for one in found if arm in ("", one.arm) and client in ("", one.client) and name in ("", one.name)]
 
@@ -282,7 +278,7 @@ class Goals:
             raise CommandRefused("Expected a goal with an id, got none. Use any id.")
         if (goal.client, goal.name) in self._goals or len(self._goals) >= _MOST:
             raise CommandRefused(
-                f"Expected a new goal, and at most {_MOST} at once. Wait until another goal has ended."
+                f"Expected a new goal id and at most {_MOST} active goals. Wait until a goal has ended."
             )
         if message.multi_dof_trajectory.joint_names or message.component_path_tolerance:
             raise CommandRefused(
@@ -396,11 +392,11 @@ _KEPT = 64  # ended goals per action whose results can still be requested
 
 @dataclass
 class _Record:
-    """Goal of an action: id, time of acceptance [ns], status, result, and pending result requests."""
+    """Goal of an action, with its status, its result, and the unanswered requests for the result."""
 
     id: bytes
     goal: Goal
-    stamp_ns: int
+    stamp_ns: int  # time of acceptance
     status: int = ACCEPTED
     result: dict[str, Any] = field(default_factory=dict)
     waiting: list[Respond] = field(default_factory=list)

@@ -53,13 +53,9 @@ _LOOPBACK = b"lo"
 
 
 def configuration(host: str) -> str:
-    """Return the settings of Cyclone DDS as XML: network interface and discovery.
-
-    On the local computer, the bridge announces itself to each port of 127.0.0.1 every 2 s, so that nodes with multicast
-    discovery also find it. By default, Cyclone DDS drops ports that do not answer for 30 s, and would miss any node
-    started later. On a network, participants are found by multicast.
-    """
+    """Return the settings of Cyclone DDS as XML: network interface and discovery (by multicast on a network)."""
     if _is_local(host):
+        # Announcements to each port of 127.0.0.1 reach nodes with multicast discovery; pruning would miss later nodes.
         found = (
             f"<Peers><Peer address='127.0.0.1'/></Peers><MaxAutoParticipantIndex>{_PARTICIPANTS}"
             "</MaxAutoParticipantIndex><SPDPInterval>2 s</SPDPInterval>"
@@ -95,10 +91,7 @@ def joined(domain: int, host: str) -> Iterator[DomainParticipant]:
 
 
 def tie_to_loopback() -> int:
-    """Restrict the sockets of this process to this computer; return their number.
-
-    Cyclone DDS binds its receiving sockets to every address, regardless of the interface (see its `ddsi_udp.c`).
-    """
+    """Restrict sockets bound to every address, as by Cyclone DDS, to this computer; return their number."""
     count = 0
     for entry in Path("/proc/self/fd").iterdir():
         if not entry.is_socket():
@@ -145,8 +138,7 @@ _copies: dict[int, Any] = {}
 def untyped_topic(participant: DomainParticipant, name: str, type: Any) -> DdsTopic[Any]:
     """Return a topic whose type is matched by name, not by its XTypes description.
 
-    Cyclone DDS refuses the descriptions of Fast DDS 3 (Kilted), because their sequence elements have no flags. The
-    topic therefore uses a copy of the type's C operations without the description.
+    Cyclone DDS refuses the descriptions of Fast DDS 3 (Kilted), whose sequence elements have no flags.
     """
     topic, c_type = DdsTopic(participant, name, type), ctypes.POINTER(ctypes.c_void_p)()
     if _sertype(topic._ref, ctypes.byref(c_type)) < 0:
@@ -228,10 +220,10 @@ def _described(quality: Qos, type_: str) -> Qos:
 
 
 class Graph:
-    """Names of the nodes and their endpoints, for `ros2 node`.
+    """Publisher of the nodes and their endpoints, for `ros2 node`.
 
-    A Gid has 24 bytes up to Humble and 16 bytes since Iron. The newest reader determines the size used: since Iron,
-    readers announce their type hash. The two kinds of nodes cannot communicate within one domain anyway.
+    A Gid has 24 bytes up to Humble and 16 bytes since Iron, as the newest reader: since Iron, readers announce a type
+    hash.
     """
 
     _TOPIC, _TYPE = "ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo"
@@ -260,7 +252,7 @@ class Graph:
                 write_cdr(writer, self.message(size))
 
     def message(self, size: int) -> bytes:
-        """Return the message with the names, in the layout for Gids of `size` bytes."""
+        """Return the message with the nodes and their endpoints, with Gids of `size` bytes."""
         known = later() if size == 16 else store()
         types: Mapping[str, Any] = known.types
 
@@ -344,13 +336,10 @@ class Readers:
         self._readers.clear()
 
     def _guarded(self, call: Callable[..., None], reader: DataReader[Any] | None, *arguments: Any) -> None:
-        """Call a callback, and log its errors, which would otherwise surface in C.
-
-        DDS may make calls before the Python reader is complete; they are ignored, and `_begin` makes up for them.
-        """
+        """Call a callback, and log its errors, which would otherwise surface in C."""
         try:
             with self._lock:
-                if reader in self._readers:
+                if reader in self._readers:  # `_begin` makes up for calls before the reader is complete
                     call(reader, *arguments)
         except Exception:
             _logger.exception("ros2")
@@ -384,7 +373,7 @@ class Readers:
             self._left(client)
 
     def _client(self, reader: DataReader[Any], handle: int) -> str:
-        """Return a writer's participant as client: one of its writers may command while another sets a parameter."""
+        """Return the participant of a writer as the client, because a node may use several writers."""
         if handle not in self._clients:
             about = reader.get_matched_publication_data(handle)
             self._clients[handle] = f"{handle % 2**64:016x}" if about is None else about.participant_key.hex[:_PREFIX]
@@ -392,7 +381,7 @@ class Readers:
 
 
 def _handle(number: int) -> int:
-    """Return a handle as a signed 64-bit integer; samples have unsigned handles, conditions and calls signed ones."""
+    """Return a handle as a signed 64-bit integer, because the handles in samples are unsigned."""
     return (int(number) + 2**63) % 2**64 - 2**63
 
 

@@ -128,11 +128,7 @@ _MOST = 4096  # known writers; more are a flood
 
 
 class Nodes:
-    """Nodes with writers or service clients, by writer id.
-
-    A message carries its writer's id, which is a hash of the writer's token; the token contains the node's name. All
-    writers of a node count as one client, because one may command while another sets a parameter.
-    """
+    """Nodes by the ids of their writers and service clients; all writers of a node count as one client."""
 
     def __init__(self, left: Callable[[str], None]) -> None:
         self._left = left
@@ -191,7 +187,7 @@ class RmwZenohServer(RosServer):
             close_session(self._session)
 
     def wanted(self) -> frozenset[str]:
-        """Return the names of the topics that have readers or had readers a moment ago."""
+        """Return the names of the topics that have readers, or had readers recently."""
         return self._wanted
 
     def write(self, topic: RosTopic, cdr: bytes) -> None:
@@ -205,7 +201,7 @@ class RmwZenohServer(RosServer):
             self._read()
 
     def _counts(self) -> dict[str, tuple[int, int]]:
-        """Return the number of messages sent, by topic; the number of readers and their losses are unknown here."""
+        """Return the number of messages sent, by topic; losses of the readers are unknown."""
         return {name: (output.sent, output.dropped) for name, output in self._outputs.items() if output.sent}
 
     def _declare(self) -> None:
@@ -214,10 +210,9 @@ class RmwZenohServer(RosServer):
         tokens, numbers = [names.node() for names in self._names.values()], count(len(self.nodes))
         for one in self.published.values():
             names = self._names[self.node_of(one.name)]
-            token = names.writer(next(numbers), one.name, one.type, one.name in latched)
+            is_latched, key = one.name in latched, names.data(one.name, one.type)
+            token = names.writer(next(numbers), one.name, one.type, is_latched)
             self._writers[one.name] = Writer(token)
-            key = names.data(one.name, one.type)
-            is_latched = one.name in latched
             self._outputs[one.name] = (
                 LatchedPublisher(session, key) if is_latched else Publisher(session, key, self._read)
             )
@@ -239,10 +234,7 @@ class RmwZenohServer(RosServer):
         self._declared += [lives.declare_token(token) for token in tokens]
 
     def _read(self) -> None:
-        """Update the topics with readers; callable from any thread.
-
-        A reader with a broken connection counts as gone, but messages for it are still numbered for a while.
-        """
+        """Update the topics with readers, which are kept for a while after a disconnection; for use in any thread."""
         now = time.monotonic()
         with self._reading:
             read = [name for name, output in list(self._outputs.items()) if output.wanted]
@@ -256,7 +248,7 @@ class RmwZenohServer(RosServer):
         """Answer a node's request; called from a Zenoh thread."""
         origin, payload = Origin.read(data_of(query.attachment)), data_of(query.payload)
         if origin is None or payload is None:
-            self.refuse("unknown", f"Expected a request with an attachment of 33 bytes for {service.name}.")
+            self.refuse("unknown", f"Expected a request of {service.name} with an attachment of 33 bytes.")
             return
 
         def send(cdr: bytes) -> None:

@@ -83,7 +83,7 @@ def _message(kind: int, flags: int, body: bytes) -> bytes:
 
 
 def _data(writer: bytes, number: int, payload: bytes, inline: bytes = b"") -> bytes:
-    """Return a message for any reader, because a newer reader may have replaced the known one when it arrives."""
+    """Return a message addressed to any reader, because the known reader may have been replaced when it arrives."""
     head = struct.pack("<HH", 0, 16) + _ANY + writer + _sn(number)
     if inline:
         inline += _parameter(1, b"")
@@ -119,20 +119,14 @@ def _inline(body: bytes, place: int, flags: int, order: str) -> tuple[dict[int, 
 
 @dataclass
 class _Writer:
-    """Reliable writer: messages by number, and the last number acknowledged by each reader.
-
-    A client may discover us before we discover its response reader. `owners` are the participants that requested the
-    responses; readers of theirs that appear later still receive the responses. A reader without history skips
-    everything that its first heartbeat announces. It therefore gets empty heartbeats until it has answered one and is
-    added to `heard`.
-    """
+    """Reliable writer; a reader without history skips everything that the first heartbeat announces to it."""
 
     id: bytes
-    messages: dict[int, tuple[bytes, bytes]] = field(default_factory=dict)
+    messages: dict[int, tuple[bytes, bytes]] = field(default_factory=dict)  # payload and inline QoS by number
     last: int = 0
-    owners: dict[int, bytes] = field(default_factory=dict)
-    acknowledged: dict[bytes, int] = field(default_factory=dict)
-    heard: set[bytes] = field(default_factory=set)
+    owners: dict[int, bytes] = field(default_factory=dict)  # requesting participants, whose readers may appear later
+    acknowledged: dict[bytes, int] = field(default_factory=dict)  # last number acknowledged by each reader
+    heard: set[bytes] = field(default_factory=set)  # readers that have answered a heartbeat; others get empty ones
 
     def forget(self, reader: bytes) -> None:
         self.acknowledged.pop(reader, None)
@@ -146,7 +140,7 @@ class _Writer:
 
 @dataclass
 class _Reader:
-    """Reliable reader of one remote writer: the next number, and messages received out of order."""
+    """Reliable reader of one remote writer, with the messages received out of order."""
 
     next: int = 1
     early: dict[int, bytes] = field(default_factory=dict)
@@ -168,12 +162,12 @@ class _Reader:
         return bytes(data)
 
     def put(self, number: int, payload: bytes) -> None:
-        """Keep a message until `take` reaches its number; the message is empty if the number does not exist."""
+        """Keep a message until `take` reaches its number; an empty message marks a gap."""
         if self.next <= number < self.next + _WINDOW:
             self.early[number] = payload
 
     def skip(self, number: int) -> None:
-        """Skip to a number before which no more messages will arrive."""
+        """Skip to a number; no more messages will arrive before it."""
         if number > self.next + _WINDOW:
             self.next = number
             self.early.clear()
@@ -191,12 +185,12 @@ class _Reader:
 
 @dataclass
 class _Peer:
-    """Participant: addresses for discovery and for user traffic, and the time until which it counts as alive."""
+    """Remote participant."""
 
-    meta: tuple[str, int]
-    default: tuple[str, int]
-    lease: float
-    until: float = 0.0
+    meta: tuple[str, int]  # address for discovery
+    default: tuple[str, int]  # address for user traffic
+    lease: float  # s
+    until: float = 0.0  # end of the lease (monotonic) [s]
 
 
 class ServiceServers:
@@ -263,7 +257,7 @@ class ServiceServers:
         self._socket.close()
 
     def _endpoint(self, id_: bytes, topic: str, type_: str) -> bytes:
-        """Return the description of one of our endpoints."""
+        """Return the description of a local endpoint."""
         forever = struct.pack("<iI", 0x7FFFFFFF, 0xFFFFFFFF)
         found = {
             0x15: _VERSION,
@@ -438,7 +432,7 @@ class ServiceServers:
             writer.forget(guid)
 
     def _known(self, prefix: bytes, writer: bytes) -> _Reader | None:
-        """Return our reader for a remote writer of endpoints or requests, or None for an unknown writer."""
+        """Return the local reader of a remote writer, or None for an unknown writer."""
         if prefix in self._peers and writer in (_PUBLICATIONS, _SUBSCRIPTIONS):
             self._readers.setdefault(prefix + writer, _Reader())
         return self._readers.get(prefix + writer)
@@ -506,7 +500,7 @@ class ServiceServers:
             self._acknowledge(prefix + writer, reader, last)
 
     def _acknowledge(self, writer: bytes, reader: _Reader, last: int = 0) -> None:
-        """Send a writer the numbers of the messages we miss; it then sends them or reports which ones are available."""
+        """Send a remote writer the numbers of the missing messages, so that it sends them or reports a gap."""
         held = [k for k in range(reader.next, min(last + 1, reader.next + _WINDOW)) if k not in reader.early]
         missing = [k for k in held if k not in reader.partial]
         ours = self._clients.get(writer, writer[12:15] + b"\xc7") + writer[12:]

@@ -30,7 +30,7 @@ _NUMERIC = {int, float, type(None)}  # excludes bool, a subclass of int; null st
 
 
 class Commands:
-    """Subscribed command topics, and the requests in their messages."""
+    """Command topics by type, and the conversion of their messages to requests."""
 
     types: dict[str, str]
 
@@ -51,7 +51,7 @@ class Commands:
         self.types |= dict.fromkeys(self._settings, _TEXT) | dict.fromkeys(self._stops, _EMPTY)
 
     def requests(self, topic: str, content: Any, client: str) -> list[Request]:
-        """Return the requests to the loop that a message contains."""
+        """Convert a message to requests for the loop."""
         if topic in self._stops:
             return [Stop(client)]
         if topic in self._settings:
@@ -103,10 +103,7 @@ _AGAIN = 1.0  # s between publications of the parameters, for new readers
 
 
 class RosServer:
-    """Base of the ROS servers: converts rows to messages, and node messages to requests.
-
-    A transport defines `write` and `wanted`.
-    """
+    """Base of the ROS servers; a subclass adds the transport by defining `write` and `wanted`."""
 
     def __init__(self, feed: socket.socket, clients: Callable[[], Clients], tf: bool = False) -> None:
         self._loop = LoopEnd(feed, clients)
@@ -139,17 +136,18 @@ class RosServer:
         raise NotImplementedError
 
     def answer(self, client: str, text: str) -> None:
-        """Answer through the diagnostics, which all nodes can read: DDS and Zenoh cannot reply to a single node."""
+        """Publish an answer in the diagnostics, because DDS and Zenoh cannot reply to a single node."""
         self._topics.answer = f"{client}: {text}"
 
     def serve(self, check: Callable[[], None] = lambda: None) -> None:
-        """Serve until the loop closes the socket; `check` is called at least once a second."""
+        """Serve until the loop closes the socket; call `check` at least once a second."""
         while (messages := self._loop.receive(_AGAIN)) is not None:
             for message in messages:
                 self.publish(message)
             check()
-            self._settings.tick()
-            self._goals.renew(time.monotonic_ns())
+            now_ns = time.monotonic_ns()
+            self._settings.tick(now_ns)
+            self._goals.renew(now_ns)
             if time.monotonic() - self._parameters_sent > _AGAIN:
                 self.send_parameters()
 

@@ -1,4 +1,4 @@
-"""Services of ROS nodes for all transports: `Service`, service types, and parameter services."""
+"""Services of ROS nodes for all transports: `Service`, service types, and the parameter services."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 import re
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,7 +22,7 @@ from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import CommandRefused, UnknownName
 
 Respond = Callable[[Any], None]
-"""Sends the response to a request (a message of `store`) from any thread, now or later."""
+"""Function that sends the response to a request (a message of `store`), from any thread."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +55,8 @@ class Service:
 
 
 def register(types: Mapping[str, tuple[str, str]]) -> None:
-    """Add service types to `store`: the name, such as "std_srvs/srv/Empty", with the request and response fields.
-
-    The service type itself is never sent, but its hash is used in keys and tokens.
-    """
+    """Add service types to `store`: name, such as "std_srvs/srv/Empty", with the fields of request and response."""
+    # The service type itself is never sent, but its hash is part of keys and tokens.
     found: Any = get_types_from_msg(_INFO, "service_msgs/msg/ServiceEventInfo")
     for name, texts in types.items():
         request, response, event = ((Nodetype.NAME, f"{name}_{part}") for part in ("Request", "Response", "Event"))
@@ -83,95 +80,98 @@ def register(types: Mapping[str, tuple[str, str]]) -> None:
 _INFO = "uint8 event_type\nbuiltin_interfaces/Time stamp\nuint8[16] client_gid\nint64 sequence_number"
 
 
-_ANSWER = 1.0  # s for the loop to answer a parameter setting
-_SETTINGS = 256  # queued settings; more are treated as a flood
+_ANSWER = 1_000_000_000  # ns for the loop to answer a parameter setting
+_SETTINGS = 64  # unanswered settings per client; more are treated as a flood
 
 
-@dataclass
+@dataclass(eq=False)
 class _Setting:
-    """Values that a client sets together, and the callback that receives "" or the reason for a refusal."""
+    """Values that a client sets together; `sequence` is None until they have been sent to the loop."""
 
     client: str
     values: dict[str, Any]
-    done: Callable[[str], None]
-    until: float = math.inf
-    sequence: int = 0
+    done: Callable[[str], None]  # called with "" or with the reason for a refusal
+    until_ns: int
+    sequence: int | None = None
 
 
 class Settings:
-    """Parameter settings, sent to the loop one at a time.
+    """Parameter settings of all clients; a setting waits for earlier settings of the same parameters.
 
-    An answer from the loop names the client and the parameter, but not the call. Clients are answered without holding
-    the lock, because a transport has its own lock.
+    The loop's answers name the client and the parameters, not the call. Clients are answered without the lock, because
+    a transport has its own lock.
     """
 
     def __init__(self, loop: LoopEnd) -> None:
         self._loop = loop
-        self._waiting: deque[_Setting] = deque()
+        self._waiting: list[_Setting] = []
         self._settled: list[Callable[[], None]] = []
         self._lock = threading.Lock()
 
     @contextmanager
     def _settling(self) -> Iterator[None]:
-        """Hold the lock, then answer the completed requests."""
+        """Hold the lock, send what is ready to the loop, then answer the completed requests."""
         with self._lock:
             yield
+            self._ask()
             settled, self._settled = self._settled, []
         for answer in settled:
             answer()
 
-    def set(self, client: str, values: dict[str, Any], done: Callable[[str], None]) -> None:
+    def set(self, client: str, values: dict[str, Any], done: Callable[[str], None], now_ns: int) -> None:
         """Set values together; may be called from any thread."""
         with self._settling():
             unknown = next((name for name in values if name not in self._loop.parameters), None)
             if unknown is not None:
                 why = str(UnknownName.among("parameter", unknown[:80], self._loop.parameters))
                 self._settled.append(partial(done, why))
-            elif len(self._waiting) >= _SETTINGS:
+            elif sum(one.client == client for one in self._waiting) >= _SETTINGS:
                 self._settled.append(partial(done, f"Expected at most {_SETTINGS} unanswered settings. Send fewer."))
             else:
-                self._waiting.append(_Setting(client, values, done))
-                if len(self._waiting) == 1:
-                    self._ask()
+                self._waiting.append(_Setting(client, values, done, now_ns + _ANSWER))
 
     def confirm(self) -> None:
-        """Answer the setting that has taken effect."""
+        """Answer the settings that have taken effect."""
         with self._settling():
-            if self._waiting:
-                one = self._waiting[0]
+            for one in [one for one in self._waiting if one.sequence is not None]:
                 about = self._loop.parameters[next(iter(one.values))]
-                if about["sequence"] > one.sequence and about["who"].partition(" ")[2] == one.client:
-                    self._settle("")
+                if about["sequence"] > (one.sequence or 0) and about["who"].partition(" ")[2] == one.client:
+                    self._settle(one, "")
 
     def refuse(self, message: Mapping[str, Any]) -> bool:
         """Answer a setting that the loop refused; return False if the message answers something else."""
         with self._settling():
-            is_ours = bool(self._waiting) and message["client"] == self._waiting[0].client
-            is_ours = is_ours and bool(set(message["refused"]) & set(self._waiting[0].values))
-            if is_ours:
-                self._settle(message["text"])
-        return is_ours
+            asked = [one for one in self._waiting if one.sequence is not None and one.client == message["client"]]
+            refused = next((one for one in asked if not one.values.keys().isdisjoint(message["refused"])), None)
+            if refused is not None:
+                self._settle(refused, message["text"])
+        return refused is not None
 
-    def tick(self) -> None:
-        """Give up on a setting that the loop does not answer."""
+    def tick(self, now_ns: int) -> None:
+        """Answer the settings that the loop has not answered in time."""
         with self._settling():
-            if self._waiting and time.monotonic() > self._waiting[0].until:
-                names = ", ".join(self._waiting[0].values)
-                self._settle(f"Expected the loop to set {names} within {_ANSWER:g} s, got no answer.")
+            for one in [one for one in self._waiting if now_ns > one.until_ns]:
+                known = {name: self._loop.parameters[name] for name in one.values}
+                values = [f"{name} = {it['value']!r}, set by {it['who'] or 'default'}" for name, it in known.items()]
+                why = f"Expected the loop to set {', '.join(known)} within 1 s, got no answer."
+                self._settle(one, f"{why} Current values: {'; '.join(values)}.")
 
     def _ask(self) -> None:
-        one = self._waiting[0]
-        one.until = time.monotonic() + _ANSWER
-        one.sequence = self._loop.parameters[next(iter(one.values))]["sequence"]
-        try:
-            self._loop.ask(SetRequest(one.client, one.values))
-        except CommandRefused as error:
-            self._settle(str(error))
+        """Send the settings that share no parameter with an earlier one."""
+        taken: set[str] = set()
+        for one in list(self._waiting):
+            if one.sequence is None and taken.isdisjoint(one.values):
+                one.sequence = self._loop.parameters[next(iter(one.values))]["sequence"]
+                try:
+                    self._loop.ask(SetRequest(one.client, one.values))
+                except CommandRefused as error:
+                    self._settle(one, str(error))
+                    continue
+            taken.update(one.values)
 
-    def _settle(self, why: str) -> None:
-        self._settled.append(partial(self._waiting.popleft().done, why))
-        if self._waiting:
-            self._ask()
+    def _settle(self, one: _Setting, why: str) -> None:
+        self._waiting.remove(one)
+        self._settled.append(partial(one.done, why))
 
 
 _PARAMETERS = {
@@ -210,7 +210,7 @@ def parameter_services(node: str, loop: LoopEnd, settings: Settings) -> list[Ser
 
 
 def _local(text: str) -> str:
-    """Return a definition that uses the message types of rcl_interfaces."""
+    """Prefix the message types of a definition with rcl_interfaces."""
     return re.sub(r"^(?=[A-Z])", "rcl_interfaces/", text)
 
 
@@ -275,7 +275,7 @@ class _ParameterServices:
         except CommandRefused as error:
             done(str(error))
         else:
-            self._settings.set(client, values, done)
+            self._settings.set(client, values, done, time.monotonic_ns())
 
     def _kind(self, name: str) -> int:
         about = self._loop.parameters.get(name)

@@ -72,7 +72,7 @@ def type_name(name: str) -> str:
 
 
 def content(name: str, cdr: bytes) -> Any:
-    """Return the content of a command: numbers, a text, a message without `data`, or None if empty."""
+    """Return the content of a command message: its `data`, a whole trajectory, or None for an empty message."""
     most = _LARGEST.get(name, _USUAL)
     if len(cdr) > most:
         raise CommandRefused(f"Expected a {name} of at most {most} bytes, got {len(cdr)}.")
@@ -91,23 +91,22 @@ class RosTopic:
     type: str
 
 
+@dataclass(eq=False)
 class ArmRow:
-    """Fields of one arm in a binary row; for `places` see `row.places`."""
+    """Fields of one arm in a binary row."""
 
     robot: Robot
+    places: Mapping[str, tuple[Struct, int]]  # see `row.places`
+    data: bytes
     wall_ns: int
 
-    def __init__(self, robot: Robot, places: Mapping[str, tuple[Struct, int]], data: bytes, wall_ns: int) -> None:
-        self.robot, self.wall_ns = robot, wall_ns
-        self._places, self._data = places, data
-
     def __getitem__(self, name: str) -> tuple[Any, ...]:
-        """Return the numbers of a field; `name` omits the robot."""
-        form, offset = self._places[name]
-        return form.unpack_from(self._data, offset)
+        """Return the numbers of a field, such as "q"."""
+        form, offset = self.places[name]
+        return form.unpack_from(self.data, offset)
 
     def numbers(self, name: str) -> tuple[float, ...]:
-        """Return the numbers of a field, or an empty tuple if any is NaN, that is, if the field is missing."""
+        """Return the numbers of a field, or an empty tuple if any is NaN, because the field is then missing."""
         values = self[name]
         return () if any(map(math.isnan, values)) else values
 
@@ -173,7 +172,7 @@ def _pose_stamped(arm: ArmRow) -> Any:
 
 
 def _egm_state(arm: ArmRow) -> Any:
-    """Return the EGM states; the message counts from 1, whereas ABB counts from 0."""
+    """Return the EGM states, which count from 1 in the message and from 0 in the row."""
     types = store().types
     channel = types["abb_egm_msgs/msg/EGMChannelState"](
         name=arm.robot.name,
@@ -204,14 +203,10 @@ TOPICS: Mapping[str, tuple[str, Callable[[ArmRow], Any]]] = {
     "tcp_pose": (_POSE, _pose_stamped),
     "egm_states": (_EGM, _egm_state),
 }
-"""Topics per arm, published with each row: type and message function (None without numbers)."""
+"""Topics per arm, published with each row: type and message function, which returns None for missing fields."""
 
 _TF = "tf2_msgs/msg/TFMessage"
 _TF_PERIOD_NS = 20_000_000  # ns between messages of /tf
-
-
-def _description(robot: Robot) -> Any:
-    return store().types["std_msgs/msg/String"](write_urdf(robot, prefix=f"{robot.name}_"))
 
 
 def _frame(stamp_ns: int, parent: str, child: str, T_parent_child: np.ndarray) -> Any:
@@ -259,7 +254,7 @@ Messages = Iterable[tuple[RosTopic, Any]]
 
 
 class Topics:
-    """The topics of a cell."""
+    """Topics of a cell, with the messages of its rows."""
 
     latched: dict[str, tuple[RosTopic, Any]]
     """Topics whose message never changes, by name; a late-joining reader also receives it."""
@@ -273,7 +268,9 @@ class Topics:
         self._makers = {f"/{robot}/{name}": (robot, make) for robot in robots for name, (_, make) in TOPICS.items()}
         types = {name: type_ for name, (type_, _) in TOPICS.items()} | _ONCE_A_SECOND
         found = {f"/{robot}/{name}": type_ for robot in robots for name, type_ in types.items()}
-        latched = {f"/{name}/robot_description": _description(robot) for name, robot in robots.items()}
+        text = store().types["std_msgs/msg/String"]
+        urdf = {name: write_urdf(robot, prefix=f"{name}_") for name, robot in robots.items()}
+        latched = {f"/{name}/robot_description": text(urdf[name]) for name in robots}
         if tf:
             found["/tf"] = _TF
             latched["/tf_static"] = _fixed_frames(robots.values())
@@ -301,10 +298,7 @@ class Topics:
         yield from self._once_a_second(mono_ns, 0, wanted)
 
     def of_silence(self, now_ns: int, wanted: Collection[str]) -> Messages:
-        """Return the messages due once per second even without rows; empty if a row has arrived since the last call.
-
-        Call it about once a second, with any monotonic clock [ns].
-        """
+        """Return the messages due once per second without rows; none if a row has arrived since the last call."""
         if self._silence is None or self._silence[0] is not self._last:
             self._silence = self._last, now_ns
             return ()
@@ -313,7 +307,7 @@ class Topics:
         return self._once_a_second(mono_ns + silent_ns, silent_ns, wanted)
 
     def of_parameters(self, parameters: Mapping[str, Mapping[str, Any]], wanted: Collection[str]) -> Messages:
-        """Yield the parameter values (see `LoopEnd.parameters`) as JSON text for each robot's topic "parameters"."""
+        """Yield the parameter values as JSON for each robot's topic "parameters"."""
         text = json.dumps({name: about["value"] for name, about in parameters.items()})
         message = store().types["std_msgs/msg/String"](text)
         for name in (f"/{robot}/parameters" for robot in self._robots):

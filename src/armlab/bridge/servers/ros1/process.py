@@ -31,7 +31,7 @@ _SIZE_AND_SEQ = struct.Struct("<II")
 
 
 class Subscribers:
-    """Connections of subscribing nodes; messages for a slow node are queued, and the oldest ones dropped."""
+    """Connections of subscribing nodes; for a slow node, messages are queued and the oldest ones dropped."""
 
     def __init__(self, poller: select.poll) -> None:
         self.counts: dict[str, tuple[int, int]] = {}
@@ -44,11 +44,11 @@ class Subscribers:
         return frozenset(one.topic for one in self._connections.values())
 
     def add(self, topic: str, connection: socket.socket, known: Iterable[bytes] = ()) -> str:
-        """Add a connection whose ROS header has been sent; return the reason if it is refused, otherwise ""."""
+        """Add a connection whose ROS header has been sent; return "" or the reason for a refusal."""
         one = _Connection(topic, connection)
         if len(self._connections) >= _MOST:
             one.close()
-            return f"Expected at most {_MOST} node connections, got one more. Close one."
+            return f"Expected at most {_MOST} node connections. Close one."
         with contextlib.suppress(OSError):  # already closed: the first poll reports this
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # otherwise messages wait for an ACK
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
@@ -68,7 +68,7 @@ class Subscribers:
             self._put(one, data)
 
     def check(self, number: int) -> None:
-        """Handle a polled connection, which accepts data again or has been closed (nodes never send)."""
+        """Handle a polled connection, which accepts data again or has been closed."""
         one = self._connections.get(number)
         if one is not None:
             self._put(one, None)
@@ -104,7 +104,7 @@ class Subscribers:
 
 
 class _Connection:
-    """Connection of one node, with its queue."""
+    """Connection and queue of one node."""
 
     def __init__(self, topic: str, connection: socket.socket) -> None:
         self.topic, self.socket = topic, connection
@@ -194,7 +194,7 @@ class Ros1Process(RosServer):
 
     @contextlib.contextmanager
     def _relay(self, home: str) -> Iterator[socket.socket]:
-        """Start the relay; it exits when its input closes."""
+        """Start the relay, which exits when its input closes."""
         ours, theirs = pair()
         master, host = self._options["master"], self._options["host"]
         own = {"ROS_MASTER_URI": master, "ROS_IP": host, "ROS_HOME": home}
@@ -225,7 +225,7 @@ class Ros1Process(RosServer):
                 process.wait()
 
     def _begin(self) -> None:
-        """Send the node its topics, wait until it is ready, and report this to the loop."""
+        """Send the node its topics, wait until it is ready, and report to the loop that the server is listening."""
         kept = self._topics.latched  # in ROS 1, the description is a parameter of the master
         published = {name: _old(one.type) for name, one in self._topics.published.items() if name not in kept}
         taken = {name: _old(type_) for name, type_ in self._commands.types.items()}
@@ -245,7 +245,7 @@ class Ros1Process(RosServer):
         self._receive(messages)
 
     def _messages(self) -> list[dict[str, Any]]:
-        """Return the messages received from the node; if it has exited, raise its last error output."""
+        """Return the messages received from the node; raise its last error output if it has exited."""
         found: list[dict[str, Any]] = []
         with contextlib.suppress(BlockingIOError):
             for _ in range(64):
@@ -264,7 +264,7 @@ class Ros1Process(RosServer):
         return found
 
     def _receive(self, messages: Iterable[Mapping[str, Any]] = ()) -> None:
-        """Handle the node's messages, new or passed in, about subscribers and commands of other nodes."""
+        """Handle the given or new messages of the node: subscribers, commands and refused messages."""
         for message in messages or self._messages():
             client = message.get("client", "")
             if message["kind"] == "subscriber":
@@ -278,7 +278,7 @@ class Ros1Process(RosServer):
                 self.take(message["topic"], message["content"], client)
 
     def _connect(self, message: Mapping[str, Any]) -> str:
-        """Start writing to a subscriber; return the reason for a refusal, after which it would wait forever."""
+        """Start writing to a subscriber; return "" or the reason for a refusal."""
         if not message["connections"]:
             return "Expected a free file descriptor for the connection, got none. Raise `ulimit -n`."
         topic = message["topic"]
@@ -301,7 +301,6 @@ class Ros1Process(RosServer):
 
 
 def _ros1(topic: RosTopic, cdr: bytes) -> bytes:
-    """Return a message in ROS 1 wire format."""
     return bytes(store().cdr_to_ros1(cdr, topic.type))
 
 

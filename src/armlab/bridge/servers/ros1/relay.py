@@ -1,4 +1,4 @@
-"""ROS 1 node of `Ros1Process`: a program for the system's Python (3.6 or newer) that needs only rospy.
+"""ROS 1 node of `Ros1Process`: a program for the system's Python (3.6 or later) that needs only rospy.
 
 Standard input and output are one message socket for JSON objects. The first input contains "node" and, in "published"
 and "taken", the types by topic. Later inputs contain a "text" for the ROS log, or the "topic" and "id" of a connection
@@ -119,7 +119,7 @@ class _Node:
         client = message._connection_header.get("callerid", "?")[:_NAME]
         size = self._send(kind="command", topic=topic, client=client, content=content)
         if size > _COMMAND:
-            text = f"Expected at most {_COMMAND} bytes of JSON on {topic}, got {size}. Send less."
+            text = f"Expected at most {_COMMAND} bytes of JSON on {topic}, got {size}. Send a smaller message."
             self._send(kind="refused", client=client, text=text)
 
     def _send(self, **fields):
@@ -145,7 +145,7 @@ def _type(name):
 
 
 def _listen_at(host, network):
-    """Make rospy listen at one address only; return an error text if that fails."""
+    """Make rospy listen at one address only; return "" or an error text."""
     try:
         with contextlib.closing(socket.socket()) as probe:
             probe.bind((host, 0))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,13 +13,14 @@ import msgspec
 from armlab.bridge.servers.messages import CommandRequest, Leave, Report, SetRequest
 from armlab.bridge.servers.ros.actions import FOLLOW, Goal, Goals, result
 from armlab.bridge.servers.ros.server import Commands
+from armlab.bridge.servers.ros.services import Settings
 from armlab.bridge.servers.ros.topics import Messages, RosTopic, Topics
 from armlab.bridge.servers.rosbridge import protocol
 from armlab.bridge.servers.rosbridge.protocol import Dialect, Level, Rosapi, full_name, parameter_name
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import CommandRefused, UnknownName
 
-_KEPT = 1_000_000_000  # ns, longest time that a message is queued
+_KEPT = 1_000_000_000  # ns, maximum age of a queued message
 _PATIENCE = 10_000_000_000  # ns without progress after which a client is disconnected
 _LARGEST = 4 * 2**20  # maximum bytes queued
 
@@ -88,10 +88,7 @@ _IDS = 16  # ids per topic; a client with more ids is faulty
 
 
 class Subscription:
-    """Subscription of one client to one topic.
-
-    Its ids share one subscription: the topic is sent once, at the highest requested rate.
-    """
+    """Subscription of one client to one topic, at the highest rate that its ids request."""
 
     topic: str
     full_name: str
@@ -104,7 +101,7 @@ class Subscription:
         self._every_ns = self._most = self._due_ns = 0
 
     def add(self, id_: str, throttle_ms: float, queue_length: int) -> None:
-        """Add or change the settings of one id."""
+        """Add an id, or change its settings."""
         self._ids[id_] = (int(1e6 * throttle_ms), queue_length)
         while len(self._ids) > _IDS:
             del self._ids[next(iter(self._ids))]
@@ -146,22 +143,6 @@ class Subscription:
 _LEVELS = ("info", "warning", "error", "none")
 
 
-@dataclass(frozen=True)
-class PendingSetting:
-    """A parameter set by a service call that the loop has not answered yet.
-
-    `sequence` is the number of the parameter's last change at the time of the request. It is None while an earlier
-    setting of the parameter is pending, because the loop's answers name the parameter, not the call.
-    """
-
-    service: str
-    id: str | int | None
-    parameter: str
-    value: Any
-    until_ns: int
-    sequence: int | None = None
-
-
 class ClientSession:
     """State of one client."""
 
@@ -174,11 +155,10 @@ class ClientSession:
         self.subscriptions: dict[str, Subscription] = {}
         self.advertised: set[str] = set()
         self.warned: set[str] = set()
-        self.settings: list[PendingSetting] = []
         self.level: Level = "error"  # lowest level of status messages sent
 
     def status(self, level: Level, text: str, now_ns: int, id_: str | int | None = None) -> None:
-        """Send the client a status message if its level requires it."""
+        """Send the client a status message unless it is below the client's level."""
         if _LEVELS.index(level) >= _LEVELS.index(self.level):
             about = {} if id_ is None else {"id": id_}
             self._send({"op": "status", **about, "level": level, "msg": text}, now_ns)
@@ -197,18 +177,16 @@ class ClientSession:
         self.outbox.put(msgspec.json.encode(message), now_ns)
 
 
-_ANSWER = 1_000_000_000  # ns for the loop to answer a setting
-_SETTINGS = 64  # unanswered settings per client
 _ABSENT: Mapping[str, Any] = {"std_msgs/msg/Float64MultiArray": [], "std_msgs/msg/String": ""}
 
 
 class Engine:
-    """Operations and messages of all clients of a server."""
+    """Operations and messages of all clients."""
 
-    def __init__(self, loop: LoopEnd, server: str = "rosbridge", dialect: Dialect = "ros2") -> None:
+    def __init__(self, loop: LoopEnd, dialect: Dialect = "ros2") -> None:
         robots = loop.robots()
         self._dialect: Dialect = dialect
-        self._loop, self._server = loop, server
+        self._loop, self._settings, self._now_ns = loop, Settings(loop), 0
         self._topics, self._commands = Topics(robots, loop.schema), Commands(loop.about["cell"], robots)
         self._published = self._topics.published
         types = {name: one.type for name, one in self._published.items()} | self._commands.types
@@ -230,10 +208,10 @@ class Engine:
 
     def take(self, session: ClientSession, data: bytes | str, now_ns: int) -> None:
         """Execute an operation of a client; errors are reported in a status message."""
-        operation = None
+        self._now_ns, operation = now_ns, None
         try:
             operation = protocol.read_operation(data)
-            self._do(session, operation, now_ns)
+            self._do(session, operation)
         except (CommandRefused, UnknownName) as error:
             session.status("error", str(error), now_ns, protocol.id_of(data) if operation is None else operation.id)
             self._loop.ask(Report(session.name, str(error)))
@@ -244,36 +222,30 @@ class Engine:
 
     def text(self, message: Mapping[str, Any], now_ns: int) -> None:
         """Handle a message from the loop other than a row."""
+        self._now_ns = now_ns
         if message["kind"] == "parameters":
             self._publish(lambda wanted: self._topics.of_parameters(self._loop.parameters, wanted), now_ns)
-            for session in self.sessions.values():
-                self._confirm(session, now_ns)
+            self._settings.confirm()
         elif message["kind"] == "goal":
             self._goals.text(message)
-        elif message["kind"] == "answer" and message["client"] in self.sessions:
-            self._answer(self.sessions[message["client"]], message, now_ns)
+        elif message["kind"] == "answer" and not self._settings.refuse(message):
+            session, text = self.sessions.get(message["client"]), message["text"]
+            if session is not None:
+                session.status("info" if text == "Done." else "error", text, now_ns)
 
     def tick(self, now_ns: int) -> None:
-        """Handle timeouts and messages that are due even without rows; called a few times per second."""
+        """Handle timeouts, and messages that are due even without rows; called ten times per second."""
         self._publish(lambda wanted: self._topics.of_silence(now_ns, wanted.keys()), now_ns)
         self._goals.renew(now_ns)
-        for session in self.sessions.values():
-            late = [one for one in session.settings if now_ns > one.until_ns]
-            session.settings = [one for one in session.settings if one not in late]
-            for one in late:
-                about = self._loop.parameters[one.parameter]
-                why = (
-                    f"Expected the loop to set {one.parameter} within 1 s, got no answer. Its value is "
-                    f"{about['value']!r}, set by {about['who'] or 'default'}."
-                )
-                session.response(one.service, one.id, why, False, now_ns)
+        self._now_ns = now_ns
+        self._settings.tick(now_ns)
 
-    def _do(self, session: ClientSession, operation: protocol.Operation, now_ns: int) -> None:
+    def _do(self, session: ClientSession, operation: protocol.Operation) -> None:
         match operation:
             case protocol.Publish():
-                self._take_message(session, operation, now_ns)
+                self._take_message(session, operation)
             case protocol.SubscribeOperation():
-                self._subscribe(session, operation, now_ns)
+                self._subscribe(session, operation)
             case protocol.Unsubscribe():
                 name = operation.topic
                 if name in session.subscriptions and session.subscriptions[name].remove(_id(operation)):
@@ -286,11 +258,11 @@ class Engine:
             case protocol.Unadvertise():
                 session.advertised.discard(full_name(operation.topic))
             case protocol.SendActionGoal():
-                self._start(session, operation, now_ns)
+                self._start(session, operation)
             case protocol.CancelActionGoal():
                 self._goals.cancel(self._goals.running(client=session.name, name=str(operation.id)))
             case protocol.CallService():
-                self._call(session, operation, now_ns)
+                self._call(session, operation)
             case protocol.SetLevel():
                 session.level = operation.level
             case protocol.ServiceResponse():
@@ -298,7 +270,7 @@ class Engine:
             case protocol.StatusOperation():
                 pass
 
-    def _subscribe(self, session: ClientSession, operation: protocol.SubscribeOperation, now_ns: int) -> None:
+    def _subscribe(self, session: ClientSession, operation: protocol.SubscribeOperation) -> None:
         name = operation.topic
         types = {topic: one.type for topic, one in self._published.items()}
         dialect = self._known(full_name(name), operation.type, types, "topic")
@@ -312,7 +284,7 @@ class Engine:
         known.add(_id(operation) or "", operation.throttle_rate or 0.0, operation.queue_length or 0)
         kept = [one for one in self._topics.latched.values() if one[0].name == known.full_name]
         for published, message in (*kept, *self._topics.of_parameters(self._loop.parameters, {known.full_name})):
-            self._send(published, message, [known], now_ns)
+            self._send(published, message, [known], self._now_ns)
 
     def _known(self, topic: str, type_: str | None, types: Mapping[str, str], what: str) -> Dialect:
         """Return the dialect that a client uses for a topic; the given type must match the topic."""
@@ -325,7 +297,7 @@ class Engine:
             raise CommandRefused(f"Expected {protocol.type_name(types[topic], dialect)} for {topic}, got {type_}.")
         return dialect
 
-    def _take_message(self, session: ClientSession, operation: protocol.Publish, now_ns: int) -> None:
+    def _take_message(self, session: ClientSession, operation: protocol.Publish) -> None:
         name, types = full_name(operation.topic), self._commands.types
         if name in self._goals.topics:
             _check_rights(session)
@@ -338,7 +310,7 @@ class Engine:
         if missing and name not in session.warned:
             session.warned.add(name)
             text = f"Expected {', '.join(missing)} in {types[name]} on {name}, got none. The default applies."
-            session.status("warning", text, now_ns, operation.id)
+            session.status("warning", text, self._now_ns, operation.id)
         content = operation.msg.get("data", _ABSENT.get(types[name]))
         for request in self._commands.requests(name, content, session.name):
             if isinstance(request, CommandRequest | SetRequest):
@@ -348,7 +320,7 @@ class Engine:
     def _refuse(self, session: ClientSession, id_: str | int | None, why: str) -> None:
         session.status("error", why, time.monotonic_ns(), id_)
 
-    def _start(self, session: ClientSession, operation: protocol.SendActionGoal, now_ns: int) -> None:
+    def _start(self, session: ClientSession, operation: protocol.SendActionGoal) -> None:
         """Start the goal of an action; the result contains the reason for a refusal."""
         action, id_, actions = operation.action, str(operation.id), self._goals.actions
 
@@ -372,30 +344,27 @@ class Engine:
         goal.on_feedback = on_feedback if operation.feedback else None
         self._goals.start(goal, operation.args)
 
-    def _cancel(self, session: ClientSession, call: protocol.CallService, now_ns: int) -> None:
-        """Cancel all goals of an action."""
-        arm = self._goals.actions[full_name(call.service).removesuffix(protocol.CANCEL)]
-        self._goals.cancel(self._goals.running(arm=arm))
-        session.response(call.service, call.id, {"return_code": 0, "goals_canceling": []}, True, now_ns)
-
-    def _call(self, session: ClientSession, call: protocol.CallService, now_ns: int) -> None:
+    def _call(self, session: ClientSession, call: protocol.CallService) -> None:
         dialect: Dialect = self._dialect
         if call.type:
             dialect = "ros2" if call.type.count("/") == 2 else "ros1"
-        if full_name(call.service).removesuffix(protocol.CANCEL) in self._goals.actions:
-            self._cancel(session, call, now_ns)
+        arm = self._goals.actions.get(full_name(call.service).removesuffix(protocol.CANCEL))
+        if arm is not None:
+            self._goals.cancel(self._goals.running(arm=arm))
+            canceled = {"return_code": 0, "goals_canceling": []}
+            session.response(call.service, call.id, canceled, True, self._now_ns)
             return
         try:
             given = self._rosapi.arguments(call.service, call.args)
             if full_name(call.service) == protocol.SET_PARAM:
-                self._set(session, call, given, now_ns)
+                self._set(session, call, given)
                 return
             values, is_done = self._rosapi.answer(call.service, given, dialect), True
         except (CommandRefused, UnknownName) as error:
             values, is_done = str(error), False
-        session.response(call.service, call.id, values, is_done, now_ns)
+        session.response(call.service, call.id, values, is_done, self._now_ns)
 
-    def _set(self, session: ClientSession, call: protocol.CallService, given: Mapping[str, Any], now_ns: int) -> None:
+    def _set(self, session: ClientSession, call: protocol.CallService, given: Mapping[str, Any]) -> None:
         """Ask the loop to set a value; the loop answers later."""
         _check_rights(session)
         name = parameter_name(given, self._loop.parameters)
@@ -403,44 +372,11 @@ class Engine:
             value = msgspec.json.decode(str(given.get("value")))
         except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
             raise CommandRefused(f"Expected the value of {name} as JSON text, got {error}.") from None
-        if len(session.settings) >= _SETTINGS:
-            raise CommandRefused(f"Expected at most {_SETTINGS} unanswered settings. Send fewer.")
-        session.settings.append(PendingSetting(call.service, call.id, name, value, now_ns + _ANSWER))
-        self._ask_next(session, name, now_ns)
 
-    def _ask_next(self, session: ClientSession, parameter: str, now_ns: int) -> None:
-        """Send a client's first setting of a parameter to the loop unless it has already been sent."""
-        for k, one in enumerate(session.settings):
-            if one.parameter == parameter:
-                if one.sequence is None:
-                    one = replace(one, sequence=self._loop.parameters[parameter]["sequence"])
-                    session.settings[k] = one
-                    try:
-                        self._loop.ask(SetRequest(session.name, {parameter: one.value}))
-                    except CommandRefused as error:
-                        self._settle(session, one, str(error), False, now_ns)
-                return
+        def done(why: str) -> None:
+            session.response(call.service, call.id, why or {}, not why, self._now_ns)
 
-    def _settle(self, session: ClientSession, one: PendingSetting, values: Any, is_done: bool, now_ns: int) -> None:
-        session.settings.remove(one)
-        session.response(one.service, one.id, values, is_done, now_ns)
-        self._ask_next(session, one.parameter, now_ns)
-
-    def _confirm(self, session: ClientSession, now_ns: int) -> None:
-        """Answer the settings of a client that have taken effect."""
-        for one in [one for one in session.settings if one.sequence is not None]:
-            about = self._loop.parameters[one.parameter]
-            if about["sequence"] > one.sequence and about["who"] == f"{self._server} {session.name}":
-                self._settle(session, one, {}, True, now_ns)
-
-    def _answer(self, session: ClientSession, message: Mapping[str, Any], now_ns: int) -> None:
-        """Pass an answer from the loop to a client, as the answer to its setting or as a status message."""
-        text, refused = message["text"], message["refused"]
-        one = next((one for one in session.settings if one.parameter in refused), None)
-        if one is not None:
-            self._settle(session, one, text, False, now_ns)
-        else:
-            session.status("info" if text == "Done." else "error", text, now_ns)
+        self._settings.set(session.name, {name: value}, done, self._now_ns)
 
     def _publish(self, made: Callable[[Mapping[str, Any]], Messages], now_ns: int) -> None:
         wanted: dict[str, list[Subscription]] = {}
@@ -468,4 +404,4 @@ def _id(operation: protocol.SubscribeOperation | protocol.Unsubscribe) -> str | 
 
 def _check_rights(session: ClientSession) -> None:
     if not session.may_ask:
-        raise CommandRefused("Expected a token to command or set: send Authorization: Bearer. You may only read.")
+        raise CommandRefused("Expected a token for commands and settings, got none. Send Authorization: Bearer TOKEN.")

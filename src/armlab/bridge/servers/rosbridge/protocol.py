@@ -27,7 +27,7 @@ _FILLER = "structure_needs_at_least_one_member"  # field that rosbags adds to em
 
 
 def read_type(text: str) -> tuple[str, Dialect]:
-    """Return the ROS 2 name of a type, and the dialect in which it is spelled."""
+    """Return the ROS 2 name of a type, and the dialect of the given spelling."""
     found = _TYPE.fullmatch(text)
     if found is None:
         raise CommandRefused(
@@ -182,7 +182,7 @@ _DECODER = msgspec.json.Decoder(Operation)
 _HEAD = msgspec.json.Decoder(_Head)
 _KNOWN = tuple(str(one.__struct_config__.tag) for one in Operation.__args__)
 _REFUSED = {
-    "fragment": "Expected complete messages, because fragments are not supported. Send less at once.",
+    "fragment": "Expected complete messages, because fragments are not supported. Send smaller messages.",
     "png": "Expected plain JSON, because PNG compression is not supported.",
 }
 _WRONG = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
@@ -192,13 +192,13 @@ def read_operation(data: bytes | str) -> Operation:
     if isinstance(data, bytes):
         raise CommandRefused(f"Expected a text message with JSON, got a binary message of {len(data)} bytes.")
     if len(data) > LARGEST:
-        raise CommandRefused(f"Expected at most {LARGEST} characters at once, got {len(data)}.")
+        raise CommandRefused(f"Expected a message of at most {LARGEST} characters, got {len(data)}.")
     try:
         return _DECODER.decode(data)
     except _WRONG as error:
         raise CommandRefused(_why(data, error)) from None
     except UnicodeEncodeError:
-        raise CommandRefused("Expected valid Unicode text, got half a surrogate pair.") from None
+        raise CommandRefused("Expected valid Unicode text, got an unpaired surrogate.") from None
 
 
 def full_name(name: str) -> str:
@@ -234,7 +234,7 @@ Arguments = Mapping[str, Any]
 
 
 def parameter_name(arguments: Arguments, known: Mapping[str, Any]) -> str:
-    """Return the parameter named by "gain", "/gain" or "/node:gain"."""
+    """Return the name of a parameter given as "gain", "/gain" or "/node:gain"."""
     name = arguments.get("name")
     found = name.rpartition(":")[2].lstrip("/") if isinstance(name, str) else ""
     if found not in known:
@@ -333,11 +333,13 @@ def _time(given: Arguments, dialect: Dialect) -> dict[str, Any]:
 
 
 def _refuse_to_delete(given: Arguments, dialect: Dialect) -> dict[str, Any]:
-    raise CommandRefused("Expected a parameter to be set or read, because declared parameters cannot be deleted.")
+    raise CommandRefused(
+        "Expected a request to read or set a parameter, because declared parameters cannot be deleted."
+    )
 
 
 def _details(given: Arguments, dialect: Dialect) -> dict[str, Any]:
-    """Return the fields of a type and of its nested types, in the dialect in which it is spelled."""
+    """Return the fields of a type and of its nested types, in the dialect of the given spelling."""
     type_, spelling = read_type(_text(given, "type"))
     known = store().fielddefs
     if type_ not in known:
@@ -377,7 +379,7 @@ def _parts(type_: str, dialect: Dialect) -> dict[str, tuple[str, int]]:
 
 
 def _kind(definition: Any) -> tuple[str, int]:
-    """Return the type of a field and its length (-1 for a single value, 0 for variable length)."""
+    """Return the type and the length of a field (-1: single value, 0: variable length)."""
     kind, inner = definition
     if kind.name == "ARRAY":
         return _kind(inner[0])[0], inner[1]

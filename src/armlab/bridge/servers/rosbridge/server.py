@@ -36,7 +36,7 @@ _LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1)(:\d{1,5})?")
 
 @dataclass(frozen=True, repr=False)
 class Access:
-    """Access control: TLS, allowed web page origins, and a token for clients that do more than read."""
+    """Access control: token required for commands, TLS context, and allowed origins of web pages."""
 
     token: bytes | None
     context: ssl.SSLContext | None
@@ -85,7 +85,7 @@ def _secret(file: Path) -> str:
             mode = stat.S_IMODE(os.fstat(opened.fileno()).st_mode)
             if mode & 0o077:
                 raise ConfigError(
-                    f"Expected {file} to be readable only by its owner, got mode {mode:04o}. chmod 600 {file}"
+                    f"Expected {file} to be readable only by its owner, got mode {mode:04o}. Run chmod 600 {file}."
                 )
             return opened.read(4096)
     except OSError as error:
@@ -96,7 +96,7 @@ def _context(certificate: str | None, key: str | None) -> ssl.SSLContext | None:
     if not certificate and not key:
         return None
     if not certificate or not key:
-        raise ConfigError("Expected a certificate and a key for rosbridge, got only one of them. Give both files.")
+        raise ConfigError("Expected a certificate and a key for rosbridge, got only one of them. Give both.")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     try:
         context.load_cert_chain(certificate, key, password="")
@@ -162,7 +162,7 @@ class RosbridgeServer:
             running.remove_reader(self._loop.fileno())
 
     def _receive(self) -> None:
-        """Handle messages from the loop, and send the resulting messages."""
+        """Handle messages from the loop, and send the resulting messages to the clients."""
         messages = self._loop.receive()
         if messages is None:
             self._over.set()
@@ -176,7 +176,7 @@ class RosbridgeServer:
             self._send(self._connections[name], session)
 
     def _tick(self) -> None:
-        """Run periodic work; disconnect blocked clients."""
+        """Handle timeouts, and disconnect blocked clients."""
         now = time.monotonic_ns()
         self._engine.tick(now)
         self._receive()
@@ -195,7 +195,7 @@ class RosbridgeServer:
             transport.write(b"".join([one.serialize(mask=False) for one in texts]))
 
     def _judge(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Return a refusal of a connection attempt (too many clients, or a wrong token), or None."""
+        """Return the response that refuses a connection (too many clients, or a wrong token), or None to accept it."""
         if len(self._connections) >= _CLIENTS:
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"Expected at most {_CLIENTS} clients.\n")
         if self._may_ask(request) is None:

@@ -1,4 +1,4 @@
-"""`ZenohFeed`, which is a `LocalFeed` for a bridge on another computer, and the port and codec of a Zenoh link."""
+"""`ZenohFeed`, the counterpart of `LocalFeed` for remote bridges, and the port and codec of a Zenoh link."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def robots_at(session: Any, lab: str = EVERY, patience: float = 1.0) -> list[tup
 
 
 class ZenohFeed:
-    """Client of a bridge on another computer; a context manager with the methods of `LocalFeed`."""
+    """Client of a bridge on another computer, with the methods of `LocalFeed`."""
 
     damaged: int
     lost: int
@@ -107,10 +107,12 @@ class ZenohFeed:
             self._session.put(key(lab, robot, "stop"), b"")
         else:
             what = type(request).__name__
-            raise ConfigError(f"Expected a request supported over Zenoh, got {what}. Send it on the bridge's computer.")
+            raise ConfigError(
+                f"Expected a request that Zenoh supports, got {what}. Send it on the computer of the bridge."
+            )
 
     def receive(self) -> Row | dict[str, Any]:
-        """Return the next message: a row, or the fields of another message, with its "kind"."""
+        """Return the next message: a row, or the fields of any other message, including its "kind"."""
         until = time.monotonic() + self._patience
         while self.wait(until - time.monotonic()):
             message, self._next = self._next, None
@@ -128,7 +130,8 @@ class ZenohFeed:
                 return row
         if self._gone is not None:
             raise LinkError(f"Expected the bridge of {self.cell} to keep running, but it is gone.")
-        raise LinkError(f"Expected a message from {self.cell} in time, got none. Check that its robot is running.")
+        seconds = f"{self._patience:g} s"
+        raise LinkError(f"Expected a message from {self.cell} within {seconds}, got none. Check its robot.")
 
     def _subscribe(self, rate: float | None) -> None:
         for one in self._rows:
@@ -144,14 +147,14 @@ class ZenohFeed:
             ]
 
     def _count(self, row: Row, data: bytes) -> None:
-        """Count missing rows, because Zenoh does not report rows dropped for a slow reader."""
+        """Count missing rows, because Zenoh does not report the rows that it drops for a slow reader."""
         before = self.lost.bit_length()
         self.lost += sum(gaps.take(data) for robot, gaps in self._gaps.items() if row.values[f"{robot}.fresh"])
         if self.lost.bit_length() > before:  # 1, 2, 4, ...
             self._report(f"Rows were lost in transit or not read in time: {self.lost} so far.")
 
     def _robots(self) -> list[str]:
-        """Return the robots of the lab, which a new session discovers one after another."""
+        """Wait until the session has discovered the robots of the lab, and return their names."""
         found: set[str] = set()
         until = time.monotonic() + _DISCOVERY
         while time.monotonic() < until:
@@ -223,7 +226,7 @@ class ZenohFeed:
 
 
 def _whole(data: bytes) -> About:
-    """Return a bridge's reply to "about"; raise unless its rows contain all fields that a `Watch` reads."""
+    """Return a bridge's reply to "about"; raise if its rows lack a field that `Watch` reads."""
     about = read_about(data)
     for robot in about.robots.values():
         about.schema.require(robot)
@@ -245,10 +248,7 @@ def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tupl
 
 
 class ZenohPort:
-    """Port that receives rows of an arm instead of datagrams; never blocks, and never raises after construction.
-
-    Zenoh reconnects automatically. Its threads pass rows on through a socket.
-    """
+    """Port that receives the rows of an arm in place of datagrams, from Zenoh's threads; never blocks."""
 
     host: str
     port: int
@@ -356,7 +356,7 @@ class ZenohCodec(RowsAsPackets):
 
 
 def _check(schema: RowSchema, robot: Robot) -> None:
-    """Raise if the rows lack this arm or contain a different arm of the same name."""
+    """Raise if the rows lack this arm, or contain another arm of this name."""
     if robot.name not in schema.robots:
         raise UnknownName.among("robot of the bridge", robot.name, schema.robots)
     schema.require(robot)

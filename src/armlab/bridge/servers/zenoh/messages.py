@@ -1,4 +1,4 @@
-"""Zenoh messages: keys, attachments, text messages, rows with checksums, and the inbox of a client."""
+"""Zenoh messages: keys, attachments, text messages, rows with checksums, and the queue of a client."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EVERY = "*"
 """Wildcard for labs or robots in a key."""
 
 COMMANDS = {"position": "q", "velocity": "qd", "effort": "tau", "motion": "q qd"}
-"""Fields by the last word of a command's key, with n numbers each; "motion" has positions, then velocities."""
+"""Fields of a command (n numbers each) by the last word of its key; "motion": positions, then velocities."""
 
 _ATTACHED = struct.Struct("<16sqq")
 
@@ -60,11 +60,11 @@ class Attachment(NamedTuple):
 
 
 def data_of(part: Any) -> bytes | None:
-    """Return the bytes of a payload or attachment, or None if it is absent."""
+    """Return the bytes of a payload or an attachment, or None if it is absent."""
     return None if part is None else part.to_bytes()
 
 
-_LARGEST = 2**17  # maximum bytes of a message from the loop; a reply to "about" contains at most three
+_LARGEST = 2**17  # maximum bytes of a message from the loop; a reply to "about" contains at most three messages
 _Count = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
 
 
@@ -118,7 +118,7 @@ class About(NamedTuple):
 
 
 def read_about(data: bytes) -> About:
-    """Return the checked reply of a bridge to the query "about"."""
+    """Decode and check the reply of a bridge to the query "about"."""
     messages = _converted(_decoded(data, 3 * _LARGEST), list[dict[str, Any]])
     about = _converted(messages[0] if messages else {}, _About)
     for one in messages[1:]:
@@ -139,7 +139,7 @@ def read_about(data: bytes) -> About:
 
 
 def read_message(data: bytes) -> dict[str, Any]:
-    """Return a message from the keys "events", "status" and "parameters", as `LocalFeed.receive` does."""
+    """Decode and check a message from the keys "events", "status" and "parameters"."""
     message = _decoded(data, _LARGEST)
     _converted(message, _Text)
     return message
@@ -168,7 +168,7 @@ T = TypeVar("T")
 
 
 class Inbox(Generic[T]):
-    """Messages from Zenoh's threads; a full inbox drops its oldest messages."""
+    """Queue of messages from Zenoh's threads; when full, it drops the oldest messages."""
 
     def __init__(self, most: int) -> None:
         self._most, self._size = most, 0
@@ -197,7 +197,7 @@ class Inbox(Generic[T]):
             return message
 
     def wait(self, patience: float) -> bool:
-        """Return whether a message is available in time."""
+        """Return whether a message is available within this time [s]."""
         with self._arrived:
             return bool(self._waiting) or self._arrived.wait(patience)
 
@@ -206,7 +206,7 @@ _NUMBER = struct.Struct("<q")
 
 
 class Gaps:
-    """Counter of missing rows, for a subscriber to every row of an arm ("state" or "live")."""
+    """Counter of missing rows for a subscriber to all rows of an arm (keys "state" and "live")."""
 
     rows: int
     lost: int

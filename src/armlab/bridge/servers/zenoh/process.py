@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import socket
@@ -63,7 +64,7 @@ class ZenohProcess:
             close_session(self._session)
 
     def _counts(self) -> dict[str, tuple[int, int]]:
-        """Return the numbers of rows sent and dropped, by key; the readers are unknown here."""
+        """Return the numbers of rows sent and dropped, by key."""
         rows = {f"{name} {what}": arm.rows.get(what) for name, arm in self._arms.items() for what in _ArmOutput.KINDS}
         return {name: (one.sent, one.dropped) for name, one in rows.items() if one is not None and one.sent}
 
@@ -100,7 +101,7 @@ class ZenohProcess:
                 arm.texts["events"].put(msgspec.json.encode(message))
 
     def _command(self, robot: str, sample: Any) -> None:
-        """Handle a command; reply to an invalid command with the reason."""
+        """Handle a command; answer an invalid one with the reason."""
         kind, client = str(sample.key_expr).rpartition("/")[2], _UNKNOWN
         try:
             attached = Attachment.read(data_of(sample.attachment))
@@ -112,18 +113,15 @@ class ZenohProcess:
     def _set(self, robot: str, sample: Any) -> None:
         name, client = str(sample.key_expr).rpartition("/")[2], _UNKNOWN
         try:
-            attachment = data_of(sample.attachment)
-            client = _UNKNOWN if attachment is None else Attachment.read(attachment).client
+            client = _sender(sample)
             self._ask(robot, SetRequest(client, {name: _setting(name, sample.payload.to_bytes())}))
         except CommandRefused as error:
             self._refuse(robot, client, str(error))
 
     def _stop(self, robot: str, sample: Any) -> None:
-        attachment = data_of(sample.attachment)
-        try:
-            client = _UNKNOWN if attachment is None else Attachment.read(attachment).client
-        except CommandRefused:
-            client = _UNKNOWN  # a stop is valid from any sender
+        client = _UNKNOWN
+        with contextlib.suppress(CommandRefused):  # a stop is valid from any sender
+            client = _sender(sample)
         self._ask(robot, Stop(client))
 
     def _ask(self, robot: str, request: Request) -> None:
@@ -145,7 +143,7 @@ class ZenohProcess:
             query.reply(key(self._lab, robot, "schema"), self._loop.schema.text)
 
     def _about(self, robot: str, query: Any) -> None:
-        """Reply with the first data that a viewer needs: cell, arms, row schema, parameters and recording."""
+        """Reply with the initial data of a viewer: cell, arms, row schema, parameters and recording."""
         messages = [self._loop.about, {"kind": "parameters", "parameters": list(self._loop.parameters.values())}]
         messages += [self._recording] if self._recording else []
         with query:
@@ -207,6 +205,11 @@ class _ArmOutput:
             output.put(msgspec.json.encode({"kind": "status", **self._status.summary()}))
 
 
+def _sender(sample: Any) -> str:
+    attachment = data_of(sample.attachment)
+    return _UNKNOWN if attachment is None else Attachment.read(attachment).client
+
+
 def _order(robot: str, kind: str, data: bytes, attached: Attachment) -> CommandRequest:
     if kind not in COMMANDS:
         known = ", ".join(COMMANDS)
@@ -214,7 +217,7 @@ def _order(robot: str, kind: str, data: bytes, attached: Attachment) -> CommandR
     fields = COMMANDS[kind].split()
     most = _MOST * len(fields)
     if not data or len(data) % 8 or len(data) > 8 * most:
-        raise CommandRefused(f"Expected 1 to {most} numbers for {robot}, float64, 8 bytes each, got {len(data)} bytes.")
+        raise CommandRefused(f"Expected 1 to {most} float64 numbers for {robot}, 8 bytes each, got {len(data)} bytes.")
     if len(data) % (8 * len(fields)):
         raise CommandRefused(f"Expected as many velocities as positions for {robot}, got {len(data) // 8} numbers.")
     parts = np.frombuffer(data, "<f8").reshape(len(fields), -1)

@@ -1,4 +1,4 @@
-"""`Security`: certificates, passwords and access rules of one end of a Zenoh link."""
+"""`Security`: certificates, passwords and access rules at one end of a Zenoh link."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from armlab.bridge.servers.zenoh.messages import EVERY, key
 from armlab.errors import ConfigError
 
 COMMANDER = "commander"
-"""User who may command and set parameters."""
+"""Name of the user who may command and set parameters."""
 
 BRIDGE = "bridge"
-"""User name of bridges at a remote router; only they may publish there."""
+"""Name of the user for bridges, the only user who may publish at a remote router."""
 
 USERS = (COMMANDER, BRIDGE, "viewer")
-"""Users, each with a password."""
+"""Names of all users; each has a password."""
 
 _LARGEST = 2**20  # maximum number of characters in a user file
 _SERVED = ("state", "live", "view", "events", "status", "parameters", "answer/**", "alive")
@@ -24,13 +24,13 @@ _SERVED = ("state", "live", "view", "events", "status", "parameters", "answer/**
 
 @dataclass(frozen=True)
 class Security:
-    """Credential files of one end of a link."""
+    """Credential files at one end of a link."""
 
     ca: Path | None = None  # certificate of the lab's certificate authority; enables TLS
     certificate: Path | None = None  # certificate of this end, for listening
     key: Path | None = None
-    users: Path | None = None  # lines "user:password" of allowed users; then only `COMMANDER` may command
-    secret: Path | None = None  # one line "user:password" with the credentials of this end
+    users: Path | None = None  # lines "user:password" of the allowed users, of whom only `COMMANDER` may command
+    secret: Path | None = None  # one line "user:password", the credentials of this end
 
     def __post_init__(self) -> None:
         for path in (self.ca, self.certificate, self.key, self.users, self.secret):
@@ -38,9 +38,9 @@ class Security:
                 raise ConfigError(f"Expected a file at {path}, found none. Create it with armlab bridge certificates.")
         for path in (self.key, self.users, self.secret):
             if path is not None and path.stat().st_mode & 0o077:
-                raise ConfigError(f"Expected {path} to be private, but others may read it: chmod 600 {path}.")
+                raise ConfigError(f"Expected {path} to be readable only by its owner. Run chmod 600 {path}.")
         if (self.certificate is None) != (self.key is None) or (self.certificate is not None and self.ca is None):
-            raise ConfigError("Expected `certificate`, `key` and `ca` together, got only some of them.")
+            raise ConfigError("Expected all of `certificate`, `key` and `ca`, got only some of them.")
         if self.secret is not None:
             _own(self.secret)
         if self.users is not None and COMMANDER not in dict(_lines(self.users)):
@@ -59,7 +59,7 @@ class Security:
 
     @property
     def is_safe(self) -> bool:
-        """Whether commands from other computers can be allowed: the link is encrypted, and users have passwords."""
+        """Whether the link is encrypted and users need passwords, so that other computers may command."""
         return None not in (self.ca, self.certificate, self.key, self.users)
 
     def values(self, listens: bool) -> dict[str, Any]:
@@ -106,7 +106,7 @@ def _lines(path: Path) -> list[tuple[str, str]]:
 
 
 def _rules() -> dict[str, Any]:
-    """Return the access rules, also used for routers: all users read, query and stop; one commands; bridges publish."""
+    """Return the access rules: all users may read, query and stop, only `COMMANDER` command, only bridges publish."""
     everything = "armlab/**"
     commands = [key(EVERY, EVERY, what) for what in ("command/**", "param/**")]
     reading = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]

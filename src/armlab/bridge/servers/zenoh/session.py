@@ -21,7 +21,7 @@ from armlab.errors import ConfigError, LinkError, MissingExtra
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 _OPENED = 1500  # ms for the other end to accept a connection
 _ROOM = 16  # messages queued per connection (the maximum): two are too few while a process is not scheduled
-_BEFORE_DROP = 20_000  # us before the first drop, because a slow reader may simply not have been scheduled
+_BEFORE_DROP = 20_000  # us before the first drop, because a slow reader may only be waiting for the processor
 _BEFORE_CLOSE = 250_000  # us until a blocked link closes after seconds of buffering: a blocked put delays declarations
 _TRIES = 2  # attempts to become or find a router, because a router may end in between
 _FOUND = 1.0  # s allowed for finding a router on this computer
@@ -30,7 +30,7 @@ _ANYWHERE = "0.0.0.0"
 # forwards messages of other programs, such as small images.
 _LARGEST = 2**20
 _ANSWERS = 2**26  # bytes of all replies to a query: a few KiB from each of a thousand bridges
-_UNUSED = "127.0.0.2"  # address of this computer, in use only by programs that listen at every address
+_UNUSED = "127.0.0.2"  # local address at which only programs listen that use every address
 
 _open: set[Any] = set()
 _lock = threading.Lock()
@@ -53,10 +53,10 @@ def open_session(
     connect: Sequence[str] = (),
     security: Security | None = None,
 ) -> Any:
-    """Return a session, which is closed by `close_session` or when the program ends.
+    """Return a session, which is closed by `close_session` or at the end of the program.
 
-    A "router" can be found at its address; a "peer" discovers others through a router; a "client" communicates only
-    through its router. Addresses are "HOST:PORT"; failed connections are retried forever.
+    A "peer" discovers other programs through a router; a "client" communicates only through its router. Addresses are
+    "HOST:PORT"; failed connections are retried forever.
     """
     module, safe = zenoh(), security or Security()
     protocol = "tls" if safe.ca is not None else "tcp"
@@ -94,10 +94,10 @@ def open_session(
 def open_near(
     host: str, port: int, router: str = "", security: Security | None = None, commands: bool = False
 ) -> tuple[Any, str]:
-    """Return the session of a server and its location as text; the session becomes a router unless one exists.
+    """Return the session of a server and its location as text; the session is a router unless the port has one.
 
-    Other programs connect to `host` and `port`. If another server's router already uses the port, the session joins
-    that router and listens at a port chosen by the system. `router` is the "HOST:PORT" of a router on another computer.
+    If another server's router uses the port, the session joins it and listens at a port chosen by the system. `router`
+    is the "HOST:PORT" of a router on another computer.
     """
     safe = security or Security()
     protocol = "tls" if safe.ca is not None else "tcp"
@@ -189,7 +189,7 @@ def _check_router_here(host: str, port: int, is_open: bool) -> None:
 
 
 def wait_for_router(session: Any, patience: float) -> bool:
-    """Return whether a peer has found a router or another peer."""
+    """Return whether a peer finds a router or another peer within this time [s]."""
     until = time.monotonic() + patience
     while not (session.info.routers_zid() or session.info.peers_zid()):
         if time.monotonic() > until:
@@ -199,7 +199,7 @@ def wait_for_router(session: Any, patience: float) -> bool:
 
 
 def close_session(session: Any) -> None:
-    """Close a session; closing it more than once has no effect."""
+    """Close a session, unless it is closed already."""
     with _lock:
         known = session in _open
         _open.discard(session)
@@ -237,7 +237,7 @@ _ANSWER = 2.0  # s for a reply
 
 
 class Discovery:
-    """Queries for "about", sent to each bridge at most twice per second."""
+    """Sender of "about" queries, at most twice per second and bridge."""
 
     def __init__(self, session: Any, answered: Callable[[str, str, bytes], None]) -> None:
         self._session, self._answered = session, answered
@@ -314,7 +314,7 @@ class LabAddress(NamedTuple):
         return session
 
     def open_behind(self, patience: float = _PATIENCE) -> Any:
-        """Return a session that sends all messages through the router, for any number of robots."""
+        """Return a session that sends all messages through the router, regardless of the number of robots."""
         where, until = f"{self.host}:{self.port}", time.monotonic() + patience
         while True:
             try:
@@ -374,7 +374,7 @@ class Publisher:
 
 
 class LatchedPublisher(Publisher):
-    """Publisher of one message, which is kept for late-joining readers, as rmw_zenoh does."""
+    """Publisher that keeps its last message for late-joining readers, as rmw_zenoh does."""
 
     def __init__(self, session: Any, key: str) -> None:
         self.wanted, self.sent, self.dropped = False, 0, 0
@@ -392,10 +392,9 @@ class LatchedPublisher(Publisher):
 
 
 class BlockingPublisher(Publisher):
-    """Publisher for readers that need every message; its thread waits for slow readers.
+    """Publisher for readers that need every message: its thread waits for slow readers.
 
-    A stalled reader loses its connection after a few seconds, when the intermediate buffers are full. It receives
-    messages again once it has reconnected; their numbers reveal the gap.
+    A stalled reader is disconnected after a few seconds; once it has reconnected, message numbers reveal the gap.
     """
 
     def __init__(self, session: Any, key: str) -> None:
