@@ -165,7 +165,7 @@ def test_files_that_share_a_table_many_times_stay_small() -> None:
     ],
 )
 def test_what_cannot_be_read_is_left_out(name: str, data: bytes) -> None:
-    assert redacted(name, data).startswith(b"# left out: ")
+    assert redacted(name, data).startswith(b"# omitted: ")
 
 
 def test_files_that_mention_no_secret_stay_as_they_are() -> None:

@@ -1,4 +1,4 @@
-"""Offline zero-phase operators: functions without `step`, because they use future samples."""
+"""Offline zero-phase filters and derivatives: functions without `step`, because they use future samples."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from armlab.signals.streaming import Operator
 
 __all__ = ["central_diff", "decimate", "filtfilt", "lowpass_offline", "smooth_diff"]
 
-UNEVEN = 0.1  # relative deviation of a time step beyond which samples are uneven
-PASSED = 0.8  # fraction of the new Nyquist frequency kept by decimation
+UNEVEN = 0.1  # largest relative deviation of a time step in evenly sampled records
+PASSED = 0.8  # cut-off of decimation over the new Nyquist frequency
 ORDER = 3  # polynomial order of smooth_diff
-WINDOW = 1.25  # bandwidth times window
-NARROWEST, WIDEST = 1e-5, 0.3  # bandwidth over rate: windows of 125000 and of five samples
+WINDOW = 1.25  # product of bandwidth and window length
+NARROWEST, WIDEST = 1e-5, 0.3  # bandwidth over sampling rate, for windows of 125000 and of five samples
 
 
 def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -> np.ndarray:
@@ -25,7 +25,7 @@ def lowpass_offline(x: np.ndarray, rate: float, cutoff: float, order: int = 4) -
     x : (N, ...) samples, finite.
     rate : sampling rate [Hz].
     cutoff : corner frequency of one pass [Hz], below ``rate / 2``.
-    order : order of one pass.
+    order : filter order of one pass.
 
     Returns
     -------
@@ -71,7 +71,7 @@ def central_diff(x: np.ndarray, t: np.ndarray) -> np.ndarray:
 def filtfilt(operator: Operator, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
     """Run a streaming filter forward and backward along axis 0, for zero phase and squared gain.
 
-    The record is extended at both ends by point reflection until the filter has settled. The memory of the operator is
+    Point reflection extends the record at both ends until the filter has settled. The memory of the operator is
     cleared.
 
     Parameters
@@ -214,20 +214,20 @@ def _reflected(x: np.ndarray, pad: int) -> np.ndarray:
 def _record(x: np.ndarray) -> np.ndarray:
     x = numbers(x, "samples", ShapeError)
     if x.ndim < 1:
-        raise ShapeError("Expected samples (N, ...) along axis 0, got a number. Give a record.")
+        raise ShapeError("Expected samples (N, ...) along axis 0, got a number. Pass an array.")
     return x
 
 
 def _check_times(t: np.ndarray, count: int, least: int) -> np.ndarray:
     t = numbers(t, "times", ShapeError)
     if t.shape != (count,) or count < least:
-        got = f"an array of shape {t.shape}. Pass one time per sample and a sufficiently long record."
+        got = f"an array of shape {t.shape}. Pass one time per sample, and a longer record."
     elif not np.isfinite(t).all():
         row = int(np.argmin(np.isfinite(t)))
-        got = f"{t[row]} in row {row}. First drop the rows without a time."
+        got = f"{t[row]} in row {row}. Drop the rows without a time first."
     elif not np.all(np.diff(t) > 0):
         row = int(np.argmin(np.diff(t) > 0)) + 1
-        got = f"{t[row]:.6g} s in row {row} after {t[row - 1]:.6g} s. First drop repeated and backward timestamps."
+        got = f"{t[row]:.6g} s in row {row} after {t[row - 1]:.6g} s. Drop repeated and decreasing timestamps first."
     else:
         return t
     raise ShapeError(f"Expected at least {least} finite, strictly increasing times for {count} samples, got {got}")

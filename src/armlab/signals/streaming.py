@@ -1,4 +1,4 @@
-"""Streaming operators with memory for the control loop, which turn each input sample into one output sample.
+"""Streaming operators with memory for the control loop: one output sample per input sample.
 
 All operators have ``step(x)`` or ``step(x, t)``, ``run(x)`` or ``run(x, t)`` (bit-identical to a loop over `step`), and
 ``reset(init)``. A sample is a number or an array of constant shape. The step h is `dt` or the difference of the
@@ -21,7 +21,7 @@ __all__ = ["CausalDiff", "Differentiator", "ExpFilter", "Integrator", "LowPass2"
 
 RULES = ("trapezoid", "euler")
 BUTTERWORTH = float(np.sqrt(0.5))
-SETTLED = 12.0  # time constants until the initial state has decayed to 6e-6
+SETTLED = 12.0  # time constants in which the initial state decays to 6e-6
 
 
 class Operator:
@@ -65,7 +65,7 @@ class Operator:
         return self._kernel.step(x, t)
 
     def run(self, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
-        """Step through samples (N, ...) from the current memory, and return the outputs (N, ...).
+        """Process samples (N, ...) from the current memory, and return the outputs (N, ...).
 
         Parameters
         ----------
@@ -85,12 +85,12 @@ class Operator:
 
     @property
     def gaps(self) -> int:
-        """Number of steps longer than 1.5 dt, or than 1.5 times the first step without dt."""
+        """Number of gaps: steps longer than 1.5 dt or, without dt, longer than 1.5 times the first step."""
         return self._kernel.gaps
 
     @property
     def longest_gap(self) -> float:
-        """Longest of these steps [s]; 0 without gaps."""
+        """Longest gap [s]; 0 without gaps."""
         return self._kernel.longest_gap
 
     @property
@@ -102,8 +102,8 @@ class Operator:
 class Integrator(Operator):
     """Integral of a signal: ``I_k = I_{k-1} + h (x_k + x_{k-1}) / 2``, or ``+ h x_k`` with the Euler rule.
 
-    The first step returns init (trapezoid) or ``init + dt x_0`` (Euler). This is the macro @integrate of TFRT-7651
-    (Bagge Carlson and Haage 2017, section 4.1).
+    The first step returns init (trapezoid) or ``init + dt x_0`` (Euler). It corresponds to the macro @integrate of
+    TFRT-7651 (Bagge Carlson and Haage 2017, section 4.1).
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class Integrator(Operator):
 class Differentiator(Operator):
     """Backward difference ``(x_k - x_{k-1}) / h``; the first step returns 0, or ``(x_0 - init) / dt``.
 
-    This is the macro @differentiate of TFRT-7651. It amplifies noise by 1/h; `CausalDiff` also filters.
+    It corresponds to the macro @differentiate of TFRT-7651. It amplifies noise by 1/h; `CausalDiff` also filters.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class ExpFilter(Operator):
     """First-order low-pass ``y_k = a y_{k-1} + (1 - a) x_k`` with ``a = exp(-h / T)`` for the actual step h.
 
     It starts at the first sample or, with init, one step dt before it. The macro @expfilt of TFRT-7651 takes a instead
-    of T; use `from_alpha`.
+    of T; `from_alpha` does the same.
 
     Parameters
     ----------
@@ -175,8 +175,8 @@ class ExpFilter(Operator):
 class LowPass2(Operator):
     """Causal second-order Butterworth low-pass: ``y'' + sqrt(2) w y' + w^2 y = w^2 x``, ``w = 2 pi cutoff``.
 
-    It is solved exactly for piecewise linear input, so jitter has no effect. It starts at rest at the first sample or
-    at init. It delays slow signals by ``sqrt(2) / w``.
+    The solution is exact for piecewise linear input, so jitter has no effect. The filter starts at rest at the first
+    sample or at init, and delays slow signals by ``sqrt(2) / w``.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ class LowPass2(Operator):
 class CausalDiff(Operator):
     """Derivative of the output of `LowPass2`, without noise amplification above the cut-off.
 
-    It is exact for ramps after settling, and starts at 0.
+    The derivative is exact for ramps after settling, and starts at 0.
 
     Parameters
     ----------
@@ -213,12 +213,12 @@ class CausalDiff(Operator):
 class Notch(Operator):
     """Notch filter: ``(s^2 + w^2) / (s^2 + w / Q s + w^2)``, ``w = 2 pi frequency``.
 
-    It is solved exactly for piecewise linear input. It starts at rest at the first sample.
+    The solution is exact for piecewise linear input. The filter starts at rest at the first sample.
 
     Parameters
     ----------
     frequency : notch frequency [Hz].
-    quality : Q > 1/2, frequency over the 3 dB bandwidth.
+    quality : Q > 1/2, the ratio of the frequency to the 3 dB bandwidth.
     dt : step [s]; without it, samples need time stamps.
     """
 

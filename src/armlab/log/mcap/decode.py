@@ -1,9 +1,9 @@
 """Numeric columns of MCAP messages, decoded in blocks of rows that share a layout.
 
 The chunk indexes give the number of messages. The first message of a channel is parsed field by field. Messages of
-equal length with equal bytes outside the numbers have the same layout. The numbers of a whole chunk can therefore be
-copied in one step into arrays of their final size (`Room`). Messages with other layouts are read in blocks of equal
-length (`decode_messages`).
+equal length with equal bytes outside the numbers have the same layout, so the numbers of a whole chunk are copied in
+one step into arrays of their final size (`Room`). Messages with other layouts are read in blocks of equal length
+(`decode_messages`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from textwrap import shorten
-from typing import Any
 
 import numpy as np
 
@@ -25,9 +24,9 @@ from armlab.log.file_formats.description import Progress
 from armlab.log.mcap.records import DAMAGE, MESSAGE, Chunk, Contents, messages_in, pieces, records, records_at, unpacked
 from armlab.wire import cdr
 
-_MAX_VARIANTS = 8  # cached layouts per channel and length; messages with ever-changing strings are read one by one
+_MAX_VARIANTS = 8  # cached layouts per channel and length; messages whose strings always differ are read one by one
 
-# Consecutive numbers of one type in a message: (path, count) of each.
+# Consecutive numbers of one type in a message: path and count of each field.
 Run = tuple[tuple[str, int], ...]
 Values = dict[Run, np.ndarray]
 Piece = tuple[np.ndarray, Values]
@@ -36,7 +35,7 @@ Piece = tuple[np.ndarray, Values]
 
 @dataclass(slots=True)
 class Variant:
-    """Layout of messages of equal length with equal bytes in `fixed`: start, stop and type of the runs of numbers."""
+    """Layout of messages with equal length and equal bytes in the ranges `fixed`: start, stop and type of each run."""
 
     first: np.ndarray
     fixed: list[tuple[int, int]]
@@ -53,7 +52,7 @@ class Variant:
 
 @dataclass(slots=True)
 class MessageReader:
-    """Requested fields of one channel (None: all), the function that names its numbers, and the cached layouts."""
+    """Requested fields of one channel (None: all), function that names its numbers, and cached layouts."""
 
     type: str
     types: cdr.Definitions
@@ -64,7 +63,7 @@ class MessageReader:
 
 @dataclass(slots=True)
 class Read:
-    """Rows (k,) and numbers by layout of valid messages; count of invalid messages and reason for the first."""
+    """Rows (k,) and numbers by layout of valid messages, the number of invalid messages, and the first reason."""
 
     rows: np.ndarray
     pieces: list[Piece]
@@ -74,7 +73,7 @@ class Read:
 
 @dataclass(slots=True)
 class _Bad:
-    """Rows of invalid messages, and the reason for the first."""
+    """Rows of invalid messages, and why the first of them is invalid."""
 
     rows: list[int] = field(default_factory=list)
     first: int = 0
@@ -87,13 +86,13 @@ class _Bad:
 
 
 def of_length(lengths: np.ndarray) -> list[np.ndarray]:
-    """Return the ordered rows (k,) of the messages of each length."""
+    """Return, for each length, the rows (k,) of the messages of this length in increasing order."""
     order = np.argsort(lengths, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1) if len(order) else []
 
 
 def read_blocks(count: int, blocks: Iterable[tuple[np.ndarray, np.ndarray]], reader: MessageReader) -> Read:
-    """Read rows (k,) and bytes (k, length) of messages in groups of equal length; only new layouts are parsed."""
+    """Read groups of messages of equal length, given as rows (k,) and bytes (k, length); parse only new layouts."""
     pieces: list[Piece] = []
     bad = _Bad()
     for rows, block in blocks:
@@ -128,7 +127,7 @@ def _read_block(block: np.ndarray, rows: np.ndarray, reader: MessageReader, bad:
             same = _same(block, variant)
             yield rows[same], variant.numbers(block[same])
             block, rows = block[~same], rows[~same]
-        else:  # one by one, because comparing all pairs would be quadratic
+        else:  # one by one, because comparing all pairs would take quadratic time
             yield rows[:1], variant.numbers(block[:1])
             block, rows = block[1:], rows[1:]
 
@@ -190,7 +189,7 @@ def joined(pieces: Iterable[Piece]) -> list[Piece]:
 
 
 def assembled(count: int, pieces: Sequence[Piece]) -> dict[str, np.ndarray]:
-    """Assemble the numbers of several layouts by row and dotted name; NaN for fields missing in a layout."""
+    """Assemble the numbers of several layouts by dotted name; fields that a layout lacks are NaN."""
     if len(pieces) == 1 and np.array_equal(pieces[0][0], np.arange(count)):
         return _split(pieces[0][1])
     if all(found.keys() == pieces[0][1].keys() for _, found in pieces):
@@ -206,10 +205,10 @@ def assembled(count: int, pieces: Sequence[Piece]) -> dict[str, np.ndarray]:
 
 
 def _filled(count: int, parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Assemble arrays (k, width) by row into (count, largest width), NaN elsewhere."""
+    """Assemble arrays (k, width) by row into one array (count, largest width) with NaN elsewhere."""
     width = max(array.shape[1] for _, array in parts)
     whole = sum(len(rows) for rows, _ in parts) == count and all(array.shape[1] == width for _, array in parts)
-    kind = np.result_type(*{array.dtype for _, array in parts})  # integers with gaps are already floats
+    kind = np.result_type(*{array.dtype for _, array in parts})  # integers with missing values are already floats
     target = np.empty((count, width), kind) if whole else np.full((count, width), np.nan)
     for rows, array in parts:
         target[rows, : array.shape[1]] = array
@@ -236,7 +235,7 @@ _PREFIX = np.dtype(
 class Part:
     """Messages of one channel in part of a file: sequence numbers (k,), log times (k,) and numbers by layout.
 
-    `bad` messages do not match their type; `reason` refers to the first of them.
+    `bad`: number of messages that do not match their type; `reason`: why the first of them does not match.
     """
 
     sequence: np.ndarray
@@ -249,7 +248,7 @@ class Part:
 def decode_chunk(
     view: memoryview, chunk: Chunk, data: bytes, readers: Mapping[int, MessageReader], indexed: bool
 ) -> dict[int, Part]:
-    """Return the messages in the records of a chunk; without complete indexes, the records are parsed one by one."""
+    """Return the messages in a chunk by channel; without complete indexes, its records are parsed one by one."""
     raw = np.frombuffer(data, dtype=np.uint8)
     offsets = {}
     for number in readers if indexed else ():
@@ -262,7 +261,7 @@ def decode_chunk(
 
 
 def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
-    """Return whether messages of the channel begin at the offsets, in increasing order, and lie completely inside."""
+    """Return whether complete messages of the channel begin at the offsets, which must increase."""
     if not len(offsets):
         return True
     if offsets[0] < 0 or offsets[-1] > len(raw) - _PREFIX.itemsize or (np.diff(offsets) <= 0).any():
@@ -309,7 +308,7 @@ def decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: MessageReader)
 
 
 _RECORD = 31  # bytes of a record before its message: kind, length, channel, sequence, two times
-_LARGEST = 1 << 31  # bytes of a chunk; a larger size is corrupt
+_LARGEST = 1 << 31  # bytes, largest size of a valid chunk
 _TRIES = 8  # chunks searched for the first message of each channel
 
 
@@ -320,7 +319,8 @@ class Room:
         self._columns: dict[int, _Columns] = {}
         messages = _first_messages(view, chunks, readers)
         for number, reader in readers.items():
-            count = _counts(chunks, number)
+            places = np.array([chunk.indexes.get(number, (0, 0)) for chunk in chunks], dtype=np.int64).reshape(-1, 2)
+            count = (places[:, 1] - places[:, 0]) // 16  # messages per chunk, from the index
             message = messages.get(number, b"")
             if message or not count.any():
                 with suppress(*DAMAGE):  # corrupt messages, and sizes beyond memory
@@ -328,10 +328,15 @@ class Room:
         columns = self._columns.values()
         self._first = list(zip(*(one.first for one in columns), strict=True)) or [()] * len(chunks)
         self._count = list(zip(*(one.count for one in columns), strict=True)) or [()] * len(chunks)
-        self._copier = MessageCopier([one.told(number) for number, one in self._columns.items()])
+        self._copier = MessageCopier(
+            [
+                (number, one.message, one.fixed, one.places, one.sequence, one.log_ns, list(one.numbers.values()))
+                for number, one in self._columns.items()
+            ]
+        )
 
     def copy(self, place: int, data: bytes) -> dict[int, range]:
-        """Copy the messages of a chunk; return the rows of the channels with a uniform layout."""
+        """Copy the messages of a chunk, and return the rows of the channels whose messages have a single layout."""
         first, count = self._first[place], self._count[place]
         copied = self._copier.copy(data, first, count)
         return {
@@ -341,7 +346,7 @@ class Room:
         }
 
     def part(self, number: int, rows: range) -> Part:
-        """Return rows of a channel; the arrays become read-only because a table uses them without a copy."""
+        """Return rows of a channel as read-only arrays, because a table uses them without a copy."""
         columns, which = self._columns[number], slice(rows.start, rows.stop)
         numbers: Values = {}
         for path, array in columns.numbers.items():
@@ -354,7 +359,7 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Arrays of one channel: an example message, its offsets, and per chunk the first row and count (-1: invalid)."""
+    """Arrays of one channel, with an example message, its offsets, and first row and count per chunk (-1: invalid)."""
 
     first: list[int]
     count: list[int]
@@ -365,20 +370,9 @@ class _Columns:
     log_ns: np.ndarray
     numbers: dict[str, np.ndarray]
 
-    def told(self, number: int) -> tuple[Any, ...]:
-        """Return the arguments of `MessageCopier` for the channel."""
-        arrays = self.sequence, self.log_ns, list(self.numbers.values())
-        return number, self.message, self.fixed, self.places, *arrays
-
-
-def _counts(chunks: Sequence[Chunk], number: int) -> np.ndarray:
-    """Return the number of messages of a channel per chunk, from the index."""
-    places = np.array([chunk.indexes.get(number, (0, 0)) for chunk in chunks], dtype=np.int64).reshape(-1, 2)
-    return (places[:, 1] - places[:, 0]) // 16
-
 
 def _columns(chunks: Sequence[Chunk], count: np.ndarray, message: bytes, reader: MessageReader) -> _Columns:
-    """Return arrays for the given number of messages of this form, or None for zero messages."""
+    """Return arrays for `count` messages per chunk with the layout of an example message."""
     room = np.array([min(chunk.size, _LARGEST) // (_RECORD + len(message)) for chunk in chunks], dtype=np.int64)
     count = np.where(count > room, -1, count)
     ends = count.clip(0).cumsum()
@@ -413,12 +407,12 @@ def _first_messages(view: memoryview, chunks: Sequence[Chunk], channels: Collect
     return found
 
 
-_BATCH = 8  # chunks per call of a reading thread
+_BATCH = 8  # chunks that a reading thread takes at once
 
 
 @dataclass(slots=True)
 class Decoded:
-    """Messages of one channel: sequence and log time (N,), fields (N, count) by dotted name, NaN if missing."""
+    """Messages of one channel: sequence and log time (N,), and fields (N, count) by dotted name, NaN if missing."""
 
     sequence: np.ndarray
     log_ns: np.ndarray
@@ -428,7 +422,7 @@ class Decoded:
 def decode(
     view: memoryview, found: Contents, wanted: Mapping[int, Sequence[str]], progress: Progress | None = None
 ) -> tuple[dict[int, Decoded], list[str]]:
-    """Return the requested fields of the channels and one sentence per corrupt chunk or channel.
+    """Return the requested fields of the channels, and a note on each corrupt chunk or channel.
 
     `wanted`: channel -> dotted names of fields.
     """
@@ -445,15 +439,34 @@ def decode(
 def decode_by(
     view: memoryview, found: Contents, readers: Mapping[int, MessageReader], progress: Progress | None = None
 ) -> tuple[dict[int, Decoded], list[str]]:
-    """Return the results of the channels' readers and one sentence per corrupt chunk or channel."""
+    """Return the messages of each channel as read by its reader, and a note on each corrupt chunk or channel."""
     chunks = [chunk for chunk in found.chunks if not found.indexed or chunk.indexes.keys() & readers.keys()]
-    reading = _Reading(view, chunks, readers, found.indexed, Room(view, chunks, readers))
+    room = Room(view, chunks, readers)
+
+    def read(places: range) -> tuple[dict[int, list[range | Part]], list[str]]:
+        """Read some chunks; return rows of the room and other messages by channel, and the corrupt chunks."""
+        held: dict[int, list[range | Part]] = {number: [] for number in readers}
+        damage = []
+        for place in places:
+            chunk = chunks[place]
+            try:
+                data = unpacked(view, chunk)
+            except LogError as error:
+                damage.append(f"chunk at byte {chunk.start} skipped: {error}")
+                continue
+            copied = room.copy(place, data)
+            others = {number: reader for number, reader in readers.items() if number not in copied}
+            parts = decode_chunk(view, chunk, data, others, found.indexed) if others else {}
+            for number, part in (*copied.items(), *parts.items()):
+                held[number].append(part)
+        return held, damage
+
     parts: dict[int, list[range | Part]] = {number: [] for number in readers}
     damage: list[str] = []
     batches = [range(first, min(first + _BATCH, len(chunks))) for first in range(0, len(chunks), _BATCH)]
     done, total = 0, sum(chunk.size for chunk in chunks)
     with ThreadPoolExecutor(2) as pool:  # decompression, checksums and copies release the interpreter lock
-        for batch, (decoded, lost) in zip(batches, pool.map(reading.batch, batches), strict=True):
+        for batch, (decoded, lost) in zip(batches, pool.map(read, batches), strict=True):
             damage += lost
             for number, of_channel in decoded.items():
                 parts[number] += of_channel
@@ -466,14 +479,14 @@ def decode_by(
             parts[number].append(decode_messages(np.frombuffer(data, dtype=np.uint8), offsets, readers[number]))
     whole: dict[int, Decoded] = {}
     for number, of_channel in parts.items():
-        whole[number], bad, reason = _decoded(reading.room, number, of_channel)
+        whole[number], bad, reason = _decoded(room, number, of_channel)
         if bad:
             damage.append(skipped(bad, found.channels[number].topic, reason))
     return whole, damage
 
 
 def skipped(count: int, topic: str, reason: str) -> str:
-    """Return the sentence about skipped messages with the reason for the first."""
+    """Return a note on skipped messages, with the reason for the first."""
     return f"{count} message{'s' if count > 1 else ''} on {topic} skipped: {shorten(reason, 300)}"
 
 
@@ -497,37 +510,8 @@ def message_counts(view: memoryview, found: Contents) -> Counter[int]:
     return counts
 
 
-@dataclass(frozen=True, slots=True)
-class _Reading:
-    """Chunks of a file and the arrays for their messages."""
-
-    view: memoryview
-    chunks: Sequence[Chunk]
-    readers: Mapping[int, MessageReader]
-    indexed: bool
-    room: Room
-
-    def batch(self, places: range) -> tuple[dict[int, list[range | Part]], list[str]]:
-        """Read some chunks; return rows of the room and other messages by channel, and the corrupt chunks."""
-        found: dict[int, list[range | Part]] = {number: [] for number in self.readers}
-        damage = []
-        for place in places:
-            chunk = self.chunks[place]
-            try:
-                data = unpacked(self.view, chunk)
-            except LogError as error:
-                damage.append(f"chunk at byte {chunk.start} skipped: {error}")
-                continue
-            copied = self.room.copy(place, data)
-            others = {number: reader for number, reader in self.readers.items() if number not in copied}
-            parts = decode_chunk(self.view, chunk, data, others, self.indexed) if others else {}
-            for number, part in (*copied.items(), *parts.items()):
-                found[number].append(part)
-        return found, damage
-
-
 def _decoded(room: Room, number: int, found: Sequence[range | Part]) -> tuple[Decoded, int, str]:
-    """Join the parts of a channel; also return the number of skipped messages and the reason for the first."""
+    """Join the parts of a channel; also return the number of skipped messages and the first reason."""
     merged: list[range | Part] = []
     for one in found:
         before = merged[-1] if merged else None

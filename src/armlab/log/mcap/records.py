@@ -7,16 +7,12 @@ import threading
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from armlab.errors import LogError
 
-if TYPE_CHECKING:
-    import zstandard
-
-_MAX_CHUNK = 1 << 31  # bytes; a larger size is corrupt
-_MAX_OPEN = 1 << 28  # bytes of a chunk of unknown size
-_UNPACKED, _RATIO = 1 << 24, 200  # unpacked bytes of any file, and the ratio for larger ones; zstd reaches 15 000
+_MAX_CHUNK = 1 << 31  # bytes, largest size of a valid chunk
+_MAX_OPEN = 1 << 28  # bytes, largest size of an unfinished chunk
+_UNPACKED, _RATIO = 1 << 24, 200  # bytes that are always allowed; expansion ratio allowed beyond (zstd: 15 000)
 _PIECE = 1 << 20
 _REPEATED, _RESERVED = 1, 3  # kinds of zstd blocks
 _of_thread = threading.local()
@@ -24,9 +20,9 @@ _of_thread = threading.local()
 
 @dataclass(slots=True)
 class Chunk:
-    """A chunk of messages: byte range [start, stop) of its record, its data and, by channel, its index entries.
+    """Chunk of messages, with byte ranges [start, stop) of its record, its data and, by channel, its index entries.
 
-    `is_open`: its writer crashed before writing the times, size and checksum.
+    `is_open`: the writer crashed before it wrote the times, the size and the checksum.
     """
 
     start: int
@@ -42,7 +38,7 @@ class Chunk:
 
 
 def most_unpacked(size: int) -> int:
-    """Return the limit on the unpacked bytes of all chunks of a file."""
+    """Return the limit on the unpacked size of all chunks of a file [bytes]."""
     return max(_UNPACKED, _RATIO * size)
 
 
@@ -94,7 +90,7 @@ def _unpacked_open(packed: bytes, most: int) -> bytes:
             while size < most and (piece := reader.read(_PIECE)):
                 pieces.append(piece)
                 size += len(piece)
-    except zstandard.ZstdError:  # the bytes read before are kept
+    except zstandard.ZstdError:  # keep the bytes read so far
         pass
     data = b"".join(pieces)
     end = 0
@@ -104,15 +100,6 @@ def _unpacked_open(packed: bytes, most: int) -> bytes:
             break
         end += 9 + length
     return data[:end]
-
-
-def _decompressor() -> zstandard.ZstdDecompressor:
-    """Return the decompressor of this thread, which is cached because its tables are as large as a chunk."""
-    import zstandard
-
-    if not hasattr(_of_thread, "decompressor"):
-        _of_thread.decompressor = zstandard.ZstdDecompressor()
-    return _of_thread.decompressor
 
 
 def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
@@ -125,7 +112,9 @@ def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
             declared = zstandard.frame_content_size(packed)
             if declared not in (-1, chunk.size):  # checked before allocating that size
                 raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {declared}.")
-            return _decompressor().decompress(packed, max_output_size=chunk.size)
+            if not hasattr(_of_thread, "decompressor"):  # cached, because its tables are as large as a chunk
+                _of_thread.decompressor = zstandard.ZstdDecompressor()
+            return _of_thread.decompressor.decompress(packed, max_output_size=chunk.size)
         if chunk.compression == "lz4":
             import lz4.frame
 
@@ -147,8 +136,8 @@ ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFS
 _FOOTER_SIZE = 9 + 20
 _MESSAGE = struct.Struct("<HIQQ")
 OPEN = (1 << 64) - 1
-"""Length field of a chunk that was never finished."""
-_PRIVATE = 128  # from here on, record kinds are private to the writer
+"""Value of the length fields of an unfinished chunk."""
+_PRIVATE = 128  # first record kind that is private to the writer
 
 # Exceptions raised by reading corrupt bytes.
 DAMAGE = (
@@ -159,7 +148,7 @@ DAMAGE = (
 
 @dataclass(slots=True)
 class Channel:
-    """A channel: topic, type, schema and its encoding, encoding of the messages, and a map of strings.
+    """Channel: topic, type, schema and its encoding, encoding of the messages, and a map of strings.
 
     Schema bytes that are not UTF-8, as in protobuf, are escaped as surrogates.
     """
@@ -174,7 +163,7 @@ class Channel:
 
 @dataclass(slots=True)
 class Attached:
-    """An attachment: name, kind, time, and the byte range of its data [start, stop)."""
+    """Attachment: name, media type, time, and the byte range [start, stop) of its data."""
 
     name: str
     media_type: str
@@ -242,18 +231,14 @@ def _by_summary(view: memoryview) -> Contents | None:
             _register(found, view, kind, body, stop)
         elif kind == CHUNK_INDEX:
             found.chunks.append(_indexed_chunk(view, body))
-        elif kind == ATTACHMENT_INDEX:
-            at = struct.unpack_from("<Q", view, body)[0]
-            found.attachments.append(_attachment(view, at + 9))
-        elif kind == METADATA_INDEX:
-            at = struct.unpack_from("<Q", view, body)[0]
-            _metadata(found, view, at + 9)
+        elif kind in (ATTACHMENT_INDEX, METADATA_INDEX):
+            at = struct.unpack_from("<Q", view, body)[0] + 9
+            _take(found, view, ATTACHMENT if kind == ATTACHMENT_INDEX else METADATA, at, len(view))
         elif kind == STATISTICS:
             (chunk_count,) = struct.unpack_from("<I", view, body + 22)
     header = next(records(view, len(MAGIC), len(view)), None)
     if header is not None:  # otherwise its length is corrupt, but the summary is intact
-        found.profile, at = _text(view, header[1])
-        found.library, _ = _text(view, at)
+        _take(found, view, HEADER, *header[1:])
     whole = found.channels and found.chunks and chunk_count == len(found.chunks)
     found.indexed = all(chunk.indexes for chunk in found.chunks)
     _check_sizes(found, view)
@@ -285,7 +270,7 @@ def _by_walking(view: memoryview) -> Contents:
 
 
 def _check_sizes(found: Contents, view: memoryview) -> None:
-    """Raise if all chunks together unpack to far more than the file size; skip single chunks that do."""
+    """Raise an error if the chunks unpack to far more than the file size in total; ignore single chunks that do."""
     most = most_unpacked(len(view))
     whole = sum(chunk.size for chunk in found.chunks if chunk.size <= most)
     if whole > most:
@@ -316,7 +301,7 @@ def _take(found: Contents, view: memoryview, kind: int, body: int, stop: int) ->
         found.library, _ = _text(view, at)
     elif kind in (SCHEMA, CHANNEL):
         number = int.from_bytes(view[body : body + 2], "little")
-        if number not in (found._schemas if kind == SCHEMA else found.channels):  # otherwise repeated in the summary
+        if number not in (found._schemas if kind == SCHEMA else found.channels):  # otherwise repeated by the summary
             _register(found, view, kind, body, stop)
     elif kind == CHUNK:
         found.chunks.append(_chunk(view, body, stop))
@@ -327,15 +312,16 @@ def _take(found: Contents, view: memoryview, kind: int, body: int, stop: int) ->
     elif kind == ATTACHMENT:
         found.attachments.append(_attachment(view, body))
     elif kind == METADATA:
-        _metadata(found, view, body)
+        name, at = _text(view, body)
+        found.metadata[name] = _map(view, at, len(view))
     elif kind == MESSAGE:
         found.loose.append((body, stop))
-    elif kind == 0 or DATA_END < kind < _PRIVATE:  # a corrupt first byte
+    elif kind == 0 or DATA_END < kind < _PRIVATE:  # the first byte is corrupt
         raise LogError(f"Expected a record kind from {HEADER} to {DATA_END}, got {kind}.")
 
 
 def _find_channels(found: Contents, view: memoryview) -> None:
-    """Read schemas and channels from the chunks; without a summary they are stored nowhere else."""
+    """Read the schemas and channels from the chunks, their only location in a file without a summary."""
     used = {channel for chunk in found.chunks for channel in chunk.indexes}
     for number, chunk in enumerate(found.chunks):
         if number and used and used <= found.channels.keys():
@@ -394,11 +380,6 @@ def _attachment(view: memoryview, body: int) -> Attached:
         raise LogError(f"Expected an attachment of {length} bytes at byte {body}, got the end of the file.")
     (log_ns,) = struct.unpack_from("<Q", view, body)
     return Attached(name, media_type, log_ns, (at + 8, at + 8 + length))
-
-
-def _metadata(found: Contents, view: memoryview, body: int) -> None:
-    name, at = _text(view, body)
-    found.metadata[name] = _map(view, at, len(view))
 
 
 def _text(view: memoryview, at: int, errors: str = "strict") -> tuple[str, int]:

@@ -36,7 +36,7 @@ def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
 
 
 def _rename(part: Path, target: Path) -> None:
-    """Rename the finished copy to its final name, unless that name is now in use."""
+    """Rename the finished copy to its final name, unless another file has this name by now."""
     try:
         os.link(part, target)  # never replaces a file, as a rename would
     except FileExistsError:
@@ -52,15 +52,15 @@ def copied_channel(writer: McapWriter, channel: Channel) -> int:
     return writer.channel(channel.topic, channel.encoding, schema, channel.metadata)
 
 
-_EVENTS = "rcl_interfaces/msg/Log"  # on the wall clock even if the rows are not, as in lockstep
+_EVENTS = "rcl_interfaces/msg/Log"  # stamped by the wall clock even if the rows are not, as in lockstep
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
     """Result of `recover`.
 
-    `path`: the recovered file; `messages`: number of messages; `torn`: bytes lost at the end of the original;
-    `lost_chunks`: corrupt chunks skipped; `seconds`: time from the first to the last message, without events.
+    `path`: the recovered file; `messages`: number of messages; `torn`: number of bytes lost at the end of the original;
+    `lost_chunks`: number of corrupt chunks; `seconds`: time from the first to the last message, except events.
     """
 
     path: Path
@@ -121,7 +121,7 @@ def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress 
                 if found.channels[channel].type != _EVENTS:
                     times = [min(log, *times), max(log, *times)] if times else [log, log]
                 count += 1
-        writer.close_chunk()  # preserves the chunk boundaries of the recorder
+        writer.close_chunk()  # keeps the chunk boundaries of the recorder
         if progress and piece:
             progress(piece.stop, len(view), "copied")
     writer.finish()

@@ -1,4 +1,4 @@
-"""`McapWriter`: an MCAP file that is readable up to the last `push`, even after a crash.
+"""`McapWriter`: writes an MCAP file that is readable up to the last `push`, even after a crash.
 
 The current chunk is already in the file. Its header marks it as open (length 2^64 - 1, as in other writers) and is
 followed by one zstd frame that grows block by block. Data passed to the kernel by `push` survives a crash;
@@ -29,7 +29,7 @@ _CHUNK = struct.Struct("<BQQQQII4sQ")  # record, times, size, checksum, "zstd", 
 _CHUNK_BODY = _CHUNK.size - 9
 _OPENED = _CHUNK.pack(kinds.CHUNK, kinds.OPEN, 0, 0, 0, 0, 4, b"zstd", kinds.OPEN)
 _ENTRY = struct.Struct("<QQ")
-_KEPT = 2**16  # bytes of the chunk index in memory, five minutes of one arm
+_KEPT = 2**16  # bytes of the chunk index kept in memory: five minutes of one arm
 
 
 class _WritableFile(Protocol):
@@ -60,7 +60,7 @@ class _OpenChunk:
 class _Index:
     """Records for the end of the file, buffered in an unnamed temporary file, because a day of recording takes 20 MB.
 
-    If other code closes its descriptor, the data is lost and `taken` raises.
+    If other code closes its descriptor, the data are lost and `taken` raises an error.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -107,7 +107,8 @@ class McapWriter:
         self._channels: list[bytes] = []
         self._counts: dict[int, int] = {}
         self._times: tuple[int, int] | None = None  # first and last time of all chunks
-        self._index, self._chunks = _Index(_folder(file)), 0
+        name = getattr(file, "name", None)
+        self._index, self._chunks = _Index(Path(name).parent if isinstance(name, str) else None), 0
         self._attachments: list[bytes] = []
         self._metadata: list[bytes] = []
         self._put(kinds.MAGIC + _record(kinds.HEADER, _text(profile), _text(library)))
@@ -166,7 +167,7 @@ class McapWriter:
         self.records(record, {channel: _ENTRY.pack(log_ns, self.size)}, log_ns, log_ns)
 
     def records(self, data: bytes, entries: Mapping[int, bytes], first_ns: int, last_ns: int) -> None:
-        """Add encoded message records, from `kernels.RowEncoder`, and their range of times [ns]."""
+        """Add message records encoded by `kernels.RowEncoder`, with their first and last time [ns]."""
         chunk = self._chunk
         if chunk is None:
             chunk = self._chunk = _OpenChunk(self._at, self._compressor.compressobj(), first_ns)
@@ -178,12 +179,12 @@ class McapWriter:
         chunk.first_ns, chunk.last_ns = min(chunk.first_ns, first_ns), max(chunk.last_ns, last_ns)
 
     def push(self) -> None:
-        """Pass all messages to the kernel; they then survive a crash of this process, but not of the machine."""
+        """Pass all messages to the kernel, where they survive a crash of this process, but not of the machine."""
         if self._chunk is not None and self._chunk.pending:
             self._push(self._chunk, self._block)
 
     def close_chunk(self) -> None:
-        """Finish the current chunk (if any) by writing its last bytes, its final header and its indexes."""
+        """Finish the current chunk, if any: write its last bytes, its final header and its indexes."""
         from zstandard import COMPRESSOBJ_FLUSH_FINISH
 
         chunk, self._chunk = self._chunk, None
@@ -230,28 +231,25 @@ class McapWriter:
         self._put(packed)
 
     def _write_header(self, start: int, header: bytes) -> None:
-        """Overwrite the open header of a chunk completely or not at all, because a mixture would hide the rows."""
+        """Overwrite the open header of a chunk completely or not at all, because a mixture would hide its messages."""
         try:
             self._file.seek(start)
-            self._write(header)
+            _write_all(self._file.write, header)
         except BaseException:
             with contextlib.suppress(OSError):
                 self._file.seek(start)
-                self._write(_OPENED)
+                _write_all(self._file.write, _OPENED)
             raise
         self._file.seek(self._at)
 
     def _put(self, data: bytes) -> None:
         try:
-            self._write(data)
+            _write_all(self._file.write, data)
         except BaseException:  # a partial write would be read as messages missing from the index
             with contextlib.suppress(OSError):
                 self._file.truncate(self._at)
             raise
         self._at += len(data)
-
-    def _write(self, data: bytes) -> None:
-        _write_all(self._file.write, data)
 
     def _statistics(self) -> bytes:
         first, last = self._times or (0, 0)
@@ -266,12 +264,6 @@ def _write_all(write: Callable[[Any], int], data: bytes | bytearray) -> None:
     done = write(data)
     while done < len(data):
         done += write(memoryview(data)[done:])
-
-
-def _folder(file: _WritableFile) -> Path | None:
-    """Return the folder of a file, or None."""
-    name = getattr(file, "name", None)
-    return Path(name).parent if isinstance(name, str) else None
 
 
 def _record(kind: int, *parts: bytes) -> bytes:

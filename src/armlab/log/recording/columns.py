@@ -1,4 +1,4 @@
-"""Locations of a recording's columns in its MCAP file, and its row messages."""
+"""Columns of a recording in its MCAP file, and the messages that define its rows."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _QUATERNION_LENGTH = 1e-3  # accepted error of the norm
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One column in a file: its channel, its message fields, its description."""
+    """Location of one column in a file: its channel and message fields, with its description."""
 
     channel: int
     fields: tuple[str, ...]
@@ -40,7 +40,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """All rows of one robot in a recording (N,); `kept` is the mask of the rows in its table."""
+    """All rows (N,) of one robot in a recording; `kept` is the mask of the rows in its table."""
 
     channel: int
     sequence: np.ndarray
@@ -52,12 +52,12 @@ class Rows:
 
 
 def clocks(found: Contents) -> dict[int, str]:
-    """Return the channels whose messages are rows, with their topics, one per robot."""
+    """Return the channels whose messages are rows, one per robot, with their topics."""
     return {number: channel.topic for number, channel in found.channels.items() if CLOCK_KEY in channel.metadata}
 
 
 def clock_channel(found: Contents, path: Path, robot: str | None) -> int:
-    """Return the channel whose messages are the rows of a robot (None: the only robot)."""
+    """Return the channel whose messages are the rows of a robot (default: the only robot)."""
     robots = clocks(found)
     if not robots:
         topics = ", ".join(f"{c.topic} ({c.type})" for c in found.channels.values()) or "none"
@@ -102,7 +102,7 @@ def _source(channel: int, topic: str, key: str, text: str) -> Source:
 
 
 def _values(name: str, source: Source, decoded: Decoded, rows: Decoded, damage: list[str]) -> np.ndarray | None:
-    """Return a column aligned with the rows of the table, or None if no message has it. Append to `damage`."""
+    """Return a column aligned with the rows of the table, or None if no message has it; note faults in `damage`."""
     parts = [decoded.fields.get(path) for path in source.fields]
     there = [part for part in parts if part is not None]
     if len(there) < len(parts) or not parts:
@@ -121,7 +121,7 @@ def _values(name: str, source: Source, decoded: Decoded, rows: Decoded, damage: 
 
 
 def _poses(array: np.ndarray, name: str) -> tuple[np.ndarray, int]:
-    """Return positions and quaternions xyzw (k, 7) as matrices (k, 16), NaN if invalid, and the invalid count."""
+    """Convert positions and quaternions xyzw (k, 7) to matrices (k, 16), NaN if invalid; count the invalid rows."""
     if array.shape[1] != 7:
         raise LogError(f"Expected 7 numbers per pose in {name}, got {array.shape[1]}.")
     no_pose = np.abs(np.linalg.norm(array[:, 3:], axis=1) - 1.0) > _QUATERNION_LENGTH  # false where missing
@@ -131,7 +131,7 @@ def _poses(array: np.ndarray, name: str) -> tuple[np.ndarray, int]:
 
 
 def _on_rows(array: np.ndarray, sequence: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Align values with the rows of equal sequence number; other rows are NaN."""
+    """Assign values to the rows with equal sequence numbers; other rows are NaN."""
     if np.array_equal(sequence, rows):
         return array
     order = np.argsort(rows, kind="stable")
@@ -144,7 +144,7 @@ def _on_rows(array: np.ndarray, sequence: np.ndarray, rows: np.ndarray) -> np.nd
 
 
 def kept_clock(found: Contents, sources: Mapping[str, Source], t0_ns: int, clock: str) -> tuple[int, str]:
-    """Return the wall clock at t = 0 and the name of the clock, as stored with a column `t`, otherwise as given."""
+    """Return the wall clock at t = 0 [ns] and the clock name stored with a column `t`; default: those given."""
     about = found.channels[sources["t"].channel].metadata if "t" in sources else {}
     return int(about.get(T0_KEY, t0_ns)), about.get(CLOCK_NAME_KEY, clock)
 
@@ -152,7 +152,7 @@ def kept_clock(found: Contents, sources: Mapping[str, Source], t0_ns: int, clock
 def columns_at(
     view: memoryview, found: Contents, clock: int, sources: Mapping[str, Source], progress: Progress | None = None
 ) -> tuple[dict[str, np.ndarray], Decoded, list[str]]:
-    """Return the columns in the messages, the clock messages, and the damage."""
+    """Return the columns, the clock messages, and notes on damage."""
     fields: dict[int, list[str]] = {clock: []}
     for source in sources.values():
         fields.setdefault(source.channel, []).extend(source.fields)
@@ -163,7 +163,7 @@ def columns_at(
 
 
 def rows_of(view: memoryview, found: Contents, path: Path, robot: str | None = None) -> Rows:
-    """Return the rows of a robot in a recording without their columns."""
+    """Return the rows of a robot in a recording, without their columns."""
     clock = clock_channel(found, path, robot)
     sources = sources_of(found, clock)
     needed = {name: sources[name] for name in CLOCK_COLUMNS if name in sources}
@@ -176,7 +176,7 @@ def rows_of(view: memoryview, found: Contents, path: Path, robot: str | None = N
 
 
 def earlier(view: memoryview, found: Contents) -> tuple[str, ...]:
-    """Return the origins of the rows of a file written by `write`, `cut` or `merge`."""
+    """Return the origins of the rows in a file written by `write`, `cut` or `merge`."""
     chain = summary_of(view, found).get("source", [])
     return tuple(str(entry) for entry in chain) if isinstance(chain, list) else ()
 
@@ -186,15 +186,15 @@ def summary_of(view: memoryview, found: Contents) -> dict[str, Any]:
     for one in found.attachments:
         if one.name == "summary.json":
             try:
-                told = json.loads(bytes(view[slice(*one.data)]))
+                summary = json.loads(bytes(view[slice(*one.data)]))
             except (ValueError, RecursionError):
                 return {}
-            return told if isinstance(told, dict) else {}
+            return summary if isinstance(summary, dict) else {}
     return {}
 
 
 def torn_sentence(path: Path, found: Contents, table: Table) -> str:
-    """Return the sentence about the recovered part of an unfinished file and how to repair it."""
+    """Return a note on the recovered part of an unfinished file and on how to repair it."""
     seconds = float(table.t[-1] - table.t[0]) if len(table) else 0.0
     return (
         f"{path.name} was not finished: recovered {len(table)} rows ({seconds:.3f} s), {found.torn} bytes truncated; "

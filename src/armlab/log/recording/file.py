@@ -26,12 +26,10 @@ _FLAGS = os.O_WRONLY | getattr(os, "O_CLOEXEC", 0)
 
 
 class PersistentFile:
-    """A new file, opened for unbuffered writing.
+    """New file, opened for unbuffered writing.
 
     If other code closes its descriptor, the file is reopened by its path, and writing continues at the same position.
     """
-
-    closed: bool
 
     def __init__(self, path: str | Path) -> None:
         self.name: str = str(Path(path).absolute())
@@ -50,7 +48,7 @@ class PersistentFile:
             return self._descriptor.number
 
     def write(self, data: bytes | bytearray | memoryview) -> int:
-        """Write, and return the number of bytes written."""
+        """Write data and return the number of bytes written."""
         done = os.write(self.fileno(), data)
         self._at += done
         return done
@@ -80,13 +78,13 @@ class PersistentFile:
         return Descriptor(number)
 
 
-MAX_CHUNK_ROWS = 250  # one second at 250 Hz, the most that a corrupt chunk loses, even after a stall
+MAX_CHUNK_ROWS = 250  # one second at 250 Hz: largest loss from a corrupt chunk, even after a stall
 _EVENT_TYPE = "rcl_interfaces/msg/Log"
 _PARAMETER_TYPE = "armlab_msgs/msg/Parameter"
 
 
 def recording_path(path: str | Path) -> Path:
-    """Return the name of a recording as a path."""
+    """Return the path of a recording after checking its extension."""
     path = Path(path)
     if path.suffix.lower() != ".mcap":
         raise ConfigError(
@@ -113,14 +111,10 @@ def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
 
 
 class RecordingFile:
-    """One recording: topics of one arm in an MCAP file (profile ros2, zstd), on disk from construction.
+    """Recording of one arm: an MCAP file (profile ros2, zstd), which exists on disk from construction.
 
     `clock`: for a layout with a column `t`, the wall clock at t = 0 [ns] and the name of the clock of `t`.
     """
-
-    path: Path
-    rows: int
-    last_stamp_ns: int
 
     def __init__(
         self,
@@ -150,7 +144,7 @@ class RecordingFile:
             raise LogError(f"Expected to write the log {self.path}, got: {error.strerror}.") from None
 
     def _register(self, robot: Robot) -> list[ros.Plan]:
-        """Register all schemas and channels; return the encoding plan for the row messages."""
+        """Register all schemas and channels, and return the encoding plans of the row messages."""
 
         def channel(name: str, message_type: str, metadata: dict[str, str]) -> int:
             schema = self._writer.schema(message_type, "ros2msg", ros.definition(message_type).encode())
@@ -167,7 +161,7 @@ class RecordingFile:
         return plans
 
     def write(self, rows: Sequence[bytes], first: int | None = None) -> None:
-        """Write the messages of rows, numbered from `first` or by ticks; they survive a crash of this process."""
+        """Write the messages of rows, numbered from `first` or by tick; they survive a crash of this process."""
         if self._opening and rows:
             self._open(_stamp(rows[0]))
         at = 0
@@ -183,7 +177,6 @@ class RecordingFile:
                 self.close_chunk()
 
     def event(self, text: str, stamp_ns: int, tick: int = 0) -> None:
-        """Write one event."""
         if self._opening:
             self._open(stamp_ns)
         self._writer.message(self._events, tick & 0xFFFFFFFF, stamp_ns, stamp_ns, ros.event(stamp_ns, text))
@@ -194,13 +187,11 @@ class RecordingFile:
         self.event(text, stamp_ns)
 
     def parameter(self, sequence: int, name: str, value: Any, who: str, stamp_ns: int) -> None:
-        """Write a new parameter value."""
         data = ros.parameter(stamp_ns, sequence, name, value, who)
         self._writer.message(self._parameters, sequence & 0xFFFFFFFF, stamp_ns, stamp_ns, data)
         self._writer.push()
 
     def attach(self, name: str, data: bytes) -> None:
-        """Add an attachment."""
         media = "application/json" if name.endswith(".json") else "application/octet-stream"
         self._writer.attach(self.last_stamp_ns, name, media, data)
 
@@ -234,7 +225,7 @@ class RecordingFile:
             self._file.close()
 
     def close_chunk(self) -> None:
-        """Finish the current chunk, if any, so that other programs can read it."""
+        """Finish the current chunk so that other programs can read it."""
         self._writer.close_chunk()
         self._chunk_rows = 0
 

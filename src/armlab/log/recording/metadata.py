@@ -1,7 +1,7 @@
 """Metadata, attachments and events of a recording, with secrets removed.
 
-An attached file without secrets is kept byte for byte. Otherwise its values are rewritten without comments, with secret
-values replaced by ``***``. A file that cannot be parsed is omitted.
+An attached file without secrets is kept byte for byte. Otherwise it is rewritten without comments, with secret values
+replaced by ``***``. A file that cannot be parsed is omitted.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SECRET = re.compile(r"token|password|passwd|secret|api[-_ ]?key", re.IGNORECASE)
 
 _TOLD = re.compile(rf"((?:{SECRET.pattern})[\w.-]*+[\"']?\s*[=:]\s*)\S[^\n]*", re.IGNORECASE)  # secrets within a string
 _HIDDEN = "***"
-_LEFT_OUT = b"# left out: it may hold a secret, and its values could not be told apart\n"
+_LEFT_OUT = b"# omitted: this file may contain a secret, but it could not be parsed\n"
 _TOP = " "  # section name for the lines before the first section of an INI file
 
 
@@ -50,7 +50,7 @@ def redacted(name: str, data: bytes) -> bytes:
     """Return a file with its secrets removed."""
     if Path(name).suffix.lower() not in _FORMATS:
         return bytes(data)
-    plain = data.replace(b"\0", b"").decode("latin-1")  # also finds names in UTF-16
+    plain = data.replace(b"\0", b"").decode("latin-1")  # UTF-16 names are found, too
     mentions = SECRET.search(plain) is not None
     if not mentions and "\\" not in plain:  # "\u0074oken" is also a name
         return bytes(data)
@@ -64,7 +64,7 @@ def redacted(name: str, data: bytes) -> bytes:
 
 
 def _without(value: Any, known: dict[int, Any]) -> Any:
-    """Return nested tables, lists and strings without secrets; shared parts are converted once."""
+    """Return nested tables, lists and strings without secrets; convert shared parts once."""
     if id(value) in known:
         return known[id(value)]
     if isinstance(value, dict):
@@ -82,7 +82,6 @@ def _without(value: Any, known: dict[int, Any]) -> Any:
 
 
 def _from_yaml(text: str) -> list[Any]:
-    """Return the documents of a file."""
     from ruamel.yaml import YAML
 
     parser = YAML(typ="safe", pure=True)
@@ -152,7 +151,7 @@ def metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[
 
 
 def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return the attachments of a recording as bytes by name: the robot's description, and settings without secrets."""
+    """Return the attachments of a recording by name: the robot's description, and the given files without secrets."""
     found: dict[str, bytes] = {}
     with suppress(RobotError):  # an invalid robot name must not stop the recording
         found[ROBOT] = to_toml(robot).encode()
@@ -173,7 +172,7 @@ def described(attachments: Mapping[str, bytes], name: str, origin: str) -> Robot
 
 @cache
 def revision(folder: Path) -> str:
-    """Return the commit of the folder's git repository, with + for modified files; empty without a repository."""
+    """Return the commit of the folder's git repository, with + if files were modified; "" without a repository."""
     words = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
     try:
         alone = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}  # read-only access
@@ -202,15 +201,13 @@ One = TypeVar("One")
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Event: wall clock [ns] and text."""
-
     stamp_ns: int
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Parameter change: wall clock [ns], number (0 at the start), name, value and author."""
+    """Parameter change; `sequence` is 0 for the initial value, `who` is the author."""
 
     stamp_ns: int
     sequence: int
@@ -221,8 +218,6 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """Topic of the file: name, message type, number of messages."""
-
     name: str
     type: str
     messages: int
@@ -232,10 +227,9 @@ class Topic:
 class Inspection:
     """Content of a recording other than its table.
 
-    `path`, `size`: the file and its bytes; `finished`: whether the file was closed properly; `torn`: bytes lost at the
-    end; `metadata`: records of string maps by name, "armlab" with the writing program and the robot; `topics`,
-    `events`, `parameters`: in order; `attachments`: bytes by name; `summary`: counts written at the end, or empty;
-    `robots`: robots with rows.
+    `size`: bytes of the file; `finished`: whether the file was closed properly; `torn`: bytes lost at the end;
+    `metadata`: string maps by name, of which "armlab" describes the writing program and the robot; `attachments`: bytes
+    by name; `summary`: counts written at the end, or empty; `robots`: names of the robots with rows.
     """
 
     path: Path
@@ -270,7 +264,7 @@ def inspect(path: str | Path) -> Inspection:
             torn=found.torn,
             metadata=found.metadata,
             topics=tuple(Topic(one.topic, one.type, counts[number]) for number, one in found.channels.items()),
-            events=_made(view, found, _EVENTS, _event),
+            events=_made(view, found, _EVENTS, lambda stamp_ns, _, held: Event(stamp_ns, str(held.texts["msg"]))),
             parameters=_made(view, found, _PARAMETERS, _setting),
             attachments={one.name: bytes(view[slice(*one.data)]) for one in found.attachments},
             summary=summary_of(view, found),
@@ -279,9 +273,9 @@ def inspect(path: str | Path) -> Inspection:
 
 
 def check_recorded(held: Inspection, robot: Robot) -> None:
-    """Raise `ModelMismatchError` unless a recording has rows of a robot and an identical description of it."""
+    """Raise a `ModelMismatchError` unless a recording has rows of a robot and an identical description of it."""
     about = {topic_name(pairs["robot"]): pairs for pairs in held.metadata.values() if pairs.get("robot")}
-    names = held.robots if len(held.robots) > 1 else tuple(about)  # as in topics, invalid characters replaced
+    names = held.robots if len(held.robots) > 1 else tuple(about)  # as in topics: invalid characters are replaced
     pairs = about.get(topic_name(robot.name), about[names[0]] if len(names) == 1 else {})
     name, digest = pairs.get("robot", robot.name), pairs.get("robot_hash", "")
     advice = "Pass the robot that was recorded, or continue with this one with force=True (--force)."
@@ -303,16 +297,12 @@ def _made(
     for number, channel in found.channels.items():
         if channel.type != type_ or channel.encoding != "cdr":
             continue
-        with suppress(LogError):  # a foreign type without a usable schema
+        with suppress(LogError):  # a foreign type without a valid schema
             types = cdr.definitions(channel.type, channel.schema, channel.schema_encoding)
             for _, stamp_ns, raw in messages(view, found, number):
                 with suppress(*DAMAGE):
                     made.append(make(stamp_ns, bytes(raw), cdr.layout(raw, channel.type, types)))
     return tuple(made)
-
-
-def _event(stamp_ns: int, raw: bytes, held: cdr.Layout) -> Event:
-    return Event(stamp_ns, str(held.texts["msg"]))
 
 
 def _setting(stamp_ns: int, raw: bytes, held: cdr.Layout) -> Setting:

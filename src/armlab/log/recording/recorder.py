@@ -1,4 +1,4 @@
-"""`Log` and `Tail`: rows in memory. `Recorder`: rows in an MCAP file, without blocking the loop.
+"""`Log` and `Tail` hold rows in memory; `Recorder` writes rows to an MCAP file without blocking the loop.
 
 The loop never wakes the writing thread, which would cost a system call per cycle and competition for the interpreter.
 Instead, the thread polls the queue.
@@ -28,11 +28,11 @@ from armlab.robots import Robot
 from armlab.state import Command, State
 
 _TAIL_RATE = 500.0  # rows per second in a Tail; EGM's fastest rate is 250
-_TAIL_ROWS = 1 << 40  # more than fit in any memory
+_TAIL_ROWS = 1 << 40  # more rows than fit in memory
 
 
 class Log:
-    """In-memory log that grows without copying; holds the standard and the user-defined columns.
+    """In-memory log of the standard and the user-defined columns, which grows without copying.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Log:
     def __init__(self, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
         self._robot = robot
         self._layout = RowLayout(robot, {**(extra or {}), "t": Column()})
-        self._rows: deque[bytes] = deque()  # bytes: nothing for the garbage collector to scan
+        self._rows: deque[bytes] = deque()  # bytes, which the garbage collector does not scan
         self._start_ns = time.time_ns() - time.monotonic_ns()
         self._pushed = 0
 
@@ -117,7 +117,7 @@ class Log:
 
 
 class Tail(Log):
-    """The last seconds of a log in a ring buffer of fixed size.
+    """Ring buffer with the last seconds of a log.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ class Recorder:
 
     Attributes
     ----------
-    rows, dropped : rows accepted and rows lost.
+    rows, dropped : number of rows accepted, and number of rows lost.
     failed : why the recorder stopped, or None.
 
     Raises
@@ -213,13 +213,10 @@ class Recorder:
     Notes
     -----
     A row is packed into bytes and queued (10 s of rows). If the queue is full, new rows are dropped and counted, and
-    two events mark the gap. A thread passes all rows to the kernel every 40 ms, so a killed process loses at most the
+    two events mark the gap. A thread passes all rows to the kernel every 40 ms, so a killed process loses only the
     rows since then. Another thread syncs the file every 0.8 s, which bounds the loss in a power failure; a slow sync
     does not delay rows. A write error stops the recorder, but never the loop.
     """
-
-    rows: int
-    dropped: int
 
     def __init__(
         self,
@@ -235,8 +232,8 @@ class Recorder:
         self._pack, self._known = self._layout.pack, self._layout.extra.keys()
         self._file = RecordingFile(recording_path(path), robot, self._layout, dict(attachments or {}), note)
         self.path: Path = self._file.path
-        self.rows = 0
-        self.dropped = 0
+        self.rows: int = 0
+        self.dropped: int = 0
         self.failed: str | None = None
         self._stopped = f"The log {self.path} stopped."
         self._wait = wait
@@ -323,10 +320,10 @@ class Recorder:
             self._guarded(lambda: self._file.finish({**(summary or {}), **counts}))
 
     def _run(self) -> None:
-        """Write queued items until the recorder is closed."""
         self._guarded(self._write_queue)
 
     def _write_queue(self) -> None:
+        """Write queued items until the recorder is closed."""
         due, is_last = time.monotonic() + FLUSH_PERIOD, False
         while not is_last:
             self._wake.wait(WRITE_PERIOD)
@@ -351,19 +348,19 @@ class Recorder:
         self._file.write(rows)
 
     def _guarded(self, work: Callable[[], None]) -> None:
-        """Run a step on the file; an error stops the recorder and is stored in `failed`."""
+        """Run a file operation; an error stops the recorder and is stored in `failed`."""
         try:
             work()
-        except Exception as error:  # the loop continues, and no caller could catch the error
+        except Exception as error:  # the loop must continue, and no caller could catch the error
             try:
                 reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
                 self.failed = f"The log {self.path} stopped after {self._file.rows} rows: {reason}."
-            except Exception:  # there may be no memory for a message
+            except Exception:  # no memory for a message
                 self.failed = self._stopped
             self._file.abandon()
 
     def _has_room(self) -> bool:
-        """Trigger early writing of a long queue; return whether there is room for a row (`wait`: wait for room)."""
+        """Trigger early writing of a long queue; return whether it has room for a row (with `wait`: wait for room)."""
         self._wake.set()
         while self._wait and len(self._queue) >= QUEUE_ROWS and self.failed is None:
             time.sleep(0.001)
@@ -385,7 +382,7 @@ class Recorder:
             self.event(f"{hole[2]} rows dropped, ticks {hole[0]} to {hole[1]}", stamp_ns)
 
     def _complain(self, text: str, tick: Tick) -> None:
-        """Write an event on its first occurrence, up to a limit, because varying texts must not fill the disk."""
+        """Write an event unless it is a repetition; the limit keeps varying texts from filling the disk."""
         if text not in self._complained and len(self._complained) < MOST_COMPLAINTS:
             self._complained.add(text)
             self.event(text, tick.stamp_ns)

@@ -1,4 +1,4 @@
-"""Topics of a recording: mapping of columns to ROS 2 messages, which are encoded by patching templates."""
+"""Topics of a recording: columns are mapped to ROS 2 messages, which are encoded by patching templates."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ POSE_FIELDS = tuple(f"pose.position.{axis}" for axis in "xyz") + tuple(f"pose.or
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic in a robot's namespace, with the message fields of each column.
+    """Topic in a robot's namespace, with the message fields of each column.
 
-    Sequences of `optional` columns may be empty; the messages of the `clock` are the rows of the table.
+    Sequences of `optional` columns may be empty; the messages of the topic with `clock` are the rows of the table.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Topic:
             about |= {"frame": column.frame, "kind": column.kind, "labels": list(column.labels)}
             if missing is not None:
                 about["missing"] = missing
-            if paths == POSE_FIELDS:  # a user-defined pose keeps its 16 numbers
+            if paths == POSE_FIELDS:  # a user-defined pose is stored as 16 numbers
                 about["encoding"] = "position xyz, quaternion xyzw"
             data[COLUMN_KEY + name] = json.dumps(about)
         return data
@@ -91,21 +91,18 @@ def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
     ]
     own = [name for name in layout.extra if name not in found[-1].fields]
     found += [column_topic(name) for name in ("q_planned", "q_ext", "wrench", *SELDOM)]
-    found += [
-        _sensor(name) if name.endswith(_RAW) and layout.slots[name].size == 6 else column_topic(name) for name in own
-    ]
+    for name in own:
+        source = name.removesuffix(_RAW)
+        if source != name and layout.slots[name].size == 6:  # a force sensor that is a separate source
+            topic = f"wrench/{topic_name(source)}"
+            found.append(Topic(topic, "geometry_msgs/msg/WrenchStamped", {name: WRENCH_FIELDS}, source))
+        else:
+            found.append(column_topic(name))
     names = distinct({place: topic.name for place, topic in enumerate(found)})  # columns "a.b" and "a_b" collide
     return [replace(topic, name=names[place]) for place, topic in enumerate(found)]
 
 
-def _sensor(name: str) -> Topic:
-    """Return the topic of a force sensor that is a separate source, as measured: ``wrench/<source>``."""
-    source = name.removesuffix(_RAW)
-    return Topic(f"wrench/{topic_name(source)}", "geometry_msgs/msg/WrenchStamped", {name: WRENCH_FIELDS}, source)
-
-
 def column_topic(name: str) -> Topic:
-    """Return the topic of a single column."""
     return Topic(f"columns/{topic_name(name)}", "armlab_msgs/msg/Column", {name: ("values",)})
 
 
@@ -157,7 +154,7 @@ def parameter(stamp_ns: int, sequence: int, name: str, value: Any, who: str) -> 
 
 
 def _in_utf8(text: str) -> str:
-    """Return an encodable string, because a lone surrogate (from JSON or a file name) must not end a recording."""
+    """Escape lone surrogates, which JSON or file names may contain, because they must not end a recording."""
     return text.encode(errors="backslashreplace").decode()
 
 
@@ -165,7 +162,7 @@ Plan = tuple[int, bool, list[tuple[int, bytes, bool]], list[tuple[bytes, list[tu
 
 
 def plan(channel: int, topic: Topic, slots: Mapping[str, Slot]) -> Plan:
-    """Return the `kernels.RowEncoder` plan for the messages of a topic: templates from rosbags, copy operations."""
+    """Return the plan of `kernels.RowEncoder` for a topic: message templates from rosbags, and copy operations."""
     held = {name: slots[name] for name in topic.fields}
     columns = [(slot.start, slot.nothing, name in topic.optional) for name, slot in held.items()]
     optional = [name for name in held if name in topic.optional]
@@ -205,7 +202,7 @@ def _merged(copies: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
 
 
 def _serialised(topic: Topic, counts: Mapping[str, int]) -> bytes:
-    """Return a message of the topic with zeros and sequences of length `counts`."""
+    """Serialise a message with zeros in all fields and sequences of length `counts`."""
     message = blank(topic.type)
     message.header.frame_id = topic.frame_id
     if topic.labels:
@@ -218,7 +215,7 @@ def _serialised(topic: Topic, counts: Mapping[str, int]) -> bytes:
 
 
 def blank(name: str) -> Any:
-    """Return a message of a type with zeros and empty strings and sequences."""
+    """Return a message with zeros, empty strings and empty sequences."""
     values = {}
     for field_name, (node, detail) in store().fielddefs[name][1]:
         if int(node) == 2:

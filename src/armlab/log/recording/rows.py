@@ -1,4 +1,4 @@
-"""One row of a recording as bytes, packed in the loop within a few microseconds and unpacked offline."""
+"""Rows of a recording as bytes, packed in the loop within a few microseconds and unpacked offline."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ JOINTS = {
     "tau_sent": "tick.tau_sent",
 }  # fmt: skip
 ESTIMATE = {"wrench_hat": Column((6,)), "wrench_hat_cov": Column((6, 6))}
-# column -> source, form (see `kernels.RowPacker`) and shape
+# column -> source, form (see `kernels.RowPacker`), shape
 FIXED: dict[str, tuple[str, str, tuple[int, ...]]] = {
     "wrench_raw": ("state.wrench_raw", "doubles", (6,)),
     "wrench": ("state.wrench", "doubles", (6,)),
@@ -51,9 +51,9 @@ _SELDOM = {
     "rapid_digital_sent": ("tick.rapid_digital_sent", "said", ()),
 }
 SELDOM = tuple(_SELDOM)
-"""Columns of commanded axes and of values exchanged with RAPID; they form the end of a row, which most rows omit."""
+"""Columns of commanded axes and of values exchanged with RAPID, at the end of a row; most rows omit them."""
 
-_DTYPES = {"count": "<i8", "code": "<i8", "flag": "u1", "bits": "u1"}  # by form; others are floats
+_DTYPES = {"count": "<i8", "code": "<i8", "flag": "u1", "bits": "u1"}  # by form; default: float
 
 
 class Tick(NamedTuple):
@@ -61,18 +61,18 @@ class Tick(NamedTuple):
 
     Attributes
     ----------
-    number : tick number of the bridge, increasing.
+    number : increasing tick number of the bridge.
     seq_sent : sequence number of the reply, -1 if none was sent.
     stamp_ns : wall clock at start plus monotonic time since start, int64 nanoseconds.
-    receive_ns, send_ns : time of arrival, and time just before sending (-1 if nothing was sent).
-    step_ns : time spent in the controller.
+    receive_ns, send_ns : time of arrival, and time just before sending (-1 if nothing was sent) [ns].
+    step_ns : time spent in the controller [ns].
     late : whether the controller missed its deadline.
-    drops : datagrams dropped so far.
+    drops : number of datagrams dropped so far.
     q_sent, qd_sent, tau_sent : (n,) references sent after the limits, or None.
     clamped : (n,) bits of the active limits, or None.
     record : values that the bridge adds to declared columns, besides those of the Command.
     q_ext_sent, rapid_data_sent, rapid_digital_sent : values sent to external axes and to RAPID, or None.
-    wake_ns : wake-up latency from the packet's arrival, by the kernel's stamp if available, to the running loop; -1 if
+    wake_ns : latency from the arrival of the packet, stamped by the kernel if possible, to the running loop [ns]; -1 if
         unknown.
     """
 
@@ -97,7 +97,7 @@ class Tick(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """Position of one column in a row: bytes [start, stop) of type `dtype`; `missing` marks missing values."""
+    """Position of one column in a row: bytes [start, stop) of type `dtype`, and the marker of missing values."""
 
     column: Column
     start: int
@@ -120,11 +120,8 @@ class Slot:
 class RowLayout:
     """Layout of the rows of one arm: the standard columns and the columns declared in `extra`.
 
-    `pack` encodes one row of State, Command or None, and Tick. Values are copied; None and empty values count as
-    missing.
+    `pack` encodes a State, a Command (or None) and a Tick as one row. None and empty values count as missing.
     """
-
-    size: int
 
     def __init__(self, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
         if not isinstance(robot, Robot):
@@ -134,7 +131,7 @@ class RowLayout:
             name: resolved(column, name) for name, column in {**ESTIMATE, **(extra or {})}.items()
         }
         self.slots: dict[str, Slot] = {}
-        self.size = 0
+        self.size: int = 0
         self._places: list[tuple[str, str, str, str, bytes, Any]] = []
         self._add_standard(robot)
         for name, (source, form, shape) in FIXED.items():
@@ -177,7 +174,7 @@ class RowLayout:
         self.size = stop
 
     def pack_values(self, values: Mapping[str, Any]) -> bytes:
-        """Return one row as bytes from values by column name; omitted values are missing."""
+        """Encode values by column name as one row; omitted values are missing."""
         row = bytearray(self._empty)
         for name, value in values.items():
             slot = self.slots.get(name)
@@ -190,7 +187,7 @@ class RowLayout:
         return bytes(row)
 
     def unpack(self, rows: Iterable[bytes]) -> dict[str, np.ndarray]:
-        """Return the columns (N, ...) of many rows; missing counts are NaN, missing clocks 0."""
+        """Decode rows into columns (N, ...); missing counts are NaN, missing clocks are 0."""
         rows = list(rows)
         longest = max(map(len, rows), default=self._short)
         rest = self._empty[self._short : longest]
@@ -207,9 +204,9 @@ class RowLayout:
 
 
 def with_holes(values: np.ndarray, missing: int | None) -> np.ndarray:
-    """Return the values as floats with NaN instead of the missing marker.
+    """Return the values with NaN in place of the missing marker.
 
-    A clock keeps its missing marker 0, because conversion to floats would change nanoseconds by about a hundred.
+    A clock keeps its missing marker 0, because a float would round its value to about a hundred nanoseconds.
     """
     if missing is None or missing == NO_CLOCK:
         return values

@@ -1,4 +1,4 @@
-"""`cut` and `merge`: write a segment of a recording, or several recordings, as one complete file."""
+"""`cut` writes a segment of a recording as a complete file; `merge` joins several recordings in one file."""
 
 from __future__ import annotations
 
@@ -26,32 +26,13 @@ from armlab.log.recording.file import recording_path
 from armlab.log.recording.ros_messages import COLUMN_KEY, clock_metadata, column_topic, definition, topic_name
 from armlab.log.recording.rows import Slot
 
-_SECONDS = struct.Struct("<4sIIIB3xI4xd")  # a message of the column t: stamp, empty frame name, one number
-_NUMBERS = 1 << 32  # sequence numbers in MCAP
+_SECONDS = struct.Struct("<4sIIIB3xI4xd")  # message of the column t: stamp, empty frame name, one number
+_NUMBERS = 1 << 32  # number of sequence numbers in MCAP
 _NEVER = (1 << 63) - 1
-
-
-def seconds_channel(prefix: str, clock: dict[str, str]) -> Channel:
-    """Return the channel of the column `t`, used when its times differ from those of the messages."""
-    topic = column_topic("t")
-    metadata = topic.metadata({"t": Slot(resolved(Column(), "t"), 0, 8, "<f8")}) | clock
-    return Channel(f"{prefix}{topic.name}", topic.type, definition(topic.type), "ros2msg", "cdr", metadata)
 
 
 class SplicedRows:
     """Selected rows of one robot in a file, with their times `t` and numbers in the new file."""
-
-    path: Path
-    prefix: str
-    name: str
-    robot_hash: str
-    rows: Rows
-    seconds: int | None
-    seconds_number: int
-    t: np.ndarray
-    t0_ns: int
-    inside: bool
-    is_over: bool
 
     def __init__(self, path: Path, prefix: str, robot_hash: str, rows: Rows, seconds: int | None) -> None:
         self.path, self.prefix, self.name, self.robot_hash = path, prefix, prefix.strip("/"), robot_hash
@@ -70,12 +51,12 @@ class SplicedRows:
 
     @property
     def start_ns(self) -> int:
-        """Wall clock of the first row; without rows, the largest value, so that an empty recording sets no clock."""
+        """Wall clock of the first row [ns]; without rows the largest value, so that an empty file sets no clock."""
         return self._wall(0) if self.rows.kept.any() else _NEVER
 
     @property
     def end_ns(self) -> int:
-        """Wall clock of the last row."""
+        """Wall clock of the last row [ns]."""
         return self._wall(-1)
 
     @property
@@ -85,7 +66,7 @@ class SplicedRows:
 
     @property
     def ticks(self) -> tuple[int, int]:
-        """Numbers of the first and the last selected row in the original file."""
+        """Numbers of the first and last selected rows in the original file."""
         numbers = self.rows.sequence[self._first : self._last]
         return (int(numbers[0]), int(numbers[-1])) if len(numbers) else (0, -1)
 
@@ -96,19 +77,19 @@ class SplicedRows:
         wanted = kept[(t >= start) & (t < stop)]
         if len(wanted) == 0:
             self._first, self._last = 0, 0
-        else:  # messages before the first or after the last row of the table belong to that row
+        else:  # messages before the first row of the table or after the last row belong to that row
             self._first = int(wanted[0]) if wanted[0] > kept[0] else 0
             self._last = int(wanted[-1]) + 1 if wanted[-1] < kept[-1] else len(self.rows.t)
         self.inside = self._first == 0 and self._last > 0
 
     def follow(self, first: SplicedRows, before: SplicedRows) -> None:
-        """Convert the rows to the clock of the robot's first recording, and continue the previous numbering."""
+        """Convert the rows to the clock of the first recording, and number them after the previous recording."""
         self.t, self.t0_ns = self.rows.t + (self.rows.t0_ns - first.t0_ns) / 1e9, first.t0_ns
         own, last = self.t[self.rows.kept], before.t[before.rows.kept]
         if len(own) and len(last) and own[0] <= last[-1]:
             raise LogError(
                 f"Expected {self.path} of {self.name} to begin after the end of {before.path} at {last[-1]:.6g} s, got "
-                f"{own[0]:.6g} s. Cut one of them, or join them in Python: log.concat and Table.shifted."
+                f"{own[0]:.6g} s. Cut one of the two, or join them in Python: log.concat and Table.shifted."
             )
         if len(self.rows.sequence) and len(before.rows.sequence):
             highest = int(before.rows.sequence.max()) + before._offset
@@ -119,7 +100,7 @@ class SplicedRows:
         return (sequence + self._offset) % _NUMBERS
 
     def arrive(self, sequence: int, log_ns: int) -> bytes | None:
-        """Process the start of a row; return the message with its t, or None if the row is not selected."""
+        """Process the start of a row; return the message with its time t, or None if the row is not selected."""
         place = self._place.get(sequence)
         if place is None:
             return None
@@ -141,7 +122,7 @@ Message = tuple[int, int, int, int, bytes]  # channel, sequence, log and publish
 
 @dataclass(slots=True)
 class Source:
-    """One recording: its bytes, contents and robots, the origins of its rows, and its channels in the new file."""
+    """Recording: its bytes, contents and robots, the origins of its rows, and its channels in the new file."""
 
     path: Path
     view: memoryview
@@ -153,12 +134,12 @@ class Source:
 
     @property
     def start_ns(self) -> int:
-        """Wall clock of the first row."""
+        """Wall clock of the first row [ns]."""
         return min(arm.start_ns for arm in self.arms)
 
     @property
     def end_ns(self) -> int:
-        """Wall clock of the last row."""
+        """Wall clock of the last row [ns]."""
         return max(arm.end_ns for arm in self.arms)
 
     def keep(self, robot: str) -> None:
@@ -170,9 +151,9 @@ class Source:
         self.found.channels = {number: one for number, one in channels if not one.topic.startswith(others)}
 
     def taken(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> tuple[Message, ...]:
-        """Return the messages for the new file: none, the message, or the message and its `t`.
+        """Return the messages for the new file: the message if it is selected, and for a row also the message of its t.
 
-        Messages between the first and the last selected row and earlier parameter values are kept.
+        Messages between the first and the last selected row, and earlier parameter values, are selected.
         """
         route = self._routes.get(channel)
         if route is None:
@@ -203,13 +184,14 @@ class Source:
 
 @contextmanager
 def opened_source(path: Path) -> Iterator[Source]:
-    """Open a recording, finished or unfinished."""
+    """Open a finished or unfinished recording."""
     check_readable(path)
     with opened(path) as view:
         with undamaged(f"recording in {path}", DAMAGE):
             with naming(path):
                 found = contents(view)
-            clock_channel(found, path, None) if not clocks(found) else None  # raises for other files
+            if not clocks(found):
+                clock_channel(found, path, None)  # raises an error that lists the topics
             arms = [_arm(path, view, found, topic) for topic in clocks(found).values()]
         if not found.finished:
             warnings.warn(f"{path.name} was not finished: using the readable part", stacklevel=3)
@@ -225,29 +207,8 @@ def _arm(path: Path, view: memoryview, found: Contents, topic: str) -> SplicedRo
     return SplicedRows(path, prefix, about.get("robot_hash", ""), rows_of(view, found, path, name), seconds)
 
 
-def metadata(sources: list[Source]) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the maps of all sources by name; maps with the same name but different contents get numbered names."""
-    known: dict[str, dict[str, str]] = {}
-    for source in sources:
-        for name, pairs in source.found.metadata.items():
-            own = _own_name(name, pairs, known)
-            if own is not None:
-                yield own, pairs
-
-
-def attachments(sources: list[Source]) -> Iterator[tuple[int, str, str, bytes]]:
-    """Yield (time, name, kind, data) of the attachments of all sources, except their summaries."""
-    known: dict[str, bytes] = {}
-    for source in sources:
-        for one in source.found.attachments:
-            data = bytes(source.view[slice(*one.data)])
-            own = None if one.name == _SUMMARY else _own_name(one.name, data, known)
-            if own is not None:
-                yield one.log_ns, own, one.media_type, data
-
-
 def _own_name(name: str, content: Any, known: dict[str, Any]) -> str | None:
-    """Return the name, numbered if it is used for other content; None if the content is already present."""
+    """Return the name, with a number if other content has it; None if the content is already present."""
     stem, dot, ending = name.partition(".")
     number, own = 1, name
     while own in known:
@@ -259,7 +220,7 @@ def _own_name(name: str, content: Any, known: dict[str, Any]) -> str | None:
     return own
 
 
-def summary(sources: list[Source], operation: str) -> dict[str, Any]:
+def _summary(sources: list[Source], operation: str) -> dict[str, Any]:
     """Return the summary of the new file: rows, dropped rows, and origins."""
     holes = [hole for source in sources for hole in _holes(source)]
     originals: dict[str, Any] = {}
@@ -276,7 +237,7 @@ def summary(sources: list[Source], operation: str) -> dict[str, Any]:
 
 
 def _holes(source: Source) -> list[list[Any]]:
-    """Return the gaps between the selected rows: first and last tick, rows, first number in the new file, robot."""
+    """Return the gaps between the selected rows: first and last tick, row count, new number of the first row, robot."""
     found = []
     for first, last, rows, *more in summary_of(source.view, source.found).get("holes", []):
         begin, robot = (more[0] if more else first), (more[1] if len(more) > 1 else None)
@@ -372,7 +333,7 @@ def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | N
 
 
 def _line_up(arms: list[SplicedRows]) -> None:
-    """Convert the recordings of one robot to the clock of the first, with continued numbering."""
+    """Convert the recordings of one robot to the clock of the first, and number their rows consecutively."""
     first, before = arms[0], arms[0]
     for arm in arms[1:]:
         if arm.robot_hash != first.robot_hash:
@@ -385,7 +346,7 @@ def _line_up(arms: list[SplicedRows]) -> None:
 
 
 def _check_together(arms: dict[str, list[SplicedRows]]) -> None:
-    """Raise if robots did not run simultaneously."""
+    """Raise an error if robots did not run simultaneously."""
     spans = {
         name: (min(arm.start_ns for arm in pieces), max(arm.end_ns for arm in pieces))
         for name, pieces in arms.items()
@@ -408,14 +369,21 @@ def _write(to: Path, sources: list[Source], operation: str, progress: Progress |
         part.unlink()
     with new_file(to, part, replace=True) as file:
         writer = McapWriter(file, sources[0].found.profile, sources[0].found.library)
-        for name, pairs in metadata(sources):
-            writer.metadata(name, pairs)
-        for log_ns, name, media_type, data in attachments(sources):
-            writer.attach(log_ns, name, media_type, data)
+        known: dict[str, Any] = {}
+        for source in sources:
+            for name, pairs in source.found.metadata.items():
+                if (own := _own_name(name, pairs, known)) is not None:
+                    writer.metadata(own, pairs)
+        known = {}
+        for source in sources:
+            for one in source.found.attachments:
+                data = bytes(source.view[slice(*one.data)])
+                if one.name != _SUMMARY and (own := _own_name(one.name, data, known)) is not None:
+                    writer.attach(one.log_ns, own, one.media_type, data)
         _register(writer, sources)
         lost = _copy(writer, sources, progress)
-        told = json.dumps(summary(sources, operation), indent=1).encode()
-        writer.attach(max(source.end_ns for source in sources), "summary.json", "application/json", told)
+        data = json.dumps(_summary(sources, operation), indent=1).encode()
+        writer.attach(max(source.end_ns for source in sources), _SUMMARY, "application/json", data)
         writer.finish()
     if lost:
         warnings.warn(f"{lost} corrupt chunks are missing in {to.name}", stacklevel=3)
@@ -436,15 +404,19 @@ def _register(writer: McapWriter, sources: list[Source]) -> None:
                     f"Expected messages of the same kind on {channel.topic}, but those in {source.path} differ from "
                     f"those in {where} in type, units or joint names."
                 )
-        for arm in source.arms:
-            channel = seconds_channel(arm.prefix, clock_metadata(arm.t0_ns, arm.rows.clock))
+        for arm in source.arms:  # the column t, because its times may differ from those of the messages
+            topic = column_topic("t")
+            pairs = topic.metadata({"t": Slot(resolved(Column(), "t"), 0, 8, "<f8")})
+            pairs |= clock_metadata(arm.t0_ns, arm.rows.clock)
+            name = f"{arm.prefix}{topic.name}"
+            channel = Channel(name, topic.type, definition(topic.type), "ros2msg", "cdr", pairs)
             if channel.topic not in known:
                 known[channel.topic] = (channel, copied_channel(writer, channel), source.path)
             arm.seconds_number = known[channel.topic][1]
 
 
 def _copy(writer: McapWriter, sources: list[Source], progress: Progress | None) -> int:
-    """Copy the messages chunk by chunk, ordered by time; return the number of corrupt chunks."""
+    """Copy the messages chunk by chunk in time order; return the number of corrupt chunks."""
     total, done, lost = sum(len(source.view) for source in sources), 0, 0
     for source, piece in _in_order(sources):
         data = records_at(source.view, source.found, piece)
@@ -462,7 +434,7 @@ def _copy(writer: McapWriter, sources: list[Source], progress: Progress | None) 
 
 
 def _in_order(sources: list[Source]) -> Iterator[tuple[Source, Any]]:
-    """Yield the chunks by time, keeping the order within each file and for each robot."""
+    """Yield the chunks in time order, but keep the order within each file and for each robot."""
     latest: dict[str, int] = {}
     keyed = []
     for source in sources:

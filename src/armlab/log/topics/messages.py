@@ -1,4 +1,4 @@
-"""Messages of foreign logs by topic: ROS 2 (MCAP and sqlite3), ROS 1, JSON, protobuf."""
+"""Messages of foreign logs by topic: ROS 2 (MCAP and SQLite), ROS 1, JSON and protobuf."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from armlab.errors import LogError
 from armlab.log.column import refuse_ragged
 from armlab.log.file_formats.description import Progress
 from armlab.log.mcap import decode
-from armlab.log.mcap.records import Channel, Contents
+from armlab.log.mcap.records import Contents
 from armlab.log.topics.streams import TopicFields
 from armlab.wire import cdr
 
 Numbers = dict[str, Any]
-"""Dotted name -> a number, or a list of them."""
+"""Dotted name -> number or list of numbers."""
 
 _MAX_DEPTH = 32
-_MAX_NAMES = 4096  # per message; larger messages are point clouds or maps
-_LARGEST = 2**63  # larger integers are converted to floats, within the float range
+_MAX_NAMES = 4096  # fields per message; larger messages are point clouds or maps
+_LARGEST = 2**63  # larger integers are converted to floats
 _PROTOBUF_MESSAGE, _PROTOBUF_NUMBERS = 11, {1, 2, 3, 4, 5, 6, 7, 8, 13, 14, 15, 16, 17, 18}
 
 
 def decode_one_by_one(
     messages: Iterable[tuple[int, int, bytes]], numbers: Callable[[bytes], Numbers]
 ) -> tuple[decode.Decoded, int, str]:
-    """Return the numbers of (sequence, log time, bytes), the number of skipped messages, and the first reason."""
+    """Decode messages (sequence, log time, bytes); also return the number of skipped messages and the first reason."""
     sequence: list[int] = []
     log_ns: list[int] = []
     columns: dict[str, tuple[list[int], list[Any]]] = {}
@@ -61,7 +61,7 @@ def _size(value: Any) -> int:
 
 
 def _array(count: int, rows: list[int], values: list[Any], width: int) -> np.ndarray:
-    """Assemble numbers or lists of numbers by row as (N, k), with NaN elsewhere."""
+    """Assemble numbers or lists of numbers by row into an array (N, k) with NaN elsewhere."""
     if len(rows) == count and all(isinstance(value, bool) for value in values):
         return np.array(values)[:, None]
     if len(rows) == count and all(isinstance(value, int) for value in values):
@@ -76,7 +76,7 @@ def _array(count: int, rows: list[int], values: list[Any], width: int) -> np.nda
 
 
 def numbers_in_json(raw: bytes) -> Numbers:
-    """Return the numbers of a JSON message; lists of numbers are kept, strings are skipped."""
+    """Return the numbers and lists of numbers in a JSON message; strings are skipped."""
     found: Numbers = {}
     try:
         _collect(msgspec.json.decode(raw), "", found, 0)
@@ -129,7 +129,8 @@ def _collect_protobuf(message: Any, path: str, found: Numbers, depth: int) -> No
         return
     for member in message.DESCRIPTOR.fields:
         there, value = f"{path}.{member.name}" if path else member.name, getattr(message, member.name)
-        several = _is_repeated(member, value)
+        is_list = hasattr(value, "__len__") and not isinstance(value, str | bytes)  # older API of protobuf
+        several = getattr(member, "is_repeated", is_list)
         if member.type == _PROTOBUF_MESSAGE and several and not isinstance(value, Mapping):
             for index, inner in enumerate(value[:_MAX_NAMES]):
                 _collect_protobuf(inner, f"{there}[{index}]", found, depth + 1)
@@ -139,12 +140,7 @@ def _collect_protobuf(message: Any, path: str, found: Numbers, depth: int) -> No
             found[there] = [float(one) for one in value] if several else value
 
 
-def _is_repeated(field: Any, value: Any) -> bool:
-    """Return whether a field is a list or a map; supports both protobuf APIs."""
-    return bool(getattr(field, "is_repeated", hasattr(value, "__len__") and not isinstance(value, str | bytes)))
-
-
-_PACKAGES = {  # packages for software, not for robot data
+_PACKAGES = {  # packages without robot data
     "action_msgs", "diagnostic_msgs", "lifecycle_msgs", "rcl_interfaces", "rosgraph_msgs", "rosapi_msgs",
     "statistics_msgs", "type_description_interfaces", "visualization_msgs",
 }  # fmt: skip
@@ -157,7 +153,7 @@ _TYPES = {  # strings, images, point clouds, maps
 
 @dataclass(slots=True)
 class TopicMessages:
-    """Content read from the topics of a log: names, messages, skipped topics, and sentences about damage."""
+    """Content of the topics of a log: names, messages, skipped topics, and notes on damage."""
 
     fields: dict[str, TopicFields] = field(default_factory=dict)
     parts: dict[str, list[decode.Decoded]] = field(default_factory=dict)
@@ -210,8 +206,13 @@ def read_mcap_topics(
             if channel.encoding == "cdr":
                 types = cdr.definitions(channel.type, channel.schema, channel.schema_encoding)
                 readers[number] = into.reader(channel.topic, channel.type, types)
+            elif channel.encoding == "json":
+                others[number] = numbers_in_json
+            elif channel.encoding == "protobuf":
+                schema = channel.schema.encode(errors="surrogateescape")
+                others[number] = numbers_in_protobuf(channel.type, schema)
             else:
-                others[number] = _other_encoding(channel)
+                raise LogError(f"Expected messages encoded as cdr, json or protobuf, got {channel.encoding!r}.")
         except LogError as error:
             into.left_out[channel.topic] = str(error).rstrip(".")
     decoded, damage = decode.decode_by(view, found, readers, progress)
@@ -227,18 +228,10 @@ def read_mcap_topics(
         into.add(topic, one)
 
 
-def _other_encoding(channel: Channel) -> Callable[[bytes], dict[str, Any]]:
-    if channel.encoding == "json":
-        return numbers_in_json
-    if channel.encoding == "protobuf":
-        return numbers_in_protobuf(channel.type, channel.schema.encode(errors="surrogateescape"))
-    raise LogError(f"Expected messages encoded as cdr, json or protobuf, got {channel.encoding!r}.")
-
-
 def read_rosbags_topics(
     bag: Any, wanted: Callable[[str, str], bool], into: TopicMessages, progress: Progress | None = None
 ) -> None:
-    """Read topics of a bag opened by `rosbags`: rosbag2 in any storage, or ROS 1."""
+    """Read topics of a rosbag2 or a ROS 1 bag that `rosbags` has opened."""
     readers: dict[int, tuple[Any, decode.MessageReader, Callable[[bytes], bytes]]] = {}
     for connection in bag.connections:
         if not wanted(connection.topic, connection.msgtype):
@@ -256,10 +249,8 @@ def read_rosbags_topics(
     stamps: dict[int, list[int]] = {number: [] for number in readers}
     connections = [connection for connection, _, _ in readers.values()]
     total = max(sum(one.msgcount for one in connections), 1)
-    found: Iterator[Any] = (
-        bag.messages(connections) if connections else iter(())
-    )  # rosbags yields all messages for an empty selection
-    for done, (connection, stamp, raw) in enumerate(found):
+    # rosbags yields all messages for an empty selection
+    for done, (connection, stamp, raw) in enumerate(bag.messages(connections) if connections else ()):
         raws[connection.id].append(raw)
         stamps[connection.id].append(stamp)
         if progress and done % 10_000 == 0:
@@ -272,7 +263,7 @@ def read_rosbags_topics(
 
 
 def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes]]:
-    """Return the definitions of a connection's type (from the bag or ROS 2), and the converter of messages to CDR."""
+    """Return the definitions of a connection's type, from the bag or ROS 2, and a converter of messages to CDR."""
     from rosbags.interfaces import ConnectionExtRosbag1
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -300,7 +291,7 @@ def _types_of(connection: Any) -> tuple[cdr.Definitions, Callable[[bytes], bytes
 
 
 def _signed(description: Any) -> Any:
-    """Return the description of a ROS 1 field, with signed bytes."""
+    """Return the description of a ROS 1 field with its type byte as int8."""
     kind, detail = description
     if int(kind) > 2:
         return kind, (_signed(detail[0]), detail[1])
@@ -310,7 +301,7 @@ def _signed(description: Any) -> Any:
 def _decoded(
     raws: Sequence[bytes], stamps: np.ndarray, to_cdr: Callable[[bytes], bytes], reader: decode.MessageReader
 ) -> tuple[decode.Decoded, int, str]:
-    """Return the numbers in messages held in memory, the number of skipped messages, and a reason."""
+    """Decode messages in memory; also return the number of skipped messages and the first reason."""
     whole: list[bytes] = []
     kept: list[int] = []
     reason = ""
@@ -322,7 +313,8 @@ def _decoded(
             why = str(error).rstrip(".") or type(error).__name__
             reason = reason or f"Expected a {reader.type}, got {len(raw)} bytes that do not match it ({why})."
     same = decode.of_length(np.array([len(raw) for raw in whole], dtype=np.int64))
-    blocks = ((rows, _block([whole[row] for row in rows.tolist()])) for rows in same)
+    joined = ((rows, b"".join([whole[row] for row in rows.tolist()])) for rows in same)
+    blocks = ((rows, np.frombuffer(raw, dtype=np.uint8).reshape(len(rows), -1)) for rows, raw in joined)
     read = decode.read_blocks(len(whole), blocks, reader)
     rows = np.array(kept, dtype=np.int64)[read.rows]
     try:
@@ -332,13 +324,8 @@ def _decoded(
     return decode.Decoded(rows.astype(np.uint32), stamps[rows], fields), len(raws) - len(rows), reason or read.reason
 
 
-def _block(raws: Sequence[bytes]) -> np.ndarray:
-    """Return messages of equal length as bytes (k, length)."""
-    return np.frombuffer(b"".join(raws), dtype=np.uint8).reshape(len(raws), len(raws[0]))
-
-
 def _joined(parts: Sequence[decode.Decoded]) -> decode.Decoded:
-    """Return the messages of several files or channels joined."""
+    """Join the messages of several files or channels."""
     if len(parts) == 1:
         return parts[0]
     ends = np.cumsum([len(part.sequence) for part in parts]).tolist()

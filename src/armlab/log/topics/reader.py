@@ -1,4 +1,4 @@
-"""Reading logs of other programs: selection of topics, and tables of their streams."""
+"""Reader for logs of other programs: selects topics, and converts their streams to tables."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from armlab.robots import Robot
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 _SAME_RATE = 0.01  # relative
-_ANOTHER_CLOCK = 1.0  # s of delay from creation to recording, compared with the rows
+_ANOTHER_CLOCK = 1.0  # s, difference in recording delay that indicates a header of another clock
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Options of `read`: columns, robot, topic whose stamps define the rows, unordered rows."""
+    """Options of `read`; `clock` is the topic whose stamps define the rows."""
 
     columns: Sequence[str] | None = None
     robot: Robot | None = None
@@ -50,13 +50,18 @@ class Choice:
 
 
 def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, notes: Sequence[str]) -> Table:
-    """Return the table of a log's streams; values are held between messages, and extra columns give their age."""
+    """Return the table of several streams; values are held between messages, and extra columns give their age."""
     streams = [one for one in streams if len(one.log_ns)]
     if not streams:
         raise LogError(
             f"Expected topics with numbers in {path}, got no such topic{''.join(f'; {note}' for note in notes)}."
         )
-    clock = None if choice.clock is None else _topic(choice.clock, streams)
+    clock = None
+    if choice.clock is not None:
+        topics = {one.topic for one in streams}
+        clock = next((name for name in (choice.clock, f"/{choice.clock}") if name in topics), None)
+        if clock is None:
+            raise UnknownName.among("topic with numeric data in this file", choice.clock, topics)
     arm, told = _arm(path, streams, choice.robot, clock)
     if choice.robot is not None:
         streams = [_in_order(one, choice.robot) for one in streams]
@@ -74,7 +79,7 @@ def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, note
 
 
 def tables_of_streams(path: Path, streams: Sequence[Stream], choice: Choice) -> dict[str, Table]:
-    """Return each stream as a table by topic; if a topic has several, the first column becomes part of the name."""
+    """Return a table per stream by topic; if a topic has several streams, their names include the first column."""
     tables: dict[str, Table] = {}
     counts = Counter(one.topic for one in streams)
     for one in streams:
@@ -88,18 +93,10 @@ def tables_of_streams(path: Path, streams: Sequence[Stream], choice: Choice) -> 
     return tables
 
 
-def _topic(clock: str, streams: Sequence[Stream]) -> str:
-    topics = {one.topic for one in streams}
-    found = [name for name in (clock, f"/{clock}") if name in topics]
-    if not found:
-        raise UnknownName.among("topic with numeric data in this file", clock, topics)
-    return found[0]
-
-
 def _arm(
     path: Path, streams: Sequence[Stream], robot: Robot | None, clock: str | None
 ) -> tuple[Stream | None, list[str]]:
-    """Return the JointState with the arm's q, qd and tau, and notes about its joints."""
+    """Return the JointState with the arm's q, qd and tau, and notes on its joints."""
     states = [one for one in streams if one.type == JOINTS]
     if robot is not None:
         if not states:
@@ -107,7 +104,7 @@ def _arm(
                 f"Expected a topic of type {JOINTS} with the joints of {robot.name} in {path}, got "
                 f"{rate_text(streams) or 'none'}."
             )
-        fitting = [one for one in states if _places(robot, one)]
+        fitting = [one for one in states if joints_among(robot, one.joints)]
         if not fitting:
             nearest = max(states, key=lambda one: len({*one.joints} & {*robot.ros_joint_names}))
             raise LogError(_mismatch(path, robot, nearest))
@@ -126,20 +123,16 @@ def _arm(
         )
     if not best:
         return None, []
-    others = [name for name in best[0].joints if robot is not None and name not in _places(robot, best[0])]
+    others = [name for name in best[0].joints if robot is not None and name not in joints_among(robot, best[0].joints)]
     note = f"skipped in {best[0].topic}, not joints of {robot.name if robot else ''}: {', '.join(others)}"
     return best[0], [note] if others else []
-
-
-def _places(robot: Robot, stream: Stream) -> list[str]:
-    return joints_among(robot, stream.joints)
 
 
 def joints_among(robot: Robot, names: Sequence[str]) -> list[str]:
     """Return the names that are joints of the robot, in its order; empty if one is missing.
 
-    The names may be ROS names or those of the robot description. A common prefix, as used by drivers for two arms, is
-    ignored.
+    Both the ROS names and the names of the robot description count. A common prefix, as used by drivers for two arms,
+    is ignored.
     """
     for wanted in (robot.ros_joint_names, robot.joint_names):
         prefixes = ["", *dict.fromkeys(name.removesuffix(wanted[0]) for name in names if name.endswith(wanted[0]))]
@@ -160,12 +153,12 @@ def _mismatch(path: Path, robot: Robot, stream: Stream) -> str:
 
 
 def _in_order(stream: Stream, robot: Robot) -> Stream:
-    names = _places(robot, stream) if stream.type == JOINTS else []
+    names = joints_among(robot, stream.joints) if stream.type == JOINTS else []
     return stream.ordered(names) if names else stream
 
 
 def _named(streams: Sequence[Stream], arm: Stream | None) -> tuple[list[Stream], list[str]]:
-    """Return the streams with the column names of the table, and notes about them."""
+    """Return the streams with the column names of the table, and notes on them."""
     wrenches = [one for one in streams if one.type == WRENCH]
     names: dict[tuple[int, str], str] = {}
     notes = []
@@ -195,7 +188,7 @@ def _is(one: Stream, arm: Stream | None) -> bool:
 
 
 def _wanted(named: Sequence[Stream], columns: Sequence[str], clock: str | None) -> list[Stream]:
-    """Return the required streams: the requested columns and the clock."""
+    """Return the streams with the requested columns and the clock."""
     known = {name for one in named for name in one.values}
     for name in columns:
         if name.removesuffix("_age") not in known and name not in known:
@@ -239,7 +232,7 @@ def _table(rows: Stream, streams: Sequence[Stream], notes: Sequence[str], raw: b
 
 
 def _on_clock(stream: Stream, rows: Stream) -> np.ndarray:
-    """Return creation times [ns] on the clock of the rows: from the header, or recording time minus the delay."""
+    """Return creation times [ns] on the clock of the rows: header stamps, or recording times minus the delay."""
     if rows.stamp_ns is None:
         return stream.log_ns
     delay = np.median(rows.log_ns - rows.stamp_ns)
@@ -253,7 +246,7 @@ def _joined(table: Table, other: Stream, stamps: np.ndarray, rows: np.ndarray) -
     columns = {name: replace(one, shape=()) for name, one in other.columns.items()}
     if len(stamps) == len(table) and len(rows) == len(table) and np.array_equal(stamps, rows):
         return replace(table, values={**table.values, **other.values}, columns={**table.columns, **columns})
-    if other.topic.endswith("/tf_static"):  # valid at all times, whenever published
+    if other.topic.endswith("/tf_static"):  # valid at all times
         stamps = np.minimum(stamps, table.t0_ns)
     order = np.argsort(stamps, kind="stable")
     order = order[np.append(np.diff(stamps[order]) > 0, True)]  # keeps the last of equal stamps
@@ -266,7 +259,7 @@ Wanted = Callable[[str, str], bool]
 
 
 def is_foreign(path: Path) -> bool:
-    """Return whether a path is a foreign log: a bag, or an MCAP file not written by armlab."""
+    """Return whether a path is a log of another program: a bag, or an MCAP file not written by armlab."""
     kind = format_at(path)
     if kind == "MCAP":
         with opened(path) as view, naming(path):
@@ -276,7 +269,7 @@ def is_foreign(path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """Content of a log: options including the robot, topics, and unfinished files."""
+    """Content of a log: its topics and unfinished files, with the options including the robot."""
 
     files: Sequence[Path]
     choice: Choice
@@ -373,7 +366,7 @@ def _held_in_mcap(files: Sequence[Path], choice: Choice, robot: Robot | str | No
 
 
 def _streams(topics: TopicMessages) -> tuple[list[Stream], list[str]]:
-    """Return the streams of all topics, and the faults found."""
+    """Return the streams of all topics, and notes on faults."""
     streams: list[Stream] = []
     notes: list[str] = []
     for topic, fields, decoded in topics.decoded():
@@ -432,7 +425,7 @@ def _chosen(topics: dict[str, str], choice: Choice, robot: Robot | str | None) -
 
 
 def _needed(topics: dict[str, str], columns: Sequence[str] | None) -> set[str]:
-    """Return the topics that may contain the columns; all topics if a column is unknown, for the error message."""
+    """Return the topics that may contain the columns; if a column is unknown, all topics, for the error message."""
     if columns is None:
         return set(topics)
     needed: set[str] = set()
@@ -442,11 +435,11 @@ def _needed(topics: dict[str, str], columns: Sequence[str] | None) -> set[str]:
         if not held:
             return set(topics)
         needed |= held
-    together = {topics[one] for one in needed} & {JOINTS, WRENCH}  # their names depend on each other
+    together = {topics[one] for one in needed} & {JOINTS, WRENCH}  # types whose column names depend on each other
     return needed | {one for one, kind in topics.items() if kind in together}
 
 
 def names_robots(path: Path) -> bool:
-    """Return whether the topics of a log identify robots, so that `read` accepts robot=; plain tables do not."""
+    """Return whether the topics of a log identify robots, so that `read` accepts robot=."""
     kind = format_at(path)
     return kind == "MCAP" or (kind in BAGS and not (kind == "rosbag2" and is_ours(path)))

@@ -1,4 +1,4 @@
-"""Column names for the numbers in ROS messages (by joint, frame, wrench, pose), and streams of columns from topics.
+"""Column names for the numbers in ROS messages (joints, wrenches, poses, frames), and streams of columns from topics.
 
 The messages of a topic become fields (N, k) by dotted name (`mcap.decode`), and the fields become columns of a `Table`.
 At any depth of a message, a Wrench becomes one column (N, 6), and a Pose or Transform one column of matrices (N, 4, 4).
@@ -36,16 +36,16 @@ _HEADER = "std_msgs/msg/Header"
 _MARKED = {JOINTS, _HEADER, "std_msgs/msg/MultiArrayLayout", *_SIX, *_POSES}
 _TRANSFORMS = "geometry_msgs/msg/TransformStamped"
 _LENGTH = 1e-3  # accepted error of a quaternion's norm
-_BYTES = 64  # a longer byte array is an image, not a measurement
+_BYTES = 64  # longest byte array that is a measurement instead of an image
 _INDEX = re.compile(r"\[[^\]]*\]")
 
 
 @dataclass(slots=True)
 class TopicFields:
-    """Assigns names to the numbers of one message type, using the names stored in its strings.
+    """Names for the numbers of one message type, taken from the strings in its messages.
 
-    `parts`: dotted name without indices -> type of each nested message that forms one column; `joints`: prefix of a
-    JointState -> lists of names; `frames`: dotted name of a header or pair of frames -> its frame.
+    `parts`: dotted name without indices -> type of a nested message that forms one column; `joints`: prefix of a
+    JointState -> lists of joint names; `frames`: dotted name of a frame_id -> frame.
     """
 
     type: str
@@ -69,7 +69,7 @@ class TopicFields:
                 self._find(inner, there)
 
     def named(self, found: cdr.Layout) -> list[cdr.Field]:
-        """Return the numbers of a message with joint and frame names in place of indices."""
+        """Return the fields of a message with joint and frame names in place of indices."""
         pairs, fields = {}, []
         for path, text in found.texts.items():
             if path.endswith("frame_id") and isinstance(text, str):
@@ -89,7 +89,7 @@ class TopicFields:
         return fields
 
     def _by_joint(self, one: cdr.Field, found: cdr.Layout) -> Sequence[cdr.Field]:
-        """Return the numbers of a JointState one by one, with the names of their joints."""
+        """Split the fields of a JointState into one field per joint, with the joint name."""
         prefix, _, last = one.path.rpartition(".")
         if last not in JOINT_PARTS or self.parts.get(_INDEX.sub("", prefix)) != JOINTS:
             return [one]
@@ -108,7 +108,7 @@ class TopicFields:
 def columns_of_fields(
     topic: TopicFields, fields: Mapping[str, np.ndarray]
 ) -> tuple[dict[str, np.ndarray], dict[str, Column], list[str]]:
-    """Return the columns by dotted name, their descriptions, and the faults found; fields are (N, k)."""
+    """Convert fields (N, k) to columns by dotted name; also return their descriptions and notes on faults."""
     groups: dict[tuple[str, str], dict[str, np.ndarray]] = {}
     for path, array in fields.items():
         prefix = _whole(topic, path)
@@ -138,7 +138,7 @@ def _whole(topic: TopicFields, path: str) -> str | None:
 def _made(
     topic: TopicFields, prefix: str, kind: str, parts: Mapping[str, np.ndarray], notes: list[str]
 ) -> dict[str, tuple[np.ndarray, Column]]:
-    """Return the columns of one nested message, or of one run of numbers."""
+    """Return the columns of one nested message or one field."""
     inner = {path[len(prefix) :].lstrip(".") if kind else "": array for path, array in parts.items()}
     if kind == JOINTS:
         return _joint_columns(topic, prefix, inner, notes)
@@ -154,7 +154,14 @@ def _made(
                 f"{lost} poses of {prefix or 'the message'} are missing: their quaternions do not have unit norm"
             )
         return {prefix: (matrices, Column(unit=unit, frame=frame, kind="pose"))}
-    return {path: (_scalars(array), _number(array)) for path, array in parts.items()}
+    made = {}
+    for path, array in parts.items():
+        array = array[:, 0] if array.shape[1] == 1 else array
+        if array.dtype == np.uint64 and (array > np.iinfo(np.int64).max).any():
+            array = array.astype(float)
+        column_kind = {"i": "count", "u": "count", "b": "flag"}.get(array.dtype.kind, "real")
+        made[path] = (array, Column(unit="1", kind=column_kind))
+    return made
 
 
 def _joint_columns(
@@ -179,7 +186,7 @@ def _joint_columns(
 
 
 def _matrices(array: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return positions and quaternions xyzw (N, 7) as matrices (N, 4, 4), with NaN for invalid quaternions."""
+    """Convert positions and quaternions xyzw (N, 7) to matrices (N, 4, 4), NaN if invalid; count the invalid rows."""
     wrong = ~(np.abs(np.linalg.norm(array[:, 3:], axis=1) - 1.0) <= _LENGTH)
     given = np.isfinite(array).all(axis=1)
     quaternions = np.where(wrong[:, None], [0.0, 0.0, 0.0, 1.0], array[:, 3:])[:, [3, 0, 1, 2]]
@@ -198,26 +205,14 @@ def _frame(topic: TopicFields, prefix: str) -> str:
             return frame or ""
 
 
-def _scalars(array: np.ndarray) -> np.ndarray:
-    array = array[:, 0] if array.shape[1] == 1 else array
-    if array.dtype == np.uint64 and (array > np.iinfo(np.int64).max).any():
-        return array.astype(float)
-    return array
-
-
-def _number(array: np.ndarray) -> Column:
-    kind = {"i": "count", "u": "count", "b": "flag"}.get(_scalars(array).dtype.kind, "real")
-    return Column(unit="1", kind=kind)
-
-
-_NAMELESS = ("data", "value")  # fields of std_msgs; the only field of another type has a meaningful name
-_WALL = 10**18  # ns, 2001: later stamps are those of a wall clock
+_NAMELESS = ("data", "value")  # only fields of std_msgs types, whose names have no meaning
+_WALL = 10**18  # ns, in 2001: later stamps come from a wall clock
 _PAIR = re.compile(r"^(?P<list>[^\[]*)\[(?P<parent>[^\]>]*)>(?P<child>[^\]]*)\]\.transform$")
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """Columns of one topic with common times: recording time and, if there is a header, creation time."""
+    """Columns of one topic with common times: recording time and, with a header, creation time."""
 
     topic: str
     type: str
@@ -228,18 +223,17 @@ class Stream:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints of a JointState; empty for others."""
+        """Joint names of a JointState; empty for other types."""
         return next((one.labels for one in self.columns.values()), ()) if self.type == JOINTS else ()
 
     @property
     def rate(self) -> float:
-        """Messages per second [Hz]; 0 for fewer than two."""
+        """Message rate [Hz]; 0 for fewer than two messages."""
         stamps = self.log_ns if self.stamp_ns is None else self.stamp_ns
         length = (int(stamps.max()) - int(stamps.min())) / 1e9 if len(stamps) > 1 else 0.0
         return (len(stamps) - 1) / length if length > 0 else 0.0
 
     def rows(self, which: np.ndarray) -> Stream:
-        """Return a subset of the rows by mask or index."""
         stamps = None if self.stamp_ns is None else self.stamp_ns[which]
         values = {name: array[which] for name, array in self.values.items()}
         return replace(self, log_ns=self.log_ns[which], stamp_ns=stamps, values=values)
@@ -253,7 +247,7 @@ class Stream:
 
 
 def stem(topic: str) -> str:
-    """Return the prefix of a topic for column names: "/ft/wrench" is "ft.wrench"."""
+    """Return the prefix of column names for a topic: "/ft/wrench" gives "ft.wrench"."""
     return topic.strip("/").replace("/", ".")
 
 
@@ -268,7 +262,7 @@ def rate_text(streams: Sequence[Stream]) -> str:
 
 
 def streams_of(topic: str, fields: TopicFields, decoded: Decoded) -> tuple[list[Stream], list[str]]:
-    """Return the streams of a topic (one per publisher of transforms or joints) and the faults found in values."""
+    """Return the streams of a topic, one per publisher of transforms or joints, and notes on faults."""
     values, columns, notes = columns_of_fields(fields, decoded.fields)
     notes = [f"{topic}: {note}" for note in notes]
     if not values:
@@ -291,7 +285,7 @@ def streams_of(topic: str, fields: TopicFields, decoded: Decoded) -> tuple[list[
 
 
 def _stamps(fields: Mapping[str, np.ndarray], header: str) -> np.ndarray | None:
-    """Return the stamps (N,) [ns] of a header, or None without a header or if some are unset."""
+    """Return the stamps (N,) of a header [ns], or None if the header or a stamp is missing."""
     seconds, rest = fields.get(f"{header}.stamp.sec"), fields.get(f"{header}.stamp.nanosec")
     if seconds is None or rest is None or not np.isfinite(seconds).all() or not np.isfinite(rest).all():
         return None
@@ -302,7 +296,7 @@ def _stamps(fields: Mapping[str, np.ndarray], header: str) -> np.ndarray | None:
 
 
 def _by_joints(whole: Stream, lists: Sequence[tuple[str, ...]]) -> list[Stream]:
-    """Return a stream per set of joints published together, because an arm and its gripper may share a topic."""
+    """Split a stream by sets of joints published together, because an arm and its gripper may share a topic."""
     groups: list[set[str]] = []
     for names in lists:
         meeting = [group for group in groups if group & set(names)]
@@ -320,7 +314,7 @@ def _by_joints(whole: Stream, lists: Sequence[tuple[str, ...]]) -> list[Stream]:
 
 
 def _by_frames(whole: Stream, fields: Mapping[str, np.ndarray], order: np.ndarray) -> list[Stream]:
-    """Return a stream per set of transforms published together."""
+    """Split a stream by sets of transforms published together."""
     groups: dict[bytes, list[str]] = {}
     for name, array in whole.values.items():
         if _PAIR.match(name):
