@@ -83,7 +83,7 @@ CASES: list[tuple[type[Exception], str, Callable[[], Any]]] = [
     (ShapeError, "got", lambda: Measurement(ONE, TWO, COV, ("t",))),
     (ShapeError, "positive definite", lambda: Measurement(ONE, TWO, np.zeros((2, 2)), ("t", "R")).roots({})),
     (ShapeError, "in addition to estimated noise", lambda: Measurement(ONE, TWO, COV, ("t", "R"), added=COV)),
-    (ShapeError, "Give its covariance", lambda: Measurement(ONE, TWO, None, ("p", "q"), prior=True)),
+    (ShapeError, "Pass its covariance", lambda: Measurement(ONE, TWO, None, ("p", "q"), prior=True)),
     (ShapeError, r"cov of shape \(2, 2\)", lambda: made(np.eye(3))),
     (ShapeError, "finite covariance", lambda: made(np.diag([1.0, np.nan]))),
     (ShapeError, "non-negative diagonal", lambda: made(np.diag([1.0, -1.0]))),

@@ -1,10 +1,9 @@
 """Statistical contract of estimators: ten properties required of every `fit_*`, tested by one function.
 
-A fit runs on many experiments with known truth. Its stated uncertainty is compared with its actual errors:
-
-        NEES = e^T C^-1 e,    mean over runs = number of parameters, if the covariance C is consistent
-
-(Bar-Shalom, Li and Kirubarajan 2001). The other properties concern sample order, units, errors, files and side effects.
+A fit runs on many experiments with known truth, and its stated uncertainty is compared with its actual errors e. The
+normalised squared error NEES = e^T C^-1 e must be equal to the number of parameters, on average over the runs, if the
+covariance C is correct (Bar-Shalom, Li and Kirubarajan 2001). The other properties concern the order of the samples,
+units, error messages, files and side effects.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ from armlab.estimation.fit import Fit
 Verdict = tuple[bool | None, str]
 
 NORMAL_95 = 1.959963984540054
-ENOUGH = 1000  # runs needed to judge coverage and efficiency
-STANDARD_ERRORS = 3.0
+ENOUGH = 1000  # runs needed to judge coverage and efficiency, and for the limits of the benchmark
+STANDARD_ERRORS = 3.0  # by which few runs widen the limits
 GAUGE = 1e-6  # component of an unidentifiable direction beyond which a parameter depends on the gauge
 
 
 @dataclass(frozen=True, eq=False)
 class ContractTrial:
-    """Arguments of `check_estimator`; `done` caches runs shared by several checks."""
+    """Arguments of `check_estimator`, and a cache of the runs that several checks share."""
 
     fit: Callable[..., Fit[Any]]
     experiment: Callable[[int, int], Experiment]
@@ -51,7 +50,7 @@ class ContractTrial:
 
 @dataclass(frozen=True, eq=False)
 class FitRun:
-    """Error of one run with its stated covariance in the same coordinates."""
+    """Error of one run, with its stated covariance in the same coordinates."""
 
     e: np.ndarray
     C: np.ndarray
@@ -60,7 +59,7 @@ class FitRun:
 
     @property
     def nees(self) -> float:
-        """Squared error in the metric of the stated covariance, within its rank."""
+        """Squared error in the metric of the stated covariance, along its identified directions."""
         sd = _sd(self.C)
         values, vectors = np.linalg.eigh(self.C / np.outer(sd, sd))
         along = vectors.T @ (self.e / sd)
@@ -85,7 +84,7 @@ def _run(trial: ContractTrial, case: Experiment, fit: Fit[Any]) -> FitRun:
 
 
 def _runs(trial: ContractTrial, times: int) -> list[FitRun]:
-    """Return the runs with n times as many samples, computed once."""
+    """Return the runs with `times` as many samples, computed once."""
     key = f"runs {times}"
     if key not in trial.done:
         seeds = range(trial.seed, trial.seed + trial.runs)
@@ -95,7 +94,7 @@ def _runs(trial: ContractTrial, times: int) -> list[FitRun]:
 
 
 def _weight(runs: list[FitRun]) -> np.ndarray:
-    """Return the inverse of the mean stated covariance, which makes errors of different units comparable."""
+    """Return the inverse of the mean stated covariance, so that errors with different units are comparable."""
     C = np.mean([r.C for r in runs], axis=0)
     sd = _sd(C)
     return np.linalg.pinv(C / np.outer(sd, sd), rcond=1e-9, hermitian=True) / np.outer(sd, sd)
@@ -110,27 +109,27 @@ def _bound(runs: list[FitRun], W: np.ndarray) -> float:
 
 
 def _se(runs: list[FitRun]) -> float:
-    """Return the relative standard error of an RMS over these runs."""
+    """Return the relative standard error of an RMS over the runs."""
     return 1.0 / np.sqrt(2.0 * runs[0].rank * len(runs))
 
 
 def consistent(trial: ContractTrial) -> Verdict:
-    """The error halves with four times as many samples (relative to the bound for random experiments)."""
+    """Four times as many samples halve the error, or reduce it in proportion to the bound of random experiments."""
     few, many = _runs(trial, 1), _runs(trial, 4)
     W = _weight(few)
     ratio, found = _rms(many, W) / _rms(few, W), ""
     if all(r.bound is not None and r.bound.shape == W.shape for r in (*few, *many)):
         least = np.sqrt(_bound(many, W) / _bound(few, W))
-        ratio, found = 0.5 * ratio / least, f" ({ratio:.3f}, of the bound {least:.3f})"
+        ratio, found = 0.5 * ratio / least, f" (measured {ratio:.3f}, bound {least:.3f})"
     low, high = trial.limits.consistent
     slack = STANDARD_ERRORS * np.sqrt(2.0) * _se(few) * 0.5
     low, high = min(low, 0.5 - slack), max(high, 0.5 + slack)
-    text = f"ratio of the error with 4 N samples to that with N: {ratio:.3f}{found}, accepted {low:.2f} to {high:.2f}"
+    text = f"ratio of the errors with 4 N and N samples: {ratio:.3f}{found}, accepted {low:.2f} to {high:.2f}"
     return bool(low <= ratio <= high), text
 
 
 def honest(trial: ContractTrial) -> Verdict:
-    """The mean NEES equals its dimension, and 95 % intervals cover 95 %."""
+    """The mean NEES is equal to its dimension, and 95 % intervals contain 95 % of the true values."""
     runs = _runs(trial, 1)
     dim = runs[0].rank
     nees = float(np.mean([r.nees / r.rank for r in runs]))
@@ -140,7 +139,7 @@ def honest(trial: ContractTrial) -> Verdict:
     passed = low <= nees <= high
     text = f"NEES/{dim} {nees:.3f}, accepted {low:.2f} to {high:.2f}"
     inside = float(np.mean([np.abs(r.e) <= NORMAL_95 * np.sqrt(np.diag(r.C)) for r in runs]))
-    text += f"; stated 95 % covers {100 * inside:.1f} %"
+    text += f"; 95 % intervals contain {100 * inside:.1f} %"
     if len(runs) >= ENOUGH:
         low, high = trial.limits.covered
         passed &= low <= inside <= high
@@ -164,14 +163,14 @@ def efficient(trial: ContractTrial) -> Verdict:
         limit = trial.limits.efficient + STANDARD_ERRORS / np.sqrt(2.0 * len(index) * len(runs))
         passed &= ratio <= limit
         parts.append(f"{name} {ratio:.3f} (accepted {limit:.3f})")
-    text = "error over the Cramer-Rao bound: " + ", ".join(parts)
-    return (bool(passed), text) if len(runs) >= ENOUGH else (None, text + f"; judged with {ENOUGH} runs or more")
+    text = "ratio of the error to the Cramer-Rao bound: " + ", ".join(parts)
+    return (bool(passed), text) if len(runs) >= ENOUGH else (None, text + f"; judged from {ENOUGH} runs on")
 
 
 def robust(trial: ContractTrial) -> Verdict:
-    """Five per cent of gross outliers are flagged and have little effect."""
+    """Gross outliers in 5 % of the samples are flagged and have little effect."""
     if trial.spoil is None:
-        return False, "no outliers for the test: pass spoil, or skip with a reason"
+        return False, "no outliers to test with: pass spoil, or skip with a reason"
     clean = _runs(trial, 1)
     W = _weight(clean)
     spoilt, missed, false, good, share = [], 0, 0, 0, 0.0
@@ -197,13 +196,12 @@ def robust(trial: ContractTrial) -> Verdict:
     return bool(ratio <= limit and found), text
 
 
-SAME = 1e-9  # standard deviations of the estimate, or relative
-SEEDS = 3
+SAME, SEEDS = 1e-9, 3  # largest accepted change, in standard deviations or relative; number of experiments
 EXACT = ("parameters", "cov", "sigma", "outliers")
 
 
 def order_free(trial: ContractTrial) -> Verdict:
-    """Permuted samples give the same estimate and flags."""
+    """Permuted samples give the same estimate and the same outliers."""
     worst = 0.0
     for seed in range(trial.seed, trial.seed + SEEDS):
         case = trial.experiment(seed, trial.n)
@@ -220,10 +218,8 @@ def order_free(trial: ContractTrial) -> Verdict:
         worst = max(worst, _length(b - a, C))
         if not np.array_equal(first.outliers[order] if first.outliers.size else first.outliers, second.outliers):
             return False, "flags depend on the order of the samples"
-    return (
-        worst <= SAME,
-        f"permuting the samples changes the estimate by {worst:.1e} standard deviations, accepted {SAME:.0e}",
-    )
+    text = f"permuting the samples changes the estimate by {worst:.1e} standard deviations, accepted {SAME:.0e}"
+    return worst <= SAME, text
 
 
 def _length(e: np.ndarray, C: np.ndarray) -> float:
@@ -235,7 +231,7 @@ def _length(e: np.ndarray, C: np.ndarray) -> float:
 def gauge_free(trial: ContractTrial) -> Verdict:
     """A change of frame or unit transforms the estimate accordingly."""
     if not trial.gauges:
-        return False, "no change of frame or unit for the test: pass gauges, or skip with a reason"
+        return False, "no change of frame or unit to test with: pass gauges, or skip with a reason"
     parts, passed = [], True
     for gauge in trial.gauges:
         worst = 0.0
@@ -250,16 +246,16 @@ def gauge_free(trial: ContractTrial) -> Verdict:
 
 
 def _relative(e: np.ndarray, fit: Fit[Any]) -> float:
-    """Return the largest error relative to its parameter; infinite if the errors are in other coordinates."""
+    """Return the largest error relative to its parameter; infinity if the errors have other coordinates."""
     if e.shape != fit.parameters.shape:
         return np.inf
     return float(np.max(np.abs(e) / np.maximum(np.abs(fit.parameters), fit.sd)))
 
 
 def refuses(trial: ContractTrial) -> Verdict:
-    """Data that leave a direction undetermined raise NotExcited, which names the direction."""
+    """Data that leave a direction undetermined raise NotExcited with the name of the direction."""
     if not trial.refusals:
-        return False, "no data without excitation: pass refusals, or skip with a reason"
+        return False, "no data without excitation to test with: pass refusals, or skip with a reason"
     wrong = []
     for words, data in trial.refusals.items():
         try:
@@ -274,7 +270,7 @@ def refuses(trial: ContractTrial) -> Verdict:
 
 
 def saves(trial: ContractTrial) -> Verdict:
-    """A saved fit reads back bit-identically and does not load as another kind."""
+    """A saved fit loads bit-identically, but not as a different kind."""
     fit = trial.fit(**trial.experiment(trial.seed, trial.n).data)
     with tempfile.TemporaryDirectory() as folder:
         path = fit.save(Path(folder) / "fit.toml")
@@ -283,30 +279,30 @@ def saves(trial: ContractTrial) -> Verdict:
         pairs = zip(_arrays(fit.value), _arrays(again.value), strict=True)
         changed += [f"value{a}" for (a, x), (_, y) in pairs if x.tobytes() != y.tobytes() or x.shape != y.shape]
         if changed:
-            return False, f"not bit-equal after save and load: {', '.join(changed)}"
+            return False, f"changed by saving and loading: {', '.join(changed)}"
         try:
             models.load(path, kind="another kind")
         except ModelMismatchError:
-            return True, "bit-equal after save and load; another kind raises an error"
-    return False, "a file of another kind was accepted"
+            return True, "bit-identical after saving and loading; a different kind raises an error"
+    return False, "a file of a different kind was accepted"
 
 
 def explains(trial: ContractTrial) -> Verdict:
-    """The report has the unit and standard deviation of every value."""
+    """The report contains the unit and the standard deviation of every value."""
     fit = trial.fit(**trial.experiment(trial.seed, trial.n).data)
     text = fit.report()
     null = fit.excitation.null_space  # values that depend on the gauge are meaningless
-    told = ~np.any(np.abs(null) > GAUGE, axis=1) if null.size else np.ones(len(fit.names), dtype=bool)
-    missing = [name for name, needed in zip(fit.names, told) if needed and name not in text]
-    missing += [unit for unit, needed in zip(fit.units, told) if needed and unit not in text]
+    shown = ~np.any(np.abs(null) > GAUGE, axis=1) if null.size else np.ones(len(fit.names), dtype=bool)
+    missing = [name for name, needed in zip(fit.names, shown) if needed and name not in text]
+    missing += [unit for unit, needed in zip(fit.units, shown) if needed and unit not in text]
     if missing:
         return False, f"not in the report: {', '.join(missing[:5])}"
     deviations = text.count("+-") + text.count("\N{PLUS-MINUS SIGN}")
-    return deviations >= told.sum(), f"{deviations} standard deviations for {told.sum()} values in the report"
+    return deviations >= shown.sum(), f"{deviations} standard deviations for {shown.sum()} values in the report"
 
 
 def clean(trial: ContractTrial) -> Verdict:
-    """Inputs stay unchanged, outputs are read-only, results are reproducible, and NaN raises an error with its row."""
+    """Inputs stay unchanged, outputs are read-only, results are reproducible, and an error names the row of a NaN."""
     data = dict(trial.experiment(trial.seed, trial.n).data)
     before = [(name, array.tobytes()) for name, array in _arrays(data)]
     fit = trial.fit(**data)
@@ -315,13 +311,12 @@ def clean(trial: ContractTrial) -> Verdict:
     again = trial.fit(**trial.experiment(trial.seed, trial.n).data)
     faults += [f"{n} is not reproducible" for n in EXACT if getattr(fit, n).tobytes() != getattr(again, n).tobytes()]
     faults += _nan_faults(trial)
-    return not faults, "; ".join(
-        faults
-    ) or "inputs unchanged, outputs read-only, reproducible to the bit, NaN raises an error with its row"
+    good = "inputs unchanged, outputs read-only, results bit-identical, and an error names the row of a NaN"
+    return not faults, "; ".join(faults) or good
 
 
 def _nan_faults(trial: ContractTrial) -> list[str]:
-    """Return the faults of the error raised for NaN in any array of samples."""
+    """Return the faults of the errors that NaN in an array of samples raises."""
     row, faults, tried = trial.n // 2, [], 0
     for name, data in _with_nan(dict(trial.experiment(trial.seed, trial.n).data), trial.n, row):
         tried += 1
@@ -330,14 +325,14 @@ def _nan_faults(trial: ContractTrial) -> list[str]:
             faults.append(f"NaN in {name} accepted")
         except ShapeError as error:
             if str(row) not in str(error):
-                faults.append(f"NaN in {name} raised without its row")
+                faults.append(f"NaN in {name} raised an error without its row")
         except Exception as error:  # a wrong error is a finding
             faults.append(f"NaN in {name} raised {type(error).__name__}")
-    return faults if tried else ["no array of samples for NaN"]
+    return faults if tried else ["no array of samples to test with NaN"]
 
 
 def _with_nan(data: dict[str, Any], n: int, row: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    from armlab.log import Table  # imported here because it doubles the import time of estimation
+    from armlab.log import Table  # imported here because it would double the import time of estimation
 
     for name, value in data.items():
         if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape[:1] == (n,):
@@ -353,7 +348,7 @@ def _with_nan(data: dict[str, Any], n: int, row: int) -> Iterator[tuple[str, dic
 
 
 def _arrays(item: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
-    """Yield all arrays in data or a result with their names."""
+    """Yield all arrays in the data or in a result, with their names."""
     from armlab.log import Table
 
     if isinstance(item, np.ndarray):
@@ -377,7 +372,6 @@ JUDGES = {
     "clean": clean,
 }  # fmt: skip
 PROPERTIES = tuple(JUDGES)
-BENCHMARK = 1000  # runs needed for the limits of the benchmark
 
 Error = Callable[[Fit[Any], Any], Any]
 Spoil = Callable[[dict[str, Any], np.random.Generator], tuple[dict[str, Any], np.ndarray | None]]
@@ -385,13 +379,13 @@ Spoil = Callable[[dict[str, Any], np.random.Generator], tuple[dict[str, Any], np
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Experiment(Shown):
-    """Experiment with known truth.
+    """Experiment with known truth, for `check_estimator`.
 
     Attributes
     ----------
-    data : keyword arguments of the fit: arrays with samples along axis 0, Tables, noise and others.
-    truth : expected result of the fit: the (d,) parameters, unless `error` interprets it.
-    bound : (d, d) Cramer-Rao bound of the errors; needed to judge efficiency.
+    data : keyword arguments of the fit: arrays with samples along axis 0, Tables, noise and options.
+    truth : expected parameters (d,) of the fit, or any value that the argument `error` interprets.
+    bound : (d, d) Cramer-Rao bound of the errors; required to judge efficiency.
     """
 
     data: Mapping[str, Any]
@@ -406,8 +400,8 @@ class Gauge(Shown):
     Attributes
     ----------
     name : description.
-    change : data -> the same data in other frames or units.
-    expect : fit of the original data -> expected result with the changed data.
+    change : function from data to the same data in other frames or units.
+    expect : function from the fit of the original data to the expected result with the changed data.
     """
 
     name: str
@@ -419,16 +413,16 @@ class Gauge(Shown):
 class ContractLimits(Shown):
     """Acceptance limits of the contract.
 
-    Two-sided limits widen to three standard errors for few runs; one-sided limits grow by three standard errors.
+    Two-sided limits widen to three standard errors if there are few runs; one-sided limits grow by three standard errors.
 
     Attributes
     ----------
     consistent : ratio of the error with 4 N samples to the error with N samples.
     honest : NEES divided by its dimension.
-    covered : coverage of stated 95 % intervals.
+    covered : coverage of the stated 95 % intervals.
     efficient : ratio of the error to the Cramer-Rao bound.
-    robust : ratio of the error with 5 % outliers to the error with the good samples alone.
-    false : largest fraction of good samples flagged.
+    robust : ratio of the error with 5 % outliers to the error with only the good samples.
+    false : largest fraction of good samples that may be flagged as outliers.
     """
 
     consistent: tuple[float, float] = (0.40, 0.60)
@@ -440,15 +434,15 @@ class ContractLimits(Shown):
 
     @classmethod
     def of(cls, runs: int, noise_given: bool) -> ContractLimits:
-        """Return the limits of the test suite or, from 1000 runs on, of the benchmark.
+        """Return the limits of the test suite or, from 1000 runs on, those of the benchmark.
 
         Parameters
         ----------
         runs : number of runs.
-        noise_given : False if the fit estimates the noise, which widens the NEES.
+        noise_given : False if the fit estimates the noise, which increases the NEES.
         """
         noise_given = flag(noise_given, "noise_given")
-        if number(runs, "the number of runs") < BENCHMARK:
+        if number(runs, "the number of runs") < ENOUGH:
             return cls(honest=(0.80, 1.25 if noise_given else 1.30))
         return cls((0.44, 0.54), (0.95, 1.05 if noise_given else 1.10), robust=1.06)
 
@@ -468,7 +462,7 @@ class Contract(Shown):
 
     Attributes
     ----------
-    properties : all ten, in the order of PROPERTIES.
+    properties : results for all ten properties.
     runs : number of experiments.
     """
 
@@ -492,7 +486,7 @@ class Contract(Shown):
         raise UnknownName.among("property", name, PROPERTIES)
 
     def text(self) -> str:
-        """Return one line per property: verdict, name and measured values."""
+        """Return one line per property, with verdict, name and measured values."""
         verdicts = {True: "passed", False: "FAILED", None: "-"}
         lines = [f"{verdicts[one.passed]:7s}{one.name:11s} {one.text}" for one in self.properties]
         return "\n".join([*lines, f"{self.runs} runs"])
@@ -519,30 +513,30 @@ def check_estimator(
     skip: Mapping[str, str] | None = None,
     seed: int = 0,
 ) -> Contract:
-    """Test a fit for the ten properties of the statistical contract; the result lists failures.
+    """Test a fit for the ten properties of the statistical contract; the result lists the failures.
 
     Parameters
     ----------
-    fit : takes `Experiment.data` as keyword arguments and returns a `Fit`.
-    experiment : (seed, n) -> `Experiment` of n samples; the same seed gives the same experiment.
-    runs : number of experiments; from 1000, the narrower limits of the benchmark apply and efficiency is judged.
-    n : samples of an experiment; consistency also needs experiments of 4 n.
-    error : (fit, truth) -> (d,) error in the coordinates of `fit.cov`, or the error and its covariance (m, m), for
-        example errors of validation poses if `fit.cov` is rank-deficient.
-    blocks : parts of the error with separate efficiency, name -> indices; default: the whole error.
+    fit : function that takes `Experiment.data` as keyword arguments and returns a `Fit`.
+    experiment : function of (seed, n) that returns an `Experiment` of n samples, the same for the same seed.
+    runs : number of experiments; from 1000 on, the narrower limits of the benchmark apply and efficiency is judged.
+    n : number of samples of an experiment; the test of consistency also needs experiments with 4 n samples.
+    error : function of (fit, truth) that returns the error (d,) in the coordinates of `fit.cov`, or an error (m,) and
+        its covariance (m, m), for example the errors of validation poses if `fit.cov` is rank-deficient.
+    blocks : indices of the parts of the error whose efficiency is judged separately, by name; default: the whole error.
     gauges : changes of frame or unit.
-    refusals : words -> data that must raise `NotExcited` with a direction that contains the words.
-    spoil : (data, rng) -> data with 5 % gross outliers and the option that enables their detection, and the outlier
-        samples (N,), or None if the fit has no flags.
-    noise_given : False if the fit estimates the noise: NEES then exceeds 1 by about 2 / (degrees of freedom).
+    refusals : data that must raise `NotExcited`, by words that the name of a direction must contain.
+    spoil : function of (data, rng) that returns data with 5 % gross outliers and the option that enables their
+        detection, and the mask of the outliers (N,), or None if the fit does not flag outliers.
+    noise_given : False if the fit estimates the noise; NEES then exceeds 1 by about 2 / (degrees of freedom).
     limits : acceptance limits; default: from the specification, for this number of runs.
-    skip : property -> reason for skipping it.
-    seed : of the first experiment.
+    skip : reason for skipping a property, by the name of the property.
+    seed : seed of the first experiment.
 
     Raises
     ------
     UnknownName : `skip` names an unknown property.
-    ConfigError : missing reason.
+    ConfigError : a reason is missing.
     """
     reasons = dict(skip or {})
     for name, reason in reasons.items():

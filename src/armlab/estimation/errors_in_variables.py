@@ -2,10 +2,10 @@
 
     (A - E_A) x = y - e_y,    the rows of [E_A e_y] are independent with covariance C_i
 
-With z = [a y] a row, w = [x; -1] and ``s_i = w^T C_i w``, the maximum-likelihood x minimises
-``sum_i (z_i . w)^2 / s_i``. The row is corrected by ``C_i w (z_i . w) / s_i``, and the covariance of x is
-``(sum_i a_i a_i^T / s_i)^-1``, computed from the corrected rows. With a common covariance ``sigma^2 I``, the problem is
-solved by singular value decomposition after elimination of the exact columns.
+With rows z = [a y], w = [x; -1] and ``s_i = w^T C_i w``, the maximum-likelihood x minimises
+``sum_i (z_i . w)^2 / s_i``. Row i is corrected by ``C_i w (z_i . w) / s_i``, and the corrected rows give the covariance
+of x, ``(sum_i a_i a_i^T / s_i)^-1``. With a common covariance ``sigma^2 I``, the problem is solved by singular value
+decomposition after elimination of the exact columns.
 """
 
 from __future__ import annotations
@@ -26,18 +26,13 @@ WHAT = "total least squares"
 
 @dataclass(frozen=True, eq=False)
 class TotalSolution:
-    """Parameters of a linear problem with an uncertain regressor.
+    """Parameters of a linear problem with an uncertain regressor."""
 
-    `x`: (p,) parameters. `cov`: (p, p) covariance of the parameters, to first order in the errors. `sigma`: estimated
-    standard deviation of the errors; 1 if the given covariance is correct. `corrections`: (N, p + 1) estimated errors
-    of [A y]; subtracting them makes the rows consistent with x. `outliers`: (N,) excluded rows.
-    """
-
-    x: np.ndarray
-    cov: np.ndarray
-    sigma: float
-    corrections: np.ndarray
-    outliers: np.ndarray
+    x: np.ndarray  # (p,) parameters
+    cov: np.ndarray  # (p, p) covariance of the parameters, to first order in the errors
+    sigma: float  # estimated standard deviation of the errors; 1 if the given covariance is correct
+    corrections: np.ndarray  # (N, p + 1) estimated errors of [A y]; without them, the rows are consistent with x
+    outliers: np.ndarray  # (N,) mask of excluded rows
     excitation: Excitation
 
     def __post_init__(self) -> None:
@@ -60,15 +55,15 @@ def total_least_squares(
     A : (N, p) regressor, N > p.
     y : (N,) measurements.
     cov : (p + 1, p + 1) covariance of the errors of a row [a y], or (N, p + 1, p + 1), one per row (weighted total
-        least squares). Zero rows and columns mark exact columns, but y must not be the only exact one. Default: the
-        standard deviation is the same for all errors and is estimated.
+        least squares). Zero rows and columns mark exact columns of A; y must have errors. Default: the standard
+        deviation is the same for all errors and is estimated.
     exact : columns of A without errors, for example the column of an offset; with `cov`, use zeros instead.
-    robust : detect outliers, if `cov` is given; `outliers` marks them.
-    names : of the p parameters, for messages.
+    robust : detect outliers if `cov` is given; `outliers` marks them.
+    names : names of the p parameters, for messages.
 
     Raises
     ------
-    ShapeError : wrong shapes, non-finite values (with their rows), or an invalid covariance.
+    ShapeError : wrong shapes, non-finite values (lists the rows), or an invalid covariance.
     NotExcited : too few rows, or indistinguishable columns.
     NotConverged : the weighted iteration did not converge.
 
@@ -80,7 +75,9 @@ def total_least_squares(
     A, y = _checked(A, y)
     p = A.shape[1]
     labels = tuple(names) if names is not None else tuple(f"x{k}" for k in range(p))
-    free = _free(exact, p)
+    if any(k not in range(p) for k in exact):
+        raise ShapeError(f"Expected exact columns from 0 to {p - 1}, got {list(exact)}. Number them from 0.")
+    free = np.setdiff1d(np.arange(p), list(exact))
     if len(labels) != p:
         raise ShapeError(f"Expected {p} names for {p} columns, got {len(labels)}. Name every column exactly once.")
     if len(A) <= p:
@@ -97,7 +94,7 @@ def total_least_squares(
 
 
 def _plain(A: np.ndarray, y: np.ndarray, free: np.ndarray, names: tuple[str, ...]) -> TotalSolution:
-    """Return the solution for errors of equal standard deviation, by singular value decomposition."""
+    """Return the solution for errors with equal standard deviations, by singular value decomposition."""
     N, p = A.shape
     exact = np.setdiff1d(np.arange(p), free)
     Z = np.column_stack([A[:, free], y])
@@ -108,8 +105,8 @@ def _plain(A: np.ndarray, y: np.ndarray, free: np.ndarray, names: tuple[str, ...
     last = rows[-1]
     if not abs(last[-1]) > 1e-9:
         raise NotExcited(
-            f"Expected columns that explain y, got a combination of {', '.join(names[k] for k in free)} within their "
-            "own errors. Measure with more variation.",
+            f"Expected columns that explain y, got a combination of {', '.join(names[k] for k in free)} that is zero "
+            "within its errors. Measure with more variation.",
             [names[k] for k in free],
             ["no solution"],
         )
@@ -163,13 +160,6 @@ def _checked(A: ArrayLike, y: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         shown = ", ".join(str(i) for i in bad[:10]) + (" and more" if len(bad) > 10 else "")
         raise ShapeError(f"Expected finite rows, got NaN or Inf in rows {shown}. Drop them.")
     return A, y
-
-
-def _free(exact: Sequence[int], p: int) -> np.ndarray:
-    known = sorted(set(exact))
-    if any(k not in range(p) for k in known):
-        raise ShapeError(f"Expected exact columns from 0 to {p - 1}, got {list(exact)}. Number them from 0.")
-    return np.setdiff1d(np.arange(p), known)
 
 
 def _covariance(cov: ArrayLike, N: int, k: int) -> np.ndarray:

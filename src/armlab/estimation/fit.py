@@ -25,7 +25,7 @@ EXCITATION = ("expected", "singular_values", "weakest", "held", "null_names")
 
 
 def _frozen(values: Any, kind: type = float) -> np.ndarray:
-    """Return a read-only array, which is a copy unless the array owns read-only data."""
+    """Return a read-only array, without a copy if it is already read-only and owns its data."""
     if type(values) is np.ndarray and values.dtype == kind and values.flags.owndata and not values.flags.writeable:
         return values
     values = np.array(values, dtype=kind)
@@ -58,17 +58,17 @@ class Fit(Shown, Generic[Value]):
     summary : callable, optional
         Function that creates the text of `report`.
     outliers : ndarray of bool, shape (N,)
-        Excluded samples; empty for fits without outlier detection.
+        True for excluded samples; empty for fits without outlier detection.
     classes : tuple of str
         Names of the classes of measurement with their units, such as "position [m]".
     formal_cov : ndarray, shape (d, d), optional
-        Covariance that assumes white residuals; far too small, and set only if `cov` accounts for time correlation.
-        None if `cov` is itself formal, or if the fit was read from a file.
+        Covariance that assumes white residuals. Set only if `cov` accounts for time correlation, and then far too
+        small. None if `cov` itself assumes white residuals, or if the fit was read from a file.
     doubts : tuple of str
-        Why the fit may be unreliable, one sentence per reason: failed residual tests, suspicious units. Empty for a
-        good fit.
+        Reasons why the fit may be unreliable, such as failed residual tests or suspicious units, one sentence each.
+        Empty for a good fit.
     notes : tuple of str
-        Lines of the report on repaired data and held directions; empty if the fit was read from a file.
+        Report lines about repaired data and held directions; empty if the fit was read from a file.
     """
 
     value: Value
@@ -105,16 +105,14 @@ class Fit(Shown, Generic[Value]):
                 "This is a bug in the fit."
             )
         object.__setattr__(self, "cov", cov)
-        object.__setattr__(self, "names", tuple(self.names))
-        object.__setattr__(self, "units", tuple(self.units))
-        object.__setattr__(self, "doubts", tuple(self.doubts))
+        for name in ("names", "units", "doubts"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         for name in READ_ONLY:
-            if getattr(self, name) is None:
-                continue
-            object.__setattr__(self, name, _frozen(getattr(self, name), bool if name == "outliers" else float))
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _frozen(getattr(self, name), bool if name == "outliers" else float))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy and pickle the report as text."""
+        """Reduce for copying and pickling, with the report as text."""
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
         if self.summary is not None:
             kept["summary"] = partial(_said, self.report())
@@ -147,7 +145,7 @@ class Fit(Shown, Generic[Value]):
         return self.table() if self.summary is None else self.summary(self)
 
     def table(self, shown: np.ndarray | None = None) -> str:
-        """Return one line per parameter with unit and standard deviation, then noise, outliers, excitation and doubts.
+        """Return text: one line per parameter with unit and standard deviation, then noise, outliers and doubts.
 
         Parameters
         ----------
@@ -155,8 +153,8 @@ class Fit(Shown, Generic[Value]):
             Parameters to list; default: all.
         """
         rows = zip(self.names, self.parameters, self.sd, self.units)
-        columns = [row for k, row in enumerate(rows) if shown is None or shown[k]]
-        lines = [f"{name:32s} {value: .6g} +- {sd:.2g} {unit}" for name, value, sd, unit in columns]
+        listed = [row for k, row in enumerate(rows) if shown is None or shown[k]]
+        lines = [f"{name:32s} {value: .6g} +- {sd:.2g} {unit}" for name, value, sd, unit in listed]
         labels = self.classes or [f"class {i + 1}" for i in range(self.sigma.size)]
         lines += [f"noise of {label}: {sigma:.3g}" for label, sigma in zip(labels, self.sigma.ravel())]
         left_out = np.flatnonzero(self.outliers)
@@ -170,8 +168,8 @@ class Fit(Shown, Generic[Value]):
 
         Parameters
         ----------
-        path : ends in ``.toml``.
-        sources : names of the source files of the samples, stored with their SHA-256.
+        path : path of the file, ending in ``.toml``.
+        sources : names of the files that the samples come from; stored with their SHA-256.
         """
         statistics = {name: getattr(self, name) for name in SAVED}
         statistics |= {f"excitation_{name}": getattr(self.excitation, name) for name in EXCITATION}
@@ -179,7 +177,7 @@ class Fit(Shown, Generic[Value]):
 
     @classmethod
     def load(cls, path: str | Path, kind: str | None = None) -> Fit[Any]:
-        """Read a fit written by `save`, which contains everything except the residuals.
+        """Read a fit written by `save`; it contains everything except the residuals.
 
         Parameters
         ----------
@@ -188,8 +186,8 @@ class Fit(Shown, Generic[Value]):
 
         Raises
         ------
-        ConfigError : the file is damaged, or contains a value without its fit.
-        ModelMismatchError : the file is of another kind.
+        ConfigError : the file is damaged, or contains a value without a fit.
+        ModelMismatchError : the file is of a different kind.
         """
         value, known = models.load(path, kind), load_statistics(path)
         try:
@@ -199,8 +197,8 @@ class Fit(Shown, Generic[Value]):
             parts = {name: known[name] for name in SAVED if name != "rank"}
         except KeyError as error:
             raise ConfigError(
-                f"Expected the fit of a value in {path}, got no {error}. The value was saved without a fit: use "
-                "armlab.models.load."
+                f"Expected a value with its fit in {path}, but {error} is missing. The value was saved without a fit: "
+                "use armlab.models.load."
             ) from None
         return cls(value=value, residuals=np.zeros(0), excitation=excitation, **parts)
 
@@ -210,7 +208,7 @@ def value_of(given: Fit[Value]) -> Value: ...
 @overload
 def value_of(given: Fit[Value] | Value) -> Value: ...
 def value_of(given: Any) -> Any:
-    """Return the value of a fit; other values are returned unchanged."""
+    """Return the value of a fit, and anything else unchanged."""
     return given.value if isinstance(given, Fit) else given
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,15 +17,14 @@ WARN_CONDITION = 300.0
 NULL = 1e-9  # relative singular value below which a direction is unobservable, not weak
 NAMED = 0.3  # fraction of the largest component above which a component is named
 
-Describe = Callable[[np.ndarray], str]
-
-
 UNOBSERVABLE = 1e-3  # effect of a prior SD on all rows, in noise SDs, below which the data carry no information
+
+Describe = Callable[[np.ndarray], str]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prior(Shown):
-    """Independent prior knowledge of parameters.
+    """Prior knowledge of the parameters, independent for each parameter.
 
     Attributes
     ----------
@@ -41,19 +40,19 @@ class Prior(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excitation(Shown):
-    """Excitation of the parameters by the data.
+    """How well the data excite the parameters.
 
     Attributes
     ----------
     rank, expected : numerical rank and number of parameters.
-    singular_values : of the column-scaled, whitened design matrix, descending.
+    singular_values : singular values of the column-scaled, whitened design matrix, in descending order.
     weakest : description of the least excited direction.
-    scale : (p,) norms of the columns; 1 where a column is zero.
+    scale : (p,) norms of the columns; 1 for zero columns.
     vectors : (p, p) right singular vectors of the scaled matrix as columns, strongest first.
-    held : descriptions of directions determined by the prior instead of the data.
+    held : descriptions of the directions that the prior determines instead of the data.
     null_space : (p, m) orthonormal unobservable directions, in units of the limits.
-    null_names : their descriptions; directions unobservable with any data begin with "gauge: ".
-    spread : (p,) standard deviations, in units of the limits, along the directions `vectors`; empty without limits.
+    null_names : descriptions of the unobservable directions; "gauge: " marks directions that no data can determine.
+    spread : (p,) standard deviations along the directions `vectors`, in units of the limits; empty without limits.
     """
 
     rank: int
@@ -74,13 +73,13 @@ class Excitation(Shown):
 
     @classmethod
     def of(cls, A: np.ndarray, names: Sequence[str], max_condition: float = MAX_CONDITION) -> Excitation:
-        """Return the excitation of a design matrix without checking it.
+        """Return the excitation of a design matrix, without raising on weak directions.
 
         Parameters
         ----------
         A : (m, p) whitened design matrix, or its triangle R (p, p).
-        names : of the p parameters.
-        max_condition : weaker directions, relative to the strongest, do not count in the rank.
+        names : names of the p parameters.
+        max_condition : largest ratio of the strongest singular value to a singular value that counts in the rank.
         """
         A = numbers(A, "a design matrix", ShapeError)
         if A.ndim != 2 or A.shape[1] != len(names) or not np.isfinite(A).all():
@@ -105,8 +104,8 @@ class Excitation(Shown):
 
         Parameters
         ----------
-        cov : (p, p) of full rank.
-        names : of the p parameters, possibly none.
+        cov : (p, p) covariance of full rank.
+        names : names of the p parameters; p may be 0.
         """
         cov = numbers(cov, "a covariance", ShapeError)
         if cov.shape != (len(names), len(names)):
@@ -125,7 +124,7 @@ class Excitation(Shown):
         return float(self.singular_values[0] / smallest) if smallest > 0 else float("inf")
 
     def text(self) -> str:
-        """Return one line for a report, plus one for each direction held by a prior."""
+        """Return one report line, and one line for each unobservable direction and each direction held by a prior."""
         good = self.spread.max() < 1.0 if self.spread.size else self.condition < WARN_CONDITION
         verdict = "good" if good else "weak: record a longer or richer motion"
         found = f"rank {self.rank} of {self.expected}, condition {self.condition:.0f}"
@@ -137,23 +136,21 @@ class Excitation(Shown):
 def check_excitation(
     A: np.ndarray, names: Sequence[str], what: str, prior: Prior | None = None, max_condition: float = MAX_CONDITION
 ) -> Excitation:
-    """Check whether the data determine all parameters.
-
-    `A`: (m, p) whitened design matrix, or its triangle R (p, p). `prior`: if given, undetermined directions keep the
-    prior values and are listed in `held`; otherwise they raise NotExcited. `max_condition`: largest accepted ratio of
-    the strongest to the weakest singular value of the column-scaled A; infinity accepts everything. Returns: Excitation
-    with the singular values of the column-scaled A.
-    """
+    """Return the excitation of a whitened design matrix (m, p) or its triangle; without a prior, weakness raises."""
     A = numbers(A, "a design matrix", ShapeError)
     if prior is not None:
-        _check_prior(prior, len(names))
+        values, sd, p = np.asarray(prior.values), np.asarray(prior.sd), len(names)
+        if values.shape != (p,) or sd.shape != (p,) or not np.isfinite(values).all() or not np.all(sd > 0):
+            raise ShapeError(
+                f"Expected a prior of {p} finite values with positive standard deviations, got shapes {values.shape} "
+                f"and {sd.shape}. Pass one value and one standard deviation per parameter."
+            )
         A = A * (np.linalg.norm(A, axis=0) * prior.sd > UNOBSERVABLE)
     found = Excitation.of(A, names, max_condition)
     weak = range(found.expected - 1, found.rank - 1, -1)  # the weakest first
     directions = tuple(_describe(found.vectors[:, i], names) for i in weak)
     if prior is not None:
-        known = (found.scale, found.vectors, directions)
-        return Excitation(found.rank, found.expected, found.singular_values, found.weakest, *known)
+        return replace(found, held=directions)
     if not np.isfinite(max_condition):
         return found
     dead = [name for name, column in zip(names, A.T) if not column.any()]
@@ -184,14 +181,11 @@ def check_spread(
     what: str,
     describe: Describe | None = None,
 ) -> Excitation:
-    """Check whether the data determine every direction within a limit.
+    """Return the excitation, or raise if the standard deviation along a direction exceeds its limit.
 
-    The standard deviation along the direction v (in units of the limits) is ``1 / |J diag(limits) v|``; a rank test
-    alone is unreliable with noisy data.
-
-    `J`: (m, p) whitened Jacobian of the data without priors, or its triangle. `limits`: (p,) largest accepted standard
-    deviation of each parameter. `describe`: describes a direction (p,) of the parameters, whose length is one standard
-    deviation, or the limits if unobservable. Default: the names of the largest components.
+    In units of the limits (p,), it is ``1 / |J diag(limits) v|`` along v, with J (m, p) the whitened Jacobian of the
+    data or its triangle. `describe` names a direction (p,) whose length is one standard deviation, or the limits if it
+    is unobservable.
     """
     p, J, limits = len(names), numbers(J, "a Jacobian", ShapeError), numbers(limits, "limits", ShapeError)
     if J.ndim != 2 or J.shape[1] != p or limits.shape != (p,) or not np.all(limits > 0) or not np.isfinite(J).all():
@@ -226,15 +220,6 @@ def check_spread(
     return Excitation(p, p, singular, words(p - 1), 1.0 / limits, vectors, null_space=empty, spread=spread)
 
 
-def _check_prior(prior: Prior, size: int) -> None:
-    values, sd = np.asarray(prior.values), np.asarray(prior.sd)
-    if values.shape != (size,) or sd.shape != (size,) or not np.isfinite(values).all() or not np.all(sd > 0):
-        raise ShapeError(
-            f"Expected a prior of {size} finite values with positive standard deviations, got shapes {values.shape} "
-            f"and {sd.shape}. Pass one value and one standard deviation per parameter."
-        )
-
-
 def _describe(vector: np.ndarray, names: Sequence[str]) -> str:
     """Name the parameters with the largest components of a direction."""
     order = np.argsort(-np.abs(vector))[:3]
@@ -247,16 +232,11 @@ ROUNDING = 1e-12  # added to the diagonal of the correlation matrix
 
 
 def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return the point of the box nearest to x, ``min (z - x)^T cov^-1 (z - x)`` over ``lower <= z <= upper``.
+    """Return the point of the box nearest to x (p,), ``min (z - x)^T cov^-1 (z - x)`` over ``lower <= z <= upper``.
 
-    With A the active bounds, ``z = x + cov[:, A] m`` and ``m = cov[A, A]^-1 (bound - x)[A]``: the other parameters
-    follow their correlations. A is optimal if every free z is inside and every m points inwards. Block principal
-    pivoting exchanges all violations at once. After ten rounds without progress, it exchanges only the first, which
-    always terminates.
-
-    `x`: (p,) solution without bounds. `cov`: (p, p) covariance of x, up to a factor. `lower`, `upper`: (p,) bounds,
-    lower < upper. Returns: (p,) solution within the bounds, exact at the active ones. After Portugal, Judice and
-    Vicente (1994), A comparison of block pivoting and interior-point algorithms.
+    With the active bounds A, ``z = x + cov[:, A] m`` and ``m = cov[A, A]^-1 (bound - x)[A]``. A is optimal if every
+    free z is inside and every m points inwards. Block principal pivoting exchanges all violations at once and, after
+    ten rounds without progress, only one, which always terminates (Portugal, Judice and Vicente 1994).
     """
     if np.all((x >= lower) & (x <= upper)):
         return x
@@ -285,8 +265,8 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
         side[mended] = np.where(side[mended] != 0, 0, faults[mended])
 
 
-ROUNDS = 20
-TOLERANCE = 1e-6  # relative change of the class standard deviations
+ROUNDS = 20  # maximum number of iterations of the class weights
+TOLERANCE = 1e-6  # relative change of the class standard deviations at convergence
 EXACT = 1e-12  # residuals below this fraction of the measurements are rounding
 
 
@@ -325,7 +305,7 @@ class LinearProblem:
 
 @dataclass(frozen=True)
 class ActiveBound:
-    """Active bound: parameter name, bound, and the unconstrained estimate with its standard deviation."""
+    """Active bound of a parameter, with the unconstrained estimate `free` and its standard deviation."""
 
     name: str
     bound: float
@@ -338,32 +318,24 @@ class ActiveBound:
 
 @dataclass(frozen=True, eq=False)
 class LinearSolution:
-    """Parameters of a linear problem with the quantities needed for validation and resampling.
-
-    `x`: (p,) parameters. `cov`: (p, p) formal covariance, valid for white residuals; bounds do not narrow it.
-    `weights`: (G,) weights of the classes, 1 / sd. `sigma`: (G,) standard deviation of the class residuals, corrected
-    for degrees of freedom. `scale`: standard deviation of the weighted residuals; 1 for correct weights. `R`: (p, p)
-    triangle of the weighted regressor. `basis`: (p, r) determined directions, ``R @ basis`` orthonormal. `kept`: (B,)
-    time blocks used. `stretch`: ratio of the variation of a robust solution to that of the weighted solution; 1 without
-    reweighting. `row_weights`: (M,) weights of the rows in input order; empty without reweighting.
-    """
+    """Parameters of a linear problem with the quantities needed for validation and resampling."""
 
     problem: LinearProblem
-    x: np.ndarray
-    cov: np.ndarray
-    weights: np.ndarray
-    sigma: np.ndarray
-    scale: float
-    R: np.ndarray
-    basis: np.ndarray
+    x: np.ndarray  # (p,) parameters
+    cov: np.ndarray  # (p, p) formal covariance, valid for white residuals; bounds do not narrow it
+    weights: np.ndarray  # (G,) weights of the classes, 1 / sd
+    sigma: np.ndarray  # (G,) standard deviation of the class residuals, corrected for degrees of freedom
+    scale: float  # standard deviation of the weighted residuals; 1 for correct weights
+    R: np.ndarray  # (p, p) triangle of the weighted regressor
+    basis: np.ndarray  # (p, r) determined directions, R @ basis orthonormal
     excitation: Excitation
     active: tuple[ActiveBound, ...]
-    growth: float
-    factors: Factors
-    measured: Factors
-    kept: np.ndarray
-    stretch: float = 1.0
-    row_weights: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
+    growth: float  # relative growth of the residual due to the active bounds
+    factors: Factors  # with the row weights of a robust solution
+    measured: Factors  # without row weights
+    kept: np.ndarray  # (B,) mask of the time blocks used
+    stretch: float = 1.0  # ratio of the variation of a robust solution to that of the weighted solution
+    row_weights: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)  # (M,) of a robust solution
     rounds: int = 1
     converged: bool = True
 
@@ -377,7 +349,7 @@ class LinearSolution:
 
     @property
     def held_cov(self) -> np.ndarray:
-        """Covariance (p, p) of the prior along the directions it holds; zero without a prior."""
+        """Covariance (p, p) of the prior along the directions that it holds; zero without a prior."""
         return _held_covariance(self.excitation, self.problem.prior)
 
 
@@ -389,10 +361,8 @@ NEGLIGIBLE = 1e-6  # effective parameters below which a class is ignored
 def student_factor(d: np.ndarray, nu: np.ndarray) -> float:
     """Return the covariance factor for which the 95 % region of chi^2 has a coverage of 95 %.
 
-    In the metric of the stated covariance, the squared error is ``sum_c d_c F(d_c, nu_c)`` if class c estimates its
-    noise with nu_c degrees of freedom and determines d_c of the d parameters; d F(d, nu) for one class.
-
-    `d`, `nu`: (C,); nu is infinite for given noise.
+    The squared error is distributed as ``sum_c d_c F(d_c, nu_c)`` if class c determines d_c of the parameters and
+    estimates its noise with nu_c degrees of freedom (infinite for given noise); `d` and `nu` are (C,).
     """
     from scipy.special import chdtri, fdtri
 
@@ -416,7 +386,7 @@ def student_factor(d: np.ndarray, nu: np.ndarray) -> float:
 def solve(
     problem: LinearProblem, factors: Factors, weights: np.ndarray | None = None, kept: np.ndarray | None = None
 ) -> LinearSolution:
-    """Solve using the factors of the blocks `kept` (B,) and class weights (G,); None: estimated iteratively."""
+    """Solve with the factors of the blocks `kept` (B,); class weights (G,) are estimated iteratively if None."""
     kept = np.ones(len(factors.rows), dtype=bool) if kept is None else kept
     groups = factors.of_groups(kept)
     if weights is not None:
@@ -432,7 +402,7 @@ def solve(
 
 
 def _inverse(sigma: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Return 1 / sigma, which is bounded for noise-free classes and 1 for classes without measurements."""
+    """Return 1 / sigma, bounded for noise-free classes and 1 for classes without measurements."""
     floor = np.maximum(sigma, EXACT * spread)
     return np.divide(1.0, floor, out=np.ones_like(floor), where=floor > 0)
 
@@ -476,8 +446,8 @@ def _free_solution(
 ) -> np.ndarray:
     """Return the solution without bounds; the prior alone determines held directions."""
     if prior is None or excitation.rank == excitation.expected:
-        told = excitation.singular_values > np.finfo(float).eps * len(R) * excitation.singular_values[0]
-        basis = basis[:, told[: basis.shape[1]]]
+        seen = excitation.singular_values > np.finfo(float).eps * len(R) * excitation.singular_values[0]
+        basis = basis[:, seen[: basis.shape[1]]]
         orthonormal = R @ basis
         x = basis @ (orthonormal.T @ y)
         return x + basis @ (orthonormal.T @ (y - R @ x))  # corrects the orthogonality of R @ basis
@@ -487,7 +457,7 @@ def _free_solution(
 
 
 def _held_covariance(excitation: Excitation, prior: Prior | None) -> np.ndarray:
-    """Return the covariance (p, p) of the prior along the directions it holds."""
+    """Return the covariance (p, p) of the prior along the directions that it holds."""
     held = excitation.vectors[:, excitation.rank :]
     if prior is None or not held.size:
         return np.zeros((excitation.expected,) * 2)

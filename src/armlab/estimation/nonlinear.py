@@ -1,12 +1,12 @@
 """Maximum-likelihood estimation on manifolds with unknown noise and outliers; the solver of the calibration fits.
 
-Unknown noise is estimated per measurement class c, in whitened quantities,
+The unknown noise of each measurement class c is estimated iteratively, in whitened quantities:
 
     sigma_c^2 <- sigma_c^2 r_c^T r_c / (n_c - trace(J_c P J_c^T))
 
-until convergence. With `robust`, a graduated Geman-McClure loss over whole samples comes first, with weight
+With `robust`, the fit begins with a graduated Geman-McClure loss over whole samples, with weight
 ``(c^2 / (c^2 + rho^2))^2`` and decreasing c. Samples with rho^2 beyond the 99.9 % quantile are then flagged and
-excluded. The remaining samples are fitted by plain maximum likelihood, which gives the returned covariance.
+excluded. The remaining samples are fitted by plain maximum likelihood, which also gives the covariance.
 """
 
 from __future__ import annotations
@@ -29,20 +29,18 @@ from armlab.estimation.tsqr import triangle
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurement(Shown):
-    """Residuals of one kind of measurement at one value of the unknowns.
+    """Residuals of one kind of measurement for given values of the unknowns.
 
     Attributes
     ----------
     r : (m, k) residuals in SI units, k numbers for each of m measurements.
-    J : (m, k, d) their derivatives with respect to a step of `retract`.
-    cov : (k,) variances, or (k, k) or (m, k, k) covariance of r; None to estimate the noise, one standard deviation per
-        class.
+    J : (m, k, d) derivatives of the residuals with respect to a step of `retract`.
+    cov : (k,) variances, or (k, k) or (m, k, k) covariance of r; None to estimate one standard deviation per class.
     classes : name of the noise class of each of the k numbers, for example ("t", "t", "t", "R", "R", "R").
-    sample : (m,) index of the sample (pose, scan, point) of each measurement; default: 0 to m - 1. Outliers are
+    sample : (m,) index of the sample (pose, scan or point) of each measurement; default: 0 to m - 1. Outliers are
         detected per sample.
     prior : True for prior knowledge, which cannot be an outlier and does not enter the noise estimate.
-    added : (k, k) or (m, k, k) known part of the noise covariance, in addition to the estimated part; None: no
-        known part.
+    added : (k, k) or (m, k, k) known part of the noise covariance, added to the estimated part; None: no known part.
     """
 
     r: np.ndarray
@@ -75,12 +73,12 @@ class Measurement(Shown):
                 "This is a bug in the residual."
             )
         if self.prior and self.cov is None:
-            raise ShapeError("Expected the covariance of a prior, got None. Give its covariance.")
+            raise ShapeError("Expected the covariance of a prior, got None. Pass its covariance.")
 
     def roots(self, sigma: dict[str, float]) -> np.ndarray:
-        """Return the whitening factor, which is the inverse of the Cholesky factor of the covariance.
+        """Return the whitening factor: the inverse Cholesky factor of the covariance, (k, k) or (m, k, k).
 
-        Its shape is (k, k) or (m, k, k), or only the diagonal (k,) for independent components.
+        For independent components, only its diagonal (k,) is returned.
 
         Parameters
         ----------
@@ -96,18 +94,18 @@ class Measurement(Shown):
             return np.linalg.inv(np.linalg.cholesky(np.diag(self.cov) if self.cov.ndim == 1 else self.cov))
         except np.linalg.LinAlgError:
             raise ShapeError(
-                "Expected noise with a positive definite covariance, got an indefinite covariance. Pass standard "
+                "Expected noise with a positive definite covariance, got a covariance that is not. Pass standard "
                 "deviations above zero."
             ) from None
 
     def whitened(self, root: np.ndarray) -> np.ndarray:
-        """Return the residuals (m, k) times the whitening factor from `roots`."""
+        """Return the whitened residuals (m, k), given the whitening factor from `roots`."""
         return self.r * root if root.ndim == 1 else (root @ self.r[:, :, None])[:, :, 0]
 
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """Whitened rows of all measurements: r (M,), J (M, d); `kept` marks the included rows (None: all)."""
+    """Whitened rows of all measurements: r (M,), J (M, d), and a mask `kept` of the included rows (None: all)."""
 
     r: np.ndarray
     J: np.ndarray
@@ -120,18 +118,20 @@ class Whitened:
 
     @cached_property
     def sample(self) -> np.ndarray:
-        """Sample (M,) of each row, -1 for priors."""
-        return self._rows(lambda one: np.repeat(np.full(len(one.r), -1) if one.prior else one.sample, one.r.shape[1]))
+        """Sample index (M,) of each row; -1 for priors."""
+        sample = ((np.full(len(one.r), -1) if one.prior else one.sample) for one in self.measurements)
+        return self._included([np.repeat(s, one.r.shape[1]) for s, one in zip(sample, self.measurements)])
 
     @cached_property
     def label(self) -> np.ndarray:
-        """Index (M,) of the noise class of each row, -1 for priors."""
+        """Index (M,) of the noise class of each row; -1 for priors."""
         number = {name: i for i, name in enumerate(self.names)}
-        return self._rows(lambda one: np.tile([-1 if one.prior else number[n] for n in one.classes], len(one.r)))
+        labels = ([-1 if one.prior else number[n] for n in one.classes] for one in self.measurements)
+        return self._included([np.tile(label, len(one.r)) for label, one in zip(labels, self.measurements)])
 
     @cached_property
     def channel(self) -> np.ndarray:
-        """Index (M,) of the series of each row: component of the measurement and position within its sample."""
+        """Index (M,) of the time series of each row: component of the measurement, and position within its sample."""
         found, first = [], 0
         for one in self.measurements:
             (m, k), rank = one.r.shape, np.zeros(len(one.r), dtype=int)
@@ -141,15 +141,14 @@ class Whitened:
                 rank[order] = np.arange(m) - np.repeat(starts, np.diff(np.append(starts, m)))
             found.append((first + rank[:, None] * k + np.arange(k)).ravel())
             first += k * (int(rank.max(initial=0)) + 1)
-        whole = np.concatenate(found)
-        return whole if self.kept is None else whole[self.kept]
+        return self._included(found)
 
     @cached_property
     def raw(self) -> np.ndarray:
-        return self._rows(lambda one: one.r.ravel())
+        return self._included([one.r.ravel() for one in self.measurements])
 
-    def _rows(self, of: Callable[[Measurement], np.ndarray]) -> np.ndarray:
-        whole = np.concatenate([of(one) for one in self.measurements])
+    def _included(self, parts: Sequence[np.ndarray]) -> np.ndarray:
+        whole = np.concatenate(parts)
         return whole if self.kept is None else whole[self.kept]
 
     def squares(self, count: int) -> np.ndarray:
@@ -161,7 +160,7 @@ class Whitened:
         return np.bincount(self.sample + 1, minlength=count + 1)[1:]
 
     def times(self, weight: np.ndarray) -> Whitened:
-        """Return rows scaled by the root of their sample's weight (N,), without rows of weight 0; priors unscaled."""
+        """Return the rows scaled by the root of the sample weights (N,), without rows of weight 0; priors unscaled."""
         if np.all(weight == 1.0):
             return self
         root = np.sqrt(np.append(weight, 1.0))[self.sample]
@@ -171,7 +170,7 @@ class Whitened:
 
 
 def whiten(measurements: Sequence[Measurement], roots: Sequence[np.ndarray]) -> Whitened:
-    """Stack all measurements, whitened by their factors from `Measurement.roots`."""
+    """Stack all measurements, whitened by the factors from `Measurement.roots`."""
     r, J = [], []
     for one, root in zip(measurements, roots):
         r.append(one.whitened(root).ravel())
@@ -180,7 +179,7 @@ def whiten(measurements: Sequence[Measurement], roots: Sequence[np.ndarray]) -> 
 
 
 def cost(measurements: Sequence[Measurement], roots: Sequence[np.ndarray], weight: np.ndarray) -> float:
-    """Return ``1/2 sum_i w_i r_i^T S_i^-1 r_i`` with sample weights (N,) and weight 1 for priors."""
+    """Return ``1/2 sum_i w_i r_i^T S_i^-1 r_i``, with sample weights w (N,) and weight 1 for priors."""
     total = 0.0
     for one, root in zip(measurements, roots):
         r = one.whitened(root)
@@ -201,8 +200,8 @@ Value = TypeVar("Value")
 ITERATIONS = 100
 STEP = 1e-9  # in standard deviations of the estimate
 ROUNDING = 1e-13  # relative rounding error of the cost
-IDLE, PATIENCE = 1e-3, 5  # short steps without progress are rounding, as with noise-free data
-EXACT = 1e-3  # residual over standard deviation below which all steps are rounding
+IDLE, PATIENCE = 1e-3, 5  # step in standard deviations, and number of steps without progress, that are rounding
+EXACT = 1e-3  # ratio of the residual to its standard deviation below which all steps are rounding
 MAX_DAMPING = 1e15
 ROUNDED = 1e-9  # RMS of residuals in SI units below which they are rounding, not noise
 WELL_CONDITIONED = 1e7  # condition of a triangle below which its inverse is accurate
@@ -212,15 +211,15 @@ DAMPING = 1e-3  # first damping, relative to the largest singular value squared
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NonlinearProblem(Shown, Generic[Value]):
-    """Fit problem on a manifold.
+    """Least-squares problem on a manifold.
 
     Attributes
     ----------
-    evaluate : value -> residuals with their Jacobian at zero step.
-    retract : (value, x (d,)) -> value [+] x.
-    scale : (d,) unit of each component of x, for the minimum-norm step; default: the inverse norm of the columns.
+    evaluate : function from a value to its residuals with their Jacobian at zero step.
+    retract : function from a value and a step x (d,) to the value moved by the step.
+    scale : (d,) unit of each component of x, for the minimum-norm step; default: the inverse norm of its column of J.
     what : name of the fitted quantity, for messages.
-    residue : standard deviation in SI units below which residuals are rounding.
+    residue : standard deviation in SI units below which residuals are rounding errors.
     """
 
     evaluate: Callable[[Value], Sequence[Measurement]]
@@ -232,23 +231,18 @@ class NonlinearProblem(Shown, Generic[Value]):
 
 @dataclass(frozen=True, eq=False)
 class Descent(Generic[Value]):
-    """Result of a descent.
-
-    `rows`: whitened residuals and Jacobian, including sample weights. `basis`: (d, r) determined directions,
-    ``J @ basis`` orthonormal; ``basis @ basis.T`` is the covariance. `null`: (d, d - r) orthonormal undetermined
-    directions, in units of the scale. `step`: length of the last step in standard deviations of the estimate.
-    """
+    """Result of a descent."""
 
     value: Value
-    rows: Whitened
-    basis: np.ndarray
-    null: np.ndarray
-    step: float
-    history: tuple[float, ...]
+    rows: Whitened  # whitened residuals and Jacobian, including sample weights
+    basis: np.ndarray  # (d, r) determined directions, J @ basis orthonormal; basis @ basis.T is the covariance
+    null: np.ndarray  # (d, d - r) orthonormal undetermined directions, in units of the scale
+    step: float  # length of the last step in standard deviations of the estimate
+    history: tuple[float, ...]  # cost before each step
 
     @cached_property
     def U(self) -> np.ndarray:
-        """Orthonormal columns (M, r) that span the part of white residuals removed by the fit."""
+        """Orthonormal columns (M, r) that span the part of the residuals removed by the fit."""
         return self.rows.J @ self.basis
 
     @cached_property
@@ -267,15 +261,11 @@ def descend(
     iterations: int = ITERATIONS,
     strict: bool = True,
 ) -> Descent[Value]:
-    """Minimise the whitened cost from a start.
+    """Minimise the whitened cost by damped Gauss-Newton steps (Madsen, Nielsen and Tingleff 2004, algorithm 3.16).
 
-    The covariance of the residuals is fixed at the start of each step, so that a step is judged by the predicted
-    decrease of the cost. The descent has converged when the step is below 1e-9 standard deviations of the estimate, or
-    when the cost has reached its rounding floor.
-
-    `sigma`: standard deviation of each noise class. `weight`: (N,) weight of each sample; 0 excludes it.
-    `strict`: raise if the descent does not converge; otherwise rows and basis are those before the last step. After
-    Madsen, Nielsen and Tingleff (2004), Methods for non-linear least squares problems, algorithm 3.16.
+    The covariance is fixed during a step, so that the predicted decrease of the cost judges the step. The descent has
+    converged when the step is below 1e-9 standard deviations of the estimate, or the cost at its rounding floor. If
+    not `strict`, it may stop earlier; rows and basis are then those before the last step.
     """
     value, now = start, problem.evaluate(start)
     damping, growth, here = 0.0, 2.0, None
@@ -326,7 +316,7 @@ def _not_converged(problem: NonlinearProblem[Any], value: Any, history: list[flo
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
-    """Linearised problem at one value; singular values (slow) are computed only if it is nearly singular or damped."""
+    """Linearised problem; the slow singular values are computed only if it is nearly singular or damped."""
 
     R: np.ndarray
     scale: np.ndarray
@@ -371,7 +361,7 @@ class _Linearised:
         return self._singular[3] if self._inverse is None else self.R[:-1, -1]
 
     def step(self, damping: float) -> tuple[np.ndarray, float]:
-        """Return the step (d,), damped relative to the largest singular value squared, and the predicted decrease."""
+        """Return the step (d,) and the predicted decrease of the cost."""
         if damping == 0.0:
             return -self.basis @ self.along, 0.5 * float(self.along @ self.along)
         basis, singular, _, slope = self._singular
@@ -384,40 +374,29 @@ UNKNOWN_NOISE = (1000.0, 10.0, 5.0, 5.0)
 NARROW = 3  # last values of c used from a nearby start
 REWEIGHTED = 20  # iterations per c
 NEXT = 1e-2  # step in standard deviations below which c decreases
-SETTLED = 1e-6  # relative change of sigma
-NOISE_ROUNDS = 20
-MIXED_ROUNDS = 100  # convergence slows down as the known part of the noise grows
-FLAGGED = 0.999  # quantile of chi^2 beyond which a sample is an outlier
-FLAG_ROUNDS = 3
+SETTLED = 1e-6  # relative change of sigma at convergence
+NOISE_ROUNDS, MIXED_ROUNDS = 20, 100  # maximum number of iterations; more with a known part of the noise
+FLAGGED, FLAG_ROUNDS = 0.999, 3  # quantile of chi^2 beyond which a sample is an outlier; maximum number of iterations
 MIN_IMPROVEMENT = 1.3  # factor by which an alternative solution must reduce the noise
 
 
 @dataclass(frozen=True, eq=False)
 class NonlinearSolution(Generic[Value]):
-    """Fitted value with its uncertainty, which is computed on first access.
-
-    `cov`: (d, d) covariance of a step from the value, zero along unidentified directions, with Student's factor for
-    estimated noise and the residual correlation if `check` detects it. `formal_cov`: covariance without the residual
-    correlation; None if equal. `basis`: (d, r) with orthonormal ``rows.J @ basis``. `estimated`: classes with estimated
-    noise. `robust`: whether outliers were detected. `sigma`: standard deviation of the classes, corrected for degrees
-    of freedom. `outliers`: (N,) excluded samples. `squares`: (N,) whitened squared residual of every sample. `null`:
-    (d, m) orthonormal directions, in units of the scale, determined by neither data nor prior. `history`: cost after
-    each iteration.
-    """
+    """Fitted value with its uncertainty, which is computed on first access."""
 
     value: Value
-    basis: np.ndarray
-    estimated: frozenset[str]
-    robust: bool
+    basis: np.ndarray  # (d, r) determined directions, rows.J @ basis orthonormal
+    estimated: frozenset[str]  # classes with estimated noise
+    robust: bool  # whether outliers were detected
     classes: tuple[str, ...]
-    sigma: np.ndarray
-    outliers: np.ndarray
-    squares: np.ndarray
+    sigma: np.ndarray  # standard deviation of each class, corrected for degrees of freedom
+    outliers: np.ndarray  # (N,) mask of excluded samples
+    squares: np.ndarray  # (N,) whitened squared residual of every sample
     rows: Whitened
-    null: np.ndarray
+    null: np.ndarray  # (d, m) orthonormal undetermined directions, in units of the scale
     cost: float
-    freedom: int
-    history: tuple[float, ...]
+    freedom: int  # degrees of freedom of all residuals
+    history: tuple[float, ...]  # cost before each step
 
     def __post_init__(self) -> None:
         make_read_only(self, "sigma", "outliers", "squares", "null")
@@ -428,10 +407,12 @@ class NonlinearSolution(Generic[Value]):
 
     @property
     def cov(self) -> np.ndarray:
+        """Covariance (d, d) of a step from the value, including the residual correlation if `check` detects it."""
         return self._uncertainty[0]
 
     @property
     def formal_cov(self) -> np.ndarray | None:
+        """Covariance without the residual correlation; None if equal."""
         return self._uncertainty[1]
 
     @property
@@ -452,18 +433,18 @@ def nonlinear_least_squares(
 
     Parameters
     ----------
-    problem : residuals with Jacobian, and retraction. Noise of measurements without covariance is estimated.
+    problem : residuals with Jacobian, and retraction. The noise of measurements without covariance is estimated.
     start : initial value.
     robust : detect outliers among the samples; `outliers` marks them.
     schedule : values of c of the graduated loss, in standard deviations, for given noise.
     near : the start already fits the good samples; the loss begins narrow, so that outliers cannot bias the estimate.
-    majority : with robust and unknown noise, also search near the solution for the fit of most samples. Needed if a
+    majority : with `robust` and unknown noise, also search near the solution for the fit of most samples. Needed if a
         third of the samples share the same error, because they bias the estimate and inflate the noise scale.
 
     Raises
     ------
     NotConverged : the descent did not converge.
-    NotExcited : fewer residuals than unknowns after exclusion of outliers.
+    NotExcited : there are fewer residuals than unknowns after the exclusion of outliers.
 
     References
     ----------
@@ -492,7 +473,7 @@ def nonlinear_least_squares(
 def _fit_and_flag(
     problem: NonlinearProblem[Value], start: Value, sigma: dict[str, float], weight: np.ndarray, robust: bool
 ) -> tuple[Descent[Value], dict[str, float], np.ndarray]:
-    """Alternate between fitting and flagging; return the descent, the noise and the weights (N,)."""
+    """Alternate between fitting and flagging outliers; return the descent, the noise and the weights (N,)."""
     found, sigma = _with_noise(problem, start, sigma, weight)
     for _ in range(FLAG_ROUNDS if robust else 0):
         fresh = _fits(problem, found.value, sigma, len(weight))
@@ -504,7 +485,7 @@ def _fit_and_flag(
 
 
 def _cached(evaluate: Callable[[Value], Sequence[Measurement]]) -> Callable[[Value], Sequence[Measurement]]:
-    """Return `evaluate` with a cache for the last value."""
+    """Return `evaluate` with a cache of the last value."""
     last: list[tuple[Value, Sequence[Measurement]]] = []
 
     def cached(value: Value) -> Sequence[Measurement]:
@@ -532,7 +513,7 @@ def _graduate(
     weight: np.ndarray,
     schedule: Sequence[float],
 ) -> tuple[Value, dict[str, float], np.ndarray]:
-    """Tighten the loss; return the value, the noise, and the inliers (N,) as 0 or 1."""
+    """Narrow the loss step by step; return the value, the noise, and the inliers (N,) as 0 or 1."""
     count = len(weight)
     for c in schedule:
         for _ in range(REWEIGHTED):
@@ -576,9 +557,9 @@ def _fits(problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float
 def _with_noise(
     problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float], weight: np.ndarray
 ) -> tuple[Descent[Value], dict[str, float]]:
-    """Alternate between estimating the value and the noise of its classes.
+    """Alternate between fitting the value and estimating the noise of the classes.
 
-    If one class would be fitted exactly, its noise would vanish; classes then keep their initial ratio.
+    If one class would be fitted exactly, its noise would vanish; the classes then keep their initial noise ratio.
     """
     found = descend(problem, value, sigma, weight)
     mixed, pooled, first = _is_mixed(found), False, sigma
@@ -600,14 +581,14 @@ def _with_noise(
 
 
 def _without_freedom(found: Descent[Any], sigma: dict[str, float]) -> bool:
-    """Return whether one of several classes of unknown noise has less than one remaining degree of freedom."""
+    """Return whether a class of unknown noise, one of several, has less than one remaining degree of freedom."""
     if len(sigma) < 2:
         return False
     return bool(found.freedom[1:][[name in sigma for name in found.rows.names]].min() < 1.0)
 
 
 def _class_sigma(found: Descent[Any]) -> np.ndarray:
-    """Return the standard deviation (classes,) of the residuals in SI units, using the degrees of freedom per class."""
+    """Return the standard deviation (classes,) of the residuals in SI units, corrected for degrees of freedom."""
     left = np.maximum(found.freedom, np.finfo(float).eps)
     return np.sqrt(np.bincount(found.rows.label + 1, found.rows.raw**2, len(left)) / left)[1:]
 
@@ -619,8 +600,7 @@ def _is_mixed(found: Descent[Any]) -> bool:
 def _mixed_sigma(found: Descent[Any], sigma: dict[str, float]) -> np.ndarray:
     """Return the next standard deviation (classes,) with a known part of the noise, S_i - diag(sigma^2).
 
-    ``sigma_c^2 <- sigma_c^2 sum_c (S^-1 r)^2 / (sum_c diag(S^-1) - |S^-1 J basis|^2)``, with sums over the rows of
-    class c.
+    ``sigma_c^2 <- sigma_c^2 sum (S^-1 r)^2 / sum (diag(S^-1) - |S^-1 J basis|^2)``, summed over the rows of class c.
     """
     rows, start = found.rows, 0
     kept = slice(None) if rows.kept is None else rows.kept
@@ -673,8 +653,7 @@ def covariance_of(
 ) -> tuple[np.ndarray, np.ndarray | None, ResidualCheck]:
     """Return the covariance, the covariance for white residuals if different, and the residual check.
 
-    `basis`: (d, r) with U = J basis orthonormal. `estimated`: classes with estimated noise. `robust`: whether outliers
-    were detected.
+    `basis` is (d, r) with orthonormal U = J basis; `estimated` lists the classes with estimated noise.
     """
     sizes = np.bincount(rows.label + 1, rows.raw**2) / np.maximum(np.bincount(rows.label + 1), 1)
     r = np.where(sizes[rows.label + 1] > ROUNDED**2, rows.r, 0.0)
@@ -684,7 +663,7 @@ def covariance_of(
     d = np.bincount(series.label + 1, held, count + 1)[1:]
     nu = np.bincount(series.label + 1, minlength=count + 1)[1:] - d
     known = np.array([name not in estimated for name in series.classes])
-    if np.count_nonzero(~known) > 1 and nu[~known].min() < 1.0:  # these share one unknown factor
+    if np.count_nonzero(~known) > 1 and nu[~known].min() < 1.0:  # these classes share one unknown factor
         d, nu = np.append(d[known], d[~known].sum()), np.append(nu[known], nu[~known].sum())
         known = np.append(known[known], False)
     nu[known] = np.inf

@@ -1,10 +1,10 @@
 """Tests of residuals in time order, and the covariance for time-correlated residuals.
 
-White residuals have the covariance M = 1 - U U^T, U = J basis. Lag-1 products, runs of sign, halves and tails are
-compared with their distribution under M, so that few samples or many parameters raise no false alarm. If neighbours are
-correlated, the noise of each class is modelled as AR(1) plus white noise, averaged over the restricted likelihood
-(Harville 1977) of correlation time and white fraction. The returned covariance is that of least squares under this
-noise, basis U^T Omega U basis^T.
+White residuals have the covariance M = 1 - U U^T, U = J basis. Lag-1 products, runs of equal sign, halves and tails
+are compared with their distribution under M, so that few samples or many parameters raise no false alarm. If neighbours
+are correlated, the noise of each class is modelled as AR(1) plus white noise. The model is averaged over the restricted
+likelihood (Harville 1977) of correlation time and white fraction. The covariance of the least-squares estimate under
+this noise is basis U^T Omega U basis^T.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 ALARM = 3.5  # standard deviations beyond which a test fails
-RARE = 4.7e-4  # the same probability for a chi^2
+RARE = 4.7e-4  # p-value below which a test fails; equivalent to ALARM
 ENOUGH = 8  # degrees of freedom and neighbour pairs needed for a test
-OPEN = 1e-6  # directions with a smaller, or nearly full, share of their information in one half are not compared
-WHITE_SHARES = (0.0, 0.1, 0.3, 0.6)
-SHORTEST, TIMES_PER_DECADE = 0.3, 4  # correlation times, in samples
+OPEN = 1e-6  # smallest share of the information on a direction in each half for a comparison of the halves
+WHITE_SHARES = (0.0, 0.1, 0.3, 0.6)  # fractions of white noise that are tried
+SHORTEST, TIMES_PER_DECADE = 0.3, 4  # shortest correlation time, in samples, and number of times per decade
 REACH = 3.0  # longest correlation time, in record lengths
 SHORTER = 0.4  # prior tau^-0.4 of correlation times; chosen with REACH for the coverage at 30 to 300 samples
 LIKELY = 1e-3  # relative likelihood below which a model is ignored
@@ -28,47 +28,28 @@ CHUNK = 256  # samples whose filtered rows are held in memory
 
 @dataclass(frozen=True, eq=False)
 class ResidualCheck:
-    """Residual diagnostics of a fit.
+    """Residual diagnostics of a fit."""
 
-    Attributes
-    ----------
-    classes : tuple of str
-        The C noise classes.
-    lag1 : ndarray, shape (C,)
-        Correlation of neighbours in time order; 0 for white noise.
-    lag1_z, runs_z, tails_z : ndarray, shape (C,)
-        Number of standard deviations by which lag-1 products, runs of equal sign and the fourth moment exceed those of
-        white Gaussian noise; 0 with too few samples.
-    halves, halves_p : float
-        NEES per parameter between the first and the second half, and its p-value for white noise.
-    size, size_p : float
-        RMS of the whitened residuals (1 for estimated noise), and its p-value for the given noise.
-    growth : float
-        Largest factor on standard deviations due to correlation; 1 for white residuals.
-    robust : bool
-        Whether outliers were detected.
-    """
-
-    classes: tuple[str, ...]
-    lag1: np.ndarray
-    lag1_z: np.ndarray
-    runs_z: np.ndarray
-    tails_z: np.ndarray
-    halves: float
-    halves_p: float
-    size: float = 1.0
-    size_p: float = 1.0
-    growth: float = 1.0
-    robust: bool = False
+    classes: tuple[str, ...]  # C noise classes
+    lag1: np.ndarray  # (C,) correlation of neighbours in time order; 0 for white noise
+    lag1_z: np.ndarray  # (C,) z-scores relative to white Gaussian noise; 0 with too few samples: lag-1 products,
+    runs_z: np.ndarray  # runs of equal sign,
+    tails_z: np.ndarray  # and fourth moment
+    halves: float  # NEES per parameter between fits to the first and the second half
+    halves_p: float  # p-value of `halves` for white noise
+    size: float = 1.0  # RMS of the whitened residuals; 1 for estimated noise
+    size_p: float = 1.0  # p-value of `size` for the given noise
+    growth: float = 1.0  # largest factor on the standard deviations due to correlation
+    robust: bool = False  # whether outliers were detected
 
     @property
     def correlated(self) -> np.ndarray:
-        """Classes (C,) with correlated neighbours."""
+        """Mask (C,) of the classes with correlated neighbours."""
         return (self.lag1_z > ALARM) | (self.runs_z > ALARM)
 
     @property
     def suspicious(self) -> np.ndarray:
-        """Classes (C,) that may be correlated; if the halves disagree, all classes with enough samples."""
+        """Mask (C,) of the possibly correlated classes: all with enough samples if the halves disagree."""
         return self.correlated | ((self.halves_p < RARE) & (self.lag1_z != 0.0))
 
     @property
@@ -107,7 +88,7 @@ class Series:
 
 
 def check_residuals(series: Series, robust: bool, given: bool) -> ResidualCheck:
-    """Test residuals; `robust`: outliers were detected; `given`: the noise of all classes is given."""
+    """Test the residuals of a fit with (`robust`) or without outlier detection, and with given or estimated noise."""
     from scipy.special import chdtrc
 
     order = np.lexsort((series.sample, series.channel))
@@ -128,7 +109,7 @@ def check_residuals(series: Series, robust: bool, given: bool) -> ResidualCheck:
 def _neighbours(
     series: Series, diagonal: np.ndarray, mine: np.ndarray, i: np.ndarray, j: np.ndarray
 ) -> tuple[float, float, float, float]:
-    """Return the lag-1 correlation, and the z-scores of lag-1 products, runs and fourth moment of one class."""
+    """Return the lag-1 correlation of one class, and the z-scores of lag-1 products, runs and fourth moment."""
     r, U, free = series.r, series.U, float(diagonal[mine].sum())
     power = float(r[mine] @ r[mine])
     if free < ENOUGH or len(i) < ENOUGH or power <= 0.0:
@@ -195,7 +176,7 @@ def correlated_information(series: Series, which: Sequence[int]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """Rows [U, r] (N, channels, d + 1) of one class over its samples; zero for missing rows (`there` is False)."""
+    """Rows [U, r] (N, channels, d + 1) of one class over its samples; missing rows are zero and `there` is False."""
 
     rows: np.ndarray
     there: np.ndarray

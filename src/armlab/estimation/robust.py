@@ -1,11 +1,11 @@
-"""Robust linear least squares: Huber's loss by reweighting, and trimmed least squares over blocks.
+"""Robust linear least squares: Huber's loss by reweighting, and trimmed least squares over time blocks.
 
 Huber: minimise ``sum rho(r / s)`` with rho quadratic up to k = 1.345 and linear beyond. Every row has the weight
 ``min(1, k s / |r|)``; the scale s of each class is the median absolute residual divided by 0.6745. The estimator is
-95 % efficient for Gaussian residuals. It suits isolated outliers.
+95 % efficient for Gaussian residuals, and suits isolated outliers.
 
 Trimmed: keep the 75 % of the time blocks that fit best together, then add every block consistent with them. This
-handles outlier segments such as contacts and collisions.
+handles whole outlier segments, such as contacts and collisions.
 """
 
 from __future__ import annotations
@@ -29,15 +29,11 @@ from armlab.estimation.linear_problem import (
 )
 from armlab.estimation.tsqr import Rows, factorise
 
-SHORTEST = 0.5  # s
-CORRELATION_TIMES = 4.0  # correlation times per block
+SHORTEST, CORRELATION_TIMES = 0.5, 4.0  # minimum duration of a block [s], and its minimum in correlation times
 
 
 def correlation_time(x: np.ndarray, dt: float) -> float:
-    """Return ``dt (1/2 + sum rho_k)`` [s] of a uniform record (N,), summed over positive pairs of rho (Geyer).
-
-    The variance of a mean over T >> correlation_time is ``2 s^2 correlation_time / T``.
-    """
+    """Return ``dt (1/2 + sum rho_k)`` [s] of a uniform record (N,), summed over positive pairs of rho (Geyer)."""
     x = numbers(x, "a record", ShapeError)
     if x.ndim != 1 or len(x) < 2 or not np.isfinite(x).all():
         raise ShapeError(
@@ -57,17 +53,17 @@ def correlation_time(x: np.ndarray, dt: float) -> float:
 
 
 def effective_samples(x: np.ndarray) -> float:
-    """Return the effective sample size of the record x (N,), N > 1, for its mean."""
+    """Return the effective number of samples of the record x (N,), N > 1, for its mean."""
     return len(x) / max(2.0 * correlation_time(x, 1.0), 1.0)
 
 
 def block_seconds(residuals: np.ndarray, dt: float) -> float:
-    """Return the length of independent blocks of residuals (N, k) [s]: ``max(0.5 s, 4 t_int)`` of the worst column."""
+    """Return the duration of independent blocks of residuals (N, k): 0.5 s, or 4 correlation times if longer."""
     residuals, dt = numbers(residuals, "residuals", ShapeError), number(dt, "the time between samples [s]")
     return max([SHORTEST, *(CORRELATION_TIMES * correlation_time(column, dt) for column in np.transpose(residuals))])
 
 
-MIN_BLOCKS = 8
+MIN_BLOCKS = 8  # smallest number of segments for a bootstrap
 MIN_EIGENVALUE = 1e-8  # eigenvalue of a resampled normal matrix below which a parameter is undetermined
 CHUNK = 64  # resampled normal matrices held in memory
 
@@ -76,15 +72,15 @@ CHUNK = 64  # resampled normal matrices held in memory
 class BlockSums(Shown):
     """Sums of the rows per time block, in the coordinates z of ``x = solution.x + solution.basis @ z``.
 
-    In these coordinates the whole problem is orthonormal, so squaring the condition number loses no accuracy.
+    In these coordinates the whole problem is orthonormal, so that the normal equations lose no accuracy.
 
     Attributes
     ----------
-    solution : of all blocks.
-    gram : (B, r, r) U^T U.
-    moment : (B, r) U^T r.
-    power : (B,) r^T r.
-    rows : (B,) number of rows; zero for blocks excluded from the solution.
+    solution : solution of all blocks.
+    gram : (B, r, r) sums U^T U of each block.
+    moment : (B, r) sums U^T r of each block.
+    power : (B,) sums of squares r^T r of each block.
+    rows : (B,) number of rows of each block; zero for blocks excluded from the solution.
     """
 
     solution: LinearSolution
@@ -99,11 +95,10 @@ class BlockSums(Shown):
 
         Parameters
         ----------
-        solution : from `least_squares`, which gives the weights and the included blocks.
+        solution : result of `least_squares`, with the weights and the included blocks.
         """
         factors, basis = solution.factors, solution.basis
-        r = basis.shape[1]
-        B = len(factors.rows)
+        B, r = len(factors.rows), basis.shape[1]
         gram, moment, power = np.zeros((B, r, r)), np.zeros((B, r)), np.zeros(B)
         for g, (R, columns) in enumerate(zip(factors.R, factors.columns)):
             rows = R * (solution.weights[g] * solution.kept)[:, None, None]
@@ -119,11 +114,11 @@ class BlockSums(Shown):
 
         Parameters
         ----------
-        weights : (..., B) non-negative; 0 excludes a block.
+        weights : (..., B) non-negative weights of the blocks; 0 excludes a block.
 
         Raises
         ------
-        NotExcited : the blocks with weight do not determine every parameter.
+        NotExcited : the weighted blocks do not determine every parameter.
         """
         flat = np.asarray(weights, dtype=float).reshape(-1, len(self.rows))
         parts = [flat[i : i + CHUNK] for i in range(0, len(flat), CHUNK)]
@@ -133,13 +128,13 @@ class BlockSums(Shown):
     def spread(self, length: int = 1) -> np.ndarray:
         """Return the effective number of segments that determine each parameter (p,), 1 / sum_s h_s^2.
 
-        h_s is the fraction of the information on the parameter in segment s, b^T G_s b / b^T b with b its row of basis.
-        The result is 1 if a single segment identifies the parameter, the number of segments for equal shares, and inf
-        for a held parameter.
+        h_s = b^T G_s b / b^T b is the fraction of the information on the parameter in segment s, with b the parameter's
+        row of `basis`. The result is 1 if a single segment determines the parameter, the number of segments for equal
+        fractions, and infinity for a parameter held by a prior.
 
         Parameters
         ----------
-        length : blocks per segment.
+        length : number of blocks per segment.
         """
         b = self.solution.basis
         shares = np.einsum("pi,kij,pj->kp", b, self.gram, b, optimize=True)
@@ -156,9 +151,9 @@ class BlockSums(Shown):
             pivots = np.zeros((1, 1))
         if not np.all(pivots.min(axis=1, initial=np.inf) > MIN_EIGENVALUE * weights.max(axis=1)):
             raise NotExcited(
-                f"Expected parameters of the {found.problem.what} determined by many time blocks, got a parameter "
-                f"left undetermined by a resample of the {np.count_nonzero(self.rows)} blocks. Move every joint "
-                "during the whole record.",
+                f"Expected many time blocks that determine every parameter of the {found.problem.what}, but a resample "
+                f"of the {np.count_nonzero(self.rows)} blocks leaves a parameter undetermined. Move every joint during "
+                "the whole record.",
                 ["a parameter determined by few blocks"],
                 [f"{np.count_nonzero(self.rows)} blocks"],
             )
@@ -173,16 +168,17 @@ class BlockSums(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Bootstrap(Shown):
-    """Bootstrap solutions.
+    """Result of a block bootstrap.
 
     Attributes
     ----------
     draws : array, shape (D, p), units of the parameters
         Solutions of the resampled problems.
     cov : array, shape (p, p), units of the parameters
-        Covariance of the estimate: covariance of the draws, shrunk towards a multiple of the formal covariance.
+        Covariance of the estimate, which is the covariance of the draws, shrunk towards a multiple of the formal
+        covariance.
     shrinkage : float
-        Shrinkage from 0 to 1; near 1 for few blocks and many parameters.
+        Amount of shrinkage, from 0 to 1; near 1 for few blocks and many parameters.
     """
 
     draws: np.ndarray
@@ -190,25 +186,25 @@ class Bootstrap(Shown):
     shrinkage: float
 
     def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Return the percentile interval, lower and upper ends (p,)."""
+        """Return the lower and upper ends (p,) of the percentile interval."""
         tail = 50.0 * (1.0 - level)
         low, high = np.percentile(self.draws, [tail, 100.0 - tail], axis=0)
         return low, high
 
 
 def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, length: int = 1) -> Bootstrap:
-    """Resample circular segments of whole blocks with replacement and solve again.
+    """Bootstrap a linear solution: resample circular segments of whole blocks with replacement, and solve again.
 
-    The covariance S of the draws has the correct size, but its rank is limited by the number of segments, so its
-    inverse would be far too large. In coordinates with unit formal covariance it is therefore shrunk, ``(1 - d) S + d
-    trace(S) / p``, with d from the scatter of the segments (Ledoit and Wolf).
+    The covariance S of the draws has the correct size, but the number of segments limits its rank, so its inverse would
+    be far too large. It is therefore shrunk to ``(1 - d) S + d trace(S) / p`` in coordinates with unit formal
+    covariance; the scatter of the segments determines d (Ledoit and Wolf).
 
     Parameters
     ----------
-    sums : at least 8 segments of blocks.
+    sums : sums of at least 8 segments of blocks.
     draws : number of draws; default: the larger of 200 and 4 p.
-    seed : of the random generator.
-    length : blocks per segment; a segment should last max(0.5 s, 4 correlation times), see `block_seconds`.
+    seed : seed of the random generator.
+    length : number of blocks per segment; a segment should last at least 0.5 s and 4 correlation times.
 
     Raises
     ------
@@ -245,12 +241,10 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
 
 
 def shrinkage(scores: np.ndarray) -> float:
-    """Return the fraction (0 to 1) of the scatter of a covariance ``S = scores^T scores`` that is due to chance.
+    """Return d (0 to 1) for which ``(1 - d) S + d trace(S) / p`` is nearer to the truth than ``S = scores^T scores``.
 
-    With this fraction d, ``(1 - d) S + d trace(S) / p`` is nearer to the truth than S (Ledoit and Wolf 2004,
-    lemma 3.2).
-
-    `scores`: (B, p) gradients of B independent segments, in coordinates with unit formal covariance.
+    `scores` (B, p) are gradients of B independent segments in coordinates with unit formal covariance (Ledoit and Wolf
+    2004, lemma 3.2).
     """
     S, count = scores.T @ scores, len(scores)
     away = S - np.trace(S) / len(S) * np.eye(len(S))
@@ -266,7 +260,7 @@ class CrossValidation(Shown):
     Attributes
     ----------
     fold : int array, shape (B,)
-        Fold of each block; -1 for blocks outside the fit.
+        Fold of each block; -1 for blocks excluded from the fit.
     solutions : array, shape (k, p), units of the parameters
         Leave-one-fold-out solutions.
     rms : array, shape (k, G), units of the measurements
@@ -283,10 +277,10 @@ def block_cv(sums: BlockSums, folds: int = 7, mode: str = "contiguous") -> Cross
 
     Parameters
     ----------
-    sums : sums of the whole problem.
+    sums : sums of the rows of the whole problem.
     folds : number of folds.
-    mode : "contiguous": each fold is one segment of time, an unbiased test. "alternate": blocks are assigned to folds
-        cyclically, as in published results; this is optimistic because neighbours are correlated.
+    mode : "contiguous": each fold is one segment of time, for an unbiased test. "alternate": blocks are assigned to
+        folds cyclically, as in published results; the test is optimistic because neighbours are correlated.
 
     Raises
     ------
@@ -299,11 +293,11 @@ def block_cv(sums: BlockSums, folds: int = 7, mode: str = "contiguous") -> Cross
         raise ShapeError(
             f"Expected 2 to {len(blocks)} folds for {len(blocks)} blocks, got {folds}. Record a longer log."
         )
-    numbers = {"contiguous": np.arange(len(blocks)) * folds // len(blocks), "alternate": np.arange(len(blocks)) % folds}
-    if mode not in numbers:
-        raise UnknownName.among("mode of cross-validation", mode, numbers)
+    modes = {"contiguous": np.arange(len(blocks)) * folds // len(blocks), "alternate": np.arange(len(blocks)) % folds}
+    if mode not in modes:
+        raise UnknownName.among("mode of cross-validation", mode, modes)
     fold = np.full(len(sums.rows), -1)
-    fold[blocks] = numbers[mode]
+    fold[blocks] = modes[mode]
     solutions = sums.solve((fold >= 0) & (fold != np.arange(folds)[:, None]))
     measured = sums.solution.measured
     rms = []
@@ -313,16 +307,16 @@ def block_cv(sums: BlockSums, folds: int = 7, mode: str = "contiguous") -> Cross
     return CrossValidation(fold, solutions, np.stack(rms))
 
 
-HUBER = 1.345
-HUBER_ROUNDS, HUBER_STEP = 30, 1e-8  # step in standard deviations of the estimate
+HUBER = 1.345  # standard deviations beyond which the loss is linear
+HUBER_ROUNDS, HUBER_STEP = 30, 1e-8  # maximum number of iterations; last step in standard deviations of the estimate
 NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
-SHARE, STARTS = 0.75, 50
-FIRST_STEPS, BEST, LAST_STEPS = 2, 10, 100
+SHARE, STARTS = 0.75, 50  # fraction of the blocks in a trimmed fit; number of random starts
+FIRST_STEPS, BEST, LAST_STEPS = 2, 10, 100  # steps from every start; number of continued starts; their maximum steps
 CUT = 3.0  # robust standard deviations of log RMS beyond which a block is excluded
 
 
 def mad(x: np.ndarray) -> float:
-    """Return the robust standard deviation of zero-mean Gaussian x: median |x| / 0.6745."""
+    """Return the robust standard deviation of zero-mean Gaussian samples: median |x| / 0.6745."""
     return float(np.median(np.abs(x)) / NORMAL_MAD)
 
 
@@ -342,7 +336,7 @@ def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:
         step = np.linalg.norm(found.R @ (found.x - x)) / (max(found.scale, 1e-300) * np.sqrt(len(x)))
         sigma = np.array([mad(np.concatenate(residuals[g])) if g in residuals else s for g, s in enumerate(used)])
         sigma = np.maximum(sigma, EXACT * start.sigma)
-    # Only the final pass factorises blocks separately, because a triangle per block costs more than its rows.
+    # Only the final pass factorises the blocks separately, because a triangle per block is slower.
     found = solve(start.problem, factorise(_reweighted(rows, x, used, {}, []), len(x)), 1.0 / used)
     scaled = np.concatenate([np.concatenate(r) / used[g] for g, r in residuals.items()])
     return _finish(start, found, scaled, used, np.concatenate(weights), rounds, bool(step <= HUBER_STEP))
@@ -355,7 +349,7 @@ def _reweighted(
     residuals: dict[int, list[np.ndarray]],
     weights: list[np.ndarray],
 ) -> Iterator[Rows]:
-    """Yield rows scaled by the root of their Huber weight; collect residuals per class and weights in order."""
+    """Yield the rows scaled by the root of their Huber weight; collect the residuals per class and the weights."""
     for piece in rows:
         e = piece.y - piece.A @ (x if piece.columns is None else x[piece.columns])
         residuals.setdefault(piece.group, []).append(e)
@@ -430,14 +424,14 @@ def _random_start(sums: BlockSums, blocks: np.ndarray, rng: np.random.Generator)
         count += 1 + count // 4
     raise NotExcited(
         f"Expected time blocks that together determine the {sums.solution.problem.what}, got {len(order)} blocks "
-        "without enough excitation. Move every joint during the whole record.",
+        "with too little excitation. Move every joint during the whole record.",
         ["blocks"],
         [f"{len(order)} blocks"],
     )
 
 
 def _concentrate(sums: BlockSums, z: np.ndarray, size: int, steps: int) -> tuple[float, np.ndarray]:
-    """Refit to the `size` blocks with the smallest mean square until convergence; return their sum and z."""
+    """Refit to the `size` blocks with the smallest mean squares until convergence; return the sum of these and z."""
     cost, before = np.inf, None
     for _ in range(steps):
         level = _mean_square(sums, z)
@@ -452,27 +446,23 @@ def _concentrate(sums: BlockSums, z: np.ndarray, size: int, steps: int) -> tuple
 
 
 def _mean_square(sums: BlockSums, z: np.ndarray) -> np.ndarray:
-    """Return the mean square (B,) of the weighted residuals per block; inf for excluded blocks."""
+    """Return the mean square (B,) of the weighted residuals per block; infinity for excluded blocks."""
     power = sums.power - 2.0 * sums.moment @ z + (sums.gram @ z) @ z
     level = np.full(len(power), np.inf)
     return np.divide(np.maximum(power, 0.0), sums.rows, out=level, where=sums.rows > 0)
 
 
-INLIERS, SUBSETS, REFINED_SETS, IMPROVED = (
-    0.6,
-    300,
-    5,
-    10,
-)  # fraction of inliers; fits to minimal sets; refined fits
+INLIERS = 0.6  # assumed fraction of inliers
+SUBSETS, REFINED_SETS, IMPROVED = 300, 5, 10  # number of minimal sets, of refined fits, and of their refinements
 UNOBSERVABLE = 1e-9  # relative singular value
 
 
 def majority_step(J: np.ndarray, r: np.ndarray, sample: np.ndarray, label: np.ndarray, count: int) -> np.ndarray:
     """Return the step (d,) supported by most samples in the linear problem at a value biased by outliers.
 
-    Uses least trimmed squares with an unknown scale per class. Fits to minimal random sets are refined on their nearest
-    samples and selected by the median residual of every class (Rousseeuw and van Driessen 2006). `J`, `r`: (M,)
-    whitened rows, with the sample (of `count`) and the class of each row.
+    Fits to minimal random sets are refined on their nearest samples and selected by the median residual of every class
+    (least trimmed squares, Rousseeuw and van Driessen 2006). `sample` (of `count`) and `label` (class) belong to the
+    whitened rows J and r (M,).
     """
     d, rng = J.shape[1], np.random.default_rng(0)
     most, numbers = int(np.ceil(INLIERS * count)), max(1, len(r) // count)
@@ -512,25 +502,25 @@ def least_squares(
     max_condition: float = MAX_CONDITION,
     seed: int = 0,
 ) -> LinearSolution:
-    """Minimise ``sum_i w_i ||A_i x - y_i||^2`` over measurement classes i by streaming QR.
+    """Minimise ``sum_i w_i ||A_i x - y_i||^2`` over the measurement classes i by streaming QR.
 
     Parameters
     ----------
-    rows : rows of all classes, block by block; may be generated lazily. Memory is O(p^2) per time block and class.
-    names : of the p parameters.
+    rows : rows of all classes, block by block; may be a generator. Memory is O(p^2) per time block and class.
+    names : names of the p parameters.
     what : name of the fitted quantity, for messages.
     method : "ols": w = 1. "wls": w = 1 / sd^2 of the residuals of each class, iterated. "irls": the same with Huber's
         loss; reads the rows once per iteration. "lts": wls on the consistent time blocks.
-    lower, upper : (p,) bounds; the result lists active bounds and the growth of the residual.
-    prior : if given, undetermined directions keep its values and are listed in `excitation.held`.
-    max_condition : largest condition number of the column-scaled, weighted regressor.
+    lower, upper : (p,) bounds; the result lists the active bounds and the growth of the residual.
+    prior : prior values, which undetermined directions keep; these are listed in `excitation.held`.
+    max_condition : largest accepted condition number of the column-scaled, weighted regressor.
     seed : seed of the random starts of "lts".
 
     Raises
     ------
-    ShapeError : rows or bounds with inconsistent shapes or values that are not finite.
+    ShapeError : rows or bounds with inconsistent shapes, or with NaN or infinity.
     UnknownName : unknown method.
-    NotExcited : fewer rows than parameters, or undetermined directions, by name.
+    NotExcited : too few rows, or undetermined directions (named in the message).
 
     References
     ----------

@@ -1,6 +1,6 @@
 """Triangular factors of a linear problem, computed row by row with memory O(p^2) per time block.
 
-For the rows ``[A y]`` of one measurement class in one time block, only the triangle R of ``[A y] = Q R`` is kept, which
+For the rows ``[A y]`` of one measurement class in one time block, only the triangle R of ``[A y] = Q R`` is stored. It
 gives ``||A x - y|| = ||R [x; -1]||`` for every x. Theory: docs/theory/estimation.md.
 """
 
@@ -20,20 +20,20 @@ import numpy as np
 from armlab._display import Shown
 from armlab.errors import ShapeError
 
-PANEL = 8  # columns reflected together by LAPACK; fastest for 20 to 100 columns
-CHUNK = 1024  # rows reflected together; they fit in the cache
+PANEL = 8  # columns that LAPACK reflects together; fastest for 20 to 100 columns
+CHUNK = 1024  # rows reflected together, which fit into the cache
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rows(Shown):
-    """Rows of one measurement class, such as a joint or a sensor.
+    """Rows of the linear problem that belong to one measurement class, such as a joint or a sensor.
 
     Attributes
     ----------
-    A : (m, w) rows of the regressor, with the columns of this class only.
+    A : (m, w) rows of the regressor, with only the columns of this class.
     y : (m,) measurements.
-    block : (m,) index of the time block of each row, ascending; residuals within a block may be correlated.
-    group : index of the class, from 0; each class has one weight.
+    block : (m,) index of the time block of each row, in ascending order; residuals within a block may be correlated.
+    group : index of the class, counted from 0; each class has one weight.
     columns : (w,) parameter indices of the columns; default: all.
     """
 
@@ -45,13 +45,13 @@ class Rows(Shown):
 
     @staticmethod
     def of(A: np.ndarray, y: np.ndarray, block: np.ndarray) -> Iterator[Rows]:
-        """Yield one `Rows` for each of the k rows of every sample, as classes 0 to k - 1.
+        """Yield one `Rows` for each of the k measurements of a sample, as classes 0 to k - 1.
 
         Parameters
         ----------
         A : (N, k, p) regressor of N samples with k rows each. Zero columns of a class are omitted.
         y : (N, k) measurements.
-        block : (N,) index of the time block of each sample, ascending.
+        block : (N,) index of the time block of each sample, in ascending order.
         """
         if A.ndim != 3 or y.shape != A.shape[:2] or block.shape != A.shape[:1]:
             raise ShapeError(
@@ -65,24 +65,20 @@ class Rows(Shown):
 
 @dataclass(frozen=True, eq=False)
 class Factors:
-    """Triangular factors of every measurement class in every time block.
+    """Triangular factors of the rows ``[A y]`` of every measurement class in every time block."""
 
-    `columns`: (w,) parameter indices of each class. `R`: for each class, (B, w + 1, w + 1) factors of its rows
-    ``[A y]`` per block. `rows`: (B, G) number of rows per block and class.
-    """
-
-    size: int
-    columns: tuple[np.ndarray, ...]
-    R: tuple[np.ndarray, ...]
-    rows: np.ndarray
+    size: int  # number of parameters p
+    columns: tuple[np.ndarray, ...]  # (w,) parameter indices of each class
+    R: tuple[np.ndarray, ...]  # (B, w + 1, w + 1) factors of each class
+    rows: np.ndarray  # (B, G) number of rows per block and class
 
     def of_groups(self, kept: np.ndarray | None = None) -> list[np.ndarray]:
-        """Return the factor (w + 1, w + 1) of each class over all blocks, or over those in the mask `kept` (B,)."""
+        """Return the factor (w + 1, w + 1) of each class over the blocks of the mask `kept` (B,); None: all blocks."""
         blocks = range(len(self.rows)) if kept is None else np.flatnonzero(kept)
         return [stack(R[b] for b in blocks) for R in self.R]
 
     def merge(self, groups: list[np.ndarray], weights: np.ndarray) -> np.ndarray:
-        """Return the factor (p + 1, p + 1) of all classes, with rows scaled by the class weight (G,), 1 / sd."""
+        """Return the factor (p + 1, p + 1) of all classes, with the rows scaled by the class weights (G,), 1 / sd."""
         p = self.size
         wide = []
         for R, columns, weight in zip(groups, self.columns, weights):
@@ -92,13 +88,13 @@ class Factors:
         return stack(wide)
 
     def power(self, x: np.ndarray) -> np.ndarray:
-        """Return the sum of squared residuals (B, G) of the parameters x (p,) per block and class."""
+        """Return the sum of squared residuals (B, G) per block and class for the parameters x (p,)."""
         columns = zip(self.R, self.columns)
         return np.stack([np.sum((R @ np.append(x[c], -1.0)) ** 2, axis=1) for R, c in columns], axis=1)
 
 
 def factorise(rows: Iterable[Rows], size: int) -> Factors:
-    """Reduce the rows of all classes (in any order) to triangular factors in one pass (Demmel et al. 2012)."""
+    """Reduce the rows of all classes, in any order, to triangular factors in one pass (Demmel et al. 2012)."""
     columns: dict[int, np.ndarray] = {}
     found: dict[tuple[int, int], np.ndarray] = {}
     count: dict[tuple[int, int], int] = {}
@@ -125,34 +121,29 @@ def stack(parts: Iterable[np.ndarray]) -> np.ndarray:
     """Return the triangle R (w, w) of vertically stacked parts (m, w)."""
     R = np.zeros((0, 0))
     for part in parts:
-        R = R if R.size else np.zeros((part.shape[1], part.shape[1]), order="F")
-        R = _reflect(R, np.array(part, dtype=float, order="F"))
+        R = triangle(part, R=R if R.size else None)
     return R
 
 
-def triangle(A: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
-    """Return the triangle R (w, w) of A (m, p) or ``[A y]``, computed in chunks that fit into the cache."""
+def triangle(A: np.ndarray, y: np.ndarray | None = None, R: np.ndarray | None = None) -> np.ndarray:
+    """Return the triangle (w, w) of A (m, p) or ``[A y]``, stacked below R, which is overwritten."""
+    from scipy.linalg import lapack
+
     w = A.shape[1]
     wide = w + (y is not None)
-    R = np.zeros((wide, wide), order="F")
+    R = np.zeros((wide, wide), order="F") if R is None else R
     for a in range(0, len(A), CHUNK):
         below = np.empty((min(CHUNK, len(A) - a), wide), order="F")
         below[:, :w] = A[a : a + CHUNK]
         if y is not None:
             below[:, w] = y[a : a + CHUNK]
-        R = _reflect(R, below)
+        R = lapack.dtpqrt(0, min(PANEL, wide), R, below, overwrite_a=1, overwrite_b=1)[0]  # pyright: ignore
     return R
 
 
 def _append(R: np.ndarray | None, piece: Rows, start: int, stop: int) -> np.ndarray:
-    """Return the factor of R stacked on further rows."""
-    w = piece.A.shape[1]
-    R = np.zeros((w + 1, w + 1), order="F") if R is None else R
-    for a in range(start, stop, CHUNK):
-        b = min(a + CHUNK, stop)
-        below = np.empty((b - a, w + 1), order="F")
-        below[:, :w], below[:, w] = piece.A[a:b], piece.y[a:b]
-        R = _reflect(R, below)
+    """Return the factor of further rows stacked below R."""
+    R = triangle(piece.A[start:stop], piece.y[start:stop], R)
     if not np.isfinite(R).all():
         bad = start + np.flatnonzero(~np.isfinite(piece.A[start:stop]).all(axis=1) | ~np.isfinite(piece.y[start:stop]))
         raise ShapeError(
@@ -160,13 +151,6 @@ def _append(R: np.ndarray | None, piece: Rows, start: int, stop: int) -> np.ndar
             ". Drop these samples."
         )
     return R
-
-
-def _reflect(R: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """Return the triangle of R stacked on rows; both arrays are overwritten."""
-    from scipy.linalg import lapack
-
-    return lapack.dtpqrt(0, min(PANEL, len(R)), R, below, overwrite_a=1, overwrite_b=1)[0]  # pyright: ignore
 
 
 def _check(piece: Rows, size: int, known: dict[int, np.ndarray]) -> None:
@@ -189,9 +173,8 @@ def _check(piece: Rows, size: int, known: dict[int, np.ndarray]) -> None:
         )
 
 
-# Fits run on one BLAS thread for reproducible bits on every machine; threads do not speed up tall, thin matrices.
-
-
+# Fits run on one BLAS thread, so that results are bit-identical on every machine; several threads would not be faster
+# for tall, thin matrices.
 _lock = Lock()
 _inside = 0
 _limits = ExitStack()
@@ -199,7 +182,7 @@ _limits = ExitStack()
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit BLAS to one thread in a `with` block; the last of several overlapping blocks restores the thread count."""
+    """Limit BLAS to one thread in a `with` block; the last of overlapping blocks restores the number of threads."""
     global _inside
     with _lock:
         if not _inside:
@@ -216,7 +199,7 @@ def one_thread() -> Iterator[None]:
 
 @cache
 def _libraries() -> Any:
-    """Return the thread limiter of the loaded libraries, which is cached because the search takes milliseconds."""
+    """Return the thread limiter of the loaded libraries; cached because finding them takes milliseconds."""
     from threadpoolctl import ThreadpoolController
 
     import_module("scipy.linalg")  # only loaded libraries can be limited
