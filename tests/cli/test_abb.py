@@ -55,7 +55,7 @@ def test_one_command_from_nothing_loaded_to_egm(tmp_path: Path, robotware: str, 
 
 
 NAMED = {
-    "version": "RobotWare 6.05.00. armlab needs RobotWare 6.07 or newer",
+    "version": "RobotWare 6.05.00. Update to RobotWare 6.07 or newer",
     "password": "to accept the user and password",
     "option": "EGM option: missing",
     "manual": "operating mode: MANR",

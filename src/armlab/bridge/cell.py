@@ -1,6 +1,6 @@
 """Robot cell: robots, sources, parameters and servers from one TOML file, and the bridge that runs them.
 
-By default, network servers listen only on this computer; --listen changes this (`listening`).
+By default, network servers listen only on this computer; the option --listen opens them (`listening`).
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from armlab.robots import Robot
 __all__ = ["Cell", "cell_values", "is_open", "listening", "parse_cell", "run_cell"]
 
 GUARDED = "guarded"
-"""Server option: commanding clients need a secret and an encrypted connection."""
+"""Server option: whether commanding clients need a secret and an encrypted connection."""
 
 _ANYWHERE = "0.0.0.0"
-_ZENOH = ("zenoh", "rmw_zenoh")  # on the same port they share a router, and each receives the messages of both
+_ZENOH = ("zenoh", "rmw_zenoh")  # on the same port, they share a router, and each receives the messages of both
 
 
 def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
-    """Return the address of each network server: loopback, or the address given by --listen."""
+    """Return the address of each network server: loopback, or the address from --listen."""
     found = {name: "127.0.0.1" for name in cell.servers if name != OPERATOR}
     for word in listen:
         server, _, place = word.partition("=")
@@ -59,9 +59,12 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
             )
         options = cell.servers[server]
         if server in cell.commands and is_open(options, found[server]):
+            why = "it needs a secret and encryption. Set both in its table of the cell."
+            if GUARDED not in options:
+                why = "it supports neither a secret nor encryption."
             raise ConfigError(
                 f"Expected {server} only on this computer, because `commands` lists it, got --listen {word}: "
-                f"{_why(options)} Or remove it from `commands`, or let clients connect through an SSH tunnel."
+                f"{why} Or remove it from `commands`, or let clients connect through an SSH tunnel."
             )
     _check_readers(cell, found)
     _check_routers(cell, found)
@@ -70,23 +73,23 @@ def listening(listen: Iterable[str], cell: Cell) -> dict[str, str]:
 
 
 def is_open(options: Mapping[str, Any], address: str) -> bool:
-    """Return whether clients on other computers can reach a server without a secret; such clients may only read."""
+    """Return whether clients on other computers can reach a server without a secret; these clients may only read."""
     return not options.get(GUARDED, False) and not ipaddress.ip_address(address).is_loopback
 
 
 def _check_readers(cell: Cell, addresses: Mapping[str, str]) -> None:
-    """Refuse to send rows to a router on another computer unless --listen allows readers there."""
+    """Raise an error if rows go to a router on another computer without a --listen option that allows readers there."""
     for name in _ZENOH:
         router = cell.servers.get(name, {}).get("router", "")
         if router and not is_here(router) and ipaddress.ip_address(addresses[name]).is_loopback:
             raise ConfigError(
                 f"Expected --listen {name}=ADDRESS too, because its router {router} is on another computer, where "
-                "others can read its rows. Add it."
+                "others can read its rows. Add this option."
             )
 
 
 def _check_routers(cell: Cell, addresses: Mapping[str, str]) -> None:
-    """Refuse commands to one Zenoh server through the unprotected router of the other."""
+    """Raise an error if commands could reach one Zenoh server through the unprotected router of the other."""
     places = {name: _router_port(cell.servers[name]) for name in _ZENOH if name in cell.servers}
     for name in places:
         for other, place in places.items():
@@ -94,20 +97,20 @@ def _check_routers(cell: Cell, addresses: Mapping[str, str]) -> None:
             if is_shared and name in cell.commands and is_open(cell.servers[other], addresses[other]):
                 raise ConfigError(
                     f"Expected {other} only on this computer, got --listen {other}={addresses[other]}: it shares the "
-                    f"router at port {place} with {name}, which `commands` names, so any client could command. Choose "
+                    f"router at port {place} with {name}, which `commands` lists, so any client could command. Choose "
                     f"a different `port` for [servers.{other}]."
                 )
     at = {addresses[name] for name, place in places.items() if place and not cell.servers[name]["router"]}
     if len(set(places.values())) == 1 and len(at) == 2 and _ANYWHERE in at:
         raise ConfigError(
             f"Expected zenoh and rmw_zenoh at the same address, because both share the router at port "
-            f"{places['zenoh']} and one of them listens at every address. Pass --listen for both, or give one of them "
-            "another `port`."
+            f"{places['zenoh']}, and one of them listens at every address. Pass --listen for both, or set a different "
+            "`port` for one of them."
         )
 
 
 def _check_master(cell: Cell) -> None:
-    """Refuse ROS 1 commands if the master is on another computer, where it could connect unauthenticated nodes."""
+    """Raise an error if ROS 1 commands are enabled with a master on another computer, which has no authentication."""
     if "ros1" not in cell.commands:
         return
     master = cell.servers["ros1"]["master"]
@@ -117,28 +120,22 @@ def _check_master(cell: Cell) -> None:
         host = ""
     if host != "localhost" and not is_loopback(host):
         raise ConfigError(
-            f"Expected the master of ROS 1 on this computer, such as http://127.0.0.1:11311, because `commands` names "
+            f"Expected the master of ROS 1 on this computer, such as http://127.0.0.1:11311, because `commands` lists "
             f"ros1, got {master}: nodes in its network could command the arms without a secret. Remove ros1 from "
             "`commands`."
         )
 
 
 def _router_port(options: Mapping[str, Any]) -> str:
-    """Return the port of the router on this computer that a Zenoh server uses, or "" if it cannot be shared."""
+    """Return the port of the local router of a Zenoh server, or "" if other servers cannot share the router."""
     host, _, port = options["router"].rpartition(":")
     if host:
         return port if is_here(options["router"]) else ""
     return str(options["port"] or "")
 
 
-def _why(options: Mapping[str, Any]) -> str:
-    if GUARDED in options:
-        return "it needs a secret and encryption. Set both in its table of the cell."
-    return "it supports neither a secret nor encryption."
-
-
 def _address(place: str) -> str:
-    """Return the IPv4 address given as an address or as the name of a network interface."""
+    """Return an IPv4 address; `place` is an address or the name of a network interface."""
     try:
         address = ipaddress.IPv4Address(place)
     except ValueError:
@@ -164,7 +161,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RobotTable(_Table, frozen=True):
-    """Robot: library name or file, and URL of its link; for a URDF, base, tip and lock select the arm."""
+    """Robot: library name or file, and URL of the link; for a URDF, base, tip and lock select the arm."""
 
     name: str
     link: str
@@ -177,7 +174,7 @@ class RobotTable(_Table, frozen=True):
 
 
 class FieldTable(_Table, frozen=True):
-    """Field of a source; fields in the glossary need no unit."""
+    """Field of a source; a field in the glossary needs no unit."""
 
     shape: tuple[int, ...] = ()
     unit: str | None = None
@@ -185,7 +182,7 @@ class FieldTable(_Table, frozen=True):
 
 
 class SourceTable(_Table, frozen=True):
-    """Source of external values: datagrams from another program, or a sample from a LabComm server."""
+    """Source of external values: datagrams from another program, or samples from a LabComm server."""
 
     fields: dict[_Name, FieldTable]
     period: float
@@ -214,7 +211,7 @@ class ParameterTable(_Table, frozen=True):
 
 
 class LabCommTable(_Table, frozen=True):
-    """LabComm server: ports for each arm, the parameters and the fused rows."""
+    """LabComm server: one port per arm, one for the parameters and one for the fused rows."""
 
     ports: dict[str, _Port] = {}
     parameters: _Port = 7513
@@ -229,19 +226,19 @@ class _Server(_Table, frozen=True):
     """Table of a server."""
 
     def options(self) -> dict[str, Any]:
-        """Return the options of the server process; "guarded" marks one that requires a secret (see `listening`)."""
+        """Return the options of the server process, with `GUARDED` for a server that supports a secret."""
         return msgspec.to_builtins(self)
 
 
 class Ros2Table(_Server, frozen=True):
-    """ROS 2 over DDS; default domain: ROS_DOMAIN_ID."""
+    """ROS 2 server over DDS; default domain: ROS_DOMAIN_ID."""
 
     domain: Annotated[int, msgspec.Meta(ge=0, le=232)] | None = None
     tf: bool = False
 
 
 class RosbridgeTable(_Server, frozen=True):
-    """rosbridge server: port, default dialect, and access control."""
+    """rosbridge server: port, default dialect and access control."""
 
     port: _Port = 9090
     dialect: Literal["ros1", "ros2"] = "ros2"
@@ -252,13 +249,13 @@ class RosbridgeTable(_Server, frozen=True):
     key: str | None = None
 
     def options(self) -> dict[str, Any]:
-        """Return the options; a token, a certificate and a key together make the server guarded."""
+        """Return the options; a token, a certificate and a key together set `GUARDED`."""
         token = self.token_file or self.token_variable
-        return {**super().options(), "guarded": bool(token and self.certificate and self.key)}
+        return {**super().options(), GUARDED: bool(token and self.certificate and self.key)}
 
 
 class ZenohTable(_Server, frozen=True):
-    """Zenoh server: name of the lab, router, and access control; see `zenoh.security.Security`."""
+    """Zenoh server: name of the lab, router and access control; see `zenoh.security.Security`."""
 
     lab: _Name = "lab"
     port: _Port = 7447
@@ -270,11 +267,11 @@ class ZenohTable(_Server, frozen=True):
     secret: str = ""
 
     def options(self) -> dict[str, Any]:
-        return {**super().options(), "guarded": bool(self.ca and self.certificate and self.key and self.users)}
+        return {**super().options(), GUARDED: bool(self.ca and self.certificate and self.key and self.users)}
 
 
 class RmwZenohTable(_Server, frozen=True):
-    """ROS 2 over Zenoh, compatible with rmw_zenoh; default domain: ROS_DOMAIN_ID."""
+    """ROS 2 server over Zenoh, compatible with rmw_zenoh; default domain: ROS_DOMAIN_ID."""
 
     domain: Annotated[int, msgspec.Meta(ge=0, le=232)] | None = None
     distribution: Literal["humble", "jazzy", "kilted"] = "jazzy"
@@ -284,14 +281,14 @@ class RmwZenohTable(_Server, frozen=True):
 
 
 class Ros1Table(_Server, frozen=True):
-    """ROS 1 node: its master, and a Python interpreter with rospy."""
+    """ROS 1 node: URI of the master, and a Python interpreter with rospy."""
 
     master: str = "http://127.0.0.1:11311"
     python: str = "/usr/bin/python3"
 
 
 class PlotJugglerTable(_Server, frozen=True):
-    """Datagrams for PlotJuggler: destination, and the fields of each robot to send; default: all numeric fields."""
+    """PlotJuggler server: destination of the datagrams, and fields to send per robot; default: all numeric fields."""
 
     to: str = "127.0.0.1"
     port: _Port = 9870
@@ -299,7 +296,7 @@ class PlotJugglerTable(_Server, frozen=True):
 
 
 class ServersTable(_Table, frozen=True):
-    """Enabled servers besides the local one."""
+    """Enabled servers, in addition to the local server."""
 
     labcomm: LabCommTable | None = None
     ros2: Ros2Table | None = None
@@ -311,7 +308,7 @@ class ServersTable(_Table, frozen=True):
 
 
 class File(_Table, frozen=True):
-    """The whole cell file."""
+    """Complete cell file."""
 
     robots: Annotated[list[RobotTable], msgspec.Meta(min_length=1)]
     name: _Name = "cell"
@@ -328,49 +325,21 @@ _SIDES = {"left": 7511, "right": 7512}
 
 @dataclass(frozen=True)
 class Cell:
-    """Checked content of a cell file.
-
-    Attributes
-    ----------
-    name : str
-        Name of the cell.
-    robots : tuple of Robot
-        The arms.
-    links : tuple of str
-        The URL of each arm.
-    extension : bool
-        Whether the research extension is sent.
-    limits : tuple of Limits
-        The limits of each arm.
-    torque : tuple of str
-        Names of the arms that clients may command by torque.
-    commands : tuple of str
-        Servers whose clients may command.
-    pace : str
-        See `Link.run`.
-    record : str
-        See `Link.run`.
-    parameters : tuple of Parameter
-        Declared parameters.
-    servers : mapping
-        Options by server name.
-    text : str
-        Text of the file, stored in recordings.
-    """
+    """Checked content of a cell file; `extension`, `pace` and `record` as in `connect` and `Link.run`."""
 
     name: str
     robots: tuple[Robot, ...]
-    links: tuple[str, ...]
+    links: tuple[str, ...]  # URL of each arm
     extension: bool
     limits: tuple[Limits, ...]
-    torque: tuple[str, ...]
-    commands: tuple[str, ...]
+    torque: tuple[str, ...]  # names of the arms that accept torque commands from clients
+    commands: tuple[str, ...]  # servers whose clients may command
     pace: str | None
     record: str | None
     parameters: tuple[Parameter, ...]
-    servers: Mapping[str, Mapping[str, Any]]
+    servers: Mapping[str, Mapping[str, Any]]  # options by server name
     _sources: Mapping[str, SourceTable]
-    text: str = ""
+    text: str = ""  # of the file, stored in recordings
 
     def sources(self) -> list[Source]:
         """Return new sources, not yet started."""
@@ -378,20 +347,7 @@ class Cell:
 
 
 def parse_cell(text: str, path: str = "cell.toml") -> Cell:
-    """Parse a cell from TOML text.
-
-    Parameters
-    ----------
-    text : str
-        Text of the file.
-    path : str
-        File name for error messages.
-
-    Raises
-    ------
-    ConfigError
-        Invalid TOML, an unknown or invalid entry, or contradictory entries; one line with the path.
-    """
+    """Parse a cell from TOML text; a `ConfigError` of one line contains the path."""
     try:
         file = msgspec.convert(parsed(text), File, strict=True)
         return replace(_cell(file), text=text)
@@ -402,7 +358,7 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
 
 
 def _link(one: RobotTable) -> str:
-    """Return the URL of a link; for a simulated robot, add the options that select its arm."""
+    """Return the URL of a link; for a simulated robot, with the options that select the arm."""
     lock = ",".join(f"{joint}={value!r}" for joint, value in one.lock.items())
     chosen = {name: value for name, value in (("base", one.base), ("tip", one.tip), ("lock", lock)) if value}
     return choosing_arm(one.link, chosen)
@@ -413,7 +369,7 @@ def _cell(file: File) -> Cell:
     names = [arm.name for arm in arms]
     if len(set(names)) < len(names):
         raise ConfigError(f"Expected robots with different names, got {', '.join(names)}.")
-    if len(names) > 1 and file.name in names:  # both arms are commanded under the name of the cell
+    if len(names) > 1 and file.name in names:  # the name of the cell addresses both arms together
         raise ConfigError(f"Expected a cell name that differs from its robots, got {file.name}.")
     if file.pace is not None and file.pace not in names:
         raise UnknownName.among("robot of this cell", file.pace, names)
@@ -427,33 +383,20 @@ def _cell(file: File) -> Cell:
         raise ConfigError(
             f"Expected `commands` to name enabled servers, got {', '.join(idle)}. Add [servers.{idle[0]}]."
         )
-    declared = []
-    for name, one in file.parameters.items():
-        fields = {field: getattr(one, field) for field in one.__struct_fields__}
-        declared.append(Parameter(name, **fields))
+    declared = [Parameter(name, **msgspec.structs.asdict(one)) for name, one in file.parameters.items()]
     Parameters(declared)
     for name, source in file.sources.items():
         check_source(_source(name, source), arms)
     extension = any(one.extension for one in file.robots)
     limits = tuple(_limits(arm, one, extension) for arm, one in zip(arms, file.robots, strict=True))
-    return Cell(
-        file.name,
-        arms,
-        tuple(_link(one) for one in file.robots),
-        extension,
-        limits,
-        tuple(arm.name for arm, one in zip(arms, file.robots, strict=True) if one.torque is not None),
-        tuple(file.commands),
-        file.pace,
-        file.record,
-        tuple(declared),
-        servers,
-        file.sources,
-    )
+    links, commands = tuple(_link(one) for one in file.robots), tuple(file.commands)
+    torque = tuple(arm.name for arm, one in zip(arms, file.robots, strict=True) if one.torque is not None)
+    settings = file.pace, file.record, tuple(declared), servers, file.sources
+    return Cell(file.name, arms, links, extension, limits, torque, commands, *settings)
 
 
 def _limits(arm: Robot, one: RobotTable, extension: bool) -> Limits:
-    """Return the limits of an arm; setting `torque` requires a link that carries torques."""
+    """Return the limits of an arm; an entry `torque` requires a link that carries torques."""
     if one.torque is None:
         return Limits.of(arm, speed=one.speed)
     if not (one.link.startswith("sim:") or (extension and one.link.startswith("egm:"))):
@@ -480,16 +423,9 @@ def _labcomm(options: LabCommTable, arms: Sequence[Robot]) -> dict[str, Any]:
     taken = [port for port in (*ports, options.parameters, options.rows) if port]
     if len(set(taken)) < len(taken):
         raise ConfigError(f"Expected different LabComm ports for each arm, the parameters and the rows, got {taken}.")
-    return labcomm_options(
-        arms,
-        ports=ports,
-        dialect=options.dialect,
-        order=options.order,
-        parameters=options.parameters,
-        fused=options.rows,
-        types=options.types,
-        follows_client=options.follows_client,
-    )
+    fields = msgspec.structs.asdict(options) | {"ports": ports}
+    fused = fields.pop("rows")
+    return labcomm_options(arms, fused=fused, **fields)
 
 
 def _source(name: str, one: SourceTable) -> Source:
@@ -512,14 +448,14 @@ def run_cell(
     controller: Controller | None = None,
     parameters: Parameters | None = None,
 ) -> Run:
-    """Run the bridge of a cell: send EGM data to the servers as rows, and the commanding client's commands to the arms.
+    """Run the bridge of a cell: send the rows of the arms to the servers, and the commands of clients to the arms.
 
     Parameters
     ----------
     cell : Cell
         From `parse_cell`.
     listen : iterable of str
-        See `listening`.
+        Options ``SERVER=ADDRESS``, see `listening`.
     seconds : float, s
         Robot time under guidance after which the run ends.
     patience : float, s
@@ -532,16 +468,6 @@ def run_cell(
         Commands the arms in place of the clients, which may then only read, set parameters and stop the arms.
     parameters : Parameters
         Parameters of the controller, built from `Cell.parameters`.
-
-    Returns
-    -------
-    Run
-        See `Link.run`.
-
-    Raises
-    ------
-    ConfigError, UnknownName, LinkError
-        See `listening`, `connect` and `Link.run`. LinkError is also raised if a port or a server's socket is in use.
     """
     addresses = listening(listen, cell)
     sources = cell.sources()
@@ -590,20 +516,7 @@ def _line(error: Exception) -> str:
 
 
 def cell_values(text: str, path: str = "cell.toml") -> list[tuple[str, Any, bool]]:
-    """Return (place, value, whether the file sets it) for all entries, with places such as `robots[0].speed`.
-
-    Parameters
-    ----------
-    text : str
-        Text of the file.
-    path : str
-        File name for error messages.
-
-    Raises
-    ------
-    ConfigError
-        See `parse_cell`.
-    """
+    """Return (place, value, whether the file sets the value) for all entries, with places such as `robots[0].speed`."""
     parse_cell(text, path)
     raw = parsed(text)
     return list(_values(msgspec.convert(raw, File, strict=True), raw, ""))

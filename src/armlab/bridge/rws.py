@@ -1,8 +1,7 @@
 """Robot Web Services (RWS): `AbbController` reads the state of an ABB controller, and loads, starts and stops RAPID.
 
-The client is abb_robot_client (extra ``abb``), which supports RWS 1.0 of RobotWare 6. For RobotWare 7 its requests are
-translated to RWS 2.0 below the client, in the `requests` transport. The password never appears in a URL, an error, a
-repr or an event.
+The client abb_robot_client (extra ``abb``) supports RWS 1.0 of RobotWare 6. For RobotWare 7, a `requests` transport
+below the client translates its requests to RWS 2.0. The password never appears in a URL, an error, a repr or an event.
 """
 
 from __future__ import annotations
@@ -15,33 +14,33 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 from urllib.parse import parse_qsl, quote, unquote, urlencode, urlsplit, urlunsplit
 
 from armlab.errors import ConfigError, LinkError, MissingExtra
 
 USER, PASSWORD = "ARMLAB_RWS_USER", "ARMLAB_RWS_PASSWORD"
-"""Environment variables of the credentials."""
+"""Environment variables with the credentials."""
 
 PROGRAMS = {
     "T_ROB1": ("ArmlabJoint", "armlab"),
     "T_ROB_L": ("ArmlabYumiL", "armlab_l"),
     "T_ROB_R": ("ArmlabYumiR", "armlab_r"),
 }
-"""Motion task: its guidance module, and the UDP device over which that module sends."""
+"""Guidance module and its UDP device, by motion task."""
 
 INTERFACE = "armlab"
-"""Name of the external motion interface in the guidance modules."""
+"""Name of the external motion interface that the guidance modules use."""
 
 OLDEST = (6, 7)
-"""Oldest supported RobotWare."""
+"""Oldest supported RobotWare version."""
 
-_DEFAULT_USER = "Default User"  # exists on every controller
+_DEFAULT_USER = "Default User"  # predefined on every controller
 _TIMEOUT = 5.0  # s without receiving a byte
-_LONGEST = 20.0  # s for a complete answer, however slowly its bytes arrive
-_LARGEST = 4 << 20  # bytes per answer
-_SETTLING = 5.0  # s for motors or RAPID to change state
+_LONGEST = 20.0  # s for a complete answer, even if its bytes arrive slowly
+_LARGEST = 4 << 20  # bytes of an answer
+_SETTLING = 5.0  # s within which motors or RAPID must change state
 _FORM, _HAL, _XHTML = (
     "application/x-www-form-urlencoded;v=2.0",
     "application/hal+json;v=2.0",
@@ -63,7 +62,7 @@ _CODES = {
 
 
 class RwsError(LinkError):
-    """Request refused by the controller, with the HTTP status and the controller's return code (0 if unknown)."""
+    """Request refused by the controller, with HTTP status and return code (0 if unknown)."""
 
     def __init__(self, message: str, status: int = 0, code: int = 0) -> None:
         super().__init__(message)
@@ -88,13 +87,13 @@ class Credentials:
         found = os.environ.get(PASSWORD) or (ask(f"Password of {user!r} on the controller: ") if ask else "")
         if not found:
             raise ConfigError(
-                f"Expected the password of the controller in the variable {PASSWORD}, but it is not set. Set it."
+                f"Expected the password of the controller in the environment, got no value. Set {PASSWORD}."
             )
         return cls(user, found)
 
 
 class Task(NamedTuple):
-    """A motion task: whether it is selected to run, its execution state and its program modules."""
+    """Motion task: whether it is selected to run, its execution state and its program modules."""
 
     name: str
     is_active: bool
@@ -127,16 +126,16 @@ class ControllerStatus:
         return self.execution == "running"
 
     def mains(self, task: Task) -> list[str]:
-        """Return the modules of a task that contain a routine main."""
+        """Return the modules of a task that contain a routine `main`."""
         return [module for module in task.modules if _MAIN.search(self.texts.get((task.name, module), ""))]
 
 
 def split_host(text: str) -> tuple[list[str], str]:
-    """Return the URLs at which a controller may answer, and its name for messages."""
+    """Return the possible URLs of a controller, and its name for messages."""
     if "@" in text:  # not echoed, because it may contain a password
         raise ConfigError(
-            f"Expected a controller without user and password in its address. Set {USER} and {PASSWORD}, and "
-            "remove them there."
+            f"Expected a controller address without user and password. Remove them from the address and set {USER} "
+            f"and {PASSWORD}."
         )
     try:
         parts = urlsplit(text if "://" in text else f"//{text}")
@@ -153,10 +152,10 @@ def split_host(text: str) -> tuple[list[str], str]:
 def open_controller(
     host: str, credentials: Callable[[], Credentials], insecure: bool = False, ca: str = ""
 ) -> AbbController:
-    """Return the controller at a host: RobotWare 7 over TLS, or RobotWare 6 over plain HTTP with digest authentication.
+    """Connect to a controller: RobotWare 7 over TLS, or RobotWare 6 over plain HTTP with digest authentication.
 
-    `credentials` is called once a controller answers. `insecure` accepts any certificate; `ca` is a file of trusted
-    certificates.
+    The function calls `credentials` only after a controller answers. `insecure` accepts any certificate; `ca` is a file
+    of trusted certificates.
     """
     urls, place = split_host(host)
     verify: bool | str = False if insecure else ca or True
@@ -176,14 +175,14 @@ def open_controller(
         if failed is not None:
             raise failed
         raise LinkError(
-            f"Expected a controller with Robot Web Services at {place}, got no answer. Check cable, address and port: "
-            "RobotWare 6 answers on port 80, RobotWare 7 on 443."
+            f"Expected a controller with Robot Web Services at {place}, got no answer. Check the cable, address and "
+            "port: RobotWare 6 answers on port 80, RobotWare 7 on 443."
         )
     is_rws2 = url.startswith("https:") and scheme == "basic"
     if not is_rws2 and scheme != "digest":
         raise LinkError(
-            f"Expected {place} to ask for digest authentication, or for a password over TLS, got {scheme!r}. This is "
-            "not an ABB controller with RobotWare 6 or 7; no password was sent."
+            f"Expected {place} to request digest authentication, or a password over TLS, got {scheme!r}. This is not "
+            "an ABB controller with RobotWare 6 or 7; no password was sent."
         )
     return AbbController(url, place, is_rws2, credentials(), verify)
 
@@ -194,14 +193,14 @@ def _packages() -> tuple[Any, Any]:
         import requests
     except ImportError:
         raise MissingExtra(
-            "Expected the package abb_robot_client for Robot Web Services, but it is not installed. Install it: pip "
-            "install 'armlab[abb]'."
+            "Expected the package abb_robot_client for Robot Web Services, but it is not installed. Install it: "
+            "pip install 'armlab[abb]'."
         ) from None
     return requests, abb_robot_client.rws.RWS
 
 
 def _challenge(url: str, place: str, verify: bool | str) -> str:
-    """Return the authentication scheme that a server requests, without sending credentials."""
+    """Return the authentication scheme that a server requests; sends no credentials."""
     requests, _ = _packages()
     with requests.Session() as session:
         session.trust_env, session.verify = False, verify
@@ -210,12 +209,12 @@ def _challenge(url: str, place: str, verify: bool | str) -> str:
     return response.headers.get("WWW-Authenticate", "").partition(" ")[0].lower() or f"HTTP {response.status_code}"
 
 
-_UNVERIFIED = -1  # status of an RwsError: the certificate was not accepted
+_UNVERIFIED = -1  # status of an RwsError if the certificate is not accepted
 
 
 @cache
 def _transport() -> Any:
-    """Return a `requests` transport that limits the time and size of answers and reports errors as sentences."""
+    """Return a `requests` transport that limits time and size of answers and reports errors as sentences."""
     requests, _ = _packages()
 
     class Transport(requests.adapters.HTTPAdapter):  # type: ignore[misc]
@@ -230,7 +229,7 @@ def _transport() -> Any:
             end = time.monotonic() + _LONGEST
             try:
                 with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")  # the user asked for --insecure
+                    warnings.simplefilter("ignore")  # urllib3 warns about --insecure
                     response = super().send(request, **options)
                     body = b""
                     for piece in response.raw.stream(1 << 16, decode_content=True):
@@ -241,7 +240,10 @@ def _transport() -> Any:
             except (requests.RequestException, requests.packages.urllib3.exceptions.HTTPError, OSError) as error:
                 raise _unreachable(self._place, error) from None
             if len(body) > _LARGEST or time.monotonic() > end:
-                raise RwsError(f"Expected at most {_LARGEST} bytes within {_LONGEST:g} s from {self._place}, got more.")
+                raise RwsError(
+                    f"Expected an answer of at most {_LARGEST} bytes within {_LONGEST:g} s from {self._place}, got a "
+                    "larger or slower answer."
+                )
             response._content = _from_rws2(response, body) if self._is_rws2 else body
             response._content_consumed = True
             _check(self._place, request, response)
@@ -267,7 +269,7 @@ def _unreachable(place: str, error: Exception) -> RwsError:
 
 
 def _check(place: str, request: Any, response: Any) -> None:
-    """Raise an error for a refused request; the initial challenge of digest authentication is not an error."""
+    """Raise an error if the controller refused a request, except for the challenge of digest authentication."""
     status = response.status_code
     if status == 401:
         challenge = response.headers.get("WWW-Authenticate", "").lower()
@@ -279,7 +281,7 @@ def _check(place: str, request: Any, response: Any) -> None:
         return
     if 300 <= status < 400:
         raise RwsError(
-            f"Expected an answer from {place}, got a redirect to another host, which is not followed.", status
+            f"Expected an answer from {place}, got a redirect to another host; redirects are not followed.", status
         )
     if status < 400:
         return
@@ -294,7 +296,7 @@ def _check(place: str, request: Any, response: Any) -> None:
     raise RwsError(f"Expected {place} to accept {what}, got HTTP {status}, code {code}: {why}.", status, code)
 
 
-_RWS2_PATHS = (  # path in RWS 1.0, with its action, and path in RWS 2.0
+_RWS2_PATHS = (  # path with action in RWS 1.0, path in RWS 2.0
     (r"/rw/panel/ctrlstate(\?setctrlstate)?$", r"/rw/panel/ctrl-state"),
     (r"/rw/rapid/tasks/([^/]+)\?((?:de)?activate)$", r"/rw/rapid/tasks/\2"),
     (r"/rw/rapid/modules/([^/]+)\?module-text$", r"/rw/rapid/tasks/{task}/modules/\1/text"),
@@ -334,7 +336,7 @@ def _to_rws2(request: Any) -> None:
 
 
 def _from_rws2(response: Any, body: bytes) -> bytes:
-    """Return the body of an answer as RWS 1.0 would have sent it."""
+    """Convert the body of an RWS 2.0 answer to RWS 1.0."""
     if "json" not in response.headers.get("Content-Type", ""):
         return body
     try:
@@ -347,7 +349,7 @@ def _from_rws2(response: Any, body: bytes) -> bytes:
 
 
 class AbbController:
-    """Connection to an ABB controller via Robot Web Services, made by `open_controller`; a context manager."""
+    """Connection to an ABB controller via Robot Web Services, created by `open_controller`; a context manager."""
 
     def __init__(
         self, url: str, place: str, is_rws2: bool, credentials: Credentials, verify: bool | str = True
@@ -370,14 +372,15 @@ class AbbController:
         self.close()
 
     def close(self) -> None:
-        """Log out, because a controller allows only a few sessions."""
+        """Log out; a controller allows only a few sessions."""
         self._rws.close()
 
     def status(self, texts: bool = False) -> ControllerStatus:
-        """Return the state of the controller, with the texts of all program modules if requested."""
+        """Return the state of the controller; `texts` adds the texts of all program modules."""
         system = self._states("rw/system")
         version = next((str(one["rwversion"]) for one in system if "rwversion" in one), "")
-        tasks = self._tasks()
+        moving = [one for one in self._ask(self._rws.get_tasks).values() if one.motiontask]
+        tasks = tuple(Task(one.name, one.active, one.excstate, self._modules(one.name)) for one in moving)
         found = {}
         if texts:
             found = {(task.name, name): self.module_text(task.name, name) for task in tasks for name in task.modules}
@@ -398,7 +401,7 @@ class AbbController:
         )
 
     def module_text(self, task: str, module: str) -> str:
-        """Return the text of a loaded module, or "" if the controller does not send it."""
+        """Return the text of a loaded module, or "" if the controller does not provide it."""
         states = self._states(f"rw/rapid/modules/{quote(module)}?resource=module-text&task={quote(task)}")
         text = next((str(one["module-text"]) for one in states if "module-text" in one), "")
         return unquote(text) if "\n" not in text and re.search("%0[aAdD]", text) else text
@@ -418,7 +421,7 @@ class AbbController:
 
     @contextmanager
     def mastership(self) -> Iterator[None]:
-        """Hold RAPID mastership, which is required to change programs."""
+        """Hold RAPID mastership, which changes of programs require."""
         self._post("rw/mastership/rapid?action=request")
         try:
             yield
@@ -427,7 +430,7 @@ class AbbController:
                 self._post("rw/mastership/rapid?action=release")
 
     def load(self, task: str, name: str) -> None:
-        """Load a file from the controller's home folder into a task, replacing any module of that name."""
+        """Load a file from the controller's home folder into a task; replace a module of the same name."""
         self._post(f"rw/rapid/tasks/{quote(task)}?action=loadmod", modulepath=f"$HOME/{name}", replace="true")
 
     def unload(self, task: str, module: str) -> None:
@@ -442,12 +445,12 @@ class AbbController:
         self._wait(lambda: self._ask(self._rws.get_controller_state) == "motoron", "the motors to switch on")
 
     def start(self, tasks: Sequence[str]) -> None:
-        """Start RAPID in these motion tasks, deselect the others, and check that it runs."""
+        """Start RAPID in the given motion tasks, deselect all others, and check that RAPID runs."""
         self._ask(self._rws.start, "forever", list(tasks))
         self._wait(self.runs, "RAPID to run")
 
     def stop(self) -> None:
-        """Stop RAPID and check that it is at rest."""
+        """Stop RAPID and check that it has stopped."""
         self._ask(self._rws.stop)
         self._wait(lambda: not self.runs(), "RAPID to stop")
 
@@ -472,10 +475,6 @@ class AbbController:
                     return f"{entry.code} {entry.title}"
         return ""
 
-    def _tasks(self) -> tuple[Task, ...]:
-        found = [one for one in self._ask(self._rws.get_tasks).values() if one.motiontask]
-        return tuple(Task(one.name, one.active, one.excstate, self._modules(one.name)) for one in found)
-
     def _modules(self, task: str) -> tuple[str, ...]:
         states = self._states(f"rw/rapid/modules?task={quote(task)}")
         return tuple(str(one["name"]) for one in states if one.get("type") == "ProgMod" and "name" in one)
@@ -490,7 +489,7 @@ class AbbController:
         return found
 
     def _instances(self, kind: str) -> dict[str, dict[str, str]]:
-        """Return the instances of a system parameter type with their attributes; empty for an unknown type."""
+        """Return the attributes of all instances of a system parameter type, by name; empty for an unknown type."""
         try:
             states = self._states(f"rw/cfg/{kind}/instances")
         except RwsError as error:
@@ -505,7 +504,7 @@ class AbbController:
         return found
 
     def _holder(self) -> str:
-        """Return the other holder of RAPID mastership; "" if there is none or the controller does not report it."""
+        """Return the foreign holder of RAPID mastership, or "" if mastership is free or not reported."""
         try:
             states = self._states("rw/mastership/rapid")
         except RwsError as error:
@@ -525,7 +524,7 @@ class AbbController:
         self._ask(self._rws._do_post, path, form)
 
     def _ask(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call the client; convert any error to one sentence."""
+        """Call the client library; convert any error to one sentence."""
         try:
             return function(*arguments)
         except LinkError:
@@ -538,7 +537,7 @@ class AbbController:
 
 
 def _options(states: Any) -> Iterator[str]:
-    """Yield the names of options at any depth."""
+    """Yield the option names at all depths of an answer."""
     for one in states if isinstance(states, list) else []:
         if isinstance(one, dict):
             if "option" in one:
@@ -548,7 +547,7 @@ def _options(states: Any) -> Iterator[str]:
 
 
 class SetupStep(NamedTuple):
-    """One setup step: its description, and the function that performs it."""
+    """Setup step: description, and function that performs it."""
 
     text: str
     run: Callable[[], None]
@@ -557,40 +556,36 @@ class SetupStep(NamedTuple):
 def setup_steps(
     controller: AbbController, status: ControllerStatus, tasks: Sequence[Task], modules: Mapping[str, str]
 ) -> list[SetupStep]:
-    """Return the steps that load modules (texts by task) while RAPID is at rest; save and unload a foreign main."""
+    """Return the steps that load modules (texts by task) into stopped RAPID; foreign mains are saved and unloaded."""
     steps = []
     for task in tasks:
         module, text = PROGRAMS[task.name][0], modules[task.name]
         for other in status.mains(task):
             if other != module:
-                steps += _unloading(controller, task.name, other, status.texts[task.name, other])
+                copy, its_text = f"{other}_before_armlab.mod", status.texts[task.name, other]
+                save, unload = partial(controller.upload, copy, its_text), partial(controller.unload, task.name, other)
+                steps += [
+                    SetupStep(f"save {other} of {task.name} as $HOME/{copy}", save),
+                    SetupStep(f"unload {other} from {task.name}", partial(_held, controller, unload)),
+                ]
         name = f"{module}.mod"
+        upload, load = partial(controller.upload, name, text), partial(controller.load, task.name, name)
         steps += [
-            SetupStep(f"upload $HOME/{name}, {len(text)} bytes", lambda n=name, t=text: controller.upload(n, t)),
-            SetupStep(
-                f"load it into {task.name}", lambda t=task.name, n=name: _held(controller, controller.load, t, n)
-            ),
+            SetupStep(f"upload $HOME/{name}, {len(text)} bytes", upload),
+            SetupStep(f"load it into {task.name}", partial(_held, controller, load)),
         ]
     return steps
 
 
-def _unloading(controller: AbbController, task: str, module: str, text: str) -> list[SetupStep]:
-    copy = f"{module}_before_armlab.mod"
-    return [
-        SetupStep(f"save {module} of {task} as $HOME/{copy}", lambda: controller.upload(copy, text)),
-        SetupStep(f"unload {module} from {task}", lambda: _held(controller, controller.unload, task, module)),
-    ]
-
-
 def start_steps(controller: AbbController, status: ControllerStatus, tasks: Sequence[Task]) -> list[SetupStep]:
-    """Return the steps that start RAPID from rest once the modules are loaded."""
+    """Return the steps that start RAPID after the modules have been loaded."""
     names = [task.name for task in tasks]
-    steps = [SetupStep("set the program pointer to main", lambda: _held(controller, controller.pointer_to_main))]
+    steps = [SetupStep("set the program pointer to main", partial(_held, controller, controller.pointer_to_main))]
     if status.state != "motoron":
         steps.append(SetupStep("switch the motors on", controller.motors_on))
-    return [*steps, SetupStep(f"start RAPID in {', '.join(names)}", lambda: controller.start(names))]
+    return [*steps, SetupStep(f"start RAPID in {', '.join(names)}", partial(controller.start, names))]
 
 
-def _held(controller: AbbController, function: Callable[..., None], *arguments: str) -> None:
+def _held(controller: AbbController, function: Callable[[], None]) -> None:
     with controller.mastership():
-        function(*arguments)
+        function()

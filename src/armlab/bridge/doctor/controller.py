@@ -1,4 +1,4 @@
-"""Checks of an ABB controller via Robot Web Services: one `Finding` per cause that prevents EGM from starting."""
+"""Checks of an ABB controller via Robot Web Services, with one `Finding` for each condition that EGM requires."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _REMEDIES = {
 
 
 def known_tasks(status: ControllerStatus, wanted: Sequence[str] = ()) -> list[Task]:
-    """Return the motion tasks with an armlab guidance module, or the requested ones among them."""
+    """Return the motion tasks for which armlab has a guidance module; `wanted` selects some of them by name."""
     found = {task.name: task for task in status.tasks if task.name in PROGRAMS}
     for name in wanted:
         if name not in found:
@@ -56,7 +56,7 @@ def known_tasks(status: ControllerStatus, wanted: Sequence[str] = ()) -> list[Ta
 
 
 def senders(status: ControllerStatus) -> dict[int, Task]:
-    """Return the task that sends to each port, according to its UDP device."""
+    """Return the task that sends to each port, according to the UDP devices."""
     return {status.devices[PROGRAMS[one.name][1]][1]: one for one in known_tasks(status) if _has_device(status, one)}
 
 
@@ -71,7 +71,7 @@ def tasks_for(status: ControllerStatus, ports: Sequence[int]) -> list[Task]:
 
 
 def port_findings(status: ControllerStatus, ports: Sequence[int]) -> list[Finding]:
-    """Return one finding per port: whether a task sends to it."""
+    """Return one finding per port: whether a task sends to the port."""
     found = senders(status)
     known = ", ".join(f"{task.name} to {port}" for port, task in found.items()) or "none"
     advice = "Open the port of the task, or change Remote Port Number of its device."
@@ -86,33 +86,32 @@ def port_findings(status: ControllerStatus, ports: Sequence[int]) -> list[Findin
 def controller_findings(
     status: ControllerStatus, tasks: Sequence[Task], modules: Mapping[str, str] | None = None, replace: bool = False
 ) -> list[Finding]:
-    """Return the findings for these tasks; `modules` are texts to load by task; `replace` lets them replace others."""
-    checks = (_robotware, _option, _mode, _state, _mastership, _execution, _interface)
-    found = [check(status) for check in checks]
+    """Return the findings of a controller; `modules` are the texts to load, by task, which may `replace` others."""
+    found = _status_findings(status)
     for task in tasks:
         found += [_module(status, task, (modules or {}).get(task.name, ""), replace), _device(status, task)]
     return found
 
 
 def require(controller: AbbController, found: Sequence[Finding]) -> None:
-    """Raise if a finding is a failure."""
+    """Raise a LinkError if any finding is a failure."""
     causes = [f"{one.name}: {one.value}. {one.advice}" for one in found if one.verdict == "failure"]
     if causes:
         raise LinkError(f"Expected {controller.place} to be ready for EGM, got {' '.join(causes)}")
 
 
 def require_rest(controller: AbbController, status: ControllerStatus) -> None:
-    """Raise if RAPID is running, because programs may be changed and started only at rest."""
+    """Raise a LinkError if RAPID is running; programs can only be changed and started while RAPID is stopped."""
     if status.is_running:
         busy = ", ".join(task.name for task in status.tasks if task.is_active) or "a task"
         raise LinkError(
-            f"Expected RAPID on {controller.place} to be stopped, but task {busy} is busy. Stop it with armlab abb "
+            f"Expected RAPID on {controller.place} to be stopped, but task {busy} is busy. Stop RAPID with armlab abb "
             "stop HOST."
         )
 
 
 def require_loaded(controller: AbbController, tasks: Sequence[Task]) -> None:
-    """Raise if a task has no guidance module."""
+    """Raise a LinkError if a task has no guidance module."""
     missing = [task.name for task in tasks if PROGRAMS[task.name][0] not in task.modules]
     if missing:
         raise LinkError(
@@ -121,50 +120,30 @@ def require_loaded(controller: AbbController, tasks: Sequence[Task]) -> None:
         )
 
 
-def _robotware(status: ControllerStatus) -> Finding:
-    oldest = f"{OLDEST[0]}.{OLDEST[1]:02d}"
-    value = f"{status.name}, RobotWare {status.robotware or 'unknown'}"
-    advice = f"armlab needs RobotWare {oldest} or newer; in older versions, EGM sends radians and no time. Update it."
-    return Finding.judged("controller", "failure", status.version < OLDEST, value, advice)
-
-
-def _option(status: ControllerStatus) -> Finding:
-    has = [one for one in status.options if any(word in one.lower() for word in _OPTION)]
-    advice = "Order Externally Guided Motion (689-1 on RobotWare 6, 3124-1 on 7) and install it."
-    return Finding.judged("EGM option", "failure", not has, has[0] if has else "missing", advice)
-
-
-def _mode(status: ControllerStatus) -> Finding:
-    advice = (
-        "Switch to automatic mode: in manual mode, only the pendant with its enabling device can start the "
-        "motors and RAPID."
+def _status_findings(status: ControllerStatus) -> list[Finding]:
+    robotware = f"{status.name}, RobotWare {status.robotware or 'unknown'}"
+    update = (
+        f"Update to RobotWare {OLDEST[0]}.{OLDEST[1]:02d} or newer; in older versions, EGM sends radians and no time."
     )
-    return Finding.judged("operating mode", "failure", status.mode != "AUTO", status.mode, advice)
-
-
-def _state(status: ControllerStatus) -> Finding:
-    value = _STATES.get(status.state, status.state)
-    verdict = "warning" if status.state == "motoroff" else "failure"
-    advice = _REMEDIES.get(status.state, "See the pendant.")
-    return Finding.judged("motors", verdict, status.state != "motoron", value, advice)
-
-
-def _mastership(status: ControllerStatus) -> Finding:
-    value = f"held by {status.holder}" if status.holder else "free"
-    return Finding.judged("mastership", "failure", bool(status.holder), value, "Release it there, or wait 5 minutes.")
-
-
-def _execution(status: ControllerStatus) -> Finding:
-    return Finding.judged(
-        "RAPID", "warning", not status.is_running, status.execution, "armlab abb start HOST starts it."
-    )
-
-
-def _interface(status: ControllerStatus) -> Finding:
+    option = next((one for one in status.options if any(word in one.lower() for word in _OPTION)), "")
+    order = "Order and install Externally Guided Motion (689-1 on RobotWare 6, 3124-1 on 7)."
+    automatic = "Switch to automatic mode: in manual mode, only the pendant can start the motors and RAPID."
+    motors, is_off = _STATES.get(status.state, status.state), status.state == "motoroff"
+    remedy = _REMEDIES.get(status.state, "See the pendant.")
+    holder = f"held by {status.holder}" if status.holder else "free"
     is_missing = INTERFACE not in status.interfaces
-    value = f"no {INTERFACE!r} among {', '.join(status.interfaces) or 'none'}" if is_missing else INTERFACE
-    advice = f"Add External Motion Interface Data {INTERFACE!r} and restart the controller. {_HOW_TO}."
-    return Finding.judged("motion interface", "failure", is_missing, value, advice)
+    interface = f"no {INTERFACE!r} among {', '.join(status.interfaces) or 'none'}" if is_missing else INTERFACE
+    add = f"Add External Motion Interface Data {INTERFACE!r} and restart the controller. {_HOW_TO}."
+    judged = Finding.judged
+    return [
+        judged("controller", "failure", status.version < OLDEST, robotware, update),
+        judged("EGM option", "failure", not option, option or "missing", order),
+        judged("operating mode", "failure", status.mode != "AUTO", status.mode, automatic),
+        judged("motors", "warning" if is_off else "failure", status.state != "motoron", motors, remedy),
+        judged("mastership", "failure", bool(status.holder), holder, "Release mastership there, or wait 5 minutes."),
+        judged("RAPID", "warning", not status.is_running, status.execution, "Start RAPID with armlab abb start HOST."),
+        judged("motion interface", "failure", is_missing, interface, add),
+    ]
 
 
 def _module(status: ControllerStatus, task: Task, text: str, replace: bool) -> Finding:
@@ -172,17 +151,17 @@ def _module(status: ControllerStatus, task: Task, text: str, replace: bool) -> F
     others = [one for one in status.mains(task) if one != module]
     is_loaded = module in task.modules
     if others and not replace:
-        advice = "A task must have exactly one main. Unload it, or let armlab abb setup --replace save and unload it."
+        advice = "A task must have exactly one main. Unload it, or save and unload it with armlab abb setup --replace."
         return Finding(name, "failure", f"main is in {', '.join(others)}", advice)
     if is_loaded and text and not replace and not same_text(status.texts.get((task.name, module), ""), text):
-        advice = "armlab abb start runs it unchanged; armlab abb setup --replace overwrites it."
+        advice = "Run the module unchanged with armlab abb start, or overwrite it with armlab abb setup --replace."
         return Finding(name, "failure", f"{module} is loaded with different content", advice)
     kept = status.texts.get(("$HOME", module), "")
     if text and kept and not replace and not same_text(kept, text):
-        advice = "armlab abb setup --replace overwrites it."
+        advice = "Overwrite the file with armlab abb setup --replace."
         return Finding(name, "failure", f"$HOME/{module}.mod has different content", advice)
     value = f"{module} {'is' if is_loaded else 'is not'} loaded"
-    return Finding.judged(name, "warning", not is_loaded and not text, value, "armlab abb setup HOST loads it.")
+    return Finding.judged(name, "warning", not is_loaded and not text, value, "Load it with armlab abb setup HOST.")
 
 
 def same_text(one: str, other: str) -> bool:
@@ -208,23 +187,23 @@ def _device(status: ControllerStatus, task: Task) -> Finding:
 
 
 class RapidRun:
-    """RAPID during the runs of a link: started if it is at rest, and stopped only if it was started here."""
+    """RAPID during the runs of a link: starts RAPID if it is stopped, and stops it only in that case."""
 
     def __init__(self, rws: str, ca: str = "", insecure: str = "false") -> None:
         if insecure.lower() not in ("", "true", "false"):
             raise ConfigError(f"Expected insecure=true or insecure=false in the link, got {insecure!r}.")
         is_insecure = insecure.lower() != "false"
-        Credentials.from_environment()  # before anything is opened
+        Credentials.from_environment()  # raises an error before any connection is opened
         self._open = partial(open_controller, rws, Credentials.from_environment, is_insecure, ca)
 
     @contextmanager
     def running(
         self, ports: Sequence[int], tell: Tell, cancelled: Callable[[], bool] = lambda: False
     ) -> Iterator[None]:
-        """Run the guidance modules that send to these ports; leave modules that are already running alone.
+        """Run the guidance modules that send to these ports; do not affect modules that are already running.
 
-        Modules that were started are stopped, even after an error or interrupt during their start. `cancelled` stops
-        the sequence of steps.
+        Started modules are stopped at the end, even after an error or interrupt during the start. If `cancelled`
+        returns True, no further steps are performed.
         """
         started = False
         try:
@@ -250,7 +229,7 @@ class RapidRun:
     def _stop(self, tell: Tell) -> None:
         try:
             self._stop_once(tell)
-        except KeyboardInterrupt:  # Ctrl-C must not leave RAPID running
+        except KeyboardInterrupt:  # RAPID must not remain running after Ctrl-C
             self._stop_once(tell)
             raise
 

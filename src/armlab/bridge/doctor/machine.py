@@ -1,4 +1,4 @@
-"""Checks of this computer before a run: one function per finding of `armlab doctor`."""
+"""Checks of this computer before a run, with one function per finding of `armlab doctor`."""
 
 from __future__ import annotations
 
@@ -21,24 +21,12 @@ import numpy as np
 from armlab.bridge.control.realtime import LOOP_PRIORITY, priority
 
 Verdict = Literal["ok", "warning", "failure"]
-"""Severity of a finding."""
+"""Verdict of a check; "warning" means usable with a risk."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Result of one check.
-
-    Attributes
-    ----------
-    name : str
-        Name of the check.
-    verdict : str
-        "ok", "warning" (usable, with a risk) or "failure".
-    value : str
-        Observed value.
-    advice : str
-        Remedy; "" if not needed.
-    """
+    """Result of one check: its name, the verdict, the observed value, and a remedy if necessary."""
 
     name: str
     verdict: Verdict
@@ -47,15 +35,15 @@ class Finding:
 
     @classmethod
     def judged(cls, name: str, problem: Verdict, is_bad: bool, value: str, advice: str) -> Finding:
-        """Return a finding: `problem` with its advice if `is_bad`, else "ok"."""
+        """Return a finding with the verdict `problem` and the advice if `is_bad`, else with the verdict "ok"."""
         return cls(name, problem, value, advice) if is_bad else cls(name, "ok", value)
 
 
 _OLDEST = (3, 11)
 _CYCLE = 0.004  # s
-_LATE = 1e-3  # s: a later wake-up misses a reply at 1 kHz and takes a quarter of an EGM cycle
+_LATE = 1e-3  # s: a longer wake-up delay misses a reply at 1 kHz and takes a quarter of an EGM cycle
 _FINE = 1e-6  # s
-_LONG = 0.1  # s for a full collection: longer only with more objects than imports create
+_LONG = 0.1  # s for a full collection: only data loaded by the user takes longer
 _CONFLICTS = (("viser", "rich", 15), ("viser", "websockets", 17))  # package, dependency, first incompatible version
 _SYSTEM = Path("/sys/devices/system/cpu")
 _THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
@@ -80,7 +68,7 @@ def machine(seconds: float = 2.0) -> list[Finding]:
 
 
 def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
-    """Check the Python version; also report the armlab version."""
+    """Check the Python version, and report the armlab version."""
     from armlab import __version__
 
     value = f"{'.'.join(map(str, version))} ({sys.executable}), armlab {__version__}"
@@ -88,7 +76,7 @@ def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
 
 
 def packages(version: Callable[[str], str] = importlib.metadata.version) -> Finding:
-    """Check for missing packages and packages known to be incompatible."""
+    """Check for missing and incompatible packages."""
     found: dict[str, str] = {}
     missing: list[str] = []
     for name in _required():
@@ -116,16 +104,16 @@ def _required() -> list[str]:
 
 
 def ros_on_path(environment: Mapping[str, str], path: Iterable[str]) -> Finding:
-    """Check that no ROS installation shadows our NumPy and protobuf."""
+    """Check that no ROS installation shadows the NumPy and protobuf of this environment."""
     where = [name for name in ("PYTHONPATH", "LD_LIBRARY_PATH") if "/opt/ros" in environment.get(name, "")]
     where += ["sys.path"] if any("/opt/ros" in entry for entry in path) else []
     value = f"/opt/ros on {', '.join(where)}" if where else "not on the path"
-    advice = "Use a terminal in which no setup.bash was sourced, or: env -u PYTHONPATH -u LD_LIBRARY_PATH armlab ..."
+    advice = "Use a terminal without a sourced setup.bash, or: env -u PYTHONPATH -u LD_LIBRARY_PATH armlab ..."
     return Finding.judged("ROS", "warning", bool(where), value, advice)
 
 
 def ros_nodes(environment: Mapping[str, str]) -> Finding:
-    """Check the settings that let local ROS 2 nodes and the bridge discover each other."""
+    """Check the settings for discovery between local ROS 2 nodes and the bridge."""
     settings = [f"{name}={environment[name][:80]}" for name in _ROS_SETTINGS if environment.get(name)]
     domain = environment.get("ROS_DOMAIN_ID") or "0"
     value = f"domain {domain}, nodes: {', '.join(settings) or 'no settings'}; bridge: 127.0.0.1, no multicast"
@@ -143,7 +131,7 @@ def clock(resolution: float = time.get_clock_info("monotonic").resolution) -> Fi
 
 
 def real_time() -> Finding:
-    """Check that the loop is permitted to run under SCHED_FIFO."""
+    """Check whether the loop may run under SCHED_FIFO."""
     with priority(LOOP_PRIORITY) as permitted:
         pass
     advice = (
@@ -155,19 +143,19 @@ def real_time() -> Finding:
 
 
 def throttle(file: Path = _THROTTLE) -> Finding:
-    """Report the share of time that a real-time thread may run; wait="spin" never yields and needs 100 %."""
+    """Report the share of time available to real-time threads; wait="spin" never yields and needs 100 %."""
     try:
         with file.open(encoding="ascii") as opened:
             runtime = int(opened.read())
     except (OSError, ValueError):
         return Finding("real-time throttle", "ok", "unknown, not reported by this kernel")
     value = "off" if runtime < 0 else f"{1e-4 * runtime:.0f} % of the time"
-    advice = "Real-time threads may not run at all: sysctl kernel.sched_rt_runtime_us=950000"
+    advice = "Real-time threads cannot run. Set sysctl kernel.sched_rt_runtime_us=950000"
     return Finding.judged("real-time throttle", "warning", runtime == 0, value, advice)
 
 
 def governor(folder: Path = _SYSTEM) -> Finding:
-    """Check that the processors keep their speed between two packets."""
+    """Check whether the processors keep their clock rate between two packets."""
     kinds: set[str] = set()
     for file in folder.glob("cpu[0-9]*/cpufreq/scaling_governor"):
         with suppress(OSError), file.open(encoding="ascii") as opened:
@@ -180,7 +168,7 @@ def governor(folder: Path = _SYSTEM) -> Finding:
 def wake_up(
     seconds: float = 2.0, sleep: Callable[[float], None] = time.sleep, now: Callable[[], float] = time.monotonic
 ) -> Finding:
-    """Measure the delay of periodic wake-ups at the priority of the loop."""
+    """Measure the delay of periodic wake-ups at the priority of the control loop."""
     late: list[float] = []
     with priority(LOOP_PRIORITY):
         due = now()
@@ -194,14 +182,12 @@ def wake_up(
         return Finding("wake-up", "ok", "not measured")
     p50, p99, worst = np.percentile(late, [50, 99, 100])
     value = f"late by {1e6 * p50:.0f} us (p50), {1e6 * p99:.0f} us (p99), {1e6 * worst:.0f} us (max of {len(late)})"
-    advice = (
-        "Close other programs, and see real-time priority and CPU governor; on a virtual machine, expect late replies."
-    )
+    advice = "Close other programs; see real-time priority and CPU governor. On a virtual machine, expect late replies."
     return Finding.judged("wake-up", "warning", bool(p99 > _LATE), value, advice)
 
 
 def garbage(collect: Callable[[], object] = gc.collect) -> Finding:
-    """Measure a full garbage collection; the loop freezes existing objects, so that a run collects only new ones."""
+    """Measure the duration of a full garbage collection; a run collects only objects created during the run."""
     objects = len(gc.get_objects())
     start = time.perf_counter()
     collect()
@@ -212,7 +198,7 @@ def garbage(collect: Callable[[], object] = gc.collect) -> Finding:
 
 
 def blas() -> Finding:
-    """Report the number of threads for matrix products in a controller; results are bit-identical only with one."""
+    """Report the number of BLAS threads; results of a controller are bit-identical only with one thread."""
     from threadpoolctl import threadpool_info
 
     pools = [f"{pool['internal_api']} {pool['num_threads']}" for pool in threadpool_info()]
@@ -220,7 +206,7 @@ def blas() -> Finding:
 
 
 def other_programs(which: Callable[[str], str | None] = shutil.which) -> Finding:
-    """Report optional programs used by other parts of armlab; a run needs none of them."""
+    """Report optional programs of other parts of armlab; a run does not need them."""
     browser = next((name for name in ("chromium", "chromium-browser", "google-chrome") if which(name)), "no Chromium")
     zenoh = "Zenoh" if importlib.util.find_spec("zenoh") else "no Zenoh"
     return Finding("other programs", "ok", f"{browser}, {zenoh}")

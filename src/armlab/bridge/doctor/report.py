@@ -1,7 +1,4 @@
-"""`examine`: check whether the computer, the network and the robot are ready for a run, using packets on the EGM ports.
-
-Sends nothing to a robot.
-"""
+"""`examine`: check whether the computer, the network and the robot are ready for a run; sends nothing to a robot."""
 
 from __future__ import annotations
 
@@ -31,24 +28,21 @@ _REMEDY = {
     "the motors are off": "Switch the motors on; in manual mode hold the enabling device.",
     "RAPID is stopped": "Start RAPID from main on the pendant.",
     "guidance has not begun (EGMRunJoint)": (
-        "This is correct for streaming and lead-through. To move the arm, let RAPID reach EGMRunJoint "
-        "(ArmlabJoint.mod)."
+        "This is normal for streaming and lead-through. For motion, RAPID must reach EGMRunJoint (ArmlabJoint.mod)."
     ),
 }
 _OLD = {
-    "6.06": "This RobotWare sends joints in radians, which are converted. Compare q with the pendant once.",
-    "6.07": "6.07.00 reports wrong joint values, fixed in 6.07.01: compare q with the pendant.",
+    "6.06": "This RobotWare sends radians, which armlab converts. Compare q with the pendant once.",
+    "6.07": "RobotWare 6.07.00 reports wrong joint values (fixed in 6.07.01). Compare q with the pendant.",
 }
-
-
 _AXES = 6
-_ANY_ARM: Any = SimpleNamespace(  # accepts packets of all robots; the seventh axis of a YuMi counts as external
+_ANY_ARM: Any = SimpleNamespace(  # accepts packets of any robot; the seventh axis of a YuMi counts as external
     n=_AXES, prismatic=np.zeros(_AXES, dtype=bool), abb_axes=(1, 2, 3, 4, 5, 6), coupling=np.eye(_AXES)
 )
 
 
 class EgmListener:
-    """Collects and checks the datagrams of one port."""
+    """Collects and checks the datagrams that arrive at one port."""
 
     number: int
 
@@ -81,11 +75,19 @@ class EgmListener:
         total = sum(self.senders.values())
         if not total:
             advice = (
-                "Check that the controller's UDPUC device has this computer's address and this port, that RAPID runs "
-                f"EGMStreamStart or EGMRunJoint, and that no firewall drops packets: sudo ufw allow {self.number}/udp"
+                "Check that the UDPUC device of the controller has this computer's address and this port, that RAPID "
+                "runs EGMStreamStart or EGMRunJoint, and that no firewall drops packets: "
+                f"sudo ufw allow {self.number}/udp"
             )
             return [Finding(f"{name}, packets", "warning", f"none in {seconds:g} s", advice)]
-        found = [self._packets(name, seconds), self._one_sender(name)]
+        rates = (f"{count / seconds:.1f}/s from {host}:{port}" for (host, port), count in self.senders.items())
+        sizes = ", ".join(map(str, sorted(self._sizes)[:4]))
+        advice = "Give each motion task a separate UDPUC device and port: only the first sender gets replies."
+        many, count = len(self.senders) > 1, f"{len(self.senders)}"
+        found = [
+            Finding(f"{name}, packets", "ok", f"{', '.join(rates)}, {sizes} bytes"),
+            Finding.judged(f"{name}, senders", "failure", many, count, advice),
+        ]
         if self._first is None or self._last is None:
             return [*found, self._foreign(name)]
         first, last = self._first, self._last
@@ -106,24 +108,12 @@ class EgmListener:
             Finding(f"{name}, extension", "ok", extension),
         ]
 
-    def _packets(self, name: str, seconds: float) -> Finding:
-        each = ", ".join(f"{count / seconds:.1f}/s from {host}:{port}" for (host, port), count in self.senders.items())
-        sizes = ", ".join(map(str, sorted(self._sizes)[:4]))
-        return Finding(f"{name}, packets", "ok", f"{each}, {sizes} bytes")
-
-    def _one_sender(self, name: str) -> Finding:
-        advice = "Give each motion task a separate UDPUC device and port: only the first sender is answered."
-        value = f"{len(self.senders)}"
-        return Finding.judged(f"{name}, senders", "failure", len(self.senders) > 1, value, advice)
-
     def _foreign(self, name: str) -> Finding:
         reasons = ", ".join(f"{count} {reason}" for reason, count in self.session.drops.items())
         if "joint count" in self.session.drops and self._robot is not None:
-            advice = (
-                f"This is not a {self._robot.name}, which has {self._robot.n} axes. Name the robot that is connected."
-            )
+            advice = f"This is not a {self._robot.name}, which has {self._robot.n} axes. Name the connected robot."
             return Finding(f"{name}, first packet", "failure", f"wrong axes: {reasons}", advice)
-        advice = "A program other than an EGM controller sends to this port. End it or choose another port."
+        advice = "Another program than an EGM controller sends to this port. End that program or choose another port."
         return Finding(f"{name}, first packet", "failure", f"not a robot packet: {reasons}", advice)
 
     def _timing(self, name: str) -> Finding:
@@ -136,7 +126,7 @@ class EgmListener:
         )
         bad = bool(lost or repeated or p99 - p50 > _SPREAD)
         advice = (
-            "This computer is busy (see wake-up), or the network is: connect the robot and the computer by a separate "
+            "The computer (see wake-up) or the network is busy. Connect the robot to the computer with a separate "
             "cable, without Wi-Fi, VPN or a shared switch."
         )
         return Finding.judged(f"{name}, timing", "warning", bad, value, advice)
@@ -168,8 +158,8 @@ class EgmListener:
             session.end()
         why = session.reason and f", last end: {session.reason}"
         advice = (
-            "Guidance without replies ends after CommTimeout. A convergence window other than [0, 0] also ends it "
-            "while the arm stands still. See the pendant's event log."
+            "Guidance without replies ends after CommTimeout. A convergence window other than [0, 0] also ends "
+            "guidance when the arm is at rest. See the event log on the pendant."
         )
         value = f"{session.number}{why}"
         return Finding.judged(f"{name}, sessions", "warning", bool(why), value, advice)
@@ -182,7 +172,7 @@ _SELF_TEST = 0.2  # s, shortest duration of the self-test
 
 
 def addresses(found: Mapping[str, str]) -> Finding:
-    """Check that other computers can reach this one."""
+    """Check whether other computers can reach this computer."""
     value = ", ".join(f"{interface} {address}" for interface, address in found.items()) or "none"
     outside = [address for address in found.values() if not address.startswith("127.")]
     advice = "Only a simulated robot can reach this computer. Connect the controller's cable and set an address."
@@ -190,7 +180,7 @@ def addresses(found: Mapping[str, str]) -> Finding:
 
 
 def route_to(host: str) -> str:
-    """Return the source address of packets to a host, or "" without a route. Sends nothing."""
+    """Return the source address of packets to a host, or "" without a route; sends nothing."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect((host, 9))  # UDP: only selects the route
@@ -200,18 +190,18 @@ def route_to(host: str) -> str:
 
 
 def firewall(file: Path = _FIREWALL) -> Finding:
-    """Report whether the firewall ufw is on; only root can read its rules."""
+    """Report whether the firewall ufw is on; its rules are readable only by root."""
     is_on = False
     with suppress(OSError), file.open(encoding="utf-8") as opened:
         is_on = any(line.strip().lower() == "enabled=yes" for line in opened)
     value = "ufw is on" if is_on else "ufw is off or missing"
     return Finding.judged(
-        "firewall", "warning", is_on, value, "To allow packets from robots: sudo ufw allow 6510:6512/udp"
+        "firewall", "warning", is_on, value, "Allow packets from robots: sudo ufw allow 6510:6512/udp"
     )
 
 
 class _PortListener:
-    """One bound port, the token that it sends to itself, and the received datagrams."""
+    """Bound port with its received datagrams, and the token for the self-test."""
 
     def __init__(self, port: Port, robot: Robot | None) -> None:
         self.port, self.listener = port, EgmListener(port.port, robot)
@@ -230,9 +220,9 @@ class _PortListener:
                 self.listener.add(arrival)
 
     def self_test(self) -> Finding:
-        """Check that packets from this computer to its own addresses arrive."""
+        """Check whether packets from this computer to its own addresses arrive."""
         lost = [address for address in self.addresses if address not in self.received]
-        value = f"{len(self.received)} of {len(self.addresses)} own addresses reach it"
+        value = f"packets from {len(self.received)} of {len(self.addresses)} own addresses arrive"
         advice = (
             f"A firewall rule on this computer drops packets to {', '.join(lost)}. See nft list ruleset or ufw status."
         )
@@ -240,7 +230,7 @@ class _PortListener:
 
 
 def listen(numbers: Sequence[int], seconds: float, robots: Sequence[Robot | None], requested: bool) -> list[Finding]:
-    """Bind ports, listen, and return findings; sends only a token to this computer's own addresses."""
+    """Bind the ports, listen, and return the findings; sends only a token to the addresses of this computer."""
     found: list[Finding] = []
     listeners: list[_PortListener] = []
     for number, robot in zip(numbers, robots, strict=True):
@@ -287,10 +277,10 @@ def _routes(listener: _PortListener) -> list[Finding]:
 
 
 DEFAULT_PORTS = (6510, 6511, 6512)
-"""Ports of a single arm, a left and a right arm."""
+"""UDP ports of a single arm, a left arm and a right arm."""
 
 LONGEST = 3600.0
-"""Longest time to listen [s]."""
+"""Longest listening time [s]."""
 
 
 def examine(
@@ -301,21 +291,8 @@ def examine(
 ) -> list[Finding]:
     """Return the findings of all checks: first the computer, then the network and the ports.
 
-    Parameters
-    ----------
-    ports : sequence of int
-        UDP ports to listen on; default: `DEFAULT_PORTS`.
-    seconds : float, s
-        Time to listen.
-    robots : sequence of Robot
-        The arm at each port, to check axes and posture; default: any arm.
-    wake_up : float, s
-        Duration of the wake-up measurement.
-
-    Raises
-    ------
-    ConfigError
-        Invalid ports, seconds or robots.
+    The check listens for `seconds` [s] on `ports` (default: `DEFAULT_PORTS`), and measures wake-ups for `wake_up` [s].
+    With `robots`, one per port, it also checks axes and posture.
     """
     numbers = list(DEFAULT_PORTS if ports is None else ports)
     if not numbers or any(not 0 <= number < 65536 for number in numbers) or len(set(numbers)) < len(numbers):
