@@ -5,19 +5,11 @@ Their table is docs/decisions/ancestor.md; those of the two-link arm have their 
 
 from __future__ import annotations
 
-import ast
-import re
-import sys
-import tomllib
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from armlab.motion import Displace, Hold, TwoDofDmp, fit_dmp
 from armlab.motion.primitive.equation import placed
-
-ROOT = Path(__file__).parents[2]
 
 T = np.linspace(0, 10, 1510)
 RAMP = np.concatenate([np.zeros(10), np.linspace(0, 2, 1000), np.full(500, 2.0)])[:, None]
@@ -66,17 +58,3 @@ def test_16_a_blow_does_not_make_it_stiff() -> None:
     events = [Displace(2.5, 2.0), Hold(2.5, 4.0)]
     coarse, fine = (two_dof.simulate(t, events, dt=dt) for dt in (4e-3, 5e-4))
     np.testing.assert_allclose(coarse.yc, fine.yc, rtol=0, atol=1e-3)
-
-
-def test_peers_forget_a_dependency() -> None:
-    """Whatever motion imports at once, and not only for an extra, is declared."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    declared = {re.split(r"[<>=\[ ]", one)[0].replace("-", "_") for one in project["dependencies"]}
-    imported = set()
-    for path in (ROOT / "src" / "armlab" / "motion").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            imported |= {name.split(".")[0] for name in names}
-    assert imported - set(sys.stdlib_module_names) - declared == {"armlab", "ruckig"}
-    assert any(one.startswith("ruckig") for one in project["optional-dependencies"]["motion"])

@@ -155,7 +155,7 @@ def test_nothing_at_all() -> None:
     for text, sentence in (("", "no element found"), ("arm", "syntax error"), (b"\xff\xfe\x00", "Expected XML")):
         with pytest.raises(RobotError, match=sentence):
             urdf.parse(text)
-    with pytest.raises(RobotError, match="Expected at least one link in the URDF text, got none"):
+    with pytest.raises(RobotError, match="Expected at least one link in the URDF text, got no links"):
         urdf.parse('<robot name="a"/>')
     with pytest.raises(RobotError, match=r"one moving branch .* got none"):
         urdf.parse('<robot name="a"><link name="b"/></robot>').chain()

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from reprlib import repr as shortened
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._display import Shown
-from armlab._numbers import make_read_only
+from armlab._numbers import make_read_only, numbers
 from armlab.errors import RobotError, ShapeError, SingularPoseError, UnknownName
 from armlab.kinematics.forward import forward, jacobian
 from armlab.lie import so3
@@ -90,9 +89,7 @@ def manipulability(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarra
 
     Raises
     ------
-    UnknownName : if `part` is unknown.
-    ShapeError : if the last axis of `q` does not have length n.
-    RobotError : if `robot` is not a `Robot`.
+    UnknownName, ShapeError, RobotError : as in `singular_values`.
 
     References
     ----------
@@ -118,9 +115,7 @@ def manipulability_gradient(robot: Robot, q: ArrayLike, part: Part = "pose") -> 
 
     Raises
     ------
-    UnknownName : if `part` is unknown.
-    ShapeError : if the last axis of `q` does not have length n.
-    RobotError : if `robot` is not a `Robot`.
+    UnknownName, ShapeError, RobotError : as in `singular_values`.
     """
     U, s, Vt = _svd(_rows(robot, q, part))
     positions = np.asarray(q, dtype=np.float64)[..., None, :]
@@ -152,8 +147,7 @@ def ellipsoid(
     Raises
     ------
     UnknownName : if `part` or `kind` is unknown.
-    ShapeError : if the last axis of `q` does not have length n.
-    RobotError : if `robot` is not a `Robot`.
+    ShapeError, RobotError : as in `singular_values`.
     """
     if not isinstance(part, str) or part not in ("position", "rotation"):
         raise UnknownName.among("part of a twist with an ellipsoid", part, ("position", "rotation"))
@@ -381,11 +375,8 @@ class _Curve:
         return e, jacobian(self.robot, q, frame="tool")[: self.size]
 
 
-def _vector(robot: Robot, value: object, name: str) -> np.ndarray:
-    try:
-        vector = np.asarray(value).astype(np.float64, casting="safe", copy=False)
-    except (TypeError, ValueError):  # text, complex, None, rows of different length
-        raise ShapeError(f"Expected {name} to be ({robot.n},) finite numbers, got {shortened(value)}.") from None
+def _vector(robot: Robot, value: Any, name: str) -> np.ndarray:
+    vector = numbers(value, name, ShapeError)
     if vector.shape != (robot.n,) or not np.isfinite(vector).all():
         raise ShapeError(
             f"Expected {name} to be ({robot.n},) finite numbers, got shape {vector.shape}: {vector.tolist()}."

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import make_read_only
+from armlab._numbers import make_read_only, numbers
 from armlab.errors import NotConverged, ShapeError
 from armlab.kinematics.inverse import REASONS, ROWS, Objective, Task, check_search, check_task, kernel_objective
 from armlab.robots import Robot
@@ -162,10 +162,7 @@ def inverse_path(
 def _change(robot: Robot, max_step: float | ArrayLike | None) -> np.ndarray | None:
     if max_step is None:
         return None
-    try:
-        change = np.asarray(max_step).astype(np.float64, casting="safe", copy=False)
-    except (TypeError, ValueError):  # text, complex, rows of different length
-        change = np.full(1, np.nan)
+    change = numbers(max_step, "max_step", ShapeError)
     if change.shape not in ((robot.n,), ()) or not (change >= 0.0).all():
         raise ShapeError(
             f"Expected max_step to be one number or {robot.n} numbers (one per joint) of at least 0, got "

@@ -35,14 +35,6 @@ def broadcasts(**arguments: tuple[np.ndarray, int]) -> None:
         raise ShapeError(f"Expected leading axes that broadcast, got {got}.") from None
 
 
-def last_row(T: np.ndarray, name: str) -> None:
-    off = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(axis=-1)
-    missing = np.isnan(T[..., :3, :]).any(axis=(-1, -2))
-    bad = (off > 0) | (np.isnan(off) & ~missing)  # a pose with NaN only in its last row must not pass
-    if bad.any():
-        raise ShapeError(f"Expected (0, 0, 0, 1) as the last row of {name}, got an error of {off[bad].max():.3g}.")
-
-
 def tolerance(value: float) -> float:
     """Return a tolerance; raise unless it is one number >= 0."""
     number = array(value, (), "tolerance")

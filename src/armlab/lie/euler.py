@@ -58,7 +58,7 @@ def from_rpy(rpy: ArrayLike, convention: Convention, out: np.ndarray | None = No
     ----------
     rpy : (..., 3) angles in the order of the product [rad].
     convention : "zyx", "xyz" or "zyz".
-    out : (..., 3, 3) array for the result; default: a new one.
+    out : (..., 3, 3) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def to_rpy(R: ArrayLike, convention: Convention, out: np.ndarray | None = None) 
     ----------
     R : (..., 3, 3) rotation.
     convention : "zyx", "xyz" or "zyz".
-    out : (..., 3) array for the result; default: a new one.
+    out : (..., 3) array for the result; default: newly allocated.
 
     Raises
     ------

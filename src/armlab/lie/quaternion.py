@@ -26,7 +26,7 @@ def from_matrix(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     Parameters
     ----------
     R : (..., 3, 3) rotation.
-    out : (..., 4) array for the result; default: a new one.
+    out : (..., 4) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def to_matrix(quaternion: ArrayLike, out: np.ndarray | None = None) -> np.ndarra
     Parameters
     ----------
     quaternion : (..., 4) wxyz, of norm 1 within `UNIT_TOLERANCE`; it is normalised.
-    out : (..., 3, 3) array for the result; default: a new one.
+    out : (..., 3, 3) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def multiply(p: ArrayLike, q: ArrayLike, out: np.ndarray | None = None) -> np.nd
     Parameters
     ----------
     p, q : (..., 4) wxyz; leading axes broadcast.
-    out : (..., 4) array for the result; default: a new one.
+    out : (..., 4) array for the result; default: newly allocated.
     """
     return kernels.quaternion_multiply(p, q, out)
 
@@ -83,7 +83,7 @@ def slerp(a: ArrayLike, b: ArrayLike, s: ArrayLike, out: np.ndarray | None = Non
     ----------
     a, b : (..., 4) wxyz, unit; leading axes broadcast with those of s.
     s : (...) path parameter, 0 at a and 1 at b; other values extrapolate.
-    out : (..., 4) array for the result; default: a new one.
+    out : (..., 4) array for the result; default: newly allocated.
 
     Raises
     ------

@@ -80,7 +80,7 @@ def exp(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     Parameters
     ----------
     xi : (..., 6) twist [v; w]; w = 0 is a pure translation.
-    out : (..., 4, 4) array for the result; default: a new one.
+    out : (..., 4, 4) array for the result; default: newly allocated.
     """
     return kernels.se3_exp(xi, out)
 
@@ -91,7 +91,7 @@ def log(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     Parameters
     ----------
     T : (..., 4, 4) pose.
-    out : (..., 6) array for the result; default: a new one.
+    out : (..., 6) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def inv(T: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     Parameters
     ----------
     T : (..., 4, 4) pose.
-    out : (..., 4, 4) array for the result; default: a new one.
+    out : (..., 4, 4) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def adjoint(T_a_b: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     Parameters
     ----------
     T_a_b : (..., 4, 4) pose of b in a.
-    out : (..., 6, 6) array for the result; default: a new one.
+    out : (..., 6, 6) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def transform_wrench(T_a_b: ArrayLike, wrench_b: ArrayLike, out: np.ndarray | No
     ----------
     T_a_b : (..., 4, 4) pose of b in a; leading axes broadcast.
     wrench_b : (..., 6) [f; m] in b.
-    out : (..., 6) array for the result; default: a new one.
+    out : (..., 6) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -235,7 +235,11 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     ShapeError : the last row is not (0, 0, 0, 1), or the nearest rotation is not unique.
     """
     M = arguments.array(M, (4, 4), "M")
-    arguments.last_row(M, "M")
+    off = np.abs(M[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(axis=-1)
+    missing = np.isnan(M[..., :3, :]).any(axis=(-1, -2))
+    bad = (off > 0) | (np.isnan(off) & ~missing)  # a pose with NaN only in its last row must not pass
+    if bad.any():
+        raise ShapeError(f"Expected (0, 0, 0, 1) as the last row of M, got an error of {off[bad].max():.3g}.")
     R, distance = so3.project(M[..., :3, :3])
     return assemble(R, M[..., :3, 3]), distance
 
@@ -249,7 +253,7 @@ def left_jacobian(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     Parameters
     ----------
     xi : (..., 6) twist [v; w].
-    out : (..., 6, 6) array for the result; default: a new one.
+    out : (..., 6, 6) array for the result; default: newly allocated.
 
     Reference: T. D. Barfoot, State estimation for robotics, 2017, eq. 7.83 to 7.86 (angular parts last, as here).
     """
@@ -262,7 +266,7 @@ def left_jacobian_inv(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarra
     Parameters
     ----------
     xi : (..., 6) twist [v; w] with w shorter than 2π [rad].
-    out : (..., 6, 6) array for the result; default: a new one.
+    out : (..., 6, 6) array for the result; default: newly allocated.
     """
     return kernels.se3_left_jacobian_inv(xi, out)
 
@@ -282,7 +286,10 @@ def from_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
     ------
     ShapeError : the axis does not have length 6.
     """
-    return _swap(x, axis)
+    x = arguments.array(x, (), "x")
+    if not isinstance(axis, int | np.integer) or not -x.ndim <= axis < x.ndim or x.shape[axis] != 6:
+        raise ShapeError(f"Expected an array of length 6 along axis {axis}, got shape {x.shape}. Choose another axis.")
+    return np.roll(x, 3, axis=axis)
 
 
 def to_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
@@ -299,14 +306,7 @@ def to_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
     ------
     ShapeError : the axis does not have length 6.
     """
-    return _swap(x, axis)
-
-
-def _swap(x: ArrayLike, axis: int) -> np.ndarray:
-    x = arguments.array(x, (), "x")
-    if not isinstance(axis, int | np.integer) or not -x.ndim <= axis < x.ndim or x.shape[axis] != 6:
-        raise ShapeError(f"Expected an array of length 6 along axis {axis}, got shape {x.shape}. Choose another axis.")
-    return np.roll(x, 3, axis=axis)
+    return from_angular_first(x, axis)
 
 
 def assemble(R: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -332,7 +332,7 @@ def interpolate(
     T_a, T_b : (..., 4, 4) poses in one frame; leading axes broadcast with those of s.
     s : (...) path parameter, 0 at a and 1 at b.
     path : "linear" or "screw".
-    out : (..., 4, 4) array for the result; default: a new one.
+    out : (..., 4, 4) array for the result; default: newly allocated.
 
     Raises
     ------

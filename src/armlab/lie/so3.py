@@ -93,7 +93,7 @@ def exp(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     Parameters
     ----------
     w : (..., 3) rotation vector [rad].
-    out : (..., 3, 3) array for the result; default: a new one.
+    out : (..., 3, 3) array for the result; default: newly allocated.
     """
     return kernels.so3_exp(w, out)
 
@@ -107,7 +107,7 @@ def log(R: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     Parameters
     ----------
     R : (..., 3, 3) rotation.
-    out : (..., 3) array for the result; default: a new one.
+    out : (..., 3) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -218,7 +218,7 @@ def left_jacobian(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
     Parameters
     ----------
     w : (..., 3) rotation vector [rad].
-    out : (..., 3, 3) array for the result; default: a new one.
+    out : (..., 3, 3) array for the result; default: newly allocated.
     """
     return kernels.so3_left_jacobian(w, out)
 
@@ -229,7 +229,7 @@ def left_jacobian_inv(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray
     Parameters
     ----------
     w : (..., 3) rotation vector shorter than 2π [rad].
-    out : (..., 3, 3) array for the result; default: a new one.
+    out : (..., 3, 3) array for the result; default: newly allocated.
     """
     return kernels.so3_left_jacobian_inv(w, out)
 
@@ -243,7 +243,7 @@ def interpolate(R_a: ArrayLike, R_b: ArrayLike, s: ArrayLike, out: np.ndarray | 
     ----------
     R_a, R_b : (..., 3, 3) rotations; leading axes broadcast with those of s.
     s : (...) path parameter, 0 at a and 1 at b.
-    out : (..., 3, 3) array for the result; default: a new one.
+    out : (..., 3, 3) array for the result; default: newly allocated.
 
     Raises
     ------

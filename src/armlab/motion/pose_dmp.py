@@ -492,18 +492,20 @@ def fit_pose_dmp(
     position = fit_dmp(demo.t, p, scaling=scaling, **options)
     turning = "goal" if scaling == "goal" else "none"
     linear = fit_dmp(demo.t, way, scaling=turning, **options)
-    found = fit_turning(linear.value, demo.t, q, hold)
-    value = PoseDmp(position.value, found.dmp, q[-1], frame)
-    return _fit(value, position, linear, found)
+    dmp, residuals, spread = fit_turning(linear.value, demo.t, q, hold)
+    value = PoseDmp(position.value, dmp, q[-1], frame)
+    return _fit(value, position, linear, residuals, spread)
 
 
-def _fit(value: PoseDmp, position: Fit[Dmp], linear: Fit[Dmp], found: Turning) -> Fit[PoseDmp]:
-    dof = len(found.residuals) * (linear.sigma**2).clip(min=1e-300) / (linear.residuals**2).sum(axis=0).clip(min=1e-300)
-    sigma = np.sqrt((found.residuals**2).mean(axis=0) * dof)
+def _fit(
+    value: PoseDmp, position: Fit[Dmp], linear: Fit[Dmp], residuals: np.ndarray, spread: np.ndarray
+) -> Fit[PoseDmp]:
+    dof = len(residuals) * (linear.sigma**2).clip(min=1e-300) / (linear.residuals**2).sum(axis=0).clip(min=1e-300)
+    sigma = np.sqrt((residuals**2).mean(axis=0) * dof)
     a, b = len(position.parameters), len(linear.parameters)
     cov = np.zeros((a + b, a + b))
-    cov[:a, :a], cov[a:, a:] = position.cov, np.tensordot(sigma**2, found.spread, 1)
-    dmp = found.dmp
+    cov[:a, :a], cov[a:, a:] = position.cov, np.tensordot(sigma**2, spread, 1)
+    dmp = value.rotation
     parameters = np.concatenate([dmp.weights, [dmp.y0], [dmp.v0], [dmp.g]]).T.ravel()
     both = (("position", "m", position), ("rotation", "rad", linear))
     return Fit(
@@ -513,7 +515,7 @@ def _fit(value: PoseDmp, position: Fit[Dmp], linear: Fit[Dmp], found: Turning) -
         parameters=np.concatenate([position.parameters, parameters]),
         cov=cov,
         sigma=np.concatenate([position.sigma, sigma]),
-        residuals=np.concatenate([position.residuals, found.residuals], axis=1),
+        residuals=np.concatenate([position.residuals, residuals], axis=1),
         n=position.n,
         excitation=position.excitation,
         summary=_report,
@@ -531,24 +533,12 @@ def _report(fit: Fit[PoseDmp]) -> str:
     return "\n".join([head, f"RMSE of the motion: {rmse[0]:.3g} m, {rmse[1]:.3g} rad", fit.table()])
 
 
-@dataclass(frozen=True)
-class Turning:
-    """Fitted orientation primitive with residuals (N, 3) [rad] and covariances (3, d, d), one per coordinate.
-
-    The covariances contain weights, start rotation, velocity and goal rotation, for samples with unit variance around
-    each base axis.
-    """
-
-    dmp: Dmp
-    residuals: np.ndarray
-    spread: np.ndarray
-
-
-def fit_turning(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> Turning:
+def fit_turning(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> tuple[Dmp, np.ndarray, np.ndarray]:
     """Refine weights and start velocity until the motion is closest to orientations q (N, 4).
 
-    Uses Gauss-Newton steps on the rotation group with the linearised equation of docs/theory/pose_dmp.md. `hold` is the
-    rest at the goal after the end, relative to the duration.
+    Gauss-Newton steps on the rotation group use the linearised equation of docs/theory/pose_dmp.md. `hold` is the rest
+    at the goal, relative to the duration. Return the primitive, residuals (N, 3) [rad] and covariances (3, d, d) of
+    weights, start rotation, velocity and goal rotation, for samples with unit variance around each base axis.
     """
     step = dmp.duration / (len(t) - 1)
     rest = dmp.duration + step * np.arange(1, round(hold * dmp.duration / step) + 1)
@@ -578,7 +568,7 @@ def fit_turning(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> Turning:
             dmp,
         )
     gain = (found.G @ A.T).reshape(p, -1, 3)
-    return Turning(dmp, -error[: len(t)], _spread(gain, slopes, len(t)))
+    return dmp, -error[: len(t)], _spread(gain, slopes, len(t))
 
 
 def _error(dmp: Dmp, times: np.ndarray, wanted: np.ndarray) -> np.ndarray:

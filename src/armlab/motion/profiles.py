@@ -382,14 +382,8 @@ def evaluate(breaks: np.ndarray, c: np.ndarray, t: np.ndarray) -> tuple[np.ndarr
     """Return q, qd, qdd (..., n) of ``q = sum_k c_k (t - breaks_i)^k``, c (M, 6, n), at times (...,)."""
     piece = np.clip(np.searchsorted(breaks, t, side="right") - 1, 0, len(c) - 1)
     s, found = (t - breaks[piece])[..., None], c[piece]
-    values = []
-    for order in range(3):
-        value = found[..., -1, :]
-        for k in range(found.shape[-2] - 2, -1, -1):
-            value = value * s + found[..., k, :]
-        values.append(value)
-        found = LINE[1 : found.shape[-2], None] * found[..., 1:, :] if order < 2 else found
-    return values[0], values[1], values[2]
+    first = LINE[1:, None] * found[..., 1:, :]
+    return _at(found, s), _at(first, s), _at(LINE[1:-1, None] * first[..., 1:, :], s)
 
 
 def peaks(breaks: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -418,9 +412,10 @@ def _largest(p: np.ndarray, derivative: np.ndarray, lengths: np.ndarray) -> np.n
 
 
 def _at(p: np.ndarray, s: np.ndarray) -> np.ndarray:
-    value = p[:, -1]
-    for k in range(p.shape[1] - 2, -1, -1):
-        value = value * s + p[:, k]
+    """Return the values (..., n) of polynomials p (..., k, n) at s, by Horner's method."""
+    value = p[..., -1, :]
+    for k in range(p.shape[-2] - 2, -1, -1):
+        value = value * s + p[..., k, :]
     return value
 
 

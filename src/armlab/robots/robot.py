@@ -100,7 +100,11 @@ class Robot:
         meshes = tuple(members(link, f"meshes of one link of robot {self.name!r}") for link in self.meshes)
         object.__setattr__(self, "meshes", meshes if any(meshes) else ())
         object.__setattr__(self, "drives", _drives(self.drives, self.name, self.n))
-        check_robot(self)
+        _check_shapes(self)
+        _check_poses(self)
+        _check_limits(self)
+        _check_names(self)
+        _check_bodies(self)
 
     @property
     def n(self) -> int:
@@ -354,14 +358,6 @@ def bends(a: np.ndarray, along_a: np.ndarray, b: np.ndarray, along_b: np.ndarray
     s = (across @ along_a - cosine * (across @ along_b)) / sine2
     t = (cosine * (across @ along_a) - across @ along_b) / sine2
     return [a + s * along_a, b + t * along_b]
-
-
-def check_robot(robot: Robot) -> None:
-    _check_shapes(robot)
-    _check_poses(robot)
-    _check_limits(robot)
-    _check_names(robot)
-    _check_bodies(robot)
 
 
 def _check_shapes(robot: Robot) -> None:

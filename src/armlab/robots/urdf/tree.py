@@ -157,7 +157,12 @@ class Tree:
     joints: tuple[Joint, ...]
 
     def __post_init__(self) -> None:
-        check_tree(self)
+        if not self.links:
+            raise RobotError(f"Expected at least one link in {self.file}, got no links.")
+        _check_names(self, self.links, "link")
+        _check_names(self, self.joints, "joint")
+        _check_ends(self)
+        _check_roots(self)
 
     @cached_property
     def root(self) -> str:
@@ -237,8 +242,50 @@ class Tree:
             or if the inertia of a link is not physically consistent. The message states the file and line. Other parts
             of the file are not checked.
         """
-
-        return build_chain(_locked(self, lock) if lock else self, base, tip, name)
+        tree = _locked(self, lock) if lock else self
+        names = [link.name for link in tree.links]
+        for link in (base, tip):
+            if link is not None and link not in names:
+                raise UnknownName.among(f"link of {tree.file}", link, names)
+        base = tree.root if base is None else base
+        tip = _only_tip(tree, base) if tip is None else tip
+        way = _way(tree, base, tip)
+        joints = [joint for joint, _ in way if joint.moves]
+        if not joints:
+            raise RobotError(f"Expected a moving joint between {base!r} and {tip!r} of {tree.file}, got none.")
+        check_joint_count(tree.name if name is None else name, len(joints))
+        for joint in joints:
+            _check_joint(tree, joint)
+        tree.mimic([joint.name for joint in joints])
+        steps, T_last_tip = _steps(tree, way)
+        links = {link.name: link for link in tree.links}
+        inertias, massless = _inertias(tree, links, steps)
+        gravity, assumed = _gravity(tree, base)
+        groups = [_rigid(tree, base, np.eye(4)), *(step.T_link_body for step in steps)]
+        _warn_of_branches(tree, links, steps)
+        robot = from_links(
+            tree.name if name is None else name,
+            np.array([*(step.T_last_link for step in steps), T_last_tip]),
+            [joint.kind == "prismatic" for joint in joints],
+            q_min=[joint.q_min for joint in joints],
+            q_max=[joint.q_max for joint in joints],
+            qd_max=[joint.qd_max for joint in joints],
+            tau_max=[joint.tau_max for joint in joints],
+            joint_names=[joint.name for joint in joints],
+            gravity=gravity,
+            inertias=inertias,
+            meshes=[
+                [
+                    replace(mesh, T_link_mesh=T @ mesh.T_link_mesh)
+                    for body, T in group.items()
+                    for mesh in links[body].meshes
+                ]
+                for group in groups
+            ],
+            source=_source(tree, base, tip, steps, massless, assumed),
+            drives={key: [getattr(joint, key) for joint in joints] for key in ("friction", "damping")},
+        )
+        return replace(robot, q_home=dexterous_home(robot))
 
     def mimic(self, joint_names: Iterable[str]) -> Mimic:
         """Return the relation between the joints of a chain and the free (non-mimic) joints.
@@ -252,8 +299,17 @@ class Tree:
         UnknownName : if a joint does not exist.
         RobotError : if the names are not a sequence.
         """
-
-        return follow(self, joint_names)
+        joints = {joint.name: joint for joint in self.joints}
+        rows: list[tuple[str, float, float]] = []  # leader, multiplier, offset
+        for name in members(joint_names, f"names of joints of {self.file}"):
+            if name not in joints:
+                raise UnknownName.among(f"joint of {self.file}", name, joints)
+            rows.append(_leader(self, joints, joints[name]))
+        leaders = tuple(dict.fromkeys(leader for leader, _, _ in rows))
+        matrix = np.zeros((len(rows), len(leaders)))
+        for i, (leader, multiplier, _) in enumerate(rows):
+            matrix[i, leaders.index(leader)] = multiplier
+        return Mimic(leaders, matrix, np.array([offset for _, _, offset in rows]))
 
     def __repr__(self) -> str:
         return f"Tree({self.name!r}, {len(self.links)} links, {len(self.joints)} joints)"
@@ -262,16 +318,6 @@ class Tree:
 def fault(tree: Tree, part: Link | Joint, expected: str, got: object, advice: str = "") -> RobotError:
     """Return the error about a link or joint, with file and line."""
     return RobotError(f"Expected {expected} in {tree.file}, line {part.line}, got {got}.{advice and ' '}{advice}")
-
-
-def check_tree(tree: Tree) -> None:
-    """Raise `RobotError` unless links and joints form a tree with one root."""
-    if not tree.links:
-        raise RobotError(f"Expected at least one link in {tree.file}, got none.")
-    _check_names(tree, tree.links, "link")
-    _check_names(tree, tree.joints, "joint")
-    _check_ends(tree)
-    _check_roots(tree)
 
 
 def _check_names(tree: Tree, parts: Sequence[Link | Joint], kind: str) -> None:
@@ -318,20 +364,6 @@ def _check_roots(tree: Tree) -> None:
             raise fault(tree, joint, "joints that lead away from one root", f"a loop through joint {joint.name!r}")
 
 
-def follow(tree: Tree, joint_names: Iterable[str]) -> Mimic:
-    joints = {joint.name: joint for joint in tree.joints}
-    rows: list[tuple[str, float, float]] = []  # leader, multiplier, offset
-    for name in members(joint_names, f"names of joints of {tree.file}"):
-        if name not in joints:
-            raise UnknownName.among(f"joint of {tree.file}", name, joints)
-        rows.append(_leader(tree, joints, joints[name]))
-    leaders = tuple(dict.fromkeys(leader for leader, _, _ in rows))
-    matrix = np.zeros((len(rows), len(leaders)))
-    for i, (leader, multiplier, _) in enumerate(rows):
-        matrix[i, leaders.index(leader)] = multiplier
-    return Mimic(leaders, matrix, np.array([offset for _, _, offset in rows]))
-
-
 def _leader(tree: Tree, joints: dict[str, Joint], joint: Joint) -> tuple[str, float, float]:
     """Return the free joint that a joint ultimately mimics (or the free joint itself), with factor and offset."""
     multiplier, offset, passed = 1.0, 0.0, {joint.name}
@@ -372,52 +404,6 @@ def _locked(tree: Tree, lock: Mapping[str, float]) -> Tree:
         twist = np.concatenate([axis, np.zeros(3)] if joint.kind == "prismatic" else [np.zeros(3), axis])
         found[name] = replace(joint, kind="fixed", T_parent_child=joint.T_parent_child @ se3.exp(twist), follows=None)
     return replace(tree, joints=tuple(found.values()))
-
-
-def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None) -> Robot:
-    names = [link.name for link in tree.links]
-    for link in (base, tip):
-        if link is not None and link not in names:
-            raise UnknownName.among(f"link of {tree.file}", link, names)
-    base = tree.root if base is None else base
-    tip = _only_tip(tree, base) if tip is None else tip
-    way = _way(tree, base, tip)
-    joints = [joint for joint, _ in way if joint.moves]
-    if not joints:
-        raise RobotError(f"Expected a moving joint between {base!r} and {tip!r} of {tree.file}, got none.")
-    check_joint_count(tree.name if name is None else name, len(joints))
-    for joint in joints:
-        _check_joint(tree, joint)
-    follow(tree, [joint.name for joint in joints])
-    steps, T_last_tip = _steps(tree, way)
-    links = {link.name: link for link in tree.links}
-    inertias, massless = _inertias(tree, links, steps)
-    gravity, assumed = _gravity(tree, base)
-    groups = [_rigid(tree, base, np.eye(4)), *(step.T_link_body for step in steps)]
-    _warn_of_branches(tree, links, steps)
-    robot = from_links(
-        tree.name if name is None else name,
-        np.array([*(step.T_last_link for step in steps), T_last_tip]),
-        [joint.kind == "prismatic" for joint in joints],
-        q_min=[joint.q_min for joint in joints],
-        q_max=[joint.q_max for joint in joints],
-        qd_max=[joint.qd_max for joint in joints],
-        tau_max=[joint.tau_max for joint in joints],
-        joint_names=[joint.name for joint in joints],
-        gravity=gravity,
-        inertias=inertias,
-        meshes=[
-            [
-                replace(mesh, T_link_mesh=T @ mesh.T_link_mesh)
-                for body, T in group.items()
-                for mesh in links[body].meshes
-            ]
-            for group in groups
-        ],
-        source=_source(tree, base, tip, steps, massless, assumed),
-        drives={key: [getattr(joint, key) for joint in joints] for key in ("friction", "damping")},
-    )
-    return replace(robot, q_home=dexterous_home(robot))
 
 
 def _only_tip(tree: Tree, base: str) -> str:
@@ -525,14 +511,14 @@ def _inertias(tree: Tree, links: dict[str, Link], steps: list[Step]) -> tuple[np
         warnings.warn(
             f"Expected a mass with every inertia in {tree.file}, got mass 0 in {', '.join(weightless)}. These links "
             "are used without inertia.",
-            stacklevel=4,
+            stacklevel=3,
         )
     if odd:
         warnings.warn(
             f"Expected principal moments of every inertia in {tree.file} to satisfy the triangle inequality, got "
             f"violations at {', '.join(odd)}. They are used unchanged.",
             UserWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
     return (None, []) if len(massless) == len(steps) else (inertias, massless)
 
@@ -549,19 +535,18 @@ def _gravity(tree: Tree, base: str) -> tuple[np.ndarray, str]:
 
 def _source(tree: Tree, base: str, tip: str, steps: list[Step], massless: list[str], gravity: str) -> str:
     """Return the sources of the numbers and the omissions, one per line."""
-    passed = {step.joint.name for step in steps}
     notes = {
         "geometry": f"{Path(tree.file).name}, from {base!r} to {tip!r}",
         "gravity": gravity,
         "accelerations": "assumption: full speed in 0.1 s",
         "no mass known behind": ", ".join(massless),
-        "omitted, behind joints": ", ".join(_side_branches(tree, steps, passed)),
+        "omitted, behind joints": ", ".join(_side_branches(tree, steps)),
         "follow other joints": ", ".join(step.joint.name for step in steps if step.joint.follows),
     }
     return "\n".join(f"{key}: {text}" for key, text in notes.items() if text)
 
 
-def _side_branches(tree: Tree, steps: list[Step], passed: Iterable[str]) -> dict[str, str]:
+def _side_branches(tree: Tree, steps: list[Step]) -> dict[str, str]:
     """Return the moving joints that branch off the arm, each with the link behind it."""
     found = {}
     for step in steps:
@@ -569,13 +554,14 @@ def _side_branches(tree: Tree, steps: list[Step], passed: Iterable[str]) -> dict
             below = {joint.name: joint.child for joint in tree.child_joints[name] if joint.moves}
             above = tree.parent_joints.get(name)
             found |= below | ({above.name: above.parent} if above and above.moves else {})
+    passed = {step.joint.name for step in steps}
     return {joint: link for joint, link in found.items() if joint not in passed}
 
 
 def _warn_of_branches(tree: Tree, links: dict[str, Link], steps: list[Step]) -> None:
     """Warn about the mass of each omitted branch that moves with the arm."""
     masses = {}
-    for joint, first in _side_branches(tree, steps, {step.joint.name for step in steps}).items():
+    for joint, first in _side_branches(tree, steps).items():
         reached, waiting = set(), [first]
         while waiting:
             link = waiting.pop()
@@ -593,5 +579,5 @@ def _warn_of_branches(tree: Tree, links: dict[str, Link], steps: list[Step]) -> 
         warnings.warn(
             f"The arm of {tree.file} omits {words}. To keep the mass, lock the joints ({locks}, or lock= in Python).",
             UserWarning,
-            stacklevel=5,
+            stacklevel=4,
         )
