@@ -19,16 +19,16 @@ from armlab.errors import ArmlabError, ConfigError
 
 
 class FleetRobot(NamedTuple):
-    """Observed state of a robot.
+    """Robot with a running bridge.
 
     Attributes
     ----------
-    lab, robot : names.
+    lab, robot : names of the lab and the robot.
     rate : received rows per second [Hz].
     loss : number of missing rows, from gaps in the robot's ticks.
-    damaged : rows with a wrong checksum; they count as lost once a later row arrives.
+    damaged : number of rows with a wrong checksum; they count as lost once a later row arrives.
     age : age of the newest row by the clocks of both computers [s]; NaN without rows.
-    commander : the commanding client; "" if none.
+    commander : the commanding client, or "".
     """
 
     lab: str
@@ -58,13 +58,11 @@ def list_robots(place: LabAddress, seconds: float = 2.0) -> list[FleetRobot]:
         alive = robots_at(session, place.lab)
         seen = {f"{lab}/{robot}": _Seen(lab, robot) for lab, robot in alive}
         for where, data in queried(session, key(place.lab, EVERY, "about"), 1.0) if seen else ():
-            robot = seen.get("/".join(robot_of(where)))
-            if robot is not None:
+            if robot := seen.get("/".join(robot_of(where))):
                 robot.describe(data)
 
         def take(sample: Any) -> None:
-            robot = seen.get("/".join(robot_of(str(sample.key_expr))))
-            if robot is not None:
+            if robot := seen.get("/".join(robot_of(str(sample.key_expr)))):
                 robot.take(undamaged(sample))
 
         rows = session.declare_subscriber(key(place.lab, EVERY, "live"), take)
@@ -76,7 +74,7 @@ def list_robots(place: LabAddress, seconds: float = 2.0) -> list[FleetRobot]:
 
 
 class _Seen:
-    """Rows of one robot."""
+    """Received rows of one robot."""
 
     def __init__(self, lab: str, robot: str) -> None:
         self._lab, self._robot = lab, robot
@@ -117,12 +115,12 @@ class _Seen:
 
 
 class Router:
-    """Zenoh router in this process; a context manager.
+    """Zenoh router in this process, as a context manager.
 
     Parameters
     ----------
     host, port : listening address; port 0: any free port.
-    connect : "HOST:PORT" of other routers whose robots become visible through this one; retried forever.
+    connect : "HOST:PORT" of other routers whose robots become visible through this router; retried forever.
     security : certificates and users; see `servers.zenoh.security.Security`.
 
     Attributes
@@ -132,8 +130,8 @@ class Router:
     Raises
     ------
     ConfigError : certificates and users are missing on a router that is not local or connects to a remote router, so
-        any client could send commands.
-    LinkError : port in use.
+        that any client could send commands.
+    LinkError : the port is in use.
     MissingExtra : no Zenoh.
     """
 

@@ -1,9 +1,9 @@
-"""`identify`: fit one torque model to many logs, bit-identical on any executor; `SumCache` stores their sums on disk.
+"""`identify` fits one torque model to many logs, bit-identical on any executor; `SumCache` stores sums on disk.
 
-With a cache, ten additional logs cost the time of ten logs, and an interrupted run can continue. The name of a cache
-file is a hash of everything that determines its sums: the bytes of the log, its column names, the pattern (which
-includes the robot), the armlab version and the version of the sums. It contains plain arrays in the .npz format, never
-objects; an unreadable file is rewritten.
+With a cache, ten additional logs cost only the time of ten logs, and an interrupted run can continue. The name of a
+cache file is a hash of everything that determines its sums: the bytes of the log, its column names, the pattern (which
+includes the robot), the armlab version and the version of the sums. The file contains plain arrays in the .npz format,
+never objects; an unreadable file is rewritten.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 
@@ -37,8 +36,8 @@ from armlab.models import TorqueModel
 from armlab.models.torque import Training
 from armlab.robots import Robot
 
-DRAFT_SECONDS = 200.0  # total length of the first logs: ten of 20 s
-AT_ONCE = 4  # maximum logs tried at once
+DRAFT_SECONDS = 200.0  # total duration of the first logs: ten logs of 20 s
+AT_ONCE = 4  # largest number of logs tried at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +72,8 @@ def identify(
 ) -> Identified:
     """Identify the torque model of an arm from many logs of free motion.
 
-    The first few minutes are fitted as in `identify.fit_dynamics`. Workers then reduce every log to sums, which are
-    added here in the order of the logs, so the result is bit-identical on any executor.
+    The first few minutes are fitted as in `identify.fit_dynamics`. Workers then reduce every log to sums. The sums are
+    added in this process in the order of the logs, so the result is bit-identical on any executor.
 
     Parameters
     ----------
@@ -122,10 +121,10 @@ def identify(
 def _draft(
     jobs: Mapping[str, Log], robot: Robot, executor: Executor | None, tell: Progress, columns: str | None
 ) -> tuple[FitProblem, Pattern, list[str], Mapping[str, str]]:
-    """Fit the first usable logs, adding more until the model is determined.
+    """Fit the first usable logs, with as many logs as the model needs.
 
-    Also returns the names of these logs, and the reason for each unusable log before and between them. Workers test
-    each log before it is read here, so that a log that crashes its reader does not crash this process.
+    Also return the names of these logs, and why the logs before and between them are unusable. Workers test each log
+    before it is read in this process, so that a log that crashes its reader does not crash this process.
     """
     tried = _Tried(jobs, (robot, columns), executor, lambda: tell(0, 5, "reading the first logs"))
     wanted = DRAFT_SECONDS
@@ -135,10 +134,13 @@ def _draft(
             reasons = [f"{name}: {reason}" for name, reason in tried.refused.items()]
             raise LogError(f"Expected a usable log among {len(jobs)}, got none. {reasons[0]}")
         try:
-            tables = [_table(name, jobs[name], robot, columns) for name in names]
+            try:
+                tables = [as_table(jobs[name], robot, columns) for name in names]
+            except OSError as error:
+                raise LogError(f"Expected the first logs to be readable as before, but: {error}") from None
             draft, pattern = fit_draft(tables, robot, len(jobs), tell, _chooser(executor, tell))
         except NotExcited:
-            if tried.all and names == tried.of(math.inf):  # workers may try more logs than the fit needs
+            if tried.all and names == tried.of(math.inf):  # workers may have tried more logs than the fit needed
                 raise
             wanted = 2.0 * max(wanted, tried.seconds(names))
         else:
@@ -146,7 +148,7 @@ def _draft(
 
 
 class _Tried:
-    """Rates and lengths of the first logs, or why they are unusable."""
+    """Rate and duration of each of the first logs, or why it is unusable."""
 
     def __init__(
         self,
@@ -172,7 +174,7 @@ class _Tried:
         return sum(self._known[name][1] for name in names)
 
     def of(self, wanted: float) -> list[str]:
-        """Return the names of the first logs with equal rates that last this many seconds in total, or all of them."""
+        """Return the names of the first logs with equal rates that last `wanted` seconds in total, or of all logs."""
         while True:
             names, seconds = [], 0.0
             rates = [rate for rate, _ in self._known.values()]
@@ -192,16 +194,8 @@ class _Tried:
             self.refused |= {**done.skipped, **copies}
 
 
-def _table(name: str, log: Log, robot: Robot, columns: str | None) -> Table:
-    """Return a log that was readable when it was tried."""
-    try:
-        return as_table(log, robot, columns)
-    except OSError as error:
-        raise LogError(f"Expected {name} to be readable as before, but: {error}") from None
-
-
 def _copies(known: dict[str, str], rows: Mapping[str, str]) -> dict[str, str]:
-    """Return, by name, why logs that repeat the rows of another log are skipped; `known` maps row hashes to names."""
+    """Return why each log with the rows of an earlier log is skipped; `known` maps row hashes to names."""
     return {
         name: f"it repeats the rows of {known[sha256]}, which would overstate the information"
         for name, sha256 in rows.items()
@@ -245,7 +239,7 @@ def _work(log: Log, pattern: Pattern, cache: Path | None, columns: str | None) -
     return sums
 
 
-VERSION = 2  # of the sums; changes when the same log yields different sums
+VERSION = 2  # version of the sums, increased when the same log gives different sums
 _PIECE = 1 << 20
 _TRAINING = ("q_min", "q_max", "qd_peak", "speed_share", "rest_share", "longest_rest")
 
@@ -273,16 +267,22 @@ class SumCache:
         """Return the sums in a file, or None if it is missing or damaged."""
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
-                return _sums(kept)
+                size, inside, n = kept["counts"].tolist()
+                weight, seconds = kept["reals"].tolist()
+                classes = range(kept["rows"].shape[1])
+                R, columns = (tuple(kept[f"{name}{g}"] for g in classes) for name in ("R", "columns"))
+                about = {name: kept[name] for name in _TRAINING}
+                about |= {name: float(about[name]) for name in _TRAINING[-2:]}
+                factors = Factors(size, columns, R, kept["rows"])
+                return LogSums(factors, weight, inside, n, seconds, Training(**about), str(kept["source"]))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, ShapeError):
             return None
 
     def save(self, path: Path, sums: LogSums) -> None:
-        """Write sums atomically; if this fails, they are recomputed the next time."""
+        """Write sums atomically; after a disk error they are recomputed in the next run."""
         groups = {
             f"{name}{g}": part[g]
-            for name in ("R", "columns")
-            for part in [getattr(sums.factors, name)]
+            for name, part in (("R", sums.factors.R), ("columns", sums.factors.columns))
             for g in range(len(part))
         }
         training = {name: getattr(sums.training, name) for name in _TRAINING}
@@ -293,18 +293,7 @@ class SumCache:
         }
         with suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
-            with TemporaryDirectory(dir=self._folder) as own:  # another process may be saving the sums of an equal file
+            with TemporaryDirectory(dir=self._folder) as own:  # another process may save equal sums at the same time
                 part = Path(own, path.name)
                 np.savez(part, allow_pickle=False, rows=sums.factors.rows, **groups, **training, **numbers)
                 part.replace(path)
-
-
-def _sums(kept: Any) -> LogSums:
-    size, inside, n = kept["counts"].tolist()
-    weight, seconds = kept["reals"].tolist()
-    classes = range(kept["rows"].shape[1])
-    R, columns = (tuple(kept[f"{name}{g}"] for g in classes) for name in ("R", "columns"))
-    about = {name: kept[name] for name in _TRAINING}
-    about |= {name: float(about[name]) for name in _TRAINING[-2:]}
-    factors = Factors(size, columns, R, kept["rows"])
-    return LogSums(factors, weight, inside, n, seconds, Training(**about), str(kept["source"]))

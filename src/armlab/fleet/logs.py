@@ -1,4 +1,4 @@
-"""Batch processing of logs: `export` to another format, and `estimate` of contact forces."""
+"""Batch processing of logs: `export` converts formats, and `estimate` computes contact forces."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Estimated:
     Attributes
     ----------
     path : file with the columns of the estimate, one row per row of the log.
-    rows, seconds : length of the log.
-    left_out : rows without an estimate.
-    contacts : intervals of contact.
-    contact_seconds : total duration of contact.
+    rows, seconds : number of rows and duration [s] of the log.
+    left_out : number of rows without an estimate.
+    contacts : number of contact intervals.
+    contact_seconds : total duration of contact [s].
     peak : largest estimated force in contact [N], NaN without contact.
-    band : mean two-sigma band of the worst axis [N].
+    band : mean two-sigma band of the axis with the widest band [N].
     """
 
     path: Path
@@ -60,7 +60,7 @@ def estimate(
     force: bool = False,
     columns: str | None = None,
 ) -> Done[Estimated]:
-    """Estimate the contact force in many logs of one arm, as ``armlab estimate`` does for one.
+    """Estimate the contact force in many logs of one arm, as ``armlab estimate`` does for one log.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def estimate(
 
     Returns
     -------
-    `Done` with `Estimated` by log name; unusable logs are skipped with a reason.
+    `Done`, which maps log names to `Estimated`; unusable logs are skipped with a reason.
 
     Raises
     ------
@@ -210,7 +210,7 @@ def export(
     force: bool = False,
     columns: str | None = None,
 ) -> Done[Path]:
-    """Write many logs in another format, as ``armlab log export`` does for one.
+    """Convert many logs to another format, as ``armlab log export`` does for one log.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def export(
 
     Returns
     -------
-    `Done` with the path by log name; unreadable logs are skipped with a reason.
+    `Done`, which maps log names to paths; unreadable logs are skipped with a reason.
 
     Raises
     ------

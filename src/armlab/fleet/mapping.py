@@ -1,8 +1,8 @@
-"""`map_logs`: run one job per log on any executor, with ordered results, named failures and crash recovery.
+"""`map_logs` runs one job per log on any executor, with ordered results, named failures and crash recovery.
 
-A killed worker breaks its process pool and every job in it. Finished results are kept, and the rest restarts in a new
-pool. Then the interrupted jobs run one by one, and a job that crashes its worker again is skipped. Dask restarts its
-workers itself but blames every job queued on a crashed worker; these jobs also run one by one.
+A killed worker breaks its process pool and every job in it. Finished results are kept. The interrupted jobs then run
+one by one, a job that crashes its worker again is skipped, and the rest runs in a new pool. Dask restarts its workers
+itself, but blames every job queued on a crashed worker; these jobs also run one by one.
 
 `workers` provides processes on this computer or a Dask cluster.
 """
@@ -23,13 +23,13 @@ from armlab.errors import ArmlabError, ConfigError, LinkError, LogError, Missing
 Progress = Callable[[int, int, str], None]
 Result = TypeVar("Result")
 
-_AHEAD = 4  # queued jobs per worker, because every pickled job takes memory
+_AHEAD = 4  # queued jobs per worker; limited, because every pickled job takes memory
 _WORKERS = 64  # assumed for executors without a worker count
 _REPORT_PERIOD = 0.5  # s between two progress reports while no job ends
 _SENTENCE_PERIOD = 1.0  # s between two progress lines, for output to a file
 MAX_CRASHES = 2  # worker crashes before a job is skipped
 _KILLED = "Expected a worker to survive this {}, but it crashed again. Check its memory use and its logs."
-_KILLED_BY_DASK = "KilledWorker"  # by name, because Dask is optional; raised after several crashes
+_KILLED_BY_DASK = "KilledWorker"  # exception of Dask after several crashes; by name, because Dask is optional
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def map_logs(
 
 
 class _JobRun:
-    """Progress of all jobs."""
+    """Run of all jobs, with their results and progress."""
 
     def __init__(
         self,
@@ -110,7 +110,7 @@ class _JobRun:
         self.report()
 
     def on(self, executor: Executor) -> None:
-        """Run all jobs on an executor, with a new one after each crash; each round settles at least one suspect."""
+        """Run all jobs on an executor, with a new pool after each crash; each round settles at least one suspect."""
         suspects: list[str] = []
         if not getattr(executor, "_broken", False):  # broken by earlier jobs of the caller
             ahead = _AHEAD * getattr(executor, "_max_workers", _WORKERS)
@@ -207,7 +207,7 @@ def _another(executor: ProcessPoolExecutor, workers: int | None) -> ProcessPoolE
 
 
 def _guarded(work: Callable[..., Result], job: Any, *shared: Any) -> tuple[bool, Result | str]:
-    """Return (True, result), or (False, reason) for a job with an unusable log."""
+    """Return (True, result), or (False, reason) if the log is unusable."""
     try:
         return True, work(job, *shared)
     except (ArmlabError, OSError, MemoryError) as error:
@@ -226,7 +226,7 @@ def workers(count: int = 1, dask: str | None = None) -> Iterator[Executor | None
         if count == 1:
             yield None
             return
-        # Not forked: a fork copies locks, such as those held by BLAS threads, but not the threads.
+        # Spawned, because a fork copies locks held by threads, such as those of BLAS, but not the threads.
         with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
             yield pool
         return

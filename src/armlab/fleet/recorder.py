@@ -1,4 +1,4 @@
-"""`FleetRecorder`: records rows of many robots over Zenoh, in one file per robot and bridge run."""
+"""`FleetRecorder` records rows of many robots over Zenoh, in one file per robot and bridge run."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from armlab.bridge.servers.row import MAGIC, RowField, RowSchema
+from armlab.bridge.servers.row import MAGIC, RowSchema
 from armlab.bridge.servers.zenoh.messages import EVERY, Inbox, key, read_about, robot_of, undamaged
 from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError
 from armlab.log.recording.file import RecordingFile
 from armlab.log.recording.recorder import FLUSH_PERIOD, WRITE_PERIOD, Syncing
-from armlab.log.recording.rows import SELDOM, RowLayout, Slot
+from armlab.log.recording.rows import SELDOM, RowLayout
 
-_INBOX = 50_000  # messages: 20 s of ten robots; overflow leaves gaps in the ticks
+_INBOX = 50_000  # messages, 20 s of ten robots; an overflow leaves gaps in the ticks
 _ROBOTS = 1000
-_ROOM = 2**28  # bytes of rows of all robots waiting for descriptions: ten seconds of fifty robots
+_ROOM = 2**28  # bytes of all rows that wait for descriptions: ten seconds of fifty robots
 _NAME = re.compile(r"[\w+-][\w.+-]{0,99}")  # valid file names
 _WALL = slice(32, 40)  # wall clock in the row header
 _PAIR = struct.Struct("<qq")
-_NAMES = 220  # bytes of lab and robot names; file systems allow 255, including number and extension
+_NAMES = 220  # bytes of lab and robot name; file systems allow 255 with number and extension
 
 
 class FleetRecorder:
-    """Recorder of every robot that sends rows, until closed; a context manager.
+    """Recorder of every robot that sends rows, as a context manager.
 
     A robot may disappear and return with different rows. Each run of its bridge gets its own MCAP file:
     ``lab1-yumi_left.mcap``, then ``-2``. Missing rows are gaps in the robot's ticks; they are listed in an event and in
@@ -48,7 +48,7 @@ class FleetRecorder:
     Attributes
     ----------
     robots : `RobotRecord` by "lab/robot": rows, lost, damaged, refused, late, paths, failed.
-    strangers : number of messages for unknown robots.
+    strangers : number of messages of unknown robots.
 
     Raises
     ------
@@ -56,13 +56,11 @@ class FleetRecorder:
     MissingExtra : no Zenoh.
     """
 
-    strangers: int
-
     def __init__(self, place: LabAddress, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
         self._folder, self._tell = Path(folder), tell
         self._robots: dict[str, RobotRecord] = {}
-        self._ended: set[str] = set()  # robots with ended recordings
-        self.strangers = 0
+        self._ended: set[str] = set()  # robots whose recording has ended
+        self.strangers: int = 0
         self._inbox: Inbox[tuple[Callable[[RobotRecord], None], str]] = Inbox(_INBOX)
         self._room = _ROOM
         self._wake, self._closed = threading.Event(), False
@@ -82,7 +80,7 @@ class FleetRecorder:
 
     @property
     def robots(self) -> Mapping[str, RobotRecord]:
-        """Record of each robot."""
+        """Records by robot."""
         return dict(self._robots)
 
     def close(self) -> None:
@@ -103,7 +101,7 @@ class FleetRecorder:
         self._inbox.put((partial(self._live, has_come=has_come), str(sample.key_expr)))
 
     def _row(self, robot: RobotRecord, data: bytes | None) -> None:
-        """Store a row; if there is no room, it is lost, and its tick leaves a gap."""
+        """Store a row; without room it is lost, and its tick becomes a gap."""
         size = len(data or b"")
         if size <= self._room:
             self._room -= size
@@ -169,12 +167,12 @@ class FleetRecorder:
         self._inbox.put((partial(RobotRecord.describe, about=about), key(lab, name, "about")), len(about))
 
 
-_WAITING = 2500  # rows waiting for their description: 10 s
-_STRANGE = 64  # remembered schemas of invalid rows
+_WAITING = 2500  # rows that wait for their description: 10 s
+_STRANGE = 64  # number of remembered schemas of invalid rows
 _UNANSWERED = 5.0  # s before rows without a description are abandoned
-_AGAIN = 10.0  # s between a failed file and the next attempt
+_AGAIN = 10.0  # s from a failed file to the next attempt
 _SILENT = 60.0  # s without a row before a file is finished
-_MOST_HOLES = 10_000  # gaps listed in a file; all are counted
+_MOST_HOLES = 10_000  # largest number of gaps that a file lists
 
 
 class RobotRecord:
@@ -182,24 +180,15 @@ class RobotRecord:
 
     Attributes
     ----------
-    rows, lost : rows written, and rows missing or not written, counted by the robot's ticks.
-    damaged : rows with a wrong checksum; they are dropped and leave gaps.
-    refused : messages that are not rows of this robot.
-    late : rows dropped because an equal or newer tick was already received.
+    rows, lost : number of rows written, and number of rows missing or not written, from the robot's ticks.
+    damaged : number of rows with a wrong checksum, which are dropped and leave gaps.
+    refused : number of messages that are not rows of this robot.
+    late : number of rows dropped because an equal or newer tick had already been received.
     last : newest tick, -1 before the first row.
     paths : files so far.
     failed : why the last file stopped, or None.
     wants : whether rows wait for a description.
     """
-
-    name: str
-    rows: int
-    lost: int
-    damaged: int
-    refused: int
-    late: int
-    last: int
-    wants: bool
 
     def __init__(self, name: str, path: Path, tell: Callable[[str], None]) -> None:
         self.name, self._path, self._tell = name, path, tell
@@ -221,14 +210,19 @@ class RobotRecord:
         return sum(map(len, self._waiting))
 
     def take(self, data: bytes | None) -> None:
-        """Store a row; if too many rows are waiting, it is lost, and its tick leaves a gap."""
+        """Store a row; if too many rows are waiting, it is lost, and its tick becomes a gap."""
         if data is None:
-            self._damage()
+            self.damaged += 1
+            if self.damaged == 1:
+                self._tell(f"{self.name}: damaged rows are dropped and leave gaps")
+            if self._file is not None:
+                self._file.damaged += 1
+            self.event("a damaged row was dropped")
         elif len(self._waiting) < _WAITING:
             self._waiting.append(data)
 
     def doubt(self) -> None:
-        """Handle a disconnected bridge; the next rows may belong to another run."""
+        """Process the disconnection of the bridge, after which the next rows may belong to another run."""
         self.write()
         self._is_unsure = self._run is not None
 
@@ -275,8 +269,11 @@ class RobotRecord:
                 self._waiting.popleft()
                 self._refuse(str(error))
                 continue
-            if self._run.has_restarted(row):
-                packed = self._end_run(packed)
+            if self._run.has_restarted(row):  # the bridge may have a new description
+                self._put(packed)
+                self._finish()
+                self._run, packed = None, []
+                self._tell(f"{self.name}: its bridge has restarted")
                 continue
             self._waiting.popleft()
             packed = self._sorted(self._run, row, packed)
@@ -287,7 +284,6 @@ class RobotRecord:
             self._finish()
 
     def flush(self) -> None:
-        """Flush written data to disk."""
         if self._file is not None:
             self._guarded(self._file.flush)
 
@@ -310,29 +306,13 @@ class RobotRecord:
             file.abandon()
 
     def _give_up(self) -> None:
-        """Abandon rows without a description; those with a known schema count as the same run."""
+        """Abandon rows without a description; rows with the known schema count as the same run."""
         self.wants, self._since = False, None
         if self._is_unsure:
             self._is_unsure = False
             return
         self._refuse("rows without a description", len(self._waiting))
         self._waiting.clear()
-
-    def _damage(self) -> None:
-        self.damaged += 1
-        if self.damaged == 1:
-            self._tell(f"{self.name}: damaged rows are dropped and leave gaps")
-        if self._file is not None:
-            self._file.damaged += 1
-        self.event("a damaged row was dropped")
-
-    def _end_run(self, packed: list[bytes]) -> list[bytes]:
-        """End the run, because the ticks restarted: the bridge was restarted and may have another description."""
-        self._put(packed)
-        self._finish()
-        self._run = None
-        self._tell(f"{self.name}: its bridge has restarted")
-        return []
 
     def _sorted(self, run: _BridgeRun, row: bytes, packed: list[bytes]) -> list[bytes]:
         """Add a row to the rows to write next; at a gap, write the earlier rows and record the gap."""
@@ -409,7 +389,7 @@ class RobotRecord:
 
 
 class RowColumns:
-    """Positions of a recording's columns in the rows of the bridge, which may lack some columns."""
+    """Byte ranges of a recording's columns in the rows of a bridge, which may lack some columns."""
 
     def __init__(self, schema: RowSchema, robot: str, layout: RowLayout) -> None:
         if f"{robot}.tick" not in schema.fields:
@@ -422,11 +402,16 @@ class RowColumns:
             field = schema.fields.get(f"{robot}.{name}")
             if name == "stamp_ns":
                 self._places.append(_WALL)
-            else:
-                self._places.append(slot.nothing if field is None else _place(field, slot))
+            elif field is None:
+                self._places.append(slot.nothing)
+            elif field.shape != slot.column.shape or field.type == "text":
+                raise LinkError(f"Expected {field.name} of shape {slot.column.shape} in the rows, got {field.shape}.")
+            else:  # for a flag the lowest byte, in which -1 becomes 255 (missing)
+                stop = field.offset + 8 * math.prod(field.shape)
+                self._places.append(slice(field.offset, stop, 8 if slot.dtype == "u1" else None))
 
     def packed(self, data: bytes) -> bytes:
-        """Convert a row of the bridge to a row of the recording; raise LinkError for another schema."""
+        """Convert a row of the bridge to a row of the recording; raise a LinkError if its schema differs."""
         if len(data) != self._size or data[:4] != MAGIC or data[8:16] != self._id:
             raise LinkError(f"Expected a row of {self._size} bytes and schema {self._id.hex()}, got {len(data)} bytes.")
         return b"".join([place if isinstance(place, bytes) else data[place] for place in self._places])
@@ -442,16 +427,8 @@ def tick_of(packed: bytes) -> int:
     return _PAIR.unpack_from(packed)[1]
 
 
-def _place(field: RowField, slot: Slot) -> slice:
-    """Return the byte range of the values; for a flag, the lowest byte, in which -1 becomes 255 (missing)."""
-    if field.shape != slot.column.shape or field.type == "text":
-        raise LinkError(f"Expected {field.name} of shape {slot.column.shape} in the rows, got {field.shape}.")
-    stop = field.offset + 8 * math.prod(field.shape)
-    return slice(field.offset, stop, 8 if slot.dtype == "u1" else None)
-
-
 class _BridgeRun:
-    """Run of a bridge: its description and its clocks."""
+    """Run of a bridge: its description, and the tick and stamp of its last row."""
 
     def __init__(self, robot: str, about: bytes) -> None:
         said = read_about(about)
@@ -467,7 +444,7 @@ class _BridgeRun:
 
 
 class _RobotFile:
-    """Output file with its counts and gaps."""
+    """Output file of one robot, with its counts and gaps."""
 
     def __init__(self, path: Path, run: _BridgeRun) -> None:
         self.file = RecordingFile(path, run.robot, run.layout, {}, "")
