@@ -168,7 +168,7 @@ def test_a_restart_of_the_numbers_maps_the_clock_anew() -> None:
     for k in range(60):
         held = fusion.tick(k * MS)["s"]
         assert abs(held.mapped_ns - k * MS) <= 5
-    assert told == ["The source s restarted: number 0 after 49."]
+    assert told == ["The source s restarted: sequence number 0 after 49."]
 
 
 def test_wrong_sets_of_sources() -> None:

@@ -79,7 +79,7 @@ def test_a_calibration_belongs_to_an_arm_of_the_run() -> None:
     check_source(Source("force", RAW, 0.004, calibration=SENSOR), arms[:1])
     with pytest.raises(ConfigError, match=r"robot= of the force sensor 'force', one of yumi_left, yumi_right"):
         check_source(Source("force", RAW, 0.004, calibration=SENSOR), arms)
-    with pytest.raises(ModelMismatchError, match="'force' to belong to a robot of this run, got one of 'yumi_left'"):
+    with pytest.raises(ModelMismatchError, match="'force' to belong to a robot of this run, got a calibration of 'yumi_left'"):
         check_source(source, arms[1:])
     with pytest.raises(ModelMismatchError):
         check_source(Source("force", RAW, 0.004, calibration=own, robot="yumi_right"), arms)

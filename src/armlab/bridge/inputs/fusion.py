@@ -1,6 +1,6 @@
 """`Fusion`: newest reading of each source at each tick, with its age, freshness, and timestamp on our clock.
 
-Values are held; there is no waiting or interpolation. Stale values are NaN in a State; the log keeps them.
+Fusion holds the last values; it neither waits nor interpolates. Stale values are NaN in a State, but stay in the log.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from armlab.kinematics import forward
 from armlab.log import Column
 from armlab.robots import Robot
 
-_WINDOW = 10_000_000_000  # ns of the running minimum
+_WINDOW = 10_000_000_000  # ns, window of the running minimum
 _BUCKET = 500_000_000  # ns per point of the minimum
-_STEP = 50_000_000  # ns: a larger deviation means that the clock was set
-_LATE_IN_A_ROW = 10  # consecutive late readings mean a clock set back, not a delay
-_DRIFT_SPAN = 3_000_000_000  # ns before drift and delays can be separated
-_FASTEST_DRIFT = 1e-3
+_STEP = 50_000_000  # ns, a larger deviation means that the clock was set
+_LATE_IN_A_ROW = 10  # consecutive late readings that mean a clock set back, not a delay
+_DRIFT_SPAN = 3_000_000_000  # ns of data needed to separate drift from delays
+_FASTEST_DRIFT = 1e-3  # s/s
 
 
 class ClockMap:
-    """Maps another clock's timestamps to ours by the running minimum over 10 s of (receive - source), with drift.
+    """Maps timestamps of another clock to our clock by the running minimum of (receive - source) over 10 s, with drift.
 
-    Packets can be late but never early, so the minimum is the clock offset plus the smallest delay. A step above 50 ms
+    Packets can be late but never early, so the minimum is the clock offset plus the shortest delay. A step above 50 ms
     restarts the estimate.
     """
 
@@ -46,10 +46,10 @@ class ClockMap:
     def _forget(self) -> None:
         self._points: deque[tuple[int, int]] = deque()  # (source, offset) of the smallest offset in each bucket
         self._drift, self._late = 0.0, 0
-        self._line: tuple[int, float] = (0, 0.0)  # source stamp and offset there
+        self._line: tuple[int, float] = (0, 0.0)  # source timestamp, and the offset at that time
 
     def reset(self) -> None:
-        """Restart the estimate because the other clock was set or its program restarted."""
+        """Restart the estimate after the other clock was set or its program restarted."""
         self.resets += 1
         self._forget()
 
@@ -77,7 +77,7 @@ class ClockMap:
         return offset + self._drift * (source_ns - start)
 
     def _fit(self) -> None:
-        """Fit a line below the points: it has the least-squares slope and touches the lowest point."""
+        """Fit a line with the least-squares slope through the lowest point, so that no point lies below the line."""
         start, first = self._points[0]
         steps = [(source - start, offset - first) for source, offset in self._points]
         self._drift = 0.0
@@ -88,12 +88,12 @@ class ClockMap:
         self._line = (start, first + min(step - self._drift * at for at, step in steps))
 
 
-_AHEAD = 1.0  # s by which a reading may be newer than the packet of its tick, which may have waited in the port
+_AHEAD = 1.0  # s by which a reading may be newer than the packet of the tick, which may have been queued in the port
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Held(Shown):
-    """Reading of one source, held at a tick; ``held["field"]`` returns a value.
+    """Reading of one source, held at a tick; ``held["field"]`` returns the value of a field.
 
     Attributes
     ----------
@@ -104,11 +104,11 @@ class Held(Shown):
     age : float, s
         Time since the values arrived; infinite before the first reading.
     fresh : bool
-        Whether the values are new in this tick.
+        Whether the reading is new in this tick.
     stale : bool
         Whether the values are older than the source's `max_age`.
     gaps : int
-        Readings lost so far.
+        Number of lost readings.
     seq : int
         Number of the reading; 0 before the first.
     source_ns : int, ns
@@ -135,14 +135,14 @@ class Held(Shown):
 
 
 class Fusion:
-    """Several sources, sampled together."""
+    """Sampler of several sources at common ticks."""
 
     sources: tuple[Source, ...]
 
     def __init__(self, sources: Sequence[Source], on_event: Tell = nobody) -> None:
         for source in sources:
             if not isinstance(source, Source):
-                raise ConfigError(f"Expected sources of bridge.sources, got {type(source).__name__}.")
+                raise ConfigError(f"Expected instances of bridge.Source as sources, got {type(source).__name__}.")
         names = [source.name for source in sources]
         if len(set(names)) < len(names) or sum(source.role == "pacing" for source in sources) > 1:
             raise ConfigError(f"Expected sources with different names and at most one pacing source, got {names}.")
@@ -154,7 +154,7 @@ class Fusion:
         }
         self._nothing = {source.name: source.values({}) for source in sources}
         self._maps = {source.name: ClockMap() for source in sources}
-        self._last: dict[str, tuple[Reading, int]] = {}  # with the mapped stamp
+        self._last: dict[str, tuple[Reading, int]] = {}  # reading and mapped timestamp
         self._stale: set[str] = set()
         self._reported: dict[str, str] = {}
 
@@ -164,7 +164,7 @@ class Fusion:
         return MappingProxyType(held)
 
     def ticks(self, seconds: float) -> Iterator[Mapping[str, Held]]:
-        """Yield the held readings at each new reading of the pacing source, for rows without a robot."""
+        """Yield the held readings at each new reading of the pacing source, to record rows without a robot."""
         pacing = next((source for source in self.sources if source.role == "pacing"), None)
         if pacing is None:
             raise ConfigError("Expected one source with the role pacing, got none. Add a bridge.TimerSource.")
@@ -178,7 +178,7 @@ class Fusion:
                 time.sleep(0.1 * pacing.period)
 
     def fields(self, now_ns: int, robot: Robot, q: np.ndarray) -> dict[str, Any]:
-        """Return the fields of a State at a tick: `sources`, and `wrench` from a force sensor."""
+        """Return the fields `sources` and, with a force sensor, `wrench` of a State at a tick."""
         held = self.tick(now_ns)
         found: dict[str, Any] = {"sources": held}
         for source in self.sources:
@@ -193,7 +193,7 @@ class Fusion:
         return found
 
     def record(self, held: Mapping[str, Held], now_ns: int) -> dict[str, Any]:
-        """Return the values of the log's columns, regardless of their age."""
+        """Return the values of the log columns, including stale values."""
         row: dict[str, Any] = {}
         for name, one in held.items():
             if not one.receive_ns:
@@ -230,7 +230,7 @@ class Fusion:
         )  # fmt: skip
 
     def _newest(self, source: Source, last: Reading | None) -> Reading | None:
-        """Return the latest reading of a source, or the previous one if the source raises or the reading is invalid."""
+        """Return the latest reading of a source, or the previous reading after an error or an invalid reading."""
         try:
             reading = source.newest()
             if reading is None or reading is last:
@@ -239,18 +239,20 @@ class Fusion:
             for number in (reading.source_ns, reading.receive_ns, reading.seq, reading.gaps):
                 whole(number)
             ahead = 1e-9 * (reading.receive_ns - source.now_ns)
-        except Exception as error:  # a user's own source must not stop the loop
+        except Exception as error:  # an error in a custom source must not stop the loop
             source.problem = f"{type(error).__name__}: {error}"
             return last
         shapes = {field: value.shape for field, value in values.items()}
         if shapes != {field: column.shape for field, column in source.fields.items()}:
-            source.problem = f"expected the fields {', '.join(source.fields)} with their shapes, got {shapes}"
+            source.problem = f"expected the fields {', '.join(source.fields)} with their declared shapes, got {shapes}"
             return last
         if wrong := [field for field, value in values.items() if value.dtype.kind not in "biuf"]:
             source.problem = f"expected numbers in {', '.join(wrong)}"
             return last
-        if ahead > _AHEAD:  # its age would stay 0 if the source stopped
-            source.problem = f"expected a timestamp from time.monotonic_ns(), got one {ahead:.3g} s ahead of it"
+        if ahead > _AHEAD:  # the age would stay 0 if the source stopped
+            source.problem = (
+                f"expected a timestamp from time.monotonic_ns(), got a timestamp {ahead:.3g} s in the future"
+            )
             return last
         return reading
 
@@ -260,12 +262,14 @@ class Fusion:
         clock = self._maps[source.name]
         if last is not None and reading.seq < last.seq:
             clock.reset()
-            self._on_event(f"The source {source.name} restarted: number {reading.seq} after {last.seq}.", warn=True)
+            self._on_event(
+                f"The source {source.name} restarted: sequence number {reading.seq} after {last.seq}.", warn=True
+            )
             return clock.add(reading.source_ns, reading.receive_ns)
         before = clock.resets
         mapped = clock.add(reading.source_ns, reading.receive_ns)
         if clock.resets > before:
-            self._on_event(f"The clock of the source {source.name} was set; the mapping restarts.", warn=True)
+            self._on_event(f"The clock of the source {source.name} was set. The clock mapping restarts.", warn=True)
         return mapped
 
     def _report_stale(self, source: Source, stale: bool, age: float) -> None:

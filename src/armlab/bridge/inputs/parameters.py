@@ -1,4 +1,4 @@
-"""Parameters of a run: named, typed and bounded values that clients set and a controller reads as attributes."""
+"""Parameters of a run: typed, bounded values that clients set and the controller reads as attributes."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from armlab.errors import CommandRefused, ConfigError, UnknownName
 _TYPES = ("float", "int", "bool", "text")
 _VECTOR = re.compile(r"float\[([1-9]\d{0,2})\]")
 _NAME = re.compile(r"[a-zA-Z][a-zA-Z0-9_]{0,63}")
-_LONGEST = 1000  # characters of a text
-_WAITING = 256  # largest number of settings queued for the next tick
+_LONGEST = 1000  # characters of a text parameter
+_WAITING = 256  # maximum number of settings queued for the next tick
 _LARGEST = sys.float_info.max
-_INTEGERS = 2**53  # a JSON reader may round larger integers
+_INTEGERS = 2**53  # JSON readers may round larger integers
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -43,16 +43,16 @@ class Parameter(Shown):
     maximum : float
         Upper bound of each number.
     text : str
-        Description, one sentence.
+        Description in one sentence.
     rights : str
-        Clients that may set the parameter: the "commander" of an arm, or "anyone".
+        Clients that may set the parameter: only the "commander" of an arm, or "anyone".
     live : bool
         Whether the parameter may be set during a run.
 
     Raises
     ------
     ConfigError
-        An invalid declaration; the message names the parameter.
+        Invalid declaration; the message contains the name of the parameter.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Parameter(Shown):
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not _NAME.fullmatch(self.name) or hasattr(Parameters, self.name):
             raise ConfigError(
-                f"Expected a free parameter name of letters, digits and _, got {self.name!r}. Choose another one."
+                f"Expected a free parameter name of letters, digits and _, got {self.name!r}. Choose another name."
             )
         if self.type not in _TYPES and not _VECTOR.fullmatch(self.type):
             raise ConfigError(
@@ -90,7 +90,7 @@ class Parameter(Shown):
         return int(match[1]) if match else 0
 
     def _checked(self, value: Any) -> Any:
-        """Return a value in its stored type: float, int, bool, str or a read-only array (k,)."""
+        """Return a value as it is stored: a float, int, bool, str or read-only array (k,)."""
         if self.type == "bool":
             if not isinstance(value, (bool, np.bool_)):
                 raise self._refused("true or false", value)
@@ -136,7 +136,7 @@ class Parameter(Shown):
 
 
 class Change(NamedTuple):
-    """One parameter change that took effect."""
+    """Change of a parameter that has taken effect."""
 
     sequence: int
     name: str
@@ -151,15 +151,15 @@ class Change(NamedTuple):
 
 
 class Parameters:
-    """The parameters of a run; ``params.gain`` is the value in force.
+    """Parameters of a run; ``params.gain`` is the current value.
 
-    A new value is checked immediately and takes effect between two ticks. Values set together take effect together, or
-    all are refused.
+    A new value is checked immediately and takes effect between two ticks. Values that are set together take effect in
+    the same tick, or all are refused.
 
     Parameters
     ----------
     declared : iterable of Parameter
-        The declarations.
+        Declarations of the parameters.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class Parameters:
     Raises
     ------
     ConfigError
-        A name declared twice.
+        A name is declared more than once.
 
     Examples
     --------
@@ -201,11 +201,11 @@ class Parameters:
         return values[name]
 
     def values(self) -> dict[str, Any]:
-        """Return the values in force by name."""
+        """Return the current values by name."""
         return dict(self._values)
 
     def last(self, name: str) -> Change | None:
-        """Return the last change of a parameter, or None before the first change.
+        """Return the last change of a parameter; None before the first change.
 
         Parameters
         ----------
@@ -215,14 +215,14 @@ class Parameters:
         Raises
         ------
         UnknownName
-            Undeclared name.
+            The parameter is not declared.
         """
         if name not in self.declared:
             raise UnknownName.among("parameter", name, self.declared)
         return self._last.get(name)
 
     def set(self, name: str, value: Any, who: str = "controller") -> None:
-        """Set one parameter, which takes effect at the next `apply`.
+        """Set one parameter; the value takes effect at the next `apply`.
 
         Parameters
         ----------
@@ -255,10 +255,10 @@ class Parameters:
         Raises
         ------
         UnknownName
-            Undeclared name.
+            A parameter is not declared.
         CommandRefused
-            Wrong type or shape, a value that is not finite or out of bounds, missing rights, a parameter that is not
-            live during a run, or too many settings in one tick.
+            Wrong type or shape, non-finite value, value out of bounds, missing rights, parameter that is not live
+            during a run, or too many settings in one tick.
         """
         checked = {}
         for name, value in values.items():
@@ -268,16 +268,16 @@ class Parameters:
             if parameter.rights == "commander" and not commander:
                 raise CommandRefused(f"Expected the commander of an arm to set {name}, got {who}. The value is kept.")
             if self.running and not parameter.live:
-                raise CommandRefused(f"Expected {name} to be set before a run, but {who} set it during a run.")
+                raise CommandRefused(f"Expected {name} to be set before a run, but {who} tried to set it during a run.")
             checked[name] = parameter._checked(value)
         if len(self._waiting) >= _WAITING:
-            raise CommandRefused(f"Expected at most {_WAITING} settings per tick, got more from {who}. Send fewer.")
+            raise CommandRefused(
+                f"Expected at most {_WAITING} settings per tick, got more from {who}. Send fewer settings."
+            )
         self._waiting.append((checked, who))
 
     def apply(self) -> tuple[Change, ...]:
-        """Apply new values in order of arrival and return the changes; called between two ticks."""
-        if not self._waiting:
-            return ()
+        """Apply the new values in order of arrival and return the changes; called between two ticks."""
         changes = []
         for _ in range(len(self._waiting)):
             values, who = self._waiting.popleft()

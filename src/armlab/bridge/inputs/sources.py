@@ -1,7 +1,7 @@
-"""`Source` and its kinds: values from other programs, fused with the arms. A source never blocks the loop.
+"""`Source` and its subclasses: values from other programs, fused with the arms. A source never blocks the loop.
 
-A source holds its latest `Reading`, which `fusion` reads in each tick. For your own source, subclass `Source` and
-define `newest`.
+A source stores its latest `Reading`; `fusion` reads it in each tick. For a custom source, subclass `Source` and define
+`newest`.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ TICK_COLUMNS = {
     "source_time": Column(unit="s"),
     "delay": Column(unit="s"),
 }
-"""Log columns of each source in addition to its fields; `delay` is the time from the mapped source stamp to arrival."""
+"""Log columns of each source besides its fields; `delay` is the time from the mapped source timestamp to arrival."""
 
 
 class Reading(NamedTuple):
-    """One reading of a source; timestamps and numbers have at most 64 bits.
+    """One reading of a source; timestamps and sequence numbers have at most 64 bits.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class Reading(NamedTuple):
     receive_ns : int, ns
         Arrival time on our monotonic clock.
     seq : int
-        Number of the reading.
+        Sequence number of the reading.
     gaps : int
-        Number of readings lost so far, according to their sequence numbers.
+        Number of lost readings, according to the sequence numbers.
     """
 
     values: Mapping[str, np.ndarray]
@@ -62,7 +62,7 @@ class Reading(NamedTuple):
 
 
 def whole(number: Any, unit: int = 1) -> int:
-    """Convert a received timestamp or sequence number to the integer that a reading stores."""
+    """Convert a received timestamp or sequence number to an integer of at most 64 bits."""
     plain = number.item() if isinstance(number, np.generic) else number
     if isinstance(plain, int | float) and abs(plain * unit) < 1 << 64:
         return int(plain * unit)
@@ -70,7 +70,7 @@ def whole(number: Any, unit: int = 1) -> int:
 
 
 class Source:
-    """Source of external values; a subclass defines `newest`.
+    """Base class of sources of external values; a subclass defines `newest`.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Source:
         Name of the source; its columns in the log are ``<name>.<field>``.
     fields : mapping
         Shape, unit and frame by field; names in the glossary keep their meaning. A calibrated ``wrench`` (6,) in base
-        axes becomes `State.wrench`; a ``wrench_raw`` in sensor axes is converted with the `calibration`.
+        axes becomes `State.wrench`; the `calibration` converts a ``wrench_raw`` (6,) in sensor axes to it.
     period : float, s
         Nominal time between two readings.
     max_age : float, s
@@ -88,22 +88,24 @@ class Source:
     robot : str
         Name of the arm that the wrench belongs to, "" for any; default: the arm of the calibration.
     calibration : ForceSensor
-        Weight, bias and axes of the force sensor that sends ``wrench_raw`` (6,).
+        Weight, bias and axes of the force sensor that sends ``wrench_raw``.
 
     Attributes
     ----------
     now_ns : int, ns
         Time of the current tick on our monotonic clock.
     problem : str
-        Last error text.
+        Text of the last error.
 
     Raises
     ------
     ConfigError
-        An empty name or a name with a dot, no fields, a period or age not above 0, an unknown role, a calibration
-        without raw readings, or a field size that is negative or larger than a row.
-    ShapeError, UnknownName
-        A field that contradicts the glossary or lacks its unit.
+        An empty name or a name with a dot, no fields, a period or age not above 0, a calibration without the field
+        ``wrench_raw``, or a field size that is negative or larger than a row.
+    ShapeError
+        A field contradicts the glossary, or its unit is missing.
+    UnknownName
+        The role is unknown.
     """
 
     name: str
@@ -151,7 +153,7 @@ class Source:
         """Stop receiving; called after the run, even if it failed."""
 
     def newest(self) -> Reading | None:
-        """Return the latest reading, or None before the first; must not block or raise."""
+        """Return the latest reading, or None before the first reading; must neither block nor raise an error."""
         raise NotImplementedError
 
     def values(self, given: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
@@ -165,9 +167,9 @@ class Source:
         Raises
         ------
         UnknownName
-            An undeclared field.
+            A field is not declared.
         ConfigError
-            Values that are not numbers, or a wrong shape.
+            Values are not numbers, or have the wrong shape.
         """
         for name in given:
             if name not in self.fields:
@@ -188,7 +190,7 @@ class Source:
 
 
 def check_source(source: Source, robots: Sequence[Robot]) -> None:
-    """Check that a calibrated force sensor belongs to an arm of the run."""
+    """Raise an error if a calibrated force sensor does not belong to an arm of the run."""
     if source.calibration is None:
         return
     if not source.robot and len(robots) > 1:
@@ -197,8 +199,9 @@ def check_source(source: Source, robots: Sequence[Robot]) -> None:
     hashes = [robot.hash for robot in robots if source.robot in ("", robot.name)]
     if source.calibration.robot_hash and source.calibration.robot_hash not in hashes:
         raise ModelMismatchError(
-            f"Expected the calibration of the source {source.name!r} to belong to a robot of this run, got one of "
-            f"{source.calibration.robot_name!r} ({source.calibration.robot_hash[:12]}). Calibrate on this robot."
+            f"Expected the calibration of the source {source.name!r} to belong to a robot of this run, got a "
+            f"calibration of {source.calibration.robot_name!r} ({source.calibration.robot_hash[:12]}). Calibrate on "
+            "this robot."
         )
 
 
@@ -207,8 +210,8 @@ def _check_shapes(name: str, fields: Mapping[str, Column]) -> None:
         if any(size < 0 for size in column.shape) or math.prod(column.shape) * 8 > LARGEST:
             shape = str(column.shape)[:60]
             raise ConfigError(
-                f"Expected field sizes from 0, and at most {LARGEST // 8} numbers per field, got shape "
-                f"{shape} of {field!r} in the source {name!r}."
+                f"Expected non-negative field sizes and at most {LARGEST // 8} numbers per field, got shape {shape} of "
+                f"{field!r} in the source {name!r}."
             )
 
 
@@ -222,7 +225,7 @@ def _check_calibration(name: str, fields: Mapping[str, Column], calibration: obj
 
 
 class ThreadSource(Source):
-    """Threaded source to subclass: `work` runs until `_over` is set and stores readings in `_newest`.
+    """Base class of sources with a thread: `work` stores readings in `_newest` until `_over` is set.
 
     Parameters
     ----------
@@ -243,7 +246,7 @@ class ThreadSource(Source):
         self._thread: threading.Thread | None = None
 
     def work(self) -> None:
-        """Receive readings in the thread; defined by a subclass."""
+        """Receive readings in the thread; a subclass defines this method."""
         raise NotImplementedError
 
     def start(self) -> None:
@@ -253,18 +256,18 @@ class ThreadSource(Source):
         self._thread.start()
 
     def close(self) -> None:
-        """Stop the thread; a hanging thread is abandoned after 1 s."""
+        """Stop the thread, and wait at most 1 s for its end."""
         self._over.set()
         if self._thread is not None:
             self._thread.join(1.0)
 
     def newest(self) -> Reading | None:
-        """Return the latest reading, or None before the first."""
+        """Return the latest reading, or None before the first reading."""
         return self._newest
 
 
 class CallableSource(ThreadSource):
-    """Python function called in a thread, once per period.
+    """Source that calls a Python function in a thread, once per period.
 
     Parameters
     ----------
@@ -273,8 +276,8 @@ class CallableSource(ThreadSource):
     fields : mapping
         Columns by field.
     function : callable
-        Returns values by field, or None if there are no new values. If it raises an error, the last reading is kept
-        and `problem` is set.
+        Returns values by field, or None without new values. If the function raises an error, the source keeps the last
+        reading and sets `problem`.
     period : float, s
         Time between two calls.
     options
@@ -302,12 +305,12 @@ class CallableSource(ThreadSource):
                 if given is not None:
                     values = self.values(given)
                     self._newest, seq = Reading(values, 0, time.monotonic_ns(), seq), seq + 1
-            except Exception as error:  # from a user's function: the reading becomes stale, but the loop continues
+            except Exception as error:  # in the function of the user: the reading becomes stale, but the loop continues
                 self.problem: str = f"{type(error).__name__}: {error}"
 
 
 class TimerSource(Source):
-    """Counter of periods, used to pace rows without a robot. Its only field is ``count``.
+    """Source that counts periods in its only field ``count``, used to record rows without a robot.
 
     Parameters
     ----------
@@ -328,14 +331,14 @@ class TimerSource(Source):
         self._begun_ns = time.monotonic_ns()
 
     def newest(self) -> Reading | None:
-        """Return the number of whole periods since the start, stamped with the end of the last one."""
+        """Return the number of complete periods since the start, with the end of the last period as the timestamp."""
         count = int((time.monotonic_ns() - self._begun_ns) / (1e9 * self.period))
         stamp_ns = self._begun_ns + int(1e9 * count * self.period)
         return Reading(self.values({"count": count}), stamp_ns, stamp_ns, count)
 
 
 class ReplaySource(Source):
-    """Replay of a recorded source: the same readings at the same ticks through the same fusion.
+    """Source that replays a recorded source: the same readings at the same ticks, through the same fusion.
 
     Parameters
     ----------
@@ -351,7 +354,7 @@ class ReplaySource(Source):
     Raises
     ------
     UnknownName
-        The recording does not contain the source.
+        The source is not in the recording.
     """
 
     def __init__(self, name: str, table: Table, period: float, **options: Any) -> None:
@@ -371,7 +374,7 @@ class ReplaySource(Source):
         self._row, self._newest = -1, None
 
     def newest(self) -> Reading | None:
-        """Return the recorded reading at the current time, counted from the first tick."""
+        """Return the recorded reading at the current time since the first tick."""
         if self._begun_ns is None:
             self._begun_ns = self.now_ns
         row = int(np.searchsorted(self._ticks_ns, self.now_ns - self._begun_ns, side="right")) - 1
@@ -390,15 +393,15 @@ class ReplaySource(Source):
 
 
 _STAMPS = ("seq", "stamp_ns")
-_DRAINED = 64  # datagrams per tick: a flood must not block the loop
-_BACKLOG = 2000  # in the first tick: datagrams that arrived before the robot's first packet
-_MOST_GAPS = 1 << 53  # largest integer of the log
+_DRAINED = 64  # datagrams per tick, so that a flood does not block the loop
+_BACKLOG = 2000  # datagrams in the first tick, which may have arrived before the first packet of the robot
+_MOST_GAPS = 1 << 53  # largest exact integer in the log
 
 
 class UdpSource(Source):
-    """Datagrams on a UDP port of this computer, as binary numbers or JSON.
+    """Source that receives datagrams on a UDP port of this computer, as binary numbers or JSON.
 
-    Each tick reads all waiting datagrams and uses the newest valid one; the kernel stamps arrivals.
+    Each tick reads all waiting datagrams and uses the newest valid datagram; the operating system timestamps arrivals.
 
     Parameters
     ----------
@@ -409,10 +412,10 @@ class UdpSource(Source):
     period : float, s
         Nominal time between two readings.
     port : int
-        Port to listen on from `start`; 0 lets the system choose.
+        Port to listen on after `start`; 0 lets the operating system choose.
     layout : mapping or "json"
-        NumPy type by name in order, such as ``"<f8"`` or ``">u4"``: each field exactly once, optionally also ``seq``
-        and ``stamp_ns``. Alternatively "json": one object with these names.
+        NumPy type by name, in the order of the datagram, such as ``"<f8"`` or ``">u4"``: each field exactly once, and
+        optionally ``seq`` and ``stamp_ns``. With "json", a datagram is a JSON object with these names.
     host : str
         Address to listen on.
     options
@@ -421,12 +424,12 @@ class UdpSource(Source):
     Attributes
     ----------
     drops : int
-        Number of invalid datagrams; older datagrams of the same tick are not read.
+        Number of invalid datagrams among those read; older datagrams of the same tick are skipped unread.
 
     Raises
     ------
     ConfigError
-        A layout with a missing field, an additional name, or a non-numeric type.
+        The layout lacks a field, or has an unknown name or a non-numeric type.
     """
 
     host: str
@@ -467,7 +470,7 @@ class UdpSource(Source):
             self._port = None
 
     def newest(self) -> Reading | None:
-        """Return the latest reading, or None before the first."""
+        """Return the latest reading, or None before the first reading."""
         waiting: list[Arrival] = []
         most = _BACKLOG if self._newest is None else _DRAINED
         while self._port is not None and len(waiting) < most:
@@ -480,10 +483,12 @@ class UdpSource(Source):
         return self._newest
 
     def _take(self, data: bytes, receive_ns: int, count: int) -> bool:
-        """Read the newest of `count` datagrams and skip the others; return whether the newest was valid."""
+        """Read the newest of `count` datagrams and skip the others; return whether the newest is valid."""
         last = self._newest
         try:
-            given = self._json(data) if self._layout is None else self._numbers(data, self._layout)
+            given = json.loads(data) if self._layout is None else self._numbers(data, self._layout)
+            if not isinstance(given, dict):
+                raise ValueError("expected a JSON object")
             seq = whole(given.pop("seq", 0 if last is None else last.seq + count))
             stamp_ns = whole(given.pop("stamp_ns", 0))
             values = self.values(given)
@@ -491,7 +496,7 @@ class UdpSource(Source):
             self.drops += 1
             self.problem: str = self.problem or f"invalid datagram, {type(error).__name__}: {error}"
             return False
-        lost = 0 if last is None else max(seq - last.seq - count, 0)  # a restart of the numbering is no loss
+        lost = 0 if last is None else max(seq - last.seq - count, 0)  # a restart of the numbering is not a loss
         gaps = 0 if last is None else min(last.gaps + lost, _MOST_GAPS)
         self._newest = Reading(values, stamp_ns, receive_ns, seq, gaps)
         return True
@@ -506,9 +511,9 @@ class UdpSource(Source):
         try:
             shapes = {name: column.shape for name, column in self.fields.items()}
             record = np.dtype([(name, code, shapes.get(name, ())) for name, code in layout.items()])
-        except TypeError as error:
-            raise ConfigError(f"Expected numeric types such as '<f8' in the layout, got {layout!r}.") from error
-        if any(record[name].base.kind not in "iuf" for name in layout):
+        except TypeError:
+            record = None
+        if record is None or any(record[name].base.kind not in "iuf" for name in layout):
             raise ConfigError(f"Expected numeric types such as '<f8' in the layout, got {layout!r}.")
         return record
 
@@ -518,10 +523,3 @@ class UdpSource(Source):
             raise ValueError(f"expected {layout.itemsize} bytes, got {len(data)}")
         row = np.frombuffer(data, layout)[0]
         return {name: row[name] for name in layout.names or ()}
-
-    @staticmethod
-    def _json(data: bytes) -> dict[str, Any]:
-        given = json.loads(data)
-        if not isinstance(given, dict):
-            raise ValueError("expected a JSON object")
-        return given
