@@ -166,11 +166,9 @@ class _Tried:
 
     @property
     def all(self) -> bool:
-        """Whether all logs have been tried."""
         return not self._waiting
 
     def seconds(self, names: Iterable[str]) -> float:
-        """Return the total duration of logs [s]."""
         return sum(self._known[name][1] for name in names)
 
     def of(self, wanted: float) -> list[str]:
@@ -256,7 +254,6 @@ class SumCache:
         self._folder, self._pattern = folder, f"{pattern.sha256} {columns or ''}"
 
     def path(self, log: Path) -> Path:
-        """Return the cache file for the sums of a log."""
         digest = hashlib.sha256(f"{__version__} {VERSION} {self._pattern} ".encode())
         with log.open("rb") as file:
             while part := file.read(_PIECE):

@@ -241,7 +241,6 @@ def export(
 
 
 def _export(job: tuple[Log, Path], robot: Robot | None, columns: str | None) -> tuple[Path, int]:
-    """Return the written file and its number of rows."""
     log, path = job
     table = log if isinstance(log, Table) else read(log, columns=columns)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -103,7 +103,6 @@ class _JobRun:
         self.skipped: dict[str, str] = {}
 
     def keep(self, name: str, outcome: tuple[bool, Any]) -> None:
-        """Store the result of a job or the reason for its failure."""
         worked, value = outcome
         (self.results if worked else self.skipped)[name] = value
         self._rows += self._count(value) if worked and self._count else 0
@@ -195,7 +194,6 @@ class _JobRun:
 
 
 def _another(executor: ProcessPoolExecutor, workers: int | None) -> ProcessPoolExecutor:
-    """Return a new pool with the settings of a broken one."""
     about: Any = executor
     return ProcessPoolExecutor(
         workers or about._max_workers,

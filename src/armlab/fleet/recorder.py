@@ -248,7 +248,6 @@ class RobotRecord:
         self._run = run
 
     def write(self) -> None:
-        """Write the received rows."""
         now = time.monotonic()
         packed: list[bytes] = []
         self._heard = now if self._waiting else self._heard
@@ -293,7 +292,6 @@ class RobotRecord:
             self._guarded(self._file.file.event, text, time.time_ns())
 
     def close(self) -> None:
-        """Write waiting rows, and finish the file."""
         self._is_unsure = False
         self.write()
         self._finish()
@@ -418,12 +416,10 @@ class RowColumns:
 
 
 def stamp_of(packed: bytes) -> int:
-    """Return the wall clock of a recorded row [ns]."""
     return _PAIR.unpack_from(packed)[0]
 
 
 def tick_of(packed: bytes) -> int:
-    """Return the tick of a recorded row."""
     return _PAIR.unpack_from(packed)[1]
 
 

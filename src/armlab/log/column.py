@@ -105,7 +105,6 @@ def stored(name: str, values: Any, column: Column | None) -> tuple[np.ndarray, C
 
 
 def _cast(name: str, raw: np.ndarray, kind: str) -> np.ndarray:
-    """Return the array in the dtype of its kind."""
     if kind == "text":
         return raw if raw.dtype.kind == "U" else raw.astype(np.str_)
     if raw.dtype.kind not in "biuf":

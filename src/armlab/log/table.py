@@ -681,6 +681,5 @@ def component_names(table: Table, name: str) -> list[str]:
 
 
 def _aligned(lines: list[tuple[str, ...]]) -> list[str]:
-    """Return rows of cells as aligned lines."""
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     return ["  ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)).rstrip() for line in lines]

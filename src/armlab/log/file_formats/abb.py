@@ -116,7 +116,6 @@ def _read_map(path: Path) -> _Map:
 
 
 def _of_arm(about: _Map, path: Path, arm: str | None) -> tuple[Robot, dict[str, _Signal]]:
-    """Return the arm and its signals."""
     arms = {label: one.arm or about.arm for label, one in about.columns.items()}
     names = sorted(set(arms.values()))
     if not all(names) or not names:

@@ -63,8 +63,6 @@ _CORRELATED = 0.7  # smallest correlation of current and moment without friction
 
 @dataclass(frozen=True)
 class _Source:
-    """One possible source of a column."""
-
     text: str  # as given, for messages
     names: tuple[str, ...]  # patterns without lists
     factors: tuple[float, ...]  # one for all names, or one per name
@@ -82,7 +80,6 @@ class ColumnNames:
 
     @classmethod
     def of(cls, told: str | Mapping[str, Any]) -> ColumnNames:
-        """Parse column names from a text or a mapping."""
         if not isinstance(told, str | Mapping):
             raise ConfigError(f"Expected columns as 'q=joint_{{1..6}}' or {{'q': 'joint_{{1..6}}'}}, got {told!r}.")
         entries: dict[str, tuple[_Source, ...]] = {}
@@ -182,7 +179,6 @@ class ColumnNames:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return a list of names for a message."""
     names = list(names)
     return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
 
@@ -324,7 +320,6 @@ def _one(name: str, arrays: Arrays) -> str | None:
 def _together(
     path: Any, name: str, source: _Source, members: Sequence[str], parts: Sequence[tuple[np.ndarray, str]]
 ) -> tuple[np.ndarray, str]:
-    """Return the values of one column and their unit."""
     if words := [one for one, (values, _) in zip(members, parts) if values.dtype.kind == "U"]:
         raise LogError(f"Expected numbers in {words[0]} of {path} for {name}, got text. Give another column.")
     if ":" in name:  # poses have fixed units; the given unit applies to the position

@@ -105,12 +105,10 @@ def sidecar_path(path: Path) -> Path:
 
 
 def describe(table: Table) -> str:
-    """Return the content of the description file of a table."""
     return tomli_w.dumps(msgspec.to_builtins(Description.of(table)))
 
 
 def read_sidecar(path: Path) -> Description | None:
-    """Return the description of a CSV file, or None without one."""
     beside = sidecar_path(path)
     try:
         return msgspec.convert(parsed(beside.read_text(encoding="utf-8")), Description)
@@ -225,7 +223,6 @@ def text_table(
 
 
 def separator_of(path: Path, skip: int = 0) -> str:
-    """Return the field separator of the header."""
     try:
         with open_text(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as file:
             line, below = ([*islice(_lines(file, path), skip, skip + 2), "", ""])[:2]

@@ -56,18 +56,15 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @classmethod
     def of(cls, table: Table) -> Description:
-        """Return the description of a table."""
         return cls(
             armlab.__version__, int(table.t0_ns), table.clock, table.notes, table.source, _columns(table.columns)
         )
 
     @classmethod
     def made(cls, columns: Mapping[str, Column], **about: Any) -> Description:
-        """Return the description with these columns and other entries by name."""
         return cls(columns=_columns(columns), **about)
 
     def described(self) -> dict[str, Column]:
-        """Return the columns in order."""
         return {name: Column(**msgspec.structs.asdict(one)) for name, one in self.columns.items()}
 
     def labels(self) -> list[str]:

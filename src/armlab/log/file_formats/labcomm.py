@@ -222,7 +222,6 @@ def _column(leaf: _Leaf, rows: int) -> np.ndarray:
 
 
 def _clock(path: Path, columns: dict[str, np.ndarray], pace: str, rows: int, rate: float | None) -> np.ndarray:
-    """Return the times [s] of the rows."""
     if rate is not None:
         return np.arange(rows) / rate
     name = next((name for name in _CLOCKS if f"{pace}.{name}" in columns), None)

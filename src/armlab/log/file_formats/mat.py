@@ -95,7 +95,6 @@ def _unpacked(body: memoryview, order: str, most: int) -> tuple[int, memoryview]
 
 
 def _matrix(body: memoryview, order: str) -> tuple[str, np.ndarray | None]:
-    """Return the name and the values of a variable."""
     parts = _elements(body, order)
     flags = _flags(parts, order)
     kind = flags & 0xFF
@@ -146,7 +145,6 @@ def _text(kind: int, data: memoryview, shape: tuple[int, ...], order: str) -> st
 
 
 def _flags(parts: Iterator[tuple[int, memoryview]], order: str) -> int:
-    """Return the class and the flags of a variable."""
     found = _numbers(*_next(parts), order).tolist()
     if len(found) != 2 or found[0] & 0xFF not in _CLASSES:
         raise LogError(f"Expected the class and the flags of a variable, got {found[:2]}.")
@@ -254,7 +252,6 @@ def matlab_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def write_mat(table: Table, file: BinaryIO, progress: Progress) -> None:
-    """Write a MAT file of version 5."""
     from scipy.io import savemat
 
     for name in ("t", *table.names):

@@ -65,7 +65,6 @@ def end_of_blocks(view: memoryview, at: int) -> int:
 
 
 def unpacked(view: memoryview, chunk: Chunk) -> bytes:
-    """Return the records of a chunk."""
     start, stop = chunk.data
     most = min(_MAX_OPEN if chunk.is_open else _MAX_CHUNK, most_unpacked(len(view)))
     if chunk.is_open:
@@ -360,7 +359,6 @@ def _chunk(view: memoryview, body: int, stop: int) -> Chunk:
 
 
 def _indexed_chunk(view: memoryview, body: int) -> Chunk:
-    """Return the chunk referenced by a ChunkIndex."""
     _, _, start, length, size = struct.unpack_from("<QQQQI", view, body)
     chunk = _chunk(view, start + 9, start + length)
     for at in range(body + 36, body + 36 + size, 10):

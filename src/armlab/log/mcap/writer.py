@@ -150,7 +150,6 @@ class McapWriter:
         return self._schemas[key][0]
 
     def channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
-        """Write a channel and return its id."""
         self.close_chunk()
         number = len(self._channels) + 1
         self._channels.append(

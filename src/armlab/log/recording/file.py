@@ -48,23 +48,19 @@ class PersistentFile:
             return self._descriptor.number
 
     def write(self, data: bytes | bytearray | memoryview) -> int:
-        """Write data and return the number of bytes written."""
         done = os.write(self.fileno(), data)
         self._at += done
         return done
 
     def seek(self, at: int) -> int:
-        """Move to a position in bytes from the beginning."""
         self._at = os.lseek(self.fileno(), at, os.SEEK_SET)
         return self._at
 
     def truncate(self, size: int) -> int:
-        """Truncate the file to a size; the position is unchanged."""
         os.ftruncate(self.fileno(), size)
         return size
 
     def close(self) -> None:
-        """Close the file. Idempotent."""
         with self._lock:
             self._descriptor.close()
             self.closed = True
@@ -220,7 +216,6 @@ class RecordingFile:
             os.close(folder)
 
     def abandon(self) -> None:
-        """Close the file without a footer, after a write error."""
         with contextlib.suppress(OSError):
             self._file.close()
 

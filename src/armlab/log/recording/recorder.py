@@ -152,7 +152,6 @@ class Syncing:
         self._thread.start()
 
     def ask(self) -> None:
-        """Request a sync."""
         self._check()
         self._asked.set()
 

@@ -56,7 +56,6 @@ class SplicedRows:
 
     @property
     def end_ns(self) -> int:
-        """Wall clock of the last row [ns]."""
         return self._wall(-1)
 
     @property
@@ -134,12 +133,10 @@ class Source:
 
     @property
     def start_ns(self) -> int:
-        """Wall clock of the first row [ns]."""
         return min(arm.start_ns for arm in self.arms)
 
     @property
     def end_ns(self) -> int:
-        """Wall clock of the last row [ns]."""
         return max(arm.end_ns for arm in self.arms)
 
     def keep(self, robot: str) -> None:
@@ -184,7 +181,6 @@ class Source:
 
 @contextmanager
 def opened_source(path: Path) -> Iterator[Source]:
-    """Open a finished or unfinished recording."""
     check_readable(path)
     with opened(path) as view:
         with undamaged(f"recording in {path}", DAMAGE):
@@ -346,7 +342,6 @@ def _line_up(arms: list[SplicedRows]) -> None:
 
 
 def _check_together(arms: dict[str, list[SplicedRows]]) -> None:
-    """Raise an error if robots did not run simultaneously."""
     spans = {
         name: (min(arm.start_ns for arm in pieces), max(arm.end_ns for arm in pieces))
         for name, pieces in arms.items()

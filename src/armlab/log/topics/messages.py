@@ -102,7 +102,6 @@ def _collect(value: Any, path: str, found: Numbers, depth: int) -> None:
 
 
 def numbers_in_protobuf(name: str, definition: bytes) -> Callable[[bytes], Numbers]:
-    """Return the decoder for protobuf messages."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
 
     try:
@@ -325,7 +324,6 @@ def _decoded(
 
 
 def _joined(parts: Sequence[decode.Decoded]) -> decode.Decoded:
-    """Join the messages of several files or channels."""
     if len(parts) == 1:
         return parts[0]
     ends = np.cumsum([len(part.sequence) for part in parts]).tolist()

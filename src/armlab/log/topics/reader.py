@@ -188,7 +188,6 @@ def _is(one: Stream, arm: Stream | None) -> bool:
 
 
 def _wanted(named: Sequence[Stream], columns: Sequence[str], clock: str | None) -> list[Stream]:
-    """Return the streams with the requested columns and the clock."""
     known = {name for one in named for name in one.values}
     for name in columns:
         if name.removesuffix("_age") not in known and name not in known:
@@ -203,7 +202,6 @@ def _wanted(named: Sequence[Stream], columns: Sequence[str], clock: str | None) 
 
 
 def _rows(path: Path, streams: Sequence[Stream], clock: str | None) -> Stream:
-    """Return the stream whose stamps define the rows."""
     several = [one for one in streams if len(one.log_ns) > 1]
     order = [*sorted(several, key=lambda one: "q" not in one.values), *streams]
     if clock is not None:
