@@ -124,19 +124,25 @@ def nested(*fields: str) -> str:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        pytest.param(nested("M0 a\nM0 b"), "nested at most 32 deep", id="in itself"),
-        pytest.param(nested(*(f"M{k + 1}[] a" for k in range(40)), "int8 x"), "nested at most 32 deep", id="deep"),
+        pytest.param(nested("M0 a\nM0 b"), "nested at most 32 levels deep", id="in itself"),
+        pytest.param(
+            nested(*(f"M{k + 1}[] a" for k in range(40)), "int8 x"), "nested at most 32 levels deep", id="deep"
+        ),
         pytest.param(
             nested("M30 a\nM1 b", *(f"M{k + 1} a" for k in range(1, 60)), "int8 x"), "32 levels", id="deep from behind"
         ),
-        pytest.param(nested(*(f"M{k + 1} {'a' * 250}" for k in range(4)), "int8 x"), "1000 letters", id="long names"),
+        pytest.param(
+            nested(*(f"M{k + 1} {'a' * 250}" for k in range(4)), "int8 x"), "1000 characters", id="long names"
+        ),
         pytest.param(nested("M1[] a", "int8[0] b"), "got 2 fields in 0 bytes", id="any number of nothing"),
         pytest.param(
             nested("M1[] a", "\n".join(["int8 f", *(f"int8[0] g{k}" for k in range(20))])),
             "22 fields in 1 bytes",
             id="few",
         ),
-        pytest.param(nested("int8[-1] a"), "a length from 0 of a in test_msgs/msg/M0", id="less than nothing"),
+        pytest.param(
+            nested("int8[-1] a"), "a of test_msgs/msg/M0 to have a length of at least 0", id="less than nothing"
+        ),
         pytest.param(nested("M1[] a"), "M1 in the definition of test_msgs/msg/M0", id="no type"),
         pytest.param(
             nested(*(f"M{k + 1} a\nM{k + 1} b" for k in range(25)), "int8 x"), "at most 100000 fields", id="twice"

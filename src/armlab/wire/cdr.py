@@ -1,4 +1,4 @@
-"""Positions of the numbers in a CDR message, for reading and patching ROS 2 messages without building objects."""
+"""Positions of the numbers in a CDR message, for reading and changing ROS 2 messages without building objects."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _MAX_FIELDS = 100_000  # of a type, including nested types
 _MAX_NAME = 1000
 _EMPTY = 64  # fields allowed in addition to those per byte
 _PER_BYTE = 16  # fields per byte, because nested messages may add no byte
-_LETTERS = 16  # letters of a name that count as one field
+_LETTERS = 16  # characters of a name that count as one field
 NO_MEMBER = "structure_needs_at_least_one_member"  # a dummy byte in ROS 2
 
 _BYTE = (1, ("uint8", 0))
@@ -44,40 +44,25 @@ Definitions = Mapping[str, list[tuple[str, Any]]]
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """Run of numbers in a message.
+    """Contiguous numbers in a message."""
 
-    Attributes
-    ----------
-    path : dotted name, for example "pose.position.x" or "position".
-    start, stop : byte range from the beginning of the message, encapsulation included.
-    dtype : NumPy type with byte order.
-    count : number of values.
-    scalar : False for arrays and sequences.
-    """
-
-    path: str
-    start: int
+    path: str  # for example "pose.position.x"
+    start: int  # from the beginning of the message, including the encapsulation [bytes]
     stop: int
-    dtype: str
+    dtype: str  # NumPy type with byte order
     count: int
-    scalar: bool
+    scalar: bool  # False for arrays and sequences
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Numbers and strings of one message.
+    """Numbers and strings of one message."""
 
-    Attributes
-    ----------
-    fields : runs of numbers in the order of the message, empty sequences included.
-    texts : strings by dotted name; a sequence of strings is a tuple.
-    """
-
-    fields: tuple[Field, ...]
-    texts: Mapping[str, str | tuple[str, ...]]
+    fields: tuple[Field, ...]  # in the order of the message, including empty sequences
+    texts: Mapping[str, str | tuple[str, ...]]  # strings and tuples of strings by dotted name
 
     def field(self, path: str) -> Field | None:
-        """Return the run of numbers with this dotted name, or None."""
+        """Return the field with this dotted name, or None."""
         return next((field for field in self.fields if field.path == path), None)
 
 
@@ -87,9 +72,7 @@ def definitions(name: str, text: str, encoding: str = "ros2msg") -> Definitions:
     from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
     if encoding not in ("ros2msg", "ros2idl"):
-        raise LogError(
-            f"Expected a definition of {name} in ros2msg or ros2idl, got the encoding {encoding!r}. Use one of them."
-        )
+        raise LogError(f"Expected a definition of {name} in ros2msg or ros2idl, got the encoding {encoding!r}.")
     try:
         types = get_types_from_msg(text, name) if encoding == "ros2msg" else get_types_from_idl(text)
     except (TypesysError, ValueError, KeyError, RecursionError) as error:
@@ -105,7 +88,7 @@ def with_bytes(types: Definitions) -> Definitions:
 
 @dataclass(frozen=True, slots=True)
 class _Size:
-    """Fields, depth and name length of a type with nested types; bytes and fields if all sequences are empty."""
+    """Size of a type including nested types; `least` and `walked` are the bytes and fields if sequences are empty."""
 
     fields: int = 0
     depth: int = 0
@@ -115,14 +98,16 @@ class _Size:
 
 
 def bounded(name: str, types: Definitions) -> Definitions:
-    """Return the definitions of a type unchanged; raise if nesting makes it exponentially large."""
+    """Return the definitions of a type unchanged; raise if nesting makes the type exponentially large."""
     known: dict[str, _Size] = {}
 
     def size(one: str, depth: int) -> _Size:
         if one in known:
             return known[one]
         if depth > _MAX_DEPTH:
-            raise LogError(f"Expected message types nested at most {_MAX_DEPTH} deep, got more in {one[:80]}.")
+            raise LogError(
+                f"Expected message types nested at most {_MAX_DEPTH} levels deep, got more levels in {one[:80]}."
+            )
         if one not in types:
             raise LogError(
                 f"Expected the definition of {one[:80]} in the definition of {name[:80]}, but it is missing."
@@ -132,7 +117,9 @@ def bounded(name: str, types: Definitions) -> Definitions:
             element, count, is_sequence = held(description)
             inner = size(element, depth + 1) if element else _Size(fields=1, least=1, walked=1)
             if count < 0:
-                raise LogError(f"Expected a length from 0 of {field[:80]} in {one[:80]}, got a negative length.")
+                raise LogError(
+                    f"Expected {field[:80]} of {one[:80]} to have a length of at least 0, got a negative one."
+                )
             if is_sequence and inner.walked > _PER_BYTE * inner.least:
                 raise LogError(
                     f"Expected at most {_PER_BYTE} fields per byte in the elements of {field[:80]} of {one[:80]}, got "
@@ -155,18 +142,14 @@ def bounded(name: str, types: Definitions) -> Definitions:
 
 def _refuse_large(name: str, size: _Size) -> None:
     most = {"fields": _MAX_FIELDS, "depth": _MAX_DEPTH, "longest": _MAX_NAME}
-    words = {
-        "fields": "fields, including nested ones",
-        "depth": "levels of nesting",
-        "longest": "letters in a dotted name",
-    }
+    words = {"fields": "fields", "depth": "levels of nesting", "longest": "characters in a dotted name"}
     for what, limit in most.items():
         if getattr(size, what) > limit:
-            raise LogError(f"Expected a message of at most {limit} {words[what]}, got more in {name[:80]}.")
+            raise LogError(f"Expected message types with at most {limit} {words[what]}, got more in {name[:80]}.")
 
 
 def held(description: Any) -> tuple[str, int, bool]:
-    """Return the message type of a field ("" for numbers and strings), the count, and whether the count is fixed."""
+    """Return a field's message type ("" for numbers and strings), its count, and whether it is a sequence."""
     # rosbags: 1 a basic type, 2 a message, 3 an array of fixed length, 4 a sequence
     kind, detail = int(description[0]), description[1]
     (node, name), length = (description, 1) if kind < 3 else detail
@@ -177,7 +160,7 @@ def layout(raw: bytes | memoryview, name: str, types: Definitions) -> Layout:
     """Return the positions of the numbers and strings of one message."""
     if len(raw) < _HEADER or raw[0] != 0 or raw[1] not in (0, 1):
         raise LogError(
-            f"Expected a {name} in plain CDR, got data that begin with {bytes(raw[:4]).hex(' ') or 'no bytes'}."
+            f"Expected a {name} in plain CDR, got data starting with {bytes(raw[:4]).hex(' ') or 'no bytes'}."
         )
     walk = _Walk(raw, "<" if raw[1] else ">", types)
     try:
@@ -188,7 +171,7 @@ def layout(raw: bytes | memoryview, name: str, types: Definitions) -> Layout:
 
 
 class _Walk:
-    """One pass over a message."""
+    """Parser that makes one pass over a message."""
 
     def __init__(self, raw: bytes | memoryview, order: str, types: Definitions) -> None:
         self.raw, self.order, self.types = raw, order, types
@@ -199,7 +182,9 @@ class _Walk:
 
     def message(self, name: str, path: str, depth: int) -> None:
         if depth > _MAX_DEPTH:
-            raise LogError(f"Expected message types nested at most {_MAX_DEPTH} deep, got more in {name}.")
+            raise LogError(
+                f"Expected message types nested at most {_MAX_DEPTH} levels deep, got more levels in {name}."
+            )
         for field, description in self.types[name]:
             self.value(description, f"{path}.{field}" if path else field, depth)
 

@@ -147,7 +147,7 @@ def test_configurations_above_the_limit_are_refused_by_name(yumi: Any) -> None:
     RobotSideCodec(yumi, "7", DEFAULT_ARRAYS)
     with pytest.raises(ConfigError, match=rf"{MAX_BYTES} bytes.*qd_reference, q_reference"):
         RobotSideCodec(yumi, "7", EXTENSION_ARRAYS, force=True, data=20)
-    with pytest.raises(ConfigError, match="external axes and the data"):
+    with pytest.raises(ConfigError, match="external axes and the RAPID data"):
         RobotSideCodec(yumi, "7", force=True, external=5, data=60)
 
 

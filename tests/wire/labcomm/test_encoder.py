@@ -83,33 +83,37 @@ def bad(name: str, value: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("text", "value", "message"),
     [
-        ("int n", 1.5, "n: a int expected, 1.5 given"),
-        ("int n", 2**31, "n: a int expected, 2147483648 given"),
-        ("byte n", -1, "n: a byte expected, -1 given"),
-        ("float n", 1e300, "n: a float expected"),
-        ("boolean n", "no", "n: True or False expected"),
-        ("string n", b"raw", "n: a string expected"),
-        ("string n", "a\0b", "n: a string without NUL"),
-        ("string n", "\ud800", "n: a string encodable in UTF-8"),
-        ("double n[7]", [0.0] * 6, "n: 7 values expected, 6 given"),
-        ("double n[_]", 1.0, r"n: a list for double\[_\] expected, 1.0 given"),
-        ("double n[_]", "12", "n: a list for"),
-        ("int n[_,_]", [[1], [2, 3]], "n: rows of equal length expected, 1 and 2 given"),
-        ("int n[_,_]", [[1], [None]], r"n\[1\]\[0\]: a int expected, None given"),
-        ("int n[2,2]", np.zeros((2, 3), int), "n: 2 values expected, 3 given"),
-        ("void n", {"a": 1}, r"n: the fields \(none\) expected, a given"),
-        ("struct { int a; int b; } n", {"a": 1}, "n: the fields a, b expected, b missing"),
-        ("struct { int a; int b; } n", {"a": 1, "b": 2, "c": 3}, "n: the fields a, b expected, c given"),
-        ("struct { int a; int b; } n", 3, "n: a dict expected, 3 given"),
-        ("struct { string s; int a; double b[2]; } n", {"s": "", "a": 1, "b": [1.0]}, r"n\.b: 2 values expected"),
-        ("struct { string s; int a; double b[2]; } n", {"s": "", "a": 1}, "n: the fields s, a, b expected, b missing"),
+        ("int n", 1.5, "n: expected a value of type int, got 1.5"),
+        ("int n", 2**31, "n: expected a value of type int, got 2147483648"),
+        ("byte n", -1, "n: expected a value of type byte, got -1"),
+        ("float n", 1e300, "n: expected a value of type float"),
+        ("boolean n", "no", "n: expected True or False"),
+        ("string n", b"raw", "n: expected a string, got"),
+        ("string n", "a\0b", "n: expected a string without NUL"),
+        ("string n", "\ud800", "n: expected a string that can be encoded as UTF-8"),
+        ("double n[7]", [0.0] * 6, "n: expected 7 values, got 6"),
+        ("double n[_]", 1.0, r"n: expected a list for double\[_\], got 1.0"),
+        ("double n[_]", "12", "n: expected a list for"),
+        ("int n[_,_]", [[1], [2, 3]], "n: expected rows of equal length, got 1 and 2 values"),
+        ("int n[_,_]", [[1], [None]], r"n\[1\]\[0\]: expected a value of type int, got None"),
+        ("int n[2,2]", np.zeros((2, 3), int), "n: expected 2 values, got 3"),
+        ("void n", {"a": 1}, r"n: expected no fields, got also a"),
+        ("struct { int a; int b; } n", {"a": 1}, "n: expected the fields a, b, but b is missing"),
+        ("struct { int a; int b; } n", {"a": 1, "b": 2, "c": 3}, "n: expected the fields a, b, got also c"),
+        ("struct { int a; int b; } n", 3, "n: expected a dict, got 3"),
+        ("struct { string s; int a; double b[2]; } n", {"s": "", "a": 1, "b": [1.0]}, r"n\.b: expected 2 values"),
+        (
+            "struct { string s; int a; double b[2]; } n",
+            {"s": "", "a": 1},
+            "n: expected the fields s, a, b, but b is missing",
+        ),
         (
             "struct { string s; int a; int b; } n",
             {"s": "", "a": 1, "c": 2},
-            "n: the fields s, a, b expected, b missing",
+            "n: expected the fields s, a, b, but b is missing",
         ),
-        ("struct { int a; int b; string s; } n", [1, 2, ""], r"n: a dict expected, \[1, 2, ''\] given"),
-        ("struct { struct { string s; } p[_]; } n", {"p": [{"s": "a"}, {"s": 1}]}, r"n.p\[1\].s: a string expected"),
+        ("struct { int a; int b; string s; } n", [1, 2, ""], r"n: expected a dict, got \[1, 2, ''\]"),
+        ("struct { struct { string s; } p[_]; } n", {"p": [{"s": "a"}, {"s": 1}]}, r"n.p\[1\].s: expected a string"),
     ],
 )
 def test_values_that_do_not_fit_say_where(text: str, value: Any, message: str) -> None:
@@ -155,5 +159,5 @@ def test_write_packet_says_what_a_dialect_cannot() -> None:
         write_packet(Unknown(0x50, b"ab"), "2013")
     with pytest.raises(LabCommError, match="2006"):
         write_packet(Definition("ref", 0x40, "n", ROW.type), "2006")
-    with pytest.raises(LabCommError, match=r"robot_row.pos: 7 values expected"):
+    with pytest.raises(LabCommError, match=r"robot_row.pos: expected 7 values"):
         write_packet(Sample(0x40, "robot_row", bad("pos", []), ROW.type), "2014")

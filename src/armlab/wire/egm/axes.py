@@ -23,7 +23,7 @@ _HEAD = 6  # EgmJoints holds at most six values; further axes of the robot are s
 
 
 class Refused(Exception):
-    """Unusable message; internal to the codec, which returns it as `Drop`."""
+    """Unusable message, which the codec returns as a `Drop`."""
 
     def __init__(self, reason: str, detail: str) -> None:
         super().__init__(detail)
@@ -33,29 +33,22 @@ class Refused(Exception):
 class AxisMap:
     """Permutation and units of one robot; with w = joints ++ externalJoints, q[i] = scale[i] * w[abb_axes[i] - 1].
 
-    A revolute joint is in degrees on the wire. A prismatic joint among the first six arrives as metres times 180/pi
-    (abb_libegm pull request 142), so its factor is that of a revolute joint; beyond the sixth joint, it is in
-    millimetres.
-
-    An arm without joints is an external unit, whose axes are all external joints. Further external axes are in degrees
-    unless `units` specifies otherwise. With coupled motors, q contains the axes of `linkage`.
-
-    `units`: "deg" or "mm", for each joint in kinematic order and then for each external axis; empty for the rule above.
-    `n`, `head`, `tail`: numbers of joints in total, among ABB's first six axes, and beyond; `order`: axis of each
-    joint, from 0; `scale`, `beyond`: SI per wire unit of the joints (n,) and of the first external axes; `can_move`:
-    whether the units of all commands are known.
+    Revolute joints and external axes are in degrees on the wire. A prismatic joint among the first six arrives as
+    metres times 180/pi (abb_libegm pull request 142), so its factor is that of a revolute joint; beyond the sixth
+    joint, it is in millimetres. `units` ("deg" or "mm", for each joint in kinematic order and then for each external
+    axis) replaces this rule. An arm without joints is an external unit, whose axes are all external joints.
     """
 
-    order: tuple[int, ...]
-    scale: np.ndarray
-    beyond: np.ndarray
+    order: tuple[int, ...]  # axis of each joint, from 0
+    scale: np.ndarray  # (n,) SI per wire unit of the joints
+    beyond: np.ndarray  # SI per wire unit of the first external axes
 
     def __init__(self, arm: RobotAxes, units: Sequence[str] = ()) -> None:
         axes = tuple(int(axis) for axis in arm.abb_axes)
         if sorted(axes) != list(range(1, arm.n + 1)):
             raise RobotError(f"Expected abb_axes as a permutation of 1 to {arm.n}, got {axes}.")
         self.n: int = arm.n
-        self.head: int = min(arm.n, _HEAD)
+        self.head: int = min(arm.n, _HEAD)  # number of joints among ABB's first six axes
         self.tail: int = arm.n - self.head
         self.order = order = tuple(axis - 1 for axis in axes)
         linear = np.asarray(arm.prismatic, dtype=bool)
@@ -78,10 +71,7 @@ class AxisMap:
         return tuple(values[k] for k in self._inverse)
 
     def joints(self, joints: Sequence[float], external: Sequence[float]) -> tuple[float, ...]:
-        """Return the n joints in kinematic order, in wire units.
-
-        `joints`, `external`: as received; further external axes may follow the robot's own.
-        """
+        """Return the n joints in kinematic order and wire units; more external axes may follow those of the robot."""
         if not joints and (self.head or not external):
             raise Refused("no joints", "the array of joints is absent or empty")
         if len(joints) != self.head or len(external) < self.tail:
@@ -92,7 +82,7 @@ class AxisMap:
         return self.kinematic((*joints, *external) if self.tail else joints)
 
     def external_scale(self, count: int) -> np.ndarray:
-        """Return SI per wire unit of the external axes beyond the robot's own, (count,)."""
+        """Return SI per wire unit of the external axes after those of the robot, (count,)."""
         known = self.beyond[:count]
         return np.concatenate((known, np.full(count - len(known), RADIAN)))
 
@@ -105,10 +95,7 @@ class AxisMap:
         return tuple(values) if is_kinematic else self.kinematic(values)
 
     def wire(self, q: np.ndarray, scale: np.ndarray) -> tuple[float, ...]:
-        """Return the n wire values in ABB's order: the first `head` values are joints, the rest external joints.
-
-        `q`: (n,) SI, kinematic order; `scale`: (n,) SI per wire unit.
-        """
+        """Return `q` (n,) in wire units and ABB's order: `head` joints, then external joints."""
         return self.abb((q / scale).tolist())
 
 
@@ -119,10 +106,7 @@ _TORQUES = ("tau", "tau_total", "tau_gravity", "tau_reference")
 
 
 class Linkage:
-    """Conversion between ABB's axes and joints, both in kinematic order.
-
-    `coupling`: (n, n) C. `Linkage.of` creates it from a robot.
-    """
+    """Conversion between ABB's axes and joints, both in kinematic order, with the coupling C (n, n)."""
 
     def __init__(self, coupling: np.ndarray) -> None:
         inverse = np.linalg.inv(coupling)
@@ -149,11 +133,11 @@ class Linkage:
         return _times(self._to_axes, joints)
 
     def from_axes(self, message: Message) -> Message:
-        """Return a received message converted from axes to joints."""
+        """Convert a received message from axes to joints."""
         return _changed(message, self._to_joints, self._torque_to_joints)
 
     def to_axes(self, message: Message) -> Message:
-        """Return a message converted from joints to axes, to send."""
+        """Convert a message to send from joints to axes."""
         return _changed(message, self._to_axes, self._torque_to_axes)
 
 
@@ -164,7 +148,7 @@ def _changed(message: Message, motion: np.ndarray, torque: np.ndarray) -> Messag
 
 
 def _times(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the product; a NaN affects only the values that depend on it."""
+    """Return the product, in which a NaN affects only the values that depend on it."""
     with np.errstate(invalid="ignore", over="ignore"):
         product = np.where(matrix, matrix * values, 0.0).sum(axis=1)
     product.flags.writeable = False

@@ -1,7 +1,6 @@
 """EGM codec of the bridge, which decodes EgmRobot and encodes EgmSensor and EgmSensorPathCorr.
 
-Degrees, millimetres and milliseconds exist only in this package and in `native/wire/egm.cpp`. `decode` never raises;
-invalid datagrams return a `Drop`.
+Degrees, millimetres and milliseconds exist only in this package and in `native/wire/egm.cpp`.
 """
 
 from __future__ import annotations
@@ -19,16 +18,11 @@ from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
 from armlab.wire.egm.types import Drop, Packet, Reference, RobotAxes
 
 NO_POSE = (nan,) * 16
-"""Values of a missing pose."""
+"""Matrix values of a missing pose."""
 
 
 def pose_values(pose: Sequence[float]) -> tuple[float, ...]:
-    """Return the 16 values of a matrix [m], row by row, or `NO_POSE` for a quaternion without a usable norm.
-
-    Plain arithmetic is ten times faster than small arrays. The quaternion is normalised.
-
-    `pose`: x, y, z in mm, quaternion u0 (scalar) to u3.
-    """
+    """Return the 16 values of a matrix [m] from x, y, z [mm] and u0 (scalar) to u3; `NO_POSE` for a norm near 0."""
     x, y, z, a, b, c, d = pose
     norm = a * a + b * b + c * c + d * d
     if not 1e-12 < norm < 1e12:  # also NaN
@@ -61,10 +55,7 @@ def read_pose(pose: Any, euler_wins: bool = False) -> tuple[float, ...] | None:
 
 
 def pose_from_matrix(pose: Any, T_frame_tool: np.ndarray) -> None:
-    """Write a (4, 4) matrix [m] into an EgmPose message: position in mm and the quaternion with u0 >= 0.
-
-    `T_frame_tool`: (4, 4) rigid transformation.
-    """
+    """Write a (4, 4) matrix [m] into an EgmPose message: position in mm and the quaternion with u0 >= 0."""
     (r00, r01, r02, x), (r10, r11, r12, y), (r20, r21, r22, z) = T_frame_tool.tolist()[:3]
     pos, orient = pose.pos, pose.orient
     pos.x, pos.y, pos.z = 1e3 * x, 1e3 * y, 1e3 * z
@@ -83,29 +74,16 @@ def pose_from_matrix(pose: Any, T_frame_tool: np.ndarray) -> None:
     orient.u0, orient.u1, orient.u2, orient.u3 = (factor * value for value in candidates[largest])
 
 
-_RW7_TAGS = (b"\x08", b"\x11", b"\x12")  # field 1 bool; field 2 doubles, unpacked or packed
-
-
-def is_layout_of_rw7(data: bytes) -> bool:
-    """Return whether a measuredForce has the layout of RobotWare 7, judging by its first tag."""
-    return data[:1] in _RW7_TAGS
-
-
-def encode_force(wrench: np.ndarray, is_rw7: bool) -> bytes:
-    """Return the bytes of measuredForce in the layout of RobotWare 6 or 7.
-
-    `wrench`: (6,) N, N m.
-    """
-    message = pb.EgmForceRw7(fcActive=True) if is_rw7 else pb.EgmForceRw6()
-    message.force.extend(wrench.tolist())
-    return message.SerializeToString()
-
-
-_CORRECTION, _PATH_CORRECTION = 3, 4
-_UINT32 = 2**32 - 1
-_KINEMATIC = 1
+_RW7_TAGS = (
+    b"\x08",
+    b"\x11",
+    b"\x12",
+)  # first byte of measuredForce: field 1 bool; field 2 doubles, unpacked or packed
+CORRECTION, PATH_CORRECTION = 3, 4  # message types
+UINT32 = 2**32 - 1
+KINEMATIC = 1  # joint order of the extension
+TWIST = np.array([1e-3, 1e-3, 1e-3, RADIAN, RADIAN, RADIAN])  # SI per wire unit
 _MAX_SECONDS = 9_000_000_000  # later clocks overflow int64 nanoseconds and count as absent
-_TWIST = np.array([1e-3, 1e-3, 1e-3, RADIAN, RADIAN, RADIAN])
 
 
 class Details(NamedTuple):
@@ -115,22 +93,22 @@ class Details(NamedTuple):
 
     Attributes
     ----------
-    q_ext_planned : (k,) the controller's reference for the external axes.
-    T_frame_planned : (4, 4) the controller's reference pose.
+    q_ext_planned : (k,) the controller's reference for the external axes [rad or m].
+    T_frame_planned : (4, 4) the controller's reference pose [m].
     planned_ns : clock of the reference, nanoseconds since 1970.
-    stamp_ns, planned_stamp_ns : IEEE 1588 timestamps.
+    stamp_ns, planned_stamp_ns : IEEE 1588 timestamps of the feedback and of the reference [ns].
     move_index : index of the RAPID movement.
-    collision : whether collision detection triggered.
-    collision_quota : (k,) as sent.
+    collision : whether collision detection has triggered.
+    collision_quota : (k,) collision detection quotas, as sent.
     force_control : whether force control is active (RobotWare 7); otherwise the force is the raw sensor reading.
-    test_signals : (k,) as sent.
-    tau_total, tau_gravity : (n,) torque of the drives, and their feed-forward torque [N m].
-    current : (n,) of the motors [A].
-    q_reference, qd_reference : (n,) references of the drives.
-    overruns : cycles missed by the controller.
-    arm_id : arm number.
-    mode : 0 off, 1 position, 2 velocity, 3 torque.
-    used_seq : sequence number of the reply used in this cycle. From `tau_total` on: the research extension.
+    test_signals : (k,) test signals, as sent.
+    tau_total, tau_gravity : (n,) torque of the drives, and their feed-forward torque [N m]; research extension.
+    current : (n,) motor currents [A]; research extension.
+    q_reference, qd_reference : (n,) references of the drives [rad, rad/s]; research extension.
+    overruns : number of cycles missed by the controller; research extension.
+    arm_id : arm number; research extension.
+    mode : 0 off, 1 position, 2 velocity, 3 torque; research extension.
+    used_seq : sequence number of the reply used in this cycle; research extension.
     """
 
     q_ext_planned: np.ndarray
@@ -155,7 +133,7 @@ class Details(NamedTuple):
 
 
 class EgmCodec:
-    """Converts EgmRobot to `Packet` and `Reference` to EgmSensor for one arm.
+    """Codec of one arm, which decodes EgmRobot to `Packet` and encodes `Reference` as EgmSensor.
 
     The RobotWare version is detected from the first packet of a session and kept until `reset`.
 
@@ -172,7 +150,7 @@ class EgmCodec:
     ----------
     capabilities : frozenset of str
         "position", "velocity", "external_axes" and "rapid_data", unless a prismatic joint is among ABB's first six axes
-        and `units` is empty. "measured_torque" and "torque" with the extension.
+        and `units` is empty. With the extension also "measured_torque" and "torque".
     robotware : str
         RobotWare version of this session; "" before its first packet.
     """
@@ -244,10 +222,10 @@ class EgmCodec:
         seq, tm_ms : int
             As in `Reference`.
         """
-        sensor = pb.EgmSensor(header=_header(_CORRECTION, seq, tm_ms))
+        sensor = pb.EgmSensor(header=_header(CORRECTION, seq, tm_ms))
         pose_from_matrix(sensor.planned.cartesian, T_frame_tool)
         if twist is not None:
-            sensor.speedRef.cartesians.value.extend((twist / _TWIST).tolist())
+            sensor.speedRef.cartesians.value.extend((twist / TWIST).tolist())
         return sensor.SerializeToString()
 
     def encode_path_correction(self, yz: Sequence[float], age: float, seq: int, tm_ms: int) -> bytes:
@@ -262,22 +240,22 @@ class EgmCodec:
         seq, tm_ms : int
             As in `Reference`.
         """
-        message = pb.EgmSensorPathCorr(header=_header(_PATH_CORRECTION, seq, tm_ms))
+        message = pb.EgmSensorPathCorr(header=_header(PATH_CORRECTION, seq, tm_ms))
         where = message.pathCorr.pos
         where.x, where.y, where.z = 0.0, 1e3 * yz[0], 1e3 * yz[1]
-        message.pathCorr.age = round(1e3 * age) & _UINT32
+        message.pathCorr.age = round(1e3 * age) & UINT32
         return message.SerializeToString()
 
 
 def _header(mtype: int, seq: int, tm_ms: int) -> Any:
-    return pb.EgmHeader(seqno=seq & _UINT32, tm=tm_ms & _UINT32, mtype=mtype)
+    return pb.EgmHeader(seqno=seq & UINT32, tm=tm_ms & UINT32, mtype=mtype)
 
 
 def _details(axes: AxisMap, message: Any, robotware: str) -> Details:
     planned, research, info = message.planned, message.researchState, message.collisionInfo
     beyond = planned.externalJoints.joints[axes.tail :]
     scale = np.ones(len(beyond)) if robotware == "6.06" else axes.external_scale(len(beyond))
-    is_kinematic = research.order == _KINEMATIC
+    is_kinematic = research.order == KINEMATIC
     pose = read_pose(planned.cartesian)
 
     def array(values: Sequence[float], factor: Any = 1.0) -> np.ndarray:
@@ -311,7 +289,7 @@ def _details(axes: AxisMap, message: Any, robotware: str) -> Details:
 
 
 def _force_control(data: bytes) -> bool | None:
-    if not is_layout_of_rw7(data):
+    if data[:1] not in _RW7_TAGS:
         return None
     force = pb.EgmForceRw7.FromString(data)
     return force.fcActive if force.HasField("fcActive") else None

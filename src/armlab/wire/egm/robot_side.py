@@ -11,7 +11,16 @@ from google.protobuf.message import DecodeError
 from armlab.errors import ConfigError, UnknownName
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
-from armlab.wire.egm.codec import encode_force, pose_from_matrix, pose_values, read_pose
+from armlab.wire.egm.codec import (
+    CORRECTION,
+    KINEMATIC,
+    PATH_CORRECTION,
+    TWIST,
+    UINT32,
+    pose_from_matrix,
+    pose_values,
+    read_pose,
+)
 from armlab.wire.egm.types import Drop, RobotAxes
 
 ROBOTWARE = ("6.06", "6.07", "6.10", "7")
@@ -37,36 +46,29 @@ DEFAULT_ARRAYS = EXTENSION_ARRAYS[:4]
 """Arrays sent by default."""
 
 _ANGULAR = ("qd", "q_reference", "qd_reference")
-_DATA, _CORRECTION, _PATH_CORRECTION = 2, 3, 4
-_KINEMATIC = 1
-_UINT32 = 2**32 - 1
-_MILLIMETRE = 1e-3
+_DATA = 2  # message type
 
 
 class RobotMessage(NamedTuple):
-    """Content of one EgmRobot in SI units, (n,) in kinematic order; None omits a field.
-
-    `q_ext` [rad]; `utilization` [%]; `tau_reference`: the standard torqueRef (RobotWare 7, ABB axes 1 to 6 only); `qd`
-    to `queue_depth`: the extension, limited to the arrays configured in the codec.
-    """
+    """Content of one EgmRobot in SI units, (n,) in kinematic order; None omits a field."""
 
     seqno: int
     tm_ms: int | None
     q: np.ndarray
     q_planned: np.ndarray | None = None
     robot_ns: int | None = None
-    q_ext: Sequence[float] = ()
+    q_ext: Sequence[float] = ()  # rad
     T_frame_tool: np.ndarray | None = None
     motors: int | None = 1
     mci: int | None = 3
     rapid: int | None = 2
     converged: bool | None = False
-    utilization: float | None = 0.0
+    utilization: float | None = 0.0  # percent
     wrench_raw: np.ndarray | None = None
     rapid_data: Sequence[float] = ()
     rapid_digital: bool | None = None
-    tau_reference: np.ndarray | None = None
-    qd: np.ndarray | None = None
+    tau_reference: np.ndarray | None = None  # torqueRef (RobotWare 7, ABB axes 1 to 6 only)
+    qd: np.ndarray | None = None  # from here on: the extension, with the arrays configured in the codec
     tau: np.ndarray | None = None
     tau_total: np.ndarray | None = None
     tau_gravity: np.ndarray | None = None
@@ -81,24 +83,20 @@ class RobotMessage(NamedTuple):
 
 
 class SensorMessage(NamedTuple):
-    """Decoded EgmSensor or EgmSensorPathCorr in SI units; missing fields are None.
-
-    NaN passes. `mtype`: 3 correction, 4 path correction; `path_yz` [m] in the sensor's tool frame, of age
-    `path_age` [s]; `tau` to `echo_seq`: the valid arrays and the echoes of the extension.
-    """
+    """Decoded EgmSensor or EgmSensorPathCorr in SI units; missing fields are None, and NaN is passed on."""
 
     seqno: int | None
     tm_ms: int | None
-    mtype: int
+    mtype: int  # 3 correction, 4 path correction
     q: np.ndarray | None = None
     qd: np.ndarray | None = None
     T_frame_tool: np.ndarray | None = None
     twist: np.ndarray | None = None
-    path_yz: np.ndarray | None = None
-    path_age: float | None = None
+    path_yz: np.ndarray | None = None  # in the tool frame of the sensor [m]
+    path_age: float | None = None  # s
     rapid_data: np.ndarray | None = None
     rapid_digital: bool | None = None
-    tau: np.ndarray | None = None
+    tau: np.ndarray | None = None  # to `echo_seq`: the valid arrays and the echoes of the extension
     qd_reference: np.ndarray | None = None
     q_reference: np.ndarray | None = None
     gain_q: np.ndarray | None = None
@@ -109,11 +107,10 @@ class SensorMessage(NamedTuple):
 
 
 class RobotSideCodec:
-    """Codec of one arm; converts `RobotMessage` to EgmRobot and EgmSensor to `SensorMessage`.
+    """Codec of one simulated arm, which encodes `RobotMessage` as EgmRobot and decodes EgmSensor to `SensorMessage`.
 
-    `robotware`: one of `ROBOTWARE` (6.06 sends angles in radians); `extension`: names of `EXTENSION_ARRAYS` to send,
-    True for `DEFAULT_ARRAYS`; `force`, `external`, `data`: whether messages contain `wrench_raw`, and the numbers of
-    external axes and RAPID values.
+    RobotWare 6.06 sends angles in radians. `extension`: names of `EXTENSION_ARRAYS` to send, True for `DEFAULT_ARRAYS`;
+    `force`: whether messages contain `wrench_raw`; `external`, `data`: numbers of external axes and of RAPID values.
     """
 
     def __init__(
@@ -143,9 +140,9 @@ class RobotSideCodec:
             message = self._linkage.to_axes(message)
         robot = pb.EgmRobot()
         header = robot.header
-        header.seqno, header.mtype = message.seqno & _UINT32, _DATA
+        header.seqno, header.mtype = message.seqno & UINT32, _DATA
         if message.tm_ms is not None:
-            header.tm = message.tm_ms & _UINT32
+            header.tm = message.tm_ms & UINT32
         self._motion(robot.feedBack, message.q, message)
         if message.q_planned is not None:
             self._motion(robot.planned, message.q_planned, message)
@@ -165,15 +162,15 @@ class RobotSideCodec:
         return robot.SerializeToString()
 
     def decode_sensor(self, data: bytes) -> SensorMessage | Drop:
-        """Decode the sensor's command, or return the reason for dropping it. Never raises; NaN is passed on."""
+        """Decode the sensor's message, or return the reason for dropping it. Never raises; NaN is passed on."""
         try:
             sensor = pb.EgmSensor.FromString(data)
             header = sensor.header
             if not sensor.HasField("header"):
                 return Drop("no header", f"{len(data)} bytes without a header")
-            if header.mtype == _PATH_CORRECTION:
+            if header.mtype == PATH_CORRECTION:
                 return _path_correction(pb.EgmSensorPathCorr.FromString(data))
-            if header.mtype != _CORRECTION:
+            if header.mtype != CORRECTION:
                 return Drop("wrong type", f"expected message type 3 or 4 (from a sensor), got {header.mtype}")
             found = self._sensor(sensor)
             return found if self._linkage is None else self._linkage.from_axes(found)
@@ -200,7 +197,9 @@ class RobotSideCodec:
         if message.utilization is not None:
             robot.utilizationRate = message.utilization
         if message.wrench_raw is not None:
-            robot.measuredForce = encode_force(message.wrench_raw, is_rw7)
+            force = pb.EgmForceRw7(fcActive=True) if is_rw7 else pb.EgmForceRw6()
+            force.force.extend(message.wrench_raw.tolist())
+            robot.measuredForce = force.SerializeToString()
         if not is_rw7:
             return
         robot.moveIndex = 0
@@ -218,16 +217,16 @@ class RobotSideCodec:
                 scaled = values / self._axes.scale if name in _ANGULAR else values
                 getattr(research, _WIRE_ARRAYS[name]).extend(scaled.tolist())
         research.tNs, research.overruns, research.mode = message.mono_ns, message.overruns, message.mode
-        research.order = _KINEMATIC
-        research.usedSeqno, research.queueDepth = message.used_seq & _UINT32, message.queue_depth
+        research.order = KINEMATIC
+        research.usedSeqno, research.queueDepth = message.used_seq & UINT32, message.queue_depth
 
     def _check_size(self, force: bool, external: int, data: int) -> None:
         """Raise if the largest message of the configuration exceeds the buffers of other clients."""
         axes = np.full(self._axes.n, 1.0)
         arrays: dict[str, Any] = dict.fromkeys(self._arrays, axes)
         worst = RobotMessage(
-            seqno=_UINT32,
-            tm_ms=_UINT32,
+            seqno=UINT32,
+            tm_ms=UINT32,
             q=axes,
             q_planned=axes,
             robot_ns=2**62,
@@ -238,14 +237,14 @@ class RobotSideCodec:
             rapid_digital=True,
             tau_reference=axes,
             mono_ns=2**62,
-            overruns=_UINT32,
-            used_seq=_UINT32,
-            queue_depth=_UINT32,
+            overruns=UINT32,
+            used_seq=UINT32,
+            queue_depth=UINT32,
             **arrays,
         )
         size = len(self.encode_robot(worst))
         if size > MAX_BYTES:
-            spare = ", ".join(reversed(self._arrays)) or "the external axes and the data of RAPID"
+            spare = ", ".join(reversed(self._arrays)) or "the external axes and the RAPID data"
             raise ConfigError(
                 f"Expected messages of at most {MAX_BYTES} bytes, the buffer of other EGM clients, got up to {size} in "
                 f"this configuration. Omit some of {spare}."
@@ -253,21 +252,18 @@ class RobotSideCodec:
 
     def _sensor(self, sensor: Any) -> SensorMessage:
         header, axes = sensor.header, self._axes
-        q = _joints(axes, sensor.planned)
-        qd = _joints(axes, sensor.speedRef)
         pose = read_pose(sensor.planned.cartesian, euler_wins=True)
         speed = sensor.speedRef.cartesians.value
-        twist_scale = (_MILLIMETRE, _MILLIMETRE, _MILLIMETRE, RADIAN, RADIAN, RADIAN)
         rapid = sensor.rapidToRobot
         beyond = sensor.planned.externalJoints.joints[axes.tail :]
         return SensorMessage(
             seqno=header.seqno if header.HasField("seqno") else None,
             tm_ms=header.tm if header.HasField("tm") else None,
             mtype=header.mtype,
-            q=q,
-            qd=qd,
+            q=_joints(axes, sensor.planned),
+            qd=_joints(axes, sensor.speedRef),
             T_frame_tool=None if pose is None else np.reshape(pose_values(pose), (4, 4)),
-            twist=np.multiply(speed, twist_scale) if len(speed) == 6 else None,
+            twist=np.multiply(speed, TWIST) if len(speed) == 6 else None,
             rapid_data=np.array(rapid.dnum) if rapid.dnum else None,
             rapid_digital=rapid.digVal if rapid.HasField("digVal") else None,
             q_ext=RADIAN * np.array(beyond) if beyond else None,
@@ -291,7 +287,7 @@ def _research_reference(axes: AxisMap, research: Any) -> dict[str, Any]:
     )
     found: dict[str, Any] = {"echo_mono_ns": research.echoTNs, "echo_seq": research.echoSeqno}
     for bit, (name, values, scale) in enumerate(fields):
-        array = axes.array(values[:], research.order == _KINEMATIC) if research.validMask >> bit & 1 else None
+        array = axes.array(values[:], research.order == KINEMATIC) if research.validMask >> bit & 1 else None
         found[name] = None if array is None else np.array(array) * scale
     return found
 
@@ -302,6 +298,6 @@ def _path_correction(message: Any) -> SensorMessage:
         seqno=header.seqno if header.HasField("seqno") else None,
         tm_ms=header.tm if header.HasField("tm") else None,
         mtype=header.mtype,
-        path_yz=_MILLIMETRE * np.array([correction.pos.y, correction.pos.z]),
+        path_yz=1e-3 * np.array([correction.pos.y, correction.pos.z]),
         path_age=1e-3 * correction.age,
     )

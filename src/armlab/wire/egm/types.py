@@ -1,10 +1,6 @@
-"""Inputs and outputs of the EGM codec: `Packet`, `Drop`, `Reference`, `Beside`, `Codec`.
+"""Inputs and outputs of the EGM codec in SI units and kinematic joint order.
 
-All values are SI and radians in kinematic joint order. Named tuples are immutable and five times cheaper to create
-than frozen dataclasses, which matters in every control cycle.
-
-`StandingQueue`: the controller processes one message per cycle, first in, first out. Each message remaining in the
-queue delays every later reference by one cycle.
+Named tuples are immutable and five times faster to create than frozen dataclasses, which matters in every cycle.
 """
 
 from __future__ import annotations
@@ -30,7 +26,7 @@ DROP_REASONS = (
 
 
 class RobotAxes(Protocol):
-    """Robot properties needed by the codec; `robots.Robot` implements it."""
+    """Robot properties that the codec needs; `robots.Robot` has them."""
 
     @property
     def n(self) -> int:
@@ -58,23 +54,23 @@ class Packet(NamedTuple):
 
     Attributes
     ----------
-    seqno, tm_ms : header; `tm_ms` is None if missing.
+    seqno, tm_ms : sequence number and clock [ms] of the header; `tm_ms` is None if absent.
     robot_ns : feedBack.time in nanoseconds since 1970, 0 if absent.
-    q : (n,) measured joints.
-    q_planned : (n,) the controller's reference, NaN if absent.
-    q_ext : external axes.
-    qd : (n,) measured velocities, None without the extension.
-    tau : (n,) torques or None.
+    q : (n,) measured positions [rad or m].
+    q_planned : (n,) the controller's reference [rad or m], NaN if absent.
+    q_ext : (k,) positions of the external axes [rad or m].
+    qd : (n,) measured velocities [rad/s or m/s], None without the extension.
+    tau : (n,) torques [N m], or None.
     tau_source : "measured" (extension), "reference" (torqueRef) or "none".
-    T_frame_tool : (4, 4), NaN if absent.
-    wrench_raw : (6,) measuredForce, NaN if absent.
+    T_frame_tool : (4, 4) tool pose [m], NaN if absent.
+    wrench_raw : (6,) measuredForce [N, N m], NaN if absent.
     motors, mci, rapid : states as numbered by ABB, 0 if absent.
     converged : whether the convergence condition of EGMAct is met.
-    utilization : percent, NaN if absent.
+    utilization : utilizationRate [%], NaN if absent.
     robotware : "6.06", "6.07", "6.10" or "7".
-    rapid_data, rapid_digital : RAPIDfromRobot.
+    rapid_data, rapid_digital : numbers and digital value of RAPIDfromRobot.
     robot_mono_ns : monotonic clock of the extension, 0 if absent.
-    queue_depth : messages left in the robot's queue, -1 without the extension.
+    queue_depth : number of messages left in the robot's queue, -1 without the extension.
     """
 
     seqno: int
@@ -108,13 +104,13 @@ class Drop(NamedTuple):
 
 
 class Beside(NamedTuple):
-    """Content of a reply in addition to the robot's joints; None means not sent.
+    """Content of a reply in addition to the joints; None omits a field.
 
     Attributes
     ----------
     q_ext, qd_ext : (k,) position and speed of external axes beyond the robot's own [rad, rad/s or m, m/s].
-    rapid_data : numbers for RAPID.
-    rapid_digital : the digital value for RAPID.
+    rapid_data : numbers sent to RAPID.
+    rapid_digital : digital value sent to RAPID.
     """
 
     q_ext: np.ndarray | None = None
@@ -128,11 +124,11 @@ class Reference(NamedTuple):
 
     Attributes
     ----------
-    q, qd, tau : (n,) references; without `qd`, no speed reference is sent; `tau` needs the extension.
-    seq : our own sequence number.
-    tm_ms : the `tm` of the answered packet (0 if missing).
-    robot_seq, robot_mono_ns : echoes of the answered packet, sent with the extension only.
-    free : torque control without the position loop: its gains are zero.
+    q, qd, tau : (n,) references [rad or m, rad/s or m/s, N m]; `qd` is optional, and `tau` needs the extension.
+    seq : sequence number of the reply.
+    tm_ms : `tm` of the answered packet [ms], 0 if absent.
+    robot_seq, robot_mono_ns : sequence number and clock of the answered packet, returned only with the extension.
+    free : whether the gains of the position loop are zero, for pure torque control.
     beside : content for external axes and RAPID, or None.
     """
 
@@ -157,7 +153,7 @@ class Codec(Protocol):
     capabilities: frozenset[str]
 
     def reset(self) -> None:
-        """Reset the learnt state of the robot for a new session."""
+        """Discard the detected properties of the robot, for a new session."""
         ...
 
     def decode(self, data: bytes) -> Packet | Drop:
@@ -169,20 +165,17 @@ class Codec(Protocol):
         ...
 
 
-_SECONDS = 1.0  # queues that last less are replies in flight
+_SECONDS = 1.0  # shorter queues are replies in transit
 
 
 class StandingQueue:
-    """Detector of a receive queue that stays non-empty for 1 s."""
+    """Detector of a receive queue that stays non-empty for 1 s, in which each message delays references by a cycle."""
 
     def __init__(self) -> None:
         self._seconds, self._least = 0.0, 0
 
     def after(self, depth: int, period: float) -> str:
-        """Return a sentence in the cycle in which the queue has been non-empty for 1 s, otherwise "".
-
-        `period`: cycle time of the robot [s].
-        """
+        """Return a warning in the cycle (`period` seconds) that completes 1 s of a non-empty queue, otherwise ""."""
         if depth <= 0:
             self._seconds = 0.0
             return ""

@@ -1,13 +1,14 @@
 """Decoder of LabComm streams.
 
 One generator walks over the stream and waits for missing bytes, so that the events do not depend on how the stream is
-split. A packet with a length is decoded when complete. For a packet without a length (2013, 2006, data of 2014old), a
-walk first finds its end. Errors are reported at their field before any object is built.
+split. A packet with a length is decoded once it is complete; a walk finds the end of a packet without a length (2013,
+2006, data of 2014old).
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator, Set
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -60,25 +61,18 @@ FIRST_INDEX = 0x40
 _BY_CODE = {prim.code: prim for prim in PRIMS.values()}
 
 
+@dataclass
 class SignatureWalk:
-    """Walker over one signature.
-
-    `end`: upper bound of the signature's end; `type_refs`: type indices may stand for types (TYPE_DEF).
-    """
+    """Walker over one signature."""
 
     source: Source
     dialect: Dialect
     limits: Limits
-    end: int
-    type_refs: bool
-    nodes: int
-
-    def __init__(self, source: Source, dialect: Dialect, limits: Limits, end: int, type_refs: bool = False) -> None:
-        self.source, self.dialect, self.limits, self.end, self.type_refs = source, dialect, limits, end, type_refs
-        self.nodes = 0
+    end: int  # upper bound of the end of the signature
+    type_refs: bool  # whether type indices may stand for types (TYPE_DEF)
+    nodes: int = 0
 
     def number(self, pos: int) -> Number:
-        """Walk over a number."""
         return number(self.source, pos, self.end, self.dialect.wide)
 
     def tree(self, first: int, depth: int = 1) -> Generator[None, None, tuple[Type, int]]:
@@ -211,7 +205,7 @@ _FIRST = {0x00: DIALECTS["2006"], 0x01: DIALECTS["2014"], 0x0B: DIALECTS["2013"]
 
 
 class Opening(NamedTuple):
-    """Dialect, whether it may still be 2014i instead of 2014, and the announced version."""
+    """Dialect at the start of a stream, whether 2014 may turn out to be 2014i, and the announced version."""
 
     dialect: Dialect
     is_undecided: bool
@@ -248,7 +242,7 @@ def opening(
 
 
 def version(source: Source, wanted: Set[str], limits: Limits) -> Generator[None, None, tuple[str, int]]:
-    """Walk over VERSION; return its text, and the excess (0 or 1) of the declared length."""
+    """Walk over VERSION; return its text, and the excess (0 or 1) of its declared length."""
     end = source.at + 2 * HEADER + limits.packet
     _, where = yield from number(source, source.at, end, wide=False)
     declared, begin = yield from number(source, where, end, wide=False)
@@ -267,19 +261,14 @@ def version(source: Source, wanted: Set[str], limits: Limits) -> Generator[None,
     return text, extra
 
 
+@dataclass(eq=False)
 class Known:
-    """Sample type and the reader of its values, which is created lazily because many defined types are never sent.
-
-    `left`: number of values allowed in a packet in addition to the fixed values.
-    """
+    """Sample type, and the reader of its values, which is created on first use."""
 
     index: int
     name: str
     type: Type
-
-    def __init__(self, index: int, sample: SampleType, limits: Limits) -> None:
-        self.index, self.name, self.type = index, sample.name, sample.type
-        self.left: int = limits.values - self.type.values
+    left: int  # number of values allowed in a packet in addition to the fixed values
 
     @cached_property
     def read(self) -> Reader:
@@ -287,7 +276,7 @@ class Known:
 
 
 class Tables:
-    """Samples, references and types by index, and the readers of the samples; dicts, because indices may be sparse."""
+    """Samples, references and types by index, and the readers of the samples."""
 
     def __init__(self, limits: Limits) -> None:
         self.kinds: dict[Kind, dict[int, SampleType]] = {"sample": {}, "ref": {}, "type": {}}
@@ -295,7 +284,7 @@ class Tables:
         self._limits, self._nodes = limits, 0
 
     def keep(self, event: Definition, offset: int) -> None:
-        """Store a definition; repeating it costs nothing, and another definition with the same index replaces it."""
+        """Store a definition, which replaces an earlier one with the same index."""
         table, entry = self.kinds[event.kind], SampleType(event.name, event.type)
         old = table.get(event.index)
         if old == entry:
@@ -307,30 +296,30 @@ class Tables:
             raise LabCommError(f"Expected {most} in a stream, got more at byte {offset}.", offset)
         self._nodes, table[event.index] = nodes, entry
         if event.kind == "sample":
-            self.known[event.index] = Known(event.index, entry, limits)
+            self.known[event.index] = Known(event.index, event.name, event.type, limits.values - event.type.values)
 
 
 _KINDS: dict[int, Kind] = {SAMPLE_DEF: "sample", SAMPLE_REF: "ref", TYPE_DEF: "type"}
 
 
 class Decoder:
-    """Reads one stream.
+    """Decoder of one stream.
 
     Parameters
     ----------
-    dialect : name of the dialect, "auto" to detect it from the first bytes.
-    limits : `Limits.server()` by default.
-    require_version : False accepts a stream of the given dialect without a VERSION.
+    dialect : name of the dialect; "auto" detects it from the first bytes.
+    limits : limits of the stream; default: `Limits.server()`.
+    require_version : whether the stream must start with VERSION; False needs the name of a dialect.
 
     Attributes
     ----------
-    refs : sample types by index of their SAMPLE_REF.
-    samples : by index of their SAMPLE_DEF.
+    refs : sample types by the index of their SAMPLE_REF.
+    samples : sample types by the index of their SAMPLE_DEF.
 
     Raises
     ------
-    UnknownName : unknown dialect.
-    LabCommError : no dialect for a stream without VERSION.
+    UnknownName : the dialect is unknown.
+    LabCommError : the dialect of a stream without VERSION is missing.
     """
 
     refs: dict[int, SampleType]
@@ -351,7 +340,7 @@ class Decoder:
 
     @property
     def dialect(self) -> str | None:
-        """Name of the dialect; None until detected, and 2014 until a definition identifies 2014i."""
+        """Name of the dialect; None until it is detected, and 2014 until a definition identifies 2014i."""
         return None if self._dialect is None else self._dialect.name
 
     def feed(self, data: bytes | bytearray | memoryview) -> list[Event]:
@@ -359,12 +348,12 @@ class Decoder:
 
         Parameters
         ----------
-        data : any chunk of the stream.
+        data : the next bytes of the stream, any number of them.
 
         Raises
         ------
-        LabCommError : the stream is malformed. `offset` is the position, and `events` has the events before it. Every
-            later call raises the same error.
+        LabCommError : the stream is malformed. `offset` is the position, and `events` contains the events before it.
+            Every later call raises the same error.
         """
         if self._error is not None:
             raise self._error
@@ -398,12 +387,12 @@ class Decoder:
 
     @property
     def pending(self) -> int:
-        """Bytes of the incomplete packet."""
+        """Number of received bytes of the incomplete packet."""
         return self._source.stop - self._source.at
 
     @property
     def offset(self) -> int:
-        """Stream position of the incomplete packet, or of the next packet."""
+        """Stream position of the incomplete packet, otherwise of the next packet."""
         return self._source.at
 
     def _run(self) -> Walk:
@@ -419,9 +408,9 @@ class Decoder:
                 yield from self._bare(dialect)
 
     def _packets(self, dialect: Dialect) -> Walk:
-        """Walk over packets with lengths until the dialect changes (from 2014 to 2014i).
+        """Walk over packets with lengths until the dialect changes from 2014 to 2014i.
 
-        Most packets have the same type as the previous one. For fixed sizes, comparing the packet heads is sufficient.
+        Most packets have the same type as the previous one: for a fixed size, comparing the packet heads is sufficient.
         """
         source, limits = self._source, self._limits
         buf, cursor = source.buf, Cursor(source.buf, limits, wide=False)
@@ -468,18 +457,18 @@ class Decoder:
                 return
 
     def _whole(self, tag: int, known: Known | None, cursor: Cursor, offset: int, length: int) -> Event:
-        """Decode a complete packet, which must be consumed entirely; `offset` is the offset of its length."""
+        """Decode a complete packet, whose length is at `offset`; raise if bytes are left."""
         cursor.end = cursor.at + length
         try:
             event = self._packet(tag, cursor) if known is None else self._sample(known, cursor)
         except Cut:
-            raise _bad(offset, f"a body that is longer than {length} bytes", "its end") from None
+            raise _bad(offset, "a longer body", f"only {length} bytes") from None
         if cursor.at != cursor.end:
             raise _bad(offset, f"a length of {length - cursor.end + cursor.at}", str(length))
         return event
 
     def _packet(self, tag: int, cursor: Cursor) -> Event:
-        """Decode a complete packet that is not data of a defined index."""
+        """Decode a complete packet other than data of a defined index."""
         if tag in _KINDS:
             return self._define(_KINDS[tag], cursor)
         if tag == TYPE_BINDING:

@@ -1,4 +1,4 @@
-"""`Encoder`: converts sample types and values to packets; `write_packet`: converts a decoded packet back to bytes."""
+"""`Encoder` converts sample types and values to packets; `write_packet` converts a decoded packet back to bytes."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ _DEFINES = {"sample": SAMPLE_DEF, "ref": SAMPLE_REF, "type": TYPE_DEF}
 
 
 class Encoder:
-    """Writer of one stream: VERSION, a SAMPLE_DEF before the first value of each type, then data.
+    """Encoder of one stream: VERSION, a SAMPLE_DEF before the first value of each type, then data.
 
-    Clients based on any LabComm library can read it; other packets are sent only on request.
+    Clients based on any LabComm library can read the stream.
 
     Parameters
     ----------
     dialect : name of the dialect.
-    allow_nul : strings may contain NUL, which terminates them in C.
-    type_defs : follow each definition with the TYPE_BINDING to its flat signature, as C libraries of 2014 and 2014i do.
+    allow_nul : whether strings may contain NUL, which terminates them in C.
+    type_defs : whether a TYPE_BINDING follows each definition, as in the C libraries of 2014 and 2014i.
 
     Raises
     ------
-    UnknownName : unknown dialect.
-    LabCommError : `type_defs` in a dialect without them.
+    UnknownName : the dialect is unknown.
+    LabCommError : the dialect has no type bindings.
     """
 
     def __init__(self, dialect: str = "2014v1", allow_nul: bool = False, type_defs: bool = False) -> None:
@@ -69,7 +69,7 @@ class Encoder:
 
         Parameters
         ----------
-        sample : name and type.
+        sample : the name and the type.
         """
         index = self._samples.setdefault(_key(sample), FIRST_INDEX + len(self._samples))
         packet = write_packet(Definition("sample", index, sample.name, sample.type), self.dialect)
@@ -80,7 +80,7 @@ class Encoder:
 
         Parameters
         ----------
-        sample : name and type.
+        sample : the name and the type.
 
         Raises
         ------
@@ -92,11 +92,11 @@ class Encoder:
         return write_packet(Definition("ref", index, sample.name, sample.type), self.dialect)
 
     def ref_index(self, sample: SampleType) -> int:
-        """Return the value of a reference to a type, which is the index of its SAMPLE_REF, or 0 without one.
+        """Return the value that refers to a type: the index of its SAMPLE_REF, or 0 without a SAMPLE_REF.
 
         Parameters
         ----------
-        sample : name and type.
+        sample : the name and the type.
         """
         return self._refs.get(_key(sample), 0)
 
@@ -105,12 +105,12 @@ class Encoder:
 
         Parameters
         ----------
-        sample : a type passed to `define` before.
-        value : as in `events.Sample`; also NumPy arrays and, for references, sample types.
+        sample : a type that `define` has defined.
+        value : a value as in `Sample`; NumPy arrays, and sample types as references, are also accepted.
 
         Raises
         ------
-        LabCommError : the type is undefined, or the value does not match it: `path` locates the fault.
+        LabCommError : the type is undefined, or the value does not match it; `path` locates the fault.
         """
         last, write = self._last
         if last is not sample:

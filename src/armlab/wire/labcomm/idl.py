@@ -52,17 +52,17 @@ class _Token(NamedTuple):
 
 
 def parse_lc(text: str, dialect: str = "2014v1") -> list[SampleType | Typedef]:
-    """Parse the samples and typedefs of a text in order.
+    """Return the samples and typedefs declared in a text, in order.
 
     Parameters
     ----------
-    text : at most 1 MiB and 32 levels.
-    dialect : only 2014i reads notes, ``(unit:rad)`` and "docs".
+    text : declarations with at most 2**20 characters and 32 levels of nesting.
+    dialect : name of the dialect; only 2014i has notes, such as ``(unit:rad)``, and docs in quotation marks.
 
     Raises
     ------
-    LabCommError : with `line` and `column`.
-    UnknownName : unknown dialect.
+    LabCommError : the text is invalid; `line` and `column` locate the fault.
+    UnknownName : the dialect is unknown.
     """
     kind = dialect_named(dialect)
     if len(text) > _LARGEST:
@@ -75,11 +75,11 @@ def to_lc(types: Iterable[SampleType | Typedef]) -> str:
 
     Parameters
     ----------
-    types : samples and typedefs.
+    types : the samples and typedefs.
 
     Raises
     ------
-    LabCommError : a name or a note that the language cannot express.
+    LabCommError : the language cannot express a name or a note.
     """
     lines = []
     for one in types:
@@ -192,7 +192,7 @@ class _Parser:
         while self._peek().text == "(" or self._peek().kind == "quoted":
             token = self._take()
             if not self._dialect.maps:
-                self._fail(token, f"no notes in LabComm {self._dialect.name}; use 2014i")
+                self._fail(token, "no notes, which only dialect 2014i has,")
             if token.kind == "quoted":
                 continue
             key = self._take()

@@ -14,21 +14,15 @@ Notes = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """Version of the format.
-
-    `name`: "2014v1", "2014", "2014i", "2014old", "2013" or "2006"; `version`: announced text, "" for none;
-    `lengths`: packets carry the length of their body; `trusted`: that length is correct; `wide`: numbers have 4 bytes
-    instead of packed32; `maps`: names are maps of strings (intentions); `references`: samples may refer to sample
-    types.
-    """
+    """Version of the format."""
 
     name: str
-    version: str
-    lengths: bool = True
-    trusted: bool = True
-    wide: bool = False
-    maps: bool = False
-    references: bool = True
+    version: str  # announced text, "" for none
+    lengths: bool = True  # whether packets contain the length of their body
+    trusted: bool = True  # whether this length is correct
+    wide: bool = False  # whether numbers have 4 bytes instead of packed32
+    maps: bool = False  # whether names are maps of strings (intentions)
+    references: bool = True  # whether samples may refer to sample types
 
     def number(self, n: int) -> bytes:
         """Encode a number in its shortest form (300 is 82 2c) or in 4 bytes."""
@@ -46,7 +40,7 @@ class Dialect:
         return self.number(len(raw)) + raw
 
     def label(self, name: str, notes: Notes = ()) -> bytes:
-        """Encode a name, with its notes if the dialect supports them (`notes`: pairs of key and value)."""
+        """Encode a name, with its notes (pairs of key and value) if the dialect supports them."""
         try:
             if not self.maps:
                 return self.text(name.encode())
@@ -111,7 +105,7 @@ def _check_part(node: _Node, what: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Node:
-    """Common properties of types: fixed bytes, `numbers` of variable size, and counts."""
+    """Common properties of types: fixed bytes, numbers of variable size, levels, nodes and values."""
 
     size: int = field(init=False, compare=False, repr=False, default=0)
     numbers: int = field(init=False, compare=False, repr=False, default=1)
@@ -125,7 +119,7 @@ class _Node:
         return None if self.numbers else self.size
 
     def min_size(self, wide: bool) -> int:
-        """Return the number of bytes of the smallest value; `wide`: 4 bytes per number."""
+        """Return the number of bytes of the smallest value; `wide`: numbers have 4 bytes."""
         return self.size + self.numbers * (4 if wide else 1)
 
     def signature(self, dialect: str = "2014v1") -> bytes:
@@ -135,18 +129,11 @@ class _Node:
 
 @dataclass(frozen=True, slots=True)
 class Prim(_Node):
-    """A primitive type.
-
-    Attributes
-    ----------
-    name : boolean, byte, short, int, long, float, double, string or sample (a reference).
-    code : type code on the wire.
-    letter : format character of the type in `struct`; "" for a string.
-    """
+    """Primitive type; `name` is one of boolean, byte, short, int, long, float, double, string, sample (a reference)."""
 
     name: str
-    code: int = field(init=False, compare=False, repr=False)
-    letter: str = field(init=False, compare=False, repr=False)
+    code: int = field(init=False, compare=False, repr=False)  # on the wire
+    letter: str = field(init=False, compare=False, repr=False)  # format character of `struct`, "" for a string
 
     def __post_init__(self) -> None:
         if self.name not in _CODES:
@@ -157,22 +144,16 @@ class Prim(_Node):
 
 @dataclass(frozen=True, slots=True)
 class TypeRef(_Node):
-    """Reference to a type by its index; occurs only in the signature of a TYPE_DEF."""
+    """Reference to a type by its index, only in the signature of a TYPE_DEF."""
 
     index: int
 
 
 @dataclass(frozen=True, slots=True)
 class Array(_Node):
-    """A rectangular array.
+    """Rectangular array."""
 
-    Attributes
-    ----------
-    dims : size of each dimension, 0 if variable.
-    elem : type of the elements.
-    """
-
-    dims: tuple[int, ...]
+    dims: tuple[int, ...]  # size of each dimension, 0 if variable
     elem: Type
 
     def __post_init__(self) -> None:
@@ -202,7 +183,7 @@ class Field(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Struct(_Node):
-    """Named fields in order; `VOID` has no fields."""
+    """Named fields in order; the type `VOID` has no fields."""
 
     fields: tuple[Field, ...]
 
@@ -226,7 +207,7 @@ class Struct(_Node):
 
 
 Type = Prim | Array | Struct | TypeRef
-"""Any type tree."""
+"""Type, as a tree."""
 
 PRIMS = {name: Prim(name) for name in _CODES}
 """Primitive types by name."""
@@ -236,29 +217,22 @@ VOID = Struct(())
 
 
 class SampleType(NamedTuple):
-    """Named type, defined by a SAMPLE_DEF. Types are equal if their names and signatures are equal.
-
-    Attributes
-    ----------
-    name : of the sample.
-    type : its tree.
-    notes : pairs of key and value outside the signature.
-    """
+    """Named type, defined by a SAMPLE_DEF."""
 
     name: str
     type: Type
-    notes: Notes = ()
+    notes: Notes = ()  # pairs of key and value outside the signature
 
 
 def typename(node: Type) -> str:
-    """Return a description of a type for errors: "double[7]", "struct"."""
+    """Return the name of a type for errors, such as "double[7]" or "struct"."""
     if isinstance(node, Array):
         return f"{typename(node.elem)}[{','.join(str(size or '_') for size in node.dims)}]"
     return node.name if isinstance(node, Prim) else f"type {node.index}" if isinstance(node, TypeRef) else "struct"
 
 
 def containers(shape: tuple[int, ...]) -> int:
-    """Return the number of lists in a nested list."""
+    """Return the number of lists in a nested list of this shape."""
     total = rows = 1
     for size in shape[:-1]:
         rows *= size
@@ -288,37 +262,30 @@ Kind = Literal["sample", "ref", "type"]
 
 
 class Version(NamedTuple):
-    """VERSION: the announced text."""
+    """VERSION packet with the announced text."""
 
     text: str
 
 
 class Definition(NamedTuple):
-    """SAMPLE_DEF, SAMPLE_REF or TYPE_DEF.
-
-    Attributes
-    ----------
-    kind : "sample", "ref" or "type".
-    index, name, type : as defined.
-    notes : of the name, dialect 2014i only.
-    """
+    """SAMPLE_DEF, SAMPLE_REF or TYPE_DEF packet."""
 
     kind: Kind
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
     name: str
     type: Type
-    notes: Notes = ()
+    notes: Notes = ()  # of the name, in dialect 2014i only
 
 
 class Binding(NamedTuple):
-    """TYPE_BINDING: index of a sample and of its type, 0 for its flat signature."""
+    """TYPE_BINDING packet: index of a sample and of its type (0: its flat signature)."""
 
     sample: int
     type: int
 
 
 class Pragma(NamedTuple):
-    """PRAGMA: its kind and its bytes."""
+    """PRAGMA packet."""
 
     kind: str
     body: bytes
@@ -332,13 +299,14 @@ class Other(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """A value.
+    """Value of a sample.
 
     Attributes
     ----------
-    index, name : of the sample.
-    value : bool, int, float, str, bytes, nested lists, or a dict in the order of fields.
-    type : its type tree.
+    index : index of the sample.
+    name : name of the sample.
+    value : bool, int, float, str, bytes, nested lists, or a dict in the order of the fields.
+    type : type of the value.
     """
 
     index: int  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -355,4 +323,4 @@ class Unknown(NamedTuple):
 
 
 Event = Version | Definition | Binding | Pragma | Other | Sample | Unknown
-"""Any event."""
+"""Packet of a stream."""

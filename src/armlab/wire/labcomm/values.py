@@ -1,7 +1,7 @@
 """Decoding and encoding of LabComm values within limits.
 
-A walk is a generator that yields when bytes are missing and resumes later. All positions are positions in the stream,
-including the offsets of errors.
+A walk is a generator that yields while bytes are missing. Positions and offsets of errors count from the start of the
+stream.
 """
 
 from __future__ import annotations
@@ -34,19 +34,20 @@ from armlab.wire.labcomm.types import (
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of a decoder; a stream that exceeds a limit raises an error before any allocation.
+    """Limits of a decoder, which raises an error before it allocates memory for a value beyond them.
 
     Attributes
     ----------
-    packet : largest number of bytes in a packet body.
-    values : largest number of values in a packet (with containers), of array elements, and of nodes in a definition.
-    definitions : largest number of definitions in a table.
-    nodes : largest number of type nodes stored per stream.
-    empty_rows : largest number of array rows without elements.
-    depth : largest number of levels in a type; the root is level 1.
-    name, version : largest number of bytes.
-    dims : largest number of dimensions of an array.
-    entries : largest number of notes of a name.
+    packet : maximum number of bytes in a packet body.
+    values : maximum number of values in a packet (including containers), array elements, and nodes in a definition.
+    definitions : maximum number of definitions in a table.
+    nodes : maximum number of type nodes stored per stream.
+    empty_rows : maximum number of array rows without elements.
+    depth : maximum number of levels in a type; the root is level 1.
+    name : maximum number of bytes in a name.
+    version : maximum number of bytes in a VERSION.
+    dims : maximum number of dimensions of an array.
+    entries : maximum number of notes of a name.
     """
 
     packet: int
@@ -76,20 +77,15 @@ Number = Generator[None, None, tuple[int, int]]
 
 
 class Cut(Exception):
-    """Raised if a body ends before its required content."""
+    """Raised if the body of a packet is too short for its content."""
 
 
 class Source:
-    """Received bytes from the beginning of the current packet.
-
-    `buf`: the bytes; `base`: position of the first byte; `at`: position of the current packet.
-    """
-
-    buf: bytearray
+    """Received bytes from the beginning of the current packet."""
 
     def __init__(self) -> None:
-        self.buf = bytearray()
-        self.base = self.at = 0
+        self.buf: bytearray = bytearray()
+        self.base = self.at = 0  # positions of the first byte and of the current packet
 
     @property
     def stop(self) -> int:
@@ -114,7 +110,7 @@ class Source:
 
 
 def number(source: Source, pos: int, end: int, wide: bool) -> Number:
-    """Walk over a number; `end` is the upper bound of the body's end."""
+    """Walk over a number; `end` is an upper bound of the end of the body."""
     if wide:
         if pos + 4 > end:
             raise Cut
@@ -135,7 +131,7 @@ def number(source: Source, pos: int, end: int, wide: bool) -> Number:
 
 
 def text(source: Source, pos: int, end: int, wide: bool, longest: int) -> Generator[None, None, tuple[str, int]]:
-    """Walk over a string in strict UTF-8 that is part of a name."""
+    """Walk over a string in strict UTF-8 that belongs to a name."""
     size, start = yield from number(source, pos, end, wide)
     if size > longest:
         raise LabCommError(f"Expected a name of at most {longest} bytes at byte {pos}, got {size}.", pos)
@@ -174,14 +170,14 @@ def label(
 
 
 class Size(NamedTuple):
-    """Size and the position where it was read."""
+    """Size of a dimension, and the position where it was read."""
 
     size: int
     offset: int
 
 
 class Shape(NamedTuple):
-    """Sizes of all dimensions, number of elements, and the position of the last size read (None: all fixed)."""
+    """Sizes of an array, its number of elements, and the position of the last size read (None: all fixed)."""
 
     sizes: tuple[int, ...]
     total: int
@@ -189,7 +185,7 @@ class Shape(NamedTuple):
 
 
 def checked_shape(node: Array, read: Sequence[Size], rest: int, wide: bool, limits: Limits) -> Shape:
-    """Return the shape of an array with at most `rest` following bytes."""
+    """Return the shape of an array whose elements have at most `rest` bytes."""
     offsets = iter(read)
     sizes, product, seen_zero, last = [], 1, False, None
     for size in node.dims:
@@ -227,25 +223,17 @@ def _bad_array(offset: int, expected: str, got: object) -> LabCommError:
     return LabCommError(f"Expected {expected} in the array at byte {offset}, got {got}.", offset)
 
 
+@dataclass(slots=True)
 class Cursor:
-    """Position of a reader in a complete packet.
+    """Position of a reader in a complete packet."""
 
-    `buf`: bytes; `at`, `end`: next byte and end of the body, as indices of `buf`; `base`: position of ``buf[0]``;
-    `left`: values still allowed in the packet; `limits`: of the stream.
-    """
-
-    __slots__ = ("at", "base", "buf", "end", "left", "limits", "wide")
-
-    base: int
     buf: bytes | bytearray
-    end: int
-    left: int
     limits: Limits
     wide: bool
-
-    def __init__(self, buf: bytes | bytearray, limits: Limits, wide: bool) -> None:
-        self.buf, self.limits, self.wide = buf, limits, wide
-        self.at = self.end = self.base = self.left = 0
+    at: int = 0  # index of the next byte in `buf`
+    end: int = 0  # index of the end of the body in `buf`
+    base: int = 0  # position of ``buf[0]``
+    left: int = 0  # number of values still allowed in the packet
 
     def number(self) -> int:
         """Read a size or a length."""
@@ -264,7 +252,7 @@ class Cursor:
             if byte < 0x80:
                 if value >= 2**32:
                     break
-                self.at: int = at + 1
+                self.at = at + 1
                 return value
         offset = self.base + first
         raise LabCommError(f"Expected a number below 2**32 in at most 5 bytes at byte {offset}, got more.", offset)
@@ -292,7 +280,7 @@ Reader = Callable[[Cursor], Any]
 
 
 def reader(node: Type) -> Reader:
-    """Return the reader of a type's values. It raises `Cut` or LabCommError."""
+    """Return the reader of a type's values."""
     if isinstance(node, Prim):
         return _prim(node) if node.letter else _string
     if isinstance(node, Array):
@@ -303,7 +291,7 @@ def reader(node: Type) -> Reader:
 
 
 def runs(node: Struct) -> list[list[Field]]:
-    """Return the fields of a struct in order, grouped by `struct` call."""
+    """Return the fields of a struct in order; each group needs only one call of `struct`."""
     found: list[list[Field]] = []
     for _, group in groupby(node.fields, key=lambda field: flat_form(field.type) is not None):
         fields = list(group)
@@ -328,7 +316,7 @@ def _flat_forms(fields: Sequence[Field]) -> tuple[Format, list[int]]:
 
 
 def decoded(raw: bytes) -> str:
-    """Return a string from the wire: UTF-8, else Java's modified UTF-8, else with escaped bytes."""
+    """Decode a string as UTF-8, otherwise as Java's modified UTF-8, otherwise with escaped bytes."""
     try:
         return raw.decode()
     except UnicodeDecodeError:
@@ -436,14 +424,12 @@ Writer = Callable[[Any], bytes]
 
 
 class Misfit(Exception):
-    """Value that does not match its type: the fault, and the path from the innermost part outwards."""
+    """Value that does not match its type, with the path from the innermost part outwards."""
 
-    text: str
-    path: list[str]
-
-    def __init__(self, text: str, *path: str) -> None:
+    def __init__(self, text: str) -> None:
         super().__init__(text)
-        self.text, self.path = text, list(path)
+        self.text: str = text
+        self.path: list[str] = []
 
 
 class Wire(NamedTuple):
@@ -474,11 +460,11 @@ def _write_prim(node: Prim, wire: Wire) -> Writer:
         if node.code == SAMPLE and isinstance(value, SampleType):
             value = wire.index_of(value)
         if name == "boolean" and not _is_boolean(value):
-            raise Misfit(f"True or False expected, {value!r} given")
+            raise Misfit(f"expected True or False, got {value!r}")
         try:
             return pack(value)
         except (struct.error, TypeError, ValueError, OverflowError):
-            raise Misfit(f"a {name} expected, {value!r} given") from None
+            raise Misfit(f"expected a value of type {name}, got {value!r}") from None
 
     return write
 
@@ -489,13 +475,13 @@ def _is_boolean(value: Any) -> bool:
 
 def _text(value: Any, wire: Wire) -> bytes:
     if not isinstance(value, str):
-        raise Misfit(f"a string expected, {value!r} given")
+        raise Misfit(f"expected a string, got {value!r}")
     if "\0" in value and not wire.allow_nul:
-        raise Misfit("a string without NUL expected, because NUL terminates it in C")
+        raise Misfit("expected a string without NUL, because NUL terminates it in C")
     try:
         return wire.dialect.text(value.encode("utf-8", "surrogateescape"))
     except UnicodeEncodeError:
-        raise Misfit(f"a string encodable in UTF-8 expected, {value!r} given") from None
+        raise Misfit(f"expected a string that can be encoded as UTF-8, got {value!r}") from None
 
 
 def _write_struct(node: Struct, wire: Wire) -> Writer:
@@ -514,7 +500,7 @@ def _write_struct(node: Struct, wire: Wire) -> Writer:
 
 
 def _write_flat(fields: Sequence[Field], wire: Wire) -> Writer:
-    """Return a writer that uses one `struct` call; invalid values are written one by one to report their path."""
+    """Return a writer that uses one `struct` call; the path of an invalid value is found by writing one by one."""
     form, counts = _flat_forms(fields)
     pack, parts = form.pack, list(zip([field.name for field in fields], counts, strict=True))
     one_by_one = [_field(field, wire) for field in fields]
@@ -556,12 +542,16 @@ def _field(field: Field, wire: Wire) -> Writer:
 
 
 def _unlike(value: Any, names: Sequence[str]) -> Misfit:
-    """Return the mismatch for a value that lacks the fields of its struct."""
+    """Return the error for a value whose fields are not those of its struct."""
     if not isinstance(value, Mapping):
-        return Misfit(f"a dict expected, {value!r} given")
+        return Misfit(f"expected a dict, got {value!r}")
     missing, extra = sorted(set(names) - value.keys()), sorted(map(str, value.keys() - set(names)))
-    given = f"{', '.join(missing)} missing" if missing else f"{', '.join(extra)} given"
-    return Misfit(f"the fields {', '.join(names) or '(none)'} expected, {given}")
+    given = (
+        f"but {', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+        if missing
+        else f"got also {', '.join(extra)}"
+    )
+    return Misfit(f"expected {'the fields ' + ', '.join(names) if names else 'no fields'}, {given}")
 
 
 def _write_array(node: Array, wire: Wire) -> Writer:
@@ -590,7 +580,7 @@ def _write_array(node: Array, wire: Wire) -> Writer:
 
 
 def _flattened(value: Any, node: Array) -> tuple[Sequence[Any], list[int]]:
-    """Return the elements in order and the sizes; raise unless the list is rectangular."""
+    """Return the elements in order, and the sizes; raise unless the list is rectangular."""
     dims = node.dims
     shape = getattr(value, "shape", None)
     if shape is not None and len(shape) == len(dims) and callable(getattr(value, "reshape", None)):
@@ -607,7 +597,7 @@ def _flattened(value: Any, node: Array) -> tuple[Sequence[Any], list[int]]:
         size = len(rows[0]) if rows else fixed
         if any(len(row) != size for row in rows):
             given = sorted({len(row) for row in rows})
-            raise Misfit(f"rows of equal length expected, {' and '.join(map(str, given))} given")
+            raise Misfit(f"expected rows of equal length, got {' and '.join(map(str, given))} values")
         sizes.append(size)
         _check(sizes, dims[: level + 1])
         flat = rows[0] if len(rows) == 1 else [one for row in rows for one in row]
@@ -621,13 +611,13 @@ def _row(value: Any, node: Array, path: str) -> Sequence[Any]:
     listed = value.tolist() if callable(getattr(value, "tolist", None)) else None
     if isinstance(listed, list):
         return listed
-    raise Misfit(f"a list for {typename(node)}{path} expected, {value!r} given")
+    raise Misfit(f"expected a list for {typename(node)}{path}, got {value!r}")
 
 
 def _check(sizes: Sequence[int], dims: Sequence[int]) -> None:
     for size, fixed in zip(sizes, dims, strict=True):
         if fixed and size != fixed:
-            raise Misfit(f"{fixed} values expected, {size} given")
+            raise Misfit(f"expected {fixed} values, got {size}")
 
 
 def _place(index: int, sizes: Sequence[int]) -> str:
