@@ -22,13 +22,13 @@ WHAT = f"""\
 # Accuracy of the estimated force
 
 This page lists the force error and the interval coverage of each estimator method, in simulation and on a real arm.
-`python benchmarks/accuracy.py` runs {{count}} seeds of the protocol on the simulated YuMi ({{robot}}). Each seed
-identifies a model from 60 s of excitation. The test log has 60 s of other motion with pushes of 5 N in random
-directions. It also contains two presses of 500 g during a dither, and the same two presses at rest. Motions, noise and
-pushes differ between seeds. The estimator receives only logs. With unknown gains, every torque sensor is off by an
-unknown factor of up to {100 * GAINS:.0f} %.
+`python benchmarks/accuracy.py` runs the protocol for {{count}} seeds on the simulated YuMi ({{robot}}). For each seed,
+a model is identified from 60 s of excitation. The test log contains 60 s of other motion with pushes of 5 N in random
+directions, two presses of 500 g during a dither, and the same two presses at rest. Motions, noise and pushes
+differ between seeds. The estimator receives only the logs. With unknown gains, every torque sensor is off by an unknown
+factor of up to {100 * GAINS:.0f} %.
 
-Each cell contains the median over seeds with minimum and maximum. Errors are for the worst axis, coverage is for all
+Each cell contains the median over seeds with minimum and maximum. Errors are for the worst axis; coverage is for all
 axes. The targets apply to every seed. If the minimum or maximum exceeds a target, at least one seed misses it. Edges
 are the first {protocol.EDGE:g} s of each ramp.
 """

@@ -25,16 +25,16 @@ from armlab.errors import RobotError, UnknownName
 
 __all__ = ["ARMS", "SCARA", "demo"]
 
-# The library's arms, those of example-robot-data and robot_descriptions, and a file. With the options each needs.
+# arms of the library, of example-robot-data and robot_descriptions, and a file, each with the options it needs
 ARMS: dict[str, list[str]] = {
     "panda": [],
     "ur5e": [],
     "iiwa14": [],
     "irb2400": [],  # coupled axes
     "scara.urdf": [],
-    "panda_description": ["--tip", "panda_hand"],  # of example-robot-data, as ur5_robot
+    "panda_description": ["--tip", "panda_hand"],  # as ur5_robot in example-robot-data
     "ur5_robot": ["--tip", "tool0"],
-    "gen3_description": [],  # fetched by robot_descriptions: needs the network once
+    "gen3_description": [],  # fetched by robot_descriptions, which needs the network once
     "iiwa14_description": [],
 }
 SEEDS = range(5)
@@ -62,10 +62,7 @@ SCARA = """<robot name="scara4"><link name="base"/>
 def demo(name: str, seed: int, folder: Path) -> dict[str, Any]:
     """Run the demo in lockstep in a new folder and return its summary.
 
-    Raises
-    ------
-    UnknownName, RobotError
-        The description is not installed and cannot be fetched.
+    Raises UnknownName or RobotError if the description is not installed and cannot be fetched.
     """
     words, robot = ARMS[name], name
     if name.endswith(".urdf"):

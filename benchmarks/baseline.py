@@ -17,13 +17,13 @@ from blocks import TIMES, Figure
 from report import Section
 
 PATH = Path(__file__).with_name("baseline.json")
-OF_THE_PROCESSOR = (*TIMES, "%")  # units; a share is one of its time, or of its rows
-LEAST = 1.1  # times: smaller changes are noise, whatever the quartiles say
-ONCE = 1.5  # the same of what was measured once, which has no quartiles
+OF_THE_PROCESSOR = (*TIMES, "%")  # units of shares of time or of rows
+LEAST = 1.1  # factors on times: smaller changes are noise, whatever the quartiles
+ONCE = 1.5  # the same for single measurements, which have no quartiles
 
 
 class Change(NamedTuple):
-    """One figure and the stored figure: both values with quartiles, and their ratio."""
+    """One figure and the stored figure, both with quartiles, and their ratio."""
 
     table: str
     contender: str
@@ -45,9 +45,7 @@ class Change(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Comparison of a run with the baseline: machine line, date, common figures, and names of figures in only one of
-    them.
-    """
+    """Comparison of a run with the baseline."""
 
     date: str
     machine: str
@@ -66,10 +64,8 @@ def store(date: str, machine: str, sections: Sequence[Section]) -> None:
 def compare(machine: str, sections: Sequence[Section], whole: bool) -> Comparison | None:
     """Return the comparison of a run with the baseline, or None if there is no baseline.
 
-    Parameters
-    ----------
-    machine : the line of `machine.describe` that names the processor. whole : all benchmarks ran, so that a figure of
-        figures of the baseline without a counterpart are missing.
+    `machine` is the line of `machine.describe` that names the processor. `whole` means that all benchmarks ran, so that
+    figures of the baseline without a counterpart are missing.
     """
     if not PATH.exists():
         return None

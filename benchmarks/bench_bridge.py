@@ -22,8 +22,8 @@ from armlab.bridge.servers.messages import Subscribe
 
 ROBOT = "yumi_right"
 IDLE = 10
-BLOCK = 0.5  # s with clients or without, one after the other
-SETTLE = 0.2  # s after each change that do not count
+BLOCK = 0.5  # s, length of each block with or without clients
+SETTLE = 0.2  # s after each change that are not counted
 CLIENTS = """
 import selectors, socket, sys
 idle, ports = int(sys.argv[1]), [int(port) for port in sys.argv[2:]]

@@ -1,5 +1,4 @@
-"""Force sensors and accelerometers: error relative to the Cramér-Rao bound, handedness, outliers, calibration of the
-uncertainty, time.
+"""Force sensors and accelerometers: error over the Cramér-Rao bound, handedness, outliers, coverage, time.
 
 Cases F1 to F6 of the specification: 100 orientations, uniform or tilted by at most 30 degrees, 1 kg. The bounds are
 evaluated at the true values. Offsets are compared as o = -R b in tool axes.

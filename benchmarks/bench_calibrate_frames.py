@@ -106,7 +106,7 @@ def _experiment(name: str, seed: int, run: int, n: int) -> Experiment:
     q = rng.standard_normal(4)
     R, c = quaternion.to_matrix(q / np.linalg.norm(q)), rng.standard_normal(3)
     hint: dict[str, Any] = {"along": R[:, 0]} if name == "line" else {} if name == "sphere" else {"normal": R[:, 2]}
-    if name in ("plane", "line"):  # one generator makes both: the line's points come after the plane's noise
+    if name in ("plane", "line"):  # one generator draws both: the line's points come after the plane's noise
         flat = rng.uniform(-1, 1, (n, 2)) * [0.15, 0.10]
         noise = rng.standard_normal((n, 3))
         if name == "line":

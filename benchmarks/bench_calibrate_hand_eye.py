@@ -31,7 +31,7 @@ Solve = Callable[[bars.Poses], tuple[np.ndarray, np.ndarray]]
 
 def run(quick: bool) -> list[Table]:
     """Measure 30 and 1000 pairs of poses, outliers, and points; then run every case many times for the errors."""
-    cv2.setNumThreads(1)  # as armlab: one of them must not wait for the other's threads
+    cv2.setNumThreads(1)  # like armlab; it must not wait for threads of another library
     rounds, runs = (5, 50) if quick else (20, 500)
     few = [bars.poses(1000, k)[0] for k in range(20)]
     many = [bars.poses(1000, 0, N=1000)[0]]

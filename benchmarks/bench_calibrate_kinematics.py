@@ -21,7 +21,7 @@ from armlab.kinematics import forward, parameter_jacobian
 from armlab.lie import so3
 from armlab.sim import cell
 
-EVALUATIONS, BAR = 12, 2.0  # of a fit to 50 poses with its report; most times what they take in the kernels alone
+EVALUATIONS, BAR = 12, 2.0  # for a fit to 50 poses with its report; limits as multiples of the time in the kernels
 HALF = np.pi / 2
 TOOL = (0.1, 0.05, 0.1)
 MODIFIED_TABLE = np.array(
@@ -30,7 +30,7 @@ MODIFIED_TABLE = np.array(
         [-HALF, 0.135, np.pi, 0.755], [-HALF, 0.0, 0.0, 0.0], [HALF, 0.0, 0.0, 0.085],
     ]
 )  # fmt: skip
-PYBOTICS_STEPS = 60  # of lengths of errors, which fall slowly: it is far from its minimum for minutes
+PYBOTICS_STEPS = 60  # tolerance on the decreasing error length: pybotics is far from its minimum for minutes
 Forward = Callable[[np.ndarray], np.ndarray]
 
 

@@ -1,9 +1,8 @@
-"""Laser line scanners on plates: error relative to the Cramér-Rao bound, success rate without a guess, outliers,
-calibration of the uncertainty, time.
+"""Laser line scanners on plates: error over the Cramér-Rao bound, success without a guess, outliers, coverage, time.
 
 Cases L1 to L4 of the specification, drawn by `sim.cell`: three plates, 20 scans each, 0.5 mm. Scans are drawn in
-batches, so only their distribution follows the specification, not the individual samples. Scans whose plate is nearly
-parallel to the laser plane, which the fit refuses, are redrawn.
+batches; their distribution, but not each sample, follows the specification. Scans nearly parallel to a plate, which the
+fit rejects, are drawn again.
 """
 
 from __future__ import annotations

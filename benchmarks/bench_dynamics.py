@@ -18,7 +18,7 @@ from armlab.robots import inertia
 
 ROBOT = "yumi_right"
 CONFIGURATIONS = 1000
-BLOCK = 1000  # where the NumPy of the batch is fastest
+BLOCK = 1000  # block size at which NumPy is fastest for the batch
 
 
 def run(quick: bool) -> list[Table]:
@@ -49,7 +49,7 @@ def run(quick: bool) -> list[Table]:
         for row in rows[:50]:
             found, expected = ours(robot, *row), theirs(model, data, *row)
             parts = zip(found[:2], expected[:2]) if isinstance(found, tuple) else [(found, expected)]
-            for one, other in parts:  # of M Pinocchio fills in the upper half
+            for one, other in parts:  # Pinocchio fills the upper half of M
                 agree(title, *(np.triu(part) if name == "crba" else part for part in (one, other)))
         contenders = [
             Contender(f"armlab dynamics.{ours.__name__}", loop(_call(ours, robot), rows), "armlab"),

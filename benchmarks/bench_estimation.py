@@ -12,9 +12,9 @@ from blocks import Contender, Table, agree, once, table
 from armlab.estimation import Rows, least_squares
 from armlab.estimation.tsqr import factorise
 
-JOINTS, SHARED, OWN = 7, 45, 7  # base parameters that joints share, and friction of each
+JOINTS, SHARED, OWN = 7, 45, 7  # base parameters common to the joints, and friction parameters of each joint
 SIZE = SHARED + JOINTS * OWN
-PIECE, BLOCK = 4096, 1000  # samples made at once; samples in a block of time
+PIECE, BLOCK = 4096, 1000  # samples generated at once, and samples in a time block
 BAR = 0.75  # of LAPACK on whole blocks
 
 

@@ -105,7 +105,7 @@ def _methods(torque_model: TorqueModel, robot: Robot, states: Sequence[State], r
 def _tables(title: str, text: str, contenders: Sequence[Contender], rounds: int) -> list[Table]:
     samples = alternate(contenders, rounds)
     p50 = figures(contenders, samples, np.median)
-    unbound = [replace(contender, bar=None) for contender in contenders]  # a bar is for the middle
+    unbound = [replace(contender, bar=None) for contender in contenders]  # the target applies to the median
     p99 = figures(unbound, samples, lambda block: float(np.percentile(block, 99)))
     return [
         Table(f"{title}, p50", f"{text} Median of a block.", "µs", p50, rounds),

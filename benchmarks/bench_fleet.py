@@ -23,7 +23,7 @@ from armlab import log, robots
 SECONDS, DISTINCT = 20.0, 20
 LOGS, QUICK = (1000,), (10,)
 WORKERS = (1, 2, 4)
-BARS = {2: 1 / 1.6, 4: 1 / 3.0}  # of the time of one worker, at the most logs, where there are as many cores
+BARS = {2: 1 / 1.6, 4: 1 / 3.0}  # of the time of one worker, with the most logs, if there are enough cores
 PROGRAM = Path(__file__).with_name("fleet_identify.py")
 
 
@@ -44,7 +44,7 @@ def run(quick: bool) -> list[Table]:
             logs = Path(folder, str(count))
             logs.mkdir()
             for k in range(count):
-                table = made[k % DISTINCT].rows(slice(k // DISTINCT, None))  # copies would be left out
+                table = made[k % DISTINCT].rows(slice(k // DISTINCT, None))  # copies would be skipped as duplicates
                 log.write(table, logs / f"log{k:04d}.mcap", robot)
             alone = None
             for workers in sharing:

@@ -22,10 +22,10 @@ from armlab.errors import ArmlabError
 from armlab.fleet import FleetRecorder
 
 RATE = 250
-SETTLE = 1.0  # s after the first rows that do not count
+SETTLE = 1.0  # s after the first rows that are not counted
 TOGETHER = 10  # robots of a publishing process
-BAR = 4.0  # p99 of ten robots over that of one
-WHOLE = 0.999  # share of the rows below which no more robots are tried
+BAR = 4.0  # p99 of ten robots over that of a single robot
+WHOLE = 0.999  # share of recorded rows below which no larger number of robots is tried
 MOST = 160  # robots
 PATIENCE = 30.0  # s
 PUBLISHER = Path(__file__).with_name("fleet_publisher.py")

@@ -11,7 +11,7 @@ from blocks import Contender, Table, figures
 
 ROBOT = "yumi_left"
 METHODS = ("map", "bounded", "observer", "kf")
-GAINS = {0.0: 1.0, 0.05: 1.5}  # unknown gain of each torque sensor, at most: bar [N]
+GAINS = {0.0: 1.0, 0.05: 1.5}  # largest unknown gain error of each torque sensor, and target [N]
 
 
 def run(quick: bool) -> list[Table]:

@@ -23,10 +23,10 @@ from armlab.identify.regression import Design
 from armlab.robots import Robot
 
 RATE = 250.0  # Hz
-BAR = 1.0  # of the regressor alone in a loop: regressor, filter and weighted least squares
-FEW = 20_000  # samples of the loop, scaled up
-SAME = 5_000  # samples of the job that FIGAROH does too; its regressor is dense
-BLOCK = 1000  # samples of armlab's regressor at once
+BAR = 1.0  # of the time of the regressor alone in a loop: regressor, filter and weighted least squares
+FEW = 20_000  # samples of the loop, extrapolated
+SAME = 5_000  # samples of the job that FIGAROH also does, with its dense regressor
+BLOCK = 1000  # samples of armlab's regressor computed at once
 
 
 def run(quick: bool) -> list[Table]:

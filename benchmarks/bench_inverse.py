@@ -16,7 +16,7 @@ from armlab.robots import Robot
 ROBOTS = ("yumi_left", "irb2400", "irb7600", "ur5e")
 TOLERANCE = 1e-9  # m and rad
 STARTS = 100
-PART_OF_CLIK = 20  # the loop in Python solves every twentieth pose
+PART_OF_CLIK = 20  # the Python loop solves every twentieth pose
 
 
 def run(quick: bool) -> list[Table]:
@@ -67,7 +67,7 @@ def _random_poses(robot: Robot, count: int, rounds: int) -> Table:
         f"initial guess is given; each solver may use up to {STARTS}. Solved to 1e-9 m and 1e-9 rad within the "
         f"limits: {'; '.join(told)}."
     )
-    return table(f"Inverse kinematics, {robot.name}", text, "µs", contenders, rounds, warm=False)  # they were just run
+    return table(f"Inverse kinematics, {robot.name}", text, "µs", contenders, rounds, warm=False)  # these were just run
 
 
 def _success(robot: Robot, q: np.ndarray, T: np.ndarray, tolerance: float) -> str:
@@ -75,7 +75,7 @@ def _success(robot: Robot, q: np.ndarray, T: np.ndarray, tolerance: float) -> st
     found = kinematics.forward(robot, q)
     position = np.linalg.norm(found[:, :3, 3] - T[:, :3, 3], axis=1)
     rotation = so3.angle(found[:, :3, :3], T[:, :3, :3])
-    slack = 1e-14  # of forward kinematics itself
+    slack = 1e-14  # tolerance for the rounding of forward kinematics
     inside = np.all((robot.q_min <= q) & (q <= robot.q_max), axis=1)
     return f"{np.mean((position <= tolerance + slack) & (rotation <= tolerance + slack) & inside):.2%}"
 

@@ -25,9 +25,7 @@ PACK, UNPACK = "struct alone, encode", "struct alone, decode"
 
 
 def run(quick: bool) -> list[Table]:
-    """Compare the codec with a bare `struct`, and measure publishing without clients, with idle clients, and with one
-    that never reads.
-    """
+    """Compare the codec with a bare `struct`; measure publishing without clients and with a stalled client."""
     return [_codec(20 if quick else 100), _publishing(10 if quick else 50)]
 
 
@@ -94,7 +92,7 @@ def _publishing(rounds: int) -> Table:
                 idle = [LabCommClient(port=ports[k % 2]) for k in range(count)]
                 deaf = LabCommClient(port=ports[0])
                 clients = [stack.enter_context(client) for client in (*idle, deaf)][:-1]
-        for _ in range(3000):  # fills what the systems keep for the client that never reads
+        for _ in range(3000):  # fills the buffers of the operating system for the client that never reads
             exchanges[1].row(state, None, tick)
             time.sleep(5e-4)
 

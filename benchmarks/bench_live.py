@@ -23,10 +23,10 @@ from armlab.kinematics import forward
 from armlab.state import Command, State
 
 ROBOTS = ("yumi_left", "yumi_right")
-BROWSERS = (None, 0, 1, 4)  # None: no view either
-CPU, BEHIND = 2.0, 3.0  # of one browser: processor time and delay with four
+BROWSERS = (None, 0, 1, 4)  # None: no view
+CPU, BEHIND = 2.0, 3.0  # of one browser; the processor time and delay with four
 LONGEST = 120.0  # s of a run
-SETTLE = 3.0  # s after the browsers have come that do not count: the scene is sent once
+SETTLE = 3.0  # s after the browsers have connected that are not counted, because the scene is sent once
 BROWSER = """
 import json, sys, time
 import msgspec, zstandard

@@ -23,7 +23,7 @@ from armlab.log.mcap.records import contents, unpacked
 from armlab.robots import Robot
 
 ROWS, RATE = 150_000, 250.0
-ONE, ALL = 1.3, 3.0  # of the limit: one signal, all of them
+ONE, ALL = 1.3, 3.0  # of the limit: one signal, all signals
 LIMIT = "only SHA-256, zstd and CRC-32"
 TEXT = """\
 {size:.0f} MB of noise; wall clock. armlab checks every chunk, hashes the file and builds a numeric table in two

@@ -17,8 +17,8 @@ from demonstrations import JOINTS, KERNELS, N, demonstration, rmse
 
 from armlab.motion import Dmp, fit_dmp
 
-RUNS, CHECKED = 1000, 5  # CHECKED of the runs are held to the exact solution
-FACTOR = 1 / 0.8**2  # of mp_pytorch: widths of armlab's rule
+RUNS, CHECKED = 1000, 5  # CHECKED of the runs are compared with the exact solution
+FACTOR = 1 / 0.8**2  # of mp_pytorch, with widths by armlab's rule
 SIZE = f"{JOINTS} coordinates x {N} samples, {KERNELS} kernels."
 KINDS = {"dmp": "DMP", "prodmp": "ProDMP"}
 ALONE = "without a peer: mp_pytorch is not installed, see benchmarks/requirements_heavy.txt"

@@ -14,8 +14,8 @@ from movement_primitives.promp import ProMP as TheirProMP
 
 from armlab.motion import AvoidingDmp, Capsule, fit_dmp, fit_periodic_dmp, fit_promp
 
-SHOWN, SAMPLES, WEIGHTS = 20, 100, 10  # demonstrations of a distribution
-AT = 0.4  # of the duration: where the distribution is conditioned
+SHOWN, SAMPLES, WEIGHTS = 20, 100, 10  # number of demonstrations of a distribution
+AT = 0.4  # share of the duration at which the distribution is conditioned
 RHYTHM, TURNS = 25, 3  # kernels, periods
 BALL = np.array([0.5, 0.06, 0.02])
 CLEARANCE = 0.05

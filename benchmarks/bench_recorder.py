@@ -25,10 +25,10 @@ from armlab.log import Recorder, Tick
 from armlab.state import Command, State
 
 ROBOT = "yumi_right"
-BAR = 1.0  # of mcap.Writer and rosbags, with two of the twelve topics
+BAR = 1.0  # of mcap.Writer and rosbags, which write two of the twelve topics
 LOSS = 1.0  # s
 TOGETHER = 4  # processes that record until they are killed
-PRIORITY = 50  # as the bridge has
+PRIORITY = 50  # as in the bridge
 Rows = list[tuple[State, Command, Tick]]
 
 

@@ -20,7 +20,7 @@ from armlab.errors import ArmlabError
 from armlab.log import Tick
 from armlab.state import State
 
-SHARE = 0.001  # of the messages, missing
+SHARE = 0.001  # share of missing messages
 CPU, LATENCY = 1.0, 1.3  # of a bare publisher of the same messages: processor time, median latency
 
 

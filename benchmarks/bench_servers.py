@@ -23,20 +23,20 @@ from armlab.bridge.cell import parse_cell, run_cell
 from armlab.errors import ArmlabError, LinkError
 
 ARMS = (ROBOT, "yumi_right")
-MORE = 1.5  # times the median answer without servers
-SHARE = 0.001  # of the messages to others, missing
+MORE = 1.5  # factor on the median reply time without servers
+SHARE = 0.001  # share of missing messages of other clients
 RATE = 248  # packets of an arm per second
 SLOWED = (
     f"An arm in real time sends {RATE} packets per second. If fewer than 95 % of them arrived, the simulator did not "
     "get enough processor time, and the targets are not checked."
 )
-TOGETHER = 4  # servers with a client that stands still: more at once ask too much of two cores
-TRIES = 3  # to start all servers at once
-ENOUGH = 10**9  # messages: a client that reads until it is ended
+TOGETHER = 4  # servers with a stalled client at the same time; two cores cannot serve more
+TRIES = 3  # s to start all servers at once
+ENOUGH = 10**9  # number of messages of a client that reads until it is terminated
 
 
 class Window(NamedTuple):
-    """Loop while clients read: times from arrival to reply [s]; ticks; missed, overtaken or late ones; duration [s]."""
+    """Loop while clients read: times from arrival to reply [s], ticks, missed or late ticks, duration [s]."""
 
     answer: np.ndarray
     ticks: int
@@ -45,9 +45,7 @@ class Window(NamedTuple):
 
 
 class Slow(NamedTuple):
-    """One run with stalled clients: the loop, and per path the messages of the other client and the statistics of the
-    run.
-    """
+    """One run with stalled clients: the loop, and for each path the other client's messages and the run statistics."""
 
     loop: Window
     others: Mapping[str, Received]
@@ -198,7 +196,7 @@ def _slow(ways: Mapping[str, Way], seconds: float) -> Slow:
             reader.begun()
         begin, end = _passed(seconds)
         for reader in kept.values():
-            reader.process.terminate()  # it tells what came
+            reader.process.terminate()  # it prints the received messages
             reader.wait(PATIENCE)
         return begin, end
 
@@ -231,7 +229,7 @@ def _played(ways: Sequence[Way], script: Callable[[ExitStack], tuple[int, int]])
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_RUNTIME_DIR"] = folder
         for way in ways:
-            if way.server == "local":  # every cell has it: where its client looks
+            if way.server == "local":  # every cell has it, where its client expects it
                 os.environ["XDG_RUNTIME_DIR"] = way.environment["XDG_RUNTIME_DIR"]
             else:
                 table = way.table.replace(f"{ROBOT} = 0", ", ".join(f"{name} = 0" for name in ARMS))
@@ -242,7 +240,7 @@ def _played(ways: Sequence[Way], script: Callable[[ExitStack], tuple[int, int]])
                 with told, contextlib.suppress(KeyboardInterrupt):
                     run_cell(cell, patience=PATIENCE, ready=lambda line: told.start(), ended=found.append)
                 break
-            except LinkError:  # servers that were not up in time, on a machine with other work
+            except LinkError:  # servers that did not start in time on a loaded machine
                 if found or not left:
                     raise
     return found[0], told.result()
@@ -264,7 +262,7 @@ class _Script:
             self._thread.join(PATIENCE)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def result(self) -> tuple[int, int]:

@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from blocks import Contender, Table, table
 
-BAR = 0.5  # of the import of Pinocchio
-HELP_BAR = 2.0  # of its libraries alone
+BAR = 0.5  # of the import time of Pinocchio
+HELP_BAR = 2.0  # of the import time of its libraries alone
 LIBRARIES = "import numpy, cyclopts, rich"
 VERBS = (
     "",

@@ -14,7 +14,7 @@ from armlab.kinematics import forward
 from armlab.motion.primitive.run import RunParameters
 
 DT = 0.004
-KERNEL_BAR, CALL_BAR = 1 / 100, 3.0  # of plain NumPy; of a loop of 10 µs, for 99.9 % of the calls
+KERNEL_BAR, CALL_BAR = 1 / 100, 3.0  # of plain NumPy, and of a loop of 10 µs for 99.9 % of the calls
 LOOP = "a loop of Python for 10 µs"
 ROBOT = robots.load("yumi_right")
 SPEED = np.array([1.0, 1.0, 0.0])

@@ -27,9 +27,9 @@ class Contender:
     Attributes
     ----------
     name, note : as shown in the report. block : measures once.
-    role : "armlab", "peer" or "limit" (what the machine allows at all).
-    bar : the largest ratio allowed: of a peer or limit, armlab's time over its own; of armlab, its time over that of
-        the contender `over`. Without `over`, of armlab: the largest value, where no processor decides it.
+    role : "armlab", "peer" or "limit" (the limit of the machine).
+    bar : largest allowed ratio. For a peer or limit: armlab's time to its time. For armlab: its time to that of the
+        contender `over`. For armlab without `over`: the largest value, if it does not depend on the processor.
     over : name of another contender of the same run.
     """
 
@@ -83,7 +83,7 @@ class Table:
     rounds: int
 
     def __post_init__(self) -> None:
-        """Raise if a time is judged by itself."""
+        """Raise if a time has a target of its own."""
         for one in self.figures if self.unit in TIMES else ():
             if one.role == "armlab" and one.bar is not None and not one.over:
                 raise ValueError(f"Expected {one.name} to be judged by a ratio, got a bar in {self.unit}. Name `over`.")
@@ -160,9 +160,7 @@ def each(
 def alternate(contenders: Sequence[Contender], rounds: int, warm: bool = True) -> list[list[np.ndarray]]:
     """Run every contender `rounds` times alternately; return samples by contender and round.
 
-    Parameters
-    ----------
-    warm : run each once before; needless where a block starts processes of its own.
+    `warm` runs each contender once before; it is unnecessary if a block starts its own processes.
     """
     rng = np.random.default_rng(0)
     samples: list[list[np.ndarray]] = [[] for _ in contenders]

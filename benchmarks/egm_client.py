@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-PRIORITY = 50  # as the bridge takes
+PRIORITY = 50  # as in the bridge
 SILENCE = 5.0  # s
 
 

@@ -25,11 +25,11 @@ from armlab import models, robots
 from armlab.wire.egm import EgmCodec, Reference
 
 ROBOT, BOTH = "yumi_right", ("yumi_left", "yumi_right")
-PRIORITY = 50  # of the simulator, as the clients have
+PRIORITY = 50  # of the simulator and its clients
 CLIENT, PEER = (Path(__file__).parent / name for name in ("egm_client.py", "egm_peer.cpp"))
 PEERS = ("ABBRobotEGM", "abb_robot_client")
 LIBEGM, ECHO = "abb_libegm", "echo in C++"
-BARS = {"ahead": 0.65, "spin": 0.35, "estimator": 1.0}  # of each peer's round trip on PyPI
+BARS = {"ahead": 0.65, "spin": 0.35, "estimator": 1.0}  # of the round trip of each PyPI package
 OF_LIBEGM = {"ahead": 1.0, "spin": 0.8, "estimator": 1.2, "both": 1.3}
 REPORTED = {
     "ahead": "armlab bridge, empty controller",
@@ -138,7 +138,7 @@ def run(client: str, file: Path, seconds: float, period: float, program: list[st
                 check=True,
                 capture_output=True,
             )
-        peer.kill()  # it waits for more
+        peer.kill()  # it waits for more packets
     return list(json.loads(stats.read_text()).values())
 
 

@@ -1,9 +1,9 @@
-"""Dask workers as the computers of a cluster: identification with a lost, a slow and a stopped worker; jobs per second.
+"""Dask workers as computers of a cluster: identification with a lost, slow and stopped worker; jobs per second.
 
-    python benchmarks/fleet_dask.py identify    60 logs on 4 workers, beside the same logs in this process
-    python benchmarks/fleet_dask.py jobs        jobs that only wait, on 4 to 1000 slots: what scheduler and caller allow
+    python benchmarks/fleet_dask.py identify    60 logs on 4 workers, and the same logs in this process
+    python benchmarks/fleet_dask.py jobs        jobs that only wait, on 4 to 1000 slots: limit of scheduler and caller
 
-Scheduler and workers are processes of their own, started as docs/how_to/many_logs.md says, without the parent that
+Scheduler and workers are separate processes, started as in docs/how_to/many_logs.md, but without the parent that
 restarts a lost worker: a lost computer does not return.
 """
 
@@ -33,8 +33,8 @@ from armlab.fleet.mapping import map_logs, workers
 
 LOGS, DISTINCT, SECONDS = 60, 10, 20.0
 MACHINES = 4
-SLOWDOWN = 10  # times; of the slow worker
-SILENCE = "10s"  # after which the scheduler gives up a silent worker; Dask's default is 5 minutes
+SLOWDOWN = 10  # factor on the time of the slow worker
+SILENCE = "10s"  # s after which the scheduler gives up on a silent worker; Dask's default is 5 minutes
 SLOTS = (4, 16, 64, 250, 1000)
 LASTS, THERE, BACK = 0.05, 100_000, 90_000  # s, bytes: the job of one log in docs/growth.md
 
@@ -71,12 +71,12 @@ def leave(_: subprocess.Popen[bytes]) -> None:
 
 
 def lose(worker: subprocess.Popen[bytes]) -> None:
-    """Kill a worker in the midst of its work."""
+    """Kill a worker during its work."""
     worker.kill()
 
 
 def slow(worker: subprocess.Popen[bytes]) -> None:
-    """Let a worker run a tenth of the time, its heartbeats too."""
+    """Let a worker, including its heartbeats, run for a tenth of the time."""
 
     def drag() -> None:
         while worker.poll() is None:
@@ -89,12 +89,12 @@ def slow(worker: subprocess.Popen[bytes]) -> None:
 
 
 def stop(worker: subprocess.Popen[bytes]) -> None:
-    """Stop a worker for good: its connection stays, but it does not answer."""
+    """Stop a worker permanently: its connection stays open, but it does not answer."""
     worker.send_signal(signal.SIGSTOP)
 
 
 def identify() -> None:
-    """Print seconds and differences of each case."""
+    """Print times and differences of each case."""
     robot = robots.load(ROBOT)
     with tempfile.TemporaryDirectory() as folder:
         made = [identified.log(robot, SECONDS, k) for k in range(DISTINCT)]
@@ -115,7 +115,7 @@ def _bits(found: fleet.Identified) -> bytes:
 
 
 def _identified(folder: Path, dask: str | None, spoil: Callable[[], None]) -> tuple[float, float, fleet.Identified]:
-    """Return seconds of the sums and of all, and the result; `spoil` a worker when a fifth of the logs is done."""
+    """Return times of the sums and in total, and the result; `spoil` a worker after a fifth of the logs."""
     marks: dict[int, float] = {}
 
     def look(done: int, total: int, what: str) -> None:
@@ -132,7 +132,7 @@ def _identified(folder: Path, dask: str | None, spoil: Callable[[], None]) -> tu
 
 
 def jobs() -> None:
-    """Print jobs per second on more and more slots, and processor time of scheduler and caller for each."""
+    """Print jobs per second for growing numbers of slots, and the processor time of scheduler and caller."""
     for slots in SLOTS:
         with cluster(MACHINES, slots // MACHINES) as (address, _), workers(dask=address) as executor:
             count = min(40 * slots, 4000)

@@ -1,5 +1,8 @@
-"""Started by bench_fleet_robots: `fleet_publisher.py PORT FIRST COUNT` sends rows of some robots, 250 per second each,
-until standard input is closed, then prints how many of each. A row has 400 bytes; they go out as in a bridge."""
+"""Started by bench_fleet_robots: `fleet_publisher.py PORT FIRST COUNT` sends rows of robots at 250 Hz each.
+
+It stops when standard input is closed, and prints the number of rows of each robot. Rows of 400 bytes are sent as in a
+bridge.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ def main() -> None:
     while not select.select([sys.stdin], [], [], max(0.0, due - time.monotonic()))[0]:
         arms[number % count].send(number // count)
         number += 1
-        due += PERIOD / count  # one after the other, as robots that know nothing of each other
+        due += PERIOD / count  # one after the other, like independent robots
     print(number // count, flush=True)
     for arm in arms:
         arm.output.close()

@@ -1,10 +1,10 @@
 """Accuracy of contact forces: identify on one simulated log, estimate on another, and compare with the applied force.
 
-One seed of the protocol: 60 s of excitation (8 harmonics of 0.1 Hz, up to 60 % speed, 15 rad/s^2), a model from it;
-60 s of test motion (6 harmonics of 0.07 Hz, up to 40 % speed, another seed) with pushes of 5 N in random directions,
-1 s each with ramps of 0.1 s, one every 3 s; 500 g in +x and -z at the home posture while it sways by 2 degrees at
-0.5 Hz, and the same with the arm at rest. The estimator receives only logs. With `gains`, every torque sensor is wrong
-by an unknown factor in all logs.
+One seed of the protocol has three parts. The excitation lasts 60 s, with 8 harmonics of 0.1 Hz, up to 60 % speed and 15
+rad/s^2; a model is identified from it. The test motion lasts 60 s, with 6 harmonics of 0.07 Hz from another seed, up to
+40 % speed; every 3 s, a push of 5 N in a random direction lasts 1 s, with ramps of 0.1 s. Finally, 500 g press in +x
+and -z at the home posture, while the arm sways by 2 degrees at 0.5 Hz, and again while it rests. The estimator receives
+only logs. With `gains`, every torque sensor has an unknown gain error, the same in all logs.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from armlab import contact, identify, log, models, robots, sim
 
 __all__ = ["Logs", "Score", "judge", "record"]
 
-PUSH, EVERY, RAMP = 5.0, 3.0, 0.1  # N, s, s
-WEIGHT = 4.905  # N, 500 g
+PUSH, EVERY, RAMP = 5.0, 3.0, 0.1  # force [N], duration [s], ramp [s]
+WEIGHT = 4.905  # N, weight of 500 g
 Wrench = Callable[[np.ndarray], np.ndarray]  # times (N,) -> wrenches (N, 6)
-SEEN = 0.9  # observability from which an axis counts
-SPEEDS = (0.0, 0.05, 0.1, 0.2, 1.0)  # shares of the speed limits
-EDGE = 0.2  # s after the beginning of a ramp that "edges excluded" leaves out
+SEEN = 0.9  # observability above which an axis counts
+SPEEDS = (0.0, 0.05, 0.1, 0.2, 1.0)  # edges of speed bins, as shares of the speed limits
+EDGE = 0.2  # s after the beginning of a ramp that are excluded as edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +33,8 @@ class Logs:
 
     Attributes
     ----------
-    model : identified from the excitation. moving : the test motion with pushes. edges : times of ramps in it [s].
-    swaying, resting : axis and sign of a press of 500 g, and its log.
+    model : identified from the excitation. moving : test motion with pushes. edges : times of its ramps [s].
+    swaying, resting : for each press of 500 g, its axis and sign, and its log.
     """
 
     robot: robots.Robot
@@ -51,12 +51,12 @@ class Score:
 
     Attributes
     ----------
-    rms : during pushes where the axis is seen [N]. free : false force in motion below half speed, nobody pushing [N].
-    inside : share of forces inside 2 sigma, edges left out; with_edges : all rows.
-    by_speed : (4, 3) share of forces inside 2 sigma, edges left out, where the fastest joint moves at a share of its
-        limit between the `SPEEDS`.
-    press : error of the mean over 2 s of each press of 500 g while swaying, as a share.
-    rest_inside : share of rows at rest whose interval (or 2 sigma) holds the truth. stuck : share flagged STUCK.
+    rms : RMS error during pushes where the axis is observable [N].
+    free : false force in motion below half speed without pushes [N].
+    inside : share of forces inside 2 sigma without edges. with_edges : the same for all rows.
+    by_speed : (4, 3) share of forces inside 2 sigma without edges, by speed of the fastest joint, see `SPEEDS`.
+    press : relative error of the mean over 2 s of each press of 500 g while swaying.
+    rest_inside : share of rows at rest whose interval (or 2 sigma) contains the truth. stuck : share flagged STUCK.
     """
 
     rms: np.ndarray
@@ -75,7 +75,7 @@ def record(name: str, seed: int, gains: float = 0.0) -> Logs:
     Parameters
     ----------
     name : yumi_left or yumi_right. seed : of motions, pushes and noise.
-    gains : largest error of the unknown torque constants, as a share; each is drawn evenly.
+    gains : largest relative error of the unknown torque constants, which are uniformly distributed.
     """
     robot = robots.load(name)
     mismatch = sim.Mismatch(torque_constant=gains, seed=seed)
@@ -87,7 +87,7 @@ def record(name: str, seed: int, gains: float = 0.0) -> Logs:
         arm = sim.SimulatedArm(robot, truth, seed=[seed, number], mismatch=mismatch)
         return sim.record(arm, motion, wrench)
 
-    excitation = identify.design_excitation(robot, centre=centre, seed=seed)  # its defaults are those of the protocol
+    excitation = identify.design_excitation(robot, centre=centre, seed=seed)  # the defaults are those of the protocol
     model = identify.fit_dynamics(run(excitation, 1), robot).value
     test = identify.design_excitation(robot, f0=0.07, harmonics=6, speed=0.4, centre=centre, seed=1000 + seed)
     pushes, edges = _pushes(test.seconds, np.random.default_rng([seed, 11]))
@@ -104,7 +104,7 @@ def record(name: str, seed: int, gains: float = 0.0) -> Logs:
 
 
 def judge(logs: Logs, method: str) -> Score:
-    """Estimate all logs with one method, and compare with the operator.
+    """Estimate all logs with one method, and compare with the true force.
 
     Parameters
     ----------

@@ -50,8 +50,8 @@ class Bar:
 
     Attributes
     ----------
-    name : of the case. crb : of X rotation [deg], position [mm], Y rotation, position. ratios : error over them.
-    nees : over its dimension. missed : gross outliers that were not flagged. false : share of good samples that were.
+    name : of the case. crb : bounds of X rotation [deg] and position [mm], and of Y. ratios : errors over them.
+    nees : NEES over its dimension. missed : unflagged gross outliers. false : share of good samples flagged.
     """
 
     name: str
@@ -155,7 +155,7 @@ def bars(runs: int, shift: int = 0) -> list[Bar]:
 
     Parameters
     ----------
-    runs : of each. shift : added to the seeds of the specification: 0 are those, any other are others.
+    runs : number of runs per case. shift : offset added to the seeds of the specification.
     """
     return on_all_cores(_case, range(len(CASES)), repeat(runs), repeat(shift))
 

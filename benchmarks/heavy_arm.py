@@ -29,7 +29,7 @@ PERIOD = 0.008  # s
 GAINS, LOAD_FRICTION, DRIFT = 0.15, 0.06, 0.005
 LOADS = (0.0, 1.0, 3.0)  # kg
 METHODS = ("map", "observer", "kf")
-READY = 1.0  # s, in which an estimator forgets how it began
+READY = 1.0  # s, in which an estimator forgets its initial state
 MASSES = (7.369, 13.051, 3.989, 2.1, 1.98, 0.615)
 TAU_MAX = np.array([330.0, 330.0, 150.0, 56.0, 56.0, 56.0])
 ROTOR = np.array([3.0, 3.0, 1.5, 0.3, 0.3, 0.3])  # assumed
@@ -42,8 +42,8 @@ class Logs:
 
     Attributes
     ----------
-    fit : of the excitation without load. loaded : by its mass [kg], the log of the other motion with a load.
-    of_load : (n,) true load friction. gains : (n,) torque as it is read over true torque.
+    fit : of the excitation without load. loaded : log of the other motion with a load, by its mass [kg].
+    of_load : (n,) true load friction. gains : (n,) ratio of measured to true torque.
     """
 
     robot: robots.Robot
@@ -103,7 +103,7 @@ def record(seed: int) -> Logs:
     """
     robot = ur10e()
     faults = sim.Mismatch(torque_constant=GAINS, load_friction=LOAD_FRICTION, offset_drift=DRIFT, seed=seed)
-    arm = sim.SimulatedArm(robot, truth_of(robot), period=PERIOD, seed=seed, mismatch=faults)  # its drift goes on
+    arm = sim.SimulatedArm(robot, truth_of(robot), period=PERIOD, seed=seed, mismatch=faults)  # its drift continues
     free = sim.record(arm, identify.design_excitation(robot, acceleration=4.0, seed=seed))
     test = identify.design_excitation(robot, f0=0.07, harmonics=6, speed=0.4, acceleration=4.0, seed=1000 + seed)
     loaded = {mass: sim.record(arm, test, lambda t, m=mass: carried(robot, test, m, t)) for mass in LOADS}
@@ -124,7 +124,7 @@ def judge(logs: Logs, method: str, mass: float, model: models.TorqueModel | None
 
     Parameters
     ----------
-    logs : of one seed. method : of `contact.Estimator`. mass : of the load [kg]. model : in place of the identified.
+    logs : of one seed. method : of `contact.Estimator`. mass : of the load [kg]. model : default: identified.
     """
     estimator = contact.Estimator(logs.fit.value if model is None else model, logs.robot, method=method)
     table = estimator.run(logs.loaded[mass])

@@ -1,7 +1,7 @@
-"""Statistical contract of `fit_kinematics` and `fit_dual_arm`: ten properties, each with its measured values.
+"""Statistical contract of `fit_kinematics` and `fit_dual_arm`: ten properties with their measured values.
 
-Errors are those of validation poses, with at least twice as many rows as the rank; their stated covariance is that of
-the fit, their bound that of the truth. From 1000 runs on, the narrow limits apply.
+Errors are those of validation poses, with at least twice as many rows as the rank. Their stated covariance is from the
+fit, and their bound from the truth. The narrow limits apply from 1000 runs on.
 
     python benchmarks/kinematics_contract.py 2000
 """
@@ -22,7 +22,7 @@ from armlab.lie import se3, so3
 from armlab.sim import cell
 
 FRAME = se3.from_rp(so3.exp([0.4, -1.0, 2.0]), [1.0, 2.0, -3.0])
-JOINT = 3  # that does not move where a fit must refuse
+JOINT = 3  # joint that does not move where a fit must raise an error
 FEW = 20
 
 
@@ -135,7 +135,7 @@ def _moved(seen: np.ndarray, kind: str) -> np.ndarray:
 
 
 def _turned(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the same with both nominal arms on different bases, which does not change the measurements."""
+    """Return the same data with both nominal arms on different bases, which does not change the measurements."""
     feet = [se3.project(FRAME @ data[name].T_base_mount)[0] for name in ("robot_a", "robot_b")]
     return {
         **data,

@@ -18,11 +18,9 @@ PACKAGES = ("armlab", "numpy", "scipy", "protobuf", "rosbags")
 
 
 def describe(packages: Sequence[str] = ()) -> list[str]:
-    """Return the machine line, versions, and the commit.
+    """Return the line of the machine, the versions, and the commit.
 
-    Parameters
-    ----------
-    packages : whose versions; without one, armlab, what it uses here, and its peers.
+    `packages` : names of packages whose versions are listed; default: armlab, its dependencies and its peers.
     """
     peers = [line.split("==")[0] for file in sorted(Path(__file__).parent.glob("requirements*.txt"))
              for line in file.read_text(encoding="utf-8").splitlines() if "==" in line]  # fmt: skip
@@ -38,9 +36,7 @@ def describe(packages: Sequence[str] = ()) -> list[str]:
 def writer(size: int, fresh: bool) -> Callable[[], None]:
     """Return a function that writes `size` bytes once as fast as the machine allows.
 
-    Parameters
-    ----------
-    fresh : into newly allocated memory, where each page is first given by the kernel; otherwise into memory in use.
+    `fresh` selects newly allocated memory, whose pages the kernel must first provide; otherwise memory is reused.
     """
     if fresh:
         return lambda: np.empty(size // 8).fill(1.0)
@@ -101,7 +97,7 @@ def _clocks() -> tuple[float, float, float]:
 def _is_here(package: str) -> bool:
     try:
         return bool(version(package))
-    except PackageNotFoundError:  # a heavy one
+    except PackageNotFoundError:  # a heavy process
         return False
 
 

@@ -16,17 +16,16 @@ from time import perf_counter
 from machine import OtherLoad, family
 from report import Section
 
-LIMIT = 900.0  # s for one try: the longest takes three minutes
-GRACE = 30.0  # s to end what it started
+LIMIT = 900.0  # s for one attempt; the longest takes three minutes
+GRACE = 30.0  # s to terminate the processes it started
 
 
 class TooLong(BaseException):
-    """An attempt took too long. It cannot be caught by an `except Exception` in a benchmark or in the measured code."""
+    """Attempt that took too long; an `except Exception` in a benchmark or in the measured code cannot catch it."""
 
 
 def measure(name: str, quick: bool) -> Section:
-    """Run the benchmark ``bench_NAME.py``, and repeat it once if it fails, because real-time measurements may fail due
-    to a momentary load.
+    """Run the benchmark ``bench_NAME.py``, and repeat it once if it fails, because of possible momentary load.
 
     An attempt that hangs fails after a quarter of an hour. Returns its tables, or no tables and the reason if it fails
     twice.
@@ -44,7 +43,7 @@ def _tried(name: str, quick: bool) -> Section:
     future = pool.submit(_run, name, quick, LIMIT)
     try:
         return future.result(LIMIT + GRACE)
-    except (Exception, TooLong) as error:  # the others are not lost
+    except (Exception, TooLong) as error:  # the others are kept
         traceback.print_exc()
         said = str(error) if future.done() else f"took more than {LIMIT:g} s"
         return Section(name, [], 0.0, failure=f"{type(error).__name__}: {said}")
@@ -67,7 +66,7 @@ def _run(name: str, quick: bool, limit: float) -> Section:
     def too_long(*_: object) -> None:
         raise TooLong(f"took more than {limit:g} s")
 
-    signal.signal(signal.SIGALRM, too_long)  # an exception: what it started is ended on the way out
+    signal.signal(signal.SIGALRM, too_long)  # an exception, so that its processes are terminated on the way out
     signal.setitimer(signal.ITIMER_REAL, limit)
     module = import_module(f"bench_{name}")
     with OtherLoad() as load:

@@ -19,7 +19,7 @@ PERIOD = 0.004  # s
 ROBOT = "yumi_left"
 PATIENCE = 150.0  # s
 JOINTS = 7
-SUMMED = 1_000_000_000  # ns of messages that a line tells of, when a reader reads for ever
+SUMMED = 1_000_000_000  # ns, period of the lines of a reader that reads until it is terminated
 
 
 class Lines:
@@ -54,7 +54,7 @@ class Lines:
         self.tell()
 
     def tell(self):
-        """Print what came."""
+        """Print the received messages."""
         if self._count:
             self._print_all()
         elif self._found:
@@ -89,7 +89,7 @@ def paced(send):
 
 
 def tell(stamps):
-    """Print the times that were sent."""
+    """Print the times at which messages were sent."""
     sys.stdout.write("".join(f"{one}\n" for one in stamps))
     sys.stdout.flush()
 

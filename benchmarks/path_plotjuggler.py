@@ -36,7 +36,7 @@ def main() -> None:
 
 def _send(one: socket.socket, stamp_ns: int) -> None:
     values = {str(k): value for k, value in enumerate(numbers(stamp_ns)[0], start=1)}
-    with contextlib.suppress(ConnectionRefusedError):  # the reader is not there yet
+    with contextlib.suppress(ConnectionRefusedError):  # the reader has not started
         one.send(msgspec.json.encode({"timestamp": 1e-9 * stamp_ns, ROBOT: dict.fromkeys(FIELDS, values)}))
 
 

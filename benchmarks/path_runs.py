@@ -18,10 +18,10 @@ from machine import family
 
 from armlab.errors import ArmlabError
 
-SETTLED = 2.0  # s after the first message that do not count
+SETTLED = 2.0  # s after the first message that are not counted
 PATIENCE = 60.0  # s
-LAST = 0.1  # s before the last joint state that do not count: the wrench beside it may be on its way
-NEAR = 1000  # ns: some stamps are microseconds, or seconds as float
+LAST = 0.1  # s before the last joint state that are not counted: its wrench may still be in transit
+NEAR = 1000  # ns, because some stamps are in microseconds, or in seconds as float
 
 
 class Received(NamedTuple):
@@ -38,10 +38,10 @@ class Received(NamedTuple):
 
 
 class Reader:
-    """Reading program; a context manager."""
+    """Context manager for a reading program."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
-        self._out = tempfile.TemporaryFile()  # noqa: SIM115 - a pipe that is full would stop it
+        self._out = tempfile.TemporaryFile()  # noqa: SIM115 - a full pipe would stop it
         self._command = list(command)
         self.process = subprocess.Popen(
             self._command, env={**os.environ, **environment}, stdout=self._out, stderr=subprocess.PIPE
@@ -57,11 +57,11 @@ class Reader:
         self._out.close()
 
     def begun(self) -> None:
-        """Wait for its first message."""
+        """Wait for the first message."""
         _wait_for("reading", self.process, self._command)
 
     def wait(self, seconds: float) -> bool:
-        """Return whether it ends by itself in time."""
+        """Return whether the program ends by itself in time."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(seconds)
         return self.process.poll() is not None
@@ -90,7 +90,7 @@ class Reader:
 
 
 class Writer:
-    """Bare publisher that is ready; a context manager."""
+    """Context manager for a bare publisher that is ready."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
         self._out = tempfile.TemporaryFile()  # noqa: SIM115 - as above

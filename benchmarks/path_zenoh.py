@@ -18,8 +18,9 @@ ORIGIN = struct.Struct("<qqB16s")
 
 
 class Key(NamedTuple):
-    """Key, "J" or "W", offset of the stamp in the bytes, its format (CDR with int32 s and uint32 ns, or int64 ns), and
-    the bytes to send in hexadecimal. Passed as JSON on the command line.
+    """Key, kind ("J" or "W"), offset and format of the stamp in the bytes, and the bytes to send; passed as JSON.
+
+    The format is CDR with int32 s and uint32 ns, or int64 ns. The bytes are in hexadecimal.
     """
 
     name: str

@@ -103,7 +103,7 @@ class PlainNumpy:
     For revolute joints.
     """
 
-    BLOCK = 3000  # the fastest of 100 to 10000 where it was tried
+    BLOCK = 3000  # fastest of the tried sizes from 100 to 10000
 
     def __init__(self, robot: Robot) -> None:
         self.n = robot.n
@@ -150,7 +150,7 @@ class FastNumpy:
     constant pose is one matrix product, (4, 4) by (4, 3 B). For revolute joints.
     """
 
-    BLOCK = 6000  # the fastest of 500 to 16000 where it was tried
+    BLOCK = 6000  # fastest of the tried sizes from 500 to 16000
 
     def __init__(self, robot: Robot) -> None:
         self.n = robot.n

@@ -92,7 +92,7 @@ def _over_peer(one: Figure) -> Dot | None:
 
 
 def _over_bar(one: Figure) -> Dot | None:
-    if not one.bar or one.role == "limit":  # of nothing that may be missing there is no multiple
+    if not one.bar or one.role == "limit":  # there is no multiple of zero missing messages
         return None
     scale = one.multiple / one.median if one.over else 1.0
     values = (scale * one.median, scale * one.lower, scale * one.upper)

@@ -65,7 +65,7 @@ class PinocchioEstimator:
         return *self._posterior(J, error, variance), error, variance
 
     def _load(self, tau: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """Return the torque that goes to the links, of the motors' torque."""
+        """Return the part of the motor torque that is transmitted to the links."""
         f, z = self._f, self._z
         if self._smooth is not None:
             z = np.where(f.smooth_speed > 0, np.tanh(qd * self._smooth), z)

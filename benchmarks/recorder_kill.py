@@ -39,7 +39,7 @@ def killed(folder: Path, seed: int) -> list[int]:
 
 
 def _lost(path: Path, count: int) -> int:
-    table = read(path, raw=True)  # rows come again after a while, with their stamps
+    table = read(path, raw=True)  # rows repeat after a while, with their stamps
     held = inspect(path)
     told = [event.text for event in held.events]
     whole = held.metadata["armlab"]["note"] == "kill" and held.attachments["model.toml"] == ATTACHED

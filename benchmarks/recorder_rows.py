@@ -20,12 +20,9 @@ def signals() -> dict[str, Column]:
 
 
 def full_rows(count: int, only_signals: bool = False) -> list[tuple[State, Command, Tick]]:
-    """Return rows with everything that a bridge records; with `only_signals`, only q, qd, tau, a wrench and user
-    columns.
+    """Return rows with all columns of a bridge; with `only_signals`, only q, qd, tau, a wrench and user columns.
 
-    Parameters
-    ----------
-    count : of different rows.
+    `count` is the number of different rows.
     """
     rng, rows = np.random.default_rng(0), []
     for i in range(count):
@@ -49,12 +46,7 @@ def full_rows(count: int, only_signals: bool = False) -> list[tuple[State, Comma
 
 
 def fresh(row: tuple[State, Command, Tick], number: int) -> tuple[State, Command, Tick]:
-    """Return a fresh copy of a row, as if just created by a loop.
-
-    Parameters
-    ----------
-    row : one of `full_rows`. number : of the tick.
-    """
+    """Return a new copy of a row, as if just created by a loop; `number` is its tick."""
     state, command, tick = row
     record = {name: np.array(value) for name, value in command.record.items()}
     arrays = {name: np.array(value) for name, value in tick._asdict().items() if isinstance(value, np.ndarray)}

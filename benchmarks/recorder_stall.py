@@ -44,7 +44,7 @@ class Disk:
             time.sleep(stop - now)
 
     def write(self, data: bytes) -> int:
-        """Write when the disk answers."""
+        """Write when the disk responds."""
         self._wait()
         return self._file.write(data)
 
@@ -59,7 +59,7 @@ class Watch:
         self.stamps: list[tuple[int, int, int]] = []
 
     def row(self, state: object, command: object, tick: log.Tick) -> None:
-        """Take a row."""
+        """Store the stamps of a row."""
         self.stamps.append((tick.stamp_ns, tick.receive_ns, tick.send_ns))
 
     def event(self, text: str, warn: bool = False) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from blocks import Figure, Table
 
 SCALE = {"µs": 1e6, "ms": 1e3, "s": 1.0, "s of rows": 1.0, "%": 1e2, "N": 1.0}
-SHARED = 0.1  # cores; above it the report warns
+SHARED = 0.1  # cores; above this, the report warns
 
 METHOD = """\
 Contenders run in short blocks that alternate in random order, in one process and on the same data, after a check that
@@ -62,7 +62,7 @@ def _summary_row(section: Section) -> str:
     table = section.tables[0]
     ours = next((figure for figure in table.figures if figure.role == "armlab"), table.figures[0])
     peers = [figure for figure in table.figures if figure.role == "peer" and math.isfinite(figure.ratio)]
-    best = max(peers, key=lambda figure: figure.ratio, default=None)  # of the largest ratio: the fastest
+    best = max(peers, key=lambda figure: figure.ratio, default=None)  # largest ratio: the fastest contender
     judged = [figure.is_met for one in section.tables for figure in one.figures if figure.bar is not None]
     other, ratio = (best.name, _digits(best.ratio)) if best else ("", "")
     met = f"{sum(map(bool, judged))} of {len(judged)}" if judged else ""
@@ -81,8 +81,8 @@ def render(
 
     Parameters
     ----------
-    date : as told. machine : sentences. quick : say that the run was too short to judge by.
-    picture : file of the picture, beside the report. compared : lines about the baseline.
+    date : as text. machine : sentences. quick : state that the run was too short for conclusions.
+    picture : file name of the picture, in the folder of the report. compared : lines about the baseline.
     """
     lines = ["# Benchmarks: all measurements", "", f"Measured by `make bench`, {date}.", *machine, ""]
     if picture:
@@ -154,7 +154,7 @@ def _row(figure: Figure, scale: float) -> str:
 
 
 def _ratio(figure: Figure) -> str:
-    if not math.isfinite(figure.ratio):  # nothing was missing on either side
+    if not math.isfinite(figure.ratio):  # no missing messages on either side
         return "–"
     return f"{_digits(figure.ratio)} ({_digits(figure.ratio_lower)}–{_digits(figure.ratio_upper)})"
 

@@ -42,8 +42,8 @@ class Way(NamedTuple):
     Attributes
     ----------
     server, table : its name, and the lines of its table in a cell file.
-    reader : command for a number of joint states. environment : of reader and writer, besides ours.
-    writer : command of a bare publisher of the same messages, None where there is none.
+    reader : command for a number of joint states. environment : extra variables of reader and writer.
+    writer : command of a bare publisher of the same messages, or None.
     kinds : "J" joint states, "W" wrenches; a whole row is "J".
     """
 
@@ -242,7 +242,7 @@ def _roscore(opened: ExitStack, port: int, environment: Mapping[str, str]) -> No
     )
 
     def end() -> None:
-        for sign in (signal.SIGTERM, signal.SIGKILL):  # one that has just begun may not hear the first
+        for sign in (signal.SIGTERM, signal.SIGKILL):  # a master that has just started may miss the first request
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(master.pid, sign)
             with contextlib.suppress(subprocess.TimeoutExpired):

@@ -61,7 +61,7 @@ def _measured(names: Sequence[str], quick: bool, some: bool, publish: bool) -> i
         minutes = (datetime.now(UTC) - start).total_seconds() / 60.0
         print(f"Measuring {name} ({k} of {len(names)}, {minutes:.0f} min) ...", flush=True)
         sections.append(measure(name, quick))
-        _write(path, date, about, sections, quick, some)  # after each: a run that is cut off is kept
+        _write(path, date, about, sections, quick, some)  # after each, to keep the results of an aborted run
     drawn = path.with_suffix(".png")
     shown = drawn.name if picture.draw(f"{date}. {about[0]}", sections, drawn) else ""
     text = _write(path, date, about, sections, quick, some, shown)

@@ -1,4 +1,4 @@
-"""What clients of the servers send: rosbridge, ROS over DDS and Zenoh, Zenoh, LabComm, UDP, requests to the loop."""
+"""Input of the servers' clients: rosbridge, ROS over DDS and Zenoh, Zenoh, LabComm, UDP, requests to the loop."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _schema() -> RowSchema:
 
 
 class _Loop:
-    """What a server needs of the loop; every request must be one that the loop can read."""
+    """The loop as seen by a server; every request must be readable by the loop."""
 
     def __init__(self) -> None:
         self.schema = _schema()
@@ -55,7 +55,7 @@ class _Loop:
         return _arms()
 
     def ask(self, request: Any) -> bool:
-        """Take a request."""
+        """Accept a request."""
         text = encoded(request)
         if len(text) <= 65536:
             read_request(text)
@@ -68,7 +68,7 @@ def _engine() -> Engine:
 
 
 def rosbridge(data: bytes) -> None:
-    """Texts of a client, line by line: no exception, and what goes out is JSON."""
+    """Text of a rosbridge client, line by line: must not raise, and all output must be JSON."""
     engine = _engine()
     session = engine.join("127.0.0.1:5000")
     try:
@@ -88,7 +88,7 @@ def _commands() -> Commands:
 
 
 def ros_command(data: bytes) -> None:
-    """A message of ROS in CDR, or its content in JSON, as the node of ROS 1 says it, to a topic of the first byte."""
+    """ROS message in CDR, or its content in JSON as from the ROS 1 node, on a topic selected by the first byte."""
     topics = list(_commands().types)
     topic, raw = topics[(data[0] if data else 0) % len(topics)], data[1:]
     reads: list[Callable[[], Any]] = [lambda: content(_commands().types[topic], raw)]
@@ -107,7 +107,7 @@ def ros_command(data: bytes) -> None:
 
 
 def _graph(data: bytes) -> None:
-    """Tokens of the graph line by line, and the bytes attached to a message behind the last."""
+    """Tokens of the graph, line by line, with the bytes attached to a message after the last."""
     *tokens, attached = data.split(b"\n")
     nodes = Nodes(lambda client: None)
     for number, token in enumerate(tokens[:16]):
@@ -123,7 +123,7 @@ def _graph(data: bytes) -> None:
 
 class _Bytes(SimpleNamespace):
     def to_bytes(self) -> bytes:
-        """Return the bytes, as Zenoh's have it."""
+        """Return the bytes, as in Zenoh's own type."""
         return self.raw
 
 
@@ -136,9 +136,9 @@ def _zenoh() -> ZenohProcess:
 
 
 def zenoh(data: bytes) -> None:
-    """A command, a setting or a stop: length and last word of the key, length and attachment, payload.
+    """Command, setting or stop over Zenoh: length and last word of the key, length and attachment, payload.
 
-    And the same bytes as rmw_zenoh has tokens and attachments.
+    The same bytes also serve as tokens and attachments of rmw_zenoh.
     """
     _graph(data)
     first = data[0] if data else 0
@@ -153,7 +153,7 @@ def zenoh(data: bytes) -> None:
 
 
 def labcomm_client(data: bytes) -> None:
-    """What a client of a LabComm server sends: commands to an arm's port, or settings."""
+    """Data of a client of a LabComm server: commands to the port of an arm, or settings."""
     ours, theirs = socket.socketpair()
     with ours, theirs:
         peer = Peer(ours, "127.0.0.1:5000", Encoder())
@@ -183,7 +183,7 @@ def _datagram(data: bytes) -> None:
 
 
 def request(data: bytes) -> None:
-    """A request to the loop, a row, the schema of rows, a datagram to a source of numbers."""
+    """Request to the loop, row, schema of rows, or datagram to a source of numbers."""
     _datagram(data)
     reads = (read_request, RowSchema.read, lambda raw: dict(read_row(_schema(), raw).values))
     for read in reads:

@@ -1,4 +1,4 @@
-"""What describes: robots, cells, models, addresses."""
+"""Descriptions: robots, cells, models, addresses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _text(data: bytes) -> str:
 
 
 def robot_urdf(data: bytes) -> None:
-    """A URDF or what xacro is made of; an arm that it has comes back from a robot file."""
+    """URDF or xacro input; an arm in it must survive a round trip through a robot file."""
     try:
         tree = urdf.parse(data)
         tree.mimic([joint.name for joint in tree.joints])
@@ -39,7 +39,7 @@ def robot_urdf(data: bytes) -> None:
 
 
 def robot_toml(data: bytes) -> None:
-    """A robot file: joints by DH, POE or screws; written again, the same bits."""
+    """Robot file with joints by DH, POE or screws; writing it again must preserve every bit."""
     try:
         arm = robots.from_toml(_text(data), "a.toml")
         text = robots.to_toml(arm)
@@ -49,14 +49,14 @@ def robot_toml(data: bytes) -> None:
 
 
 def cell(data: bytes) -> None:
-    """A cell file, or the url of a link."""
+    """Cell file, or URL of a link."""
     for read in (parse_cell, LabAddress.read, lambda url: addresses([url], 1)):
         with contextlib.suppress(ArmlabError):
             read(_text(data))
 
 
 def model(data: bytes) -> None:
-    """A model file of any kind; saved again, the same value."""
+    """Model file of any kind; saving it again must preserve the value."""
     path, again = Path(_FOLDER.name) / "a.toml", Path(_FOLDER.name) / "b.toml"
     path.write_bytes(data)
     with contextlib.suppress(ArmlabError):

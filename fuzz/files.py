@@ -1,4 +1,4 @@
-"""Files: logs of all formats that are decoded here, and the secrets of attached settings."""
+"""Files: logs of all formats that armlab decodes itself, and secrets in attached settings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _file(name: str, data: bytes) -> Path:
 
 
 def mcap(data: bytes) -> None:
-    """An MCAP file, torn or not: what is read of it is read of its recovered copy."""
+    """MCAP file, possibly truncated; all readable data must also be in its recovered copy."""
     path, copy = _file("a.mcap", data), Path(_FOLDER.name) / "b.mcap"
     copy.unlink(missing_ok=True)
     for look in (log.inspect, log.read_topics):
@@ -34,7 +34,7 @@ def mcap(data: bytes) -> None:
         table = log.read(path)
     except ArmlabError:
         table = None
-    if format_of(data[:FIRST]) != "MCAP":  # read as text, for example; there is nothing to recover
+    if format_of(data[:FIRST]) != "MCAP":  # for example a file read as text, which cannot be recovered
         return
     try:
         log.recover(path, copy)
@@ -52,9 +52,9 @@ def _equal(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def text(data: bytes) -> None:
-    """A text file of numbers, of ABB's research interface or of a tracker, a description of it behind NUL.
+    """Delimited text, ABB research-interface text or tracker text, with its description after NUL.
 
-    What is read and written as text is read back.
+    Data read from it must survive a round trip as text.
     """
     content, _, beside = data.partition(b"\0\0")
     described = Path(_FOLDER.name) / "a.csv.toml"
@@ -83,14 +83,14 @@ def text(data: bytes) -> None:
 
 
 def abb(data: bytes) -> None:
-    """A text file of test signals, and its map behind NUL."""
+    """Text file of test signals, with its map after NUL."""
     content, _, about = data.partition(b"\0\0")
     with contextlib.suppress(ArmlabError):
         log.read_abb(_file("signals.txt", content), _file("map.toml", about))
 
 
 def bag(data: bytes) -> None:
-    """A bag of ROS 1; `rosbags` takes it apart."""
+    """ROS 1 bag, parsed by `rosbags`."""
     path = _file("a.bag", data)
     for read in (log.read, log.read_topics):
         with contextlib.suppress(ArmlabError):
@@ -98,6 +98,6 @@ def bag(data: bytes) -> None:
 
 
 def secrets(data: bytes) -> None:
-    """Settings that are attached to a log."""
+    """Settings attached to a log."""
     for ending in ("toml", "json", "yaml", "ini"):
         redacted(f"a.{ending}", data)

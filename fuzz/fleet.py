@@ -1,4 +1,4 @@
-"""What comes from bridges elsewhere, over Zenoh: what they say of themselves, their texts, their rows."""
+"""Data from remote bridges over Zenoh: descriptions, texts, rows."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def _schema() -> RowSchema:
 
 
 def fleet(data: bytes) -> None:
-    """An answer to "about", a text and a row, with NUL between them: every reader takes or refuses them.
+    """Answer to "about", text and row, separated by NUL; every reader must accept or reject them.
 
-    The row also comes as one of the schema that the bridge tells, or else of the arm's own.
+    The row is also read with the schema in the answer, or else with the schema of the arm.
     """
     about, _, rest = data.partition(b"\0")
     text, _, row = rest.partition(b"\0")
@@ -97,7 +97,7 @@ def _recorded(about: bytes, text: bytes, rows: list[bytes]) -> None:
 
 class _Bytes(bytes):
     def to_bytes(self) -> bytes:
-        """Return the bytes, as Zenoh's have it."""
+        """Return the bytes, as in Zenoh's own type."""
         return bytes(self)
 
 
@@ -120,7 +120,7 @@ def _monitored(about: bytes, text: bytes, rows: list[bytes]) -> None:
         for row in rows:
             feed._take_row(_sample(row))
         while feed.wait(0.0):
-            with contextlib.suppress(LinkError):  # only rows of another schema waited
+            with contextlib.suppress(LinkError):  # only rows of a different schema were waiting
                 running._take(feed.receive())
         assert all(isinstance(line, str) for line in (*running.watch.lines(0), *running.watch.notes()))
 
@@ -143,7 +143,7 @@ def _driven(schema: RowSchema, rows: list[bytes]) -> None:
 
 
 def seeds() -> Iterator[tuple[str, str, bytes]]:
-    """Yield beginnings: target, name, input."""
+    """Yield seed inputs: target, name, input."""
     said = {"kind": "about", "run": "a", "cell": "c", "schema": _schema().text.decode()}
     about = json.dumps([{**said, "robots": {_NAME: to_toml(_arm())}}, {"kind": "recording", "files": ["a"]}]).encode()
     arm = {"rate": 249.5, "p50": 90.0, "p99": None, "missed": 1, "late": 0, "drops": 2, "clamps": {"position": [1, 0]}}

@@ -1,8 +1,8 @@
 """Fuzz the decoders: `python fuzz/run.py [TARGET ...] [--seconds 600]`, guided by coverage (atheris).
 
-Beginnings are `fuzz/corpus/TARGET`; what a run finds besides is kept in `build/fuzz/TARGET`, from where the next one
-goes on. An input that fails is left in `build/fuzz/failed`; `python fuzz/run.py TARGET FILE ...` runs it again, without
-atheris, and when the fault is mended it goes into the corpus, which a test replays.
+Seed inputs are in `fuzz/corpus/TARGET`. New inputs found by a run are saved in `build/fuzz/TARGET`, where the next run
+continues. Failing inputs are saved in `build/fuzz/failed`; `python fuzz/run.py TARGET FILE ...` replays them without
+atheris. After the fix, add the input to the corpus, which a test replays.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 CORPUS, BUILD = ROOT / "fuzz" / "corpus", ROOT / "build" / "fuzz"
 TOGETHER = 2  # targets
-TIMEOUT, MEMORY, LONGEST = 20, 2048, 32768  # s (a busy machine) and MiB of one input, and its bytes
+TIMEOUT, MEMORY, LONGEST = 20, 2048, 32768  # limits for one input: time [s] on a busy machine, memory [MiB], size [B]
 
 
 def main() -> int:
-    """Run what the command line says; return 1 when a target failed."""
+    """Run the command line; return 1 if a target failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", help="targets, all by default; files behind one target are run once")
+    parser.add_argument("what", nargs="*", help="targets, default: all; files after a single target are run once")
     parser.add_argument("--seconds", type=int, default=600, help="of each target")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--here", action="store_true", help=argparse.SUPPRESS)
@@ -39,7 +39,7 @@ def main() -> int:
     if files:
         return replay(given.what[0], files)
     if importlib.util.find_spec("atheris") is None:
-        print("Expected atheris, got none. Where your Python has a wheel of it: pip install 'armlab[fuzz]'.")
+        print("Expected atheris, got none. Install it if your Python has a wheel: pip install 'armlab[fuzz]'.")
         return 1
     names = given.what or sorted(one.name for one in CORPUS.iterdir())
     with tempfile.TemporaryDirectory(prefix="armlab-fuzz-") as folder, ThreadPoolExecutor(TOGETHER) as pool:
@@ -50,7 +50,7 @@ def main() -> int:
 
 
 def replay(name: str, files: list[Path]) -> int:
-    """Run inputs once, without atheris."""
+    """Replay inputs once, without atheris."""
     from fuzz.targets import TARGETS
 
     for path in files:
@@ -59,10 +59,15 @@ def replay(name: str, files: list[Path]) -> int:
 
 
 def aside(name: str, seconds: int, seed: int, folder: str) -> str:
-    """Fuzz one target in a process of its own; return what came of it in one line."""
+    """Fuzz one target in a separate process; return the result in one line."""
     BUILD.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, __file__, name, "--here", f"--seconds={seconds}", f"--seed={seed}"]
-    environment = {**os.environ, "TMPDIR": folder, "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}  # the same again
+    environment = {
+        **os.environ,
+        "TMPDIR": folder,
+        "OMP_NUM_THREADS": "1",
+        "PYTHONHASHSEED": "0",
+    }  # the same in every run
     log = BUILD / f"{name}.log"
     with log.open("wb") as out:
         status = subprocess.run(command, stdout=out, stderr=out, env=environment, cwd=ROOT, check=False).returncode
@@ -83,13 +88,13 @@ def fuzz(name: str, seconds: int, seed: int) -> int:
 
     warnings.simplefilter("ignore")
     sys.path.insert(0, str(ROOT / "src"))  # the loader of an editable installation cannot be instrumented
-    sys.meta_path.sort(key=lambda finder: "editable" in type(finder).__module__)  # it is left for the extension
+    sys.meta_path.sort(key=lambda finder: "editable" in type(finder).__module__)  # kept for the extension
     with atheris.instrument_imports(include=["armlab"]):
         from fuzz.targets import TARGETS
 
         target = TARGETS[name]
         for path in sorted((CORPUS / name).iterdir()):
-            target(path.read_bytes())  # imports within functions are instrumented, too
+            target(path.read_bytes())  # imports within functions are instrumented too
     found, failed = BUILD / name, BUILD / "failed"
     found.mkdir(parents=True, exist_ok=True)
     failed.mkdir(exist_ok=True)

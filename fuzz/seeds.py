@@ -1,4 +1,4 @@
-"""Write the beginnings in `corpus`, by our own encoders: `python fuzz/seeds.py`. Inputs that once failed stay."""
+"""Write the seed inputs in `corpus` with armlab's own encoders: `python fuzz/seeds.py`. Past failures are kept."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ LANGUAGE = "typedef struct { double x[3]; } point;\nsample (unit:rad) struct { i
 
 
 def framed(*pieces: bytes) -> bytes:
-    """Return pieces, each behind its length."""
+    """Return the pieces, each preceded by its length."""
     return b"".join(len(piece).to_bytes(2, "big") + piece for piece in pieces)
 
 
@@ -62,7 +62,7 @@ def egm() -> Seeds:
 
 
 def labcomm() -> Seeds:
-    """Streams of several dialects, declarations, and what clients send."""
+    """Streams of several dialects, declarations, and client data."""
     row = SampleType("row", Struct((Field("t", PRIMS["double"]), Field("q", Array((0,), PRIMS["float"])))))
     name = SampleType("name", PRIMS["string"])
     value = {"t": 0.004, "q": [0.5, -0.5]}
@@ -88,14 +88,14 @@ def labcomm() -> Seeds:
 
 
 def states(count: int) -> Iterator[State]:
-    """Yield what a robot might have measured."""
+    """Yield plausible robot states."""
     for k in range(count):
         q = SEVEN + 0.01 * k
         yield State(t=0.004 * k, dt=0.004, q=q, qd=np.ones(7), tau=np.full(7, 0.5), robot=ARM.name)
 
 
 def logs(folder: Path) -> Seeds:
-    """Recordings whole, torn and with chunks that are not compressed, text files, bags, settings."""
+    """Recordings (complete, truncated, uncompressed), text files, bags, settings."""
     grown = log.Log(ARM)
     for k, state in enumerate(states(4)):
         grown.row(state, None, Tick(k, -1, 5 * 10**9 + 4_000_000 * k, k, -1, 0))
@@ -127,7 +127,7 @@ def logs(folder: Path) -> Seeds:
 
 
 def plain(whole: bytes) -> bytes:
-    """Return the same messages in chunks that are neither compressed nor summed, so that changes get inside."""
+    """Return the same messages in chunks without compression or checksum, so that mutations reach their content."""
     from mcap.reader import make_reader
     from mcap.writer import CompressionType, Writer
 
@@ -144,7 +144,7 @@ def plain(whole: bytes) -> bytes:
 
 
 def encodings() -> bytes:
-    """Return messages of others in JSON, protobuf and CDR, without checksums."""
+    """Return messages of other programs in JSON, protobuf and CDR, without checksums."""
     from google.protobuf import descriptor_pb2, timestamp_pb2
     from mcap.writer import CompressionType, Writer
 
@@ -177,7 +177,7 @@ def encodings() -> bytes:
 
 
 def bag(path: Path) -> bytes:
-    """Return a bag of ROS 1 with one topic."""
+    """Return a ROS 1 bag with one topic."""
     from rosbags.rosbag1 import Writer
 
     known = store()
@@ -222,7 +222,7 @@ def saved(folder: Path) -> Seeds:
 
 
 def torque_model() -> models.TorqueModel:
-    """Return a torque model that nothing was fitted for."""
+    """Return a torque model without a fit."""
     arm = robots.load("irb120")
     some = np.full(arm.n, 0.1)
     friction = Friction(*[some] * 7, np.zeros(arm.n))
@@ -248,7 +248,7 @@ def torque_model() -> models.TorqueModel:
 
 
 def client() -> Seeds:
-    """What clients say."""
+    """Client data."""
     said = [
         {"op": "subscribe", "topic": "/yumi_left/joint_states", "type": "sensor_msgs/JointState", "id": "1"},
         {"op": "publish", "topic": "/yumi_left/joint_group_position_controller/command", "msg": {"data": [0.0] * 7}},
@@ -280,7 +280,7 @@ def client() -> Seeds:
 
 
 def message() -> Seeds:
-    """Definitions of message types with messages."""
+    """Definitions of message types, with messages."""
     text = "int32 a\nstring b\nfloat64[] c\nfloat32[2] d\nS[] e\n" + "=" * 80 + "\nMSG: a/S\nbool x\n"
     body = struct.pack("<i", 7) + struct.pack("<I", 2) + b"b\0\0\0" + struct.pack("<II2d", 2, 0, 1.0, 2.0)
     yield "definitions", "msg", text.encode() + b"\0\0" + b"\0\1\0\0" + body + struct.pack("<2fI", 1, 2, 1) + b"\1"

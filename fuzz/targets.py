@@ -1,4 +1,4 @@
-"""The table of targets: what each name means is said by its function, which raises on a finding."""
+"""Table of fuzz targets; each name is documented by its function, which raises on a finding."""
 
 from __future__ import annotations
 

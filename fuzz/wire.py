@@ -1,4 +1,4 @@
-"""What comes over sockets as EGM and LabComm, and messages in CDR."""
+"""Input from sockets: EGM, LabComm, and messages in CDR."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CLOSE = {"rtol": 1e-12, "atol": 1e-300, "equal_nan": True}
 
 
 def pieces(data: bytes) -> Iterator[bytes]:
-    """Yield what stands behind each length (uint16, big-endian)."""
+    """Yield the data after each length (uint16, big-endian)."""
     while len(data) >= 2:
         stop = 2 + int.from_bytes(data[:2], "big")
         yield data[2:stop]
@@ -40,7 +40,7 @@ def _arm(number: int) -> Any:
 
 
 def egm_robot(data: bytes) -> None:
-    """Two packets of a robot: read by the layout of the first, the second is what parsing it anew gives."""
+    """Two packets of a robot: the first defines the layout, and reading the second must equal parsing it anew."""
     arm = _arm(data[0] if data else 0)
     codec = EgmCodec(arm, extension=True)
     found = Drop("unparsable", "")
@@ -50,7 +50,7 @@ def egm_robot(data: bytes) -> None:
         found, parsed = codec.decode(packet), fresh.decode(packet)
         assert _same(found, parsed), (found, parsed)
         codec.details(packet)
-    if isinstance(found, Packet) and np.abs(found.q).max() < 1e300:  # else degrees are infinite
+    if isinstance(found, Packet) and np.abs(found.q).max() < 1e300:  # otherwise degrees are infinite
         _said_again(arm, found)
 
 
@@ -63,7 +63,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def _said_again(arm: Any, packet: Packet) -> None:
-    """What the robot's side writes of a packet is read back."""
+    """Check that the robot side reads back what it writes of a packet."""
     said = RobotMessage(packet.seqno, packet.tm_ms, packet.q, utilization=packet.utilization)
     heard = EgmCodec(arm).decode(RobotSideCodec(arm, "6.10").encode_robot(said))
     assert isinstance(heard, Packet), heard
@@ -72,7 +72,7 @@ def _said_again(arm: Any, packet: Packet) -> None:
 
 
 def egm_sensor(data: bytes) -> None:
-    """A reply to the robot; what it asks for comes back when the bridge writes it."""
+    """Reply to the robot; the bridge must reproduce its references when it encodes them."""
     arm = _arm(data[0] if data else 0)
     side = RobotSideCodec(arm)
     found = side.decode_sensor(data[1:])
@@ -85,7 +85,7 @@ def egm_sensor(data: bytes) -> None:
 
 
 def egm_session(data: bytes) -> None:
-    """Packets with a port and a time before each: two bytes."""
+    """Packets, each preceded by a port and a time of two bytes."""
     session, ns = Session(EgmCodec(_arm(data[0] if data else 0))), 10**12
     for piece in pieces(data[1:]):
         if len(piece) >= 2:
@@ -97,7 +97,7 @@ def egm_session(data: bytes) -> None:
 
 
 def labcomm(data: bytes) -> None:
-    """A stream in one piece and in many: the same events, the same fault; written again, the same events; as a log."""
+    """Stream in one piece and in many: equal events and faults; equal events after re-encoding; also read as a log."""
     cut, stream = 1 + (data[0] if data else 0), data[1:]
     whole, fault = _events(stream, len(stream) + 1)
     parts, same = _events(stream, cut)
@@ -141,7 +141,7 @@ def _dialect(stream: bytes) -> str | None:
 
 
 def _language(text: str) -> None:
-    """What is written of declarations declares the same."""
+    """Check that re-encoded declarations declare the same types."""
     try:
         found = parse_lc(text, "2014i")
         again = parse_lc(to_lc(found), "2014i")
@@ -151,7 +151,7 @@ def _language(text: str) -> None:
 
 
 def definitions(data: bytes) -> None:
-    """Declarations of LabComm, or a definition of a message type of ROS, and a message in CDR behind NUL."""
+    """LabComm declarations, or the definition of a ROS message type with a CDR message after NUL."""
     text, _, raw = data.partition(b"\0\0")
     _language(text.decode(errors="replace"))
     name = "a/msg/B"

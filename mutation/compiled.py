@@ -1,9 +1,10 @@
-"""Mutants of a C++ file of the compiled core, and how one takes the place of the original in this process.
+"""Mutants of a C++ file of the compiled core, and their substitution for the original in this process.
 
-Each is compiled alone and linked with what it needs into an extension of its own; the child puts the function that it
-binds where the tests look for it. Its text is changed, as clang-format writes it: binary operators have a space on
-both sides, which tells them from templates, pointers and signs. The bounds of loops are not mutated: one step too far
-reads what is there by chance, which `make sanitize` is for. A mutant that compiles to the same object is none.
+Each mutant is compiled alone and linked with its dependencies into a separate extension. The child process then
+substitutes the bound function where the tests look it up. Mutations apply to text formatted by clang-format: binary
+operators have a space on both sides, unlike templates, pointers and signs. Loop bounds are not mutated, because one
+step too far reads arbitrary memory, which `make sanitize` detects. A mutant that compiles to the same object is
+ignored.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ __all__ = ["mutants", "placed", "prepare"]
 
 ROOT = Path(__file__).resolve().parents[1]
 NATIVE, BUILT = ROOT / "native", ROOT / "build" / "mutants"
-BESIDE, ORIGINAL = "array/arrays.cpp", "original.o"  # of the core, what the mutated file needs
+BESIDE, ORIGINAL = "array/arrays.cpp", "original.o"  # files of the core that the mutated file depends on
 MODULE = """
 #define ARMLAB_IMPORTS_NUMPY
 #include "array/arrays.h"
@@ -45,12 +46,12 @@ _SWAPPED = {
 }  # fmt: skip
 _NUMBER = re.compile(r"(?<![\w.])\d+(\.\d+)?(e-?\d+)?(?![\w.])")
 _SIGN = re.compile(r"(?<=[\s({,])[-!](?=[\w(])")
-_LEFT_OUT = re.compile(r"^ +([\w.:\[\]]+ [|*]?= |[\w.:]+\().*(?=;$)")  # a statement on a line of its own
+_LEFT_OUT = re.compile(r"^ +([\w.:\[\]]+ [|*]?= |[\w.:]+\().*(?=;$)")  # a statement on its own line
 _FUNCTION = re.compile(r"^\w[\w:* ]*?(\w+)\(.*\{?$|^struct (\w+)|^constexpr")
 
 
 def mutants(path: Path, file: str) -> Iterator[Mutant]:
-    """Return the mutants of a C++ file; some may compile to the same, or not at all."""
+    """Return the mutants of a C++ file; some may compile to the same object, or not at all."""
     source, where = path.read_text(), ""
     lines = source.splitlines()
     for number, line in enumerate(lines):
@@ -67,7 +68,7 @@ def mutants(path: Path, file: str) -> Iterator[Mutant]:
 
 def _changed(line: str) -> Iterator[str]:
     code = line.split("//")[0].rstrip()
-    if not code or code.startswith("#") or ('"' in code and "=" not in code):  # that is part of a sentence
+    if not code or code.startswith("#") or ('"' in code and "=" not in code):  # part of a text
         return
     hidden = re.sub(r'"[^"]*"|< \w+; |\[\d\]', lambda found: "_" * len(found[0]), code)
     for old, new in _SWAPPED.items():
@@ -90,7 +91,7 @@ def _put(line: str, found: re.Match[str], new: str) -> str:
 
 
 def _closing(text: str, start: int) -> int:
-    """Return where the bracket closes that opened before, 0 when that is on another line."""
+    """Return the position of the closing bracket, or 0 if it is on another line."""
     depth = 1
     for k in range(start, len(text)):
         depth += (text[k] == "(") - (text[k] == ")")
@@ -100,11 +101,11 @@ def _closing(text: str, start: int) -> int:
 
 
 def prepare(path: Path, file: str) -> Mutant:
-    """Compile what all mutants of a file are linked with, and the file itself; return one that does the same.
+    """Compile a file and everything its mutants are linked with; return an equivalent mutant.
 
     Raises
     ------
-    SyntaxError : something does not compile.
+    SyntaxError : a file does not compile.
     """
     BUILT.mkdir(parents=True, exist_ok=True)
     (BUILT / "module.cpp").write_text(MODULE.format(name=path.stem))
@@ -113,16 +114,16 @@ def prepare(path: Path, file: str) -> Mutant:
     (BUILT / "beside.cpp").write_text((NATIVE / BESIDE).read_text())
     for one in ("nanobind", "module", "beside", "mutant"):
         _compile(one)
-    (BUILT / "mutant.o").rename(BUILT / ORIGINAL)  # compiled under that name: an object holds it
+    (BUILT / "mutant.o").rename(BUILT / ORIGINAL)  # compiled under that name, because an object contains it
     return Mutant(file, "", "", "", f"{path.read_text()}int beside;\n")
 
 
 def placed(mutant: Mutant, module: ModuleType) -> bool:
-    """Put a mutant in the place of the functions that its file binds in a module; return False when it is the same.
+    """Substitute a mutant for the functions that its file binds in a module; return False if it is identical.
 
     Raises
     ------
-    SyntaxError : it does not compile.
+    SyntaxError : the mutant does not compile.
     """
     (BUILT / "mutant.cpp").write_text(mutant.source)
     _compile("mutant")

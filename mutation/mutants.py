@@ -1,8 +1,7 @@
-"""Mutants of a file, and how one takes the place of the original in this process.
+"""Mutants of a file, and their substitution for the original in this process.
 
-mutmut makes them (its operators, and where they apply); three of its rules are ours, since it leaves out what matters
-here: decorated functions are mutated too, conditions are forced either way, calls are left out. Sentences are not
-mutated: that they are the right ones is for their reader.
+mutmut generates them, with its operators and their scope. Three rules are added: decorated functions are also mutated,
+conditions are forced either way, and calls are removed. Texts are not mutated.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from mutmut.mutation.pragma_handling import get_ignored_lines
 
 __all__ = ["Mutant", "codes", "difference", "is_same", "loaded", "mutants", "transplant"]
 
-_LARGE = 100  # to which 1 more makes no difference
+_LARGE = 100  # values for which adding 1 makes no difference
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def _left_out(node: cst.Expr | cst.Assign) -> Iterator[cst.CSTNode]:
 _REPLACED = {
     mutators.operator_number,
     mutators.operator_string,
-    mutators.operator_assignment,  # None for a value, or for an argument: almost always a crash, which any test sees
+    mutators.operator_assignment,  # None as a value or argument almost always causes a crash, which any test detects
     mutators.operator_arg_removal,
 }
 _OPERATORS = [
@@ -76,14 +75,14 @@ _OPERATORS = [
 
 
 class _Visitor(MutationVisitor):
-    """Also visits decorated functions: nothing is wrapped here."""
+    """Also visits decorated functions, because nothing is wrapped here."""
 
     def _skip_node_and_children(self, node: cst.CSTNode) -> bool:
         return not isinstance(node, cst.FunctionDef) and super()._skip_node_and_children(node)
 
 
 def mutants(path: Path, file: str) -> Iterator[Mutant]:
-    """Return the mutants of a file; some may compile to the same, or not at all."""
+    """Return the mutants of a file; some may compile to the same code, or not at all."""
     source = path.read_text()
     wrapper = MetadataWrapper(cst.parse_module(source))
     visitor = _Visitor(_OPERATORS, get_ignored_lines(file, source, wrapper))
@@ -94,14 +93,14 @@ def mutants(path: Path, file: str) -> Iterator[Mutant]:
         if changed != source and changed not in found:
             found.add(changed)
             first, before, after = difference(source, changed)
-            if not before.startswith("__all__"):  # tests/style holds it
+            if not before.startswith("__all__"):  # checked by tests/style
                 yield Mutant(file, _function(tree, first + 1), before, after, changed)
 
 
 def difference(old: str, new: str) -> tuple[int, str, str]:
-    """Return where the lines differ, those that do, and what became of them, each on one line.
+    """Return the position of the first difference, the original lines and the changed lines, each joined to one line.
 
-    Lines that stand in the file more than once come with those before them, until they do not.
+    Lines that are not unique in the file are extended by the preceding lines until they are.
     """
     ours, theirs = ([line.strip() for line in text.splitlines()] for text in (old, new))
     shorter = min(len(ours), len(theirs))
@@ -121,7 +120,7 @@ def _function(tree: ast.AST, line: int, name: str = "") -> str:
 
 
 def codes(module: ModuleType) -> dict[str, FunctionType]:
-    """Return the functions that a module defines, methods and those of properties too, by qualified name."""
+    """Return the functions, methods and properties that a module defines, by qualified name."""
     found: dict[str, FunctionType] = {}
     todo = [
         (name, value) for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
@@ -139,11 +138,11 @@ def codes(module: ModuleType) -> dict[str, FunctionType]:
 
 
 def is_same(mutant: Mutant, module: ModuleType) -> bool:
-    """Return whether a mutant compiles to what its module does.
+    """Return whether a mutant compiles to the same code as its module.
 
     Raises
     ------
-    SyntaxError : it does not compile.
+    SyntaxError : the mutant does not compile.
     """
     path = str(module.__file__)
     one, other = (compile(text, path, "exec") for text in (mutant.source, Path(path).read_text()))
@@ -151,11 +150,11 @@ def is_same(mutant: Mutant, module: ModuleType) -> bool:
 
 
 def loaded(mutant: Mutant, module: ModuleType) -> ModuleType:
-    """Return a mutant as a module that nobody has imported.
+    """Return a mutant as a module that no other module has imported.
 
     Raises
     ------
-    Exception : whatever it raises when it is imported.
+    Exception : any exception raised by its import.
     """
     scratch = ModuleType(module.__name__)
     scratch.__dict__.update({key: vars(module)[key] for key in ("__file__", "__package__", "__spec__")})
@@ -164,10 +163,10 @@ def loaded(mutant: Mutant, module: ModuleType) -> ModuleType:
 
 
 def transplant(scratch: ModuleType, module: ModuleType) -> tuple[set[CodeType], bool]:
-    """Put a loaded mutant in the place of its module; return the code that changed, and whether anything else did.
+    """Substitute a loaded mutant for its module; return the changed code objects, and whether anything else changed.
 
-    Functions keep their identity, whoever holds them: their code is exchanged. Constants are exchanged wherever a
-    module of ours has them under that name.
+    Functions keep their identity for all references: only their code is exchanged. Constants are exchanged in every
+    armlab module that has them under the same name.
     """
     ours, theirs, changed, beside = codes(module), codes(scratch), set(), False
     for key in ours.keys() & theirs.keys():
@@ -188,7 +187,7 @@ def transplant(scratch: ModuleType, module: ModuleType) -> tuple[set[CodeType], 
 
 
 def _fitting(code: CodeType, old: CodeType) -> CodeType:
-    """Return a code that a function takes in the place of its old one, whose closure it keeps: that of `super()`."""
+    """Return a code object that fits a function, whose closure it keeps (that of `super()`)."""
     return code if code.co_freevars else code.replace(co_freevars=old.co_freevars)
 
 
@@ -206,7 +205,7 @@ def _is_constant(value: Any) -> bool:
 
 
 def _plain(code: CodeType) -> Any:
-    """Return what a code does, without where it stands."""
+    """Return the behaviour of a code object, without its location."""
     constants = tuple(_plain(one) if isinstance(one, CodeType) else (type(one), repr(one)) for one in code.co_consts)
     names = code.co_name, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
     taken = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags

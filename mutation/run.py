@@ -1,13 +1,14 @@
-"""Mutation testing of what moves the robot: `python mutation/run.py [WORD ...] [--again]`; words choose files by path.
+"""Mutation tests of the files that move the robot: `python mutation/run.py [WORD ...] [--again]`, with words of paths.
 
-One pytest session collects the tests once. For each mutant this process forks; the child puts the mutant in its own
-memory, no file is ever changed, and runs the tests that call the changed function, the fastest first, until one fails.
-A mutant that none kills must stand in `survivors.toml` with the reason why no test can tell it from the original; so
-must one that could not be put there. Status 0 says that all mutants of the files were judged, and by tests.
+A single pytest session collects the tests. For each mutant, this process forks. The child substitutes the mutant in its
+own memory, without changing any file, and runs the tests that call the changed function, fastest first, until one
+fails. A surviving mutant must be listed in `survivors.toml` with the reason why no test can distinguish it from the
+original; so must a mutant that could not be substituted. Status 0 means that tests have judged all mutants of the
+files.
 
-mutmut makes the mutants. It does not run them, since it imports a copy of `src` which the finder of the editable
-install overrules, leaves out constants and decorated functions, and numbers the survivors, so that an explanation
-would belong to another mutant after the next edit.
+mutmut generates the mutants but does not run them. It imports a copy of `src`, which the import hook of the editable
+installation overrides. It omits constants and decorated functions, and it numbers the survivors, so that an explanation
+would belong to a different mutant after the next edit.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from mutants import Mutant, codes, is_same, loaded, mutants, transplant  # noqa:
 
 EXPLAINED, LAST = ROOT / "mutation" / "survivors.toml", ROOT / "build" / "mutation.json"
 BRIDGE = "src/armlab/bridge"
-FILES = {  # each with the tests that hold it
+FILES = {  # each with the tests that check it
     f"{BRIDGE}/control/limits.py": ["bridge/control/limits", "bridge/control/state_machine", "bridge/control/commands"],
     f"{BRIDGE}/control/torque.py": ["bridge/control/commands", "bridge/control/limits", "bridge/control/state_machine"],
     f"{BRIDGE}/control/realtime.py": ["bridge/control/realtime"],
@@ -50,15 +51,15 @@ FILES = {  # each with the tests that hold it
     f"{BRIDGE}/control/arm.py": ["bridge/control/arm", "bridge/control/multi_arm"],
     "native/math/motion/limits.cpp": ["kernels/limits"],
 }
-MARKED, NAMED = "not slow", "not (simulated or follows[)"  # not tests of whole simulated runs, which are slow
-NONE, FAILED = ("same", "no program"), "harness failed"  # what is no mutant, and what is no judgement of one
+MARKED, NAMED = "not slow", "not (simulated or follows[)"  # excludes tests of complete simulated runs, which are slow
+NONE, FAILED = ("same", "no program"), "harness failed"  # outcomes that are not a mutant, or not a judgement
 KINDS = "killed", "survived", "not reached", FAILED
 CRASHES = -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS, -signal.SIGFPE, -signal.SIGILL
-PATIENCE, AT_LEAST = 10.0, 5.0  # times what a test takes without a mutant, and s
+PATIENCE, AT_LEAST = 10.0, 5.0  # factor on the time of a test without a mutant, and an offset [s]
 
 
 class Runner:
-    """A plugin of pytest: runs the collected tests for each mutant instead of once."""
+    """Pytest plugin that runs the collected tests for each mutant instead of once."""
 
     def __init__(self, files: list[str], only: set[tuple[str, ...]] | None) -> None:
         self.files, self.only = files, only
@@ -69,7 +70,9 @@ class Runner:
         from hypothesis import Phase, settings  # not before pytest, which rewrites it
 
         usual = settings.get_profile("armlab")
-        settings.register_profile("mutants", usual, phases=[Phase.explicit, Phase.generate])  # one failure is enough
+        settings.register_profile(
+            "mutants", usual, phases=[Phase.explicit, Phase.generate]
+        )  # one failure is sufficient
         settings.load_profile("mutants")
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -77,22 +80,22 @@ class Runner:
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         if session.testsfailed:
-            raise SystemExit("Expected tests that can be collected, got errors: run them with pytest.")
+            raise SystemExit("Expected tests that can be collected, got errors. Run them with pytest.")
         modules = {file: importlib.import_module(_module(file)) for file in self.files}
         watched = {one.__code__ for module in modules.values() for one in codes(module).values()}
         gc.collect()
-        gc.freeze()  # what a child does not touch it shares
+        gc.freeze()  # memory that a child does not modify is shared
         told, _ = forked(lambda: self.without(session.items, watched))
         calls = json.loads(told or "null")
         if calls is None:
-            raise SystemExit("Expected tests that pass without a mutant, got one that fails: run them with pytest.")
+            raise SystemExit("Expected tests that pass without a mutant, got a failing test. Run them with pytest.")
         for file, module in modules.items():
             is_compiled = file.endswith(".cpp")
             items = [item for item in session.items if item.path in tests(file)]
             if is_compiled:
                 same = compiled.prepare(ROOT / file, file)
                 if forked(lambda one=same, at=module, of=items: self.outcome(one, at, of, calls))[0] != "survived":
-                    raise SystemExit("Expected tests that pass with the file compiled alone, got one that fails.")
+                    raise SystemExit("Expected tests that pass with the file compiled alone, got a failing test.")
             for mutant in (compiled.mutants if is_compiled else mutants)(ROOT / file, file):
                 if self.only is None or key(mutant) in self.only:
                     self.judge(mutant, module, items, calls)
@@ -112,7 +115,7 @@ class Runner:
             print(told, flush=True)
 
     def without(self, items: list[pytest.Item], watched: set[CodeType]) -> str:
-        """Run all tests without a mutant; return for each what it took [s] and called, nothing when one failed."""
+        """Run all tests without a mutant; return the time [s] and called functions of each, or nothing on failure."""
         found = {}
         for item, following in zip(items, [*items[1:], None], strict=True):
             called: set[CodeType] = set()
@@ -133,7 +136,7 @@ class Runner:
         return json.dumps(found)
 
     def outcome(self, mutant: Mutant, module: ModuleType, items: list[pytest.Item], calls: dict[str, Any]) -> str:
-        """Run the tests that see a mutant, in a child; return what became of it."""
+        """Run the tests that reach a mutant in a child process; return the outcome."""
         try:
             names = place(mutant, module)
         except SyntaxError:
@@ -145,7 +148,7 @@ class Runner:
         if not seen:
             return "survived: no test calls it"
         for item, following in zip(seen, [*seen[1:], None], strict=True):
-            signal.setitimer(signal.ITIMER_REAL, AT_LEAST + PATIENCE * calls[item.nodeid][0])  # then SIGALRM ends it
+            signal.setitimer(signal.ITIMER_REAL, AT_LEAST + PATIENCE * calls[item.nodeid][0])  # SIGALRM then ends it
             try:
                 item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
             except KeyboardInterrupt:
@@ -156,11 +159,11 @@ class Runner:
 
 
 def place(mutant: Mutant, module: ModuleType) -> str | set[str] | None:
-    """Put a mutant in its place; return the names of the code whose tests see it, None for all, or why there are none.
+    """Substitute a mutant; return the names of the code whose tests reach it (None: all), or the cause of a failure.
 
     Raises
     ------
-    SyntaxError : it is no program.
+    SyntaxError : the mutant is not a valid program.
     """
     if mutant.file.endswith(".cpp"):
         return None if compiled.placed(mutant, module) else "same"
@@ -182,33 +185,33 @@ def _module(file: str) -> str:
 
 
 def tests(file: str) -> list[Path]:
-    """Return the files of the tests that hold a file."""
+    """Return the test files for a source file."""
     return [ROOT / "tests" / Path(one).parent / f"test_{Path(one).name}.py" for one in FILES[file]]
 
 
 def name(code: CodeType) -> str:
-    """Return the name of a code, the same in each process."""
+    """Return the name of a code object, which is the same in each process."""
     return f"{code.co_filename}:{code.co_firstlineno}:{code.co_qualname}"
 
 
 def key(mutant: Mutant) -> tuple[str, ...]:
-    """Return by what an explanation knows a mutant."""
+    """Return the key of the explanation of a mutant."""
     return mutant.file, mutant.where, mutant.before, mutant.after
 
 
 def explained() -> set[tuple[str, ...]]:
-    """Return the mutants that no test can tell from the original."""
+    """Return the mutants that no test can distinguish from the original."""
     found = tomllib.loads(EXPLAINED.read_text())["survivor"]
     return {(one["file"], one["where"], one["before"], one["after"]) for one in found}
 
 
 def forked(work: Callable[[], str]) -> tuple[str | None, int]:
-    """Return what `work` returns in a child of its own, None when it did not come to its end, and the child's status.
+    """Return the result of `work` in a child process, or None if it did not finish, and the status of the child.
 
-    The status is that of the process, the number of a signal that ended it below 0.
+    A negative status is the number of the signal that ended the process.
     """
     source, sink = os.pipe()
-    with warnings.catch_warnings(action="ignore"):  # of threads: those that run now hold no locks of ours
+    with warnings.catch_warnings(action="ignore"):  # the running threads hold no locks of armlab
         child = os.fork()
     if child == 0:
         status = 1
@@ -232,7 +235,7 @@ def forked(work: Callable[[], str]) -> tuple[str | None, int]:
 
 
 def main() -> int:
-    """Run what the command line says; return 1 when a mutant survived that is not explained, or was not judged."""
+    """Run the command line; return 1 if a mutant survived without an explanation, or was not judged."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("words", nargs="*")
     parser.add_argument("--again", action="store_true", help="only those that survived last time")
@@ -248,21 +251,21 @@ def main() -> int:
     if is_whole:
         keep(files, runner.results)
     else:
-        print(f"Expected to judge all mutants, got {ended!r} from pytest after {len(runner.results)}: run it again.")
+        print(f"Expected to judge all mutants, got {ended!r} from pytest after {len(runner.results)}. Run it again.")
     status = report(files, runner.results) or int(not is_whole)
     print(f"{time.monotonic() - start:.0f} s")
     return status
 
 
 def keep(files: list[str], results: list[tuple[Mutant, str]]) -> None:
-    """Keep for `--again` those that no test killed."""
+    """Save the surviving mutants for `--again`."""
     LAST.parent.mkdir(exist_ok=True)
     others = [one for one in json.loads(LAST.read_text()) if one[0] not in files] if LAST.exists() else []
     LAST.write_text(json.dumps(others + [key(one) for one, outcome in results if not outcome.startswith("killed")]))
 
 
 def report(files: list[str], results: list[tuple[Mutant, str]]) -> int:
-    """Print the figures of each file; return 1 when a mutant was neither killed nor explained."""
+    """Print the counts for each file; return 1 if a mutant was neither killed nor explained."""
     known, table = explained(), {file: Counter[str]() for file in files}
     for mutant, outcome in results:
         kind = next(one for one in KINDS if outcome.startswith(one))

@@ -1,1 +1,1 @@
-"""The soak: hours of the bridge with everything on, watched for what grows."""
+"""Soak tests: hours of operation with all servers, monitored for growth of memory, descriptors, threads and delays."""

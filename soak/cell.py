@@ -1,7 +1,7 @@
-"""The soak in real time: `armlab bridge` with two arms and all servers, and ten clients, one of which commands.
+"""Soak test in real time: `armlab bridge` with two arms and all servers, and ten clients, one of which commands.
 
-The simulated arms have no masses, and the commander sleeps until a row comes: on a robot neither shares the bridge's
-cores, and two are to carry all of it.
+The simulated arms have no masses, and the commanding client sleeps until a row arrives, because two cores must run
+everything. With a real robot, neither would use the cores of the bridge.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ __all__ = ["ARMS", "COMMANDER", "run"]
 
 ARMS = ("yumi_left", "yumi_right")
 COMMANDER = "commander"
-_LOOKS = 300  # at the processes in a run
-_SERVED = "ros2", "rmw_zenoh", "zenoh", "rosbridge", "plotjuggler", "labcomm", "local"  # ros1 where it is installed
+_LOOKS = 300  # samples of the processes in a run
+_SERVED = "ros2", "rmw_zenoh", "zenoh", "rosbridge", "plotjuggler", "labcomm", "local"  # and ros1 if installed
 
 
 def run(folder: Path, seconds: float) -> dict[str, Any]:
-    """Run it and return what is told of it, see `series.told`.
+    """Run the test and return its description, see `series.told`.
 
     Parameters
     ----------
-    folder : for all that it leaves. seconds : that count.
+    folder : for all output. seconds : measured duration [s].
     """
     with ExitStack() as opened:
         ways = [way for name in ONE_EACH if (way := WAYS[name](opened)) is not None]
@@ -70,7 +70,7 @@ def run(folder: Path, seconds: float) -> dict[str, Any]:
 
 
 def _watched(folder: Path, bridge: Program, commander: Program, seconds: float) -> tuple[int, int, str]:
-    """Watch the processes for a time. Return when that began and ended [ns, wall clock], and what cut it off."""
+    """Monitor the processes; return the beginning and end [ns, wall clock], and the reason for an early end."""
 
     def processes() -> Iterator[tuple[int, str]]:
         yield commander.process.pid, COMMANDER
@@ -95,14 +95,14 @@ def _cell(ways: Sequence[Way], record: Path) -> str:
     text = f'commands = ["zenoh"]\nrecord = "{record}"\n'
     text += "".join(f'[[robots]]\nname = "{name}"\nlink = "sim://{name}?lagging=true"\n' for name in ARMS)
     for way in ways:
-        if way.server != "local":  # every cell has it
+        if way.server != "local":  # every cell has this server
             table = way.table.replace(f"{ARMS[0]} = 0", ", ".join(f"{name} = 0" for name in ARMS))
             text += f"[servers.{way.server}]\n{table}\n"
     return text
 
 
 def _readers(ways: Sequence[Way], folder: Path) -> Iterator[Program]:
-    """Give a reader of each server, and `ZenohFeed` as a second one of that."""
+    """Return the command of a reader for each server, and of a `ZenohFeed` as a second reader over Zenoh."""
     for way in ways:
         yield Program(f"reader of {way.server}", way.reader(0), folder, way.environment)
     words = [sys.executable, str(HERE.parent / "benchmarks" / "path_feed.py"), "zenoh", _zenoh(ways), "0"]
@@ -110,7 +110,7 @@ def _readers(ways: Sequence[Way], folder: Path) -> Iterator[Program]:
 
 
 def _commands(ways: Sequence[Way], folder: Path) -> list[str]:
-    """Return the command of the one that moves both arms."""
+    """Return the command of the program that moves both arms."""
     words = [sys.executable, "-m", "armlab", "run", "+".join(ARMS), str(HERE / "sway.py")]
     words += ["--link", ",".join(len(ARMS) * [f"{_zenoh(ways)}/lab"]), "--wait", "block"]
     return [*words, "--log", str(folder / COMMANDER)]

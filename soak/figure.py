@@ -1,4 +1,4 @@
-"""The figure of a soak: what processes hold, and delays, over time."""
+"""Figure of a soak test: memory, descriptors, threads and delays over time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def draw(
 
     Parameters
     ----------
-    about, held, recorded, clients : see `series`. path : of the picture.
+    about, held, recorded, clients : see `series`. path : of the figure.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -70,6 +70,6 @@ def _clients(ax: Any, other: Any, clients: Mapping[str, np.ndarray], recorded: M
 
 
 def _finish(ax: Any, text: str, columns: int) -> None:
-    """Leave room for the legend above the lines."""
+    """Leave space for the legend above the lines."""
     ax.set(ylabel=text, ylim=(0.0, max(1.6 * ax.get_ylim()[1], 1e-3)))
     ax.legend(fontsize=6, ncols=columns, loc="upper center")

@@ -1,4 +1,4 @@
-"""All that a soak is judged by, from the folder that it left."""
+"""Assessment of a soak test from the files in its folder."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from soak.verdict import Finding
 
 __all__ = ["judged"]
 
-_SHORT = 0.02  # of the time wanted, or of the run: as much may be missing from its end
-_STILL = 10.0  # s before the end in which every client still got messages
+_SHORT = 0.02  # share of the requested or actual duration that may be missing at the end
+_STILL = 10.0  # s before the end within which every client must still receive messages
 _PERIOD = 0.004032  # s between two packets of an arm
-_KEPT_UP = 5.0  # % of the packets that a simulator may leave out for want of a core; beyond it this was not real time
+_KEPT_UP = 5.0  # % of the packets that a simulator may skip for lack of a core; above it, the run was not in real time
 
 
 def judged(
@@ -47,11 +47,11 @@ def _watched(about: Mapping[str, Any]) -> float:
 
 
 def _length(about: Mapping[str, Any], recorded: Mapping[str, series.Recorded]) -> Iterator[Finding]:
-    """Judge whether it took as long as it was to, by the robot's time in lockstep."""
+    """Assess the duration, which in lockstep is measured by robot time."""
     robot = max((one.seconds for one in recorded.values()), default=0.0)
     reached = robot if about.get("part") == "lockstep" else _watched(about)
     short = 1.0 - reached / about.get("seconds", np.nan)
-    yield Finding("length, short of what was wanted by", " %", 100.0 * short, 100.0 * _SHORT)
+    yield Finding("duration, shorter than requested by", " %", 100.0 * short, 100.0 * _SHORT)
     by = about.get("cut_off", "")
     yield Finding(f"cut off by {by}" if by else "cut off", "", float(by != ""), 0.0)
 
@@ -64,25 +64,25 @@ def _processes(about: Mapping[str, Any], held: Mapping[str, series.Held]) -> Ite
             continue
         t, values = held[name]
         length = _watched(about)
-        yield Finding(f"{name}: last look, before the end", " s", length - t[-1], _SHORT * length)
+        yield Finding(f"{name}: last sample, before the end", " s", length - t[-1], _SHORT * length)
         yield verdict.memory(name, t, values["memory"])
         yield verdict.count(f"{name}: descriptors", values["descriptors"])
         yield verdict.count(f"{name}: threads", values["threads"])
-        yield verdict.equal(f"{name}: starts anew", int(np.sum(np.diff(values["cpu"]) < 0.0)), 0)
+        yield verdict.equal(f"{name}: restarts", int(np.sum(np.diff(values["cpu"]) < 0.0)), 0)
 
 
 def _recordings(recorded: Mapping[str, series.Recorded]) -> Iterator[Finding]:
     for name, one in recorded.items():
         yield verdict.delay(f"{name}: arrival to reply, median", one.p50)
         yield verdict.delay(f"{name}: arrival to reply, 99 %", one.p99)
-        if name.startswith("run"):  # not what came to a commander
+        if name.startswith("run"):  # excludes the recordings of a commanding client
             share = one.summary.get("packets", np.nan) * _PERIOD / one.summary.get("seconds", np.nan)
-            yield Finding(f"{name}: packets left out of {1 / _PERIOD:.0f} a second", " %", 100 * (1 - share), _KEPT_UP)
-        yield verdict.equal(f"{name}: rows that can be read, of packets", one.rows, one.summary.get("packets", np.nan))
+            yield Finding(f"{name}: packets skipped of {1 / _PERIOD:.0f} per second", " %", 100 * (1 - share), _KEPT_UP)
+        yield verdict.equal(f"{name}: readable rows, of packets", one.rows, one.summary.get("packets", np.nan))
         yield verdict.equal(f"{name}: recordings finished", int(one.is_whole), 1)
         yield verdict.equal(f"{name}: rows dropped", one.summary.get("dropped", np.nan), 0)
         ended = [text for text in one.events if "It restarts in" in text or "not restarted" in text]
-        yield verdict.equal(f"{name}: servers that ended", len(ended), 0)
+        yield verdict.equal(f"{name}: servers that exited", len(ended), 0)
 
 
 def _clients(about: Mapping[str, Any], clients: Mapping[str, np.ndarray]) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""The soak in lockstep: `armlab run` and a simulated arm, both as fast as they can, with a recording in one file."""
+"""Soak test in lockstep: `armlab run` and a simulated arm run as fast as they can and write one recording."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from soak.programs import Program
 __all__ = ["LINK", "run"]
 
 LINK = "sim://yumi_left?lockstep=true&lagging=true"
-"""Both ends of EGM as bytes in datagrams; the arm has no masses, since its dynamics would take half of the time."""
+"""Both ends of EGM over UDP; the arm has no masses, because its dynamics would take half of the time."""
 
-_LOOK = 2.0  # s between two looks at the processes, at most: the last one is near the end of an hour of robot time too
+_LOOK = 2.0  # s between two samples of the processes, at most, so that the last sample is near the end
 
 
 def run(folder: Path, seconds: float, most: float) -> dict[str, Any]:
-    """Run it and return what is told of it, see `series.told`.
+    """Run the test and return its description, see `series.told`.
 
     Parameters
     ----------
-    folder : for all that it leaves. seconds : of robot time. most : s of the wall clock after which it is ended.
+    folder : for all output. seconds : robot time [s]. most : wall-clock time after which the test is aborted [s].
     """
     sway = Path(__file__).with_name("sway.py")
     words = [sys.executable, "-m", "armlab", "run", "yumi_left", str(sway), "--link", LINK]
@@ -56,18 +56,18 @@ def run(folder: Path, seconds: float, most: float) -> dict[str, Any]:
 
 
 def _wait(program: Program, watch: Watch, folder: Path, most: float) -> str:
-    """Wait until the program ends; return what cut it off, if anything did."""
+    """Wait until the program ends; return the reason for an early end, if any."""
     begin = time.monotonic()
     told = begin
     try:
-        print("  Runs; Ctrl-C cuts it off, and it is judged all the same.", flush=True)
+        print("  Running; Ctrl-C aborts the run, which is then assessed all the same.", flush=True)
         while (status := program.process.poll()) is None:
             if time.monotonic() - begin > most:
                 return "--most"
             if time.monotonic() - told > 60.0:
                 told = time.monotonic()
                 size = sum(path.stat().st_size for path in folder.glob("*.mcap"))
-                print(f"  {told - begin:.0f} s of the wall clock, {1e-6 * size:.0f} MB recorded", flush=True)
+                print(f"  {told - begin:.0f} s elapsed, {1e-6 * size:.0f} MB recorded", flush=True)
             watch.pause(0.1)
     except KeyboardInterrupt:
         return "a signal"

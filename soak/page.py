@@ -1,4 +1,4 @@
-"""The page of the documentation, from the results of both parts."""
+"""Page of the documentation, generated from the results of both parts."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ __all__ = ["page"]
 
 
 def page(text: str, results: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the page with other results in it.
+    """Return the page with updated results.
 
     Parameters
     ----------
-    text : of the page. results : `result.json` by part, "real_time" and "lockstep"; one that is not there is kept.
+    text : of the page. results : `result.json` by part, "real_time" and "lockstep"; missing parts are kept.
     """
     for name, result in results.items():
         before, rest = text.split(f"<!-- {name} -->\n")

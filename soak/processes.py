@@ -1,6 +1,6 @@
-"""What processes hold: memory of their own, descriptors, threads, processor time; of a program and all that it started.
+"""Resources of processes: private memory, descriptors, threads and processor time of a program and its descendants.
 
-Memory is what is anonymous (heap, stacks) and swapped: pages of files that are mapped come and go with the cache.
+Memory is anonymous (heap, stacks) or swapped memory; mapped file pages depend on the cache.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ __all__ = ["COLUMNS", "Sample", "Watch", "family", "held", "label"]
 
 HEAD = "t,process,memory,descriptors,threads,cpu"
 COLUMNS = ("memory", "descriptors", "threads")
-"""What is judged of a process."""
+"""Assessed quantities of a process."""
 
 
 class Sample(NamedTuple):
-    """What a process held at a time [s since the watch began]: bytes, counts, s of processor time."""
+    """Resources of a process at a time [s since monitoring began]: bytes, counts, and seconds of processor time."""
 
     t: float
     process: str
@@ -42,7 +42,7 @@ def held(pid: int) -> tuple[int, int, int, float]:
 
     Raises
     ------
-    OSError : it has ended.
+    OSError : the process has ended.
     """
     place = Path(f"/proc/{pid}")
     lines = (line.split() for line in (place / "smaps_rollup").read_text().splitlines()[1:])
@@ -54,15 +54,15 @@ def held(pid: int) -> tuple[int, int, int, float]:
 
 
 def label(pid: int, root: int) -> str:
-    """Return what a process of a bridge is.
+    """Return the role of a process of a bridge.
 
     Raises
     ------
-    OSError : it has ended, or has not begun.
+    OSError : the process has ended or has not started.
     """
     words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
     if not words[0]:
-        raise ProcessLookupError(f"Expected a process that runs, got {pid}, which has no command line.")
+        raise ProcessLookupError(f"Expected a running process, got {pid}, which has no command line.")
     if "armlab.bridge.servers.serve" in words:
         return f"server {words[words.index('armlab.bridge.servers.serve') + 1]}"
     if "sim" in words[:4]:
@@ -74,11 +74,12 @@ def label(pid: int, root: int) -> str:
 
 
 class Watch:
-    """Writes samples of processes to a file, every few seconds and at the end, in a thread; a context manager.
+    """Context manager that writes samples of processes to a file from a thread, every few seconds and at the end.
 
     Parameters
     ----------
-    path : file to write, a line for each sample. period : s. processes : gives pid and name of each, again each time.
+    path : output file, one line per sample. period : time between samples [s].
+    processes : function that returns the pid and name of each process, called for every sample.
     """
 
     def __init__(self, path: Path, period: float, processes: Callable[[], Iterator[tuple[int, str]]]) -> None:
@@ -98,24 +99,24 @@ class Watch:
             self._check()
 
     def pause(self, seconds: float) -> None:
-        """Wait [s] while it looks.
+        """Wait for a time [s] while monitoring continues.
 
         Raises
         ------
-        ArmlabError : it cannot look any more.
+        ArmlabError : monitoring has failed.
         """
         self._thread.join(seconds)
         self._check()
 
     def _check(self) -> None:
         if self._error is not None:
-            text = f"Expected to look at the processes until the end, got {self._error!r}: run it again."
+            text = f"Expected to sample the processes until the end, got {self._error!r}. Run the test again."
             raise ArmlabError(text) from self._error
 
     def _run(self) -> None:
         try:
             self._look_again_and_again()
-        except Exception as error:  # of any kind: who waits is told
+        except Exception as error:  # of any kind: reported to the waiting caller
             self._error = error
 
     def _look_again_and_again(self) -> None:
@@ -131,7 +132,7 @@ class Watch:
         for pid, name in self._processes():
             try:
                 memory, descriptors, threads, cpu = held(pid)
-            except OSError:  # it has ended
+            except OSError:  # the process has ended
                 continue
             file.write(f"{t:.2f},{name},{memory},{descriptors},{threads},{cpu:.2f}\n")
         file.flush()

@@ -1,4 +1,4 @@
-"""Programs that a soak starts: their words go to files, and none outlives it."""
+"""Programs started by a soak test, with output in files; no program outlives the test."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from armlab.errors import ArmlabError
 
 __all__ = ["Program"]
 
-_PATIENCE = 90.0  # s: twenty programs start at once
+_PATIENCE = 90.0  # s, because twenty programs start simultaneously
 _LOOK = 0.05  # s
 
 
 class Program:
-    """A program whose standard output and error are ``NAME.out`` and ``NAME.err`` in a folder; a context manager."""
+    """Context manager for a program whose standard output and error are ``NAME.out`` and ``NAME.err`` in a folder."""
 
     def __init__(self, name: str, command: Sequence[str], folder: Path, environment: Mapping[str, str] = {}) -> None:
         self.name, self.out, self.err = name, folder / f"{name}.out", folder / f"{name}.err"
@@ -29,7 +29,7 @@ class Program:
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,
-                start_new_session=True,  # Ctrl-C reaches the soak alone
+                start_new_session=True,  # Ctrl-C reaches only the soak test
             )
 
     def __enter__(self) -> Program:
@@ -41,28 +41,28 @@ class Program:
             self.process.wait()
 
     def said(self) -> str:
-        """Return all its words."""
+        """Return the complete output."""
         return self.out.read_text(errors="replace") + self.err.read_text(errors="replace")
 
     def await_word(self, word: str) -> None:
-        """Wait until it has said a word.
+        """Wait until the program has printed a word.
 
         Raises
         ------
-        ArmlabError : it ended before, or does not say it in time.
+        ArmlabError : the program ended first, or did not print the word in time.
         """
         until = time.monotonic() + _PATIENCE
         while word not in self.said():
             if self.process.poll() is not None or time.monotonic() > until:
-                raise ArmlabError(f"Expected {self.name} to say {word!r}, but it said: {self.said()[-1000:]}")
+                raise ArmlabError(f"Expected {self.name} to print {word!r}, got: {self.said()[-1000:]}")
             time.sleep(_LOOK)
 
     def end(self, number: int = signal.SIGTERM) -> int:
-        """Ask it to end, wait until it has, and return its status.
+        """Terminate the program, wait for its end, and return its exit status.
 
         Raises
         ------
-        TimeoutExpired : it does not.
+        TimeoutExpired : the program did not end.
         """
         if self.process.poll() is None:
             self.process.send_signal(number)

@@ -1,13 +1,13 @@
-"""Hours of the bridge with everything on, watched for what grows.
+"""Soak tests: hours of operation with all servers, monitored for growth.
 
     python soak/run.py real_time --seconds 1800     two arms, all servers, ten clients, recording
-    python soak/run.py lockstep --seconds 86400     one arm, as fast as both ends can; --most: s of the wall clock
-    python soak/run.py judge FOLDER                 what an earlier one left
-    python soak/run.py publish FOLDER ...            write docs/soak.md from what was judged
+    python soak/run.py lockstep --seconds 86400     one arm, as fast as possible; --most: wall-clock limit [s]
+    python soak/run.py judge FOLDER                 assess the files of an earlier run
+    python soak/run.py publish FOLDER ...            write docs/soak.md from assessed runs
 
-All that it measures goes to build/soak/PART: `held.csv`, the recordings, `result.json` and `soak.png`. It ends with a
-line for each judged quantity, and with status 1 where one is beyond its bound. Ctrl-C, SIGTERM and --most cut it off:
-what there is then is judged all the same, named "cut off", with status 1.
+All measurements are written to build/soak/PART: `held.csv`, the recordings, `result.json` and `soak.png`. The test
+prints a line for each assessed quantity, and exits with status 1 if one is out of bounds. Ctrl-C, SIGTERM and --most
+abort the run; it is then assessed all the same, reported as "cut off", and exits with status 1.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ PACKAGES = ("armlab", "numpy", "zstandard", "cyclonedds", "eclipse-zenoh", "webs
 
 
 def main() -> int:
-    """Run a part and judge it, or tell of those that were run."""
-    parser = argparse.ArgumentParser(description="Hours of the bridge, watched for what grows.")
+    """Run and assess a part, or assess or publish earlier runs."""
+    parser = argparse.ArgumentParser(description="Soak tests: hours of operation, monitored for growth.")
     parts = parser.add_subparsers(dest="part", required=True)
     for name, seconds in (("real_time", 1800.0), ("lockstep", 86400.0)):
         part = parts.add_parser(name)
-        part.add_argument("--seconds", type=float, default=seconds, help="how long; robot time in lockstep")
-        part.add_argument("--most", type=float, default=math.inf, help="s of the wall clock, in lockstep")
+        part.add_argument("--seconds", type=float, default=seconds, help="duration [s]; robot time in lockstep")
+        part.add_argument("--most", type=float, default=math.inf, help="wall-clock limit [s] in lockstep")
         part.add_argument("--folder", type=Path, default=ROOT / "build" / "soak" / name)
     parts.add_parser("judge").add_argument("folder", type=Path)
     parts.add_parser("publish").add_argument("folder", type=Path, nargs="+")
@@ -58,7 +58,7 @@ def main() -> int:
     if options.part != "judge":
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        print(f"Soak, {options.part}: {options.seconds:g} s into {folder}.", flush=True)
+        print(f"Soak test {options.part}: {options.seconds:g} s, results in {folder}.", flush=True)
         if options.part == "real_time":
             told = cell.run(folder, options.seconds)
         else:
@@ -70,7 +70,7 @@ def main() -> int:
 
 
 def judge(folder: Path) -> int:
-    """Judge what a soak left, draw it, print a line for each quantity, and return the status."""
+    """Assess a soak test, draw its figure, print a line for each quantity, and return the exit status."""
     about, held = series.told(folder), series.held(folder)
     recorded, clients = series.recorded(folder), series.clients(folder)
     found = judged(about, held, recorded, clients)
@@ -86,12 +86,12 @@ def judge(folder: Path) -> int:
     for name, one in result["recordings"].items():
         print(f"     {name}: {100.0 * one['missed']:.3f} % of the ticks missed or late")
     failed = [one for one in found if not one.is_met]
-    print(f"{len(found) - len(failed)} of {len(found)} quantities within their bounds. All is in {folder}.")
+    print(f"{len(found) - len(failed)} of {len(found)} quantities within their bounds. Results: {folder}.")
     return 1 if failed else 0
 
 
 def publish(folders: Sequence[Path]) -> None:
-    """Write results into the page of the documentation, and its pictures."""
+    """Write results and figures into the page of the documentation."""
     results = {}
     for folder in folders:
         result = json.loads((folder / "result.json").read_text())

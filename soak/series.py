@@ -1,4 +1,4 @@
-"""What a soak left in its folder, as series over time: processes, ticks of the recordings, clients."""
+"""Measurements of a soak test as time series: processes, recorded ticks, clients."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from soak.processes import COLUMNS
 __all__ = ["Held", "Recorded", "clients", "held", "levels", "recorded", "told"]
 
 _STRETCHES = 200  # of a run, for the latency of the loop
-_SHORTEST = 0.5e9  # ns of a stretch
+_SHORTEST = 0.5e9  # ns, length of a segment
 
 
 class Held(NamedTuple):
-    """Samples of one process: times [s], and (N,) of what `processes.COLUMNS` names and "cpu" [s]."""
+    """Samples of one process: times [s], and (N,) arrays named as in `processes.COLUMNS`, and "cpu" [s]."""
 
     t: np.ndarray
     values: Mapping[str, np.ndarray]
 
 
 class Recorded(NamedTuple):
-    """One recording: for each stretch its end [s], percentiles of arrival to reply [s] and the share of ticks missed.
+    """One recording: for each segment, its end [s], percentiles of arrival to reply [s], and the share of missed ticks.
 
     Attributes
     ----------
-    rows : that can be read. summary : numbers at its end. is_whole : it was finished. events : sentences in it.
-    seconds : robot time.
+    rows : number of readable rows. summary : numbers at the end of the recording. is_whole : whether it was finished.
+    events : texts of its events. seconds : robot time [s].
     """
 
     t: np.ndarray
@@ -47,7 +47,7 @@ class Recorded(NamedTuple):
 
 
 def told(folder: Path) -> dict[str, Any]:
-    """Return what the run told of itself: when it was watched, "begin" and "end" [ns], and more."""
+    """Return the description of a run: beginning and end of monitoring, "begin" and "end" [ns], and more."""
     return json.loads((folder / "told.json").read_text())
 
 
@@ -63,7 +63,7 @@ def held(folder: Path) -> dict[str, Held]:
 
 
 def recorded(folder: Path) -> dict[str, Recorded]:
-    """Return the recordings by name of the file, without the date in it."""
+    """Return the recordings by file name without the date."""
     about = told(folder)
     paths = sorted(folder.glob("*.mcap"))
     return {
@@ -93,7 +93,7 @@ def _recorded(path: Path, begin: int, end: int) -> Recorded:
 
 
 def clients(folder: Path) -> dict[str, np.ndarray]:
-    """Return by client (N, 4): s, messages, and the median and the longest from stamp to receipt [s]."""
+    """Return (N, 4) by client: time [s], messages, and median and longest delay from stamp to receipt [s]."""
     about, found = told(folder), {}
     for name in about.get("clients", ()):
         lines = (folder / f"{name}.out").read_text().splitlines()
@@ -108,7 +108,7 @@ def clients(folder: Path) -> dict[str, np.ndarray]:
 def levels(
     held: Mapping[str, Held], recorded: Mapping[str, Recorded], clients: Mapping[str, np.ndarray]
 ) -> dict[str, dict[str, Any]]:
-    """Return what is told of each process, recording and client in a line: medians of the last quarter, and counts."""
+    """Return the reported numbers of each process, recording and client: medians of the last quarter, and counts."""
     return {
         "robot_seconds": {name: one.seconds for name, one in recorded.items()},
         "held": {

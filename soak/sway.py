@@ -1,4 +1,4 @@
-"""A controller that sways all joints for ever: `armlab run yumi_left soak/sway.py`."""
+"""Controller that sways all joints indefinitely: `armlab run yumi_left soak/sway.py`."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import numpy as np
 
 from armlab.state import Command, State
 
-SPEED = 0.1  # rad/s at most
-SLOWEST = 0.05  # Hz, of the first joint; each further one sways faster
-RETURN = 0.2  # 1/s: what was not obeyed, as somebody else had the arm, is not left to add up
+SPEED = 0.1  # rad/s, largest speed
+SLOWEST = 0.05  # Hz, of the first joint; each further joint sways faster
+RETURN = 0.2  # 1/s: removes the deviation caused while another client commands the arm
 
 
 class Sway:
-    """Velocities whose integral stays within 0.7 rad of where the joints were first."""
+    """Velocities whose integral stays within 0.7 rad of the initial joint positions."""
 
     def __init__(self) -> None:
         self._middle: np.ndarray | None = None
 
     def __call__(self, state: State) -> Command:
-        """Return the velocities at the time of a state."""
+        """Return the velocities for a state."""
         if self._middle is None:
             self._middle = state.q.copy()
         pace = 2.0 * np.pi * SLOWEST * (1.0 + 0.1 * np.arange(len(state.q)))

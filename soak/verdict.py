@@ -1,8 +1,8 @@
-"""Whether something grows, told from what was measured while others used the machine too.
+"""Detection of growth in measurements on a shared machine.
 
-Memory comes from the kernel in steps, and each look at a delay is longer or shorter by chance, so that neither the last
-value nor the largest says anything. Of memory it is the median slope of the second half that counts; of descriptors and
-threads the median of a while; of delays the least of a while, which others on the machine make no shorter.
+Memory comes from the kernel in steps, and single delays vary randomly, so neither the last nor the largest value is
+significant. The tests therefore use the median slope of memory in the second half, medians of descriptors and threads,
+and minima of delays, which other load on the machine cannot reduce.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ import numpy as np
 __all__ = ["ARENA", "Finding", "LATER", "MARGIN", "count", "delay", "equal", "growth", "memory"]
 
 ARENA = 2**20
-"""Bytes that Python takes from the kernel at once."""
+"""Size of the pieces in which Python takes memory from the kernel [B]."""
 
 LATER = 1.5
-"""Times the least delay of the second quarter, that of the last quarter at most."""
+"""Largest ratio of the minimum delay in the last quarter to that in the second."""
 
 MARGIN = 100e-6
-"""s by which the least delay may be longer in any case: what turns of the scheduler take."""
+"""Increase of the minimum delay that is always allowed [s]: a few time slices of the scheduler."""
 
-_MOST = 400  # points of a series: a slope for each two of them
+_MOST = 400  # points of a series; slopes are computed for all pairs
 
 
 class Finding(NamedTuple):
-    """One judged quantity: what was found, and what it may be at most."""
+    """One assessed quantity: its value and its largest allowed value."""
 
     what: str
     unit: str
@@ -36,7 +36,7 @@ class Finding(NamedTuple):
 
     @property
     def is_met(self) -> bool:
-        """Whether it is within its bound; NaN is not."""
+        """Whether the value is within its bound; False for NaN."""
         return self.found <= self.most
 
     def __str__(self) -> str:
@@ -45,7 +45,7 @@ class Finding(NamedTuple):
 
 
 def growth(t: np.ndarray, values: np.ndarray) -> float:
-    """Return by how much a series grew in its second half: the median slope between two points (Theil, Sen), times it.
+    """Return the growth of a series in its second half: the median slope (Theil-Sen) times the duration.
 
     Parameters
     ----------
@@ -63,30 +63,30 @@ def growth(t: np.ndarray, values: np.ndarray) -> float:
 
 
 def memory(what: str, t: np.ndarray, bytes_held: np.ndarray) -> Finding:
-    """Judge memory: in half the time it may grow by two of the pieces in which it comes."""
+    """Assess memory: in half the duration, it may grow by two of the pieces in which it is allocated."""
     grown = growth(t, bytes_held)
     return Finding(f"{what}: memory, growth in the second half", " MiB", grown / 2**20, 2 * ARENA / 2**20)
 
 
 def count(what: str, values: np.ndarray) -> Finding:
-    """Judge descriptors or threads: the median of the last quarter is no more than that of the second."""
+    """Assess descriptors or threads: the median of the last quarter must not exceed that of the second."""
     before, after = _quarters(values, np.median)
     return Finding(f"{what}, median of the last quarter", "", after, before)
 
 
 def delay(what: str, seconds: np.ndarray) -> Finding:
-    """Judge delays, one for each stretch of time: the least of the last quarter against that of the second."""
+    """Assess delays, one per segment: compare the minimum of the last quarter with that of the second."""
     before, after = _quarters(seconds, np.min)
     return Finding(f"{what}, least in the last quarter", " ms", 1e3 * after, 1e3 * (LATER * before + MARGIN))
 
 
 def equal(what: str, found: float, wanted: float) -> Finding:
-    """Judge what must be exactly so."""
+    """Assess a quantity that must have an exact value."""
     return Finding(f"{what} ({found:.0f} of {wanted:.0f}), difference", "", abs(found - wanted), 0.0)
 
 
 def _quarters(values: np.ndarray, reduce: Callable[[np.ndarray], Any]) -> tuple[float, float]:
-    """Return one number of the second quarter and of the last; NaN for too few."""
+    """Return one statistic of the second quarter and of the last; NaN for too few points."""
     if len(values) < 4:
         return float("nan"), float("nan")
     quarters = np.array_split(np.asarray(values, dtype=float), 4)

@@ -131,17 +131,17 @@ def delayed(run: dict[str, Any]) -> None:
     run["clients"]["reader of zenoh"][:, 2] += 2e-6 * T
 
 
-LATE, SHORT = T[200] < T, "length, short of what was wanted by"
+LATE, SHORT = T[200] < T, "duration, shorter than requested by"
 FAULTS: dict[str, tuple[Fault, str]] = {
     "ends early": (about(end=int(1760e9)), SHORT),
     "ends early in lockstep": (together(about(part="lockstep"), recorded(seconds=1760.0)), SHORT),
     "says not how long it was to be": (lambda run: run["about"].pop("seconds"), SHORT),
     "is cut off": (about(cut_off="--most"), "cut off by --most"),
-    "is no more looked at": (cut, "simulator: last look, before the end"),
+    "is no more looked at": (cut, "simulator: last sample, before the end"),
     "leaks": (of("server zenoh", "memory", lambda one: one + 4e3 * T), "server zenoh: memory, growth"),
     "loses a descriptor": (of("simulator", "descriptors", lambda one: one + LATE), "simulator: descriptors"),
     "gains a thread": (of("commander", "threads", lambda one: one + LATE), "commander: threads"),
-    "starts anew": (of("simulator", "cpu", lambda one: one - 5.0 * (T[150] < T)), "simulator: starts anew"),
+    "starts anew": (of("simulator", "cpu", lambda one: one - 5.0 * (T[150] < T)), "simulator: restarts"),
     "is not there": (lambda run: run["held"].pop("server zenoh"), "server zenoh: processes"),
     "gets later": (delayed, "reader of zenoh: stamp to receipt"),
     "falls silent": (
@@ -151,10 +151,10 @@ FAULTS: dict[str, tuple[Fault, str]] = {
     "ends with an error": (about(statuses={"bridge": 1, "commander": 130}), "bridge: status"),
     "slow": (recorded(p50=3e-4 * (1.0 + T / 300.0)), "run-left: arrival to reply, median"),
     "slow at times": (recorded(p99=9e-4 * (1.0 + T / 300.0)), "run-left: arrival to reply, 99 %"),
-    "row lost": (recorded(rows=446428), "run-left: rows that can be read"),
+    "row lost": (recorded(rows=446428), "run-left: readable rows"),
     "unfinished": (recorded(is_whole=False, summary={}), "run-left: recordings finished"),
     "dropped": (recorded(summary={"packets": 446429, "dropped": 1, "seconds": 1800.0}), "run-left: rows dropped"),
-    "too slow": (recorded(summary={"packets": 400000, "dropped": 0, "seconds": 1800.0}), "run-left: packets left out"),
+    "too slow": (recorded(summary={"packets": 400000, "dropped": 0, "seconds": 1800.0}), "run-left: packets skipped"),
     "server ended": (recorded(events=("The server zenoh ended. It restarts in 1 s.",)), "run-left: servers that"),
 }
 
@@ -248,7 +248,7 @@ def soaked(part: str, seconds: float, folder: Path) -> dict[str, dict[str, objec
 
 def failed(judged: dict[str, dict[str, object]]) -> list[str]:
     """What is beyond its bound, but for what some seconds on a busy machine cannot tell."""
-    short = ("memory, growth", "arrival to reply", "stamp to receipt", "packets left out", "last look")
+    short = ("memory, growth", "arrival to reply", "stamp to receipt", "packets skipped", "last sample")
     return [what for what, one in judged.items() if not one["is_met"] and not any(word in what for word in short)]
 
 
@@ -260,9 +260,9 @@ def test_all_servers_and_ten_clients_in_real_time(tmp_path: Path) -> None:
     judged = soaked("real_time", 4.0, tmp_path)
     assert failed(judged) == []
     servers = ("ros2", "rmw_zenoh", "rosbridge", "zenoh", "plotjuggler", "labcomm", "local")
-    assert all(f"server {name}: starts anew (0 of 0), difference" in judged for name in servers)
-    assert any(what.startswith("run-right: rows that can be read") for what in judged)
-    assert any(what.startswith("commander left: rows that can be read") for what in judged)
+    assert all(f"server {name}: restarts (0 of 0), difference" in judged for name in servers)
+    assert any(what.startswith("run-right: readable rows") for what in judged)
+    assert any(what.startswith("commander left: readable rows") for what in judged)
 
 
 @pytest.mark.slow
@@ -270,7 +270,7 @@ def test_lockstep(tmp_path: Path) -> None:
     """Takes 10 s."""
     judged = soaked("lockstep", 20.0, tmp_path)
     assert failed(judged) == []
-    assert any(what.startswith("run: rows that can be read, of packets (50") for what in judged)
+    assert any(what.startswith("run: readable rows, of packets (50") for what in judged)
 
 
 @pytest.mark.slow
@@ -291,7 +291,7 @@ def test_a_run_that_is_cut_off_is_judged_and_says_so(way: str, tmp_path: Path) -
         said += child.stdout.read()
     assert child.returncode == 1
     assert f"FAIL cut off by {way}" in said
-    assert "FAIL length, short of what was wanted by" in said
+    assert "FAIL duration, shorter than requested by" in said
     assert "ok   run: recordings finished" in said
 
 
