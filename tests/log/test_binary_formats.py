@@ -68,24 +68,15 @@ def test_more_than_one_group_of_rows(table: Table, tmp_path: Path, monkeypatch: 
 
 def test_a_table_of_another_program(tmp_path: Path) -> None:
     path = tmp_path / "run.parquet"
-    found = pa.table(
-        {
-            "time": pa.array([10**18, 10**18 + 4 * 10**6], pa.timestamp("ns")),
-            "q1 [deg]": [180.0, None],
-            "q2 [deg]": [0.0, 90.0],
-            "count": [2**60 + 1, 2**60 + 2],
-            "on": [True, False],
-            "mode": ["a", None],
-            "list": [[1], [2]],
-        }
-    )
+    columns = {"q1 [deg]": [180.0, None], "q2 [deg]": [0.0, 90.0], "count": [2**60 + 1, 2**60 + 2], "on": [True, False]}
+    columns |= {"time": pa.array([10**18, 10**18 + 4 * 10**6], pa.timestamp("ns")), "mode": ["a", None]}
+    found = pa.table({**columns, "list": [[1], [2]]})
     pq.write_table(found, path)
     table = log.read(path)
     assert table.t.tolist() == [0.0, 0.004]
     np.testing.assert_allclose(table["q"], [[np.pi, 0.0], [np.nan, np.pi / 2]])
-    assert table["count"].tolist() == [2**60 + 1, 2**60 + 2]
-    assert table["mode"].tolist() == ["a", ""]
-    assert table["on"].tolist() == [1, 0]
+    found_values = {name: table[name].tolist() for name in ("count", "mode", "on")}
+    assert found_values == {"count": [2**60 + 1, 2**60 + 2], "mode": ["a", ""], "on": [1, 0]}
     assert table.notes == ("skipped: list (list<element: int64>)",)
     pq.write_table(found.select(["count"]), path)
     with pytest.raises(LogError, match=r"Expected a column t \[s\] in .*got count"):
@@ -135,16 +126,14 @@ def save_73(path: Path, arrays: dict[str, np.ndarray]) -> Path:
     return path
 
 
-def test_read_mat_of_version_5(tmp_path: Path) -> None:
-    savemat(tmp_path / "a.mat", {**ARRAYS, "text": "hello", "nothing": {"a": 1}, "z": np.array([1j])})
-    found = read_mat(tmp_path / "a.mat")
+def test_read_mat_of_version_5_and_what_it_refuses(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    savemat(path, {**ARRAYS, "text": "hello", "nothing": {"a": 1}, "z": np.array([1j])})
+    found = read_mat(path)
     assert set(found) == set(ARRAYS)
     for name, array in ARRAYS.items():
         np.testing.assert_array_equal(found[name], array)
-
-
-def test_what_is_no_mat_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.mat"
+    path.unlink()
     with pytest.raises(LogError, match="No such file"):
         read_mat(path)
     path.write_text("t,q\n1,2\n")
@@ -184,10 +173,9 @@ def test_arrays_as_scipy_reads_them(packed: bool) -> None:
         "few": np.array([[1, 2, 3]], np.int16),
         "deep": np.arange(24.0).reshape(2, 3, 4),
         "none": np.zeros((0, 3)),
-        "flags": np.array([[True], [False]]),
-        "large": np.array([[2**63]], np.uint64),
-        "single": np.array([[0.1]], np.float32),
     }
+    arrays |= {"flags": np.array([[True], [False]]), "large": np.array([[2**63]], np.uint64)}
+    arrays["single"] = np.array([[0.1]], np.float32)
     data = saved(arrays, packed)
     found, wanted = variables_in(data), loadmat(BytesIO(data))
     assert set(found) == set(arrays)
@@ -208,13 +196,8 @@ def test_texts_cells_and_what_is_neither() -> None:
     cells = np.array([["a"], ["grå"], [""]], dtype=object)
     mixed = np.array([[1.0], ["b"]], dtype=object)
     found = variables_in(saved({"text": "grå", "cells": cells, "mixed": mixed, "s": {"a": 1}, "z": 1j}, packed=False))
-    assert {k: None if v is None else v.tolist() for k, v in found.items()} == {
-        "text": [["grå"]],
-        "cells": [["a"], ["grå"], [""]],
-        "mixed": None,
-        "s": None,
-        "z": None,
-    }
+    wanted = {"text": [["grå"]], "cells": [["a"], ["grå"], [""]], "mixed": None, "s": None, "z": None}
+    assert {k: None if v is None else v.tolist() for k, v in found.items()} == wanted
 
 
 def test_a_bomb_is_refused_by_the_size_that_it_tells(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -244,10 +227,9 @@ def test_wrong_bytes(packed: bool, count: int) -> None:
 def test_names_that_matlab_allows() -> None:
     names = ["q", "force.raw", "force_raw", "end", "2nd", "t", "units", "_x", "grå", "x" * 70, "x" * 71, ""]
     found = matlab_names(names)
-    assert found["q"] == "q"
-    assert (found["force.raw"], found["force_raw"]) == ("force_raw_2", "force_raw")
-    assert (found["end"], found["2nd"], found["_x"], found["grå"], found[""]) == ("xend", "x2nd", "x_x", "gr_", "x")
-    assert (found["t"], found["units"]) == ("t_2", "units_2")
+    wanted = {"q": "q", "force.raw": "force_raw_2", "force_raw": "force_raw", "end": "xend", "2nd": "x2nd", "_x": "x_x"}
+    wanted |= {"grå": "gr_", "": "x", "t": "t_2", "units": "units_2"}
+    assert {name: found[name] for name in wanted} == wanted
     assert len(set(found.values())) == len(names)
     assert all(len(name) <= 63 and name.isidentifier() for name in found.values())
 
@@ -261,8 +243,7 @@ def test_what_matlab_sees(table: Table, tmp_path: Path) -> None:
     assert {"t": "s", "q": "rad", "force_raw": "N", "xend": "1"}.items() <= found["units"].items()
     assert found["names"] == {"force_raw": "force/raw", "xend": "end"}
     about = json.loads(found["armlab"])
-    assert about["source"] == ["here"]
-    assert about["columns"]["q"]["labels"] == ["a", "b"]
+    assert (about["source"], about["columns"]["q"]["labels"]) == (["here"], ["a", "b"])
     del found["q"]
     savemat(tmp_path / "less.mat", {name: one for name, one in found.items() if name[:2] != "__"})
     with pytest.raises(LogError, match=r"variables described in .*less\.mat, but q are missing\."):

@@ -20,34 +20,23 @@ from armlab.log import Column, Table, concat
 from armlab.log.column import alias, refuse_ragged
 from armlab.log.table import QD_SOURCES, TAU_SOURCES, component_names, missing_rows, statistics
 
+WALL = 1_700_000_000_000_000_000
+
 
 def example(rows: int = 50, joints: int = 7, seed: int = 1) -> Table:
     rng = np.random.default_rng(seed)
-    return Table(
-        np.arange(rows) * 0.004,
-        {
-            "q": rng.normal(size=(rows, joints)),
-            "qd": rng.normal(size=(rows, joints)),
-            "tau": rng.normal(size=(rows, joints)),
-            "seq": np.arange(rows) + 100,
-            "grip": rng.normal(size=rows),
-        },
-        {"grip": Column(unit="N")},
-        t0_ns=1_700_000_000_000_000_000,
-        clock="robot",
-    )
+    values = {name: rng.normal(size=(rows, joints)) for name in ("q", "qd", "tau")}
+    values |= {"seq": np.arange(rows) + 100, "grip": rng.normal(size=rows)}
+    return Table(np.arange(rows) * 0.004, values, {"grip": Column(unit="N")}, t0_ns=WALL, clock="robot")
 
 
 def test_known_names_take_unit_kind_and_frame_from_the_glossary() -> None:
     table = example()
     assert table.units == {"q": "rad", "qd": "rad/s", "tau": "N m", "seq": "1", "grip": "N"}
-    assert table.columns["q"].kind == "angle"
-    assert table.columns["tau"].frame == "joint"
-    assert table["seq"].dtype == np.dtype("<i8")
-    assert table.names == ("q", "qd", "tau", "seq", "grip")
+    assert (table.columns["q"].kind, table.columns["tau"].frame, table["seq"].dtype.str) == ("angle", "joint", "<i8")
+    assert (table.names, len(table)) == (("q", "qd", "tau", "seq", "grip"), 50)
     assert "q" in table
     assert "nothing" not in table
-    assert len(table) == 50
 
 
 def test_values_are_read_only_and_independent_of_the_callers_array() -> None:
@@ -89,12 +78,8 @@ def test_wrong_columns_are_refused(values: dict, columns: dict, message: str) ->
 
 
 def test_clock_must_be_finite_and_increase() -> None:
-    for t, message in (
-        ([0.0, 1.0, 1.0], "row 2 after 1 s"),
-        ([0.0, 2.0, 1.0], "row 2 after 2 s"),
-        ([0.0, np.nan, 1.0], "nan in row 1"),
-        ([[0.0, 1.0, 2.0]], r"got \(1, 3\)"),
-    ):
+    wrong = {"row 2 after 1 s": [0.0, 1.0, 1.0], "row 2 after 2 s": [0.0, 2.0, 1.0], "nan in row 1": [0.0, np.nan, 1.0]}
+    for message, t in {**wrong, r"got \(1, 3\)": [[0.0, 1.0, 2.0]]}.items():
         with pytest.raises(ShapeError, match=message):
             Table(t, {})
 
@@ -126,9 +111,9 @@ def test_select_without_with_column_and_rename() -> None:
     assert more.units["wrench"] == "N, N m"
     renamed = table.rename({"grip": "pinch"})
     assert renamed.units["pinch"] == "N"
-    for call in (lambda: table.select("nope"), lambda: table.without("nope"), lambda: table.rename({"nope": "x"})):
+    for change, name in ((table.select, "nope"), (table.without, "nope"), (table.rename, {"nope": "x"})):
         with pytest.raises(UnknownName, match="Known: grip"):
-            call()
+            change(name)
     with pytest.raises(ShapeError, match="Expected a unit"):
         table.with_column("mine", np.ones(50))
     with pytest.raises(ShapeError, match="Expected unit"):
@@ -149,7 +134,7 @@ def test_matching_is_in_natural_order() -> None:
         table.matching("velocity")
 
 
-def test_missing_and_dropna() -> None:
+def test_missing_rows_are_found_dropped_and_left_out_of_statistics() -> None:
     table = example()
     tau = table["tau"].copy()
     tau[[4, 9], 2] = np.nan
@@ -158,24 +143,39 @@ def test_missing_and_dropna() -> None:
     assert np.flatnonzero(missing_rows(tau)).tolist() == [4, 9]
     assert missing_rows(np.array(["a", ""])).tolist() == [False, True]
     whole = table.dropna("tau")
-    assert len(whole) == 48
-    assert whole.missing() == {}
+    assert (len(whole), whole.missing()) == (48, {})
     assert "2 of 50 rows removed" in whole.notes[-1]
     assert len(table.dropna("q")) == 50
+    found = statistics(np.array([[1.0, np.nan], [3.0, np.nan], [np.nan, np.nan]]))
+    for key, value in {"min": 1.0, "max": 3.0, "mean": 2.0, "sigma": 1.0}.items():
+        np.testing.assert_array_equal(found[key], [value, np.nan])
+    assert found["missing"].tolist() == [1.0, 3.0]
+    words = statistics(np.array(["a", ""]))
+    assert words["missing"].tolist() == [1.0]
+    assert np.isnan(words["min"]).all()
 
 
 def test_states_carry_the_columns_and_nothing_else() -> None:
     table = example().with_column("session", np.repeat([1, 2], 25)).without("tau")
     states = list(table.states())
-    assert len(states) == 50
     state = states[3]
     assert np.array_equal(state.q, table["q"][3])
-    assert (state.t, state.dt, state.seq, state.tau_source) == (table.t[3], table.dt[3], 103, "none")
+    assert (len(states), state.t, state.dt, state.seq, state.tau_source) == (50, table.t[3], table.dt[3], 103, "none")
     assert np.isnan([*state.tau, *state.wrench]).all()
     assert np.array_equal(states[20].q_start, table["q"][0])
     assert np.array_equal(states[30].q_start, table["q"][25])
     with pytest.raises(UnknownName, match="'q'"):
         table.without("q").states()
+    values = {"q": np.zeros((2, 3)), "tau": np.zeros((2, 3)), "tau_source": [2, 0], "qd_source": [1, 0]}
+    values |= {"session_t": [7.0, 0.5], "session": [1, 2], "robot_ns": [np.nan, 5.0], "utilization": [np.nan, 4.0]}
+    table = Table([0.0, 1.0], values)
+    first, second = table.states()
+    assert (first.tau_source, second.tau_source) == (TAU_SOURCES[2], TAU_SOURCES[0]) == ("reference", "none")
+    assert (first.qd_source, second.qd_source) == (QD_SOURCES[1], QD_SOURCES[0]) == ("measured", "difference")
+    assert (first.t, second.t, first.robot_ns, second.robot_ns, second.utilization) == (7.0, 0.5, 0, 5, 4.0)
+    assert np.isnan(first.utilization)
+    assert first.q_sent.size == 0
+    assert next(table.without("tau_source").states()).tau_source == "measured"
 
 
 def test_dt_is_the_recorded_one_or_the_difference() -> None:
@@ -199,13 +199,19 @@ def test_dt_is_the_recorded_one_or_the_difference() -> None:
 def test_text_names_every_column_with_shape_unit_and_missing() -> None:
     table = example().with_column("tau", np.full((50, 7), np.nan))
     text = str(table)
-    assert "50 rows" in text
-    assert "250 Hz on the robot clock" in text
-    assert "50 rows from row 0" in text
-    for name in table.names:
-        assert f"\n{name} " in text
+    for words in ("50 rows", "250 Hz on the robot clock", "50 rows from row 0", *(f"\n{one} " for one in table.names)):
+        assert words in text
     assert "q[7]" in table.describe()
     assert "Table 50 rows" in repr(table)
+    page = mixed()._repr_html_()
+    assert "Table of 2 rows" in page
+    assert "<td>q</td><td>(2, 2)</td><td>rad</td><td>1</td><td>0.1 to 0.3</td>" in page
+    assert Table([], {"grip": []}, {"grip": Column(unit="N")})._repr_html_().count("<tr>") == 2
+    values = {"q": [[1.0, 2.0]], "wrench_hat_cov": np.zeros((1, 6, 6)), "seq": [1]}
+    table = Table([0.0], values, {"q": Column(labels=("a", "b"))})
+    assert component_names(table, "q") == ["q[a]", "q[b]"]
+    assert component_names(table, "wrench_hat_cov")[7] == "wrench_hat_cov[2,2]"
+    assert component_names(table, "seq") == ["seq"]
 
 
 def test_hash_depends_on_data_only() -> None:
@@ -227,13 +233,11 @@ def test_hash_depends_on_data_only() -> None:
 def test_pickle_and_extreme_sizes() -> None:
     table = example()
     again = pickle.loads(pickle.dumps(table))
-    assert again.sha256 == table.sha256
-    assert again.t0_ns == table.t0_ns
+    assert (again.sha256, again.t0_ns) == (table.sha256, table.t0_ns)
     empty = table.rows(slice(0, 0))
-    assert len(empty) == 0
+    assert (len(empty), list(empty.states())) == (0, [])
     assert "0 rows" in str(empty)
     assert empty.describe()
-    assert list(empty.states()) == []
 
 
 @pytest.mark.parametrize(
@@ -270,60 +274,19 @@ def test_few_holes_and_small_columns_are_no_matter(rows: int, held: int, told: s
         refuse_ragged(rows, {"x": 100, "y": 28}, held)
 
 
-def test_states_have_words_of_codes_times_of_sessions_and_defaults_for_what_is_missing() -> None:
-    values = {"q": np.zeros((2, 3)), "tau": np.zeros((2, 3)), "tau_source": [2, 0], "qd_source": [1, 0]}
-    values |= {"session_t": [7.0, 0.5], "session": [1, 2], "robot_ns": [np.nan, 5.0], "utilization": [np.nan, 4.0]}
-    table = Table([0.0, 1.0], values)
-    first, second = table.states()
-    assert (first.tau_source, second.tau_source) == (TAU_SOURCES[2], TAU_SOURCES[0]) == ("reference", "none")
-    assert (first.qd_source, second.qd_source) == (QD_SOURCES[1], QD_SOURCES[0]) == ("measured", "difference")
-    assert (first.t, second.t, first.robot_ns, second.robot_ns, second.utilization) == (7.0, 0.5, 0, 5, 4.0)
-    assert np.isnan(first.utilization)
-    assert first.q_sent.size == 0
-    assert next(table.without("tau_source").states()).tau_source == "measured"
-
-
-def test_statistics_leave_out_what_is_missing() -> None:
-    found = statistics(np.array([[1.0, np.nan], [3.0, np.nan], [np.nan, np.nan]]))
-    wanted = {"min": 1.0, "max": 3.0, "mean": 2.0, "sigma": 1.0}
-    for key, value in wanted.items():
-        np.testing.assert_array_equal(found[key], [value, np.nan])
-    assert found["missing"].tolist() == [1.0, 3.0]
-    words = statistics(np.array(["a", ""]))
-    assert words["missing"].tolist() == [1.0]
-    assert np.isnan(words["min"]).all()
-
-
-def test_components_are_named_by_joint_or_number() -> None:
-    table = Table(
-        [0.0], {"q": [[1.0, 2.0]], "wrench_hat_cov": np.zeros((1, 6, 6)), "seq": [1]}, {"q": Column(labels=("a", "b"))}
-    )
-    assert component_names(table, "q") == ["q[a]", "q[b]"]
-    assert component_names(table, "wrench_hat_cov")[7] == "wrench_hat_cov[2,2]"
-    assert component_names(table, "seq") == ["seq"]
-
-
-WALL = 1_700_000_000_000_000_000
-
-
 def ramp(rows: int = 101, rate: float = 100.0, t0_ns: int = 0) -> Table:
     """Everything moves at constant speed, so interpolation must be exact."""
     t = np.arange(rows) / rate
     w, v = np.array([0.3, -0.4, 0.5]), np.array([1.0, 2.0, 3.0])
     T = se3.from_rp(so3.exp(t[:, None] * w), t[:, None] * v)
-    return Table(
-        t,
-        {
-            "q": np.stack([t, -2 * t], axis=1),
-            "T_base_tool": T,
-            "quat": quaternion.from_matrix(T[:, :3, :3]),
-            "seq": np.arange(rows),
-            "late": np.arange(rows) % 2 == 1,
-            "word": np.array([f"w{i}" for i in range(rows)]),
-        },
-        {"quat": Column(unit="1", kind="quaternion"), "word": Column(unit="1", kind="text")},
-        t0_ns=t0_ns,
-    )
+    values = {"q": np.stack([t, -2 * t], axis=1), "T_base_tool": T, "quat": quaternion.from_matrix(T[:, :3, :3])}
+    values |= {
+        "seq": np.arange(rows),
+        "late": np.arange(rows) % 2 == 1,
+        "word": np.array([f"w{i}" for i in range(rows)]),
+    }
+    columns = {"quat": Column(unit="1", kind="quaternion"), "word": Column(unit="1", kind="text")}
+    return Table(t, values, columns, t0_ns=t0_ns)
 
 
 @settings(max_examples=20)
@@ -359,7 +322,7 @@ def test_rates() -> None:
         with pytest.raises(ShapeError, match="rate above 0 Hz"):
             table.resample(rate)
     for rate in (1e9, 1e308):
-        with pytest.raises(ShapeError, match=r"got 1e\+\d+ Hz over 1 s: \S+ rows from 101 rows\. Pass the rate in hertz"):
+        with pytest.raises(ShapeError, match=r"got 1e\+\d+ Hz over 1 s: \S+ rows from 101 rows\. Pass the rate"):
             table.resample(rate)
     with pytest.raises(ShapeError, match="t in seconds"):
         replace(table, t=1e9 * table.t).resample(100.0)
@@ -388,10 +351,8 @@ def test_gaps_are_not_bridged() -> None:
 
 
 def test_joining_holds_the_last_row_and_tells_its_age() -> None:
-    left = ramp(t0_ns=WALL)
-    right = Table(
-        [0.0, 0.1, 0.5], {"wrench": np.arange(18.0).reshape(3, 6), "tick": [5, 6, 7]}, t0_ns=WALL + 200_000_000
-    )
+    values = {"wrench": np.arange(18.0).reshape(3, 6), "tick": [5, 6, 7]}
+    left, right = ramp(t0_ns=WALL), Table([0.0, 0.1, 0.5], values, t0_ns=WALL + 200_000_000)
     found = left.join(right)
     early = left.t < 0.2 - 1e-9
     assert np.all(np.isnan(found["wrench"][early]))
@@ -427,11 +388,9 @@ def test_concatenation_keeps_the_gap_and_refuses_what_does_not_fit() -> None:
     by_hand = concat(ramp(), ramp().shifted(2.0))
     assert by_hand.t[101] == pytest.approx(2.0)
     table = ramp()
-    for tables, words in (
-        ([table, table], r"begin after 1 s, got 0 s; use shifted"),
-        ([table, table.without("q").shifted(2.0)], "differences of table 2 in q"),
-        ([], "at least one"),
-    ):
+    other = table.without("q").shifted(2.0)
+    wrong = {"begin after 1 s, got 0 s; use shifted": [table, table], "differences of table 2 in q": [table, other]}
+    for words, tables in {**wrong, "at least one": []}.items():
         with pytest.raises(ShapeError, match=words):
             concat(*tables)
 
@@ -446,10 +405,8 @@ def mixed() -> Table:
 def test_tables_become_those_of_other_libraries(package: str, monkeypatch) -> None:
     kind = {"pyarrow": "arrow"}.get(package, package)
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(
-        MissingExtra,
-        match=f"Expected the package {package}, but it is not installed. Install it: pip install {package}",
-    ):
+    words = f"Expected the package {package}, but it is not installed. Install it: pip install {package}"
+    with pytest.raises(MissingExtra, match=words):
         getattr(mixed(), f"to_{kind}")()
     monkeypatch.undo()
     pytest.importorskip(package, reason=f"{package} is not installed")
@@ -467,10 +424,3 @@ def test_tables_become_those_of_other_libraries(package: str, monkeypatch) -> No
     if package == "pandas":
         assert found.attrs["units"]["q1"] == "rad"
         assert found.index.tolist() == [0.0, 0.5]
-
-
-def test_a_notebook_shows_rows_columns_and_ranges() -> None:
-    page = mixed()._repr_html_()
-    assert "Table of 2 rows" in page
-    assert "<td>q</td><td>(2, 2)</td><td>rad</td><td>1</td><td>0.1 to 0.3</td>" in page
-    assert Table([], {"grip": []}, {"grip": Column(unit="N")})._repr_html_().count("<tr>") == 2
