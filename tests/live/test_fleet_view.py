@@ -33,7 +33,7 @@ def test_who_comes_is_seen_and_who_goes_is_gone(fleet: Fleet) -> None:
 
     def there(name: str) -> bool:
         known = rows.robots.get(name)
-        return known is not None and known.state == "there" and known.row is not None and math.isfinite(known.rate)
+        return known is not None and known.state == "connected" and known.row is not None and math.isfinite(known.rate)
 
     for name, wanted in (("lab1/arm", LEFT), ("lab2/arm", UR)):
         hear_fleet(rows, lambda name=name: there(name))
@@ -63,7 +63,7 @@ def test_one_lab_alone_and_damaged_rows(fleet: Fleet) -> None:
     assert list(rows.robots) == ["lab2/ur5e"]
     seen = rows.robots["lab2/ur5e"]
     hear_fleet(rows, lambda: seen.damaged > 1, lambda: fleet.put("armlab/lab2/ur5e/view", b"ALR1 and no sum"))
-    hear_fleet(rows, lambda: seen.state == "there")
+    hear_fleet(rows, lambda: seen.state == "connected")
 
 
 WRONG = [
@@ -102,10 +102,10 @@ def test_a_silent_robot_and_rows_of_another_schema() -> None:
     seen.describe(json.dumps([{"run": "a", "schema": schema.text.decode(), "robots": {"ur5e": to_toml(UR)}}]).encode())
     assert (seen.state, seen.value("q"), seen.wants) == ("silent", None, False)
     seen.take(b"ALR1    " + schema.id)  # too short
-    assert seen.state == "there"
+    assert seen.state == "connected"
     assert seen.row is None
     seen.listened(1.9)
-    assert seen.state == "there"
+    assert seen.state == "connected"
     seen.listened(0.2)
     assert seen.state == "silent"
     seen.take(bytes(schema.size))
@@ -116,14 +116,14 @@ def test_a_viewer_that_was_not_run_takes_no_robot_for_silent(fleet: Fleet, monke
     """Time in which nobody listened says nothing of a robot; two seconds of listening do."""
     rows = fleet.rows()
     bridge = fleet.bridge(LEFT)
-    hear_fleet(rows, lambda: "lab1/yumi_left" in rows.robots and rows.robots["lab1/yumi_left"].state == "there")
+    hear_fleet(rows, lambda: "lab1/yumi_left" in rows.robots and rows.robots["lab1/yumi_left"].state == "connected")
     seen, looks = rows.robots["lab1/yumi_left"], 0
     monkeypatch.setattr(rows, "_put", lambda *words: None)  # nothing of what comes is taken
     for _ in range(3):
         rows._looked -= 60.0
         rows.hear(0.0)
-        assert seen.state == "there"
-    while seen.state == "there":
+        assert seen.state == "connected"
+    while seen.state == "connected":
         rows._looked -= 60.0
         rows.hear(0.0)
         looks += 1
@@ -187,7 +187,7 @@ def test_it_tells_who_comes_and_who_goes(fleet: Fleet) -> None:
 
     def over() -> bool:
         fleet.put("armlab/lab1/strange/status", b"5")
-        if "lab1/ur5e is there" in told:
+        if "lab1/ur5e is connected" in told:
             one.close()
         return {"lab1/ur5e is gone", "lab1/strange sent an invalid description"} <= set(told)
 

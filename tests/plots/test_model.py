@@ -252,7 +252,7 @@ def test_residuals_are_in_sigma_and_wrong_samples_are_crosses(fit, drawn) -> Non
     assert np.asarray(good.get_ydata()) == pytest.approx(size[2:])
     assert np.asarray(bad.get_ydata()) == pytest.approx(size[:2])
     assert bad.get_marker() == "x"
-    assert [text.get_text() for text in over.get_legend().get_texts()].count("left out") == 1
+    assert [text.get_text() for text in over.get_legend().get_texts()].count("excluded") == 1
 
 
 def test_quantiles_are_near_the_line_and_ellipses_two_sigma_with_the_truth_a_cross(fit, drawn) -> None:

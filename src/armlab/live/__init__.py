@@ -1,6 +1,6 @@
-"""Browser views of a recording, a running bridge or a fleet, with arms, forces including uncertainty, and curves.
+"""Browser views of recordings, running bridges and fleets: arms, forces with their uncertainty, and curves.
 
-The views need viser (extra `live`), which is loaded on first use. The server is accessible only from this computer.
+The views need viser (extra `live`), which is imported on first use. Only this computer can open them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Curves and text of one arm in the panel: the last seconds of a stream, or a whole run with a cursor."""
+"""Curves and text of an arm in the panel: the last seconds of a stream, or a whole run with a cursor."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from armlab.robots import Robot
 
 
 class RingBuffer:
-    """Samples of the last seconds."""
+    """Samples of the last seconds before the newest sample."""
 
     def __init__(self, width: int, seconds: float) -> None:
         self._width, self._seconds = width, seconds
@@ -29,7 +29,7 @@ class RingBuffer:
 
     @property
     def last(self) -> float:
-        """Time of the newest sample [s], or -inf if there is none."""
+        """Time of the newest sample [s]; -inf if the buffer is empty."""
         return self._rows[-1][0] if self._rows else -np.inf
 
     @property
@@ -43,7 +43,7 @@ class RingBuffer:
         return np.array([values for _, values in self._rows]).reshape(-1, self._width)
 
     def add(self, t: float, values: np.ndarray) -> None:
-        """Add a sample. `t`: time [s], not before the last sample. `values`: (width,)."""
+        """Add a sample (width,) at a time t [s] not before the last sample."""
         self._rows.append((t, values))
         while self._rows[0][0] < t - self._seconds:
             self._rows.popleft()
@@ -52,18 +52,16 @@ class RingBuffer:
         self._rows.clear()
 
 
-_STRETCHES = 200  # segments of a plot about 400 pixels wide; the minimum and maximum of each are drawn
+_STRETCHES = 200  # segments of a plot about 400 pixels wide, each drawn as its minimum and maximum
 _CURSOR = "#000000"
 _BAND = "33"  # opacity of a band, as two hexadecimal digits
 
 
 def envelope(t: np.ndarray, values: np.ndarray, stretches: int = _STRETCHES) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times (M,) and the minima and maxima (M, k) of segments, which keep spikes visible in a plot.
+    """Return the times (M,), and the minima and maxima (M, k) of segments of samples (N, k) at increasing times (N,).
 
-    Segments begin at integer multiples of their length, so that a sliding window does not flicker. Few samples are
-    returned unchanged. Segments without finite values are NaN.
-
-    `t`: (N,) increasing [s]. `values`: (N, k).
+    Spikes thus remain visible in a plot. Segments begin at integer multiples of their length, so that a sliding window
+    does not flicker. Few samples are returned unchanged. Segments without finite values are NaN.
     """
     if len(t) <= 2 * stretches:
         return t, values
@@ -78,7 +76,7 @@ def envelope(t: np.ndarray, values: np.ndarray, stretches: int = _STRETCHES) -> 
 
 
 class Curves:
-    """Plot of k curves over time, with optional bands and a cursor."""
+    """Plot of k curves against time, with optional bands and an optional cursor."""
 
     k: int
 
@@ -129,7 +127,7 @@ class Curves:
         self._heading.visible = self._plot.visible = False
 
     def show(self, t: ArrayLike, values: ArrayLike, half: ArrayLike | None = None, *, at: float | None = None) -> None:
-        """Plot curves (N, k) with optional half-widths of bands against t (N,) [s]; NaN leaves gaps.
+        """Plot curves (N, k), with bands of half-width `half` (N, k), against t (N,) [s]; NaN leaves gaps.
 
         Long series are drawn as envelopes.
         """
@@ -141,7 +139,7 @@ class Curves:
             half = np.full_like(values, np.nan) if half is None else numbers(half, "bands", ShapeError)
             if half.shape != values.shape:
                 raise ShapeError(f"Expected bands of shape {values.shape}, got {half.shape}.")
-            half = np.nan_to_num(half)  # uPlot would draw a wedge towards the next finite value
+            half = np.nan_to_num(half)  # for NaN, uPlot would draw a wedge to the next finite value
             columns = np.concatenate([values, np.stack([values + half, values - half], axis=2).reshape(len(t), -1)], 1)
         elif half is not None:
             raise ShapeError("Expected no bands for these curves, got half-widths. Create the plot with band=True.")
@@ -155,7 +153,7 @@ class Curves:
             self._plot.data = [t, *_interrupted(columns[:drawn]), *columns[drawn:]]
 
     def _marked(self, t: np.ndarray, columns: np.ndarray, at: float | None) -> tuple[np.ndarray, np.ndarray]:
-        """Add the cursor column: two rows at its time, from the lower to the upper end of the scale."""
+        """Add the column of the cursor, and two rows at its time for the lower and upper end of the scale."""
         columns = np.column_stack([columns, np.full(len(t), np.nan)])
         if at is None or not len(t):
             return t, columns
@@ -172,7 +170,7 @@ class Curves:
 
 
 def _interrupted(columns: Sequence[np.ndarray]) -> list[Any]:
-    """Return the columns with null instead of NaN: uPlot draws a line across NaN, but leaves a gap at null."""
+    """Return the columns with null instead of NaN, because uPlot draws a line across NaN but leaves a gap at null."""
     found: list[Any] = []
     missing = np.isnan(columns)
     count = missing.sum(axis=1)
@@ -187,7 +185,7 @@ def _interrupted(columns: Sequence[np.ndarray]) -> list[Any]:
 
 
 class Window:
-    """The last seconds of a stream on a plot. `rate`: maximum updates per second of the stream's clock."""
+    """Plot of the last seconds of a stream. `rate`: largest number of updates per second of the stream's clock."""
 
     def __init__(self, curves: Curves, seconds: float = 10.0, rate: float = 10.0) -> None:
         self._curves, self._period = curves, 1.0 / rate
@@ -195,7 +193,7 @@ class Window:
         self._drawn = -np.inf
 
     def push(self, t: float, values: ArrayLike, half: ArrayLike | None = None) -> None:
-        """Add a sample (k,) at t [s] for the next `draw`; a non-increasing time clears the window."""
+        """Add a sample (k,) at time t [s] for the next `draw`; a time that does not increase clears the window."""
         if t <= self._recent.last:
             self._recent.clear()
             self._drawn = -np.inf
@@ -206,7 +204,7 @@ class Window:
         self._recent.add(t, np.concatenate([values, half]))
 
     def draw(self) -> None:
-        """Update the plot at no more than the update rate."""
+        """Update the plot, unless the last update was less than an update period ago."""
         recent = self._recent
         if not len(recent) or recent.last - self._drawn < self._period:
             return
@@ -222,7 +220,6 @@ class Markup:
         self._html, self._shown = gui.add_html(""), ""
 
     def show(self, content: str) -> None:
-        """Show HTML content."""
         if content != self._shown:
             self._html.content = self._shown = content
 
@@ -239,7 +236,7 @@ class Lines(Markup):
 
 
 class ArmPanel:
-    """Text and plots of one arm in the current folder or tab. `limits`: y-axis limits by plot name."""
+    """Text and plots of an arm in the current folder or tab. `limits`: limits of the y axis by name of the plot."""
 
     def __init__(self, gui: Any, robot: Robot, limits: Mapping[str, tuple[float, float]] | None = None) -> None:
         limits = limits or {}
@@ -253,7 +250,7 @@ class ArmPanel:
         )
 
     def say(self, words: Mapping[str, str]) -> None:
-        """Show the status of the arm (state, rate, latency, clamps, drops); unchanged content is not sent again."""
+        """Show the status of the arm: state, rate, latency, clamps, drops."""
         key, value = "padding:0 1em 0 0;opacity:0.65", "padding:0"
         rows = "".join(
             f"<tr><td style='{key}'>{html.escape(what)}</td><td style='{value}'>{html.escape(word)}</td></tr>"

@@ -1,4 +1,4 @@
-"""View of all robots at a Zenoh router: arms side by side with their newest rows, and states in the panel."""
+"""View of all robots at a Zenoh router: arms side by side in their current posture, and states in the panel."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 
-_MOST = 1000  # robots
-_INBOX = 20_000  # queued messages (oldest dropped first): ten seconds from fifty robots
-_SILENT = 2.0  # s of listening without a row before a robot counts as silent
-_LATE = 0.1  # s: a wait that overruns by more does not count as listening, since the process may have been suspended
+_MOST = 1000  # largest number of robots
+_INBOX = 20_000  # queued messages: ten seconds from fifty robots; the oldest are dropped first
+_SILENT = 2.0  # s of listening without a row after which a robot counts as silent
+_LATE = 0.1  # s; longer overruns of a wait do not count as listening, because the process may have been suspended
 
 
 class SeenRobot:
-    """State of a robot, used in one thread; values are None, NaN or 0 until received from its bridge."""
+    """State of a robot. Values are None, NaN or 0 until received from its bridge. Not thread-safe."""
 
     name: str
     wants: bool
@@ -56,13 +56,13 @@ class SeenRobot:
         self._quiet = math.inf  # s of listening since the newest row
 
     def live(self, is_alive: bool) -> None:
-        """Handle the appearance or disappearance of the bridge; a bridge that reappears may be in another run."""
+        """Process the appearance or disappearance of the bridge; a bridge that reappears may have restarted."""
         self.is_alive: bool = is_alive
         self.wants = True
         self._quiet = math.inf
 
     def take(self, data: bytes | None) -> None:
-        """Process a row. `data`: bytes as received, or None if corrupted."""
+        """Process the bytes of a row, or None for a corrupted row."""
         if data is None:
             self.damaged += 1
         elif self._schema is None or data[8:16] != self._schema.id:
@@ -73,11 +73,11 @@ class SeenRobot:
                 self.row = read_row(self._schema, data)
 
     def listened(self, seconds: float) -> None:
-        """Add listening time; call it before processing the rows received meanwhile."""
+        """Add listening time; to be called before the rows received during this time are processed."""
         self._quiet += seconds
 
     def describe(self, about: bytes) -> None:
-        """Process the bridge's description; an invalid description is counted and requested again."""
+        """Process the description of the bridge; an invalid description is counted and requested again."""
         try:
             said = read_about(about)
             robot, text = said.robots[self._arm], said.messages[0]["robots"][self._arm]
@@ -112,14 +112,12 @@ class SeenRobot:
 
     @property
     def state(self) -> str:
-        """State: "there", "silent" (two seconds of listening without a row), or "gone" (with its bridge)."""
-        if not self.is_alive:
-            return "gone"
-        return "there" if self._quiet < _SILENT else "silent"
+        """State: "connected", "silent" (no row during two seconds of listening), or "gone" (no bridge)."""
+        return "gone" if not self.is_alive else "connected" if self._quiet < _SILENT else "silent"
 
 
 class FleetRows:
-    """Newest rows of all robots at a router, by lab/robot, at most thirty per second each; absent robots are kept."""
+    """Newest rows of all robots at a router by lab/robot, at most thirty per second; absent robots are kept."""
 
     place: LabAddress
     robots: dict[str, SeenRobot]
@@ -148,7 +146,7 @@ class FleetRows:
         close_session(self._session)
 
     def hear(self, seconds: float) -> None:
-        """Wait for a message and process all queued ones; `SeenRobot.row` is then the newest."""
+        """Wait for a message, and process all queued messages; `SeenRobot.row` is then the newest row."""
         self._inbox.wait(seconds)
         now = time.monotonic()
         listened, self._looked = min(now - self._looked, seconds + _LATE), now
@@ -179,7 +177,7 @@ class FleetRows:
 
 _FRAME = 1.0 / 30.0  # s
 _WORDS = 0.25  # s between updates of the text
-_APART = 2.2  # spacing of the robots relative to the length of the longest arm
+_APART = 2.2  # distance between robots, relative to the length of the longest arm
 _HEADINGS = ("robot", "state", "rate [Hz]", "missed", "damaged", "age [s]", "commander")
 
 
@@ -191,7 +189,7 @@ def watch_fleet(
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show all robots at a router in the browser until `over` is true or Ctrl-C is pressed; report state changes."""
+    """Show all robots at a router in the browser until `over` is true or Ctrl-C is pressed. Report state changes."""
     rows = FleetRows(place)
     try:
         server = start(port)
@@ -218,7 +216,7 @@ def watch_fleet(
 
 
 class FleetView:
-    """Scene and panel of all robots, drawn frame by frame; only the name of a silent or absent robot is drawn."""
+    """Scene and panel of all robots, drawn frame by frame. A silent or absent robot is shown only by its name."""
 
     def __init__(self, server: ViserServer, rows: FleetRows) -> None:
         self._server, self._rows = server, rows
@@ -247,8 +245,7 @@ class FleetView:
 
     def _add(self, one: SeenRobot) -> None:
         """Add a robot, or redraw it after its description has changed."""
-        robot = one.robot
-        if robot is None:
+        if (robot := one.robot) is None:
             return
         if self._scene is None:
             self._scene = RobotScene(self._server, [robot])
@@ -276,7 +273,7 @@ class FleetView:
             client.camera.position, client.camera.look_at = camera.position, camera.look_at
 
     def _show(self, one: SeenRobot) -> None:
-        q, row = one.value("q"), one.row if one.state == "there" else None
+        q, row = one.value("q"), one.row if one.state == "connected" else None
         if self._scene is None or q is None or (row is not None and row is self._shown.get(one.name)):
             return
         self._shown[one.name] = row
@@ -284,24 +281,23 @@ class FleetView:
 
     def _say(self) -> None:
         robots = self._rows.robots
-        count = sum(one.state == "there" for one in robots.values())
+        count = sum(one.state == "connected" for one in robots.values())
         place = self._rows.place
         self._state.show(f"{count} of {len(robots)} robots at {place.host}:{place.port} are connected")
         cell = "padding:0 0.7em 0 0;text-align:left;font-weight:normal"
-        rows = [f"<th style='{cell};opacity:0.65'>{word}</th>" for word in _HEADINGS]
-        lines = ["".join(rows)]
+        lines = ["".join(f"<th style='{cell};opacity:0.65'>{word}</th>" for word in _HEADINGS)]
         for name in sorted(robots):
             words = _words(robots[name])
             lines.append("".join(f"<td style='{cell}'>{html.escape(word)}</td>" for word in words))
             if name in self._labels:
                 _, state, *_ = words
-                self._labels[name].text = name if state == "there" else f"{name}: {state}"
+                self._labels[name].text = name if state == "connected" else f"{name}: {state}"
         body = "".join(f"<tr>{line}</tr>" for line in lines)
         self._table.show(f"<table style='font-size:0.75em;line-height:1.4;margin:0 1em'>{body}</table>")
 
 
 def _words(one: SeenRobot) -> tuple[str, ...]:
-    """Return the table row of a robot, under `_HEADINGS`."""
+    """Return the row of a robot in the table with the columns `_HEADINGS`."""
     rate = f"{one.rate:.0f}" if math.isfinite(one.rate) else "-"
     age = f"{one.age:.2f}" if math.isfinite(one.age) else "-"
     counts = (rate, str(one.missed), str(one.damaged), age)

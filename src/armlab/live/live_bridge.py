@@ -20,7 +20,7 @@ from armlab.contact import Estimator
 from armlab.errors import LinkError, ModelMismatchError, UnknownName
 from armlab.kinematics import forward
 from armlab.live.curves import ArmPanel, Lines, RingBuffer, Window
-from armlab.live.scene import RobotScene
+from armlab.live.scene import RobotScene, arrow_slider
 from armlab.live.server import address, start, stop
 from armlab.models import TorqueModel
 from armlab.robots import Robot, from_toml
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 _AGAIN = 0.5  # s between searches for a bridge
 _MOST = 5000  # messages processed at once: ten seconds of rows from two arms at the full rate
-_PATIENCE = 2.0  # s to wait for a bridge over Zenoh, also after a disconnect
-_ESTIMATE_GAP = 1.0  # s without a packet before an estimate restarts
+_PATIENCE = 2.0  # s, timeout for a bridge over Zenoh
+_ESTIMATE_GAP = 1.0  # s without a packet after which an estimate restarts
 
 
 class Force(NamedTuple):
@@ -46,7 +46,10 @@ class Force(NamedTuple):
 
 
 class Running:
-    """Newest row of a running bridge, local or over Zenoh; with models, every row is used to estimate forces."""
+    """Newest row of a running bridge, local or over Zenoh. With models, forces are estimated from every row.
+
+    `described`: robot descriptions with meshes, which a bridge does not send.
+    """
 
     watch: Watch
     state: str
@@ -61,7 +64,6 @@ class Running:
         models: Sequence[TorqueModel] = (),
         described: Sequence[Robot] = (),
     ) -> None:
-        """`described`: robot descriptions with meshes, because a bridge does not send meshes."""
         if zenoh:
             LabAddress.read(zenoh)
         self._robot, self._cell, self._zenoh, self._models = robot, cell, zenoh, tuple(models)
@@ -82,7 +84,7 @@ class Running:
         self._feed = None
 
     def hear(self, seconds: float) -> bool:
-        """Wait for a message, process all queued ones, and return whether one was a row."""
+        """Wait for a message, process all queued messages, and return whether a row was received."""
         if self._feed is None:
             self._look(seconds)
         before = self.row
@@ -99,17 +101,14 @@ class Running:
         return self.row is not before
 
     def _look(self, seconds: float) -> None:
-        """Search for the bridge, or wait until the next search."""
+        """Search for the bridge if a search is due; otherwise wait."""
         pause = self._due - time.monotonic()
         if pause > 0.0:
             time.sleep(min(pause, seconds))
             return
         self._due = time.monotonic() + _AGAIN
         try:
-            if self._zenoh:
-                self._feed = ZenohFeed(self._zenoh, self._robot or "", _PATIENCE)
-            else:
-                self._feed = LocalFeed(self._cell)
+            self._feed = ZenohFeed(self._zenoh, self._robot or "", _PATIENCE) if self._zenoh else LocalFeed(self._cell)
             self._feed.ask(Subscribe(rate=self._rate))
         except LinkError:
             self.close()
@@ -139,7 +138,7 @@ class Running:
         found |= self._described
         shown = {name: robot for name, robot in found.items() if self._robot in (None, name)}
         self._estimates = _estimates(self._models, shown)
-        if shown != self.robots:
+        if shown != self.robots:  # the same arms keep their scene
             self.robots = shown
 
     def value(self, arm: str, name: str) -> Any:
@@ -148,7 +147,7 @@ class Running:
         return self.row.values[f"{arm}.{name}"]
 
     def force(self, arm: str) -> Force | None:
-        """Return the force on an arm from its controller's estimate, else from a model, else from the sensor."""
+        """Return the force on an arm: estimated by its controller, else from a model, else from the sensor."""
         recorded = self.value(arm, "wrench_hat")
         if np.isfinite(recorded).all():
             return Force(recorded, self.value(arm, "wrench_hat_cov"), "estimate of the controller")
@@ -159,7 +158,7 @@ class Running:
 
 
 class _Estimate:
-    """Model-based force estimate of one arm, packet by packet."""
+    """Force estimate of an arm from a torque model, updated by each packet."""
 
     def __init__(self, model: TorqueModel, robot: Robot) -> None:
         self._name, self._estimator = robot.name, Estimator(model, robot)
@@ -198,7 +197,7 @@ _FRAME = 1.0 / 30.0  # s
 _WORDS = 0.25  # s between updates of the text
 _TRACE = 0.1  # s between updates of the tool path
 _PATH = 10.0  # s, length of the tool path shown
-_GAP = 0.5  # s without rows after which curves and paths are interrupted
+_GAP = 0.5  # s without rows that interrupts curves and paths
 
 
 def watch(
@@ -214,9 +213,9 @@ def watch(
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show a bridge in the browser until `over` is true or Ctrl-C is pressed, even before it starts and after it ends.
+    """Show a bridge in the browser, also before it starts and after it ends, until `over` is true or Ctrl-C is pressed.
 
-    The descriptions in `described` add meshes to their arms; the mesh files are searched for in the folders `meshes`.
+    The descriptions in `described` add meshes, whose files are searched for in the folders `meshes`.
     """
     server = start(port)
     running = Running(robot, cell, zenoh=zenoh, rate=1.0 / _FRAME, models=models, described=described)
@@ -231,8 +230,8 @@ def watch(
                 tell(said)
             if server.get_clients():
                 view.draw()
-            else:  # no viewer: a new viewer gets the stored curves
-                view.take()
+            else:
+                view.take()  # a new viewer receives the stored curves
             time.sleep(max(began + _FRAME - time.monotonic(), 0.0))
     finally:
         running.close()
@@ -286,7 +285,7 @@ class RunningView:
         self._parts = [self._state]
         if running.robots:
             scene = RobotScene(server, running.robots.values(), meshes=self._meshes)
-            self._parts += [_arrow(server.gui, scene), tabs := server.gui.add_tab_group()]
+            self._parts += [arrow_slider(server.gui, scene), tabs := server.gui.add_tab_group()]
             for name, robot in running.robots.items():
                 with tabs.add_tab(name):
                     self._arms[name] = _ArmView(scene, ArmPanel(server.gui, robot), robot)
@@ -296,8 +295,8 @@ class RunningView:
     def _time(self, row: Row) -> tuple[float, bool]:
         """Return the time of a row since the first row [s], and whether it follows the last row without a gap.
 
-        The time is robot time, which differs from wall time in lockstep; gaps are measured in wall time. If the clock
-        is set back, the time restarts.
+        The time is robot time, which differs from wall time in lockstep. Gaps are measured on the monotonic clock. If
+        the clock is set back, the time restarts.
         """
         last, stamp = self._row, 1e-9 * row.wall_ns
         if last is None or stamp < self._stamp - _GAP:
@@ -316,7 +315,7 @@ class RunningView:
 
 
 class _ArmView:
-    """Scene and panel of one arm."""
+    """Scene and panel of an arm."""
 
     def __init__(self, scene: RobotScene, panel: ArmPanel, robot: Robot) -> None:
         self._scene, self._panel, self._robot = scene, panel, robot
@@ -326,10 +325,10 @@ class _ArmView:
         self._picture: tuple[np.ndarray, np.ndarray | None, np.ndarray | None] | None = None
 
     def take(self, running: Running, t: float, follows: bool) -> None:
-        """Store the newest row. `t`: its time [s]. `follows`: whether it follows the last row without a gap."""
+        """Store the newest row with its time t [s]; `follows`: True if there is no gap after the last row."""
         name = self._robot.name
         q, tau, force = running.value(name, "q"), running.value(name, "tau"), running.force(name)
-        if running.value(name, "age") > _GAP:  # the arm is silent while another one sends, so its values are old
+        if running.value(name, "age") > _GAP:  # the arm is silent, but another arm sends: the values are old
             tau, force = np.full_like(tau, np.nan), None
         wrench, covariance, self._origin = (None, None, "-") if force is None else force
         self._picture = (q, wrench, covariance)
@@ -345,9 +344,8 @@ class _ArmView:
     def _push(
         self, t: float, tau: np.ndarray, wrench: np.ndarray | None = None, covariance: np.ndarray | None = None
     ) -> None:
-        unknown = np.full(6, np.nan)
-        values = unknown if wrench is None else wrench
-        half = unknown if covariance is None else 2.0 * np.sqrt(np.diag(covariance))
+        values = np.full(6, np.nan) if wrench is None else wrench
+        half = np.full(6, np.nan) if covariance is None else 2.0 * np.sqrt(np.diag(covariance))
         self._torque.push(t, tau)
         self._force.push(t, values[:3], half[:3])
         self._moment.push(t, values[3:], half[3:])
@@ -365,14 +363,3 @@ class _ArmView:
 
     def say(self, words: dict[str, str]) -> None:
         self._panel.say({**words, "force from": self._origin})
-
-
-def _arrow(gui: Any, scene: RobotScene) -> Any:
-    """Return the slider for the force scale."""
-    slider = gui.add_slider("force [mm/N]", 1.0, 50.0, 1.0, 1e3 * scene.arrow)
-
-    @slider.on_update
-    def _(_: Any) -> None:
-        scene.arrow = 1e-3 * float(slider.value)
-
-    return slider

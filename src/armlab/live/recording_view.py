@@ -1,4 +1,4 @@
-"""View of a recording: the data of each arm, and a player with a slider."""
+"""View of recordings: the data of each arm, and a player with a time slider."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from armlab.errors import LogError, ModelMismatchError, RobotError, ShapeError, 
 from armlab.estimation.fit import Fit, value_of
 from armlab.kinematics import forward
 from armlab.live.curves import ArmPanel, Curves, envelope
-from armlab.live.scene import RobotScene
+from armlab.live.scene import RobotScene, arrow_slider
 from armlab.log.reading import in_order_of
 from armlab.log.recording.metadata import check_recorded, described
 from armlab.robots import Robot
@@ -39,14 +39,14 @@ if TYPE_CHECKING:
 
 
 _SILENT = 0.5  # s without packets before an arm counts as silent
-_RATE_SPAN, _TRIP_SPAN = 1.0, 10.0  # s, averaging windows for the rate and the round trips
-_CLOCK = "joint_states"  # topic that every recorded arm has
+_RATE_SPAN, _TRIP_SPAN = 1.0, 10.0  # s, windows for the packet rate and the round-trip times
+_CLOCK = "joint_states"  # topic of every recorded arm
 _LIMITS = {1: "position", 2: "velocity", 4: "acceleration", 8: "braking", 16: "torque", 32: "torque rate"}
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Log of one arm: a table with q (N, n), and the times t (N,) of its rows since the start of the view [s]."""
+    """Log of an arm: a table with q (N, n), and the times t (N,) of its rows since the start of the view [s]."""
 
     robot: Robot
     table: Table
@@ -65,7 +65,7 @@ class Recorded:
 
     @cached_property
     def wrench(self) -> np.ndarray | None:
-        """Wrench (N, 6) in base axes at the tool point: estimated, else measured, else None."""
+        """Wrench (N, 6) in base axes at the tool point: the estimate, else the sensor reading, else None."""
         name = next((name for name in ("wrench_hat", "wrench") if name in self.table), None)
         return None if name is None else self.table[name]
 
@@ -80,16 +80,16 @@ class Recorded:
         return None if self.covariance is None else np.sqrt(np.einsum("kii->ki", self.covariance))
 
     def row(self, t: float) -> int:
-        """Return the last row at or before an instant, or row 0. `t`: [s]."""
+        """Return the index of the last row at or before time t [s], or 0."""
         return max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
 
     def span(self, t: float, seconds: float) -> slice:
-        """Return the rows of the last seconds before an instant (at least one row). `t`: [s]."""
+        """Return the rows of the last seconds before time t [s], at least one row."""
         last = self.row(t)
         return slice(min(int(np.searchsorted(self.t, t - seconds)), last), last + 1)
 
     def words(self, t: float) -> dict[str, str]:
-        """Return the status of the link at t [s]: state, rate, round trips, limits, lost packets."""
+        """Return the status of the link at time t [s]: state, rate, round-trip times, active limits, lost packets."""
         k = self.row(t)
         times = self.t[self.span(t, _RATE_SPAN)]
         rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else math.nan
@@ -124,7 +124,7 @@ class Recorded:
         return f"p50 {p50:.0f} µs, p99 {p99:.0f} µs"
 
     def _clamps(self, k: int) -> str:
-        """Return the limits currently active per joint, and the number of rows with any active limit so far."""
+        """Return the active limits of each joint, and the number of rows with an active limit so far."""
         if "clamped" not in self.table:
             return "-"
         word = np.nan_to_num(self.table["clamped"][k]).astype(int)
@@ -140,7 +140,7 @@ class Recorded:
         return np.cumsum((np.nan_to_num(self.table["clamped"]) != 0).any(axis=1))
 
     def _lost(self, k: int) -> list[str]:
-        """Return the numbers of packets lost and refused so far."""
+        """Return the numbers of lost and refused packets so far."""
         found = []
         if "missed" in self.table:
             found.append(f"{self._missed[k]:.0f} missed,")
@@ -161,24 +161,24 @@ def read_arms(
     force: bool = False,
     columns: str | None = None,
 ) -> list[Recorded]:
-    """Return the arms recorded in one or several files on a common clock that begins at 0.
+    """Return the arms recorded in one or several files, on a common clock that begins at 0.
 
-    A recording of armlab identifies its robots. Other files need descriptions in `robots`, matched by name or, for
-    files without names, by the order of the files.
+    A recording of armlab contains the descriptions of its robots. Other files need descriptions in `robots`, which are
+    matched by name or, for files without names, by the order of the files.
 
     Parameters
     ----------
     paths : logs of any format supported by `log.read`.
-    robots : descriptions to use.
-    models : torque models, or their fits; the wrench is estimated for their arms if the log has no estimate.
-    force : show a recording with another description of its arm.
-    columns : where files of other programs have the columns, see `log.read`.
+    robots : descriptions of robots.
+    models : torque models, or their fits, to estimate the wrench of their arms if the log has no estimate.
+    force : accept recordings made with another description of the arm.
+    columns : column names in files of other programs; see `log.read`.
 
     Raises
     ------
     LogError : no file, an unreadable file, a file without q of its robot, or an arm in two files.
-    RobotError : unknown robot.
-    ModelMismatchError : a robot other than the recorded one, with the differences; a model of another arm.
+    RobotError : a robot that is neither described nor in the library.
+    ModelMismatchError : a given robot that differs from the recorded robot, or a model of another arm.
     """
     known = [value_of(model) for model in models]
     given = {robot.name: robot for robot in robots}
@@ -210,7 +210,7 @@ def read_arms(
 def _tables(
     path: Path, given: Mapping[str, Robot], waiting: Sequence[Robot], columns: str | None
 ) -> Iterable[tuple[str | None, Table, Inspection | None]]:
-    """Yield the name, table and inspection of each arm in a file; name and inspection are None if unknown."""
+    """Yield the name, table and inspection of each arm in a file; the name and inspection may be None."""
     from armlab.log.file_formats.opening import format_at
     from armlab.log.topics.reader import is_foreign, read_joints
 
@@ -225,9 +225,8 @@ def _tables(
     held, names = logs.inspect(path), _arms_in(path)
     if len(names) < 2:
         yield held.metadata.get("armlab", {}).get("robot"), logs.read(path), held
-        return
-    for name in names:
-        yield name, logs.read(path, robot=name), held
+    else:
+        yield from ((name, logs.read(path, robot=name), held) for name in names)
 
 
 def _arms_in(path: Path) -> list[str]:
@@ -262,7 +261,7 @@ def _robot(
 
 
 def _check_models(models: Sequence[TorqueModel], arms: Sequence[Robot]) -> None:
-    """Raise for a model that matches none of the arms."""
+    """Refuse a model that does not belong to any of the arms."""
     for model in models:
         if model.robot_hash not in {robot.hash for robot in arms}:
             if len(arms) == 1:
@@ -274,7 +273,7 @@ def _check_models(models: Sequence[TorqueModel], arms: Sequence[Robot]) -> None:
 
 
 def _with_wrench(table: Table, robot: Robot, models: Sequence[TorqueModel], force: bool) -> Table:
-    """Estimate the wrench if the log has none and a model of this robot (with `force`: of its name) is given."""
+    """Add the estimated wrench if the log has none and there is a model of this robot (with `force`: of its name)."""
     model = next((model for model in models if model.robot_hash == robot.hash), None)
     if model is None and force:
         model = next((model.moved_to(robot) for model in models if model.robot_name == robot.name), None)
@@ -287,7 +286,7 @@ def _with_wrench(table: Table, robot: Robot, models: Sequence[TorqueModel], forc
 
 
 def _start(tables: Sequence[Table]) -> int:
-    """Return the wall clock at the start of the view [ns], or 0 for unrelated clocks."""
+    """Return the wall-clock time at the start of the view [ns], or 0 if the logs do not overlap in time."""
     ends = [(table.t0_ns + int(1e9 * table.t[0]), table.t0_ns + int(1e9 * table.t[-1])) for table in tables]
     together = max(first for first, _ in ends) <= min(last for _, last in ends)
     return min(first for first, _ in ends) if together and all(table.t0_ns for table in tables) else 0
@@ -303,12 +302,12 @@ def _recorded(robot: Robot, table: Table, events: tuple[Event, ...], start: int)
 
 _WINDOW = 10.0  # s, length of the curves and paths shown
 _FRAMES, _CURVES = 30.0, 10.0  # updates per second of the arms and of the panel
-_SPEEDS, _ARROWS = (0.1, 4.0), (1.0, 50.0)  # slider ranges; arrow scale in mm/N
-_ARM_COLORS = (BLUE, ORANGE)  # for the plot of the whole run
+_SPEEDS = (0.1, 4.0)  # range of the playback speed
+_ARM_COLORS = (BLUE, ORANGE)  # in the plot of the whole run
 
 
 class Player:
-    """Player for recorded arms, controlled by method calls or from the browser.
+    """Player of recorded arms, controlled by method calls or from the browser.
 
     Parameters
     ----------
@@ -323,16 +322,18 @@ class Player:
 
     Attributes
     ----------
-    scene : the drawn arms; ``scene.frame(name, T_world_x)`` adds a named frame.
-    t : instant shown [s].
-    duration : end of the log [s].
-    playing : whether the player runs.
-    speed : log seconds per second, 0.1 to 4.
+    scene : scene of the arms; ``scene.frame(name, T_world_x)`` adds a named frame.
+    t : displayed time of the log [s].
+    duration : time of the last row [s].
+    playing : True while the player runs.
+    speed : playback speed relative to real time, 0.1 to 4.
 
     Raises
     ------
     LogError : no arm.
-    RobotError, UnknownName, ShapeError : robots with equal names, a base of an unknown arm, an invalid pose.
+    RobotError : robots with equal names.
+    UnknownName : a base of an unknown arm.
+    ShapeError : an invalid pose.
     """
 
     t: float
@@ -368,16 +369,16 @@ class Player:
             self.playing = self._stale = True
 
     def pause(self) -> None:
-        """Pause."""
+        """Pause the player."""
         with self._lock:
             self.playing, self._stale = False, True
 
     def seek(self, t: float) -> None:
-        """Go to an instant.
+        """Go to a time of the log.
 
         Parameters
         ----------
-        t : [s]; clipped to the length of the log.
+        t : time [s], which is clipped to the length of the log.
 
         Raises
         ------
@@ -390,7 +391,7 @@ class Player:
             self.t, self._stale = min(max(t, 0.0), self.duration), True
 
     def next_event(self) -> None:
-        """Go to the next event, or from the last one to the first."""
+        """Go to the next event, or after the last event to the first event."""
         later = [t for t, _ in self._events if t > self.t + 1e-9]
         if self._events:
             self.seek(later[0] if later else self._events[0][0])
@@ -400,7 +401,7 @@ class Player:
 
         Parameters
         ----------
-        seconds : since the last call; no effect while paused.
+        seconds : wall time since the last call [s]; no effect while paused.
         """
         with self._lock:
             if self.playing:
@@ -411,7 +412,7 @@ class Player:
             self._draw()
 
     def run(self, seconds: float | None = None) -> None:
-        """Play in real time at thirty frames per second until Ctrl-C.
+        """Run the player in real time at thirty frames per second until Ctrl-C.
 
         Parameters
         ----------
@@ -426,7 +427,7 @@ class Player:
             last = now
 
     def _draw(self) -> None:
-        """Draw the arms at this instant, and the panel at most ten times per second while playing."""
+        """Draw the arms at the current time, and the panel at most ten times per second while playing."""
         with self._lock:
             t, playing, self._stale = self.t, self.playing, False
         now = time.monotonic()
@@ -450,7 +451,7 @@ class Player:
                 self._controls.show(t, past[-1] if past else None)
 
     def _whole_run(self, gui: Any) -> tuple[Curves, tuple[np.ndarray, np.ndarray]]:
-        """Return the plot of the whole run with its data: magnitude of the force if known, otherwise tool speed."""
+        """Return the plot of the whole run with its data: magnitude of the force if known, else speed of the tool."""
         forces = any(arm.wrench is not None for arm in self._arms)
         t = np.unique(np.concatenate([arm.t for arm in self._arms]))
         columns = []
@@ -479,14 +480,14 @@ class Player:
 
 
 class _Controls:
-    """Buttons and sliders, synchronised with the player."""
+    """Buttons and sliders that control and follow the player."""
 
     def __init__(self, gui: Any, player: Player) -> None:
         actions = {"Play": player.play, "Pause": player.pause, "Next event": player.next_event}
         buttons = gui.add_button_group("log", tuple(actions))
         self._slider = gui.add_slider("time [s]", 0.0, max(math.ceil(100.0 * player.duration), 1) / 100.0, 0.01, 0.0)
         speed = gui.add_slider("speed", *_SPEEDS, 0.1, 1.0)
-        arrow = gui.add_slider("force [mm/N]", *_ARROWS, 1.0, round(1e3 * player.scene.arrow))
+        arrow_slider(gui, player.scene, lambda: player.seek(player.t))
         self._said = gui.add_html("")
         buttons.on_click(lambda one: actions[one.target.value]())
         self._slider.on_update(lambda one: player.seek(one.target.value) if one.client_id is not None else None)
@@ -494,11 +495,6 @@ class _Controls:
         @speed.on_update
         def _(_: Any) -> None:
             player.speed = float(speed.value)
-
-        @arrow.on_update
-        def _(_: Any) -> None:
-            player.scene.arrow = 1e-3 * float(arrow.value)
-            player.seek(player.t)
 
     def show(self, t: float, last: tuple[float, str] | None) -> None:
         self._slider.value = round(t, 2)
@@ -509,22 +505,19 @@ class _Controls:
 
 
 def _panel(gui: Any, arm: Recorded) -> ArmPanel:
-    """Create the panel of an arm with scales that cover the whole log."""
-    limits = {}
-    wrench, no_wrench = arm.wrench, arm.wrench is None
-    for name, values in (
-        ("torque", arm.torque),
-        ("force", None if wrench is None else wrench[:, :3]),
-        ("moment", None if wrench is None else wrench[:, 3:]),
-    ):
+    """Return the panel of an arm, with scales that cover the whole log."""
+    limits, wrench = {}, arm.wrench
+    force, moment = (None, None) if wrench is None else (wrench[:, :3], wrench[:, 3:])
+    plotted = {"torque": arm.torque, "force": force, "moment": moment}
+    for name, values in plotted.items():
         if values is not None and np.isfinite(values).any():
             low, high = float(np.nanmin(values)), float(np.nanmax(values))
             room = 0.15 * (high - low) or 1.0
             limits[name] = (low - room, high + room)
     panel = ArmPanel(gui, arm.robot, limits)
-    for curves, missing in ((panel.torque, arm.torque is None), (panel.force, no_wrench), (panel.moment, no_wrench)):
-        if missing:
-            curves.hide()
+    for name, values in plotted.items():
+        if values is None:
+            getattr(panel, name).hide()
     return panel
 
 
@@ -535,6 +528,5 @@ def _draw_panel(panel: ArmPanel, arm: Recorded, t: float, rows: slice) -> None:
         panel.torque.show(times, arm.torque[rows])
     if arm.wrench is not None:
         half = None if arm.sigma is None else 2.0 * arm.sigma[rows]
-        for k, plot in ((0, panel.force), (3, panel.moment)):
-            part = slice(k, k + 3)
+        for part, plot in ((slice(0, 3), panel.force), (slice(3, 6), panel.moment)):
             plot.show(times, arm.wrench[rows, part], None if half is None else half[:, part])

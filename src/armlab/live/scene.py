@@ -1,4 +1,4 @@
-"""Browser scene: arms, tool paths, forces with uncertainty, named frames.
+"""Browser scene: arms, tool paths, forces with uncertainty, and named frames.
 
 Links without meshes are drawn as capsules derived from the kinematics, joints as drums about their axes.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
@@ -34,11 +34,11 @@ _THICK = (0.042, 0.020)  # radii of the first and last link relative to the arm 
 _DRUM = (1.25, 2.6)  # radius and length of a joint relative to the radius of its link
 _STROKE = 0.3  # default stroke of a prismatic joint without limits, relative to the arm length
 _SIDES = 20
-_SHAFT, _HEAD = 0.008, (0.02, 0.72)  # arrow: shaft radius [m]; head radius [m] and where it starts
+_SHAFT, _HEAD = 0.008, (0.02, 0.72)  # arrow: shaft radius [m]; head radius [m] and relative start of the head
 
 
 def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Trimesh:
-    """Return a capsule of the given radius around the segment from a to b."""
+    """Return a capsule with a radius [m] around the line segment from a to b (3,)."""
     from trimesh import creation
 
     length = float(np.linalg.norm(b - a))
@@ -48,7 +48,7 @@ def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Trimesh:
 
 
 def box(a: np.ndarray, b: np.ndarray, width: float) -> Trimesh:
-    """Return a rod with a square cross-section from a to b. `a`, `b`: (3,) centres of the ends. `width`: [m]."""
+    """Return a rod with a square cross-section of this width [m], with end centres a and b (3,)."""
     from trimesh import creation
 
     T = along(a, b)
@@ -57,7 +57,7 @@ def box(a: np.ndarray, b: np.ndarray, width: float) -> Trimesh:
 
 
 def arrow() -> Trimesh:
-    """Return an arrow from the origin to (0, 0, 1); its z scale is the length of a force."""
+    """Return an arrow from the origin to (0, 0, 1), to be scaled to the length of a force."""
     from trimesh import creation
 
     radius, begin = _HEAD
@@ -68,10 +68,10 @@ def arrow() -> Trimesh:
 
 
 def bodies(robot: Robot) -> list[Trimesh]:
-    """Return n + 1 shapes: from base to joint 1 in base axes, then each link in its link frame, including the tool.
+    """Return n + 1 shapes: the mount from base to joint 1 in base axes, and each link in its link frame.
 
-    A link follows its joint axes and their common normal, as in `plots.robot`, and tapers towards the tool. A prismatic
-    joint is a rod along its axis, as long as its stroke.
+    A link follows its joint axes and their common normal, as in `plots.robot`; links become thinner towards the tool. A
+    prismatic joint is a rod along its axis, as long as its stroke. The last shape includes the tool.
     """
     from trimesh.util import concatenate
 
@@ -102,7 +102,7 @@ def drums(robot: Robot) -> list[Trimesh]:
 
 
 def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return a pose (4, 4) at a with the z axis towards b. `a`, `b`: (3,); if they coincide, z is unchanged."""
+    """Return a pose (4, 4) at point a (3,) whose z axis points to b (3,), or along the base's z axis if b equals a."""
     z = b - a
     z = z / np.linalg.norm(z) if z.any() else np.array([0.0, 0.0, 1.0])
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
@@ -111,10 +111,10 @@ def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Trimesh | None]:
-    """Return n + 1 shapes from the robot's visual meshes in base axes and link frames; None for a link without meshes.
+    """Return n + 1 shapes from the robot's visual meshes, in the axes of `bodies`; None for a link without meshes.
 
-    One warning names all missing or unreadable files. ``package://maker/a/b.stl`` is searched for as ``maker/a/b.stl``
-    and ``a/b.stl`` in each folder, then in the folders of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH.
+    A single warning lists all missing or unreadable files. ``package://maker/a/b.stl`` is searched for as
+    ``maker/a/b.stl`` and ``a/b.stl`` in each folder, then in the folders of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH.
     """
     from trimesh.util import concatenate
 
@@ -134,11 +134,8 @@ def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Trimesh | No
         collada = any(file.lower().endswith(".dae") for file in missing) and find_spec("collada") is None
         advice += " A .dae needs pycollada: pip install 'armlab[live]'." if collada else ""
         more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
-        warnings.warn(
-            f"Expected the meshes of {robot.name}, got no readable {', '.join(missing[:5])}{more}: capsules are drawn "
-            f"instead.{advice}",
-            stacklevel=2,
-        )
+        said = f"Expected the meshes of {robot.name}, got no readable {', '.join(missing[:5])}{more}"
+        warnings.warn(f"{said}: capsules are drawn instead.{advice}", stacklevel=2)
     return shapes or [None] * (robot.n + 1)
 
 
@@ -152,12 +149,8 @@ def _read(mesh: Mesh, folders: Sequence[Path]) -> Trimesh | None:
     """Return the mesh of a file in its link frame, or None if it is missing, empty or unreadable."""
     import trimesh
 
-    name = mesh.file.removeprefix("file://")
-    if name.startswith("package://"):
-        name = name.removeprefix("package://")
-        names = (name, name.partition("/")[2])
-    else:
-        names = (name,)
+    name = mesh.file.removeprefix("file://").removeprefix("package://")
+    names = (name, name.partition("/")[2]) if mesh.file.startswith("package://") else (name,)
     for path in (folder / name for folder in folders for name in names):
         if path.is_file():
             try:
@@ -180,12 +173,12 @@ def rgb(color: str) -> tuple[int, int, int]:
 
 
 _ZERO_OUTSIDE = 7.81  # 95 % quantile of chi-square with 3 degrees of freedom
-_SURE = 1e-6  # N, smallest half-axis
+_SURE = 1e-6  # N, smallest half-axis of an ellipsoid
 _SHORTEST, _FULL = 1e-3, 0.15  # m: shortest arrow drawn, and shortest arrow drawn at full width
 
 
 class ForceArrow:
-    """Force arrow and ellipsoid; both are grey while the 95 % ellipsoid contains zero."""
+    """Arrow of a force and its uncertainty ellipsoid; both are grey while the 95 % ellipsoid contains zero."""
 
     def __init__(self, scene: Any, root: str) -> None:
         self._arrow = solid(scene, f"{root}/force", arrow(), VERMILION)
@@ -198,7 +191,7 @@ class ForceArrow:
         self._arrow.visible = self._spread.visible = False
 
     def show(self, tool: np.ndarray, force: np.ndarray | None, covariance: np.ndarray | None, unit: float) -> None:
-        """Draw a force (3,) [N] at the tool with `unit` metres per newton and its ellipsoid; hidden for NaN."""
+        """Draw a force (3,) [N] at the tool with its ellipsoid, at a scale `unit` [m/N]; hide a force that is NaN."""
         if force is None or not np.isfinite(force).all():
             self.hide()
             return
@@ -220,7 +213,7 @@ class ForceArrow:
 
 
 def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the axes (columns of a rotation) and half-axes of the two-sigma ellipsoid ``{x : x^T C^-1 x = 4}``."""
+    """Return the axes (columns of a rotation matrix) and half-axes of the 2-sigma ellipsoid ``x^T C^-1 x = 4``."""
     size, axes = np.linalg.eigh(covariance)
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] *= -1.0
@@ -228,38 +221,38 @@ def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def is_significant(force: np.ndarray, axes: np.ndarray, half: np.ndarray) -> bool:
-    """Return whether zero is outside the 95 % ellipsoid of a force: ``f^T C^-1 f >= 7.81``. `force`: (3,)."""
+    """Return whether zero is outside the 95 % ellipsoid of a force f (3,): ``f^T C^-1 f >= 7.81``."""
     return bool(4.0 * np.sum((force @ axes / np.maximum(half, _SURE)) ** 2) >= _ZERO_OUTSIDE)
 
 
 def _towards(x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Return the shortest rotation (wxyz) of the z axis to a unit vector."""
-    w = 1.0 + z if z > 0.0 else (x * x + y * y) / (1.0 - z)  # equivalent, but accurate near -z
+    """Return the quaternion (wxyz) of the smallest rotation from the z axis to a unit vector."""
+    w = 1.0 + z if z > 0.0 else (x * x + y * y) / (1.0 - z)  # an equal expression, accurate near -z
     size = math.hypot(w, x, y)
     return (w / size, -y / size, x / size, 0.0) if size else (0.0, 1.0, 0.0, 0.0)
 
 
 ARROW = 0.2 / 20.0
-"""Default arrow length per force [m/N]."""
+"""Default length of an arrow per force [m/N]."""
 LINK_COLORS = ("#8FB4D9", "#E2BE8C")
 """Colours of the links of the first, second, ... arm."""
 TOOL_COLOR = "#C800C8"
 """Colour reserved for the tool point."""
 
-_TOOL, _AXES = 0.03, 0.1  # relative to the arm length: radius of the tool sphere, length of its axes
+_TOOL, _AXES = 0.03, 0.1  # radius of the tool sphere and length of its axes, relative to the arm length
 _MOST_POINTS = 300  # maximum number of points drawn per path
 
 
 class RobotScene:
-    """Arms in one world, drawn by `show`; the rest of viser's ``server.scene`` can be used freely.
+    """Arms in a common world, drawn by `show`; other nodes of viser's ``server.scene`` can be used freely.
 
     Links are capsules in the colour of their arm, joints are drums in the colour of their curves, and the tool point is
     a sphere with axes x, y, z. The arrow is the force exerted by the environment on the robot, and the ellipsoid at its
-    tip is the two-sigma uncertainty; both are grey while the 95 % ellipsoid contains zero.
+    tip is the 2-sigma uncertainty; both are grey while the 95 % ellipsoid contains zero.
 
-    `T_world_base`: (4, 4) pose of each arm's base in the world by name; default: the identity. The mount is part of the
-    robot. `meshes`: folders of the mesh files in the descriptions; default: the current folder. `arrow`: arrow length
-    per force [m/N]; takes effect at the next `show`.
+    `T_world_base`: pose (4, 4) of each arm's base in the world by name; default: the identity. The mount is part of the
+    robot. `meshes`: folders of the mesh files; default: the current folder. `arrow`: length of a force arrow per force
+    [m/N], which takes effect at the next `show`.
     """
 
     def __init__(
@@ -274,10 +267,9 @@ class RobotScene:
         for robot in arms:
             if not isinstance(robot, Robot):
                 raise RobotError.no_robot(robot)
-        names = {robot.name for robot in arms}
-        if not arms or len(names) < len(arms):
-            names = ", ".join(robot.name for robot in arms) or "none"
-            raise RobotError(f"Expected robots with different names, got {names}. Rename one.")
+        names = [robot.name for robot in arms]
+        if not arms or len(set(names)) < len(arms):
+            raise RobotError(f"Expected robots with different names, got {', '.join(names) or 'none'}. Rename one.")
         self.arrow = ARROW
         self._server, self._meshes = server, meshes
         bases = dict(T_world_base or {})
@@ -286,16 +278,13 @@ class RobotScene:
                 raise UnknownName.among("arm in this view", name, names)
         self.robots: dict[str, Robot] = {}
         self._arms: dict[str, _ArmNodes] = {}
+        self._frames: dict[str, Any] = {}
         for robot in arms:
             self.add(robot, bases.get(robot.name))
-        self._frames: dict[str, Any] = {}
         self._surround()
 
     def add(self, robot: Robot, T_world_base: ArrayLike | None = None) -> None:
-        """Add an arm, replacing any arm of the same name.
-
-        `T_world_base`: (4, 4) pose of its base (default: identity).
-        """
+        """Add an arm with its base at a pose (4, 4), by default the identity; replace any arm of the same name."""
         if robot.name in self.robots:
             self.remove(robot.name)
         T = _pose(np.eye(4) if T_world_base is None else T_world_base)
@@ -308,7 +297,7 @@ class RobotScene:
         self._arms.pop(name).root.remove()
 
     def arrange(self, T_world_base: Mapping[str, ArrayLike]) -> None:
-        """Move the bases (4, 4), and centre the floor and camera on them; existing viewers keep their camera."""
+        """Move the bases to poses (4, 4), and centre the floor and the initial camera on them."""
         for name, T in T_world_base.items():
             self._robot(name)
             arm = self._arms[name]
@@ -319,12 +308,10 @@ class RobotScene:
     def show(
         self, name: str, q: ArrayLike, wrench: ArrayLike | None = None, covariance: ArrayLike | None = None
     ) -> None:
-        """Draw an arm at a configuration, with the force on it. Missing or NaN values are hidden.
+        """Draw an arm at a configuration q (n,) [rad or m] and the force on it. Missing or NaN values are hidden.
 
-        Wrap the arms of one instant in ``with server.atomic():``.
-
-        `q`: (n,) joint positions [rad or m]. `wrench`: (6,), or only the force (3,), exerted by the environment on the
-        robot, in base axes at the tool point [N, N m]. `covariance`: covariance (6, 6) or (3, 3) of the wrench.
+        `wrench`: wrench (6,) or force (3,) exerted by the environment on the robot, in base axes at the tool point [N,
+        N m]. `covariance`: its covariance (6, 6) or (3, 3). Group the arms of a frame in ``with server.atomic():``.
         """
         robot = self._robot(name)
         q = _array(q, "q", ((robot.n,),))
@@ -333,7 +320,7 @@ class RobotScene:
         self._arms[name].show(q, force, spread, positive(self.arrow, "length of a force [m/N]"))
 
     def trace(self, name: str, points: ArrayLike) -> None:
-        """Draw the thinned path (K, 3) of an arm's tool in base axes [m]; hidden with fewer than two finite points."""
+        """Draw the thinned path (K, 3) of an arm's tool in base axes [m]; hide it with fewer than two finite points."""
         self._robot(name)
         points = numbers(points, "points of a path", ShapeError)
         if points.ndim != 2 or points.shape[1] != 3:
@@ -341,7 +328,7 @@ class RobotScene:
         self._arms[name].trace(points[np.isfinite(points).all(axis=1)])
 
     def frame(self, name: str, T_world_x: ArrayLike | None, length: float = 0.1) -> None:
-        """Draw or move a named frame (4, 4), or remove it with None; `length`: length of its axes [m]."""
+        """Draw or move a named frame to a pose (4, 4), or remove it with None; `length`: length of its axes [m]."""
         if T_world_x is None:
             if name in self._frames:
                 self._frames.pop(name).remove()
@@ -354,18 +341,15 @@ class RobotScene:
         _place(self._frames[name], T)
 
     def _robot(self, name: str) -> Robot:
-        try:
-            return self.robots[name]
-        except KeyError:
-            raise UnknownName.among("arm in this view", name, self.robots) from None
+        if name not in self.robots:
+            raise UnknownName.among("arm in this view", name, self.robots)
+        return self.robots[name]
 
     def _surround(self) -> None:
         """Place a floor below the arms and the camera in front."""
         reach = max(arm_length(robot) for robot in self.robots.values())
-        bases = [
-            (arm.T_world_base @ robot.T_base_mount)[:3, 3]
-            for arm, robot in zip(self._arms.values(), self.robots.values())
-        ]
+        arms = zip(self._arms.values(), self.robots.values())
+        bases = [(arm.T_world_base @ robot.T_base_mount)[:3, 3] for arm, robot in arms]
         low, high = np.min(bases, axis=0), np.max(bases, axis=0)
         centre, wide = (low + high) / 2.0, high - low
         floor, away = 4.0 * reach + wide, reach + 0.5 * float(np.linalg.norm(wide))
@@ -396,9 +380,8 @@ class _ArmNodes:
             self._links.append(solid(scene, path, given[i + 1] or shapes[i + 1], color))
             if given[i + 1] is None:
                 solid(scene, f"{path}/joint", joints[i], COLORS[i % len(COLORS)])
-        _place(
-            scene.add_frame(f"{path}/tool", axes_length=_AXES * size, axes_radius=0.05 * _AXES * size), robot.frames[-1]
-        )
+        tool = scene.add_frame(f"{path}/tool", axes_length=_AXES * size, axes_radius=0.05 * _AXES * size)
+        _place(tool, robot.frames[-1])
         scene.add_icosphere(f"{path}/tool/point", _TOOL * size, rgb(TOOL_COLOR), cast_shadow=False)
         self._force = ForceArrow(scene, root)
         self._path = scene.add_line_segments(
@@ -406,9 +389,8 @@ class _ArmNodes:
         )
 
     def show(self, q: np.ndarray, force: np.ndarray | None, spread: np.ndarray | None, unit: float) -> None:
-        known = bool(np.isfinite(q).all())
-        self._arm.visible = known
-        if not known:
+        self._arm.visible = bool(np.isfinite(q).all())
+        if not self._arm.visible:
             self._force.hide()
             return
         T = link_transforms(self._robot, q)
@@ -422,6 +404,18 @@ class _ArmNodes:
         self._path.visible = len(points) > 1
         if len(points) > 1:
             self._path.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+
+
+def arrow_slider(gui: Any, scene: RobotScene, changed: Callable[[], object] = lambda: None) -> Any:
+    """Return a slider for the length of the force arrows, which calls `changed` after each change."""
+    slider = gui.add_slider("force [mm/N]", 1.0, 50.0, 1.0, round(1e3 * scene.arrow))
+
+    @slider.on_update
+    def _(_: Any) -> None:
+        scene.arrow = 1e-3 * float(slider.value)
+        changed()
+
+    return slider
 
 
 def _place(handle: Any, T: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""Browser server without console output, accessible only from this computer."""
+"""Server of a browser view without console output, accessible only from this computer."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _WIDTH = 420  # width of the panel in pixels
 def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
     """Start the server of a view without console output, and return it.
 
-    It listens only on 127.0.0.1, rejects pages from other sites, and blocks viser's share links, which are public
-    tunnels. Bundle the updates of one frame in ``with server.atomic():``.
+    The server listens only on 127.0.0.1, rejects pages of other sites, and blocks viser's share links, which are public
+    tunnels. Group the updates of a frame in ``with server.atomic():``.
 
     Parameters
     ----------
-    port : port to listen on, 0 for any; default: the first free port from 8080.
+    port : port to listen on, or 0 for any free port; default: the first free port from 8080.
     label : title of the panel.
 
     Raises
@@ -56,7 +56,7 @@ def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
         stop(server)
         raise LinkError(f"Expected port {port} to be free for the view, but it is in use. Choose another: --port.")
     _refuse_other_sites(server)
-    server.request_share_url = _refused  # pages can request the URL, too
+    server.request_share_url = _refused  # a page can also request the link
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(_WIDTH)
@@ -64,7 +64,7 @@ def start(port: int | None = None, *, label: str = "armlab") -> ViserServer:
 
 
 def address(server: ViserServer) -> str:
-    """Return the address to open in a browser.
+    """Return the address of a view, to open in a browser.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def address(server: ViserServer) -> str:
 
 
 def stop(server: ViserServer) -> None:
-    """Stop the server; browsers keep their last frame.
+    """Stop the server. Browsers keep showing the last frame.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def stop(server: ViserServer) -> None:
 
 
 def is_own(origins: Sequence[str], hosts: Sequence[str]) -> bool:
-    """Return whether a connection comes from one of this server's own pages or from a program other than a browser.
+    """Return whether a connection comes from a page of this server or from a program other than a browser.
 
     A page cannot forge these headers. The host must be a local name, because a foreign domain name may resolve to this
     computer.
@@ -96,8 +96,8 @@ def is_own(origins: Sequence[str], hosts: Sequence[str]) -> bool:
 
 
 def _refuse_other_sites(server: ViserServer) -> None:
-    """Close connections from pages of other sites before sending any data, because viser does not check the origin."""
-    sockets = server._websock_server  # viser has no public access to the request
+    """Close connections from pages of other sites before any data is sent, because viser does not check the origin."""
+    sockets = server._websock_server  # viser has no public access to the request headers
 
     async def look(client: Any) -> None:
         connection: Any = sockets._live_connections[client.client_id]

@@ -1,4 +1,4 @@
-"""Figures of an arm in space: stick figure, workspace, manipulability ellipsoids."""
+"""Figures of an arm in space: stick figure, workspace and manipulability ellipsoids."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 
 _STICK = "#333333"
-_FAINT = 8  # maximum configurations drawn besides the last one
+_FAINT = 8  # largest number of configurations drawn in addition to the last configuration
 _CORNERS = 20  # corners of a joint's cylinder
-_UNIT = {"joint": (0.055, 0.018), "frame": 0.13}  # relative to the arm: length and radius of a joint, length of a frame
+_UNIT = {"joint": (0.055, 0.018), "frame": 0.13}  # length and radius of a joint, length of a frame, relative to the arm
 
 
 def robot(
@@ -34,26 +34,26 @@ def robot(
 ) -> Axes3D:
     """Draw an arm as a stick figure, with revolute joints as cylinders and prismatic joints as boxes along their axes.
 
-    Links follow the joint axes and their common normals, through the origins of the link frames; the dashed line
-    connects base and mount. Each joint has the same colour in all figures.
+    Links follow the joint axes and their common normals through the origins of the link frames. A dashed line connects
+    base and mount. Each joint has the same colour in all figures.
 
     Parameters
     ----------
     robot : the arm.
-    q : (n,) a configuration, or (N, n) several: the last one is drawn in full, and up to eight of the others, evenly
-        spaced, as faint lines. Default: home.
+    q : configuration (n,), or configurations (N, n), of which the last is drawn in full, and up to eight others, evenly
+        spaced, as faint lines. Default: home posture.
     path : draw the path of the tool through all N configurations.
-    frames : draw the frames base, flange and tool.
-    ax : three-dimensional Axes to draw into, for example those of another arm; default: a new figure.
+    frames : draw the base, flange and tool frames.
+    ax : three-dimensional Axes to draw into, for example with another arm; default: a new figure.
 
     Returns
     -------
-    The Axes, in metres and in the robot's base axes.
+    The Axes, in the robot's base axes [m].
 
     Raises
     ------
     ShapeError : q has the wrong shape, is empty or not finite; `ax` is not three-dimensional.
-    RobotError : the argument is not a Robot, for example a name.
+    RobotError : `robot` is not a Robot, for example a name.
     """
     q = configurations(robot, q)
     with look():
@@ -72,7 +72,7 @@ def robot(
 
 
 def configurations(robot: Robot, q: ArrayLike | None) -> np.ndarray:
-    """Return the configurations (N, n) to draw; None means home."""
+    """Return the configurations (N, n) to draw; None means the home posture."""
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
     q = robot.q_home if q is None else numbers(q, "q", ShapeError)
@@ -88,7 +88,7 @@ def stick(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Return the corners (N, 3) of the stick figure at q (n,) in base axes [m]: mount, joints, link corners, tool."""
     T, tool = link_transforms(robot, q), forward(robot, q)
     points = [robot.T_base_mount[:3, 3]]
-    axis = np.zeros(3)  # the mount has no axis: the first link ends at the nearest point of axis 1
+    axis = np.zeros(3)  # the mount has no axis, so the first link ends at the nearest point of axis 1
     for i in range(robot.n):
         origin, z = T[i, :3, 3], T[i, :3, 2]
         start = origin - q[i] * z if robot.prismatic[i] else origin  # start of the prismatic joint
@@ -119,7 +119,7 @@ def _arm(ax: Axes3D, robot: Robot, q: np.ndarray) -> None:
 
 
 def _prism(T: np.ndarray, length: float, radius: float, corners: int) -> np.ndarray:
-    """Return the faces (3 corners, 4, 3) of a prism about the z axis of T, centred at its origin."""
+    """Return the faces (3 x corners, 4, 3) of a prism about the z axis of T, centred at the origin of T."""
     angle = 2 * np.pi * (np.arange(corners + 1) + 0.5) / corners
     low, high = (
         np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(corners + 1, z)], axis=1)
@@ -146,23 +146,24 @@ _CLOUD = JOINT_STYLES[5][0]  # light, so that the arm stays visible
 def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = None) -> Figure:
     """Draw the workspace of the tool point in a side view (x, z), a top view (x, y) and in space, with the arm at home.
 
-    Joint positions are sampled uniformly within the limits, so the point cloud is sparse where few configurations
-    reach, and the true workspace extends slightly beyond it. Continuous joints cover one revolution.
+    Joint positions are sampled uniformly within the limits. The point cloud is therefore sparse in regions that few
+    configurations reach, and the true workspace extends slightly beyond it. Continuous joints cover one revolution.
 
     Parameters
     ----------
     robot : the arm.
     points : number of random configurations.
-    seed : random seed; the same seed gives the same cloud.
-    ax : three Axes, the last one three-dimensional; default: a new figure.
+    seed : random seed; equal seeds give equal point clouds.
+    ax : three Axes, the last of them three-dimensional; default: a new figure.
 
     Returns
     -------
-    The Figure; the first title states the robot name and the smallest and largest distances of the tool from the mount.
+    The Figure. Its first title gives the name of the robot, and the smallest and largest distance of the tool from the
+    mount.
 
     Raises
     ------
-    RobotError : a prismatic joint has no limits, or the argument is not a Robot.
+    RobotError : a prismatic joint has no limits, or `robot` is not a Robot.
     ShapeError : `points` is not a positive integer, or `ax` is not three Axes.
     ConfigError : `seed` is not a non-negative integer.
     """
@@ -189,9 +190,7 @@ def workspace(robot: Robot, *, points: int = 20_000, seed: int = 0, ax: Any = No
 def _sample(robot: Robot, points: int, seed: int) -> np.ndarray:
     """Return tool positions (points, 3) in base axes [m] for random configurations within the limits."""
     if not isinstance(points, int | np.integer) or points < 1:
-        raise ShapeError(
-            f"Expected at least one configuration for the workspace of {robot.name}, got points={points!r}."
-        )
+        raise ShapeError(f"Expected at least one point for the workspace of {robot.name}, got points={points!r}.")
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise ConfigError(f"Expected seed as an integer >= 0, got {seed!r}.")
     low = np.where(np.isinf(robot.q_min), -np.pi, robot.q_min)
@@ -207,7 +206,7 @@ def _sample(robot: Robot, points: int, seed: int) -> np.ndarray:
 
 
 def _panels(ax: Any) -> tuple[Figure, tuple[Axes, Axes, Any]]:
-    """Return the figure and its three panels (side, top, space), either new or the caller's."""
+    """Return a figure and its three panels (side, top, space), which are new or the caller's."""
     if ax is not None:
         given = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
         if given.size != 3:
@@ -220,16 +219,16 @@ def _panels(ax: Any) -> tuple[Figure, tuple[Axes, Axes, Any]]:
     grid = figure.add_gridspec(1, 3, width_ratios=(1, 1, 1.5))
     side, top = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     _, solid = space.space(figure.add_subplot(grid[2], **space.PROJECTION))
-    solid.set_anchor("W")  # a square in a wide panel leaves room for the z label at the right
+    solid.set_anchor("W")  # leaves room for the z label at the right
     return figure, (side, top, solid)
 
 
-_SIZE = 0.22  # largest half axis in the figure over the length of the arm
+_SIZE = 0.22  # largest half-axis in the figure, relative to the length of the arm
 _MOST = 8
 _UNITS = {"position": ("v", "m/s"), "rotation": ("w", "rad/s")}
 
 
-_draw = robot  # for functions with a parameter named robot
+_draw = robot  # alias for functions with a parameter named robot
 
 
 def manipulability(
@@ -237,19 +236,20 @@ def manipulability(
 ) -> Axes3D:
     """Draw the velocity ellipsoid of the tool: its velocities for all joint velocities of norm 1.
 
-    ``{J qd : |qd| = 1}``, see `kinematics.ellipsoid` and `kinematics.manipulability`. Along a short axis the tool moves
-    slowly and can exert large forces.
+    The ellipsoid is ``{J qd : |qd| = 1}``; see `kinematics.ellipsoid` and `kinematics.manipulability`. Along a short
+    axis, the tool moves slowly and can exert large forces.
 
     Parameters
     ----------
     robot : the arm.
-    q : (n,) a configuration, or (N, n) several, of which at most eight, evenly spaced, are drawn. Default: home.
-    part : "position", velocity of the tool point; or "rotation", angular velocity.
+    q : configuration (n,), or configurations (N, n), of which at most eight, evenly spaced, are drawn. Default: home
+        posture.
+    part : "position" for the velocity of the tool point, or "rotation" for the angular velocity.
     ax : three-dimensional Axes to draw into; default: a new figure.
 
     Returns
     -------
-    The Axes; the title states the half-axes at the last configuration and the scale.
+    The Axes. The title gives the half-axes at the last configuration, and the scale.
 
     Raises
     ------

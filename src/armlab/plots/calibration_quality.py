@@ -1,4 +1,4 @@
-"""Quality of a calibration: residuals per sample, their distribution, parameter uncertainty."""
+"""Figure of a calibration: residuals, their distribution, and the uncertainty of the parameters."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ if TYPE_CHECKING:
 
 
 _SINGLE = ("distance", "pair distance", "point", "line")  # noise classes with one number per sample
-_EDGE = 0.03  # fraction of the width: margin beside the first and last marks
-_MOST = 3  # maximum ellipses in one panel
+_EDGE = 0.03  # margin beside the first and last marker, relative to the width
+_MOST = 3  # largest number of ellipses
 
 
 def calibration(fit: Fit[Any], truth: ArrayLike | None = None, ax: Any = None) -> Figure:
-    """Draw the residuals per sample, quantile plot, two-sigma ellipses and excitation of a calibration.
+    """Draw the residuals per sample, a quantile plot, the 2-sigma ellipses and the excitation of a calibration.
 
-    Residuals are in units of the standard deviation of their noise class; a straight quantile plot indicates normality.
-    The two-sigma ellipse of two parameters covers 86 % of the probability.
+    Residuals are in units of the standard deviation of their noise class. A straight quantile plot indicates normally
+    distributed residuals. The 2-sigma ellipse of two parameters covers a probability of 86 %.
 
     Parameters
     ----------
-    fit : from a `fit_*` function of `calibrate`. A fit loaded from a file has no residuals; only the last two panels
+    fit : from a `fit_*` function of `calibrate`. A fit loaded from a file has no residuals, so only the last two panels
         are drawn.
-    truth : (d,) true parameters, if known; drawn as crosses in the ellipses.
-    ax : four Axes, two for a loaded fit; default: a new figure.
+    truth : true parameters (d,), if known, which are drawn as crosses in the ellipses.
+    ax : four Axes, or two for a loaded fit; default: a new figure.
 
     Returns
     -------
-    The figure with four or two panels.
+    The Figure with four or two panels.
 
     Raises
     ------
-    ShapeError : not a Fit, wrong number of true parameters or Axes.
+    ShapeError : `fit` is not a Fit, or the number of true parameters or Axes is wrong.
     """
     expect(fit, Fit)
     true = None if truth is None else np.asarray(truth, dtype=float)
@@ -71,9 +71,9 @@ def _groups(fit: Fit[Any]) -> dict[str, np.ndarray]:
 
 
 def _owners(classes: Sequence[str], columns: int) -> np.ndarray | None:
-    """Return the class of each column, or None if ambiguous.
+    """Return the noise class of each column, or None if it is ambiguous.
 
-    Classes repeat with three columns each, or one for a distance or line.
+    The sequence of classes repeats, with three columns per class, or one for a distance or line.
     """
     if len(classes) == 1:
         return np.zeros(columns, dtype=int)
@@ -82,7 +82,7 @@ def _owners(classes: Sequence[str], columns: int) -> np.ndarray | None:
 
 
 def _per_sample(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray) -> None:
-    """Draw the norm per sample and class, with outliers as crosses."""
+    """Draw the norm of the residual of each sample and class, with outliers as crosses."""
     for (name, part), (color, _) in zip(groups.items(), JOINT_STYLES, strict=False):
         count = np.isfinite(part).sum(axis=1)
         size = np.sqrt(np.nansum(part**2, axis=1) / np.where(count > 0, count, np.nan))  # NaN: not measured
@@ -90,7 +90,7 @@ def _per_sample(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray
         good = ~bad & np.isfinite(size)
         panel.plot(np.flatnonzero(good), size[good], "o", color=color, markersize=3.0, label=name)
         if bad.any():
-            panel.plot(np.flatnonzero(bad), size[bad], "x", color=GREY, markersize=5.0, label="left out")
+            panel.plot(np.flatnonzero(bad), size[bad], "x", color=GREY, markersize=5.0, label="excluded")
     panel.set_yscale("log" if outliers.any() else "linear")
     panel.set(xlabel="sample", ylabel="residual / sigma")
     handles, labels = panel.get_legend_handles_labels()
@@ -122,7 +122,7 @@ def _quantiles(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray)
 
 
 def _ellipses(panel: Axes, fit: Fit[Any], true: np.ndarray | None) -> None:
-    """Draw the two-sigma ellipses of the first parameter pairs with equal units around the estimate."""
+    """Draw the 2-sigma ellipses of the first parameter pairs with equal units, centred at the estimate."""
     round_ = np.linspace(0.0, 2.0 * np.pi, 91)
     circle = np.stack([np.cos(round_), np.sin(round_)])
     for at, (color, _) in zip(_pairs(fit), JOINT_STYLES, strict=False):
@@ -140,11 +140,11 @@ def _ellipses(panel: Axes, fit: Fit[Any], true: np.ndarray | None) -> None:
     panel.yaxis.set_major_formatter("{x:g}")
     panel.set(xlabel="error of the first parameter", ylabel="error of the second parameter")
     panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
-    panel.set_title("two-sigma ellipses around the estimate")
+    panel.set_title("2-sigma ellipses around the estimate")
 
 
 def _pairs(fit: Fit[Any]) -> list[list[int]]:
-    """Return index pairs of adjacent parameters with equal units, each used once; the first two in blocks of three."""
+    """Return the indices of adjacent parameters with equal units; of three such parameters, the first two."""
     found: list[list[int]] = []
     i = 0
     while i + 1 < len(fit.names) and len(found) < _MOST:

@@ -1,4 +1,4 @@
-"""Contact figures: wrench over time, hypothesis probabilities, coverage of the uncertainty, observability."""
+"""Contact figures: wrench, probabilities of hypotheses, coverage of the uncertainty, observability."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ _SHADE = "#B3B3B3"
 
 
 def wrench(table: Table, ax: Any = None) -> Figure:
-    """Draw the estimated wrench, one panel per axis, with two-sigma bands and shaded contact.
+    """Draw the estimated wrench against time, one panel per axis, with 2-sigma bands and shaded contact.
 
     The true wrench (`wrench_true`), the force sensor (`wrench`) and guaranteed limits (`wrench_interval`) are drawn if
-    the table has them. Forces share one scale and moments another; the estimates determine both, and wider bands are
-    clipped.
+    the table has them. All forces have the same scale, and so do all moments. The scales follow from the estimates;
+    wider bands are clipped.
 
     Parameters
     ----------
-    table : table with wrench_hat (N, 6), and wrench_hat_cov (N, 6, 6) for the bands, in base axes at the tool point.
-    ax : (3, 2) Axes, or 3 for the forces only; default: a new figure.
+    table : table with wrench_hat (N, 6), and for the bands wrench_hat_cov (N, 6, 6), in base axes at the tool point.
+    ax : Axes (3, 2), or three Axes for the forces only; default: a new figure.
 
     Raises
     ------
     UnknownName : the table has no wrench_hat.
-    ShapeError : not a Table, or `ax` with the wrong number of Axes.
+    ShapeError : `table` is not a Table, or the number of Axes is wrong.
     """
     expect(table, Table)
     if "wrench_hat" not in table:
@@ -63,17 +63,17 @@ def wrench(table: Table, ax: Any = None) -> Figure:
 
 
 def wrenches(tables: Mapping[str, Table], ax: Any = None) -> Figure:
-    """Draw the estimated forces of several arms side by side on one scale, with one column per arm.
+    """Draw the estimated forces of several arms side by side on the same scale, one column per arm.
 
     Parameters
     ----------
-    tables : name of the arm -> table as in `wrench`.
-    ax : (3, k) Axes for k arms; default: a new figure.
+    tables : tables as in `wrench`, by name of the arm.
+    ax : Axes (3, k) for k arms; default: a new figure.
 
     Raises
     ------
     UnknownName : a table has no wrench_hat.
-    ShapeError : not a Table, or `ax` with the wrong number of Axes.
+    ShapeError : `tables` does not contain Tables, or the number of Axes is wrong.
     """
     if not isinstance(tables, Mapping) or not tables:
         raise ShapeError(f"Expected {{name: table}} of at least one arm to draw, got {shortened(tables)}.")
@@ -108,7 +108,7 @@ def _panel(ax: Axes, table: Table, sigma: np.ndarray | None, i: int, touched: np
 
 
 def _limit(table: Table, sigma: np.ndarray | None, column: int) -> float:
-    """Return the limit of the scale, which covers the range of the lines and a typical band."""
+    """Return the limit of the scale, which contains the lines and a band of typical width."""
     part = slice(3 * column, 3 * column + 3)
     lines = [table[name][:, part] for name in ("wrench_hat", "wrench_true", "wrench") if name in table]
     sizes = [np.nanquantile(np.abs(array), 0.9995) for array in lines if np.isfinite(array).any()]
@@ -118,11 +118,11 @@ def _limit(table: Table, sigma: np.ndarray | None, column: int) -> float:
     return 1.2 * largest if largest > 0 else 1.0
 
 
-_LEAST = 0.02  # hypotheses with a lower peak probability are drawn together
+_LEAST = 0.02  # peak probability; less probable hypotheses are drawn together
 
 
 def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
-    """Draw the stacked hypothesis probabilities over time, and a bar while a link contact cannot be excluded.
+    """Draw the stacked probabilities of the hypotheses against time, and a bar while contact on a link is possible.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
 
     Raises
     ------
-    ShapeError : not Hypotheses, or several Axes.
+    ShapeError : `found` is not of type Hypotheses, or `ax` is not one Axes.
     """
     expect(found, Hypotheses)
     with single(ax, width=10.0, height=2.8) as (figure, panel):
@@ -151,14 +151,14 @@ def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
 
 
 EDGES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # bin edges, relative to the peak speed
-NOMINAL = 95.4  # % of a normal variable within two sigma
-_FEWEST = 50  # samples needed in a bin
+NOMINAL = 95.4  # %, coverage of two sigma of a normal distribution
+_FEWEST = 50  # smallest number of samples in a bin
 _WEAK = 0.5
 _AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 
 
 def coverage(table: Table, ax: Any = None) -> Axes:
-    """Draw the fraction of errors within two sigma per speed bin; a well-calibrated uncertainty covers 95.4 %.
+    """Draw the fraction of errors within 2 sigma against speed; a well-calibrated uncertainty covers 95.4 %.
 
     With tau_sigma (from `identify.predict`), the figure shows the torque of each joint against its own speed. With
     wrench_hat, it shows each wrench axis, compared with wrench_true or the sensor's `wrench`, against the speed of the
@@ -171,8 +171,8 @@ def coverage(table: Table, ax: Any = None) -> Axes:
 
     Raises
     ------
-    UnknownName : the table has neither column, or no reference for the wrench.
-    ShapeError : not a Table.
+    UnknownName : the table has neither tau_sigma nor wrench_hat, or no reference for the wrench.
+    ShapeError : `table` is not a Table.
     """
     names, shares = coverage_by_speed(table)
     with single(ax, width=7.5, height=3.6) as (_, panel):
@@ -189,7 +189,7 @@ def coverage(table: Table, ax: Any = None) -> Axes:
 
 
 def coverage_by_speed(table: Table) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return the names of joints or axes and the fraction (k, 5) of their errors within two sigma, per speed bin."""
+    """Return the names of joints or axes, and the fraction (k, 5) of their errors within 2 sigma per speed bin."""
     expect(table, Table)
     if "qd" not in table:
         raise UnknownName.among("column of a coverage figure", "qd", table.names)
@@ -206,25 +206,18 @@ def coverage_by_speed(table: Table) -> tuple[tuple[str, ...], np.ndarray]:
         error = table["wrench_hat"] - table[truth]
         sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
         names, speed = _AXES, np.repeat(speed.max(axis=1)[:, None], 6, axis=1)
-    return names, _shares(error, sigma, speed)
-
-
-def _shares(error: np.ndarray, sigma: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Return the fraction (k, bins) of samples within two sigma; NaN for bins with too few samples."""
     shares = np.full((error.shape[1], len(EDGES) - 1), np.nan)
-    for i in range(error.shape[1]):
-        known = np.isfinite(error[:, i]) & np.isfinite(sigma[:, i])
-        place = np.clip(np.digitize(speed[:, i], EDGES) - 1, 0, len(EDGES) - 2)
-        inside = np.abs(error[:, i]) <= 2 * sigma[:, i]
-        for k in range(len(EDGES) - 1):
-            rows = known & (place == k)
-            if rows.sum() >= _FEWEST:
-                shares[i, k] = inside[rows].mean()
-    return shares
+    known, inside = np.isfinite(error) & np.isfinite(sigma), np.abs(error) <= 2 * sigma
+    place = np.clip(np.digitize(speed, EDGES) - 1, 0, len(EDGES) - 2)
+    for i, k in np.ndindex(shares.shape):
+        rows = known[:, i] & (place[:, i] == k)
+        if rows.sum() >= _FEWEST:
+            shares[i, k] = inside[rows, i].mean()
+    return names, shares
 
 
 def observability(table: Table, ax: Any = None) -> Figure:
-    """Draw the observability of each wrench axis over time: 1 means determined by the torques, 0 by the prior alone.
+    """Draw the observability of each wrench axis against time, from 0 (prior alone) to 1 (determined by the torques).
 
     Intervals with a weakly observable axis (below 0.5) are shaded.
 
@@ -235,8 +228,8 @@ def observability(table: Table, ax: Any = None) -> Figure:
 
     Raises
     ------
-    UnknownName : the table has no such column.
-    ShapeError : not a Table, or the wrong number of Axes.
+    UnknownName : the table has no observability.
+    ShapeError : `table` is not a Table, or the number of Axes is wrong.
     """
     expect(table, Table)
     if "observability" not in table:

@@ -1,4 +1,4 @@
-"""Joint friction against speed and position, and the torque ripple spectrum."""
+"""Figures of drives: friction against velocity and position, and the spectrum of torque ripple."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ _POINTS = 3_000
 
 
 def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) -> Figure:
-    """Draw the steady-state friction of each joint against velocity, with a two-sigma band.
+    """Draw the steady-state friction of each joint against velocity, with 2-sigma bands.
 
-    The dark band is the uncertainty of the friction parameters. The light band adds the stated torque error at that
-    velocity, so it should contain 95 % of the points. Each point is the curve value plus the residual of one row.
+    The dark band is the uncertainty of the friction parameters. The light band adds the torque error of the model at
+    that velocity, so it should contain 95 % of the points. Each point is the curve value plus the residual of a row.
 
     Parameters
     ----------
     fit : from `identify.fit_dynamics`.
-    table : log of free motion with qd and tau_error (N, n), from `contact.Estimator.run`; adds the points.
+    table : log of free motion with qd and tau_error (N, n), from `contact.Estimator.run`, for the points.
     ax : one Axes per joint; default: a new figure.
 
     Raises
     ------
-    ModelMismatchError : a fit of another kind.
-    ShapeError : not a Fit, or not one Axes per joint.
+    ModelMismatchError : `fit` is not the fit of a torque model.
+    ShapeError : `fit` is not a Fit, or the number of Axes is wrong.
     """
     expect(fit, Fit)
     model = value_of(fit)
@@ -84,7 +84,7 @@ def _sign(model: TorqueModel, qd: np.ndarray) -> np.ndarray:
 
 
 def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.ndarray:
-    """Return the variance (N,) of the friction curve of joint i due to its parameter covariance."""
+    """Return the variance (N,) of the friction curve of joint i that results from the parameter covariance."""
     friction = fit.value.friction
     s = _sign(fit.value, np.repeat(qd[:, None], fit.value.n, axis=1))[:, i]
     slopes = {name: term.column(qd, s) for name, term in FRICTION_TERMS.items() if term.column and name != "load"}
@@ -99,7 +99,7 @@ def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.nda
 
 
 def own_parameters(fit: Fit[TorqueModel]) -> list[dict[str, int]]:
-    """Return, for each joint, the index of each friction parameter in the fit: {"viscous": 45, "coulomb+": 46, ...}."""
+    """Return the index in the fit of each friction parameter of each joint, such as {"viscous": 45, "coulomb+": 46}."""
     joints: list[dict[str, int]] = []
     for place in range(len(fit.value.base_names), len(fit.names)):
         kind = fit.names[place].split()[0]
@@ -110,13 +110,13 @@ def own_parameters(fit: Fit[TorqueModel]) -> list[dict[str, int]]:
     return (joints + [{} for _ in range(fit.value.n)])[: fit.value.n]
 
 
-_CELLS = 61  # map cells per axis
+_CELLS = 61  # cells of the map per axis
 _SLICES = 3
-_BINS = 16  # coverage bins per axis
-_ROWS = 8_000  # maximum rows of a spectrum; more are thinned
-_BEYOND = 1.25  # ratio of the spectrum limit to the line at twice the gear ratio
-_FEWEST = 100  # rows needed for an amplitude
-_SLOWEST, _UNGEARED = 1.0, 50.0  # cycles per revolution
+_BINS = 16  # bins of the sample coverage per axis
+_ROWS = 8_000  # largest number of rows for a spectrum; longer logs are thinned
+_BEYOND = 1.25  # limit of the spectrum, relative to the line at twice the gear ratio
+_FEWEST = 100  # smallest number of rows for an amplitude
+_SLOWEST, _UNGEARED = 1.0, 50.0  # cycles per revolution: first of the spectrum, smallest limit
 
 
 def friction_map(
@@ -126,23 +126,22 @@ def friction_map(
     slices: ArrayLike | None = None,
     ax: Any = None,
 ) -> Figure:
-    """Draw the sliding friction of one joint against position and velocity, as a map and as slices.
+    """Draw the sliding friction of a joint against position and velocity, as a map and as slices.
 
-    With a table, its samples are drawn on the map; cells without samples are hatched, because the map is extrapolated
-    there.
+    With a table, its samples are drawn on the map, and cells without samples, where the map extrapolates, are hatched.
 
     Parameters
     ----------
     model : torque model with or without a `models.friction.FrictionMap`, or its fit.
-    joint : index, from 0.
-    table : training data of the map with q, qd (N, n).
-    slices : (k,) positions of the slices [rad]; default: three, evenly spaced.
+    joint : index of the joint, from 0.
+    table : training data of the map with q and qd (N, n).
+    slices : positions (k,) of the slices [rad]; default: three, evenly spaced.
     ax : two Axes; default: a new figure.
 
     Raises
     ------
-    ModelMismatchError : not a torque model.
-    ShapeError : an invalid joint index, positions that are not finite, or the wrong number of Axes.
+    ModelMismatchError : `model` is not a torque model.
+    ShapeError : invalid joint index, positions that are not finite, or wrong number of Axes.
     """
     model = value_of(model)
     joints_shown([joint], model.n)
@@ -171,18 +170,15 @@ def friction_map(
 
 def _sliding(model: TorqueModel, joint: int, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
     """Return the sliding friction (Q, V) of one joint, without torque ripple."""
-    drive = Drive(
-        model.friction.rows,
-        np.zeros((3, model.n)),
-        map=None if model.friction_map is None else model.friction_map.kernel_rows(),
-    )
+    rows = None if model.friction_map is None else model.friction_map.kernel_rows()
+    drive = Drive(model.friction.rows, np.zeros((3, model.n)), map=rows)
     at = np.zeros((2, len(q), len(qd), model.n))
     at[0, :, :, joint], at[1, :, :, joint] = np.meshgrid(q, qd, indexing="ij")
     return drive.torque(at[0], at[1], _sign(model, at[1]))[:, :, joint]
 
 
 def _cover(panel: Any, q: np.ndarray, qd: np.ndarray, q_shown: np.ndarray, qd_shown: np.ndarray) -> None:
-    """Draw the samples, and hatch the cells without samples."""
+    """Draw samples on a map, and hatch the cells without samples."""
     edges = np.linspace(q_shown[0], q_shown[-1], _BINS + 1), np.linspace(qd_shown[0], qd_shown[-1], _BINS + 1)
     count = np.histogram2d(q, qd, bins=edges)[0]
     every = max(1, len(q) // 4000)
@@ -197,23 +193,23 @@ def _cover(panel: Any, q: np.ndarray, qd: np.ndarray, q_shown: np.ndarray, qd_sh
 def spectrum(
     fit: Fit[TorqueModel] | TorqueModel, table: Table, joints: Sequence[int] | None = None, ax: Any = None
 ) -> Figure:
-    """Draw the torque residual amplitude against cycles per joint revolution, with and without the ripple model.
+    """Draw the amplitude of the torque residual against cycles per joint revolution, with and without the ripple model.
 
-    Ripple depends on position, so its lines are independent of speed; the lines in the model are marked. The upper axis
-    counts motor revolutions if the gear ratios are known. Each line uses only rows in which its frequency in time is
-    below a quarter of the sampling rate.
+    Ripple depends on position, so its spectral lines are independent of speed; the lines in the model are marked. If
+    the gear ratios are known, the upper axis shows cycles per motor revolution. The amplitude at a line uses only rows
+    in which its frequency is below a quarter of the sampling rate.
 
     Parameters
     ----------
     fit : identified torque model, or its fit.
-    table : log of free motion with q, qd, tau (N, n).
-    joints : indices of the joints to draw, from 0; default: all.
+    table : log of free motion with q, qd and tau (N, n).
+    joints : indices of the joints to draw, from 0; default: all joints.
     ax : one Axes per joint; default: a new figure.
 
     Raises
     ------
-    ModelMismatchError : not a torque model.
-    ShapeError : an invalid joint index, the wrong number of Axes, or a log rejected by `identify.prepare`.
+    ModelMismatchError : `fit` is not a torque model.
+    ShapeError : invalid joint index, wrong number of Axes, or a log rejected by `identify.prepare`.
     """
     model = value_of(fit)
     shown = joints_shown(joints, model.n)
@@ -243,7 +239,7 @@ def spectrum(
 
 
 def _amplitude(q: np.ndarray, y: np.ndarray, cycles: np.ndarray, most: np.ndarray) -> np.ndarray:
-    """Return the amplitude (C,) of each individual line ``a cos(c q) + b sin(c q)``, from rows with `most` > c."""
+    """Return the amplitude (C,) of each line ``a cos(c q) + b sin(c q)`` of y, from the rows with `most` > c."""
     y = y - y.mean()
     found = np.full(len(cycles), np.nan)
     for k, c in enumerate(cycles):

@@ -1,4 +1,4 @@
-"""Comparison of a torque model with a log: fit, residuals, autocorrelation, covariance against speed, excitation."""
+"""Figures of torque models: fit to a log, residuals, autocorrelation, covariance, excitation."""
 
 from __future__ import annotations
 
@@ -41,21 +41,21 @@ _RESIDUAL = JOINT_STYLES[0][0]
 
 
 def torque_fit(fit: Fit[TorqueModel] | TorqueModel, table: Table, ax: Any = None) -> Figure:
-    """Draw the measured and modelled torque of each joint, and the residual with its two-sigma band.
+    """Draw the measured and modelled torque of each joint, and the residual with its 2-sigma band.
 
-    Measured and modelled torques are low-pass filtered at the cut-off of the model; see `identify.predict`. The title
-    of a residual panel states the explained variance, the RMS residual, and the fraction within the band.
+    Measured and modelled torques are low-pass filtered at the cut-off frequency of the model; see `identify.predict`.
+    The title of a residual panel gives the explained variance, the RMS residual, and the fraction within the band.
 
     Parameters
     ----------
     fit : identified torque model, or its fit.
     table : log of free motion with q, tau (N, n), and qd if measured.
-    ax : (n, 2) Axes to draw into; default: a new figure.
+    ax : Axes (n, 2) to draw into; default: a new figure.
 
     Raises
     ------
-    ModelMismatchError : not a torque model.
-    ShapeError : a log rejected by `identify.predict`, or the wrong number of Axes.
+    ModelMismatchError : `fit` is not a torque model.
+    ShapeError : a log rejected by `identify.predict`, or a wrong number of Axes.
     """
     found = predict(value_of(fit), table)
     t, tau, model, sigma = found.t, found["tau"], found["tau_model"], found["tau_sigma"]
@@ -90,7 +90,7 @@ def value_of(fit: Fit[TorqueModel] | TorqueModel) -> TorqueModel:
 
 
 def _verdict(tau: np.ndarray, residual: np.ndarray, sigma: np.ndarray) -> str:
-    """Return the explained variance, the RMS residual, and the fraction within the band."""
+    """Return the explained variance, the RMS residual, and the fraction within the band as text."""
     known = np.isfinite(residual) & np.isfinite(sigma)
     spread = np.var(tau[known]) if known.any() else 0.0
     if not spread > 0:
@@ -102,14 +102,14 @@ def _verdict(tau: np.ndarray, residual: np.ndarray, sigma: np.ndarray) -> str:
 
 
 def _scale(residual: np.ndarray, sigma: np.ndarray) -> tuple[float | None, float | None]:
-    """Return symmetric limits that contain the band and the residual except rare spikes."""
+    """Return symmetric limits that contain the band, and the residual except for rare spikes."""
     sizes = [np.nanquantile(np.abs(residual), 0.999)] if np.isfinite(residual).any() else []
     sizes += [2 * np.nanmedian(sigma)] if np.isfinite(sigma).any() else []
     largest = float(max(sizes, default=0.0))
     return (-1.3 * largest, 1.3 * largest) if largest > 0 else (None, None)
 
 
-_CLOUD_POINTS = 4_000  # maximum points of a cloud; more are thinned
+_CLOUD_POINTS = 4_000  # largest number of points in a cloud; longer logs are thinned
 _LAG = 1.0  # s, longest lag
 _MODELS = (MODEL, JOINT_STYLES[0][0], JOINT_STYLES[2][0])
 
@@ -120,19 +120,19 @@ def residual_speed(
     joints: Sequence[int] | None = None,
     ax: Any = None,
 ) -> Figure:
-    """Draw torque residuals against joint velocity, with the two-sigma curves of one or several covariance models.
+    """Draw torque residuals against joint velocity, with the 2-sigma curves of one or several covariance models.
 
     Parameters
     ----------
     table : log of free motion with qd and tau_error (N, n), from `contact.Estimator.run`.
-    covariances : name -> `models.torque.VelocityCovariance`, drawn as curves at two sigma.
-    joints : indices of the joints to draw, from 0; default: all.
+    covariances : `models.torque.VelocityCovariance` by name.
+    joints : indices of the joints to draw, from 0; default: all joints.
     ax : one Axes per joint; default: a new figure.
 
     Raises
     ------
     UnknownName : a missing column.
-    ShapeError : not a Table, an invalid joint index, or the wrong number of Axes.
+    ShapeError : `table` is not a Table, invalid joint index, or wrong number of Axes.
     """
     residuals, qd = _residuals(table), table["qd"]
     shown = joints_shown(joints, residuals.shape[1])
@@ -156,18 +156,18 @@ def residual_speed(
 def autocorrelation(table: Table, joints: Sequence[int] | None = None, ax: Any = None) -> Axes:
     """Draw the autocorrelation of the torque residuals; white noise stays within the grey band.
 
-    The legend states the correlation time of each joint, which is the spacing of effectively independent samples.
+    The legend gives the correlation time of each joint, which is the spacing of effectively independent samples.
 
     Parameters
     ----------
     table : evenly sampled log of free motion with tau_error (N, n), from `contact.Estimator.run`.
-    joints : indices of the joints to draw, from 0; default: all.
+    joints : indices of the joints to draw, from 0; default: all joints.
     ax : Axes to draw into; default: a new figure.
 
     Raises
     ------
     UnknownName : a missing column.
-    ShapeError : not a Table, an invalid joint index, or fewer than 10 complete rows.
+    ShapeError : `table` is not a Table, invalid joint index, or fewer than 10 complete rows.
     """
     residuals = _residuals(table)
     shown = joints_shown(joints, residuals.shape[1])
@@ -200,7 +200,7 @@ def _residuals(table: Table) -> np.ndarray:
 
 
 def _correlation(x: np.ndarray, known: np.ndarray, most: int) -> np.ndarray:
-    """Return the autocorrelation (most,) of x (N,), averaged over the known pairs at each lag."""
+    """Return the autocorrelation (most,) of x (N,), averaged over the pairs of known samples at each lag."""
     size = 2 ** int(np.ceil(np.log2(2 * len(x))))
 
     def pairs(values: np.ndarray) -> np.ndarray:
@@ -222,13 +222,13 @@ def velocity_covariance(
 
     Parameters
     ----------
-    model : a torque model, its fit, or its covariance alone.
-    qd_max : range of the figure, from -qd_max to qd_max [rad/s].
+    model : torque model, its fit, or only its covariance.
+    qd_max : limit of the velocity axis, which extends from -qd_max to qd_max [rad/s].
     ax : Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ModelMismatchError : not a torque model.
+    ModelMismatchError : `model` is not a torque model.
     """
     covariance = model if isinstance(model, VelocityCovariance) else value_of(model).covariance
     joints = len(covariance.C0)
@@ -248,19 +248,19 @@ _WEAK, _REFUSED = 300.0, 1e4  # condition numbers of the estimators
 
 
 def excitation(found: Excitation, ax: Any = None) -> Axes:
-    """Draw the singular values of the scaled regressor in descending order, relative to the largest.
+    """Draw the singular values of the scaled regressor in descending order, relative to the largest singular value.
 
-    A direction below 1/300 is weak and needs a longer or richer log. With a direction below 1/10000, a fit raises
-    NotExcited.
+    A direction below 1/300 is weakly excited and needs a longer or richer log. With a direction below 1/10000, a fit
+    raises NotExcited.
 
     Parameters
     ----------
-    found : ``fit.excitation``.
+    found : excitation of a fit, ``fit.excitation``.
     ax : Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : not an Excitation, or no positive singular values.
+    ShapeError : `found` is not an Excitation, or has no positive singular values.
     """
     expect(found, Excitation)
     values = found.singular_values

@@ -1,4 +1,4 @@
-"""Figures of movement primitives: over time, phase plane, poses, periodic, probabilistic, two degrees of freedom."""
+"""Figures of movement primitives of all kinds, and of their control with two degrees of freedom."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ if TYPE_CHECKING:
 TAUGHT: dict[str, Any] = {"color": "#BFBFBF", "linewidth": 3.5, "zorder": 1}
 """Style of demonstrations: wide lines below the motion."""
 _SAMPLES = 501
-_SETTLES = 1.5  # durations drawn for motions that continue beyond their duration
+_SETTLES = 1.5  # drawn part of motions that continue beyond their duration, in durations
 Goals = Sequence[tuple[float, ArrayLike]]
 
 
 def dmp(
     dmp: Dmp | Fit[Dmp], demo: tuple[ArrayLike, ArrayLike] | None = None, goals: Goals = (), ax: Any = None
 ) -> Figure:
-    """Draw a movement primitive over time: position, velocity, forcing, kernels with the phase, and weights.
+    """Draw a movement primitive against time: position, velocity, forcing term, kernels with the phase, and weights.
 
     Parameters
     ----------
     dmp : the primitive.
     demo : times (N,) and positions (N, n) of the demonstration, drawn as a wide grey line.
-    goals : goal changes (t, g), each to goal g (n,) at time t [s]; every goal is drawn dashed.
+    goals : goal changes (t, g), each to a goal g (n,) at time t [s], drawn as dashed lines.
     ax : five Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : not a Dmp, a demonstration or goal of the wrong shape, or the wrong number of Axes.
+    ShapeError : `dmp` is not a Dmp, a demonstration or goal has the wrong shape, or the number of Axes is wrong.
     """
     dmp = value_of(dmp)
     expect(dmp, Dmp)
@@ -83,7 +83,7 @@ def dmp_phase(dmp: Dmp | Fit[Dmp], ax: Any = None) -> Axes:
 
     Raises
     ------
-    ShapeError : not a Dmp, or the wrong number of Axes.
+    ShapeError : `dmp` is not a Dmp, or the number of Axes is wrong.
     """
     dmp = value_of(dmp)
     expect(dmp, Dmp)
@@ -99,13 +99,13 @@ def dmp_phase(dmp: Dmp | Fit[Dmp], ax: Any = None) -> Axes:
     return panel
 
 
-def demonstration(demo: tuple[ArrayLike, ArrayLike], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (N,) from 0 and positions (N, n) of a demonstration."""
-    t, y = (numbers(part, name, ShapeError) for part, name in zip(demo, ("demo times", "demo positions"), strict=True))
-    if t.ndim != 1 or len(t) < 2 or y.shape != (len(t), n) or not (np.diff(t) > 0).all():
-        raise ShapeError(
-            f"Expected a demonstration as increasing times (N,) and positions (N, {n}), got {t.shape} and {y.shape}."
-        )
+def demonstration(demo: tuple[ArrayLike, ArrayLike], n: int | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (N,) from 0 and positions (N, n) of a demonstration, or poses (N, 4, 4) if n is None."""
+    t = numbers(demo[0], "demo times", ShapeError)
+    y = pose_stack(demo[1]) if n is None else numbers(demo[1], "demo positions", ShapeError)
+    shape, what = ((4, 4), "poses (N, 4, 4)") if n is None else ((n,), f"positions (N, {n})")
+    if t.ndim != 1 or len(t) < 2 or y.shape != (len(t), *shape) or not (np.diff(t) > 0).all():
+        raise ShapeError(f"Expected a demonstration as increasing times (N,) and {what}, got {t.shape} and {y.shape}.")
     return t - t[0], y
 
 
@@ -131,7 +131,7 @@ def _run(dmp: Dmp, goals: Goals) -> tuple[Rollout, tuple[np.ndarray, np.ndarray]
 
 
 def _when(dmp: Dmp) -> np.ndarray:
-    """Return the times (n_basis,) [s] of the kernel centres in the phase; evenly spaced for the schedule "position"."""
+    """Return the times (n_basis,) [s] of the kernel centres; evenly spaced for the schedule "position"."""
     if dmp.schedule == "canonical":
         return -np.log(np.maximum(dmp.centres, 1e-12)) * dmp.tau_d / dmp.alpha_x
     share = dmp.centres if dmp.schedule == "time" else 1.0 - dmp.centres
@@ -145,27 +145,26 @@ def _demonstration(dmp: Dmp, demo: tuple[ArrayLike, ArrayLike], position: Axes, 
             line(panel, t, values[:, i], **TAUGHT, label="_" if i else "demonstration")
 
 
-_POSE_SAMPLES = 501
 _DASHES = ("-", "--", "-.")
 
 
 def pose_dmp(dmp: PoseDmp | Fit[PoseDmp], demo: tuple[ArrayLike, ArrayLike] | None = None, ax: Any = None) -> Figure:
-    """Draw a pose movement primitive over time: position, and rotation vector from the goal.
+    """Draw a pose movement primitive against time: position, and rotation vector from the goal.
 
     Parameters
     ----------
     dmp : the primitive.
-    demo : times (N,) and poses (N, 4, 4) of the demonstration, drawn as a wide grey line; adds panels with the distance
-        from the demonstration.
-    ax : two Axes to draw into, four with a demonstration; default: a new figure.
+    demo : times (N,) and poses (N, 4, 4) of the demonstration, drawn as a wide grey line, with its distance from the
+        primitive in additional panels.
+    ax : two Axes to draw into, or four with a demonstration; default: a new figure.
 
     Raises
     ------
-    ShapeError : not a PoseDmp, a demonstration of the wrong shape, or the wrong number of Axes.
+    ShapeError : `dmp` is not a PoseDmp, the demonstration has the wrong shape, or the number of Axes is wrong.
     """
     dmp = value_of(dmp)
     expect(dmp, PoseDmp)
-    t, taught = (np.linspace(0.0, dmp.duration, _POSE_SAMPLES), None) if demo is None else _taught(demo)
+    t, taught = (np.linspace(0.0, dmp.duration, _SAMPLES), None) if demo is None else demonstration(demo, None)
     T = dmp.rollout(t).T
     with panels(2 if taught is None else 4, 1, ax, width=8.0, height=1.9, sharex=True) as (figure, axes):
         _poses(axes[:2, 0], t, T, dmp.T_goal, [{"linestyle": s, "label": n} for s, n in zip(_DASHES, "xyz")])
@@ -181,24 +180,15 @@ def pose_dmp(dmp: PoseDmp | Fit[PoseDmp], demo: tuple[ArrayLike, ArrayLike] | No
 
 
 def _poses(axes: np.ndarray, t: np.ndarray, T: np.ndarray, T_goal: np.ndarray, styles: list[dict[str, Any]]) -> None:
-    """Draw x, y and z of the position and of the rotation vector from the goal in base axes."""
+    """Draw x, y and z of the position, and of the rotation vector from the goal in base axes."""
     turned = so3.log(T[:, :3, :3] @ T_goal[:3, :3].T)
     for panel, values in zip(axes, (T[:, :3, 3], turned), strict=True):
         for i, style in enumerate(styles):
             line(panel, t, values[:, i], **{"color": AXIS_COLORS[i], **style})
 
 
-def _taught(demo: tuple[ArrayLike, ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
-    t, T = numbers(demo[0], "demo times", ShapeError), pose_stack(demo[1])
-    if t.shape != (len(T),) or len(t) < 2 or not (np.diff(t) > 0).all():
-        raise ShapeError(
-            f"Expected a demonstration as increasing times (N,) and poses (N, 4, 4), got {t.shape} and {T.shape}."
-        )
-    return t - t[0], T
-
-
 _TURN_SAMPLES = 500  # samples per period
-_MOST = 2000  # maximum samples drawn of a demonstration
+_MOST = 2000  # largest number of samples drawn of a demonstration
 _TICKS = {0.0: "0", np.pi / 2: "π/2", np.pi: "π", 3 * np.pi / 2: "3π/2", 2 * np.pi: "2π"}
 
 
@@ -208,21 +198,21 @@ def periodic_dmp(
     turns: float = 3.0,
     ax: Any = None,
 ) -> Figure:
-    """Draw a periodic movement primitive: position, forcing and kernels over one period, then several periods.
+    """Draw a periodic movement primitive: position, forcing term and kernels during a period, and several periods.
 
     The motion in the last panel begins at rest on the baseline (dashed) and converges to the periodic motion.
 
     Parameters
     ----------
     dmp : the primitive.
-    demo : times (N,) and positions (N, n) of the demonstration, phase 0 at the first; drawn as dots.
+    demo : times (N,) and positions (N, n) of the demonstration, drawn as dots; the first sample has phase 0.
     turns : number of periods in the last panel.
     ax : four Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : not a PeriodicDmp, a demonstration of the wrong shape, non-positive `turns`, or the wrong number of
-        Axes.
+    ShapeError : `dmp` is not a PeriodicDmp, the demonstration has the wrong shape, `turns` is not positive, or the
+        number of Axes is wrong.
     """
     dmp = value_of(dmp)
     expect(dmp, PeriodicDmp)
@@ -235,7 +225,10 @@ def periodic_dmp(
     with panels(4, 1, ax, width=8.0, height=1.9) as (figure, axes):
         position, forcing, kernels, several = axes[:, 0]
         if demo is not None:
-            _draw_dots(dmp, demo, position)
+            times, y = (part[:: max(1, len(part) // _MOST)] for part in demonstration(demo, dmp.n))
+            for i in range(dmp.n):
+                name, at = "_" if i else "demonstration", 2 * np.pi * np.mod(times / dmp.period, 1.0)
+                position.plot(at, y[:, i], ".", color="#999999", markersize=2.5, label=name)
         for i in range(dmp.n):
             style = joint_style(i)
             position.plot(phi, once.y[:, i], label=f"y{i + 1}", **style)
@@ -251,15 +244,6 @@ def periodic_dmp(
     return figure
 
 
-def _draw_dots(dmp: PeriodicDmp, demo: tuple[ArrayLike, ArrayLike], position: Any) -> None:
-    t, y = demonstration(demo, dmp.n)
-    every = max(1, len(t) // _MOST)
-    phi = 2 * np.pi * np.mod(t[::every] / dmp.period, 1.0)
-    for i in range(dmp.n):
-        name = "demonstration" if not i else "_"
-        position.plot(phi, y[::every, i], ".", color="#999999", markersize=2.5, label=name)
-
-
 _BAND_SAMPLES = 301
 
 
@@ -273,7 +257,7 @@ def promp(
     seed: int = 0,
     ax: Any = None,
 ) -> Figure:
-    """Draw the mean and two-sigma band of a distribution over motions, with one panel per coordinate.
+    """Draw the mean and 2-sigma band of a distribution over motions, with one panel per coordinate.
 
     Parameters
     ----------
@@ -281,14 +265,15 @@ def promp(
     demos : times (N,) and positions (N, n) of each demonstration, drawn as thin lines, scaled to the duration of
         `promp`.
     prior : distribution before conditioning, drawn in grey.
-    points : via-points (t, y), y (n,).
-    samples : number of motions sampled from the distribution, drawn dotted.
-    seed : random seed of the samples.
+    points : via-points (t, y) with time t [s] and position y (n,).
+    samples : number of random motions to draw from the distribution, as dotted lines.
+    seed : random seed of these motions.
     ax : n Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : not a ProMP; demonstrations, a prior or points of the wrong shape; the wrong number of Axes.
+    ShapeError : `promp` is not a ProMP; demonstrations, prior or via-points have the wrong shape; the number of Axes is
+        wrong.
     """
     promp = value_of(promp)
     expect(promp, ProMP)
@@ -337,18 +322,18 @@ def _point(y: ArrayLike, n: int) -> np.ndarray:
 def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -> Figure:
     """Draw the disturbance and recovery of a primitive under two-degree-of-freedom control.
 
-    Top: the arm ya (line), the coupled path yc (dashed) and the undisturbed primitive (dotted). Middle: the filtered
-    error e. Bottom: the slow-down factor of the path. Disturbances are shaded.
+    The top panel shows the arm ya (solid), the coupled path yc (dashed) and the undisturbed primitive (dotted), the
+    middle panel the filtered error e, and the bottom panel the slow-down factor of the path. Disturbances are shaded.
 
     Parameters
     ----------
     run : from `TwoDofDmp.simulate` or `TwoDofDmp.recorded`.
-    dofs : indices of the coordinates from 0; default: all.
+    dofs : indices of the coordinates to draw, from 0; default: all coordinates.
     ax : three Axes to draw into; default: a new figure.
 
     Raises
     ------
-    ShapeError : not a TwoDofRun, an invalid coordinate, or the wrong number of Axes.
+    ShapeError : `run` is not a TwoDofRun, a coordinate is invalid, or the number of Axes is wrong.
     """
     expect(run, TwoDofRun)
     which = range(run.yc.shape[1]) if dofs is None else dofs

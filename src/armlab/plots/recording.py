@@ -1,4 +1,4 @@
-"""Figures of a recording over time: columns of its table, poses, loop latency."""
+"""Figures of a recording: columns of its table, poses, and latency of the loop."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 
 _DASHES: dict[str, tuple[Any, str]] = {"_ref": ((0, (6, 2.5)), "commanded"), "_sent": ((0, (2, 1.5)), "sent")}
-"""Line dashes and legend words by suffix of the column name."""
+"""Dash pattern and legend text by suffix of the column name."""
 _USUAL = ("q", "qd", "tau", "wrench_hat")
 _MOST_COMPONENTS = 14
 
 
 def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes | Figure:
-    """Draw columns over time, with one panel per quantity and one colour per joint.
+    """Draw columns against time, with one panel per quantity and one colour per joint.
 
     Columns that differ only in ``_ref`` or ``_sent`` share a panel; commanded and sent values are dashed. Intervals
     with an active command limit are shaded.
@@ -37,18 +37,18 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
     Parameters
     ----------
     data : the table.
-    names : columns; default: q, qd, tau and wrench_hat, as far as they exist.
-    split : draw one panel per component (joint) instead of a common panel.
-    ax : Axes to draw into, as many as panels; default: a new figure.
+    names : columns; default: those of q, qd, tau and wrench_hat that exist.
+    split : draw one panel per component (joint) instead of one panel per quantity.
+    ax : Axes to draw into, one per panel; default: a new figure.
 
     Returns
     -------
-    The Axes of a single panel, or the Figure of several.
+    The Axes of a single panel, or the Figure of several panels.
 
     Raises
     ------
     UnknownName : a column does not exist, or no default column exists.
-    ShapeError : not a Table; a text column or too many components; `ax` with the wrong number of Axes.
+    ShapeError : `data` is not a Table, a column has text or too many components, or the number of Axes is wrong.
     """
     expect(data, Table)
     names = names or tuple(name for name in _USUAL if name in data)
@@ -56,7 +56,7 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
         raise UnknownName.among("column to draw", " or ".join(_USUAL), data.names)
     quantities: dict[str, list[str]] = {}
     for name in names:
-        count = 0 if data[name].dtype.kind == "U" else _components(data, name)
+        count = 0 if data[name].dtype.kind == "U" else int(np.prod(data[name].shape[1:]))
         if not 0 < count <= _MOST_COMPONENTS:
             raise ShapeError(f"Expected at most {_MOST_COMPONENTS} numbers per row to draw in {name}, got {count}.")
         quantities.setdefault(_quantity(name), []).append(name)
@@ -64,7 +64,7 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
     parts = [
         (shown, component)
         for shown in quantities.values()
-        for component in (range(_components(data, shown[0])) if split else (None,))
+        for component in (range(int(np.prod(data[shown[0]].shape[1:]))) if split else (None,))
     ]
     with panels(len(parts), 1, ax, width=9.0, height=1.5 if split else 2.2, sharex=True) as (figure, axes):
         for panel, (shown, component) in zip(axes[:, 0], parts, strict=True):
@@ -76,7 +76,7 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
 
 
 def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> None:
-    """Draw all components or one component of the columns of one quantity."""
+    """Draw all components, or one component, of the columns of a quantity."""
     ax.set_ylabel(heading(data.columns[names[0]], _quantity(names[0])))
     for name in names:
         flat = data[name].reshape(len(data), -1)
@@ -94,7 +94,7 @@ def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> Non
 
 
 def _legends(axes: list[Axes]) -> None:
-    """Put a legend to the right of each panel for lines that are not in a legend above it."""
+    """Put a legend to the right of each panel, with the lines that are not in a legend above it."""
     said: set[str] = set()
     for ax in axes:
         handles, names = ax.get_legend_handles_labels()
@@ -121,29 +121,25 @@ def _quantity(name: str) -> str:
     return name.removesuffix("_ref").removesuffix("_sent")
 
 
-def _components(data: Table, name: str) -> int:
-    return int(np.prod(data[name].shape[1:]))
-
-
 def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax: Any = None) -> Axes | Figure:
-    """Draw x, y and z of poses over time, with the rotation vector below.
+    """Draw the position of poses against time, and their rotation vector in a second panel.
 
     The rotation vector starts with an angle of at most π and is continuous up to a full revolution.
 
     Parameters
     ----------
-    T : (N, 4, 4) poses; NaN makes a gap.
-    t : (N,) times [s]; default: the sample index.
+    T : poses (N, 4, 4); NaN leaves a gap.
+    t : times (N,) [s]; default: the sample index.
     rotation : also draw the rotation vector.
-    ax : Axes to draw into, two with `rotation`, else one; default: a new figure.
+    ax : two Axes to draw into, or one without `rotation`; default: a new figure.
 
     Returns
     -------
-    The Figure of both panels, or the Axes of a single one.
+    The Figure with both panels, or the Axes of a single panel.
 
     Raises
     ------
-    ShapeError : invalid poses, t is not one finite time per pose, or `ax` with the wrong number of Axes.
+    ShapeError : invalid poses, a number of finite times other than that of the poses, or a wrong number of Axes.
     """
     T = pose_stack(T)
     times = np.arange(len(T), dtype=float) if t is None else numbers(t, "t", ShapeError)
@@ -164,7 +160,7 @@ def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax
 
 
 def _rotation_vectors(R: np.ndarray) -> np.ndarray:
-    """Return rotation vectors (N, 3) of R (N, 3, 3), from continuous quaternions: angles up to 2π."""
+    """Return the rotation vectors (N, 3) of R (N, 3, 3) from continuous quaternions, with angles up to 2π."""
     q = quaternion.continuous(quaternion.from_matrix(R))
     first = q[np.isfinite(q).all(axis=1)][:1]
     q = q * np.where(first[:, 0] < 0, -1.0, 1.0) if len(first) else q
@@ -178,7 +174,7 @@ _QUANTILES = (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("max", 1.0))
 
 
 def latency(table: Table, ax: Any = None) -> Axes:
-    """Draw histograms of packet-to-reply latency, controller step and loop wake-up on a logarithmic axis.
+    """Draw histograms of the times from packet to reply, of the controller and of the loop's wake-up.
 
     Parameters
     ----------
@@ -187,12 +183,12 @@ def latency(table: Table, ax: Any = None) -> Axes:
 
     Returns
     -------
-    The Axes; the legend states p50, p99, p99.9 and the maximum, and the title states the missed and late ticks.
+    The Axes. The legend gives p50, p99, p99.9 and the maximum, and the title the numbers of missed and late ticks.
 
     Raises
     ------
     UnknownName : the table has no loop times.
-    ShapeError : not a Table, or no positive loop time.
+    ShapeError : `table` is not a Table, or has no positive loop time.
     """
     from matplotlib.ticker import EngFormatter
 
@@ -217,7 +213,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
 
 
 def _spans(table: Table) -> dict[str, np.ndarray]:
-    """Return the positive measured times [s]."""
+    """Return the positive times of each measured part of the loop [s]."""
     expect(table, Table)
     found = {}
     if "receive_ns" in table and "send_ns" in table:
@@ -231,6 +227,6 @@ def _spans(table: Table) -> dict[str, np.ndarray]:
     kept = {name: values[np.isfinite(values) & (values > 0)] for name, values in found.items()}
     if not any(map(len, kept.values())):
         raise ShapeError(
-            f"Expected loop times above 0 s, got only zeros or NaN in {len(table)} rows. Use a log of a run."
+            f"Expected loop times above 0 s, got only zeros or NaN in {len(table)} rows. Use the log of a run."
         )
     return {name: values for name, values in kept.items() if len(values)}

@@ -24,21 +24,19 @@ if TYPE_CHECKING:
 
 
 PROJECTION: dict[str, Any] = {"projection": "3d", "proj_type": "ortho", "elev": 20.0, "azim": -55.0}
-"""Arguments for ``subplot_kw``: parallel projection with x to the right, y away from the viewer and z up, as in
-textbooks.
-"""
+"""Arguments for ``subplot_kw``: parallel projection with x to the right, y away from the viewer and z up."""
 AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)
-"""Positions of a frame's name: next to it, away from x and y, or beyond z, clear of the arm."""
+"""Positions of a frame's name in the frame: away from x and y, or beyond z to keep clear of the arm."""
 _SOLID, _ARROW, _WORD = 5, 6, 7  # z-order; lines have 2
 _EDGE = "#B0B0B0"  # colour of the grid of three-dimensional axes
-_FLATTEST = 0.3  # minimum ratio of the smallest to the largest side of the box, for planar robots
+_FLATTEST = 0.3  # smallest ratio of the shortest to the longest side of the box, for planar robots
 _HALF_SIDE = 0.0925  # half side of the axes in the figure, in matplotlib's units
-_LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # distances of axis labels in a cube; matplotlib's default
-_ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # how they scale with the sides, in `PROJECTION`
+_LABELS, _OFFSET = (20.0, 20.0, 24.0), 21.0  # distances of axis labels in a cube, and matplotlib's default distance
+_ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # scaling of these distances with the sides of the box
 
 
 def space(ax: Any = None) -> tuple[Figure, Axes3D]:
-    """Return a figure and its three-dimensional axes in metres, either new or the caller's."""
+    """Return a figure and its three-dimensional axes in metres, which are new or the caller's."""
     if ax is None:
         import matplotlib.pyplot as plt
 
@@ -58,7 +56,7 @@ def space(ax: Any = None) -> tuple[Figure, Axes3D]:
 
 
 def extent(ax: Axes3D) -> np.ndarray:
-    """Return the lowest and the highest corner (2, 3) of all items so far; NaN if there are none."""
+    """Return the lowest and the highest corner (2, 3) of all items drawn so far; NaN for empty axes."""
     if not ax.has_data():
         return np.full((2, 3), np.nan)
     return np.stack([*ax.xy_dataLim.get_points().T, ax.zz_dataLim.get_points()[:, 0]], axis=-1)
@@ -90,10 +88,9 @@ def equal_scale(ax: Axes3D, part: float = 0.84, ticks: int = 7) -> None:
 def frame(
     ax: Axes3D, T: np.ndarray, length: float, name: str = "", *, letters: bool = True, place: ArrayLike = AWAY
 ) -> None:
-    """Draw a frame: x, y and z as coloured, lettered arrows, and its name.
+    """Draw a frame with pose T (4, 4): coloured arrows of a length [m] with the letters x, y and z, and its name.
 
-    `T`: (4, 4) pose of the frame in the axes of the figure. `length`: length of each arrow [m]. `place`: (3,) position
-    of the name in the frame, in units of the arrow length.
+    `place`: position (3,) of the name in the frame, in arrow lengths.
     """
     p, R = T[:3, 3], T[:3, :3]
     for i, color in enumerate(AXIS_COLORS):
@@ -105,13 +102,13 @@ def frame(
 
 
 def arrow(ax: Axes3D, start: np.ndarray, along: np.ndarray, **style: Any) -> None:
-    """Draw an arrow from `start` to `start + along`, both (3,) [m]; its head has a fixed size in the figure."""
+    """Draw an arrow from `start` to `start + along`, both (3,) [m], whose head has a fixed size in the figure."""
     _include(ax, np.stack([start, start + along]))
     ax.add_patch(_arrow_class()(start, start + along, **style))
 
 
 def word(ax: Axes3D, place: np.ndarray, text: str, **style: Any) -> None:
-    """Write a text centred at a position (3,) with a white outline, readable on top of lines."""
+    """Write a text centred at a position (3,), with a white outline that keeps it readable on top of lines."""
     from matplotlib.patheffects import withStroke
 
     rim = [withStroke(linewidth=2.0, foreground="white")]
@@ -161,12 +158,12 @@ def _arrow_class() -> type:
 
 
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 73)
-_PATCH = 0.5  # half side of a plane over the size of the scene
-_NORMAL = 0.3  # length of a normal over the size of the scene
+_PATCH = 0.5  # half side of a plane, relative to the size of the scene
+_NORMAL = 0.3  # length of a normal vector, relative to the size of the scene
 
 
 def feature(ax: Axes3D, item: Line | Plane | Circle | Sphere, size: float, color: str) -> None:
-    """Draw a feature; planes and lines, which are unbounded, are drawn in the size [m] of the scene."""
+    """Draw a feature. The size of planes and lines, which are unbounded, is the size of the scene [m]."""
     if isinstance(item, Line):
         start = item.centroid - 0.5 * size * item.v
         arrow(ax, start, size * item.v, color=color, gid="line")
@@ -189,9 +186,9 @@ def _ring(ax: Axes3D, centre: np.ndarray, axes: np.ndarray, color: str) -> None:
     ax.plot(*points.T, color=color, linewidth=1.2, gid="circle")
 
 
-_MOST_FRAMES = 12  # maximum per path
-_MARKS = (("o", 8), ("^", 22), ("s", 14), ("D", 14))  # markers of successive clouds, with areas
-_NAMED = 0.15  # default length of a named frame over the size of the scene
+_MOST_FRAMES = 12  # largest number of frames per path
+_MARKS = (("o", 8), ("^", 22), ("s", 14), ("D", 14))  # markers of successive point sets, with their areas
+_NAMED = 0.15  # default length of a named frame, relative to the size of the scene
 
 
 def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
@@ -199,17 +196,17 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
 
     Parameters
     ----------
-    *items : each is a mapping {name: T_a_x (4, 4)} of named frames; or poses (N, 4, 4), drawn as a path from a dot to a
-        square; or points (N, 3), coloured from first to last, with a different marker per set; or a `frames.Line` with
-        its foot if nearby, a `frames.Plane` as a patch with its normal, a circle or a sphere. All items must be in the
-        same frame a. NaN creates a gap.
+    *items : a mapping {name: T_a_x (4, 4)} of named frames; poses (N, 4, 4), drawn as a path from a dot to a square;
+        points (N, 3), coloured from first to last, with a different marker per set; a `frames.Line`, with its foot if
+        it is near; a `frames.Plane`, drawn as a patch with its normal; a circle or a sphere. All items must be in the
+        same frame a. NaN leaves a gap.
     frames : length [m] of the named frames and of the frames along paths (at most 12 per path, evenly spaced). With 0,
         paths have no frames, and named frames have a suitable length.
-    ax : three-dimensional Axes to draw into, for example those of `robot`; default: a new figure.
+    ax : three-dimensional Axes to draw into, for example from `robot`; default: a new figure.
 
     Raises
     ------
-    ShapeError : an item of another type, an invalid pose, a negative `frames`, or `ax` is not three-dimensional.
+    ShapeError : an item of another type, an invalid pose, a negative `frames`, or Axes that are not three-dimensional.
     """
     size = numbers(frames, "frames", ShapeError)
     if size.ndim or not 0.0 <= size < np.inf:
@@ -226,10 +223,10 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
                 _path(panel, item, frames, JOINT_STYLES[paths % len(JOINT_STYLES)][0])
                 paths += 1
             else:
-                shown = item[np.isfinite(item).all(axis=1)]
                 order = np.flatnonzero(np.isfinite(item).all(axis=1))
                 mark, area = _MARKS[clouds % len(_MARKS)]
-                panel.scatter(*shown.T, c=order, cmap="viridis", s=area, marker=mark, depthshade=False, gid="points")
+                style = {"cmap": "viridis", "s": area, "marker": mark, "depthshade": False, "gid": "points"}
+                panel.scatter(*item[order].T, c=order, **style)
                 clouds += 1
         named = {name: T for item in checked if isinstance(item, dict) for name, T in item.items()}
         shapes = [item for item in checked if isinstance(item, (Line, Plane, Circle, Sphere))]
@@ -244,7 +241,7 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
 
 
 def pose_stack(T: Any, name: str = "T") -> np.ndarray:
-    """Return poses (N, 4, 4) as float64; NaN is a missing pose."""
+    """Return poses (N, 4, 4) as float64; missing poses are NaN."""
     T = numbers(T, f"poses {name}", ShapeError)
     if T.ndim != 3 or T.shape[1:] != (4, 4):
         raise ShapeError(f"Expected poses {name} of shape (N, 4, 4), got {T.shape}.")

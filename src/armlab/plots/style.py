@@ -1,4 +1,4 @@
-"""Style of all figures: colours, lines that keep gaps and spikes, argument checks, and PNG output."""
+"""Style of all figures: colours, lines that preserve gaps and spikes, argument checks, and PNG output."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 
 JOINT_STYLES = tuple((color, style) for style in ("-", "-.") for color in COLORS)
-"""Colour and line style of joints 1, 2, ..., equal in all figures."""
+"""Colour and line style of joints 1, 2, ... in all figures."""
 MODEL = VERMILION
 
-_MOST_POINTS = 20_000  # maximum points of one line; longer lines become an envelope
+_MOST_POINTS = 20_000  # largest number of points in a line; longer lines are drawn as envelopes
 _ENVELOPE_COLUMNS = 4_000
 _COLUMNS = 4  # joint panels side by side
 _RC: dict[Any, Any] = {
@@ -49,12 +49,12 @@ _RC: dict[Any, Any] = {
 
 @contextmanager
 def look() -> Iterator[None]:
-    """Apply armlab's style in a `with` block; the user's settings are restored afterwards."""
+    """Apply armlab's style in a `with` block, and restore the user's settings afterwards."""
     import matplotlib as mpl
 
     with mpl.rc_context(_RC):
         yield
-        interactive = mpl.is_interactive()  # a notebook enables it when the first figure loads its backend
+        interactive = mpl.is_interactive()  # enabled by a notebook's backend, which the first figure loads
     mpl.interactive(interactive)
 
 
@@ -62,10 +62,7 @@ def look() -> Iterator[None]:
 def panels(
     rows: int, columns: int, ax: Any = None, *, width: float = 9.0, height: float = 1.8, **layout: Any
 ) -> Iterator[tuple[Figure, np.ndarray]]:
-    """Yield a figure and its axes (rows, columns) in armlab's style, either new or the caller's.
-
-    `ax`: one Axes or an array of rows x columns Axes; None creates a new figure.
-    """
+    """Yield a figure and its axes (rows, columns) in armlab's style, which are new or the Axes `ax` of the caller."""
     with look():
         if ax is None:
             import matplotlib.pyplot as plt
@@ -82,13 +79,13 @@ def panels(
 
 @contextmanager
 def single(ax: Any, *, width: float, height: float) -> Iterator[tuple[Figure, Axes]]:
-    """Yield a figure and its only Axes, as in `panels`."""
+    """Yield a figure and its single Axes, as in `panels`."""
     with panels(1, 1, ax, width=width, height=height) as (figure, axes):
         yield figure, axes[0, 0]
 
 
 def name_rows(figure: Figure, axes: np.ndarray, names: Iterable[str]) -> None:
-    """Label the rows of panels (N, 1) that are stacked over time."""
+    """Label the y axes of stacked panels (N, 1), and their common time axis."""
     for panel, name in zip(axes[:, 0], names, strict=True):
         panel.set_ylabel(name)
     axes[-1, 0].set_xlabel(label("t"))
@@ -96,7 +93,7 @@ def name_rows(figure: Figure, axes: np.ndarray, names: Iterable[str]) -> None:
 
 
 def joint_style(i: int) -> dict[str, Any]:
-    """Return the colour and line style of a joint by index from 0."""
+    """Return the colour and line style of the joint with index i, from 0."""
     color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
     return {"color": color, "linestyle": style}
 
@@ -107,7 +104,7 @@ def joint_names(table: Table, count: int) -> tuple[str, ...]:
 
 
 def joints_shown(joints: Sequence[int] | None, n: int) -> list[int]:
-    """Return the joint indices to draw (from 0); None means all."""
+    """Return the indices of the joints to draw, from 0; None means all joints."""
     shown = list(range(n)) if joints is None else list(joints)
     if not shown or not all(0 <= i < n for i in shown):
         raise ShapeError(f"Expected joint numbers from 0 to {n - 1} to draw, got {shown}.")
@@ -116,7 +113,7 @@ def joints_shown(joints: Sequence[int] | None, n: int) -> list[int]:
 
 @contextmanager
 def joint_panels(count: int, ax: Any) -> Iterator[tuple[Figure, np.ndarray]]:
-    """Yield a figure and one panel per joint in rows of up to four; surplus panels of a new grid are removed."""
+    """Yield a figure and one panel per joint in rows of up to four; unused panels of a new grid are removed."""
     rows = -(-count // _COLUMNS) if ax is None else 1
     columns = min(count, _COLUMNS) if ax is None else count
     with panels(rows, columns, ax, width=11.0 if count > 1 else 6.5, height=2.6) as (figure, axes):
@@ -126,7 +123,7 @@ def joint_panels(count: int, ax: Any) -> Iterator[tuple[Figure, np.ndarray]]:
 
 
 def line(ax: Axes, t: np.ndarray, values: np.ndarray, **style: Any) -> None:
-    """Draw values (N,) over t; NaN creates a gap, and more than 20 000 points are drawn as an envelope."""
+    """Draw values (N,) against t; NaN leaves a gap, and more than 20 000 points are drawn as an envelope."""
     ax.plot(*envelope(t, values), **style)
 
 
@@ -137,9 +134,9 @@ def cloud(ax: Axes, x: np.ndarray, y: np.ndarray, label: str) -> None:
 
 
 def envelope(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times and values to draw: all up to 20 000 points, otherwise each segment's minimum and maximum.
+    """Return the times and values to draw: up to 20 000 points, otherwise the minimum and maximum of each segment.
 
-    A segment without values is NaN, so that gaps remain gaps.
+    Segments without values are NaN, which preserves gaps.
     """
     values = np.asarray(values, dtype=float)
     if len(values) <= _MOST_POINTS:
@@ -149,7 +146,7 @@ def envelope(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def band(ax: Axes, t: np.ndarray, middle: np.ndarray, half: np.ndarray, **style: Any) -> None:
-    """Fill from middle - half to middle + half (N,); more than 20 000 points are drawn as an envelope."""
+    """Fill the band from middle - half to middle + half (N,); more than 20 000 points are drawn as an envelope."""
     low, high = np.asarray(middle) - half, np.asarray(middle) + half
     if len(t) > _MOST_POINTS:
         first, low, high = _extremes(low, high)
@@ -164,9 +161,9 @@ def _extremes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def shade(ax: Axes, t: np.ndarray, on: np.ndarray, **style: Any) -> None:
-    """Shade the intervals in which the mask (N,) is true, each up to the next sample.
+    """Shade the intervals in which a mask (N,) is true, each up to the next sample.
 
-    The outline makes single-sample intervals in a long log visible; intervals closer than a pixel are merged.
+    An outline keeps intervals of a single sample visible in a long log. Intervals closer than a pixel are merged.
     """
     edges = np.flatnonzero(np.diff(np.asarray(on, dtype=int), prepend=0, append=0)).reshape(-1, 2)
     if not len(edges):
@@ -180,7 +177,7 @@ def shade(ax: Axes, t: np.ndarray, on: np.ndarray, **style: Any) -> None:
 
 
 def legend(figure: Figure, *axes: Axes) -> None:
-    """Put one legend for the axes above the figure, or into the first axes if the user's layout has no room."""
+    """Put a common legend of the axes above the figure, or into the first axes if the user's layout has no room."""
     entries: dict[str, Any] = {}
     for ax in axes:
         entries |= {label: handle for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
@@ -192,7 +189,7 @@ def legend(figure: Figure, *axes: Axes) -> None:
 
 
 def _legend_columns(figure: Figure, labels: list[str]) -> int:
-    """Return the number of legend columns that fit (at most seven), because matplotlib would clip the rest."""
+    """Return the number of legend columns that fit, at most seven; matplotlib would clip the others."""
     from matplotlib.textpath import TextPath
 
     size = _RC["legend.fontsize"]  # line, padding and column spacing take 4.8 times as much
@@ -215,7 +212,7 @@ _MAKERS = {
 
 
 def expect(value: object, kind: type) -> None:
-    """Raise unless the value is of the kind that the figure draws."""
+    """Refuse a value that is not of the type that a figure draws."""
     if not isinstance(value, kind):
         raise ShapeError(f"Expected {kind.__name__} to draw, got {shortened(value)}. {_MAKERS[kind.__name__]}.")
 
@@ -234,7 +231,7 @@ def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
 
 
 def show() -> None:
-    """Open a window for each open figure and wait until all are closed; raise without a screen."""
+    """Show all open figures in windows, and wait until these are closed; raise without a screen."""
     import matplotlib.pyplot as plt
     from matplotlib.backends.registry import BackendFilter, backend_registry
 
