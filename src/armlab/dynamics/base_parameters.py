@@ -198,7 +198,7 @@ def regressor(robot: Robot, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: np
     q : (..., n) joint positions [rad or m].
     qd : (..., n) joint velocities [rad/s or m/s].
     qdd : (..., n) joint accelerations [rad/s^2 or m/s^2].
-    out : (..., n, 10 n) array for the result; default: a new one.
+    out : (..., n, 10 n) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -229,7 +229,7 @@ def base_regressor(
     qd : (..., n) joint velocities [rad/s or m/s].
     qdd : (..., n) joint accelerations [rad/s^2 or m/s^2].
     base : `base_parameters(robot)`; its `names` are the column names.
-    out : (..., n, p) array for the result; default: a new one.
+    out : (..., n, p) array for the result; default: newly allocated.
 
     Raises
     ------

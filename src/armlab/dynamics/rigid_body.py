@@ -33,7 +33,7 @@ def inverse_dynamics(
     qd : (..., n) joint velocities [rad/s or m/s].
     qdd : (..., n) joint accelerations [rad/s^2 or m/s^2].
     f_ext : (..., 6) wrench [f; m] of the environment on the robot at the tool point, in base axes [N, N m]; default: 0.
-    out : (..., n) array for the result; default: a new one.
+    out : (..., n) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def inverse_dynamics_derivatives(
     qd : (..., n) joint velocities [rad/s or m/s].
     qdd : (..., n) joint accelerations [rad/s^2 or m/s^2].
     f_ext : (..., 6) wrench [f; m] of the environment on the robot at the tool point, in base axes [N, N m]; default: 0.
-    out : three arrays (..., n, n) for the results; default: new ones.
+    out : three arrays (..., n, n) for the results; default: newly allocated.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def gravity(robot: Robot | TorqueModel, q: ArrayLike, out: np.ndarray | None = N
     ----------
     robot : as in `inverse_dynamics`, or a model from `identify.fit_gravity`.
     q : (..., n) joint positions [rad or m].
-    out : (..., n) array for the result; default: a new one.
+    out : (..., n) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def mass_matrix(robot: Robot | TorqueModel, q: ArrayLike, out: np.ndarray | None
     ----------
     robot : as in `inverse_dynamics`.
     q : (..., n) joint positions [rad or m].
-    out : (..., n, n) array for the result; default: a new one.
+    out : (..., n, n) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def coriolis(robot: Robot | TorqueModel, q: ArrayLike, qd: ArrayLike, out: np.nd
     robot : as in `inverse_dynamics`.
     q : (..., n) joint positions [rad or m].
     qd : (..., n) joint velocities [rad/s or m/s].
-    out : (..., n) array for the result; default: a new one.
+    out : (..., n) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def coriolis_matrix(
     robot : as in `inverse_dynamics`.
     q : (..., n) joint positions [rad or m].
     qd : (..., n) joint velocities [rad/s or m/s].
-    out : (..., n, n) array for the result; default: a new one.
+    out : (..., n, n) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def forward_dynamics(
     qd : (..., n) joint velocities [rad/s or m/s].
     tau : (..., n) joint torques or forces [N m or N], without friction.
     f_ext : (..., 6) wrench [f; m] of the environment on the robot at the tool point, in base axes [N, N m]; default: 0.
-    out : (..., n) array for the result; default: a new one.
+    out : (..., n) array for the result; default: newly allocated.
 
     Raises
     ------
@@ -222,7 +222,7 @@ def forward_dynamics_derivatives(
     qd : (..., n) joint velocities [rad/s or m/s].
     tau : (..., n) joint torques or forces [N m or N], without friction.
     f_ext : as in `inverse_dynamics`, constant in base axes while the joints move.
-    out : three arrays (..., n, n) for the results; default: new ones.
+    out : three arrays (..., n, n) for the results; default: newly allocated.
 
     Returns
     -------
@@ -248,7 +248,7 @@ def energy(
     robot : as in `inverse_dynamics`.
     q : (..., n) joint positions [rad or m].
     qd : (..., n) joint velocities [rad/s or m/s].
-    out : two arrays (...) for the results; default: new ones.
+    out : two arrays (...) for the results; default: newly allocated.
 
     Returns
     -------
