@@ -104,7 +104,7 @@ def test_upward_needs_a_side() -> None:
     (lambda: fit_line(rod(2)), NotExcited, "at least 3 points"),
     (lambda: fit_plane(sheet().T), ShapeError, "Transpose"),
     (lambda: fit_plane([["a"] * 3] * 5), ShapeError, "real numbers"),
-    (lambda: fit_plane(sheet(), noise=0.0), ShapeError, "standard deviation > 0"),
+    (lambda: fit_plane(sheet(), noise=0.0), ShapeError, r"finite noise \[m\] above zero"),
     (lambda: fit_plane(sheet(), limit=-1.0), ShapeError, "limit"),
     (lambda: fit_line(np.vstack([rod(), [np.nan, 0, 0]])), ShapeError, "rows 20"),
     (lambda: fit_plane(rod(20, sigma=0.0), normal=[0, 0, 1]), NotExcited, r"the long axis of the points, \(1.0000"),

@@ -134,7 +134,7 @@ def test_bad_input_is_refused_by_name() -> None:
         ((p, MARKER[:3]), {}, r"marker to be \(4, 3\)"),
         ((p, MARKER), {"visible": np.ones((30, 4))}, "visible as booleans"),
         ((p, MARKER), {"visible": np.ones((30, 3), dtype=bool)}, "visible as booleans"),
-        ((p, MARKER), {"noise": 0.0}, "noise above zero"),
+        ((p, MARKER), {"noise": 0.0}, r"noise \[m\] above zero"),
     ):
         with pytest.raises(ShapeError, match=words):
             marker_pose(*arguments, **more)

@@ -413,7 +413,7 @@ class Gauge(Shown):
 class ContractLimits(Shown):
     """Acceptance limits of the contract.
 
-    Two-sided limits widen to three standard errors if there are few runs; one-sided limits grow by three standard errors.
+    For few runs, two-sided limits widen to three standard errors. One-sided limits grow by three standard errors.
 
     Attributes
     ----------

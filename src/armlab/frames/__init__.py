@@ -1,4 +1,4 @@
-"""Geometry of measured points: planes, lines, circles and spheres with covariance, and frames built from them."""
+"""Planes, lines, circles and spheres fitted to measured points, with covariance, and frames built from them."""
 
 from armlab.frames.circle_sphere import fit_circle, fit_sphere
 from armlab.frames.construction import BuiltFrame, build, distance, intersect, project

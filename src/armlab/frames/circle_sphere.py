@@ -3,7 +3,7 @@
     sphere: e = |p - c| - r                          circle: e = (|q| - r, z),  z = n . (p - c),  q = p - c - n z
 
 The initial guess solves the linear equation ``|p|^2 = 2 c . p + (r^2 - |c|^2)``; Gauss-Newton steps follow. Short arcs
-and flat caps, which do not determine the centre, raise an error naming the direction.
+and flat caps do not determine the centre, and raise an error that names the undetermined direction.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from armlab.frames.feature_fit import LIMIT, Cloud, circles, principal, result, 
 from armlab.frames.features import Circle, Sphere
 from armlab.lie import so3
 
-MAX_RELATIVE_SD = 0.3  # of the radius: largest accepted standard deviation of centre and radius
+MAX_RELATIVE_SD = 0.3  # largest accepted standard deviation of centre and radius, relative to the radius
 CircleOrSphere = TypeVar("CircleOrSphere", Circle, Sphere)
 
 
@@ -42,20 +42,23 @@ def fit_circle(
 
     Parameters
     ----------
-    p : (N, 3) points [m], N >= 4; 3 if the noise is known, 5 for outlier detection.
+    p : (N, 3) points [m], N >= 4; N >= 3 if the noise is given, N >= 5 for outlier detection.
     noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; default:
         estimated, and equal for all points.
     robust : detect points that do not belong to the circle; `outliers` marks them.
-    toward, normal : (3,) hints for the side of the normal, as in `fit_plane`.
+    toward : (3,) point on the side of the normal [m].
+    normal : (3,) approximate normal.
 
     Returns
     -------
-    Fit of a `Circle`: `residuals` (N, 2) are the distances from the circle within its plane, and the distances from the
-    plane; `cov` (6, 6) is in the order of `Circle.names`.
+    Fit of a `Circle`
+        `residuals` (N, 2) are the distances from the circle within its plane and from the plane [m]; `cov` (6, 6) is in
+        the order of `Circle.names`.
 
     Raises
     ------
-    ShapeError : points of the wrong shape or not finite, with their rows; hints that do not determine the side.
+    ShapeError : points with the wrong shape or with NaN or infinity (lists the rows); hints that do not determine the
+        side.
     NotExcited : too few points; points on a short arc or a line; a plane through the origin without a hint.
     """
     cloud = Cloud(p, noise, 3, "circle")
@@ -81,19 +84,19 @@ def fit_sphere(p: ArrayLike, *, noise: ArrayLike | None = None, robust: bool = F
 
     Parameters
     ----------
-    p : (N, 3) points [m], N >= 5; 4 if the noise is known, 6 for outlier detection.
+    p : (N, 3) points [m], N >= 5; N >= 4 if the noise is given, N >= 6 for outlier detection.
     noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; default:
         estimated, and equal for all points.
     robust : detect points that do not belong to the sphere; `outliers` marks them.
 
     Returns
     -------
-    Fit of a `Sphere`: `residuals` (N, 1) are signed distances, positive outside; `cov` (4, 4) is in the
-    order of `Sphere.names`.
+    Fit of a `Sphere`
+        `residuals` (N, 1) are signed distances [m], positive outside; `cov` (4, 4) is in the order of `Sphere.names`.
 
     Raises
     ------
-    ShapeError : points of the wrong shape or not finite, with their rows.
+    ShapeError : points with the wrong shape or with NaN or infinity (lists the rows).
     NotExcited : too few points; points in a plane or on a small cap.
     """
     cloud = Cloud(p, noise, 4, "sphere")
@@ -144,7 +147,7 @@ def _refine(
 
 
 def _check_excitation(found: NonlinearSolution[Any], value: Circle | Sphere) -> Excitation:
-    """Return the excitation; raise if the uncertainty of the centre, radius or tilt exceeds its limit."""
+    """Return the excitation; raise if the standard deviation of the centre, radius or tilt exceeds its limit."""
     limits = np.array([LIMIT if unit == "rad" else MAX_RELATIVE_SD * value.radius for unit in value.units])
     what = type(value).__name__.lower()
 
@@ -165,19 +168,17 @@ def _refit(
     residuals: Callable[[CircleOrSphere, np.ndarray], tuple[np.ndarray, np.ndarray]],
     which: np.ndarray,
 ) -> tuple[float, np.ndarray]:
-    """Return the noise of the selected points, and squared distances (N,) of all points from their feature."""
+    """Fit the selected points; return their noise, and the squared distances (N,) of all points from the feature."""
     inputs.check_count(int(which.sum()), least, "circle or sphere")
     found = fit(which)
     return float(found.sigma[0]), np.sum(residuals(found.value, cloud.p)[0] ** 2, axis=1)
 
 
 def _circle_residuals(value: Circle, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals (N, 2) and their derivatives (N, 2, 6)."""
     away = p - value.centre
     z = away @ value.n
     q = away - np.outer(z, value.n)
-    rho = np.linalg.norm(q, axis=1)
-    rho = np.maximum(rho, 1e-300)
+    rho = np.maximum(np.linalg.norm(q, axis=1), 1e-300)
     lift = away @ np.cross(value.axes, value.n).T  # displacement of a point out of the plane per tilt
     J = np.zeros((len(p), 2, 6))
     J[:, 0, :3], J[:, 1, :3] = -q / rho[:, None], -value.n
@@ -192,7 +193,6 @@ def _circle_step(value: Circle, x: np.ndarray) -> Circle:
 
 
 def _sphere_residuals(value: Sphere, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals (N, 1) and their derivatives (N, 1, 4)."""
     away = p - value.centre
     rho = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
     J = np.hstack([-away / rho[:, None], -np.ones((len(p), 1))])
@@ -204,9 +204,7 @@ def _sphere_step(value: Sphere, x: np.ndarray) -> Sphere:
 
 
 def _linear_fit(p: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the centre and radius of the linear fit, with the centre within the span of the axes (k, 3) through the
-    mean.
-    """
+    """Return the centre and the radius by linear least squares within the span of the axes (k, 3)."""
     middle = p.mean(axis=0)
     q = (p - middle) @ axes.T
     size = max(float(np.sqrt(np.mean(np.sum(q**2, axis=1)))), 1e-300)

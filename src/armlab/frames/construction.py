@@ -1,4 +1,4 @@
-"""Constructions with features and first-order covariance: frames, projections, intersections and distances."""
+"""Constructions from features with first-order covariance: frames, projections, intersections and distances."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._display import Shown
-from armlab._numbers import numbers
+from armlab._numbers import make_read_only, numbers
 from armlab.errors import FrameError, ShapeError
 from armlab.estimation import Fit
 from armlab.frames import inputs
 from armlab.frames.features import Circle, Line, Plane, Sphere
 
 LETTERS = ("x", "y", "z")
-LEAST_ANGLE = 1e-6  # rad between the features
+LEAST_ANGLE = 1e-6  # smallest angle between the features of a frame [rad]
 PARALLEL = 1e-9  # sine of the angle below which directions are parallel
 
 
@@ -27,16 +27,19 @@ class BuiltFrame(Shown):
     Attributes
     ----------
     T : (4, 4) pose in the frame of the features.
-    angle : between the two features [rad].
-    deviation : of the angle from a right angle [rad].
-    cov : (6, 6) covariance of the pose error [v; w], v along the axes of the features' frame, w along the axes
-        of the built frame; None if all features are exact.
+    angle : angle between the two features [rad].
+    deviation : deviation of the angle from a right angle [rad].
+    cov : (6, 6) covariance of the pose error [v; w], v along the axes of the features' frame [m], w along the axes of
+        the built frame [rad]; None if all features are exact.
     """
 
     T: np.ndarray
     angle: float
     deviation: float
     cov: np.ndarray | None
+
+    def __post_init__(self) -> None:
+        make_read_only(self, "T", *(() if self.cov is None else ("cov",)))
 
 
 def build(
@@ -48,27 +51,28 @@ def build(
     """Build a frame from two features and an origin.
 
     The first feature defines an axis exactly, the second is orthogonalised against it, and the third axis is their
-    cross product. The frame is always right-handed. ``build(z=line, y=-plane, origin=p)``: z points along the line, and
-    y opposite to the normal of the plane.
+    cross product. The frame is always right-handed. In ``build(z=line, y=-plane, origin=p)``, z points along the line,
+    and y opposite to the normal of the plane.
 
-    Let w_1 and w_2 be the small rotations of the features, a the angle between them, and 1, 2 and 3 = 1 x 2 the axes of
-    the frame. Then the frame rotates by ``(w_2 . e_1 + cot(a) (w_1 - w_2) . e_2,  w_1 . e_2,  w_1 . e_3)``.
+    Let w_1 and w_2 be the small rotations of the features, a the angle between them, and e_1, e_2 and e_3 = e_1 x e_2
+    the axes of the frame. Then the frame rotates by
+    ``(w_2 . e_1 + cot(a) (w_1 - w_2) . e_2,  w_1 . e_2,  w_1 . e_3)``.
 
     Parameters
     ----------
-    origin : (3,) point [m], or a `Sphere` or a `Circle` for its centre.
-    origin_cov : (3, 3) covariance of a point [m^2].
-    **axes : two of x, y and z, each a `Line` (its direction), a `Plane` or a `Circle` (its normal), or a vector (3,).
-        A minus sign reverses a feature.
+    origin : (3,) point [m], or a `Sphere` or a `Circle` whose centre is the origin.
+    origin_cov : (3, 3) covariance of the point `origin` [m^2].
+    **axes : two of x, y and z: a `Line` (its direction), a `Plane` or a `Circle` (its normal), or a vector (3,). A
+        minus sign reverses a feature.
 
     Raises
     ------
-    ShapeError : not two of x, y, z; unknown types of features, or features less than 1e-6 rad from parallel.
-    FrameError : letters other than x, y and z.
+    ShapeError : not exactly two axes; an unknown type of feature; features less than 1e-6 rad from parallel.
+    FrameError : axes with names other than x, y and z.
 
     Notes
     -----
-    Errors of the features and of the origin are assumed independent.
+    The errors of the features and of the origin are assumed to be independent.
     """
     unknown = [name for name in axes if name not in LETTERS]
     if unknown:
@@ -84,8 +88,8 @@ def build(
     angle = float(np.arctan2(sine, cosine))
     if min(angle, np.pi - angle) < LEAST_ANGLE:
         raise ShapeError(
-            f"Expected two non-parallel features, got an angle of {angle:.2g} rad between "
-            f"{' and '.join(axes)}. Measure another feature."
+            f"Expected two non-parallel features, got an angle of {angle:.2g} rad between {' and '.join(axes)}. "
+            "Measure a different feature."
         )
     e2 = across / sine
     e3 = np.cross(f, e2)
@@ -97,29 +101,17 @@ def build(
     slope = cosine / sine
     turns[i] = np.concatenate([slope * e2, f - slope * e2])
     turns[j, :3], turns[k, :3] = e2, sign * e3
-    known = [one for one in (first[1], second[1], place) if one is not None]
-    cov = _covariance(turns, first[1], second[1], place) if known else None
-    for array in (T, cov):
-        if array is not None:
-            array.flags.writeable = False
+    errors, cov = _joint(first[1], second[1], 3, 3), None
+    if errors is not None or place is not None:
+        cov = np.zeros((6, 6))
+        cov[:3, :3] = 0.0 if place is None else place
+        C = np.zeros((3, 3)) if errors is None else turns @ errors @ turns.T
+        cov[3:, 3:] = 0.5 * (C + C.T)
     return BuiltFrame(T, angle, angle - 0.5 * np.pi, cov)
 
 
-def _covariance(
-    turns: np.ndarray, first: np.ndarray | None, second: np.ndarray | None, place: np.ndarray | None
-) -> np.ndarray:
-    """Return the covariance (6, 6) of the pose error, or None if it is exact."""
-    errors, cov = np.zeros((6, 6)), np.zeros((6, 6))
-    errors[:3, :3] = 0.0 if first is None else first
-    errors[3:, 3:] = 0.0 if second is None else second
-    cov[:3, :3] = 0.0 if place is None else place
-    C = turns @ errors @ turns.T
-    cov[3:, 3:] = 0.5 * (C + C.T)
-    return cov
-
-
 def _direction(item: Any, name: str) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the unit direction (3,) of a feature and the covariance (3, 3) of its rotation, in the features' frame."""
+    """Return the unit direction (3,) of a feature, and the covariance (3, 3) of its rotation in the features' frame."""
     if isinstance(item, Fit):
         raise ShapeError(f"Expected a feature or a vector for {name}, got a Fit. Use its value.")
     if isinstance(item, Circle):
@@ -134,7 +126,7 @@ def _origin(origin: Any, cov: ArrayLike | None) -> tuple[np.ndarray, np.ndarray 
     if isinstance(origin, (Sphere, Circle)):
         if cov is not None:
             raise ShapeError(
-                "Expected origin_cov for a point, got origin_cov for a feature with its own covariance. Omit it."
+                "Expected origin_cov only for a point, got it for a feature, which has its own covariance. Omit it."
             )
         return origin.centre, None if origin.cov is None else origin.cov[:3, :3]
     return inputs.vector(origin, "origin"), inputs.covariance(cov, 3, "origin_cov")
@@ -149,13 +141,13 @@ def project(item: ArrayLike, onto: Plane | Line) -> np.ndarray: ...
 def project(item: ArrayLike | Line, onto: Plane | Line) -> np.ndarray | Line:
     """Return the nearest points on a plane or a line, or the projection of a line onto a plane.
 
-    Point on plane ``x - n (n . x - d)``; point on line ``c + v (v . (x - c))``; line on plane: direction
-    ``v - n (n . v)``, normalised, through the projected points.
+    The projection of a point onto a plane is ``x - n (n . x - d)``, and onto a line ``c + v (v . (x - c))``. A line
+    projected onto a plane has the direction ``v - n (n . v)``, normalised.
 
     Parameters
     ----------
     item : points (..., 3) [m], or a `Line`.
-    onto : `Plane`, or `Line` for points.
+    onto : `Plane`; points may also be projected onto a `Line`.
 
     Returns
     -------
@@ -163,7 +155,7 @@ def project(item: ArrayLike | Line, onto: Plane | Line) -> np.ndarray | Line:
 
     Raises
     ------
-    ShapeError : wrong shapes; a line normal to the plane; a line onto a line.
+    ShapeError : wrong shapes; a line normal to the plane; the projection of a line onto a line.
     """
     if isinstance(item, Line):
         if not isinstance(onto, Plane):
@@ -197,7 +189,7 @@ def intersect(first: Plane | Line, second: Plane | Line) -> Line | np.ndarray:
 
     Parameters
     ----------
-    first, second : two planes, or a plane and a line in either order.
+    first, second : two planes, or a plane and a line in any order.
 
     Returns
     -------
@@ -205,7 +197,7 @@ def intersect(first: Plane | Line, second: Plane | Line) -> Line | np.ndarray:
 
     Raises
     ------
-    ShapeError : features parallel within 1e-9, or two lines.
+    ShapeError : features parallel within 1e-9 rad, or two lines.
     """
     if isinstance(first, Plane) and isinstance(second, Plane):
         return _intersection(first, second)
@@ -227,7 +219,7 @@ def distance(first: Line, second: Line) -> float:
 
     Parameters
     ----------
-    first, second : the lines, possibly parallel.
+    first, second : two lines, which may be parallel.
     """
     for one in (first, second):
         if not isinstance(one, Line):
@@ -266,19 +258,13 @@ def _intersection(first: Plane, second: Plane) -> Line:
     point = first.centroid + step
     (dn, do), (dm, dp) = _errors(first), _errors(second)
     turn = np.hstack([-np.cross(second.n, dn.T).T, np.cross(first.n, dm.T).T])
-    still = np.zeros(3)
-    moved = np.stack(
-        [
-            np.concatenate([do - step @ dn, still]),
-            np.concatenate([still, dp - (point - second.centroid) @ dm]),
-            np.zeros(6),
-        ]
-    )
+    moved = np.zeros((3, 6))
+    moved[0, :3], moved[1, 3:] = do - step @ dn, dp - (point - second.centroid) @ dm
     return _line(along, point, turn, np.linalg.solve(rows, moved), _joint(first.cov, second.cov, 3, 3))
 
 
 def _errors(item: Plane | Line) -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivatives of direction (3, m) and position (a centroid (3, m), or an offset (m,))."""
+    """Return the derivatives of the direction (3, m), and of a line's centroid (3, m) or a plane's offset (m,)."""
     if isinstance(item, Plane):
         return np.column_stack([np.cross(item.axes, item.n).T, np.zeros(3)]), np.array([0.0, 0.0, 1.0])
     tilts = np.cross(item.axes, item.v).T
@@ -291,9 +277,7 @@ def _line(along: np.ndarray, point: np.ndarray, turn: np.ndarray, shift: np.ndar
     if cov is None:
         return plain
     across = plain.axes
-    tilts = (
-        np.stack([-across[1], across[0]]) @ turn / np.linalg.norm(along)
-    )  # a tilt about axis 1 moves v against axis 2
+    tilts = np.stack([-across[1], across[0]]) @ turn / np.linalg.norm(along)  # tilt about axis 1 moves v against axis 2
     J = np.vstack([tilts, across @ shift])
     C = J @ cov @ J.T
     return Line(plain.v, plain.r, plain.centroid, across, 0.5 * (C + C.T))

@@ -1,8 +1,8 @@
 """Shared steps of feature fits: validation of points and noise, outlier detection, sign of a normal, result.
 
-Outliers are found by least median of squares over minimal sets (Rousseeuw 1984): the feature is refitted to the best
-half of the points, and outliers are flagged relative to the refit. Degenerate sets, such as three collinear points,
-yield NaN or infinite distances.
+Outliers are found by least median of squares over minimal sets of points (Rousseeuw 1984). The feature is refitted to
+the best half of the points, and outliers are flagged relative to the refit. Degenerate sets, such as three collinear
+points, yield NaN or infinite distances.
 """
 
 from __future__ import annotations
@@ -27,12 +27,11 @@ Feature = TypeVar("Feature", Plane, Line, Circle, Sphere)
 LIMIT = 0.2  # rad, largest accepted standard deviation of a tilt
 SIDE_DEVIATIONS = 3.0  # standard deviations from which a side is determined
 
-ALL_SETS = comb(60, 3)  # up to this number, every set is tried
-SOME_SETS = 500
+ALL_SETS, SOME_SETS = comb(60, 3), 500  # largest number of sets that are all tried; otherwise a random selection
 FLAGGED = 0.999  # quantile of chi^2 beyond which a point is an outlier
-MAX_ITERATIONS = 3
+MAX_ITERATIONS = 3  # refits
 MAX_SCORING_POINTS = 1000  # maximum number of points that score the sets
-INITIAL_TOLERANCE = 2.0  # initial tolerance factor: the refitted half underestimates the noise
+INITIAL_TOLERANCE = 2.0  # factor on the noise of the refitted half, which underestimates the noise
 CHUNK = 200_000  # distances held in memory at once
 
 Squares = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -40,7 +39,7 @@ Refit = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 
 class Cloud:
-    """Validated points (N, 3) with their noise, which is given or to be estimated."""
+    """Validated points (N, 3) with their noise (None if it must be estimated) and the mask of the inliers."""
 
     sigma: float | None
     each: np.ndarray | None
@@ -68,7 +67,7 @@ def result(
     excitation: Excitation,
     summary: Callable[[Fit[Any]], str],
 ) -> Fit[Feature]:
-    """Return the fit of a feature with residuals in metres; points that are not kept are its outliers."""
+    """Return the fit of a feature; the points that are not kept are its outliers."""
     return Fit(
         value, value.names, value.units, parameters, cov, sigma, residuals, int(kept.sum()), excitation, summary,
         ~kept, ("distance [m]",),
@@ -78,7 +77,7 @@ def result(
 def upward(
     n: np.ndarray, c: np.ndarray, reach: float, toward: ArrayLike | None, normal: ArrayLike | None, what: str
 ) -> np.ndarray:
-    """Return a normal with the sign of the default rule or the hints; `reach` is the SD of the plane's distance [m]."""
+    """Return n or -n, as chosen by the hints or away from the origin; `reach` is the SD of the plane's offset [m]."""
     if toward is not None and normal is not None:
         raise ShapeError("Expected toward= or normal=, got both. Omit one.")
     if normal is not None:
@@ -90,14 +89,14 @@ def upward(
         if not abs(side) > least:
             raise NotExcited(
                 f"Expected the {what} to be far enough from the origin to determine its side, got a distance of "
-                f"{abs(side):.2g} m, uncertain by {reach:.2g} m. Pass toward= (a point on the desired side) or "
-                "normal=.",
+                f"{abs(side):.2g} m with a standard deviation of {reach:.2g} m. Pass toward= (a point on the desired "
+                "side) or normal=.",
                 [f"side of the {what}"],
                 [f"{abs(side):.2g} m from the origin"],
             )
     if not abs(side) > least:
         raise ShapeError(
-            f"Expected a hint that determines the side of the {what}, got a hint within it. Pass another point or "
+            f"Expected a hint that determines the side of the {what}, got a hint within it. Pass a different point or "
             "normal."
         )
     return n if side > 0 else -n
@@ -111,7 +110,7 @@ def text(v: np.ndarray) -> str:
 def inliers(
     p: np.ndarray, size: int, numbers: int, through: Squares, refit: Refit, sigma: float | None, what: str
 ) -> np.ndarray:
-    """Return the mask (N,) of inliers, found from minimal sets of `size` points with `numbers` residuals each."""
+    """Return the mask (N,) of the inliers, from minimal sets of `size` points; a point has `numbers` residuals."""
     from scipy.special import chdtri
 
     if len(p) < size + 2:
@@ -142,7 +141,7 @@ def inliers(
 
 
 def _best(p: np.ndarray, size: int, height: int, through: Squares) -> tuple[float, np.ndarray]:
-    """Return the scale of the best feature through a minimal set, and squared distances (N,) from it."""
+    """Return the scale of the best feature through a minimal set, and the squared distances (N,) from it."""
     scale, squares = np.inf, np.zeros(len(p))
     sets = _sets(len(p), size)
     some = 1 + CHUNK // len(p)
@@ -156,7 +155,7 @@ def _best(p: np.ndarray, size: int, height: int, through: Squares) -> tuple[floa
 
 
 def _sets(count: int, size: int) -> np.ndarray:
-    """Return all sets (S, size) of indices below count, or 500 seeded ones if there are too many."""
+    """Return all sets (S, size) of indices below `count`, or 500 random sets if there are too many."""
     if comb(count, size) <= ALL_SETS:
         return np.array(list(combinations(range(count), size)))
     rng = np.random.default_rng([count, size])
@@ -207,12 +206,12 @@ def spheres(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def rounding(p: np.ndarray) -> float:
-    """Return the rounding error in points (N, 3), which is the floor of every standard deviation."""
+    """Return the rounding error of points (N, 3), which is the lower limit of every standard deviation."""
     return 1e-14 * max(float(np.abs(p).max(initial=0.0)), 1e-300)
 
 
 def principal(p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the centroid, the principal directions (3, 3) as rows (strongest first), and the sums of squares (3,)."""
+    """Return the centroid, the principal directions (3, 3) as rows, strongest first, and the sums of squares (3,)."""
     c = p.mean(axis=0)
     R = np.linalg.qr(p - c, mode="r")  # QR first: R has the principal directions of all points
     _, singular, axes = np.linalg.svd(np.vstack([R, np.zeros((3 - len(R), 3))]))

@@ -1,6 +1,6 @@
 """Planes, lines, circles and spheres as values with unit directions.
 
-A fitted feature carries the covariance of its small errors, in the order of its `names`; a constructed feature has no
+A fitted feature has a covariance of its small errors, in the order of its `names`. A constructed feature has no
 covariance and is exact.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._display import Shown
-from armlab._numbers import number
+from armlab._numbers import number, positive
 from armlab.errors import ShapeError
 from armlab.frames import inputs
 from armlab.lie import so3
@@ -30,11 +30,11 @@ class Plane(Shown):
     Attributes
     ----------
     n : (3,) unit normal.
-    d : distance from the origin along n [m], negative if n points towards the origin.
-    centroid : (3,) centroid of the measured points [m]; otherwise the point of the plane closest to the origin.
+    d : distance of the plane from the origin along n [m]; negative if n points towards the origin.
+    centroid : (3,) centroid of the measured points [m], or the given point of a constructed plane.
     axes : (2, 3) unit vectors in the plane, the first along the largest extent of the measured points.
-    cov : (3, 3) covariance of the `names`: tilt about each axis [rad], offset at the centroid along n [m]; None if the
-        plane is exact.
+    cov : (3, 3) covariance of the errors in `names`: tilt about each axis [rad], offset at the centroid along n [m];
+        None if the plane is exact.
     """
 
     n: np.ndarray
@@ -62,8 +62,8 @@ class Plane(Shown):
 
         Parameters
         ----------
-        normal : (3,) of any non-zero length.
-        point : (3,) point on the plane [m]; its centroid.
+        normal : (3,) normal of any non-zero length.
+        point : (3,) point on the plane [m], which becomes its centroid.
         """
         n, p = inputs.direction(normal, "normal"), inputs.vector(point, "point")
         return cls(n, float(n @ p), p, inputs.across(n))
@@ -101,11 +101,11 @@ class Line(Shown):
     Attributes
     ----------
     v : (3,) unit direction.
-    r : (3,) foot: the point closest to the origin [m].
-    centroid : (3,) centroid of the measured points [m]; otherwise the foot.
+    r : (3,) foot of the line [m], which is its point closest to the origin.
+    centroid : (3,) centroid of the measured points [m], or the given point of a constructed line.
     axes : (2, 3) unit vectors normal to the line; axis 1, axis 2 and v are right-handed.
-    cov : (4, 4) covariance of the `names`: tilt about each axis [rad], offset of the centroid along each [m]; None if
-        the line is exact.
+    cov : (4, 4) covariance of the errors in `names`: tilt about each axis [rad], offset of the centroid along each axis
+        [m]; None if the line is exact.
     """
 
     v: np.ndarray
@@ -134,8 +134,8 @@ class Line(Shown):
 
         Parameters
         ----------
-        direction : (3,) of any non-zero length.
-        point : (3,) point on the line [m]; its centroid.
+        direction : (3,) direction of any non-zero length.
+        point : (3,) point on the line [m], which becomes its centroid.
         """
         v, p = inputs.direction(direction, "direction"), inputs.vector(point, "point")
         return cls(v, _foot(v, p), p, inputs.across(v))
@@ -148,7 +148,7 @@ class Line(Shown):
         return replace(self, v=-self.v, axes=self.axes * flip[:, None], cov=cov)
 
     def moved(self, T_a_b: ArrayLike) -> Line:
-        """Transform the line from frame b to frame a, and recompute its foot point.
+        """Transform the line from frame b to frame a, and recompute its foot.
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ class Line(Shown):
         return Line(v, _foot(v, c), c, axes, self.cov)
 
     def offset(self, p: ArrayLike) -> np.ndarray:
-        """Return the vectors (N, 3) from the line to points (N, 3), normal to the line [m].
+        """Return the vectors (N, 3) [m] from the line to points, normal to the line.
 
         Parameters
         ----------
@@ -175,11 +175,11 @@ class Circle(Shown):
 
     Attributes
     ----------
-    centre : (3,) [m].
+    centre : (3,) centre [m].
     n : (3,) unit normal.
-    radius : [m].
-    axes : (2, 3) unit vectors in its plane.
-    cov : (6, 6) covariance of the `names`; None if the circle is exact.
+    radius : radius [m].
+    axes : (2, 3) unit vectors in the plane of the circle.
+    cov : (6, 6) covariance of the errors in `names`; None if the circle is exact.
     """
 
     centre: np.ndarray
@@ -193,14 +193,13 @@ class Circle(Shown):
 
     def __post_init__(self) -> None:
         n = inputs.unit(self.n, "the normal of a circle")
-        centre, radius = inputs.vector(self.centre, "the centre of a circle"), _positive(self.radius, "circle")
-        _freeze(
-            self, centre=centre, n=n, radius=radius, axes=_axes(self.axes, n), cov=inputs.covariance(self.cov, 6, "cov")
-        )
+        centre, radius = inputs.vector(self.centre, "the centre of a circle"), _radius(self.radius, "circle")
+        cov = inputs.covariance(self.cov, 6, "cov")
+        _freeze(self, centre=centre, n=n, radius=radius, axes=_axes(self.axes, n), cov=cov)
 
     @property
     def plane(self) -> Plane:
-        """Plane of the circle, with the covariance of its tilt and its offset at the centre."""
+        """Plane of the circle, with the covariance of its tilts and of its offset at the centre."""
         n, cov = self.n, self.cov
         if cov is not None:
             S = np.zeros((3, 6))
@@ -217,9 +216,9 @@ class Sphere(Shown):
 
     Attributes
     ----------
-    centre : (3,) [m].
-    radius : [m].
-    cov : (4, 4) covariance of the `names`; None if the sphere is exact.
+    centre : (3,) centre [m].
+    radius : radius [m].
+    cov : (4, 4) covariance of the errors in `names`; None if the sphere is exact.
     """
 
     centre: np.ndarray
@@ -232,7 +231,7 @@ class Sphere(Shown):
     def __post_init__(self) -> None:
         centre = inputs.vector(self.centre, "the centre of a sphere")
         cov = inputs.covariance(self.cov, 4, "cov")
-        _freeze(self, centre=centre, radius=_positive(self.radius, "sphere"), cov=cov)
+        _freeze(self, centre=centre, radius=_radius(self.radius, "sphere"), cov=cov)
 
 
 def _freeze(value: object, **fields: object) -> None:
@@ -240,11 +239,8 @@ def _freeze(value: object, **fields: object) -> None:
         object.__setattr__(value, name, content)
 
 
-def _positive(radius: object, what: str) -> float:
-    r = number(radius, f"the radius of a {what} [m]")
-    if not 0.0 < r < np.inf:
-        raise ShapeError(f"Expected the radius of a {what} to be above zero [m], got {r:g}.")
-    return r
+def _radius(radius: object, what: str) -> float:
+    return positive(radius, f"radius of a {what} [m]")
 
 
 def _axes(axes: np.ndarray, third: np.ndarray) -> np.ndarray:
@@ -261,7 +257,7 @@ def _axes(axes: np.ndarray, third: np.ndarray) -> np.ndarray:
 
 
 def _moved(T_a_b: ArrayLike, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rotation of a pose, orthonormalised, and a point transformed to frame a."""
+    """Return the orthonormalised rotation of a pose, and a point transformed to frame a."""
     T = inputs.pose(T_a_b, "T_a_b")
     return so3.project(T[:3, :3])[0], T[:3, :3] @ p + T[:3, 3]
 

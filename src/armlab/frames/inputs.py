@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import number, numbers, rows_text
+from armlab._numbers import number, numbers, positive, rows_text, still
 from armlab.errors import NotExcited, ShapeError
 from armlab.lie import se3
 
-UNIT = 1e-9  # deviation of a norm from 1 that counts as rounding
+UNIT = 1e-9  # deviation of a norm from 1 that is accepted as rounding
 
 
 def points(p: ArrayLike, what: str = "points") -> np.ndarray:
@@ -27,7 +27,7 @@ def points(p: ArrayLike, what: str = "points") -> np.ndarray:
 
 
 def sightings(p: ArrayLike, visible: ArrayLike | None, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (N, K, 3) in N frames and their visibility (N, K); raise on NaN in visible points."""
+    """Return K points in N frames (N, K, 3) and their visibility (N, K); raise on NaN in visible points."""
     array = numbers(p, what, ShapeError)
     if array.ndim != 3 or array.shape[2] != 3 or not array.shape[1]:
         raise ShapeError(f"Expected {what} of shape (N, K, 3), got {array.shape}. Pass every point in every frame.")
@@ -68,17 +68,12 @@ def check_count(count: int, needed: int, what: str) -> None:
 
 
 def noise_of(noise: Any) -> float | None:
-    """Return the standard deviation of one coordinate [m], or None if it is to be estimated."""
-    if noise is None:
-        return None
-    sigma = number(noise, "noise [m]")
-    if not 0.0 < sigma < np.inf:
-        raise ShapeError(f"Expected noise as a standard deviation > 0 m, got {sigma:g}. Omit it to estimate it.")
-    return sigma
+    """Return the standard deviation of each coordinate [m], or None if the noise must be estimated."""
+    return None if noise is None else positive(noise, "noise [m]", "Omit it to estimate it.")
 
 
 def noises_of(noise: Any, count: int) -> tuple[float | None, np.ndarray | None]:
-    """Return the SD of a coordinate [m], and covariances (N, 3, 3) if they differ between directions or points."""
+    """Return the SD of a coordinate [m], and covariances (N, 3, 3) if directions or points have unequal noise."""
     if noise is None or np.ndim(noise) == 0:
         return noise_of(noise), None
     C = numbers(noise, "noise", ShapeError)
@@ -106,10 +101,9 @@ def limit_of(limit: Any) -> float:
 
 
 def vector(v: ArrayLike, what: str) -> np.ndarray:
-    array = np.array(numbers(v, what, ShapeError))
+    array = still(v, what)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise ShapeError(f"Expected {what} to be a finite vector (3,), got {array.tolist()}.")
-    array.flags.writeable = False
     return array
 
 
@@ -117,7 +111,7 @@ def direction(v: ArrayLike, what: str) -> np.ndarray:
     array = vector(v, what)
     length = float(np.linalg.norm(array))
     if not length > 0.0:
-        raise ShapeError(f"Expected {what} to have a direction, got a vector of length zero.")
+        raise ShapeError(f"Expected {what} to have a non-zero length, got a vector of length zero.")
     return array / length
 
 
@@ -137,8 +131,8 @@ def pose(T: ArrayLike, what: str) -> np.ndarray:
         array = se3.orthonormalise(array)
     if array.shape != (4, 4) or not se3.is_pose(array):
         raise ShapeError(
-            f"Expected {what} as a pose (4, 4), got shape {array.shape} or a matrix that is not a pose. Use "
-            "lie.se3.project for a rounded rotation."
+            f"Expected {what} as a pose (4, 4), got shape {array.shape} or a matrix that is not a pose. Apply "
+            "lie.se3.project to a rounded rotation."
         )
     return array
 
@@ -147,14 +141,13 @@ def covariance(cov: ArrayLike | None, size: int, what: str) -> np.ndarray | None
     """Return a symmetric, positive semidefinite covariance (size, size) as a read-only copy, or None."""
     if cov is None:
         return None
-    C = np.array(numbers(cov, what, ShapeError))
+    C = still(cov, what)
     fits = C.shape == (size, size) and np.isfinite(C).all() and np.allclose(C, C.T, rtol=1e-9, atol=0.0)
     if not fits or np.linalg.eigvalsh(C)[0] < -1e-9 * np.trace(C):
         raise ShapeError(
             f"Expected {what} as a symmetric, positive semidefinite covariance ({size}, {size}), got shape {C.shape}. "
             "The diagonal must contain squared standard deviations."
         )
-    C.flags.writeable = False
     return C
 
 
@@ -167,7 +160,7 @@ def across(v: np.ndarray) -> np.ndarray:
 
 
 def turned(R: np.ndarray, third: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a unit direction (3,) and normal axes (2, 3), rotated; re-normalised against rounding."""
+    """Rotate a unit direction (3,) and the axes normal to it (2, 3), and orthonormalise them."""
     v = R @ third
     v = v / np.linalg.norm(v)
     first = R @ axes[0]

@@ -1,9 +1,9 @@
-"""Poses of a marker from its points (for example LEDs) by rigid least squares per tracker frame.
+"""Poses of a marker from its points (for example LEDs) by rigid least squares in each tracker frame.
 
     T_i = argmin sum_k |p_ik - T l_k|^2  over the visible points
 
-by singular value decomposition of ``sum (p - mean p)(l - mean l)^T`` (Kabsch 1976; Umeyama 1991), which never returns a
-reflection.
+The solution uses the singular value decomposition of ``sum (p - mean p)(l - mean l)^T`` (Kabsch 1976; Umeyama 1991),
+and is never a reflection.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._display import Shown
-from armlab._numbers import make_read_only, number
-from armlab.errors import NotExcited, ShapeError
-from armlab.frames.inputs import marker_points, sightings
+from armlab._numbers import make_read_only
+from armlab.errors import NotExcited
+from armlab.frames.inputs import marker_points, noise_of, sightings
 from armlab.lie import so3
 
 LINE = 1e-6  # breadth over length below which points are collinear
@@ -25,14 +25,14 @@ MIN_POINTS = 3
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MarkerPoses(Shown):
-    """Poses of a marker, one per tracker frame, in order.
+    """Poses of a marker, one per tracker frame, in the order of the frames.
 
     Attributes
     ----------
-    T : (N, 4, 4) T_cam_marker; NaN with too few visible points.
-    valid : (N,) whether the pose exists.
+    T : (N, 4, 4) poses T_cam_marker; NaN if too few points are visible.
+    valid : (N,) mask of the frames with a pose.
     rms : (N,) root mean square distance of the visible points from the marker points [m]; NaN without a pose.
-    cov : (N, 6, 6) of [v; w], v in camera axes, w in marker axes; NaN without a pose.
+    cov : (N, 6, 6) covariance of [v; w], v in camera axes [m], w in marker axes [rad]; NaN without a pose.
     noise : standard deviation of each coordinate of a point [m], given or estimated; NaN if not estimable.
     marker : (K, 3) points in marker axes [m], given or estimated.
     """
@@ -53,26 +53,25 @@ def marker_pose(
 ) -> MarkerPoses:
     """Compute the pose of a marker in every frame from its visible points.
 
-    The result has one pose per input frame, so it remains paired with the robot poses. An LED misplaced by 3 mm shows
-    in `rms`.
+    The result has one pose per input frame, so that it remains paired with the robot poses. `rms` reveals, for example,
+    an LED misplaced by 3 mm.
 
     Parameters
     ----------
-    p : (N, K, 3) points in camera axes [m]; NaN only for invisible points.
-    marker : (K, 3) the same points in marker axes [m]. Default, for three points: from their median distances; origin
-        at point 0, x towards point 1, point 2 on the side of positive y.
-    visible : (N, K) whether a point is visible; default: all.
-    noise : standard deviation of each coordinate of a point [m]; default: estimated from the inconsistency of the
-        points in a frame.
+    p : (N, K, 3) points in camera axes [m]; only invisible points may be NaN.
+    marker : (K, 3) points in marker axes [m]. Default, only for three points: computed from their median distances,
+        with the origin at point 0, x towards point 1, and point 2 at positive y.
+    visible : (N, K) mask of the visible points; default: all.
+    noise : standard deviation of each coordinate of a point [m]; default: estimated from the residuals of the points.
 
     Returns
     -------
-    MarkerPoses.
+    MarkerPoses
 
     Raises
     ------
-    ShapeError : wrong shapes, NaN in visible points, with their rows.
-    NotExcited : a marker of fewer than three points, or of collinear points.
+    ShapeError : wrong shapes, or NaN in visible points (lists the rows).
+    NotExcited : a marker with fewer than three points, or with collinear points.
 
     References
     ----------
@@ -82,9 +81,7 @@ def marker_pose(
     p = np.where(seen[:, :, None], p, 0.0)
     shape = _template(p, seen) if marker is None else marker_points(marker, p.shape[1], "p")
     _require_breadth(shape)
-    sd = np.nan if noise is None else number(noise, "noise [m]")
-    if noise is not None and not 0.0 < sd < np.inf:
-        raise ShapeError(f"Expected noise above zero [m], got {sd:g}. Omit it to estimate it.")
+    sd = noise_of(noise) or np.nan
     count = seen.sum(axis=1)
     share = seen / np.maximum(count, 1)[:, None]
     there, here = share[:, None, :] @ p, share @ shape  # centres (N, 1, 3) and (N, 3)
@@ -118,10 +115,10 @@ def _information(R: np.ndarray, marker: np.ndarray, seen: np.ndarray) -> np.ndar
 
 
 def _template(p: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return three points (3, 3) with the median of the measured distances."""
+    """Return three marker points (3, 3) whose distances are the medians of the measured distances."""
     if p.shape[1] != MIN_POINTS:
         raise NotExcited(
-            f"Expected three points without marker=, got {p.shape[1]}. Pass the marker's points.",
+            f"Expected three points without marker=, got {p.shape[1]}. Pass the points of the marker.",
             ["marker"],
             [f"{p.shape[1]} points"],
         )
@@ -130,8 +127,8 @@ def _template(p: np.ndarray, seen: np.ndarray) -> np.ndarray:
         both = seen[:, i] & seen[:, k]
         if not both.any():
             raise NotExcited(
-                f"Expected frames in which points {i} and {k} are both visible, got no such frame. Pass the marker's "
-                "points.",
+                f"Expected frames in which points {i} and {k} are both visible, got no such frame. Pass the points of "
+                "the marker.",
                 [f"distance of points {i} and {k}"],
                 ["0 frames"],
             )
@@ -143,12 +140,11 @@ def _template(p: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def _require_breadth(marker: np.ndarray) -> None:
-    """Raise on fewer than three points, and on collinear points."""
     size = np.linalg.svd(marker - marker.mean(axis=0), compute_uv=False)
     if len(marker) < MIN_POINTS or not size[1] > LINE * size[0]:
         raise NotExcited(
             f"Expected a marker with at least three non-collinear points, got {len(marker)} with a breadth of "
             f"{size[1] if len(size) > 1 else 0.0:.2g} m. Add a point away from the line through the others.",
             ["rotation about the line of the points"],
-            ["unseen"],
+            ["unobservable"],
         )

@@ -1,16 +1,16 @@
 """Maximum-likelihood planes and lines through measured points, with covariance and oriented direction.
 
 With isotropic noise, the most likely plane is normal to the weakest principal direction of the centred points, and the
-most likely line is parallel to the strongest. With lambda_k the sum of squares of N points along principal direction k,
-and sigma the noise of a coordinate,
+most likely line is parallel to the strongest. Let lambda_k be the sum of squares of N points along principal direction
+k, and sigma the noise of a coordinate. The errors are uncorrelated and have the variances
 
     plane: tilt about axis 1  sigma^2 / lambda_2,  about axis 2  sigma^2 / lambda_1,  offset at centroid  sigma^2 / N
     line:  tilt about each axis  sigma^2 / lambda_1,  offset of the centroid along each axis  sigma^2 / N
 
-and the errors are uncorrelated. A direction whose spread does not exceed the noise raises NotExcited. If the noise
-differs between directions or points, the cost is the sum of ``e^T S^-1 e``, ``S = D C D^T``, with e the distances of a
-point, D their directions (k, 3) and C its covariance. Its gradient equals the gradient of the residuals if the lever
-arm of a tilt is taken at the most likely point ``p - C D^T S^-1 e`` instead of p.
+A direction in which the points spread no more than the noise raises NotExcited. If the noise differs between directions
+or points, the cost is the sum of ``e^T S^-1 e``, ``S = D C D^T``, with the distances e of a point, their directions
+D (k, 3) and the covariance C of the point. The Jacobian takes the lever arm of a tilt at the most likely point
+``p - C D^T S^-1 e`` instead of p, which gives the gradient of this cost.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._display import Shown
+from armlab._numbers import make_read_only
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
 from armlab.estimation.linear_problem import check_spread
@@ -46,7 +47,7 @@ from armlab.lie import so3
 
 PlaneOrLine = TypeVar("PlaneOrLine", Plane, Line)
 
-P_VALUE = 1e-3  # probability of a spread from noise alone
+P_VALUE = 1e-3  # largest probability with which noise alone may explain the spread of the points
 JUDGED = 10  # points needed for the test of the spread
 
 
@@ -65,9 +66,9 @@ def fit_plane(
 
     Parameters
     ----------
-    p : (N, 3) points [m], N >= 4; 3 if the noise is known, 5 for outlier detection.
+    p : (N, 3) points [m], N >= 4; N >= 3 if the noise is given, N >= 5 for outlier detection.
     noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; default:
-        estimated, equal for all.
+        estimated, and equal for all points.
     robust : detect points that do not belong to the plane; `outliers` marks them.
     toward : (3,) point on the side of the normal [m].
     normal : (3,) approximate normal.
@@ -75,13 +76,14 @@ def fit_plane(
 
     Returns
     -------
-    Fit of a `Plane`: `residuals` (N,) are signed distances; `cov` (3, 3) is in the order of `Plane.names`.
+    Fit of a `Plane`
+        `residuals` (N,) are signed distances [m]; `cov` (3, 3) is in the order of `Plane.names`.
 
     Raises
     ------
-    ShapeError : points of the wrong shape or not finite, with their rows; both hints, or a hint that does not determine
-        the side.
-    NotExcited : too few points; collinear points, with their direction; a plane through the origin without a hint.
+    ShapeError : points with the wrong shape or with NaN or infinity (lists the rows); both hints, or a hint that does
+        not determine the side.
+    NotExcited : too few points; collinear points (names their direction); a plane through the origin without a hint.
     """
     limit, cloud = inputs.limit_of(limit), Cloud(p, noise, 3, "plane")
     p, sigma = cloud.p, cloud.sigma
@@ -94,8 +96,7 @@ def fit_plane(
     used = max(sigma or found, rounding(p))
     n = axes[2]
     cov = used**2 * np.diag([1.0 / max(squares[1], 1e-300), 1.0 / max(squares[0], 1e-300), 1.0 / kept.sum()])
-    spare = int(kept.sum()) - 3
-    precision = _precision(squares[1], squares[2], used, spare), _precision(squares[0], squares[2], used, 0)
+    precision = _precision(squares[1], squares[2], used, freedom), _precision(squares[0], squares[2], used, 0)
     names = (f"tilt about the long axis of the points, {text(axes[0])}", f"tilt about {text(axes[1])}")
     excitation = _check_excitation(precision, used, kept.sum(), squares, limit, Plane, names)
     reach = float(np.sqrt(cov[2, 2] + (axes[1] @ c) ** 2 * cov[0, 0] + (axes[0] @ c) ** 2 * cov[1, 1]))
@@ -115,25 +116,26 @@ def fit_line(
 ) -> Fit[Line]:
     """Fit a line ``x = r + s v`` to points.
 
-    The direction is from the first to the last inlier, unless `along` specifies it.
+    The line is directed from the first to the last inlier, unless `along` specifies its direction.
 
     Parameters
     ----------
-    p : (N, 3) points [m], N >= 3; 2 if the noise is known, 4 for outlier detection.
+    p : (N, 3) points [m], N >= 3; N >= 2 if the noise is given, N >= 4 for outlier detection.
     noise : standard deviation of each coordinate [m], or covariance (3, 3) or (N, 3, 3) of the points [m^2]; default:
-        estimated, equal for all.
+        estimated, and equal for all points.
     robust : detect points that do not belong to the line; `outliers` marks them.
     along : (3,) approximate direction.
     limit : largest accepted standard deviation of a tilt [rad].
 
     Returns
     -------
-    Fit of a `Line`: `residuals` (N, 3) are vectors from the line to the points; `cov` (4, 4) follows `Line.names`.
+    Fit of a `Line`
+        `residuals` (N, 3) are the vectors from the line to the points [m]; `cov` (4, 4) has the order of `Line.names`.
 
     Raises
     ------
-    ShapeError : points of the wrong shape or not finite, with their rows; `along` normal to the line.
-    NotExcited : too few points; coincident points; coincident first and last points without a hint.
+    ShapeError : points with the wrong shape or with NaN or infinity (lists the rows); `along` normal to the line.
+    NotExcited : too few points; coincident points; coincident first and last points without `along`.
     """
     limit, cloud = inputs.limit_of(limit), Cloud(p, noise, 2, "line")
     if robust:
@@ -159,7 +161,7 @@ def _oriented(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | 
     if along is not None:
         side = float(v @ inputs.direction(along, "along"))
         if abs(side) <= 1e-6:
-            raise ShapeError("Expected along= roughly along the line, got a direction normal to it. Give another one.")
+            raise ShapeError("Expected along= roughly parallel to the line, got a direction normal to it. Correct it.")
     elif abs(side := float(v @ step)) <= SIDE_DEVIATIONS * sigma:
         raise NotExcited(
             "Expected the last point to be far enough from the first to determine the direction of the line, got "
@@ -173,9 +175,8 @@ def _oriented(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | 
 def _precision(strong: float, weak: float, sigma: float, points: int) -> float:
     """Return the inverse standard deviation of the principal direction with the larger of two sums of squares.
 
-    The standard deviation is ``sigma sqrt(strong) / (strong - weak)``, or ``sigma / sqrt(strong)`` if well separated.
-    Noise alone yields a ratio q with probability ``(2 sqrt(q) / (1 + q))^points``, which is the test of sphericity in
-    two dimensions.
+    The standard deviation is ``sigma sqrt(strong) / (strong - weak)``. Noise alone explains the ratio q of the two sums
+    with probability ``(2 sqrt(q) / (1 + q))^points``, which is the test of sphericity in two dimensions.
     """
     gap = strong - weak
     if points + 3 >= JUDGED:
@@ -193,7 +194,7 @@ def _check_excitation(
     kind: type[Plane] | type[Line],
     words: Sequence[str],
 ) -> Any:
-    """Return the excitation; raise an error naming the tilts beyond the limit."""
+    """Return the excitation; raise if a tilt or an offset is beyond its limit."""
     names, tilts = kind.names, len(precision)
     offsets = len(names) - tilts
     size = 0.2 * max(float(np.sqrt(squares.sum() / count)), 1e-300)
@@ -237,7 +238,7 @@ def _reweighted(fit: Fit[PlaneOrLine], p: np.ndarray, cov: np.ndarray, robust: b
         value=value,
         parameters=_parameters(value),
         cov=found.cov,
-        sigma=found.sigma * typical,  # found in units of the noise, times the typical noise
+        sigma=found.sigma * typical,  # from units of the given noise to metres
         residuals=value.distance(p) if isinstance(value, Plane) else value.offset(p),
         n=int(kept.sum()),
         excitation=check_spread(found.rows.J, value.names, value.units, limits, type(value).__name__.lower()),
@@ -256,7 +257,7 @@ def _report(fit: Fit[Any]) -> str:
 
 
 def weighted_plane(p: np.ndarray, cov: np.ndarray, start: Plane, robust: bool) -> NonlinearSolution[Plane]:
-    """Return the most likely plane of points (N, 3) with covariances (N, 3, 3), from a start."""
+    """Return the most likely plane through points (N, 3) with covariances (N, 3, 3), from a start."""
 
     def evaluate(value: Plane) -> list[Measurement]:
         e, root, away = _likely(p - value.centroid, value.n[None], cov)
@@ -273,7 +274,7 @@ def weighted_plane(p: np.ndarray, cov: np.ndarray, start: Plane, robust: bool) -
 
 
 def weighted_line(p: np.ndarray, cov: np.ndarray, start: Line, robust: bool) -> NonlinearSolution[Line]:
-    """Return the most likely line of points (N, 3) with covariances (N, 3, 3), from a start."""
+    """Return the most likely line through points (N, 3) with covariances (N, 3, 3), from a start."""
 
     def evaluate(value: Line) -> list[Measurement]:
         e, root, away = _likely(p - value.centroid, value.axes, cov)
@@ -292,7 +293,7 @@ def weighted_line(p: np.ndarray, cov: np.ndarray, start: Line, robust: bool) -> 
 
 
 def _likely(away: np.ndarray, D: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return distances (N, k), the root of their covariance (N, k, k), and the most likely points (N, 3)."""
+    """Return the distances (N, k), the root of their covariance (N, k, k), and the most likely points (N, 3)."""
     e, CD = away @ D.T, cov @ D.T
     S = D @ CD
     return e, np.linalg.cholesky(S), away - (CD @ np.linalg.solve(S, e[..., None]))[..., 0]
@@ -300,23 +301,21 @@ def _likely(away: np.ndarray, D: np.ndarray, cov: np.ndarray) -> tuple[np.ndarra
 
 def _whitened(e: np.ndarray, J: np.ndarray, root: np.ndarray) -> Measurement:
     """Return distances (N, k) in standard deviations, so that the descent judges its steps by the total cost."""
-    k = e.shape[1]
-    return Measurement(
-        np.linalg.solve(root, e[..., None])[..., 0], np.linalg.solve(root, J), np.eye(k), ("distance",) * k
-    )
+    k, r = e.shape[1], np.linalg.solve(root, e[..., None])[..., 0]
+    return Measurement(r, np.linalg.solve(root, J), np.eye(k), ("distance",) * k)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OffsetCheck(Shown):
-    """Distances of points from a known plane, up to a common constant.
+    """Distances of points from a known plane, and their common offset.
 
     Attributes
     ----------
-    offset : the constant, mean of the consistent points [m].
-    sd : its standard deviation [m].
-    sigma : noise of a distance [m].
-    distances : (N,) signed, from the plane [m].
-    outliers : (N,) points that are not at the common distance.
+    offset : mean distance of the inliers [m].
+    sd : standard deviation of the offset [m].
+    sigma : standard deviation of a distance [m].
+    distances : (N,) signed distances of the points from the plane [m].
+    outliers : (N,) mask of the points that are not at the common distance.
     """
 
     offset: float
@@ -325,8 +324,11 @@ class OffsetCheck(Shown):
     distances: np.ndarray
     outliers: np.ndarray
 
+    def __post_init__(self) -> None:
+        make_read_only(self, "distances", "outliers")
+
     def text(self) -> str:
-        """Return one line for the constant, and one line per outlier."""
+        """Return one line with the offset, and one line per outlier."""
         lines = [f"offset {self.offset:.6g} +- {self.sd:.2g} m, noise {self.sigma:.2g} m"]
         lines += [f"point {i}: {self.distances[i] - self.offset:+.6g} m off" for i in np.flatnonzero(self.outliers)]
         return "\n".join(lines)
@@ -335,17 +337,17 @@ class OffsetCheck(Shown):
 def check_offset(plane: Plane, p: ArrayLike, *, noise: float | None = None) -> OffsetCheck:
     """Check that points lie at a common, unknown distance from a known plane.
 
-    Fewer than half of the points may be outliers. The constant is due to the tip of the probe (its radius or length).
+    The distance is due to the radius or the length of the probe tip. Fewer than half of the points may be outliers.
 
     Parameters
     ----------
-    plane : known plane, for example from a tracker's file.
+    plane : known plane, for example from the file of a tracker.
     p : (N, 3) points, N >= 3 [m].
     noise : standard deviation of each distance [m]; default: estimated.
 
     Raises
     ------
-    ShapeError : points of the wrong shape or not finite.
+    ShapeError : points with the wrong shape or with NaN or infinity.
     NotExcited : fewer than three points.
     """
     if not isinstance(plane, Plane):
@@ -369,7 +371,4 @@ def check_offset(plane: Plane, p: ArrayLike, *, noise: float | None = None) -> O
         )
     found, _ = refit(kept)
     sd = max(sigma or found, rounding(p)) / float(np.sqrt(kept.sum()))
-    outliers = ~kept
-    for array in (heights, outliers):
-        array.flags.writeable = False
-    return OffsetCheck(float(heights[kept].mean()), sd, found, heights, outliers)
+    return OffsetCheck(float(heights[kept].mean()), sd, found, heights, ~kept)

@@ -1,8 +1,8 @@
 """Pose graph: named frames connected by measured poses, loop closure errors, and maximum-likelihood poses.
 
-An error [v; w] of a pose E in a loop changes its closure by ``Ad(S^-1) [R_E^T v; w]``, with S the product behind E.
-The pose E measured between frames a and b has the residuals ``p_E - R_a^T (p_b - p_a)`` along the axes of a and
-``Log(R_b^T R_a R_E)`` along those of b. Theory: docs/theory/frames.md.
+An error [v; w] of a pose E in a loop changes the closure error by ``Ad(S^-1) [R_E^T v; w]``, with S the product of the
+poses behind E. A pose E measured between frames a and b has the residuals ``p_E - R_a^T (p_b - p_a)`` along the axes
+of a and ``Log(R_b^T R_a R_E)`` along the axes of b. Theory: docs/theory/frames.md.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ P_VALUE = 1e-3  # p-value of a closure error below which a loop is reported
 
 Steps = list[tuple[int, int]]
 CLASSES = ("position",) * 3 + ("rotation",) * 3
-LIMIT = 0.2  # rad, and fraction of the size of the set [m]
+LIMIT = 0.2  # largest accepted standard deviation: [rad], and fraction of the size of the set of frames
 PARTS = (("x", "m"), ("y", "m"), ("z", "m"), ("turn x", "rad"), ("turn y", "rad"), ("turn z", "rad"))
 
 
@@ -52,14 +52,14 @@ class Graph:
 
         Parameters
         ----------
-        a, b : names of two frames without an underscore, as in ``T_a_b``. New names are added.
+        a, b : names of two frames, letters and digits only, as in ``T_a_b``. New names are added.
         T_a_b : (4, 4) pose of b in a [m].
-        cov : (6, 6) covariance of its error [v; w], v along the axes of a, w along those of b.
+        cov : (6, 6) covariance of the pose error [v; w], v along the axes of a [m], w along the axes of b [rad].
         source : origin of the pose, for reports.
 
         Raises
         ------
-        FrameError : an invalid name, or the same name twice.
+        FrameError : an invalid name, or two equal names.
         ShapeError : an invalid pose or covariance.
         """
         for name in (a, b):
@@ -69,35 +69,25 @@ class Graph:
                     "T_base_tool is the pose of tool in base."
                 )
         if a == b:
-            raise FrameError(f"Expected two frames, got {a!r} twice. Give two names.")
-        T = np.array(inputs.pose(T_a_b, f"T_{a}_{b}"))
-        T.flags.writeable = False
+            raise FrameError(f"Expected two different frames, got {a!r} twice. Correct a name.")
+        T = still(inputs.pose(T_a_b, f"T_{a}_{b}"), f"T_{a}_{b}")
         self._edges.append(Edge(a, b, T, inputs.covariance(cov, 6, f"the covariance of T_{a}_{b}"), str(source)))
 
     def get(self, a: str, b: str, via: Sequence[str] = ()) -> np.ndarray:
-        """Return the pose (4, 4) of b in a, along the shortest path; ties are resolved in favour of the earliest poses.
+        """Return the pose (4, 4) of b in a along the shortest path; the earliest poses take precedence.
 
         Parameters
         ----------
         a, b : names of frames.
-        via : frames on the path, in order; consecutive frames need a direct pose.
+        via : frames on the path, in order; consecutive frames must have a direct pose.
 
         Raises
         ------
-        FrameError : an unknown name (lists the known names), or two frames without a path (states both).
+        FrameError : an unknown name (lists the known names), or two frames without a path (names both).
         """
-        for name in (a, *via, b):
-            if name not in self.names:
-                raise FrameError(
-                    f"Expected the name of a known frame, got {name!r}. Known: {', '.join(self.names) or 'none'}."
-                )
+        _require_known((a, *via, b), self.names)
         if not via:
-            steps = path(self._edges, a, b)
-            if steps is None:
-                raise FrameError(
-                    f"Expected poses that connect {a!r} and {b!r}, but there is no path. Add the missing pose."
-                )
-            return composed(self._edges, steps)
+            return connected(self._edges, a, b)
         ways: Steps = []
         for here, there in pairwise((a, *via, b)):
             direct = [edge for edge in self._edges if {edge.a, edge.b} == {here, there}]
@@ -110,24 +100,24 @@ class Graph:
         return composed(self._edges, ways)
 
     def check(self) -> LoopCheck:
-        """Return every independent loop with its closure error and, with known covariances, its p-value."""
+        """Return every independent loop with its closure error and, if the covariances are given, its p-value."""
         return check_loops(self._edges)
 
     def solve(self, robust: bool = False) -> Fit[FrameSet]:
         """Return the maximum-likelihood poses of all frames, given all measured poses.
 
         Each pose has a position residual in the axes of its first frame and a rotation residual in the axes of its
-        second frame, weighted by its covariance. Without covariances, all poses have equal weight and the noise is
+        second frame, weighted by its covariance. Without covariances, all poses have the same weight and the noise is
         estimated.
 
         Parameters
         ----------
-        robust : detect poses inconsistent with the others; `outliers` marks them.
+        robust : detect poses that are inconsistent with the other poses; `outliers` marks them.
 
         Raises
         ------
         FrameError : no poses, disconnected frames, or covariances of only some poses.
-        NotExcited : too few poses to estimate the noise, or a frame disconnected by outliers.
+        NotExcited : too few poses to estimate the noise, or a frame connected only by outliers.
         NotConverged : the iteration did not converge.
         """
         return solve_poses(self._edges, self.names, robust)
@@ -138,16 +128,7 @@ class Graph:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """Measured pose between two frames.
-
-    Attributes
-    ----------
-    a, b : names of the frames.
-    T : (4, 4) pose of b in a [m].
-    cov : (6, 6) covariance of its error [v; w], v along the axes of a [m], w along those of b [rad]; zero if the pose
-        is exact; None if unknown.
-    source : origin of the pose.
-    """
+    """Pose T (4, 4) of frame b in frame a, with the covariance of its error [v; w]: zero if exact, None if unknown."""
 
     a: str
     b: str
@@ -161,15 +142,15 @@ class Edge:
 
 @dataclass(frozen=True, repr=False)
 class Loop(Shown):
-    """Loop of poses.
+    """Loop of poses with its closure error.
 
     Attributes
     ----------
-    frames : names along the loop; the last is joined to the first.
-    edges : indices of its poses, in order of addition.
+    frames : names of the frames along the loop; the last frame is connected to the first.
+    edges : indices of the poses of the loop, in the order in which they were added to the graph.
     position : closure error [m].
     angle : closure error [rad].
-    chi2 : of the closure error, given the covariances; NaN if one is unknown.
+    chi2 : squared closure error in the metric of its covariance; NaN if a covariance is unknown.
     p : p-value of chi2; NaN if a covariance is unknown.
     words : description of each pose.
     """
@@ -188,7 +169,7 @@ class Loop(Shown):
         return self.p < P_VALUE
 
     def text(self) -> str:
-        """Return one line."""
+        """Return one line with the frames, the closure error, its p-value and the suspicious poses."""
         chance = "" if np.isnan(self.p) else f", chi2 {self.chi2:.3g} of 6, p {self.p:.2g}"
         verdict = f"; does not close: check {', '.join(self.words)}" if self.beyond else ""
         way = " - ".join([*self.frames, self.frames[0]])
@@ -201,7 +182,7 @@ class LoopCheck(Shown):
 
     Attributes
     ----------
-    loops : in the order of the poses that close them.
+    loops : loops in the order of the poses that close them.
     """
 
     loops: tuple[Loop, ...]
@@ -217,7 +198,7 @@ class LoopCheck(Shown):
 
 
 def check_loops(edges: Sequence[Edge]) -> LoopCheck:
-    """Return the closure of every independent loop, one per pose outside the spanning tree."""
+    """Return every independent loop with its closure error, one loop per pose outside the spanning tree."""
     tree = spanning(edges)
     found = []
     for k, edge in enumerate(edges):
@@ -229,7 +210,7 @@ def check_loops(edges: Sequence[Edge]) -> LoopCheck:
 
 
 def spanning(edges: Sequence[Edge]) -> list[int]:
-    """Return the indices of the poses of a spanning forest, earliest first."""
+    """Return the indices of the poses of a spanning forest, which prefers the earliest poses."""
     part: dict[str, str] = {}
 
     def root(name: str) -> str:
@@ -247,7 +228,7 @@ def spanning(edges: Sequence[Edge]) -> list[int]:
 
 
 def path(edges: Sequence[Edge], a: str, b: str) -> Steps | None:
-    """Return the shortest path from a to b as pairs (index, 1, or -1 if backwards), or None if there is no path."""
+    """Return the shortest path from a to b as pairs (index, 1 or, backwards, -1), or None if there is no path."""
     came: dict[str, tuple[str, int, int]] = {a: (a, -1, 1)}
     waiting = deque([a])
     while waiting and b not in came:
@@ -268,6 +249,20 @@ def path(edges: Sequence[Edge], a: str, b: str) -> Steps | None:
     return steps[::-1]
 
 
+def connected(edges: Sequence[Edge], a: str, b: str) -> np.ndarray:
+    """Return the pose (4, 4) of b in a along the shortest path; raise if there is no path."""
+    steps = path(edges, a, b)
+    if steps is None:
+        raise FrameError(f"Expected poses that connect {a!r} and {b!r}, but there is no path. Add the missing pose.")
+    return composed(edges, steps)
+
+
+def _require_known(wanted: Sequence[str], names: Sequence[str]) -> None:
+    for name in wanted:
+        if name not in names:
+            raise FrameError(f"Expected the name of a known frame, got {name!r}. Known: {', '.join(names) or 'none'}.")
+
+
 def composed(edges: Sequence[Edge], steps: Steps) -> np.ndarray:
     """Return the pose (4, 4) along a path."""
     T = np.eye(4)
@@ -281,7 +276,7 @@ def _closure(edges: Sequence[Edge], steps: Steps) -> Loop:
 
     poses = [edges[k].T if sign > 0 else se3.inv(edges[k].T) for k, sign in steps]
     T, C, known = np.eye(4), np.zeros((6, 6)), True
-    for (k, sign), pose in zip(reversed(steps), reversed(poses)):  # T is the product behind the pose
+    for (k, sign), pose in zip(reversed(steps), reversed(poses)):  # T is the product of the poses behind this pose
         edge = edges[k]
         turned = np.eye(6)
         turned[:3, :3] = edge.T[:3, :3].T
@@ -295,12 +290,12 @@ def _closure(edges: Sequence[Edge], steps: Steps) -> Loop:
     chance = float(chdtrc(6, chi2)) if np.isfinite(chi2) else (0.0 if chi2 > 0 else float("nan"))
     frames = tuple(edges[k].a if sign > 0 else edges[k].b for k, sign in steps)
     words = tuple(edges[k].text() for k, _ in steps)
-    numbers = tuple(k for k, _ in steps)
-    return Loop(frames, numbers, float(np.linalg.norm(e[:3])), float(np.linalg.norm(e[3:])), chi2, chance, words)
+    position, angle = float(np.linalg.norm(e[:3])), float(np.linalg.norm(e[3:]))
+    return Loop(frames, tuple(k for k, _ in steps), position, angle, chi2, chance, words)
 
 
 def _squared(e: np.ndarray, C: np.ndarray) -> float:
-    """Return ``e^T C^-1 e``, or NaN if the covariance is not positive definite, as for a loop of exact poses."""
+    """Return ``e^T C^-1 e``, or NaN if C is not positive definite, for example for a loop of exact poses."""
     try:
         return float(np.sum(np.linalg.solve(np.linalg.cholesky(C), e) ** 2))
     except np.linalg.LinAlgError:
@@ -313,17 +308,16 @@ class FrameSet(Shown):
 
     Attributes
     ----------
-    names : of the frames.
-    T : (F, 4, 4) their poses in the first frame [m].
+    names : names of the F frames.
+    T : (F, 4, 4) poses of the frames in the first frame [m].
     """
 
     names: tuple[str, ...]
     T: np.ndarray
 
     def __post_init__(self) -> None:
-        T = still(self.T, "poses T of frames")
         object.__setattr__(self, "names", tuple(self.names))
-        object.__setattr__(self, "T", T)
+        object.__setattr__(self, "T", still(self.T, "poses T of frames"))
 
     def get(self, a: str, b: str) -> np.ndarray:
         """Return the pose (4, 4) of b in a.
@@ -334,21 +328,21 @@ class FrameSet(Shown):
 
         Raises
         ------
-        FrameError : an unknown name, with the known ones.
+        FrameError : an unknown name (lists the known names).
         """
-        for name in (a, b):
-            if name not in self.names:
-                raise FrameError(f"Expected the name of a known frame, got {name!r}. Known: {', '.join(self.names)}.")
+        _require_known((a, b), self.names)
         return se3.inv(self.T[self.names.index(a)]) @ self.T[self.names.index(b)]
 
 
 def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = False) -> Fit[FrameSet]:
-    start = _start(edges, names)
+    if not edges:
+        raise FrameError("Expected poses between frames, got an empty graph. Use Graph.add.")
+    start = np.stack([se3.project(connected(edges, names[0], name))[0] for name in names])
     given = [edge.cov is not None for edge in edges]
     if any(given) and not all(given):
         missing = ", ".join(edge.text() for edge, known in zip(edges, given) if not known)
         raise FrameError(
-            f"Expected covariances of all poses or of none, but {missing} has no covariance. Pass cov= for each pose."
+            f"Expected covariances of all poses or of no pose, but {missing} has none. Pass cov= for each pose."
         )
     problem = _problem(edges, names)
     found = nonlinear_least_squares(problem, start, robust=robust)
@@ -367,22 +361,7 @@ def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = Fals
     )  # fmt: skip
 
 
-def _start(edges: Sequence[Edge], names: Sequence[str]) -> np.ndarray:
-    if not edges:
-        raise FrameError("Expected poses between frames, got an empty graph. Use Graph.add.")
-    start = np.zeros((len(names), 4, 4))
-    for k, name in enumerate(names):
-        steps = path(edges, names[0], name)
-        if steps is None:
-            raise FrameError(
-                f"Expected poses that connect {names[0]!r} and {name!r}, but there is no path. Add the missing pose."
-            )
-        start[k] = se3.project(composed(edges, steps))[0]
-    return start
-
-
 def _problem(edges: Sequence[Edge], names: Sequence[str]) -> NonlinearProblem[np.ndarray]:
-    """Return residuals with their Jacobian, and the retraction."""
     index = {name: k for k, name in enumerate(names)}
     first, second = np.array([index[edge.a] for edge in edges]), np.array([index[edge.b] for edge in edges])
     measured = np.stack([se3.project(edge.T)[0] for edge in edges])
@@ -417,7 +396,4 @@ def _problem(edges: Sequence[Edge], names: Sequence[str]) -> NonlinearProblem[np
 
 
 def _report(fit: Fit[FrameSet], words: Sequence[str]) -> str:
-    """Return the table of the fit with the names of the excluded poses."""
-    lines = [fit.table()]
-    lines += [f"excluded: {words[k]}" for k in np.flatnonzero(fit.outliers).tolist()]
-    return "\n".join(lines)
+    return "\n".join([fit.table(), *(f"excluded: {words[k]}" for k in np.flatnonzero(fit.outliers).tolist())])
