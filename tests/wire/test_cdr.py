@@ -116,7 +116,7 @@ def test_foreign_bytes_and_texts_are_refused() -> None:
 
 
 def nested(*fields: str) -> str:
-    """Return the text of type M0 with this field, of the type M1 in it with the next, and so on."""
+    """Return the text of type M0 with this field, of its nested type M1 with the next field, and so on."""
     parts = [f"{'=' * 80}\nMSG: test_msgs/M{k}\n{text}" for k, text in enumerate(fields) if k]
     return "\n".join([fields[0], *parts])
 
@@ -154,7 +154,6 @@ def nested(*fields: str) -> str:
     ],
 )
 def test_types_without_bound_are_refused(text: str, told: str) -> None:
-    """A text of a few hundred bytes may stand for more fields than can ever be walked."""
     with pytest.raises(LogError, match=told):
         definitions("test_msgs/msg/M0", text)
 
@@ -177,7 +176,6 @@ def test_a_value_in_five_messages_fits() -> None:
 
 
 def test_messages_without_fields_have_a_byte() -> None:
-    """As those of ROS 2 have."""
     text = nested("M1 e\nuint8 x\nM1[] several\nfloat64 y", "")
     types = definitions("test_msgs/msg/M0", text)
     assert with_bytes(types) == types
@@ -200,7 +198,6 @@ def test_the_most_fields_that_a_type_may_have() -> None:
 
 
 def test_the_types_of_ros_are_bounded() -> None:
-    """All that rosbags knows, also a sequence whose elements have sequences of elements with sequences."""
     from rosbags.typesys import Stores, get_typestore
 
     count = 0

@@ -29,7 +29,7 @@ WALL = 1_700_000_000_000_000_000  # ns, of the first row
 
 
 class Served:
-    """A server in a thread at the other end of a hub, and a loop that gives rows of one arm and obeys clients."""
+    """Server in a thread at one end of a hub; the loop sends rows of one arm and obeys clients."""
 
     def __init__(
         self,
@@ -57,14 +57,12 @@ class Served:
         return State(dt=0.004, robot=self.robot.name, q_start=q, **given)
 
     def row(self, **fields: Any) -> State:
-        """Let the loop send one row, and see what came back; its stamp tells the tick."""
         state, stamp = self.state(**fields), WALL + 4_000_000 * self.tick
         self.exchange.row(state, None, Tick(self.tick, -1, stamp, time.time_ns(), -1, 0))
         self.tick += 1
         return state
 
     def commanded(self, **fields: Any) -> Command | None:
-        """One tick of the loop: what the arm is told."""
         command = self.exchange.arbiter(self.row(**fields))
         assert not isinstance(command, tuple)
         return command
@@ -77,7 +75,7 @@ class Served:
 
 
 class ServedProcess:
-    """The process of a server at the other end of a hub, and rows of the right arm, whose number is in their stamp."""
+    """Server process at one end of a hub; the stamp of each row of the right arm is its number."""
 
     def __init__(
         self, stack: contextlib.ExitStack, name: str, options: Mapping[str, Any], restarts: Sequence[float] = ()
@@ -93,13 +91,11 @@ class ServedProcess:
         return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=q, robot=self.robot.name, q_start=q)
 
     def row(self) -> None:
-        """Send the next row."""
         self.number += 1
         self.exchange.row(self.state(), None, Tick(self.number, -1, self.number, 0, -1, 0))
 
 
 def nested(depth: int) -> list[Any]:
-    """Lists in lists: more of them than a decoder takes."""
     found: list[Any] = []
     for _ in range(depth):
         found = [found]
@@ -110,7 +106,7 @@ LONGEST = 120.0  # s; only a test that fails runs so long
 
 
 def play(monkeypatch: pytest.MonkeyPatch, cell: Cell, script: Callable[[], None]) -> Any:
-    """Run a cell in this thread while a script plays its clients in another; the end of the one ends the other."""
+    """Run a cell in this thread and a script of its clients in another; the end of one ends the other."""
     over, obey, failures = threading.Event(), Arbiter.__call__, list[BaseException]()
 
     def obey_or_end(arbiter: Arbiter, state: State) -> Any:

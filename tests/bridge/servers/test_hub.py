@@ -40,8 +40,6 @@ SERVERS = ("labcomm", OPERATOR)
 
 
 class Cell:
-    """An exchange with both ends of its sockets."""
-
     def __init__(self, allowed: Any = ("labcomm",)) -> None:
         self.params = Parameters([Parameter("gain", 2.0, minimum=0.0), Parameter("open", 1.0, rights="anyone")])
         self.exchange = Hub([LEFT], SERVERS, self.params, allowed, about={"cell": "test"})
@@ -62,7 +60,6 @@ class Cell:
         return State(0.0, 0.004, HOME, 0 * HOME, 0 * HOME, robot="yumi_left", q_sent=HOME)
 
     def heard(self, server: str) -> list[Any]:
-        """All messages that wait: rows as bytes, others as dictionaries."""
         found: list[Any] = []
         self.far[server].setblocking(False)
         while True:
@@ -189,7 +186,6 @@ def test_at_most_sixteen_requests_per_look(cell: Cell) -> None:
 
 
 def test_what_a_server_refused_is_an_event_once_a_second(cell: Cell) -> None:
-    """Also of clients that may only read; and a flood of it is counted, not told."""
     cell.exchange.begin(lambda text, *_: cell.told.append(text))
     for _ in range(10):
         cell.say("labcomm", "report", text="Expected 7 numbers, got 6." + 1500 * "x")
@@ -337,7 +333,6 @@ def test_a_full_way_loses_commands_and_keeps_a_stop() -> None:
 
 
 def test_who_asks_for_counts_before_the_server_is_there_gets_none() -> None:
-    """A server that begins when a run ends: what counts its clients is made after its end of the feed."""
     loop, feed = pair()
     loop.send(b'{"kind":"about","schema":"' + _schema() + b'"}')
     loop.send(b'{"kind":"parameters","parameters":[]}')

@@ -29,15 +29,12 @@ HOME = np.array(LEFT.q_home)
 
 
 class Bench(Served):
-    """A loop and its local server, in a thread in place of a process."""
-
     def __init__(self, cell: str = "test") -> None:
         self.path = socket_path(cell)
         declared = [Parameter("gain", 2.0, minimum=0.0)]
         super().__init__(OPERATOR, LEFT, lambda feed: LocalServer(feed, {"path": self.path}), declared, allowed=())
 
     def until(self, feed: LocalFeed, kind: str) -> Any:
-        """The next message of a kind; rows go on meanwhile, whoever of server and client is slower."""
         end = time.monotonic() + 30.0
         while True:
             self.row()
@@ -152,7 +149,6 @@ def test_two_bridges_need_two_names(bench: Bench) -> None:
 
 
 def test_a_stop_is_not_lost_when_the_way_to_the_loop_is_full(bench: Bench) -> None:
-    """Somebody floods the loop, which takes 16 requests per tick; the stop waits for its turn."""
     until = time.monotonic() + 30.0
     with LocalFeed("test") as feed:
         feed.receive()  # it serves

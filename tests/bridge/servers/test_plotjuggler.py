@@ -96,7 +96,6 @@ def test_another_computer_only_where_the_cell_is_opened() -> None:
 
 
 def test_arms_beside_each_other() -> None:
-    """Each row tells of its own arm, whichever came first; a row of another schema is refused."""
     schema = RowSchema.of(ARMS)
     made, writer = Datagrams(schema, ["q"]), RowWriter(schema)
     for k, robot in enumerate(["yumi_left", "yumi_right", "yumi_left"]):

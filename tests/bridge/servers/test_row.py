@@ -126,7 +126,6 @@ def test_noise_is_no_row(noise: bytes) -> None:
 
 @given(st.lists(st.tuples(st.integers(0, len(ROW) - 1), st.integers(0, 255)), min_size=1, max_size=8))
 def test_mutated_rows(changes: list[tuple[int, int]]) -> None:
-    """A row is refused or has the fields of its schema; nothing else happens."""
     data = bytearray(ROW)
     for place, value in changes:
         data[place] = value
@@ -188,7 +187,6 @@ def test_rows_of_an_arm_have_its_fields() -> None:
 
 
 def test_golden_text_and_id() -> None:
-    """Other programs read rows by this text and know it by this id."""
     schema = RowSchema(["a"], [RowField("a.q", "float64", (2,), "rad", "", ("one", "two"), "a", 40)])
     expected = (
         b'{"fields":[{"frame":"","labels":["one","two"],"name":"a.q","offset":40,"shape":[2],"source":"a",'

@@ -68,7 +68,6 @@ def test_a_server_that_fails_is_left_dead() -> None:
 
 @pytest.mark.parametrize(("well", "outcome"), [(0.0, "It restarts in 0.01 s."), (1e6, "It is not restarted")])
 def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -> None:
-    """One that ends once a day is never left dead; one that ends whenever it has started is."""
     exchange = Hub([LEFT], ["a"])
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
@@ -119,7 +118,6 @@ def test_a_server_that_says_nothing() -> None:
 
 
 def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A server that cannot be watched starts again as one that ended, as often and no oftener."""
     exchange = Hub([LEFT], ["a", "b"])
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
@@ -152,7 +150,6 @@ def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_no_server_outlives_a_bridge_that_is_killed(tmp_path: Path) -> None:
-    """The system closes its end of the socket; the server removes its own socket when it ends."""
     path = tmp_path / "x"
     program = f"""
 import time
@@ -180,7 +177,6 @@ MESSAGES = 2000  # among which there is a row
 def test_rows_of_a_link_are_offered_and_a_stop_holds_it(
     robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In lockstep: the controller lets the client act between two packets."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with connect(f"sim://{robot.name}?lockstep=true", robot, offer="small") as link, LocalFeed() as feed:
         assert link._offering is not None
@@ -215,7 +211,6 @@ def test_rows_of_a_link_are_offered_and_a_stop_holds_it(
 
 @pytest.mark.slow
 def test_who_only_listens_offers_what_it_hears(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Again in the next run of the same link; the name is taken, and a link opened for nothing leaves its port free."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with connect(f"sim://{robot.name}", robot, offer="small") as link, LocalFeed() as feed:
         feed.ask(Subscribe(rate=None))

@@ -16,7 +16,7 @@ YUMI = (1, 2, 7, 3, 4, 5, 6)
 
 
 def arm(coupling: Any, axes: tuple[int, ...] = (), linear: tuple[int, ...] = ()) -> Any:
-    """A robot as the codec knows it; `linear`: prismatic joints, from 0."""
+    """Return the properties of a robot for the codec; `linear`: prismatic joints, from 0."""
     n = len(coupling)
     prismatic = np.isin(np.arange(n), linear)
     return SimpleNamespace(
@@ -48,7 +48,7 @@ def varint(value: int) -> bytes:
 
 
 class Wire:
-    """Protobuf by hand: `u` an integer field, `d` a double, `m` a message, `packed` packed doubles."""
+    """Protobuf writer: `u` integer field, `d` double field, `m` message field, `packed` packed doubles."""
 
     @staticmethod
     def u(field: int, value: int) -> bytes:
@@ -73,7 +73,6 @@ class Wire:
         return self.d(1, *values)
 
     def robot(self, joints: bytes, *more: bytes, seqno: int = 0, tm: int = 0, external: bytes = b"") -> bytes:
-        """The least EgmRobot: header and feedback joints; `more` are further fields."""
         parts = [self.m(1, joints)] + ([self.m(3, external)] if external else [])
         return self.header(seqno, tm) + self.m(2, *parts) + b"".join(more)
 
@@ -85,7 +84,6 @@ def wire() -> Wire:
 
 @pytest.fixture(scope="session")
 def vector() -> Callable[[str], bytes]:
-    """Bytes of a message in tests/vectors/egm."""
     path = Path(__file__).parents[2] / "vectors" / "egm" / "messages.toml"
     table = loads(path.read_text(encoding="utf-8"))
     return lambda name: bytes.fromhex(table[name]["hex"])

@@ -85,7 +85,6 @@ def rod() -> Linkage:
 
 
 def test_gears_alone_are_no_linkage() -> None:
-    """They are ABB's own business: EGM is behind the gears."""
     assert Linkage.of(robots.load("yumi_left")) is None
     assert Linkage.of(arm(np.diag([0.01, -0.01, 1.0]))) is None
     geared = Linkage.of(arm([[0.01, 0.0], [-0.01, 0.02]]))
@@ -114,7 +113,6 @@ def test_power_is_the_same_on_both_sides() -> None:
 
 
 def test_on_the_wire_are_axes(wire: Any) -> None:
-    """Joints at 0, 60 and -80 degrees are ABB's axes at 0, 60 and -20."""
     q = np.radians([0, 60, -80, 10, 20, 30])
     packet = heard(EgmCodec(IRB2400), wire, [0, 60, -20, 10, 20, 30], [])
     assert isinstance(packet, Packet)

@@ -43,7 +43,6 @@ def alike(found: Packet | Drop, wanted: Packet | Drop) -> None:
 
 
 def as_protobuf(robot: Any, data: bytes) -> Packet | Drop:
-    """Decode, and compare with what protobuf reads."""
     found = EgmCodec(robot).decode(data)
     alike(found, decode_egm(AxisMap(robot), data))
     return found
@@ -78,7 +77,6 @@ def test_a_message_of_another_program(yumi: Any, vector: Callable[[str], bytes])
 
 
 def test_the_reply_as_another_program_reads_it(yumi: Any, wire: Any) -> None:
-    """Field by field in the order of the wire: header, planned, speedRef; doubles unpacked, axis 7 external."""
     q = np.array([0.125, 0.25, 0.875, 0.375, 0.5, 0.625, 0.75]) * np.pi  # powers of two stay exact in degrees
     data = EgmCodec(yumi).encode(Reference(q, q / 2, None, 300, 7))
     degrees, speeds = q / (np.pi / 180), q / 2 / (np.pi / 180)
@@ -107,7 +105,7 @@ def test_the_reply_as_another_program_reads_it(yumi: Any, wire: Any) -> None:
     ],
 )
 def test_flavours(six: Any, wire: Any, more: tuple[str, ...], flavour: str) -> None:
-    """Radians and degrees: the same number on the wire is 57 times larger on RobotWare 6.06."""
+    """RobotWare 6.06 sends radians, later versions send degrees."""
     motion = [wire.m(1, wire.joints(*TEN))]
     motion += [wire.m(4, wire.u(1, 1), wire.u(2, 5))] if "time" in more else []
     motion += [wire.m(5, wire.u(1, 1))] if "stamp" in more else []
@@ -183,7 +181,7 @@ def test_capabilities(six: Any, scara: Any) -> None:
 
 
 def test_an_external_unit_alone(wire: Any) -> None:
-    """Its own task and channel: no joints, no pose, external joints only (abb_libegm issues 57 and 107)."""
+    """See abb_libegm issues 57 and 107."""
     codec = EgmCodec(arm(np.zeros((0, 0))), units=("mm", "deg"))
     data = wire.header() + wire.m(2, wire.m(3, wire.d(1, 500.0, 90.0)), wire.m(4, wire.u(1, 1)))
     packet = accepted(codec.decode(data))
@@ -237,7 +235,7 @@ SIGNALLING = struct.unpack("<d", bytes.fromhex("010000000000f07f"))[0]  # NumPy 
 
 
 def unusual(wire: Any) -> list[bytes]:
-    """Fields that a controller seldom sends, or never: packed, unknown, of another type, missing, twice, in groups."""
+    """Return messages with fields that a controller seldom or never sends."""
     pose = [wire.d(k + 1 if k < 3 else k - 2, x) for k, x in enumerate([1.0, 2.0, 3.0, 0.5, 0.5, 0.5, 0.5])]
     poses = [[*pose[:k], b"", *pose[k + 1 :]] for k in range(7)]
     forces = [b"", b"\x09", b"\xff\xff", b"\x09" + FORCE[:8], b"\x1a\x00", b"\x0a\x7f", b"\x1a" + TORN, b"\x08\x00"]
@@ -288,7 +286,6 @@ def test_every_truncation_and_a_large_datagram(yumi: Any) -> None:
 @given(st.data())
 @settings(max_examples=150)
 def test_mutated_messages(six: Any, wire: Any, data: st.DataObject) -> None:
-    """Same length or not, tags, lengths, states or numbers hit; also when a whole message was read before."""
     good = RobotSideCodec(six, "7", ("qd", "tau"), force=True).encode_robot(message(six, 1))
     mutated = bytearray(data.draw(st.sampled_from([good, *unusual(wire)])))
     for _ in range(data.draw(st.integers(1, 6))):
@@ -303,7 +300,6 @@ def test_mutated_messages(six: Any, wire: Any, data: st.DataObject) -> None:
 
 
 def test_the_schema_is_that_of_the_kernel() -> None:
-    """No field is lost in silence: the kernel numbers those of its messages, others are read or written in Python."""
     root = Path(__file__).parents[3]
     kernel = (root / "native/wire/egm.cpp").read_text()
     named = dict(re.findall(r"namespace (Egm\w+) {\s*enum {(.*?)};\s*}", kernel, re.DOTALL))
@@ -325,7 +321,6 @@ T = np.array([[0.0, 0, 1, 0.4], [1, 0, 0, -0.05], [0, 1, 0, 0.3], [0, 0, 0, 1]])
 
 
 def test_a_pose_is_that_of_another_program(six: Any, vector: Any) -> None:
-    """A quaternion in millimetres, no Euler angles."""
     twist = np.array([0.1, 0.2, 0.3, np.pi / 10, np.pi / 5, 0.3 * np.pi])
     ours, theirs = EgmCodec(six).encode_pose(T, twist, 3, 4), vector("sensor_pose")
     assert ours[:-56] == theirs[:-56]
@@ -348,7 +343,7 @@ def test_a_path_correction_is_that_of_another_program(six: Any, wire: Any, vecto
 
 
 def test_everything_beside_the_joints_is_that_of_another_program(yumi: Any, wire: Any, vector: Any) -> None:
-    """Axis 7, speeds, the digital value and numbers for RAPID, as ABBRobotEGM writes them; only our `tm` is more."""
+    """Fields as ABBRobotEGM writes them, plus `tm`."""
     q, qd = np.radians([10, 20, 70, 30, 40, 50, 60]), np.radians([1.0, 2, 7, 3, 4, 5, 6])
     beside = Beside(rapid_data=np.array([7.0, 8.0]), rapid_digital=True)
     ours = RobotSideCodec(yumi).decode_sensor(EgmCodec(yumi).encode(Reference(q, qd, None, 5, 0, beside=beside)))
@@ -359,7 +354,6 @@ def test_everything_beside_the_joints_is_that_of_another_program(yumi: Any, wire
 
 
 def test_axes_beyond_the_robot_byte_by_byte(yumi: Any, wire: Any) -> None:
-    """ABB's axis 7, then the axes beyond in degrees, or in millimetres where the user says so."""
     codec = EgmCodec(yumi, units=("deg",) * 7 + ("deg", "mm"))
     beside = Beside(np.array([np.pi / 2, 0.25]), np.array([0.0, 0.5]), np.array([2.5]), False)
     zeros = np.zeros(7)
@@ -397,7 +391,7 @@ def details_of(codec: EgmCodec, data: bytes) -> Details:
 
 
 def test_details_of_another_program(yumi: Any, vector: Any) -> None:
-    """Robotware 7 as ABBRobotEGM writes it."""
+    """RobotWare 7 as ABBRobotEGM writes it."""
     codec = EgmCodec(yumi)
     codec.decode(vector("robot_rw7"))
     details = details_of(codec, vector("robot_rw7"))
@@ -412,7 +406,6 @@ def test_details_of_another_program(yumi: Any, vector: Any) -> None:
 
 @pytest.mark.parametrize("order", [0, 1])
 def test_every_field_of_the_extension(yumi: Any, wire: Any, order: int) -> None:
-    """In ABB's order axis 7 comes last, in ours third."""
     abb = np.array([1.0, 2, 4, 5, 6, 7, 3])
     kinematic = np.array([1.0, 2, 3, 4, 5, 6, 7])
     values = kinematic if order else abb

@@ -83,7 +83,6 @@ def test_feedback_of_old_versions_is_in_radians_and_commands_in_degrees(six: Any
 
 
 def test_references_of_external_axes_are_in_degrees(yumi: Any, wire: Any) -> None:
-    """The first external value is ABB's axis 7 of the arm, those behind it are axes beyond."""
     planned = wire.m(2, wire.m(1, wire.d(1, *[0.0] * 6)), wire.m(3, wire.d(1, 180.0, 90.0, -45.0)))
     message = heard(RobotSideCodec(yumi).decode_sensor(wire.header(mtype=3) + planned))
     np.testing.assert_allclose(message.q, [0, 0, np.pi, 0, 0, 0, 0])
@@ -105,7 +104,7 @@ def test_messages_of_another_program(yumi: Any, vector: Callable[[str], bytes]) 
 
 
 def test_pose_and_joints_together(six: Any, wire: Any) -> None:
-    """abb_libegm sends both, and Euler angles too."""
+    """abb_libegm sends both, and also Euler angles."""
     pose = wire.m(1, wire.d(1, 100.0), wire.d(2, 0.0), wire.d(3, 0.0)) + wire.m(2, wire.d(1, 1.0), wire.d(2, 0.0))
     planned = wire.m(2, wire.m(1, wire.d(1, *range(6))), wire.m(2, pose))
     speed = wire.m(3, wire.m(2, wire.d(1, 1000.0, 0, 0, 180.0, 0, 0)))
@@ -142,7 +141,6 @@ def test_any_bytes(yumi: Any, data: bytes) -> None:
 
 
 def test_configurations_above_the_limit_are_refused_by_name(yumi: Any) -> None:
-    """With RobotWare 6.10 content all seven arrays fit; with values for RAPID they do not."""
     RobotSideCodec(yumi, "6.10", EXTENSION_ARRAYS)
     RobotSideCodec(yumi, "7", DEFAULT_ARRAYS)
     with pytest.raises(ConfigError, match=rf"{MAX_BYTES} bytes.*qd_reference, q_reference"):
@@ -176,7 +174,6 @@ half_turn = st.sampled_from([(0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0
 
 @given(unit | half_turn, st.tuples(*[st.floats(-3, 3)] * 3))
 def test_poses_arrive(six: Any, quaternion: tuple[float, ...], position: tuple[float, ...]) -> None:
-    """The matrix of the textbooks for a quaternion with the scalar first."""
     a, b, c, d = np.array(quaternion) / np.linalg.norm(quaternion)
     cross = np.array([[0, -d, c], [d, 0, -b], [-c, b, 0]])
     T = np.eye(4)
@@ -201,7 +198,6 @@ def test_an_unusable_quaternion_is_no_pose(six: Any, quaternion: tuple[float, ..
 
 
 def test_euler_angles_win_where_the_controller_reads(six: Any) -> None:
-    """A rotation about x, then y, then z of the frame; without them the quaternion counts."""
     pose = pb.EgmPose(
         pos=pb.EgmCartesian(x=1.0, y=2.0, z=3.0),
         orient=pb.EgmQuaternion(u0=1.0, u1=0.0, u2=0.0, u3=0.0),

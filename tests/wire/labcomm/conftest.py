@@ -13,7 +13,6 @@ VECTORS = Path(__file__).parents[4] / "shared/data/labcomm_vectors"
 
 @pytest.fixture(scope="session")
 def folder() -> Path:
-    """The folder of the vectors."""
     if not VECTORS.exists():
         pytest.skip("needs ../shared/data/labcomm_vectors: streams written by the LabComm libraries")
     return VECTORS
@@ -21,5 +20,4 @@ def folder() -> Path:
 
 @pytest.fixture(scope="session")
 def manifest(folder: Path) -> dict[str, Any]:
-    """What the streams hold."""
     return json.loads((folder / "manifest.json").read_text(encoding="utf-8"))

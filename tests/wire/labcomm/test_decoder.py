@@ -72,7 +72,7 @@ def nested(sizes: tuple[int, ...], elem: Type) -> st.SearchStrategy[Any]:
 
 
 def bits(value: Any) -> Any:
-    """A value in which floats are their bits and rows of bytes are lists."""
+    """Return a value with floats as their bits and rows of bytes as lists."""
     if isinstance(value, float):
         return struct.pack(">d", value)
     if isinstance(value, dict):
@@ -114,7 +114,6 @@ def stream(text: str, *rows: Any, dialect: str = "2014v1") -> bytes:
 
 
 def test_fields_that_are_read_together_keep_their_order_and_their_names() -> None:
-    """Numbers side by side are read at once, between others that are not; a name may be empty."""
     doubles = Array((2,), PRIMS["double"])
     names = {"": "string", "a": "short", "i": "int", "s": "string", "b": "long", "t": "string"}
     fields = [Field(name, PRIMS[kind]) for name, kind in names.items()]
@@ -215,7 +214,6 @@ def test_values_of_a_packet_are_counted_together() -> None:
 
 @pytest.mark.parametrize("dialect", ["2013", "2006"])
 def test_a_value_without_length_is_bounded(dialect: str) -> None:
-    """Nothing is kept for a value that would not fit in the largest packet."""
     raw = stream("sample string s;", "x" * 70_000, dialect=dialect)
     decoder = Decoder()
     decoder.feed(raw[:16])
@@ -264,7 +262,6 @@ def mutated(rng: random.Random, seeds: list[bytes]) -> bytes:
 
 
 def fuzz(count: int, seed: int, seeds: list[bytes]) -> int:
-    """Decode mutated streams; return how many were refused."""
     rng, refused = random.Random(seed), 0
     for _ in range(count):
         raw = mutated(rng, seeds)
@@ -291,12 +288,10 @@ def test_mutated_streams(seeds: list[bytes]) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 3, 4, 5])
 def test_many_mutated_streams(seed: int, seeds: list[bytes]) -> None:
-    """In parts, which run beside each other; the target of fuzz/ looks for others."""
     assert fuzz(60_000, seed, seeds) > 14_300
 
 
 def test_the_memory_of_a_hostile_stream(seeds: list[bytes]) -> None:
-    """Mutants, and streams that announce as much as they may."""
     rng = random.Random(3)
     version = b"\x01\x0f\x0eLabComm2014.v1"
     hostile = [

@@ -33,7 +33,6 @@ NAMES = {Version: "version", Binding: "type_binding", Pragma: "pragma", Other: "
 
 
 def tree(node: Type) -> Any:
-    """The manifest's form of a type."""
     if isinstance(node, Prim):
         return node.name
     if isinstance(node, TypeRef):
@@ -45,7 +44,6 @@ def tree(node: Type) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """The manifest's form of a value."""
     if isinstance(value, bytes):
         return list(value)
     if isinstance(value, list):
@@ -58,7 +56,6 @@ def plain(value: Any) -> Any:
 
 
 def expected(value: Any, like: Any) -> Any:
-    """A value of the manifest as `plain` writes ours."""
     if isinstance(like, dict):
         return [(name, expected(value[name], one)) for name, one in like.items()]
     if isinstance(like, list | bytes):
@@ -93,7 +90,6 @@ def pieces(raw: bytes, seed: int) -> list[bytes]:
 
 
 def events_of(parts: list[bytes], decoder: Decoder | None = None) -> tuple[list[Event], int | None]:
-    """All events of a stream and the offset of the error that ended it."""
     decoder, events = decoder or Decoder(), []
     try:
         for part in parts:
@@ -130,7 +126,6 @@ def test_streams_are_read_and_written_as_the_manifest_says(
 
 
 def encoded_again(events: list[Event], packets: list[dict[str, Any]], dialect: str) -> None:
-    """An encoder of ours makes the same signatures and payloads; the indices are its own."""
     encoder = Encoder(dialect, allow_nul=True)
     for event, packet in zip(events, packets, strict=True):
         if isinstance(event, Definition) and event.kind == "sample":

@@ -17,20 +17,16 @@ from ..conftest import PATIENCE, until
 
 
 def row(tm: int) -> Row:
-    """A row whose numbers tell which it is."""
     return Row(tm, np.arange(7.0) + tm, np.arange(7.0) / 8, np.arange(7.0) - tm)
 
 
 class Plain:
-    """A client with nothing of ours but the decoder."""
-
     def __init__(self, port: int) -> None:
         self.socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
         self.decoder = Decoder()
         self.events: list[Event] = []
 
     def read(self, count: int) -> list[Event]:
-        """Read until there are so many events."""
         while len(self.events) < count:
             data = self.socket.recv(4096)
             assert data, f"closed after {len(self.events)} events"
@@ -38,7 +34,6 @@ class Plain:
         return self.events
 
     def is_closed(self) -> bool:
-        """Read until the server closes; a test that waits too long fails."""
         try:
             while self.socket.recv(65536):
                 pass
@@ -48,8 +43,6 @@ class Plain:
 
 
 class Started:
-    """A server with what it said, and its clients."""
-
     def __init__(self, channels: Sequence[Channel]) -> None:
         self.said: list[str] = []
         self.server = LabCommServer(channels, on_event=self.tell)
@@ -59,7 +52,6 @@ class Started:
         self.said.append(text)
 
     def client(self, name: str) -> Plain:
-        """Return a client that the server has accepted."""
         client = Plain(self.server.ports[name])
         self.clients.append(client)
         address = "{}:{}".format(*client.socket.getsockname())
@@ -69,7 +61,6 @@ class Started:
 
 @pytest.fixture
 def start() -> Iterator[Callable[..., Started]]:
-    """Start a server with channels; it and its clients end with the test."""
     started: list[Started] = []
 
     def make(*channels: Channel) -> Started:

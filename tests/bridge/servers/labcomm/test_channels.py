@@ -33,8 +33,6 @@ VALUE = {"tm": 1, "pos": [0.5] * 7, "vel": [0.0] * 7, "trq": [0.0] * 7}
 
 
 class Fake:
-    """A peer that keeps what it is sent."""
-
     def __init__(self, name: str = "a") -> None:
         self.encoder, self.address, self.sent = Encoder(), name, b""
 
@@ -54,7 +52,6 @@ def fakes(*names: str) -> Sequence[Any]:
 
 
 def test_valid_commands_are_passed_on_and_what_is_none_is_counted() -> None:
-    """Who may command is decided in one place, which is not here."""
     taken: list[tuple[str, int, str]] = []
     gone: list[str] = []
 
@@ -92,7 +89,6 @@ def test_fused_rows() -> None:
 
 
 def test_mutated_commands_are_whole_or_refused() -> None:
-    """Each command of a mutated stream that reaches the loop is finite and of the right length."""
     rng, encoder, taken = random.Random(11), Encoder(), list[Row]()
     raw = encoder.version() + encoder.define(COMMAND) + 3 * encoder.data(COMMAND, VALUE)
     channel, (peer,) = ArmChannel("left", 0, lambda name, row, client: taken.append(row)), fakes("a")
@@ -204,7 +200,6 @@ def test_a_row_of_another_number_of_joints_is_not_sent(wrong: np.ndarray) -> Non
 
 
 def test_rows_are_the_samples_of_the_type_that_is_sent() -> None:
-    """By name and type: an index means another type in each stream."""
     types, (other,) = RowTypes(), parse_lc("sample struct { int tm; double pos[7]; } robot_row;")
     value = types.value(Row(7, CHAIN, -CHAIN))
     (row,) = types.rows([Sample(0x50, "robot_row", value, types.sent.type)])

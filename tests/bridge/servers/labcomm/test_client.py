@@ -45,7 +45,7 @@ def test_rows_and_commands(start: Start) -> None:
 
 
 def test_a_callback_answers_rows(start: Start) -> None:
-    """The handler of the ancestor's client: called with a row, its answer is sent."""
+    """Like the handler of the ancestor's client."""
     one = start(ArmChannel("left", 0, lambda name, command, client: one.server.row("left", row(command.tm + 1))))
     seen: list[int] = []
 
@@ -150,7 +150,6 @@ def test_a_clock_that_is_no_number_is_told(stamp: Any) -> None:
 
 
 def test_numbers_and_other_samples() -> None:
-    """A sample may be a list alone; one without the fields is no reading, and is told where it was asked for."""
     listed = Sample(64, "force", [1.0, 2.0], Array((0,), PRIMS["double"]))
     source = LabCommSource("sensor", {"f": Column((2,), "N")}, 0.01, 1, sample="force")
     wrong = LabCommSource("sensor", {"f": Column((3,), "N")}, 0.01, 1, sample="force")
@@ -177,7 +176,6 @@ def robot() -> Robot:
 
 
 def test_a_controller_moves_an_arm_over_labcomm(start: Start, robot: Robot) -> None:
-    """In lockstep: the arm follows each command and sends the next row then."""
     seen: list[State] = []
     commands: list[Row] = []
     now = Row(10_000, np.array(robot.q_home), np.zeros(7), np.zeros(7))

@@ -44,8 +44,6 @@ def state(robot: Robot, **fields: Any) -> State:
 
 
 class Running(Served):
-    """The process's work in a thread, and the port of each of its channels."""
-
     def __init__(self, robot: Robot) -> None:
         values = {"note": "a", "gentle": True, "n": 2, "push": [0.0, 1.0, 2.0]}
         types = {"note": "text", "gentle": "bool", "n": "int", "push": "float[3]"}
@@ -138,7 +136,7 @@ def test_parameters_of_every_type_are_echoed_as_the_loop_decides(running: Runnin
 
 
 def flood(kind: str) -> tuple[bytes, bytes]:
-    """What a client sends first, and then without pause: commands, or 2 bytes of a type that no port takes."""
+    """Return the first bytes of a client, and the bytes that it repeats: a command, or a sample of another type."""
     encoder, types, (nothing,) = Encoder(), RowTypes(), parse_lc("sample void x;")
     assert isinstance(nothing, SampleType)
     if kind == "wrong":
@@ -149,7 +147,6 @@ def flood(kind: str) -> tuple[bytes, bytes]:
 
 @pytest.mark.parametrize("kind", ["commands", "wrong"])
 def test_who_sends_without_pause_holds_up_no_row(robot: Robot, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
-    """Three rows come before each turn and are out before the next; the loop is asked little, whatever comes."""
     monkeypatch.setattr("armlab.bridge.servers.labcomm.server._EVERY", 1e6)
     exchange = Hub([robot], ["labcomm"])
     feed = exchange.open("labcomm")
@@ -251,7 +248,6 @@ def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:
 
 
 def test_an_arm_is_taken_as_it_stands_in_the_row() -> None:
-    """An arm that was never heard is not there, nor one whose time is beyond all clocks; the newest of others is."""
     left, right = robots.load("yumi_left"), robots.load("yumi_right")
     schema, q = RowSchema.of([left, right]), np.arange(7.0)
     writer = RowWriter(schema)

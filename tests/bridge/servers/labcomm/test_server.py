@@ -39,7 +39,6 @@ def command(tm: int, encoder: Encoder | None = None) -> bytes:
 
 
 def test_rows_come_in_order_whatever_other_clients_do(start: Start) -> None:
-    """1000 rows, while clients send bad streams, stay silent, or never read."""
     one = start(ArmChannel("left", 0), ArmChannel("right", 0))
     silent, deaf, good = one.client("left"), one.client("left"), one.client("left")
     hostile = sorted((VECTORS / "bad_streams").glob("*.bin")) if VECTORS.exists() else []
@@ -150,7 +149,6 @@ def test_a_port_that_is_taken_is_named(start: Start) -> None:
 @pytest.mark.parametrize("name", ["tcp_client", "command_row"])
 @pytest.mark.parametrize("dialect", ["2014v1", "2014", "2014i"])
 def test_what_the_c_library_sent_commands_the_arm(start: Start, dialect: str, name: str) -> None:
-    """Streams that clients of the C library wrote, played to the server as they came over TCP."""
     path = VECTORS / dialect / ("c_tcp" if name == "tcp_client" else "c_armlab") / f"{name}.bin"
     if not path.exists():
         pytest.skip("needs ../shared/data/labcomm_vectors")
@@ -209,7 +207,7 @@ def test_commands_pass_the_rights_of_an_arbiter() -> None:
     ("order", "called"), [("abb", "axis_7 (number 7 of the vector)"), ("chain", "joint 3 (axis_7)")]
 )
 def test_a_refusal_names_the_number_that_the_client_sent(order: Any, called: str) -> None:
-    """The third joint from the base is ABB's axis 7: where its number stands depends on the order of the port."""
+    """The third joint from the base is ABB's axis 7."""
     arm = robots.load("yumi_left")
     said: list[str] = []
     arbiter = Arbiter([arm], ["labcomm"], answer=lambda client, text: said.append(text))
@@ -228,8 +226,6 @@ TURNS = 200  # of 50 ms at most; only a test that fails waits so long
 
 
 class Bench:
-    """Ports of one channel, and what they said."""
-
     def __init__(self) -> None:
         self.said: list[str] = []
         self.stops: list[str] = []
@@ -268,7 +264,6 @@ def bench() -> Iterator[Bench]:
 
 
 def test_a_client_that_reads_again_gets_what_waited(bench: Bench) -> None:
-    """The rest goes out when the system takes it, with no row to push it."""
     client = bench.client()
     (peer,) = bench.ports._peers["left"]
     sent = 0

@@ -22,7 +22,6 @@ OTHERS = [
 
 @pytest.fixture
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Parameters and diagnostics come ten times a second, an arm is silent after a fifth of one."""
     monkeypatch.setattr("armlab.bridge.servers.ros.server._AGAIN", 0.1)
     monkeypatch.setattr("armlab.bridge.servers.ros.topics._PERIOD_NS", 10**8)
     monkeypatch.setattr("armlab.bridge.servers.ros.topics._SILENT", 0.2)
@@ -30,7 +29,6 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @contextmanager
 def turning_cell(server: str) -> Iterator[Any]:
-    """A server over DDS ("ros2") or Zenoh ("rmw_zenoh") with a node, and a loop whose arm stays where it is."""
     if server == "ros2":
         pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
         from .dds_peers import DdsCell as Cell

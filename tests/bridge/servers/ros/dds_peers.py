@@ -38,7 +38,6 @@ RELIABLE = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(10))
 
 
 def _domains() -> Iterator[int]:
-    """Domains below the ports that the system hands out, another one for each process that tests."""
     start = os.getpid() % 100
     return (1 + (start + k) % 100 for k in count())
 
@@ -47,7 +46,7 @@ _NEXT = _domains()
 
 
 def free_domain() -> int:
-    """Return a domain in which no participant of this computer is: its first ports are free."""
+    """Return a domain without participants on this computer."""
     for domain in _NEXT:
         ports = [7400 + 250 * domain + 10 + 2 * index for index in range(4)]
         if all(map(_is_free, ports)):
@@ -65,7 +64,7 @@ def _is_free(port: int) -> bool:
 
 
 def _service_type(name: str) -> Any:
-    """The type of requests or responses of rmw_cyclonedds: client and number come before the fields."""
+    """Return the type of requests or responses of rmw_cyclonedds, with client and number before the fields."""
     header = {"client": types.uint64, "number": types.int64}
     members = {member: _member(*about) for member, about in store().fielddefs[name][1]}
     made: Any = make_idl_struct(
@@ -78,8 +77,6 @@ def _service_type(name: str) -> Any:
 
 
 class Node:
-    """A participant in this process, beside that of the server."""
-
     def __init__(self, domain: int) -> None:
         self.domain, self.participant = domain, DomainParticipant(domain)
         self.client = self.participant.guid.hex[:24]
@@ -88,13 +85,11 @@ class Node:
         return DataReader(self.participant, DdsTopic(self.participant, topic_name(name), carrier(type_)), RELIABLE)
 
     def read_late(self, name: str, type_: str) -> Callable[[], list[Any]]:
-        """Return what gives the messages of a topic that keeps its last one."""
         topic = DdsTopic(self.participant, topic_name(name), carrier(type_))
         reader = DataReader(self.participant, topic, Qos(Policy.Durability.TransientLocal, base=RELIABLE))
         return lambda: taken(reader, type_)
 
     def read(self, name: str, type_: str) -> Callable[[], list[Any]]:
-        """Return what gives all messages that have come."""
         reader, found = self.reader(name, type_), list[Any]()
 
         def come() -> list[Any]:
@@ -111,7 +106,6 @@ class Node:
         return self.caller(name, type_)(request)
 
     def caller(self, name: str, type_: str) -> Callable[[Any], Any]:
-        """Return what calls a service as rmw_cyclonedds does: client and number come before the fields."""
         kinds, headers = [f"{type_}_{kind}" for kind in ("Request", "Response")], (os.urandom(16) for _ in count())
         asked, told = map(_service_type, kinds)
         writer = DataWriter(self.participant, DdsTopic(self.participant, f"rq{name}Request", asked), RELIABLE)
@@ -135,8 +129,6 @@ class Node:
 
 
 class Writer:
-    """A writer of a node."""
-
     def __init__(self, writer: DataWriter[Any], type_: str) -> None:
         self.writers, self._type = [writer], type_
 
@@ -151,14 +143,11 @@ class Writer:
 
 
 def taken(reader: DataReader[Any], type_: str) -> list[Any]:
-    """Messages of `store` that have come."""
     samples = [sample for sample in reader.take(100) if sample.sample_info.valid_data]
     return [store().deserialize_cdr(sample.cdr, type_) for sample in samples]
 
 
 class DdsCell(Served):
-    """The server, and a node."""
-
     def __init__(self, rights: Any = "anyone") -> None:
         gain = Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights=rights)
         self.domain = free_domain()

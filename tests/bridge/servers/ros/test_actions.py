@@ -50,7 +50,7 @@ def seconds(value: float) -> dict[str, int]:
 
 
 def trajectory(*points: tuple[float, float], names: list[str] = NAMES, **more: Any) -> dict[str, Any]:
-    """Return a motion of all joints by offsets from home, at rest in each point: (time [s], offset [rad])."""
+    """Return a trajectory of offsets from home, at rest in each point: (time [s], offset [rad])."""
     home = dict(zip(NAMES, ROBOT.q_home, strict=True))
     made = [
         {
@@ -64,7 +64,7 @@ def trajectory(*points: tuple[float, float], names: list[str] = NAMES, **more: A
 
 
 class Bench:
-    """A loop and the actions of a server at its two ends; the arm follows at once, unless it is held."""
+    """Loop and action servers; the arm follows at once unless `holds` is set."""
 
     def __init__(self, **options: Any) -> None:
         about = {"cell": "yumi", "speeds": {"yumi_left": (0.5 * ROBOT.qd_max).tolist()}}
@@ -89,7 +89,6 @@ class Bench:
         return list(self.actions.topics)
 
     def tick(self, count: int = 1, serves: bool = True) -> None:
-        """Give packets; without `serves` the server does nothing."""
         for _ in range(count):
             self.number += 1
             state = State(
@@ -118,20 +117,17 @@ class Bench:
                     self.goals.text(one)
 
     def call(self, name: str, client: str = "a", **fields: Any) -> list[dict[str, Any]]:
-        """Call a service of the action; the answers, of which some come later."""
         service, answers = self.services[name], list[dict[str, Any]]()
         raw = bytes(store().serialize_cdr(message(service.request, fields), service.request))
         service.take(raw, client, lambda cdr: answers.append(plain(store().deserialize_cdr(cdr, service.response))))
         return answers
 
     def send(self, number: int, goal: dict[str, Any], client: str = "a") -> list[dict[str, Any]]:
-        """Send a goal and ask for its result."""
         (answer,) = self.call("send_goal", client, goal_id=uuid(number), goal=goal)
         assert answer["accepted"]
         return self.call("get_result", client, goal_id=uuid(number))
 
     def until(self, answers: list[dict[str, Any]], most: int = 4000) -> tuple[int, int, str]:
-        """Give packets until an answer has come: status, error code and text."""
         while not answers and most > 0:
             self.tick()
             most -= 1
@@ -139,7 +135,6 @@ class Bench:
         return answer["status"], answer["result"]["error_code"], answer["result"]["error_string"]
 
     def status(self) -> dict[int, int]:
-        """The last status of each goal."""
         last = [one for name, one in self.published if name.endswith("status")][-1]
         return {int(one.goal_info.goal_id.uuid[0]): one.status for one in last.status_list}
 
@@ -269,7 +264,6 @@ def test_tolerances(bench: Bench) -> None:
 
 
 def test_the_lease_ends_with_the_server_or_the_client(bench: Bench) -> None:
-    """As of every command: 100 ms after the server has stopped renewing it, or at once when the client has gone."""
     first = bench.send(1, {"trajectory": trajectory((9.0, 0.1))})
     bench.tick(10)
     bench.tick(35, serves=False)
@@ -286,7 +280,6 @@ def test_the_lease_ends_with_the_server_or_the_client(bench: Bench) -> None:
 
 
 def test_an_arm_that_is_not_ready_refuses(bench: Bench) -> None:
-    """The arbiter is not asked for commands meanwhile."""
     result = bench.send(1, {"trajectory": trajectory((1.0, 0.1))})
     nothing = State(0.0, PERIOD, bench.q, np.zeros(7), np.full(7, np.nan), robot=ROBOT.name)
     for _ in range(100):
@@ -307,7 +300,6 @@ def test_operators_end_a_trajectory(bench: Bench, act: str) -> None:
 
 
 def test_a_client_may_use_the_name_of_a_goal_again(bench: Bench) -> None:
-    """As rosbridge allows."""
     ended: list[tuple[int, int, str]] = []
     for _ in range(2):
         goal = Goal("a", "yumi_left", "1", lambda *result: ended.append(result))
@@ -362,7 +354,6 @@ def test_messages_of_the_topic(bench: Bench) -> None:
     ],
 )
 def test_what_is_no_goal_is_refused(bench: Bench, goal: dict[str, Any], words: str) -> None:
-    """As programs over rosbridge may send it, in any JSON."""
     ended: list[str] = []
     made = Goal("a", "yumi_left", "1", lambda status, code, text: ended.append(text))
     bench.goals.start(made, goal if "trajectory" in goal else {"trajectory": goal})
@@ -385,7 +376,6 @@ def test_a_long_trajectory_goes_in_parts(bench: Bench) -> None:
 
 
 def test_lost_parts_a_full_queue_and_a_goal_without_a_name(bench: Bench) -> None:
-    """No part is missing unnoticed, no stop is lost, and no other command is renewed."""
     many = trajectory(*((0.01 * k, 0.0) for k in range(1, 2001)))
     goal = Goal("a", ROBOT.name, "1", lambda *found: ended.append(found))
     ended: list[tuple[int, int, str]] = []
@@ -416,7 +406,6 @@ def test_lost_parts_a_full_queue_and_a_goal_without_a_name(bench: Bench) -> None
 
 
 def test_no_lease_is_renewed_between_the_parts_of_a_goal(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another thread renews the leases."""
     many = trajectory(*((0.001 * k, 1e-4 * k) for k in range(1, 1001)))
     ask = bench.loop.ask
 
@@ -461,8 +450,6 @@ def running(request: pytest.FixtureRequest) -> Iterator[Any]:
 
 
 def test_the_services_over_the_network(running: Any) -> None:
-    """The result comes later than its request; a refused goal says why."""
-
     def call(part: str, type_: str, **fields: Any) -> dict[str, Any]:
         request = message(f"{type_}_Request", fields)
         return plain(running.node.call(f"{ACTION}/_action/{part}", type_, request))
@@ -507,7 +494,6 @@ KINDS = {
 
 
 def peer(folder: Path, kind: str, domain: int, *more: str) -> subprocess.Popen[str]:
-    """Build and start an action client, or skip the test."""
     tools, packages = KINDS[kind]
     missing = [tool for tool in tools if shutil.which(tool, path=SYSTEM) is None]
     if missing:
@@ -523,7 +509,6 @@ def peer(folder: Path, kind: str, domain: int, *more: str) -> subprocess.Popen[s
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_node_runs_trajectories(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A goal of 2000 points, feedback, result, cancellation, rejection and preemption. Takes 10 s, besides building."""
     pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
     from .dds_peers import free_domain
 
@@ -555,7 +540,7 @@ def test_a_node_runs_trajectories(kind: str, tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.slow
 def test_the_arm_rests_after_its_client_was_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A killed node is gone for the others when its lease ends, by default after 10 s. Takes 20 s."""
+    """The lease of a killed node ends after 10 s by default. Takes 20 s."""
     pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
     from .dds_peers import free_domain
 
@@ -589,7 +574,6 @@ def row_of(feed: LocalFeed) -> Any:
 
 
 def check_limits(run: Any) -> None:
-    """What was sent is within half of the robot's limits of speed and acceleration."""
     qd = run.table.dropna("qd_sent")["qd_sent"]
     assert np.all(np.abs(qd) <= 0.5 * ROBOT.qd_max + 1e-9)
     assert run.statistics["problems"] == []
@@ -608,7 +592,7 @@ port = {port}
 
 @pytest.mark.slow
 def test_a_minute_is_tracked_as_by_a_controller_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """600 points with velocities through rosbridge, against the spline itself in the loop. Takes 40 s."""
+    """Compares 600 points with the spline itself in the loop. Takes 40 s."""
     client = pytest.importorskip("websockets.sync.client", reason="the extra net is not installed")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     t = np.linspace(0.0, 60.0, 601)

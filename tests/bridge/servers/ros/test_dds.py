@@ -40,7 +40,6 @@ TEXT = "std_msgs/msg/String"
 
 
 def text(words: str) -> bytes:
-    """A message of any number of bytes, also such that are no multiple of 4."""
     return bytes(store().serialize_cdr(store().types[TEXT](words), TEXT))
 
 
@@ -65,7 +64,6 @@ def test_of_what_a_reader_has_not_read_the_last_ten_are_kept(node: Node) -> None
 
 
 def test_writers_may_be_there_first(node: Node, caplog: pytest.LogCaptureFixture) -> None:
-    """DDS tells of them before the reader is an object in Python."""
     came: list[tuple[str, bytes, str]] = []
     left: list[str] = []
     writer, other = node.writer("/a", TEXT), node.writer("/a", TEXT)
@@ -86,7 +84,7 @@ def test_writers_may_be_there_first(node: Node, caplog: pytest.LogCaptureFixture
 
 @pytest.mark.parametrize("ends", [False, True])
 def test_what_comes_while_a_reader_is_made_is_read(node: Node, monkeypatch: pytest.MonkeyPatch, ends: bool) -> None:
-    """DDS calls for it in vain then, and would not call again before the next message; nor tell that a writer ended."""
+    """DDS calls the listener before the reader exists, and not again before the next message."""
     came: list[str] = []
     left: list[str] = []
     writer = node.writer("/a", TEXT)
@@ -184,7 +182,6 @@ def test_sockets_open_to_all_are_tied_to_this_computer(monkeypatch: pytest.Monke
 
 
 def test_a_participant_listens_on_this_computer_only() -> None:
-    """Cyclone DDS binds to all addresses; every such socket is tied to the loopback interface."""
     domain, found = free_domain(), {}
     with joined(domain, "127.0.0.1"):
         for entry in filter(Path.is_socket, Path("/proc/self/fd").iterdir()):

@@ -57,7 +57,6 @@ Subscription count: 0
 
 
 def echoed(angle: float) -> str:
-    """One message as `ros2 topic echo` writes it."""
     names = "".join(f"- yumi_robl_joint_{k}\n" for k in range(1, 8))
     q = "".join(f"- {value}\n" for value in (0.0, -2.2, 1e-05, 0.5, 0.0, 0.7, angle))
     head = "header:\n  stamp:\n    sec: 1795371167\n    nanosec: 174991857\n  frame_id: ''\n"
@@ -111,7 +110,6 @@ def test_the_script_in_the_container_parses() -> None:
 
 @pytest.fixture
 def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with what is found of docker and armlab: nothing, until a test writes something."""
     folder = tmp_path / "bin"
     folder.mkdir()
     monkeypatch.setenv("PATH", f"{folder}:/usr/bin:/bin")
@@ -145,7 +143,6 @@ def test_without_docker_it_refuses(programs: Path, capsys: pytest.CaptureFixture
 
 
 def test_a_run_makes_a_table_a_file_and_a_sentence(programs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With a docker that says what ROS 2 would, except to Cyclone DDS; and a bridge that only listens."""
     (programs / "said.txt").write_text(OUTPUT)
     seen = f'echo "$*" >> {programs}/asked.txt'
     program(programs, "docker", f'{seen}; case "$*" in build*|*cyclone*) ;; *) cat {programs}/said.txt;; esac')
@@ -193,7 +190,6 @@ def test_what_is_said_to_be_checked_is_what_the_tests_check() -> None:
 
 @pytest.mark.parametrize("page", JOB.PAGES, ids=lambda page: page.name)
 def test_the_readme_and_the_parity_table_claim_what_the_tests_check(page: Path) -> None:
-    """Real ROS 2, which is not run here, as .ci/ros2.py left it in its file."""
     text = page.read_text(encoding="utf-8")
     cyclone, fast = _claimed()
     first, last = min(RELEASES, key=_number), version("eclipse-zenoh").rpartition(".")[0]
@@ -217,7 +213,6 @@ def test_the_peers_that_are_built_have_the_versions_that_are_claimed(place: int,
 
 
 def _claimed() -> list[str]:
-    """Names and versions of the peers that are built."""
     found = [re.match(r"(.+ [\d.]+), C", name) for name in PEERS]
     return sorted(one[1] for one in found if one)
 

@@ -51,7 +51,7 @@ BUILT: dict[str, list[str]] = {}
 
 
 def _built(folder: Path, target: str, tools: tuple[str, ...], packages: str) -> list[str]:
-    """Build a node where its tools are, once; the command that starts it."""
+    """Build a node once, and return the command that starts it."""
     if target in BUILT:
         return BUILT[target]
     missing = [tool for tool in tools if shutil.which(tool, path=SYSTEM) is None]
@@ -85,13 +85,10 @@ PEERS: dict[str, Callable[[Path], list[str]]] = {
 
 @pytest.fixture(scope="module", params=PEERS)
 def node(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """Command that starts a node of one kind; the same program was built once."""
     return PEERS[request.param](tmp_path_factory.mktemp("node"))
 
 
 class Peer:
-    """A running node: what it read is known when it has ended."""
-
     def __init__(
         self, command: list[str], folder: Path, domain: int, count: int, first: int, last: int, *more: str
     ) -> None:
@@ -105,14 +102,13 @@ class Peer:
         return "reading" in self.err.read_text()
 
     def ended(self) -> dict[str, list[list[str]]]:
-        """Wait for its end; the lines of each kind, in words."""
         assert self.process.wait(90.0) == 0, self.err.read_text()
         lines = [line.split() for line in self.out.read_text().splitlines()]
         return {kind: [words for words in lines if words[0] == kind] for kind in "JW"}
 
 
 class Stream:
-    """A loop that gives a row every 4 ms to the server, a process, and obeys its clients; in a thread."""
+    """Loop that sends a row to the server process every 4 ms and obeys its clients."""
 
     def __init__(self, parameters: Sequence[Parameter] = ()) -> None:
         self.domain = free_domain()
@@ -155,7 +151,6 @@ class Stream:
             self._over.wait(max(0.0, due - time.monotonic()))
 
     def check(self, lines: list[list[str]], kind: str, is_whole: bool = True) -> None:
-        """What came is what was sent, in order; from 2 s after the first nothing is missing."""
         stamps = [int(words[1]) for words in lines]
         assert stamps == sorted(set(stamps))
         for words, stamp in zip(lines, stamps, strict=True):
@@ -174,7 +169,6 @@ Installing = tuple[Path, "subprocess.Popen[str]"]
 
 @pytest.fixture(scope="module")
 def installing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Installing]:
-    """Packages that are being installed meanwhile, each in a folder of its own."""
     found = {}
     for wanted in (*(f"eclipse-zenoh=={release}.*" for release in RELEASES), f"zenoh-ros2-sdk=={SDK}"):
         folder = tmp_path_factory.mktemp("packages")
@@ -185,14 +179,12 @@ def installing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Installing
 
 @pytest.fixture(scope="module")
 def stream() -> Iterator[Stream]:
-    """One server for the nodes of this module, which come and go."""
     with Stream() as one:
         yield one
         assert one.exchange.outlets["ros2"].lost == 0
 
 
 def test_a_node_reads_every_message_and_commands(node: list[str], stream: Stream, tmp_path: Path) -> None:
-    """Takes 6 s, besides building."""
     before = len(stream.commands)
     lines = Peer(node, tmp_path, stream.domain, 1100, 400, 800).ended()
     for kind in "JW":
@@ -207,7 +199,6 @@ def test_a_node_reads_every_message_and_commands(node: list[str], stream: Stream
 
 @pytest.mark.parametrize("node", [name for name in PEERS if "Python" not in name], indirect=True)
 def test_a_reader_that_stops_and_one_that_dies_disturb_nobody(node: list[str], stream: Stream, tmp_path: Path) -> None:
-    """Takes 10 s."""
     slow, dead = (Peer(node, tmp_path, stream.domain, 1800, 0, 0) for _ in range(2))
     until(slow.is_reading)
     until(dead.is_reading)
@@ -228,7 +219,6 @@ def test_a_reader_that_stops_and_one_that_dies_disturb_nobody(node: list[str], s
 
 
 def test_a_node_moves_the_simulated_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A whole cell in real time. Takes 5 s."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     domain = free_domain()
     cell = parse_cell(
@@ -251,10 +241,7 @@ def test_a_node_moves_the_simulated_arm(tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_fast_dds_node_without_a_profile_finds_a_bridge_that_has_run_for_long(
     stream: Stream, installing: dict[str, Installing], tmp_path: Path
 ) -> None:
-    """The settings of `rmw_fastrtps_cpp`. A second node finds the bridge after the first has left.
-
-    Takes 10 s, and what is left of the 35 s: ports that do not answer would be dropped after 30 s.
-    """
+    """Ports that do not answer would be dropped after 30 s. Takes 10 s, and the rest of 35 s."""
     command = _fast(tmp_path)
     time.sleep(max(0.0, stream.began + 35.0 - time.monotonic()))
     for _ in range(2):
@@ -322,7 +309,6 @@ with zenoh.open(config) as session:
 
 
 def environment(installing: dict[str, Installing], wanted: str) -> str:
-    """Return a Python that has one package and what it needs; without a package index the test is skipped."""
     folder, made = installing[wanted]
     _, said = made.communicate(timeout=300.0)
     if made.returncode:
@@ -335,7 +321,6 @@ def environment(installing: dict[str, Installing], wanted: str) -> str:
 
 @pytest.fixture(scope="module", params=RELEASES)
 def other(request: pytest.FixtureRequest, installing: dict[str, Installing]) -> str:
-    """The Python of an environment with another version of Zenoh."""
     return environment(installing, f"eclipse-zenoh=={request.param}.*")
 
 
@@ -348,7 +333,6 @@ def started(*command: str) -> subprocess.Popen[str]:
 
 @pytest.fixture
 def router(other: str) -> Iterator[int]:
-    """The port of a router of another version."""
     port = free_port()
     process = started(other, "-c", ROUTER, str(port))
     yield port
@@ -386,7 +370,6 @@ def test_a_node_of_another_version_reads_and_commands(
 def test_zenoh_ros2_sdk_sees_the_graph_reads_and_commands(
     installing: dict[str, Installing], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Node, types, hashes and quality of service as a program sees them that computes them by itself."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     python = environment(installing, f"zenoh-ros2-sdk=={SDK}")
     _register()

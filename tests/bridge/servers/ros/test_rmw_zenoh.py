@@ -69,7 +69,6 @@ def test_what_a_reader_missed_that_comes_again_is_numbered(running: ZenohCell, m
 def test_what_is_read_is_noted_also_while_parameters_are_told_all_the_time(
     running: ZenohCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else a topic whose reader's way is cut would not be numbered: its half minute had passed."""
     topic = "/yumi_left/joint_states"
     running.node.read(topic, JOINTS)
     until(lambda: topic in running.server.wanted())
@@ -100,7 +99,6 @@ def test_the_graph_has_the_node_its_writers_and_readers(running: ZenohCell) -> N
 
 
 def test_writers_of_every_distribution_are_heard_and_others_are_told_why_not(running: ZenohCell) -> None:
-    """Humble has no hashes; its key differs, and the subscription takes any."""
     humble, put = Names(0, "1", "humble").data(VELOCITY, ARRAY), running.node.session.put
     events: list[str] = []
     running.exchange.begin(lambda text, *_: events.append(text))
@@ -201,7 +199,7 @@ RESTART = 60.0  # s; only a test that fails waits so long
 
 
 class Cell(Served):
-    """A loop with a row every 4 ms, the server, and a node that has no way to it but the router."""
+    """Loop with a row every 4 ms, and a node that is connected through the router only."""
 
     def __init__(self, router: int) -> None:
         place = {"host": "127.0.0.1", "port": 0, "router": f"127.0.0.1:{router}"}
@@ -238,7 +236,6 @@ class Cell(Served):
         return self.exchange.arbiter.commander(ARM.name)
 
     def tokens(self) -> int:
-        """How many of the server's are there."""
         replies = self.node.liveliness().get("@ros2_lv/0/**", timeout=1.0)
         return sum(reply.ok is not None for reply in replies)
 
@@ -252,7 +249,7 @@ class Cell(Served):
 
 @pytest.fixture
 def cell(often: None, processes: Callable[..., Started]) -> Iterator[tuple[Cell, Callable[[], Started]]]:
-    """Return the cell, and what kills the router and returns what starts the next one."""
+    """Return the cell, and a function that kills the router and starts the next one."""
     port = free_port()
     routers = [processes("router", port)]
     one = Cell(port)
@@ -269,10 +266,6 @@ def cell(often: None, processes: Callable[..., Started]) -> Iterator[tuple[Cell,
 
 @pytest.mark.slow
 def test_a_node_behind_a_router_that_is_killed_twice(cell: tuple[Cell, Callable[[], Started]]) -> None:
-    """Messages, the graph and the rights to command come again without help, in order and none twice.
-
-    By the stamps of the messages within 5 s after the router; what did not come is missing in their numbers.
-    """
     one, restart = cell
     who = f"rmw_zenoh {SENDER.hex()}"
     until(lambda: one.commander == who and len(one.came) > 100, patience=RESTART)
@@ -297,7 +290,6 @@ def test_a_node_behind_a_router_that_is_killed_twice(cell: tuple[Cell, Callable[
 
 
 def test_a_client_of_services_has_gone_with_its_token(running: ZenohCell) -> None:
-    """A trajectory ends with the node that sent it as a goal, which has no writers."""
     node = running.node
     token = node.names.service(77, "/yumi_left/any", "rcl_interfaces/srv/GetParameters").replace("/SS/", "/SC/")
     life = node.session.liveliness().declare_token(token)

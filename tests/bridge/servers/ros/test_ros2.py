@@ -73,7 +73,6 @@ print(json.dumps(found))
 
 @pytest.fixture(scope="module", params=PACKAGES)
 def rclpy(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The Python of an environment with ROS 2; its packages place their libraries beside it."""
     if sys.version_info[:2] != (3, 11):
         pytest.skip("the packages of ROS 2 are for Python 3.11")
     folder = tmp_path_factory.mktemp(request.param)
@@ -89,7 +88,6 @@ def rclpy(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def test_a_node_of_ros_2_knows_the_arm_reads_commands_and_sets(rclpy: str) -> None:
-    """Takes 10 s, besides installing: names, streams, the description and parameters, in the default middleware."""
     with Stream([GAIN]) as stream:
         more = {"ROS_DOMAIN_ID": str(stream.domain), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
         done = subprocess.run(
@@ -112,7 +110,6 @@ def test_a_node_of_ros_2_knows_the_arm_reads_commands_and_sets(rclpy: str) -> No
 
 
 def test_a_node_with_cyclone_dds_in_c_sets_parameters(tmp_path: Path) -> None:
-    """Takes 5 s, with building."""
     tools = "make", "gcc", "idlc"
     command = _built(tmp_path, "services", tools, "make gcc cyclonedds-dev cyclonedds-tools")
     more = {"CYCLONEDDS_URI": f"file://{SOURCES}/loopback.xml"}

@@ -68,7 +68,6 @@ def servers() -> Iterator[Callable[[], ServiceServers]]:
 def test_every_call_is_answered_though_a_fifth_of_all_packets_is_lost(
     servers: Any, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Small requests and large ones, which have 190 fragments. Takes 10 s."""
     monkeypatch.setattr(rtps, "socket", SimpleNamespace(**{**vars(socket), "socket": lossy(seed)}))
     call = Node(servers()._domain).caller("/length", TYPE)
     for k in range(20):
@@ -77,7 +76,6 @@ def test_every_call_is_answered_though_a_fifth_of_all_packets_is_lost(
 
 
 def test_a_node_that_was_forgotten_is_found_again(servers: Any) -> None:
-    """It knows the server still, and does not tell of its clients again unless it is asked."""
     server = servers()
     node = Node(server._domain)
     request = store().types[f"{TYPE}_Request"]("word")
@@ -97,7 +95,6 @@ WRITERS = (rtps._SPDP, rtps._PUBLICATIONS, rtps._SUBSCRIPTIONS, b"\0\0\1\3")
     st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 255), st.sampled_from(WRITERS), st.binary(max_size=80)))
 )
 def test_malformed_packets_of_a_known_node_are_dropped(parts: list[tuple[int, int, bytes, bytes]]) -> None:
-    """Whatever it sends, errors are those that the thread expects, and what is kept stays bounded."""
     server = ServiceServers.__new__(ServiceServers)
     server._prefix, server._is_local, server._counts, server._topics = b"ours" * 3, True, count(1), {}
     server._peers = {PEER: rtps._Peer(("127.0.0.1", 9), ("127.0.0.1", 9), 10.0)}

@@ -24,7 +24,6 @@ SET = "/yumi_left/set_parameter"
 
 @pytest.fixture(params=["ros2", pytest.param("rmw_zenoh", marks=pytest.mark.slow)])
 def start(request: pytest.FixtureRequest) -> Iterator[Callable[..., Any]]:
-    """Return what starts a server with a node."""
     made: list[Any] = []
 
     def begin(**options: Any) -> Any:
@@ -54,7 +53,6 @@ def numbers(*values: float) -> bytes:
 
 
 def answer(running: Any, diagnostics: Callable[[], list[Any]]) -> str:
-    """What the newest diagnostics say to clients, "" while none has come."""
     running.tick += 250  # a second later
     running.commanded()
     values = {one.key: one.value for message in diagnostics() for one in message.status[0].values}
@@ -78,7 +76,6 @@ def test_rows_become_messages_of_what_is_read(running: Any) -> None:
 
 
 def test_all_writers_of_a_node_are_one_client_until_the_last_goes(start: Callable[..., Any]) -> None:
-    """With one it commands, with another it sets what only the commander may set."""
     running, qd = start(rights="commander"), np.arange(7) / 100.0
     velocity, setter = running.node.writer(VELOCITY, ARRAY), running.node.writer(SET, TEXT)
 

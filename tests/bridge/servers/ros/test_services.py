@@ -34,7 +34,6 @@ def message(name: str, *fields: Any) -> Any:
 
 
 def call(running: Any, service: str, *fields: Any) -> Any:
-    """Call a parameter service of the arm's node; the field of its response."""
     kind = "".join(word.capitalize() for word in service.split("_"))
     request = message(f"srv/{kind}_Request", *fields)
     response = running.node.call(f"/yumi_left/{service}", f"{INTERFACES}/srv/{kind}", request)
@@ -143,7 +142,6 @@ def _matrix(transform: Any) -> np.ndarray:
 
 
 def test_clients_over_dds_that_leave_are_forgotten() -> None:
-    """And noise disturbs nobody."""
     pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
     from .dds_peers import DdsCell
 
@@ -163,7 +161,7 @@ def test_clients_over_dds_that_leave_are_forgotten() -> None:
 
 
 def test_hashes_of_services() -> None:
-    """Those that rmw_zenoh of Jazzy has in its keys."""
+    """Hashes in the keys of rmw_zenoh in Jazzy."""
     register({"example_interfaces/srv/AddTwoInts": ("int64 a\nint64 b", "int64 sum")})
     for name, expected in {
         "example_interfaces/srv/AddTwoInts": "e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a",
@@ -176,7 +174,7 @@ def test_hashes_of_services() -> None:
 
 @pytest.mark.parametrize("size", [16, 24])
 def test_the_graph_over_dds_in_the_layout_of_the_reader(size: int) -> None:
-    """Gids have 24 bytes in Humble and 16 since Iron; the user data of a reader tells."""
+    """Gids have 24 bytes in Humble and 16 since Iron."""
     pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
     from .dds_peers import RELIABLE, DataReader, DdsCell, DdsTopic, Policy, Qos, carrier
 

@@ -22,8 +22,6 @@ from .conftest import OTHERS
 
 
 class ZenohNode:
-    """A session with writers and readers."""
-
     def __init__(self, port: int, name: str = "theirs") -> None:
         self.session = LabAddress("127.0.0.1", port).open()
         self.names = Names(0, str(self.session.zid()), node=name)
@@ -31,18 +29,15 @@ class ZenohNode:
         self.writers = 0
 
     def samples(self, topic: str, type_: str) -> list[Any]:
-        """Return a list that fills with the samples of a topic."""
         found: list[Any] = []
         self.session.declare_subscriber(self.names.data(topic, type_), found.append)
         return found
 
     def read(self, topic: str, type_: str) -> Callable[[], list[Any]]:
-        """Return what gives all messages that have come."""
         found = self.samples(topic, type_)
         return lambda: [store().deserialize_cdr(one.payload.to_bytes(), type_) for one in list(found)]
 
     def read_late(self, topic: str, type_: str) -> Callable[[], list[Any]]:
-        """Return what gives the messages of a topic that keeps its last one."""
         from zenoh import ext
 
         found: list[Any] = []
@@ -55,7 +50,6 @@ class ZenohNode:
         return lambda: [store().deserialize_cdr(one.payload.to_bytes(), type_) for one in list(found)]
 
     def call(self, name: str, type_: str, request: Any) -> Any:
-        """Call a service as rmw_zenoh does."""
         import zenoh
 
         raw, origin = bytes(store().serialize_cdr(request, f"{type_}_Request")), Origin(7, 1, b"c" * 16)
@@ -88,8 +82,6 @@ class ZenohNode:
 
 
 class ZenohWriter:
-    """A writer of a node."""
-
     def __init__(self, node: ZenohNode, token: str, key: str) -> None:
         self._session, self._key, self._id, self._sent = node.session, key, Writer(token).id, 0
         self._life = node.session.liveliness().declare_token(token)
@@ -103,8 +95,6 @@ class ZenohWriter:
 
 
 class ZenohCell(Served):
-    """The server, and a node."""
-
     def __init__(self, rights: Any = "anyone") -> None:
         gain, self.port = Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights=rights), free_port()
         options = {

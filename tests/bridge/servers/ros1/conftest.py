@@ -22,7 +22,6 @@ PATIENCE = 60.0  # s; only a test that fails waits so long
 
 
 def end(process: subprocess.Popen[bytes]) -> None:
-    """End a program with all that it started."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGTERM)
     try:
@@ -33,8 +32,6 @@ def end(process: subprocess.Popen[bytes]) -> None:
 
 
 class Ros:
-    """A master on a port of its own."""
-
     def __init__(self, folder: Path) -> None:
         self.port = free_port()
         self.uri = f"http://127.0.0.1:{self.port}"
@@ -45,7 +42,6 @@ class Ros:
         self.master = self.start()
 
     def start(self) -> subprocess.Popen[bytes]:
-        """Start the master, and wait until it answers."""
         master = self.run(["roscore", "-p", str(self.port)])
         until = time.monotonic() + PATIENCE
         while True:
@@ -63,7 +59,6 @@ class Ros:
         return process
 
     def program(self, text: str, *words: str) -> subprocess.Popen[bytes]:
-        """Run a program with rospy; its output can be read."""
         return self.run([PYTHON, "-c", text, *words], subprocess.PIPE)
 
     def close(self) -> None:
@@ -75,7 +70,6 @@ class Ros:
 
 @pytest.fixture(scope="module")
 def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros]:
-    """One master for the tests of a module; they end what they start at it."""
     if shutil.which("roscore") is None:
         pytest.skip("roscore is not installed (Debian: ros-core)")
     if subprocess.run([PYTHON, "-c", "import rospy, sensor_msgs.msg"], capture_output=True, check=False).returncode:

@@ -82,7 +82,6 @@ def options(uri: str, python: str = PYTHON, host: str = "127.0.0.1") -> dict[str
 
 
 def on_a_network() -> str:
-    """Return an address of this computer by which others reach it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
         probe.connect(("192.0.2.1", 9))  # chooses a network card and sends nothing
         return str(probe.getsockname()[0])
@@ -90,8 +89,6 @@ def on_a_network() -> str:
 
 
 class Running(ServedProcess):
-    """The server, and rows at 250 Hz for as long as a test wants."""
-
     def __init__(self, stack: contextlib.ExitStack, uri: str, host: str = "127.0.0.1") -> None:
         super().__init__(stack, "ros1", options(uri, host=host), restarts=(1.0, 2.0))
         self.told, self.due = list[str](), time.monotonic()
@@ -103,7 +100,6 @@ class Running(ServedProcess):
         return replace(super().state(), q=q)
 
     def until(self, condition: Callable[[], Any]) -> Any:
-        """Send rows until something is so; the number of a row is in its stamp."""
         end = time.monotonic() + PATIENCE
         while not (found := condition()):
             assert time.monotonic() < end, self.told
@@ -147,7 +143,6 @@ def test_a_node_gets_every_row_in_order(ros: Ros, running: Running) -> None:
 
 @pytest.mark.slow
 def test_a_refusal_is_in_the_log_of_ros(ros: Ros, running: Running) -> None:
-    """A position far from the arm, far too many numbers; the node is named."""
     for data, words in ((",".join(["9.0"] * 7), "first position within 0.05"), LONG):
         topic = "/yumi_right/joint_group_position_controller/command"
         commander = ros.program(COMMANDER, topic, data, words)
@@ -160,7 +155,7 @@ def test_a_refusal_is_in_the_log_of_ros(ros: Ros, running: Running) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("address", [lambda: "127.0.0.1", on_a_network], ids=["loopback", "network"])
 def test_it_listens_at_its_address_only(ros: Ros, address: Callable[[], str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """By itself rospy listens at every address, unless its own is loopback. Takes 3 s each."""
+    """Without the relay, rospy listens at every address, unless its own is loopback."""
     monkeypatch.setenv("ROS_IPV6", "on")  # of the user's shell
     with contextlib.ExitStack() as stack:
         running = Running(stack, ros.uri, host := address())
@@ -169,8 +164,6 @@ def test_it_listens_at_its_address_only(ros: Ros, address: Callable[[], str], mo
 
 
 class Alone:
-    """The server's object between an exchange and a node that the test plays."""
-
     def __init__(self, stack: contextlib.ExitStack) -> None:
         self.exchange = Hub(
             [robots.load("yumi_right")], ["ros1"], Parameters([Parameter("gain", 0.5)]), about={"cell": "yumi"}
@@ -191,11 +184,9 @@ class Alone:
         self.process._receive()
 
     def told(self) -> dict[str, Any]:
-        """Return what the node is told."""
         return json.loads(self.node.recv(10_000))
 
     def asked(self) -> dict[str, Any]:
-        """Return what the loop is asked."""
         data = self.exchange.outlets["ros1"].receive()
         assert data is not None
         return json.loads(data)
@@ -244,7 +235,6 @@ def test_a_connection_that_the_node_hands_over_is_written_to(alone: Alone) -> No
 def test_a_connection_without_room_is_ended_and_the_reason_told(
     alone: Alone, came: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """There are too many connections; or the process may have no more files, and none came with the message."""
     monkeypatch.setattr("armlab.bridge.servers.ros1.process._MOST", 0)
     ours, theirs = socket.socketpair()
     with ours, theirs:
@@ -332,7 +322,6 @@ print(json.dumps(found))
 
 
 def played(path: Path, topic: str) -> tuple[list[str], list[float]]:
-    """Return names and positions in the last message of a topic."""
     from rosbags.highlevel import AnyReader
 
     with AnyReader([path]) as reader:
@@ -343,7 +332,6 @@ def played(path: Path, topic: str) -> tuple[list[str], list[float]]:
 
 @pytest.mark.slow
 def test_a_played_recording_drives_robot_state_publisher(ros: Ros, tmp_path: Path) -> None:
-    """Each link is where the arm's kinematics have it; an exported bag has the same messages. Takes 3 s."""
     imports = subprocess.run([PYTHON, "-c", "import tf2_msgs.msg"], capture_output=True, check=False)
     if not PUBLISHER.exists() or imports.returncode:
         pytest.skip("robot_state_publisher is missing (Debian: ros-robot-state-publisher python3-tf2-msgs)")
@@ -398,7 +386,7 @@ def test_a_node_moves_the_arm_of_a_cell(ros: Ros, tmp_path: Path, monkeypatch: p
 def test_a_server_whose_relay_is_killed_starts_again_and_comes_back_when_the_master_does(
     ros: Ros, running: Running
 ) -> None:
-    """The last of this module: its master ends."""
+    """Must be the last test of this module, because it ends the master."""
     server = running.servers.processes()["ros1"]
     (relay,) = Path(f"/proc/{server}/task/{server}/children").read_text().split()
     os.kill(int(relay), signal.SIGKILL)

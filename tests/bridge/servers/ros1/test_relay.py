@@ -22,7 +22,6 @@ from armlab.bridge.servers.ros1.process import Subscribers
 
 
 def test_main_without_rospy_ends_with_a_sentence() -> None:
-    """Under this Python, which has no rospy; `main` is run as the program it is."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
         command = [sys.executable, "-I", relay.__file__]
@@ -39,8 +38,6 @@ def test_it_needs_the_standard_library_only_and_an_old_python() -> None:
 
 
 class Played:
-    """The node, its end of the pipe, and a rospy in which messages come as soon as there is a subscriber."""
-
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(relay, "_type", {"std_msgs/String": str}.get)
         self.logged: list[str] = []
@@ -65,7 +62,6 @@ class Played:
         return SimpleNamespace(data=data, _connection_header={"callerid": "/node"})
 
     def connection(self, number: int) -> socket.socket:
-        """Return the end of a node that has come."""
         ours, theirs = socket.socketpair()
         theirs.settimeout(20.0)
         self.states.impl.connections.append(SimpleNamespace(id=number, endpoint_id="/node", socket=ours))
@@ -94,7 +90,6 @@ def test_ready_is_said_before_the_first_command(played: Played) -> None:
 
 @pytest.mark.parametrize("count", [8_000, 100_000])
 def test_a_long_message_becomes_a_refusal_that_tells_its_size(played: Played, count: int) -> None:
-    """Of 160 kB, which is more than the bridge reads at once; and of more than the pipe takes."""
     played.node._take(played.message([0.12345678901234567] * count), "/orders")
     said = played.said()
     assert (said["kind"], said["client"]) == ("refused", "/node")
@@ -140,15 +135,12 @@ PATIENCE = 20.0  # s; only a test that fails waits so long
 
 
 class Nodes:
-    """Subscribers at one end, sockets of nodes at the other."""
-
     def __init__(self) -> None:
         self.looks = select.poll()
         self.subscribers = Subscribers(self.looks)
         self.ends: list[socket.socket] = []
 
     def node(self, topic: RosTopic, *known: bytes) -> socket.socket:
-        """Return the end of a node that reads a topic; the other end is ours, and rospy's as well."""
         with socket.create_server(("127.0.0.1", 0)) as server:
             theirs = socket.create_connection(server.getsockname())
             ours, _ = server.accept()
@@ -158,7 +150,6 @@ class Nodes:
         return theirs
 
     def look(self) -> None:
-        """Look at what is to be seen within a time that is enough on this computer."""
         for number, _ in self.looks.poll(1000.0):
             self.subscribers.check(number)
 
@@ -176,8 +167,6 @@ def nodes() -> Iterator[Nodes]:
 
 
 def read(node: socket.socket, nodes: Nodes) -> bytes:
-    """Return one message; what waits for room is sent meanwhile."""
-
     def exactly(count: int) -> bytes:
         data = b""
         for _ in range(1000):

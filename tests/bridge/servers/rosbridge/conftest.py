@@ -28,8 +28,6 @@ ARMS = [robots.load("yumi_left"), robots.load("yumi_right")]
 
 
 class Loop:
-    """What the engine asks for is kept; what it is told comes from the tests."""
-
     def __init__(self) -> None:
         self.robot = ARMS[0]
         self.schema = RowSchema.of(ARMS)
@@ -52,15 +50,12 @@ class Loop:
         return True
 
     def tell(self) -> dict[str, Any]:
-        """Say what the parameters are, as `LoopEnd` reads it."""
         message: dict[str, Any] = json.loads(parameter_message(self.declared))
         self.parameters = {one["name"]: one for one in message["parameters"]}
         return message
 
 
 class Bench:
-    """An engine with a clock that the test turns."""
-
     def __init__(self) -> None:
         self.loop = Loop()
         self.engine = Engine(self.loop)
@@ -74,7 +69,6 @@ class Bench:
         self.engine.take(client, json.dumps(operation) if text is None else text, self.now)
 
     def ask(self, client: ClientSession, service: str, **fields: Any) -> Any:
-        """Return the values of an answer, or the sentence why not."""
         self.say(client, op="call_service", service=service, **fields)
         (answer,) = self.heard(client)
         assert (answer["op"], answer["service"]) == ("service_response", service)
@@ -82,11 +76,9 @@ class Bench:
         return answer["values"]
 
     def heard(self, client: ClientSession) -> list[Any]:
-        """Return what waits for a client."""
         return [json.loads(one) for one in client.outbox.take(2**30)]
 
     def row(self, after_ms: float = 4.0, **fields: Any) -> None:
-        """Let an arm send its next packet."""
         self.now += int(after_ms * MS)
         robot = self.loop.robot
         q = np.array(robot.q_home)

@@ -66,8 +66,6 @@ port = {port}
 
 
 class Proxy:
-    """Carries bytes between one client and a server, until it is told to carry nothing."""
-
     def __init__(self, stack: contextlib.ExitStack, port: int) -> None:
         listener = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
         self.port = listener.getsockname()[1]
@@ -94,7 +92,7 @@ class Proxy:
 
 
 def _is_connected(name: str, port: int) -> bool:
-    """Return whether the server's end of a connection is there, told by the system: to look at ours takes bytes."""
+    """Return whether the system lists the server's end of a connection."""
     return any(
         _address(words[1]) == f"127.0.0.1:{port}" and _address(words[2]) == name and words[3] == "01"
         for words in map(str.split, Path("/proc/net/tcp").read_text().splitlines()[1:])
@@ -109,7 +107,7 @@ def _address(text: str) -> str:
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="tells of connections on Linux only")
 def test_one_client_reads_while_the_others_are_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Takes 20 s: a client is given up after 10 s without progress, or 15 s without an answer to a ping."""
+    """Takes 20 s: a lost client is disconnected after 10 s without progress, or 15 s without a pong."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     port, programs, proxies = free_port(), list[subprocess.Popen[bytes]](), list[Proxy]()
     with contextlib.ExitStack() as stack:
@@ -201,7 +199,6 @@ ros.terminate()
 
 @pytest.mark.slow
 def test_roslibpy_reads_sets_and_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Takes 6 s."""
     pytest.importorskip("roslibpy", reason="roslibpy is not installed (extra dev)")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     port, said = free_port(), list[bytes]()
@@ -230,7 +227,6 @@ SCRIPT = Path(__file__).with_name("roslib_client.mjs")
 
 
 def _installed(version: str, folder: Path) -> None:
-    """Install a version of roslib into a folder, or skip the test with the reason."""
     node, npm = shutil.which("node"), shutil.which("npm")
     if node is None or npm is None:
         pytest.skip("node or npm is not installed")
@@ -248,7 +244,6 @@ def _installed(version: str, folder: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("version", ["1.4.1", "2.1.0"])
 def test_roslib_reads_topics_and_parameters(version: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Names with and without the leading slash. Takes 5 s, besides installing."""
     _installed(version, tmp_path)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     port, done = free_port(), list[subprocess.CompletedProcess[str]]()
@@ -316,7 +311,6 @@ process.stdout.write(`${JSON.stringify(found)}\\n`, () => process.exit(0));
 
 @pytest.mark.slow
 def test_roslib_runs_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Goal, feedback, result, cancellation, preemption, rejection, and the topic. Takes 10 s, besides installing."""
     _installed("2.1.0", tmp_path)
     (tmp_path / "actions.mjs").write_text(ACTIONS)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))

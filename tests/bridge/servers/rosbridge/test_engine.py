@@ -235,7 +235,6 @@ def test_a_setting_is_answered_when_the_loop_has_decided(bench: Bench) -> None:
 
 
 def test_settings_of_one_parameter_are_answered_each_by_its_own_outcome(bench: Bench) -> None:
-    """The loop's answers name the parameter, so a setting waits for the one before it."""
     client = bench.client("me")
     for id_, value in enumerate(("1.0", "99", "0.5")):
         bench.say(client, op="call_service", service="/rosapi/set_param", id=id_, args=["gain", value])
@@ -316,7 +315,6 @@ _OPERATION = st.fixed_dictionaries({}, optional={name: value | _JSON for name, v
 @settings(max_examples=40, deadline=None)
 @given(said=st.lists(_OPERATION | _JSON | st.text() | st.binary(), max_size=8))
 def test_whatever_a_client_says_is_done_or_answered(said: list[Any]) -> None:
-    """Any JSON, any text, any bytes: no exception; what goes out is JSON, what is asked is a request."""
     bench = FUZZED
     bench.loop.asked.clear()
     client = bench.client()
@@ -456,7 +454,6 @@ def made(throttle_ms: float, queue_length: int) -> tuple[Subscription, Outbox]:
 
 
 def played(subscription: Subscription, outbox: Outbox, count: int) -> list[tuple[int, int]]:
-    """Offer a message every 4 ms; return the time [ms] and the number of those that were sent."""
     found = []
     for k in range(count):
         if subscription.is_due(4 * k * MS):

@@ -35,8 +35,6 @@ OPTIONS = {"host": "127.0.0.1", "port": 0, "dialect": "ros2", "origins": ["https
 
 
 class Running(ServedProcess):
-    """The server and its clients."""
-
     def __init__(self, stack: contextlib.ExitStack, **options: Any) -> None:
         super().__init__(stack, "rosbridge", {**OPTIONS, **options})
         self.port = int(self.where.partition(" ")[0].rpartition(":")[2])
@@ -47,12 +45,9 @@ class Running(ServedProcess):
         return self.stack.enter_context(connect(f"{scheme}://127.0.0.1:{self.port}", **options))
 
     def until(self, condition: Callable[[], Any]) -> Any:
-        """Send rows until something is so."""
         return until(lambda: condition() or self.row())
 
     def heard(self, client: ClientConnection, op: str = "publish") -> Any:
-        """Send rows until a client hears of an operation."""
-
         def look() -> Any:
             with contextlib.suppress(TimeoutError):
                 message = json.loads(client.recv(0.0))
@@ -76,7 +71,6 @@ def shared() -> Iterator[Running]:
 
 @pytest.fixture
 def running(shared: Running) -> Iterator[Running]:
-    """One server for the tests that leave it as it was; its clients end with each."""
     with contextlib.ExitStack() as shared.stack:
         yield shared
 
@@ -86,7 +80,7 @@ def say(client: ClientConnection, op: str, **fields: Any) -> None:
 
 
 def frame(op: str, **fields: Any) -> bytes:
-    """Return an operation as a client sends it, for one that is only a socket: it has a mask of zeros."""
+    """Return an operation as a WebSocket frame with a mask of zeros."""
     text = json.dumps({"op": op, **fields}).encode()
     return struct.pack(">BBH4s", 0x81, 0x80 | 126, len(text), bytes(4)) + text
 
@@ -148,7 +142,6 @@ def test_parameters_are_set_and_refused(running: Running) -> None:
 
 
 def test_a_client_that_does_not_read_disturbs_nobody(running: Running) -> None:
-    """It subscribes to much and reads nothing, with a small buffer: rows are dropped for it, none for others."""
     client, deaf = running.client(), socket.socket()
     running.stack.callback(deaf.close)
     deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -188,7 +181,6 @@ def test_sixteen_clients_at_most(running: Running) -> None:
 
 
 def test_pages_of_other_sites_may_not_connect(running: Running) -> None:
-    """A page from anywhere, open in a browser on this computer, reaches this port."""
     for origin in ("http://localhost:8000", "http://127.0.0.1", "https://lab.example"):
         running.client(origin=origin)
     for origin in ("https://elsewhere.example", "null", "http://localhost.elsewhere.example", "http://localhost:1@a"):
@@ -207,7 +199,7 @@ def test_too_much_at_once_ends_the_connection_and_no_other(running: Running) -> 
 
 @pytest.mark.slow
 def test_a_token_over_tls(start: Callable[..., Running], tmp_path: Path) -> None:
-    """By the client of asyncio: that of threads reads and writes TLS at once, and now and then waits for ever."""
+    """Uses the client of asyncio, because the client with threads sometimes waits forever with TLS."""
     secret = tmp_path / "token"
     secret.write_text(TOKEN)
     secret.chmod(0o600)
@@ -305,7 +297,6 @@ def test_certificates(tmp_path: Path) -> None:
 
 
 def make_certificate(folder: Path) -> tuple[str, str]:
-    """Return a certificate of 127.0.0.1 and its key."""
     certificate, key = str(folder / "certificate.pem"), str(folder / "key.pem")
     words = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 -subj /CN=127.0.0.1"
     command = ["openssl", *words.split(), "-addext", "subjectAltName=IP:127.0.0.1", "-out", certificate, "-keyout", key]

@@ -20,8 +20,6 @@ from ..conftest import Served
 
 
 class Wire:
-    """A way to a port that can be cut and mended."""
-
     def __init__(self, to: int) -> None:
         self.port, self._to, self._open = free_port(), to, list[socket.socket]()
         self.mend()
@@ -59,8 +57,6 @@ class Wire:
 
 
 class Running(Served):
-    """A Zenoh server in a thread."""
-
     def __init__(self, robot: Robot, port: int, **options: Any) -> None:
         declared = [Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"), Parameter("n", 2, "int")]
         self.options = {"lab": "lab1", "host": "127.0.0.1", "port": port, **options}
@@ -68,7 +64,6 @@ class Running(Served):
 
 
 def heard(session: Any, name: str) -> list[Any]:
-    """Return a list that fills with the samples of a key."""
     samples: list[Any] = []
     session.declare_subscriber(name, lambda sample: samples.append(sample))
     return samples
@@ -76,13 +71,11 @@ def heard(session: Any, name: str) -> list[Any]:
 
 @pytest.fixture(autouse=True)
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Viewers hear of the only robots of this computer at once."""
     monkeypatch.setattr("armlab.bridge.servers.zenoh.feed._DISCOVERY", 0.1)
 
 
 @pytest.fixture
 def start(robot: Robot) -> Iterator[Callable[..., Running]]:
-    """Return what starts servers."""
     made: list[Running] = []
 
     def begin(port: int = 0, **options: Any) -> Running:
@@ -96,7 +89,6 @@ def start(robot: Robot) -> Iterator[Callable[..., Running]]:
 
 @pytest.fixture(autouse=True)
 def closed() -> Iterator[None]:
-    """Close what a test opened, after its servers."""
     yield
     for one in list(_open):
         close_session(one)
@@ -104,5 +96,4 @@ def closed() -> Iterator[None]:
 
 @pytest.fixture
 def session() -> Callable[..., Any]:
-    """Return what opens sessions to a server."""
     return lambda port, **options: LabAddress.of("127.0.0.1", port, options).open()

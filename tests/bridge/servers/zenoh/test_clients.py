@@ -31,7 +31,7 @@ Start = Callable[..., Running]
 
 
 class Arm:
-    """An arm behind a Zenoh server, in lockstep: it goes where it is told and sends the next row then."""
+    """Arm behind a Zenoh server in lockstep: it follows each command, then sends the next row."""
 
     def __init__(self, one: Running) -> None:
         self.one, self.q = one, np.array(one.robot.q_home)
@@ -209,7 +209,6 @@ def test_a_viewer_elsewhere(start: Start, robot: Robot) -> None:
 
 
 def all_of(feed: ZenohFeed) -> None:
-    """Read until it ends."""
     for _ in range(10_000):
         feed.receive()
 
@@ -252,7 +251,6 @@ def test_texts_that_are_none_are_dropped_and_told(start: Start, robot: Robot) ->
 
 @pytest.mark.slow
 def test_a_bridge_that_comes_again_is_told_from_one_that_restarted(start: Start, robot: Robot) -> None:
-    """Both while the way to it is cut; another run may have other rows."""
     one = start()
     wire, got = Wire(one.options["port"]), list[Any]()
 

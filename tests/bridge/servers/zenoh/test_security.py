@@ -32,7 +32,6 @@ Open = Callable[..., Any]
 
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of certificates and users."""
     folder = tmp_path_factory.mktemp("lab")
     write_certificates(folder)
     return folder
@@ -77,7 +76,6 @@ def test_a_commander_commands_and_a_viewer_reads(start: Start, session: Open, la
 
 @pytest.mark.slow
 def test_who_is_not_let_in(start: Start, lab: Path, tmp_path: Path, robot: Robot) -> None:
-    """A wrong password, an unknown user, none at all, another authority, no encryption."""
     one = start(**bridge_files(lab))
     write_certificates(tmp_path / "other")
     other = tmp_path / "other"

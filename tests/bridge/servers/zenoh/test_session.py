@@ -71,7 +71,6 @@ def test_a_program_that_forgets_to_close_ends() -> None:
 
 
 def test_what_is_too_large_is_not_put_together_and_the_next_message_comes() -> None:
-    """From the same sender and from another; it is cut into parts of 64 KiB on its way."""
     port = free_port()
     router, samples = open_session("router", [f"127.0.0.1:{port}"]), list[int]()
     reading = router.declare_subscriber("a/*", lambda sample: samples.append(len(sample.payload)))
@@ -341,7 +340,6 @@ BOTH = RowSchema.of(ARMS)
 
 
 def rows(count: int) -> list[bytes]:
-    """Rows of the left arm, of a cell whose arms take turns."""
     writer, found = RowWriter(BOTH), []
     for number in range(count):
         for arm in ARMS:
@@ -385,13 +383,12 @@ class Sample(NamedTuple):
 
 
 def test_the_check_value_of_the_polynomial() -> None:
-    """That of the catalogue of parametrised CRC algorithms: CRC-32 of "123456789", here little-endian."""
+    """Reference: catalogue of parametrised CRC algorithms, CRC-32 of "123456789" (here little-endian)."""
     assert checksum(b"123456789") == bytes.fromhex("2639f4cb")
 
 
 @given(st.binary(min_size=1, max_size=400), st.data())
 def test_a_row_with_another_message_in_it_is_none(row: bytes, draw: st.DataObject) -> None:
-    """Up to 32 bits in a row are always noticed; here one byte."""
     at = draw.draw(st.integers(0, len(row) - 1))
     other = bytearray(row)
     other[at] ^= draw.draw(st.integers(1, 255))

@@ -73,8 +73,6 @@ class WrenchStamped(IdlStruct, typename="geometry_msgs::msg::dds_::WrenchStamped
 
 
 class Node:
-    """Reads two topics, writes one."""
-
     def __init__(self, domain: int, first: int, last: int) -> None:
         self.joints, self.first, self.last = 0, first, last
         self.lines: list[str] = []
@@ -111,7 +109,6 @@ class Node:
                 self.lines.append(f"{self.head('W', one.header)} {numbers}")
 
     def run(self, count: int) -> None:
-        """Until so many joint states came; commands go out of this thread, as writing in a listener may not."""
         end, told = time.monotonic() + 60.0, 0
         while self.joints < count and time.monotonic() < end:
             if told != self.joints and self.first < self.joints <= self.last:

@@ -32,7 +32,6 @@ def define(texts):
 
 
 def graph(port):
-    """Of each endpoint: topic, kind, node, type, hash, quality of service."""
     found = []
     for topic, _ in sdk.get_topic_names_and_types(0, router_port=port, timeout=5.0):
         info = sdk.get_topic_info(topic, 0, router_port=port, timeout=5.0, verbose=True)
