@@ -257,7 +257,7 @@ def test_why_not(robot: Robot, T: np.ndarray, q0: tuple, options: dict, reason: 
 
 def test_unreachable_poses_end_soon_and_stay_finite() -> None:
     robot = robots.load("yumi_left")
-    T = goals(robot, 30, seed=3)
+    T = reachable(robot, 30, seed=3)[1]
     T[::2, :3, 3] += 0.4
     T[1::2, :3, 3] *= 1e6
     result = inverse(robot, T, maxiter=50, starts=30)
@@ -277,7 +277,7 @@ def test_turns_are_taken_back_into_the_limits() -> None:
 
 def test_reports() -> None:
     robot = robots.load("irb2400")
-    T = goals(robot, 4, seed=1)
+    T = reachable(robot, 4, seed=1)[1]
     one = inverse(robot, forward(robot, robot.q_home), robot.q_home)
     assert repr(one) == "IkSolution(Solved to 0 m and 0 rad in 0 iterations from 1 start.)"
     T[2, 0, 3] += 10.0
@@ -299,10 +299,6 @@ def test_strict_raises_with_the_result() -> None:
     best = caught.value.best
     assert isinstance(best, IkSolution)
     np.testing.assert_array_equal(best.q, inverse(robot, T).q)
-
-
-def goals(robot: Robot, count: int, seed: int) -> np.ndarray:
-    return forward(robot, np.random.default_rng(seed).uniform(robot.q_min, robot.q_max, (count, robot.n)))
 
 
 def scaled(robot: Robot, q: np.ndarray) -> np.ndarray:
@@ -344,7 +340,7 @@ def left_slope(robot: Robot, q: np.ndarray, g: np.ndarray, rows: slice) -> float
 @pytest.mark.parametrize("task", ["pose", "position"])
 def test_pose_is_exact_and_no_slope_is_left(objective: str, task: str) -> None:
     robot = robots.load(YUMI)
-    T = goals(robot, COUNT_OBJECTIVES, seed=1)
+    T = reachable(robot, COUNT_OBJECTIVES, seed=1)[1]
     result = inverse(robot, T, task=task, objective=objective)  # type: ignore[arg-type]
     assert result.success.all()
     assert ((robot.q_min <= result.q) & (result.q <= robot.q_max)).all()
@@ -360,7 +356,7 @@ def test_pose_is_exact_and_no_slope_is_left(objective: str, task: str) -> None:
 
 def test_objectives_are_better_than_the_plain_solution() -> None:
     robot = robots.load(YUMI)
-    T = goals(robot, COUNT_OBJECTIVES, seed=2)
+    T = reachable(robot, COUNT_OBJECTIVES, seed=2)[1]
     plain = inverse(robot, T)
     assert np.isnan(plain.slope).all()
     away = [np.linalg.norm(q - robot.q_home, axis=1) for q in (inverse(robot, T, objective="posture").q, plain.q)]
@@ -376,7 +372,7 @@ def test_objectives_are_better_than_the_plain_solution() -> None:
 def test_limits_are_avoided(name: str) -> None:
     """On 99 % of the poses the smallest distance to a limit, over the range, is at least that of the plain solution."""
     robot = robots.load(name)
-    T = goals(robot, 400, seed=3)
+    T = reachable(robot, 400, seed=3)[1]
     near = [np.abs(scaled(robot, inverse(robot, T, objective=o).q)).max(axis=1) for o in ("limits", None)]
     assert np.mean(near[0] <= near[1] + 1e-9) >= 0.99
     assert np.median(near[1] - near[0]) > 0.02
@@ -402,7 +398,7 @@ def test_the_posture_that_is_asked_for() -> None:
 def test_five_of_six_joints_for_an_axis() -> None:
     """A tool that may turn about its axis is a redundant task on six joints."""
     robot = robots.load("irb2400")
-    T = goals(robot, 50, seed=6)
+    T = reachable(robot, 50, seed=6)[1]
     result = inverse(robot, T, task="axis", objective="limits")
     assert result.success.all()
     assert result.slope.max() <= 1e-6
@@ -461,7 +457,7 @@ def test_beside_a_singular_elbow_reachable_poses_are_solved_or_called_singular(b
 @pytest.mark.parametrize("digits", [8, 6])
 def test_goals_with_few_digits_are_solved_as_the_nearest_poses(digits: int) -> None:
     robot = robots.load("yumi_left")
-    T = np.round(goals(robot, 20, seed=8), digits)
+    T = np.round(reachable(robot, 20, seed=8)[1], digits)
     found = inverse(robot, T)
     assert found.success.all()
     np.testing.assert_allclose(forward(robot, found.q), lie.se3.project(T)[0], rtol=0, atol=3e-9)

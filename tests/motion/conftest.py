@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -79,42 +77,12 @@ def pose_fit(pose_demo: tuple[np.ndarray, np.ndarray]) -> Fit[PoseDmp]:
     return fit_pose_dmp(*pose_demo)
 
 
-@pytest.fixture
-def kept() -> Callable[..., tuple[int, int]]:
-    """Counts blocks that a thousand calls of a controller leave, and the most bytes meanwhile."""
-
-    def count(controller: Controller, q: np.ndarray, period: float) -> tuple[int, int]:
-        states = [State(k * period, period, q, np.zeros_like(q), q) for k in range(1100)]
-        for state in states[:100]:
-            controller(state)
-        tracemalloc.start()
-        try:
-            blocks = sys.getallocatedblocks()
-            for state in states[100:]:
-                controller(state)
-            return sys.getallocatedblocks() - blocks, tracemalloc.get_traced_memory()[1]
-        finally:
-            tracemalloc.stop()
-
-    return count
-
-
 def _plain(weights: Any, centres: Any, widths: Any, duration: float, y0: np.ndarray, g: np.ndarray, **more: Any) -> Dmp:
     """A Dmp of the convention "lund" from its weights."""
     n = len(y0)
     parts = {"v0": np.zeros(n), "extent": np.abs(g - y0) + 1e-9, "peak_acceleration": np.ones(n)}
-    return Dmp(
-        weights=weights,
-        centres=centres,
-        widths=widths,
-        tau_d=duration / 3,
-        duration=duration,
-        y0=y0,
-        g=g,
-        monotone=np.ones(n, dtype=bool),
-        **parts,
-        **more,
-    )
+    kernels = {"weights": weights, "centres": np.asarray(centres), "widths": widths}
+    return build(n=n, tau_d=duration / 3, duration=duration, y0=y0, g=g, **parts, **kernels, **more)
 
 
 def _smooth(n: int = 2, seed: int = 0, force: float = 40.0, **more: Any) -> Dmp:

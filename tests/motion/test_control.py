@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -225,12 +226,20 @@ def test_several_arms_are_one_motion(reach: Dmp) -> None:
 
 
 @KINDS
-def test_calls_leave_nothing_behind(
-    arm: Callable[..., Any], reach: Dmp, kind: str, kept: Callable[..., tuple[int, int]]
-) -> None:
-    blocks, peak = kept(made(reach, kind), arm().q, PERIOD)
-    assert blocks < 20  # of a thousand calls
-    assert peak < 20_000  # bytes at any time of them: a reference and its record
+def test_calls_leave_nothing_behind(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
+    controller, q = made(reach, kind), arm().q
+    states = [State(k * PERIOD, PERIOD, q, np.zeros_like(q), q) for k in range(1100)]
+    for state in states[:100]:
+        controller(state)
+    tracemalloc.start()
+    try:
+        blocks = sys.getallocatedblocks()
+        for state in states[100:]:
+            controller(state)
+        assert sys.getallocatedblocks() - blocks < 20  # of a thousand calls
+        assert tracemalloc.get_traced_memory()[1] < 20_000  # bytes at any time of them: a reference and its record
+    finally:
+        tracemalloc.stop()
 
 
 def test_importing_motions_loads_no_logs() -> None:

@@ -73,13 +73,6 @@ def refused(call: Callable[[], Any]) -> None:
     assert len(str(caught.value)) < 500
 
 
-@pytest.mark.parametrize("name", WRONG_DEMOS)
-@pytest.mark.parametrize("fit", FITS.values(), ids=FITS)
-def test_demonstrations_and_kernels(fit: Callable[..., Any], name: str) -> None:
-    for value in WRONG_DEMOS[name]:
-        refused(lambda value=value: fit(**{name: value}))
-
-
 OPTIONS = {
     "pin": (None, 3.0, "g", ("goal",)),
     "hold": (-1.0, 1e9, np.inf, "long", 1j),
@@ -90,12 +83,6 @@ OPTIONS = {
     "ridge": (-1.0, np.inf, [1.0]),
     "sample_weights": (1.0, -np.ones(30), np.zeros(30), np.full(30, np.nan), "even"),
 }
-
-
-@pytest.mark.parametrize("name", OPTIONS)
-def test_options_of_a_fit(name: str) -> None:
-    for value in OPTIONS[name]:
-        refused(lambda value=value: fit_dmp(U, Y, n_basis=6, **{name: value}))
 
 
 TEXTS = {
@@ -114,21 +101,16 @@ TEXTS = {
 }
 
 
-@pytest.mark.parametrize("call", TEXTS.values(), ids=TEXTS)
-def test_names_of_options(call: Callable[[Any], Any]) -> None:
-    for value in (np.array(["goal", "time"]), np.array([1.0, 2.0]), np.array("goal"), ["goal"], {}, 3.0, b"goal", ""):
-        refused(lambda value=value: call(value))
-
-
-def test_lists_of_demonstrations_that_do_not_fit_each_other() -> None:
-    for weights in (1.0, "even", [np.ones(30)]):
-        refused(lambda weights=weights: fit_dmp([U, U], [Y, Y], n_basis=6, sample_weights=weights))
-    for y in ([Y], [Y, Y[:5]], [Y, "home"], Y):
-        refused(lambda y=y: fit_dmp([U, U], y, n_basis=6))
-
-
+NO_TEXTS = (np.array(["goal", "time"]), np.array([1.0, 2.0]), np.array("goal"), ["goal"], {}, 3.0, b"goal", "")
 POSITIVE = (0.0, -1.0, np.nan, np.inf, "slow", 1j, [1.0, 2.0])
 RUNS: dict[str, tuple[Callable[..., Any], dict[str, tuple[Any, ...]]]] = {
+    **{f"fit of {name}": (call, WRONG_DEMOS) for name, call in FITS.items()},
+    "options of a fit": (lambda **more: fit_dmp(U, Y, n_basis=6, **more), OPTIONS),
+    "lists": (
+        lambda y=(Y, Y), **more: fit_dmp([U, U], list(y) if isinstance(y, tuple) else y, n_basis=6, **more),
+        {"sample_weights": (1.0, "even", [np.ones(30)]), "y": ([Y], [Y, Y[:5]], [Y, "home"], Y)},
+    ),
+    **{name: (call, {"v": NO_TEXTS}) for name, call in TEXTS.items()},
     "dmp": (
         lambda t=0.01, **more: DMP.rollout(t, **more),
         {
