@@ -1,7 +1,7 @@
-"""Signatures and documentation of the compiled kernels; `armlab.kernels` is their public face.
+"""Signatures and documentation of the compiled kernels, which are imported from `armlab.kernels`.
 
-Checked by tests/kernels/test_extension.py against the extension. Methods take any leading batch where shapes begin with
-``...``, leave inputs unchanged, write into `out` when that is given, and raise `ShapeError` for wrong arguments.
+tests/kernels/test_extension.py compares them with the extension. Methods accept any leading batch where shapes begin
+with ``...``, leave inputs unchanged, write into `out` if given, and raise `ShapeError` for invalid arguments.
 """
 
 from __future__ import annotations
@@ -14,18 +14,15 @@ import numpy as np
 _Pair = tuple[np.ndarray, np.ndarray]
 
 class Chain:
-    """A serial chain of revolute and prismatic joints, immutable.
+    """Immutable serial chain of revolute and prismatic joints.
 
     ``T_base_tool(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n`` with ``Z(q) = Rz(q)`` (revolute) or ``Tz(q)`` (prismatic):
-    the local product of exponentials with every joint axis along z. Link frame i is
-    ``T_base_i = E_0 Z_1(q_1) ... E_{i-1} Z_i(q_i)``.
-
-    Every method takes any leading batch and keeps it, accepts read-only input, leaves it unchanged, and writes into
-    `out` when that is given. NaN in a sample gives NaN in its result. Argument errors are `ShapeError`.
+    the local product of exponentials with every joint axis along z. Link frame i is ``T_base_i = E_0 Z_1(q_1) ...
+    E_{i-1} Z_i(q_i)``. NaN in a sample gives NaN in its result.
 
     Parameters
     ----------
-    frames : (n + 1, 4, 4) E_0 ... E_n, rigid to 1e-6 (rotations are then projected on SO(3)) [m].
+    frames : (n + 1, 4, 4) E_0 ... E_n, rigid to 1e-6 (rotations are then projected onto SO(3)) [m].
     prismatic : (n,) bool, True for prismatic joints; n from 1 to 32.
     """
 
@@ -36,38 +33,39 @@ class Chain:
 
     @property
     def frames(self) -> np.ndarray:
-        """(n + 1, 4, 4) a copy of E_0 ... E_n."""
+        """Copy of E_0 ... E_n, (n + 1, 4, 4)."""
 
     @property
     def prismatic(self) -> np.ndarray:
-        """(n,) bool, True for prismatic joints."""
+        """Whether each joint is prismatic, (n,) bool."""
 
     def forward(self, q: Any, out: Any = None, threads: int = 1) -> np.ndarray:
         """Return T_base_tool (..., 4, 4) for joint positions `q` (..., n)."""
 
     def link_transforms(self, q: Any, out: Any = None) -> np.ndarray:
-        """Return T_base_i (..., n, 4, 4) of link frames 1 ... n."""
+        """Return the poses T_base_i (..., n, 4, 4) of link frames 1 ... n."""
 
     def jacobian(self, q: Any, tool: bool = False, out: Any = None, threads: int = 1) -> np.ndarray:
-        """Return J (..., 6, n), rows [v; w], at the tool point in base axes, or in tool axes when `tool`.
+        """Return J (..., 6, n), rows [v; w], at the tool point, in base axes or, if `tool` is set, in tool axes.
 
         Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic).
         """
 
     def forward_jacobian(self, q: Any, tool: bool = False, out: _Pair | None = None, threads: int = 1) -> _Pair:
-        """Return `forward`, T_base_tool (..., 4, 4), and `jacobian`, J (..., 6, n); `out` is such a pair."""
+        """Return the pair T_base_tool (..., 4, 4) of `forward` and J (..., 6, n) of `jacobian`; `out` is such a pair."""
 
     def jacobian_derivative(self, q: Any, qd: Any, tool: bool = False, out: Any = None) -> np.ndarray:
         """Return Jd (..., 6, n), the derivative of `jacobian` along the motion `q`, `qd` (..., n).
 
-        Base axes: ``dv_i/dq_j = w_first x v_last`` with first = min(i, j), last = max(i, j), and ``dw_i/dq_j = w_j x
-        w_i`` where j < i, else 0. Tool axes: ``d/dt (R^T u) = R^T (ud - w x u)``, w the angular velocity of the tool.
+        In base axes, ``dv_i/dq_j = w_first x v_last`` with first = min(i, j) and last = max(i, j), and ``dw_i/dq_j =
+        w_j x w_i`` for j < i, else 0. In tool axes, ``d/dt (R^T u) = R^T (ud - w x u)``, with w the angular velocity of
+        the tool.
         """
 
     def rnea(self, q: Any, qd: Any, qdd: Any, gravity: Any, pi: Any, out: Any = None) -> np.ndarray:
-        """Return joint torques tau (..., n) of a motion, by recursive Newton-Euler.
+        """Return the joint torques tau (..., n) of a motion by the recursive Newton-Euler algorithm.
 
-        ``F_i = I_i A_i + V_i x* (I_i V_i)`` with ``A_0 = [-g; 0]``; ``tau_i = S_i . sum of F_k, k >= i``.
+        ``F_i = I_i A_i + V_i x* (I_i V_i)`` with ``A_0 = [-g; 0]``, and ``tau_i = S_i . sum of F_k, k >= i``.
 
         Parameters
         ----------
@@ -78,33 +76,28 @@ class Chain:
         """
 
     def rigid_regressor(self, q: Any, qd: Any, qdd: Any, gravity: Any, out: Any = None) -> np.ndarray:
-        """Return Y (..., n, 10 n) with ``tau = Y pi.ravel()``, parameters as in `rnea`."""
+        """Return Y (..., n, 10 n) with ``tau = Y pi.ravel()`` and parameters as in `rnea`."""
 
 class Datagrams:
-    """Receives and sends on a bound UDP socket of IPv4, never waits and never raises for the socket.
+    """Nonblocking receiver and sender on a bound IPv4 UDP socket, which never raises for socket errors.
 
     Parameters
     ----------
-    socket : does not block; `close` closes it. With SO_TIMESTAMPNS the kernel's stamps are used.
-    kind : named tuple that is made of each datagram: its bytes, (host, port) of the sender, and its arrival on the
+    socket : nonblocking socket, closed by `close`; with SO_TIMESTAMPNS, the kernel's time stamps are used.
+    kind : named tuple created for each datagram, with its bytes, the sender's (host, port), and the arrival time on the
         monotonic clock [ns].
 
     Attributes
     ----------
-    errors : socket errors so far.
+    errors : number of socket errors so far.
     """
 
     def __init__(self, socket: Any, kind: Any) -> None: ...
     def receive(self) -> Any | None:
-        """Return the next datagram, None when there is none or the socket reports an error."""
+        """Return the next datagram, or None if there is none or the socket reports an error."""
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
-        """Send one datagram. Return whether the system took it.
-
-        Parameters
-        ----------
-        data : its bytes. to : numeric address and port.
-        """
+        """Send one datagram to a numeric address and port; return whether the system accepted it."""
 
     def close(self) -> None:
         """Close the socket."""
@@ -112,7 +105,7 @@ class Datagrams:
     errors: int
 
 class Drive:
-    """Drives of n joints.
+    """Friction and ripple of n joint drives.
 
     Parameters
     ----------
@@ -122,7 +115,7 @@ class Drive:
     lines : joints (L,) in order, cycles (L,), speeds and widths (n, S), coefficients (L, 1 or 2 directions, S, 2); or
         None.
     map : positions and widths (n, P), speeds and widths (n, S), coefficients (n, 2, P, S); or None.
-    warm_up : (5, n) rows of_coulomb, of_viscous, time, reference, start; or None. time 0: no warming up.
+    warm_up : (5, n) rows of_coulomb, of_viscous, time, reference, start; or None. A time of 0 disables warm-up.
     """
 
     def __init__(
@@ -139,18 +132,18 @@ class Drive:
     n: int
 
 class EgmMessages:
-    """Datagrams of EGM for one arm: EgmRobot to packets, references to EgmSensor.
+    """EGM codec of one arm: EgmRobot to packets, references to EgmSensor.
 
     Parameters
     ----------
-    packet, drop : named tuples to make, `wire.egm.Packet` and `wire.egm.Drop`.
+    packet, drop : named tuples to create, `wire.egm.Packet` and `wire.egm.Drop`.
     order : axis of each joint, from 0. scale : (n,) SI per wire unit of each joint.
-    external_scale : SI per wire unit of the first external axes beyond the robot's own; further ones are in degrees.
-    extension : write the research extension.
+    external_scale : SI per wire unit of the first external axes beyond the robot's own; further axes are in degrees.
+    extension : whether to write the research extension.
 
     Raises
     ------
-    ShapeError : an axis that is missing, or not (n,) scales.
+    ShapeError : a missing axis, or a wrong number of scales.
     """
 
     def __init__(
@@ -163,41 +156,35 @@ class EgmMessages:
         extension: bool,
     ) -> None: ...
     def read(self, data: bytes, robotware: str) -> Any:
-        """Return the packet, or the drop.
+        """Decode one datagram; return the packet or the drop.
 
-        Parameters
-        ----------
-        data : one datagram. robotware : flavour of the session, "" to decide by the fields present.
+        `robotware` is the version of the session; "" selects it by the fields present.
         """
 
     def write(self, ref: Any) -> bytes:
-        """Return the bytes of an EgmSensor, as protobuf would write it.
-
-        Parameters
-        ----------
-        ref : a `wire.egm.Reference`.
+        """Return the bytes of an EgmSensor for a `wire.egm.Reference`, as protobuf would write it.
 
         Raises
         ------
-        ShapeError : another number of joints.
+        ShapeError : a wrong number of joints.
         """
 
 class InverseSolver:
-    """Inverse kinematics of a chain within joint limits, immutable.
+    """Immutable inverse-kinematics solver of a chain within joint limits.
 
-    Levenberg-Marquardt from one start after the other. Starts that stall are given up early;
-    the next is taken from a table of random postures, in each block of it the one whose tool is nearest to the goal. In
-    the second half of the table every other joint is at a limit, for the poses that are reached only so.
-    The table depends on the robot and the seed alone: a goal has the same answer in a batch and alone.
+    It runs Levenberg-Marquardt from successive starts and abandons stalled starts early. The next start is taken from a
+    table of random postures: from each block, the posture whose tool is nearest to the goal. In the second half of the
+    table, every other joint is at a limit, for poses that are reachable only there. The table depends only on robot and
+    seed, so a goal has the same result alone and in a batch.
 
-    Tasks are told by their number of rows: 6 pose, 5 position and direction of a tool axis, 3 position, 2 direction.
-    Statuses: 0 solved; 1 out of reach; 2 limits; 3 singular; 4 iterations; 5 bound (`follow` only).
+    Tasks are identified by their number of rows: 6 pose, 5 position and direction of a tool axis, 3 position, 2
+    direction. Statuses: 0 solved; 1 out of reach; 2 limits; 3 singular; 4 iterations; 5 bound (`follow` only).
 
     Parameters
     ----------
     chain : the chain.
-    q_min, q_max : (n,) limits, maybe infinite: then starts come from one turn, or twice the arm's length.
-    q_home : (n,) the first posture of the table, within the limits.
+    q_min, q_max : (n,) limits; if infinite, starts are drawn from one revolution, or from twice the arm's length.
+    q_home : (n,) first posture of the table, within the limits.
     seed : 0 to 2^64 - 1.
     """
 
@@ -221,23 +208,24 @@ class InverseSolver:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
         """Return q (..., n), errors (..., 3), counts (..., 3) and the history (..., steps + 1, 2) or None.
 
-        Counts are steps of all starts, starts, status. Without a solution `q` is the posture with the least error. It
-        is always within the limits. Errors are those of position [m] and rotation [rad], NaN where the task does not
-        ask for them, and the slope of the objective that is left, NaN without one.
+        The counts are the steps of all starts, the number of starts, and the status. Without a solution, `q` is the
+        posture with the smallest error; it is always within the limits. The errors are the position error [m], the
+        rotation error [rad] (NaN if the task does not constrain it) and the remaining slope of the objective (NaN
+        without an objective).
 
         Parameters
         ----------
         T_base_tool : (..., 4, 4) goals.
-        q0 : (n,) or (..., n) the first start; None: all starts come from the table.
-        task : rows of the task.
-        axis : (3,) the direction in tool axes, for tasks of 5 and 2 rows.
-        steps : per start.
-        starts : how many.
-        position_tolerance, rotation_tolerance : errors at which a goal is solved [m], [rad].
-        damping : ``lambda = damping |e|^2``, eight times that after each failure.
-        objective : of the joints that the task leaves free, 0 none, 1 posture, 2 limits, 3 manipulability.
-        reference : (n,) or (..., n), and scale : (n,), of the objectives 1 and 2; None: zeros.
-        history : the errors along the start that gave the result, NaN after its end.
+        q0 : (n,) or (..., n) first start; None: all starts are taken from the table.
+        task : number of rows of the task.
+        axis : (3,) direction in tool axes, for tasks with 5 or 2 rows.
+        steps : largest number of steps per start.
+        starts : largest number of starts.
+        position_tolerance, rotation_tolerance : errors at which a goal counts as solved [m], [rad].
+        damping : ``lambda = damping |e|^2``, multiplied by eight after each failure.
+        objective : for the joints left free by the task: 0 none, 1 posture, 2 limits, 3 manipulability.
+        reference : (n,) or (..., n), and scale : (n,), of objectives 1 and 2; None: zeros.
+        history : whether to return the errors along the successful start, NaN after its end.
         threads : 1 to 256.
         """
 
@@ -258,54 +246,55 @@ class InverseSolver:
         history: bool = False,
         threads: int = 1,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Solve from `q0` alone, and move no joint further than `change` from it; parameters and results as in `solve`.
+        """Solve from `q0` only, without moving any joint by more than `change`; otherwise as `solve`.
 
-        For paths, where the start is the previous posture: the result is near it or status 5 says that the bound stops
-        it; damping bounds the steps near singular postures. `q` is the posture with the least error within the bound.
+        For paths, whose start is the previous posture: either the result is near it, or status 5 reports that the bound
+        stopped the search. Damping limits the steps near singular postures. `q` is the posture with the smallest error
+        within the bound.
         """
 
 class MessageCopier:
-    """Copies the numbers of messages into the rows of arrays, channel by channel, where all are laid out as expected.
+    """Copier of message numbers into the rows of arrays, for channels whose messages all have the expected layout.
 
-    Several threads may copy at the same time, into different rows.
+    Several threads may copy simultaneously into different rows.
 
     Parameters
     ----------
-    channels : of each its number; the bytes of an example message; pairs (start, stop) of the bytes in it that all
-        messages have; pairs of the numbers to copy; and the arrays to write into, with a row for every message of the
-        file: sequence numbers (N,) uint32, log times (N,) int64, and one of N rows for every pair of numbers.
+    channels : for each channel, its number; the bytes of an example message; pairs (start, stop) of the bytes common to
+        all its messages; pairs of the numbers to copy; and the output arrays, with a row for every message of the file:
+        sequence numbers (N,) uint32, log times (N,) int64, and an array of N rows for every pair of numbers.
 
     Raises
     ------
-    ShapeError : places outside the message; arrays that are read-only, not contiguous or of another size.
+    ShapeError : positions outside the message, or arrays that are read-only, not contiguous or of the wrong size.
     """
 
     def __init__(self, channels: Sequence[tuple[Any, ...]]) -> None: ...
     def copy(self, data: bytes | memoryview, first: Sequence[int], count: Sequence[int]) -> list[bool]:
-        """Return of which channels all messages are copied; the rows of the others hold nothing of use.
+        """Copy a chunk; return whether all messages of each channel were copied. Rows of other channels are invalid.
 
         Parameters
         ----------
-        data : the records of a chunk, unpacked.
-        first, count : of each channel the row of its first message, and how many it must have; -1 leaves it out.
+        data : decompressed records of the chunk.
+        first, count : for each channel, the row of its first message and the required number of messages; -1 skips it.
 
         Raises
         ------
-        ShapeError : rows that the arrays do not have.
+        ShapeError : rows outside the arrays.
         """
 
 class MomentumEstimator:
-    """Contact wrench from joint motion and torque by the momentum, one sample at a time.
+    """Momentum-based contact wrench from joint motion and torque, one sample at a time.
 
     Parameters
     ----------
-    chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior, point : as of `WrenchEstimator`.
+    chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior, point : as in `WrenchEstimator`.
     memory : (n,) correlation time of the torque error [s].
-    qd_noise : (n,) deviation of the measured velocity.
+    qd_noise : (n,) standard deviation of the measured velocity.
     rate : (6,) intensity of the wrench's random walk [N^2/s, (N m)^2/s]. leak : (6,) of the wrench [1/s].
-    gain : of the observer [1/s].
+    gain : gain of the observer [1/s].
     filters : True for the Kalman filter, False for the observer.
-    biased : the filter carries a friction error per joint.
+    biased : whether the filter estimates a friction error per joint.
     """
 
     def __init__(
@@ -329,71 +318,57 @@ class MomentumEstimator:
         point: np.ndarray | None = None,
     ) -> None: ...
     def reset(self) -> None:
-        """Forget everything but the parameters."""
+        """Reset everything except the parameters."""
 
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[Any, ...]:
-        """Advance by one sample; returns what `WrenchEstimator.step` does, without an interval.
+        """Advance by one sample; return the outputs of `WrenchEstimator.step` without an interval.
 
-        The torque error is what the low-pass shows (observer), or what the estimate explains (filter). A sample that is
-        not finite gives NaN and changes nothing.
+        The torque error is that of the low-pass filter (observer) or the part explained by the estimate (Kalman
+        filter). A non-finite sample gives NaN and leaves the state unchanged.
         """
 
     def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[Any, ...]:
-        """Step along a record (N, n) with steps dt (N,); return the outputs of `step` stacked over N."""
+        """Step along a record (N, n) with time steps dt (N,); return the outputs of `step` stacked over N."""
 
     def tare(self) -> bool:
-        """Call what the torques show now friction, not contact: the posterior of all else given a wrench of zero.
+        """Attribute the current torque error to friction, conditioned on zero wrench; return whether this was possible.
 
-        False, and nothing done, unless every joint rests and the filter carries a friction error.
+        All joints must be at rest, and the filter must estimate a friction error; otherwise nothing changes.
         """
 
 class Obstacles:
-    """Obstacles and the rule by which they are avoided.
+    """Obstacles and the avoidance rule.
 
     Parameters
     ----------
-    arm : 2 or 3 axes of the space, or a `Chain`. links : (B,) from 1, that carry the bodies of an arm.
-    bodies : (B, 7) ends and radius of capsules in the axes of their links [m]; of no meaning in space.
-    clearance, reach : [m]. by_potential : instead of steering.
+    arm : 2 or 3 dimensions of the space, or a `Chain`. links : (B,) links, from 1, that carry the bodies of an arm.
+    bodies : (B, 7) ends and radius of capsules in the axes of their links [m]; unused in space.
+    clearance, reach : [m]. by_potential : whether to use the potential instead of steering.
     """
 
     def __init__(
         self, arm: Any, links: Any, bodies: Any, clearance: float, reach: float, by_potential: bool = False
     ) -> None: ...
     def place(self, capsules: Any) -> None:
-        """Put obstacles from now on.
+        """Replace the obstacles.
 
-        Parameters
-        ----------
-        capsules : (K, 10) ends [m], radius [m], velocity [m/s]; in the plane the third numbers are 0.
+        `capsules`: (K, 10) ends [m], radius [m], velocity [m/s]; in the plane, the third coordinates are 0.
         """
 
     def advance(self, dt: float) -> None:
-        """Let the obstacles go on.
-
-        Parameters
-        ----------
-        dt : [s].
-        """
+        """Move the obstacles by dt [s]."""
 
     def distance(self, y: Any) -> np.ndarray:
-        """Return the least distance (...) of any surface [m]; infinite without obstacles.
-
-        Parameters
-        ----------
-        y : (..., n).
-        """
+        """Return the smallest distance (...) to any surface at y (..., n) [m]; infinite without obstacles."""
 
     def add(self, y: Any, yd: Any, g: Any, ydd: Any) -> np.ndarray:
-        """Return the acceleration (n,) with what obstacles add.
+        """Return the acceleration (n,) with avoidance.
 
-        Parameters
-        ----------
-        y, yd, g, ydd : (n,) position, velocity, goal, and acceleration without obstacles.
+        `y`, `yd`, `g`, `ydd`: (n,) position, velocity, goal, and acceleration without obstacles.
         """
 
 class Primitive:
-    """Spring, damper and forcing of n coordinates with m kernels.
+    """Spring, damper and forcing term of n coordinates with m kernels.
 
     Parameters
     ----------
@@ -403,7 +378,7 @@ class Primitive:
 
     Raises
     ------
-    ShapeError : parameters that do not fit together, are not finite or not positive.
+    ShapeError : inconsistent, non-finite or non-positive parameters.
     """
 
     def __init__(
@@ -421,20 +396,20 @@ class Primitive:
         """Return the normalised kernels (..., m) at phases (...)."""
 
     def design(self, x: Any, factors: Any, rows: int, columns: int) -> np.ndarray:
-        """Return zeros (columns, rows) with the kernels at phases (N,), times factors (N,), in their corner [:m, :N].
+        """Return zeros (columns, rows) with the kernels at phases (N,), times factors (N,), in the corner [:m, :N].
 
         Raises
         ------
-        ShapeError : other shapes, not finite, less room than that.
+        ShapeError : wrong shapes, non-finite values, or too few rows or columns.
         """
 
     def forcing(self, x: Any, out: Any = None) -> np.ndarray:
-        """Return the forcing (..., n) at phases (...), or (..., n) where every coordinate has its own."""
+        """Return the forcing term (..., n) at phases (...), or at phases (..., n), one per coordinate."""
 
     def rollout(
         self, t: Any, tau: float, y0: Any, v0: Any, g: Any, scale: Any, weights: Any = None
     ) -> tuple[np.ndarray, ...]:
-        """Return y, yd, ydd, x and f over times (N,).
+        """Return y, yd, ydd, x and f at times (N,).
 
         Parameters
         ----------
@@ -442,15 +417,15 @@ class Primitive:
 
         Raises
         ------
-        ShapeError : arguments that do not fit together or are not finite.
+        ShapeError : inconsistent or non-finite arguments.
         """
 
     def response(self, t: Any, tau: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return position and velocity (N, m + 3) that each kernel alone, then y0, v0 and g, make.
+        """Return the position and velocity responses (N, m + 3) to each kernel, then to y0, v0 and g.
 
         Parameters
         ----------
-        t : (N,) increasing. tau : time constant [s]. longest : of a step [s].
+        t : (N,) increasing. tau : time constant [s]. longest : longest integration step [s].
 
         Raises
         ------
@@ -458,79 +433,58 @@ class Primitive:
         """
 
 class PrimitiveStepper:
-    """One run of a primitive.
+    """Run of a primitive, sample by sample.
 
     Parameters
     ----------
-    primitive : what runs. filter : rate of the goal filter times tau; 0: the goal changes at once.
-    around : what it goes around, and moves on.
+    primitive : primitive to run. filter : rate of the goal filter times tau; 0 changes the goal immediately.
+    around : obstacles to avoid, which the stepper moves.
     """
 
     def __init__(self, primitive: Primitive, filter: float = 0.0, around: Obstacles | None = None) -> None: ...
     def start(self, y0: Any, v0: Any, g: Any, scale: Any, tau: float) -> None:
-        """Begin at phase time 0.
-
-        Parameters
-        ----------
-        y0, v0, g, scale : (n,). tau : time constant [s].
-        """
+        """Start at phase time 0 with y0, v0, g and scale (n,), and time constant tau [s]."""
 
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Advance by dt and return y, yd, ydd.
-
-        Parameters
-        ----------
-        dt : above zero [s].
-        """
+        """Advance by a positive dt [s]; return y, yd, ydd."""
 
     def change_goal(self, g: Any, scale: Any, limit: Any = None) -> None:
-        """Go for another goal from now on.
+        """Change the goal.
 
-        Parameters
-        ----------
-        g, scale : (n,). limit : (n,) largest deceleration of the brake, 0 where there is none; None without brakes.
+        `g`, `scale`: (n,). `limit`: (n,) largest deceleration of the brake, 0 for coordinates without a brake; None: no
+        brake.
         """
 
     def change_tau(self, tau: float) -> None:
-        """Go on with another time constant.
-
-        Parameters
-        ----------
-        tau : above zero [s].
-        """
+        """Change the time constant, which must be positive [s]."""
 
     def follow(self, t: Any) -> tuple[np.ndarray, ...]:
-        """Return y, yd, ydd and the forcing over times, each (N, n).
-
-        Parameters
-        ----------
-        t : (N,) times, the first of which is now [s].
-        """
+        """Return y, yd, ydd and the forcing term, each (N, n), at times (N,) [s] that start at the current time."""
 
     def outputs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return y, yd, ydd as they are now."""
+        """Return the current y, yd, ydd."""
 
     elapsed: float
     forcing: np.ndarray
     tau: float
 
 class RigidBody:
-    """A `Chain` with masses, immutable: inverse and forward dynamics, their parts and derivatives.
+    """Immutable `Chain` with masses: inverse and forward dynamics, their terms and derivatives.
 
-    Leading axes broadcast and are kept; NaN in a sample gives NaN in its results. `armlab.dynamics` documents the
-    quantities, and the tests judge them by Pinocchio.
+    Leading axes broadcast. NaN in a sample gives NaN in its results. `armlab.dynamics` documents the quantities; the
+    tests compare them with Pinocchio.
 
     Parameters
     ----------
-    chain : Chain
+    chain : the chain.
     gravity : (3,) in base axes [m/s^2].
     pi : (n, 10) as in `Chain.rnea`.
-    motors : (n, n) inertia of the motors as the joints feel it, or None.
+    motors : (n, n) motor inertia reflected to the joints, or None.
     """
 
     def __init__(self, chain: Chain, gravity: Any, pi: Any, motors: Any = None) -> None: ...
     def rnea(self, q: Any, qd: Any, qdd: Any, f_ext: Any = None, out: Any = None) -> np.ndarray:
-        """Return tau (..., n); f_ext (..., 6) is a wrench at the tool point, base axes."""
+        """Return tau (..., n); f_ext (..., 6) is a wrench at the tool point in base axes."""
 
     def rnea_derivatives(
         self, q: Any, qd: Any, qdd: Any, f_ext: Any = None, out: Any = None
@@ -552,7 +506,7 @@ class RigidBody:
         """Return C qd (..., n)."""
 
     def coriolis_matrix(self, q: Any, qd: Any, out: Any = None) -> np.ndarray:
-        """Return C (..., n, n) of Christoffel symbols."""
+        """Return C (..., n, n) from Christoffel symbols."""
 
     def mass_matrix(self, q: Any, out: Any = None) -> np.ndarray:
         """Return M (..., n, n): column j is the torque of a unit acceleration of joint j."""
@@ -560,23 +514,23 @@ class RigidBody:
     def momentum(self, q: Any, qd: Any, out: _Pair | None = None) -> _Pair:
         """Return p = M qd and beta = C^T qd (..., n) of the links, without motors.
 
-        With l_i the momentum of links i ... n and V_i the twist of link i: ``p_i = S_i . l_i, beta_i = l_i . (V_i x
-        S_i)``; rnea without gravity is dp/dt - beta. `MomentumEstimator` is built on it.
+        With l_i the momentum of links i ... n and V_i the twist of link i, ``p_i = S_i . l_i`` and ``beta_i = l_i .
+        (V_i x S_i)``. `rnea` without gravity equals dp/dt - beta, which `MomentumEstimator` uses.
         """
 
     def energy(self, q: Any, qd: Any, out: _Pair | None = None) -> _Pair:
-        """Return kinetic and potential energy (...)."""
+        """Return the kinetic and potential energy (...) [J]."""
 
 class RotationStepper:
-    """One run of orientations, sample by sample.
+    """Run of an orientation primitive, sample by sample.
 
     Parameters
     ----------
-    primitive : of three coordinates, with a phase of time.
+    primitive : primitive with three coordinates and a time phase.
 
     Raises
     ------
-    ShapeError : another primitive.
+    ShapeError : any other primitive.
     """
 
     def __init__(self, primitive: Primitive) -> None: ...
@@ -584,85 +538,85 @@ class RotationStepper:
         """Begin at phase time 0 with orientation (4,), angular velocity (3,), goal (4,) and map (3, 3)."""
 
     def change_goal(self, goal: Any, map: Any) -> None:
-        """Go to another goal from now on."""
+        """Change the goal and the map."""
 
     def change_tau(self, tau: float) -> None:
-        """Go on with another time constant."""
+        """Change the time constant [s]."""
 
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Advance by dt and return q, w, wd."""
+        """Advance by dt [s]; return q, w, wd."""
 
     def outputs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return q, w and wd as they are now."""
+        """Return the current q, w and wd."""
 
     elapsed: float
     tau: float
 
 class RowEncoder:
-    """Makes the messages of rows by patching templates, with their records and index entries.
+    """Encoder of rows as messages, with their records and index entries, by patching templates.
 
     Parameters
     ----------
-    topics : (channel, always, columns, variants, is_pose) each.
-        always : each row has this message, not only those with one of its columns.
-        columns : (start, nothing, optional) each: where a column begins in the row, the bytes that stand for missing,
-        and whether messages without it have a template of their own.
-        variants : (message, copies) for each set of optional columns that are there, the first of them the lowest bit;
-        copies : (place in the message, place in the row, bytes) each. The message has a stamp behind its encapsulation.
-        is_pose : the one copy writes position xyz and quaternion xyzw of the homogeneous matrix in the row.
+    topics : (channel, always, columns, variants, is_pose) per topic.
+        always : whether each row has this message, not only rows with one of its columns.
+        columns : (start, nothing, optional) per column: its offset in the row, the bytes of a missing value, and
+        whether messages without it have a separate template.
+        variants : (message, copies) for each subset of the optional columns, with the first column as the lowest bit;
+        copies : (offset in the message, offset in the row, bytes) each. The stamp follows the encapsulation.
+        is_pose : whether the only copy writes position xyz and quaternion xyzw of the homogeneous matrix in the row.
 
     Raises
     ------
-    ShapeError : topics that contradict themselves.
+    ShapeError : inconsistent topics.
     """
 
     def __init__(self, topics: Sequence[tuple[Any, ...]]) -> None: ...
     def encode(
         self, rows: Sequence[bytes], first: int | None = None, at: int = 0
     ) -> tuple[bytes, dict[int, bytes], int, int]:
-        """Return records, index entries by channel, and the earliest and the latest stamp [ns].
+        """Return records, index entries by channel, and the earliest and latest stamp [ns].
 
         Parameters
         ----------
-        rows : at least one. first : sequence number of the first row, counted on; None takes those of the ticks.
-        at : place of the first record in the chunk.
+        rows : at least one row. first : sequence number of the first row; None: use the tick numbers of the rows.
+        at : offset of the first record in the chunk.
 
         Raises
         ------
-        ShapeError : no row, or one that is too short for its columns.
+        ShapeError : no rows, or a row that is too short for its columns.
         """
 
 class RowPacker:
-    """Packs what is known of a tick, attributes of three objects, into one row of bytes.
+    """Packer of the data of a tick, attributes of three objects, into one row of bytes.
 
     Parameters
     ----------
     kinds : classes of the three objects, called "state", "command" and "tick" in `places`: dataclasses with slots or
-        named tuples; an object of another class is asked for its attributes. A command may be None.
-    places : of the columns in the row, one behind the other: (column, source, field, form, nothing, detail).
-        source, field : object and attribute; source "record" is the value by this name in the attribute `record` of
-        the command, else of the tick.
+        named tuples. Objects of other classes are read through their attributes. A command may be None.
+    places : consecutive columns of the row: (column, source, field, form, nothing, detail).
+        source, field : object and attribute; source "record" is the value of this name in the attribute `record` of the
+        command, else of the tick.
         form : "count" int64, "real" float64, "flag" one byte or int64, "code" the number that the mapping `detail`
-        gives a text, 0 for others; "doubles" exactly as many as fit, none or None for missing; "fitting" the same, and
-        missing where others come; "padded" at most as many as fit; "bits" exactly as many bytes as fit, "wide" exactly
-        as many int64, None for missing; "said" one number or flag, None for missing; "heard" a flag that is missing
-        when it is False and the column `detail` is missing; "blank" what is written by somebody else.
-        nothing : the bytes of a missing value; of "count", "real", "flag", "code" only their number counts.
-    seldom : name of the first column of those at the end that a row leaves out when all of them are missing.
+        assigns to a text (0 for others); "doubles" exactly the column's size, empty or None if missing; "fitting" the
+        same, with other sizes treated as missing; "padded" at most the column's size; "bits" exactly the column's size
+        in bytes, "wide" exactly the column's size in int64, None if missing; "said" one number or flag, or None;
+        "heard" a flag that is missing if it is False and the column `detail` is missing; "blank" left to be filled.
+        nothing : the bytes of a missing value; for "count", "real", "flag" and "code", only their number is used.
+    seldom : name of the first of the trailing columns that a row omits if all of them are missing.
     """
 
     def __init__(self, kinds: tuple[type, type, type], places: Sequence[tuple[Any, ...]], seldom: str) -> None: ...
     def pack(self, state: Any, command: Any, tick: Any) -> bytes:
-        """Return one row. Values are copied.
+        """Return one row, with copies of the values.
 
         Raises
         ------
-        ShapeError : an array has the wrong number of values; names the column.
-        AttributeError, TypeError, ValueError, OverflowError : an object or a value is none that can be packed.
+        ShapeError : an array has the wrong number of values; the message names the column.
+        AttributeError, TypeError, ValueError, OverflowError : an object or value that cannot be packed.
         """
 
 class SignalOperator:
-    """Operator with memory: one sample in, one sample out, with the true step h since the last one.
+    """Streaming operator with memory: one output per sample, using the true time step h since the last sample.
 
     ::
 
@@ -674,47 +628,47 @@ class SignalOperator:
         slope        y' of lowpass                    first output 0
         notch        x - 2 z / w y' of lowpass        first output x_0
 
-    The oscillators are solved exactly for an input that is a straight line between samples: with slope
-    ``s = (x - x_prev) / h`` and lag ``2 z / w s``, the distance ``e = y - x_prev + lag`` and its rate ``u = y' - s``
-    move freely, ``[e; u] <- exp([[0, 1], [-w^2, -2 z w]] h) [e; u]``.
+    The oscillators are solved exactly for an input that is linear between samples. With slope ``s = (x - x_prev) / h``
+    and lag ``2 z / w s``, the distance ``e = y - x_prev + lag`` and its rate ``u = y' - s`` move freely: ``[e; u] <-
+    exp([[0, 1], [-w^2, -2 z w]] h) [e; u]``.
 
-    A sample that is not finite gives NaN, changes nothing and is counted in `skipped`; its time belongs to the next
-    step. A step longer than 1.5 dt (1.5 times the first step where dt is NaN) is counted in `gaps`.
+    A non-finite sample gives NaN, leaves the state unchanged and is counted in `skipped`; its time is added to the next
+    step. A step longer than 1.5 dt (1.5 times the first step if dt is NaN) is counted in `gaps`.
 
     Parameters
     ----------
     kind : see above. a : time constant T [s], or angular frequency w [rad/s]. b : damping ratio z < 1.
-    dt : nominal step [s]; NaN when every sample has a time stamp.
-    init : None, a number, or the shape of a sample.
+    dt : nominal step [s]; NaN if every sample has a time stamp.
+    init : None, a number, or an array of the shape of a sample.
     """
 
     def __init__(self, kind: str, a: float, b: float, dt: float, init: np.ndarray | float | None = None) -> None: ...
     def reset(self, init: np.ndarray | float | None = None) -> None:
-        """Forget all samples; start again from init."""
+        """Discard all samples and restart from `init`."""
 
     def step(self, x: np.ndarray | float, t: float | None = None) -> np.ndarray | float:
-        """Advance by one sample and return the output."""
+        """Advance by one sample; return the output."""
 
     def run(self, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
-        """Step along samples (N, ...) and return the outputs stacked over N."""
+        """Step along samples (N, ...); return the outputs stacked over N."""
 
     gaps: int
     longest_gap: float
     skipped: int
 
 class TwoDof:
-    """The law above for one primitive on its way to one goal.
+    """Two-degree-of-freedom control law (docs/theory/two_dof_dmp.md) of a primitive with one goal.
 
     Parameters
     ----------
     primitive : spring, basis and weights. tau : its time constant [s].
-    y0, g, scale : (n,) start, from which the position phase counts, goal, and factor of the forcing.
-    gains : (5,) kp [1/s^2], kv [1/s], kc, alpha_e [1/s], e_max, which may be infinite.
+    y0, g, scale : (n,) start (reference of the position phase), goal, and factor on the forcing term.
+    gains : (5,) kp [1/s^2], kv [1/s], kc, alpha_e [1/s], e_max (may be infinite).
     dead_zone, unit : (n,) of the error e.
 
     Raises
     ------
-    ShapeError : wrong shapes, more than 32 coordinates, or numbers that are not finite or out of their range.
+    ShapeError : wrong shapes, more than 32 coordinates, or numbers that are non-finite or out of range.
     """
 
     def __init__(
@@ -729,13 +683,13 @@ class TwoDof:
         unit: np.ndarray,
     ) -> None: ...
     def advance(self, state: np.ndarray, dt: float, steps: int, driven: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        """Return the state (5 n + 2,) after dt seconds.
+        """Return the state (5 n + 2,) after dt [s].
 
         Parameters
         ----------
-        state : (5 n + 2,). dt : seconds, made in `steps` equal steps, at least one.
-        driven : (n,) velocity with which something else moves ya; NaN where ya'' is ya_ref''.
-        speed : (3,) v at the beginning and at the end, linear between them, and v' after the end.
+        state : (5 n + 2,). dt : duration [s], divided into `steps` equal steps, at least one.
+        driven : (n,) externally imposed velocity of ya; NaN for coordinates with ya'' = ya_ref''.
+        speed : (3,) v at the beginning and at the end, linear in between, and v' after the end.
 
         Raises
         ------
@@ -743,7 +697,7 @@ class TwoDof:
         """
 
     def reference(self, state: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        """Return (3, n) yc', yc'' and ya_ref'' of a state (5 n + 2,), at the end of `speed` (3,).
+        """Return yc', yc'' and ya_ref'' (3, n) of a state (5 n + 2,), at the end of `speed` (3,).
 
         Raises
         ------
@@ -751,7 +705,7 @@ class TwoDof:
         """
 
     def slopes(self, state: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        """Return the time derivative (5 n + 2,) of a state whose ya'' is ya_ref'', at the end of `speed` (3,).
+        """Return the time derivative (5 n + 2,) of a state with ya'' = ya_ref'', at the end of `speed` (3,).
 
         Raises
         ------
@@ -761,14 +715,13 @@ class TwoDof:
     def follow(
         self, state: np.ndarray, dt: float, steps: int, speed: np.ndarray, ya: np.ndarray, yad: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the state dt seconds later, when ya and ya' (n,) are measured, and `reference` of it.
+        """Return the state after dt [s], given measured ya and ya' (n,), and its `reference`.
 
-        In between ya moves with the velocity that was measured before. A sample that is not finite is passed over: ya
-        goes on as it did.
+        In between, ya moves with the previously measured velocity. A non-finite sample is ignored, and ya continues.
 
         Raises
         ------
-        ShapeError : as `advance`.
+        ShapeError : as for `advance`.
         """
 
     def time_constant(self, state: np.ndarray) -> float:
@@ -789,15 +742,15 @@ class WrenchEstimator:
     chain : kinematics and dynamics kernel.
     gravity : (3,) [m/s^2], base axes.
     links : (n, 10) link parameters. rotor : (n,) rotor inertia.
-    drive : friction and ripple of as many joints.
-    gains : (n,) torque as it is read over true torque. gain_variance : of what they have in common.
-    covariance : (5, n) rows C0, Cinf, shape, kind (0 exp, 1 step, 2 const), doubt of a contact's torque as a share;
+    drive : friction and ripple of the same number of joints.
+    gains : (n,) ratio of measured to true torque. gain_variance : variance of their common factor.
+    covariance : (5, n) rows C0, Cinf, shape, kind (0 exp, 1 step, 2 const), relative uncertainty of the contact torque;
         C0 and Cinf already scaled.
-    bound : (3, n) rows torque, speed, floor of the bound on low-speed friction.
+    bound : (3, n) rows torque, speed and floor of the bound on low-speed friction.
     prior : (6,) prior variances of the wrench.
-    cutoff : corner of the low-pass [Hz].
+    cutoff : cut-off frequency of the low-pass filter [Hz].
     method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund, 6 ols.
-    point : (3,) the contact in tool axes, or None when the whole wrench is unknown.
+    point : (3,) contact point in tool axes, or None if the complete wrench is unknown.
     """
 
     def __init__(
@@ -817,21 +770,21 @@ class WrenchEstimator:
         point: np.ndarray | None = None,
     ) -> None: ...
     def reset(self) -> None:
-        """Forget everything but the parameters."""
+        """Reset everything except the parameters."""
 
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[Any, ...]:
         """Advance by one sample.
 
         Returns F (6,), P (6, 6), observability (6,), filtered tau_e (n,), its variance (n,), flags, active joints (n,)
-        and, for the method "interval", the interval (6, 2), else None. A sample that is not finite, or whose torque
-        error would not be, or dt <= 0, gives NaN everywhere and leaves the state unchanged.
+        and, for the method "interval", the interval (6, 2), else None. A sample that is non-finite, has a non-finite
+        torque error, or has dt <= 0 gives NaN everywhere and leaves the state unchanged.
         """
 
     def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[Any, ...]:
-        """Step along a record (N, n) with steps dt (N,); return the outputs of `step` stacked over N."""
+        """Step along a record (N, n) with time steps dt (N,); return the outputs of `step` stacked over N."""
 
 def basis_weights(x: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Return Gaussians ``exp(-((x - c) / w)^2)`` divided by their sum, (N, m); x outside the centres counts as the end.
+    """Return Gaussians ``exp(-((x - c) / w)^2)`` divided by their sum, (N, m), with x clipped to the centres.
 
     Parameters
     ----------
@@ -840,10 +793,10 @@ def basis_weights(x: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> np.
     """
 
 def euler_from_rpy(rpy: Any, first: int, middle: int, last: int, out: Any = None) -> np.ndarray:
-    """The product of the three turns."""
+    """Return the product of the three rotations."""
 
 def euler_to_rpy(R: Any, first: int, middle: int, last: int, out: Any = None) -> np.ndarray:
-    """The angles, by what the first two turns make of the last axis; then the first is undone to see the last alone."""
+    """Return the angles: the first two from the rotated last axis, the third after undoing the first."""
 
 def follow_path(
     solver: InverseSolver,
@@ -863,43 +816,43 @@ def follow_path(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return q (N, n), errors (N, 3) and counts (N, 3) along a path.
 
-    Every row is descended to from the row before plus its last step (without what the tool did not feel of that),
-    within `change`. Where that fails: from random starts about the row before; then further away; then, on another
-    branch, from the solver's table. Errors are as in `InverseSolver.solve`. Counts are steps, status, whether the row
-    is on another branch. A row whose status is not 0 breaks the path: with errors within the tolerances `q` is a
-    solution beyond the break, otherwise the posture with the least error.
+    Each row is solved from the previous row plus its last step (without the self-motion part), within `change`. If this
+    fails, the search continues from random starts around the previous row, then further away, and finally, on another
+    branch, from the table of the solver. Errors are as in `InverseSolver.solve`. Counts are steps, status, and whether
+    the row is on another branch. A row with nonzero status breaks the path. If its errors are within the tolerances,
+    `q` is a solution beyond the break, otherwise the posture with the smallest error.
 
     Parameters
     ----------
     solver : the arm and its limits.
-    T_base_tool : (N, 4, 4) goals, one after the other.
-    q0 : (n,) where the first row starts from; None: the solver's table.
-    change : (n,) how far a joint may move from row to row, maybe infinite; None: 0.05 rad and five times the length of
+    T_base_tool : (N, 4, 4) successive goals.
+    q0 : (n,) start of the first row; None: the table of the solver.
+    change : (n,) largest change of each joint per row, possibly infinite; None: 0.05 rad and five times the length of
         the pose step.
     task, axis, steps, starts, position_tolerance, rotation_tolerance, damping, objective, scale : as in
-        `InverseSolver.solve`; the starts are those of a search for another branch.
-    reference : (n,) or (N, n), as there.
+        `InverseSolver.solve`; the starts are those of the search for another branch.
+    reference : (n,) or (N, n), as in `InverseSolver.solve`.
     """
 
 def await_datagram(sockets: Sequence[int], poll_ns: int, end_ns: int) -> bool:
-    """Wait without the interpreter until a socket has something to read. Return False at the end and after a signal.
+    """Wait without the interpreter lock until a socket is readable; return False at the end or after a signal.
 
-    Sleeps until `poll_ns`, then asks again and again until `end_ns`, both on the monotonic clock.
+    Sleeps until `poll_ns`, then polls until `end_ns`, both on the monotonic clock.
     """
 
 def filled(kind: Any, slots: tuple[Any, ...], values: tuple[Any, ...]) -> Any:
-    """Return an instance of a class whose slots hold the values, made without its constructor."""
+    """Return an instance of a class with slots, filled with the values without calling its constructor."""
 
 def filtered_velocity(q: np.ndarray, last: np.ndarray, velocity: np.ndarray, dt: float, cutoff: float) -> np.ndarray:
-    """Return the velocity (n,) after a step from `last` to `q`, through a low-pass of first order [Hz]; read-only."""
+    """Return the read-only velocity (n,) after a step from `last` to `q`, through a first-order low-pass filter [Hz]."""
 
 def implausible(
     q: np.ndarray, before: np.ndarray | None, bounds: np.ndarray, margin: float, step: float, seconds: float
 ) -> int:
-    """Return i (from 1) when joint i is outside its range, -i when it moved too far since `before`, else 0.
+    """Return i (from 1) if joint i is outside its range, -i if it moved too far since `before`, else 0.
 
-    `bounds`: lowest and highest positions and speeds (3, n). Outside: by more than `margin`. Too far: by more than
-    ``step + speed * seconds``. The worst joint counts, and the first that is not a number before any.
+    `bounds`: lowest and highest positions, and speeds (3, n). Outside means by more than `margin`; too far means by
+    more than ``step + speed * seconds``. The result is the first non-finite joint, else the worst.
     """
 
 def following_error(
@@ -913,7 +866,7 @@ def following_error(
 ) -> tuple[np.ndarray, int, bool]:
     """Return the speeds ``max(kept * fastest, |speed|)``, the joint furthest from its reference, and if it is near.
 
-    Near is ``|reference - q| <= allowed + lag * speeds``; all (n,).
+    Near means ``|reference - q| <= allowed + lag * speeds``; all arrays are (n,).
     """
 
 def limit_reference(
@@ -925,36 +878,36 @@ def limit_reference(
     qd_ref: np.ndarray | None = None,
     lag: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, float, int]:
-    """Return the reference to send next: where it is, how it moves, which limits acted, and whether it was refused.
+    """Return the next reference: position and velocity, active limits, velocity ratio, and rejected joint.
 
-    With T the time since the last reference, a the acceleration limit, and ``S(d, L)`` the fastest velocity after which
-    an arm that is late by L can still stop within d, whatever the next steps last: ``S (T + L) + S^2 / (2 a) = d``.
-    From S braking with a suffices ever after::
+    With T the time since the last reference, a the acceleration limit, and ``S(d, L)`` the highest velocity from which
+    an arm with lag L can still stop within d, for any length of the next steps: ``S (T + L) + S^2 / (2 a) = d``.
+    Braking from S with a is then always sufficient::
 
         position   v* = v_r + sign(e) S(|e|, 0),  e = q_last - q,  v_r = (q_ref - q_last) / T
-                   that is (q_ref - q) / T when the reference can be followed, and catching up without overshoot
+                   equal to (q_ref - q) / T if the reference can be followed; otherwise it catches up without overshoot
         velocity   v* = qd_ref;      hold   v* = 0
-        v* is scaled for all joints by one ratio so that |v*| <= qd_max
+        v* is scaled by one ratio for all joints so that |v*| <= qd_max
         v  = v* within v_prev +- a T, then within [-S(q - q_min, lag), S(q_max - q, lag)]
-        q' = q + v T, kept within the limits; a joint that is outside may only come back
+        q' = q + v T, kept within the limits; a joint outside them may only move back
 
-    The speed sent is v; when both are given it is qd_ref within v +- a T, through the same limits.
+    The speed sent is v; if position and velocity are given, it is qd_ref within v +- a T, subject to the same limits.
 
     Parameters
     ----------
     sent : (3, n) previous reply: position, step velocity, speed.
-    bounds : (5, n) q_min, q_max, qd_max, qdd_max, jump; infinite where there is no limit.
+    bounds : (5, n) q_min, q_max, qd_max, qdd_max, jump; infinite without a limit.
     period : T, seconds.
-    q_ref : (n,) position asked for, or None.
-    q_last : (n,) position asked for before this one; None when there was none.
-    qd_ref : (n,) velocity asked for, or None. Without both the arm is brought to rest.
-    lag : time by which the arm follows its reference late [s]: the margin before its limits is lag times the speed.
+    q_ref : (n,) requested position, or None.
+    q_last : (n,) previously requested position, or None.
+    qd_ref : (n,) requested velocity, or None. Without position and velocity, the arm is brought to rest.
+    lag : lag of the arm behind its reference [s]; the margin before its limits is lag times the speed.
 
     Returns
     -------
     (3, n) new `sent`; (n,) uint8 bits (1 position, 2 velocity, 4 acceleration, 8 braking); both are read-only;
-    velocity ratio in (0, 1]; 0, or i when joint i (from 1) is not finite, or -i when it jumps by more than
-    ``jump + qd_max T``. A refused reference holds instead.
+    velocity ratio in (0, 1]; 0, or i if joint i (from 1) is not finite, or -i if it jumps by more than
+    ``jump + qd_max T``. After a rejected reference, the arm holds.
     """
 
 def model_torque(
@@ -971,15 +924,15 @@ def model_torque(
 ) -> np.ndarray:
     """Return ``rnea + rotor qdd + drives`` (N, n) along a record, with z from 0 at the first row.
 
-    A row with a number that is not finite gives NaN and leaves the state of the drives alone.
+    A row with a non-finite number gives NaN and leaves the state of the drives unchanged.
 
     Parameters
     ----------
     chain, gravity, links, rotor : of the rigid body, see `Chain.rnea`; rotor (n,).
-    drive : of as many joints.
+    drive : friction and ripple of the same number of joints.
     q, qd, qdd : (N, n) in time order.
-    dt : (N,) step of each row [s]; without it the drives do not warm up.
-    out : (N, n) to write into.
+    dt : (N,) step of each row [s]; without it, the drives do not warm up.
+    out : (N, n) array to write into.
     """
 
 def momentum_step(
@@ -994,142 +947,140 @@ def momentum_step(
     q: np.ndarray,
     a: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return state (n+m,) and covariance (n+m, n+m) after a step of h seconds and a measurement of the momentum.
+    """Return the state (n+m,) and covariance (n+m, n+m) after a step of h seconds and a measurement of the momentum.
 
-    One step of `MomentumEstimator`; the tests hold its laws on it.
+    This is one step of `MomentumEstimator`, exposed for the tests of its laws.
 
     Parameters
     ----------
     x, P : state [p; z] and its covariance before the step.
-    G : (n, m) what the hidden inputs do to the momentum. u : (n,) the known input, mean over the step.
+    G : (n, m) effect of the hidden inputs on the momentum. u : (n,) mean known input over the step.
     y : (n,) measured momentum. R : (n, n) its covariance.
     h : step [s]. Qp : (n,) intensity of the torque error [(N m)^2 s]. q, a : (m,) intensity and leak of the inputs.
     """
 
 def poses(T: Any, name: str) -> np.ndarray:
-    """Return poses (..., 4, 4) as float64, refusing the first that is none.
+    """Return poses (..., 4, 4) as float64; reject the first invalid pose.
 
     Parameters
     ----------
     T : (..., 4, 4).
-    name : how error messages call it.
+    name : name in error messages.
 
     Raises
     ------
-    ShapeError
-        When the shape is another, the rotation is none, or the last row is not (0, 0, 0, 1).
+    ShapeError : a wrong shape, an invalid rotation, or a last row other than (0, 0, 0, 1).
     """
 
 def presliding(q: np.ndarray, delta: np.ndarray, resolution: np.ndarray) -> np.ndarray:
     """Return the presliding state z (N, n) in [-1, 1] along positions `q` (N, n) [rad], from 0 at the first row.
 
-    ``z_k = s + (z_{k-1} - s) exp(-|dy_k| / delta)``, s = sign(dy_k), where y follows q with a play of +-resolution, so
-    that the last digit of an encoder at rest does not wear the state down. A row with a NaN gives NaN and changes
-    nothing.
+    ``z_k = s + (z_{k-1} - s) exp(-|dy_k| / delta)`` with s = sign(dy_k). y follows q with a backlash of +-resolution,
+    so that the last digit of an encoder at rest does not change the state. A row with NaN gives NaN and leaves the
+    state unchanged.
 
     Parameters
     ----------
     q : (N, n) positions in time order.
     delta : (n,) presliding distance [rad].
-    resolution : (n,) half the play [rad].
+    resolution : (n,) half the backlash [rad].
     """
 
 def quaternion_from_matrix(R: Any, out: Any = None) -> np.ndarray:
-    """Divide the row of 4 q qᵀ with the largest diagonal by its length (Shepperd 1978)."""
+    """Return the row of 4 q qᵀ with the largest diagonal entry, divided by its length (Shepperd 1978)."""
 
 def quaternion_multiply(p: Any, q: Any, out: Any = None) -> np.ndarray:
-    """``(p_w q_w - p_v · q_v, p_w q_v + q_w p_v + p_v × q_v)``."""
+    """Return ``(p_w q_w - p_v · q_v, p_w q_v + q_w p_v + p_v × q_v)``."""
 
 def quaternion_slerp(a: Any, b: Any, s: Any, out: Any = None) -> np.ndarray:
-    """``(a sin((1-s)Ω) ± b sin(sΩ)) / sin Ω``, Ω at most a quarter turn of the unit sphere."""
+    """Return ``(a sin((1-s)Ω) ± b sin(sΩ)) / sin Ω`` with Ω of at most π/2."""
 
 def quaternion_to_matrix(quaternion: Any, out: Any = None) -> np.ndarray:
-    """``I + 2 w hat(v) + 2 hat(v)²`` of the unit quaternion (w, v)."""
+    """Return ``I + 2 w hat(v) + 2 hat(v)²`` of the unit quaternion (w, v)."""
 
 def rotation_rollout(
     primitive: Primitive, t: Any, tau: float, q0: Any, w0: Any, goal: Any, map: Any
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return orientations q (N, 4), angular velocities and accelerations (N, 3) over times (N,).
+    """Return orientations q (N, 4), angular velocities and accelerations (N, 3) at times (N,).
 
     Parameters
     ----------
-    primitive : of three coordinates, with a phase of time. t : (N,) increasing [s]. tau : time constant [s].
+    primitive : primitive with three coordinates and a time phase. t : (N,) increasing [s]. tau : time constant [s].
     q0, goal : (4,) wxyz. w0 : (3,). map : (3, 3).
 
     Raises
     ------
-    ShapeError : arguments that do not fit together or are not finite.
+    ShapeError : inconsistent or non-finite arguments.
     """
 
 def rotations(R: Any, name: str) -> np.ndarray:
-    """Return rotations (..., 3, 3) as float64, refusing the first that is off by more than 1e-6.
+    """Return rotations (..., 3, 3) as float64; reject the first that is off by more than 1e-6.
 
     Parameters
     ----------
     R : (..., 3, 3).
-    name : how error messages call it.
+    name : name in error messages.
 
     Raises
     ------
-    ShapeError
-        When the shape is another, ``max|RᵀR - I| > 1e-6``, the determinant is negative, or an entry is infinite.
+    ShapeError : a wrong shape, ``max|RᵀR - I| > 1e-6``, a negative determinant, or an infinite entry.
     """
 
 def se3_adjoint(T_a_b: Any, out: Any = None) -> np.ndarray:
-    """``[[R, hat(p) R], [0, R]]``."""
+    """Return ``[[R, hat(p) R], [0, R]]``."""
 
 def se3_exp(xi: Any, out: Any = None) -> np.ndarray:
-    """``[[exp(w), V v], [0, 1]]`` with V the left Jacobian of w."""
+    """Return ``[[exp(w), V v], [0, 1]]`` with V the left Jacobian of w."""
 
 def se3_interpolate(T_a: Any, T_b: Any, s: Any, screw: bool = False, out: Any = None) -> np.ndarray:
-    """``T_a exp(s log(T_a⁻¹ T_b))`` when `screw`, otherwise the position along a line and the rotation as above."""
+    """Return ``T_a exp(s log(T_a⁻¹ T_b))`` if `screw` is set, else a linear position and `so3_interpolate`."""
 
 def se3_inv(T: Any, out: Any = None) -> np.ndarray:
-    """``[[Rᵀ, -Rᵀ p], [0, 1]]``."""
+    """Return ``[[Rᵀ, -Rᵀ p], [0, 1]]``."""
 
 def se3_left_jacobian(xi: Any, out: Any = None) -> np.ndarray:
-    """``[[J, Q], [0, J]]``: J of w, and Q its derivative in the direction v."""
+    """Return ``[[J, Q], [0, J]]`` with J the left Jacobian of w, and Q its derivative in the direction v."""
 
 def se3_left_jacobian_inv(xi: Any, out: Any = None) -> np.ndarray:
-    """The same of the inverse of J."""
+    """Return the inverse of `se3_left_jacobian`."""
 
 def se3_log(T: Any, out: Any = None) -> np.ndarray:
-    """``[V⁻¹ p; w]`` with V the left Jacobian of w."""
+    """Return ``[V⁻¹ p; w]`` with V the left Jacobian of w."""
 
 def se3_transform_wrench(T_a_b: Any, wrench_b: Any, out: Any = None) -> np.ndarray:
-    """``f_a = R f_b``, ``m_a = R m_b + p × f_a``."""
+    """Return ``f_a = R f_b`` and ``m_a = R m_b + p × f_a``."""
 
 def so3_angle(R_a: Any, R_b: Any, out: Any = None) -> np.ndarray:
-    """``2 atan2(abs(v), w)`` of the quaternion of ``R_aᵀ R_b``."""
+    """Return ``2 atan2(abs(v), w)`` of the quaternion of ``R_aᵀ R_b``."""
 
 def so3_exp(w: Any, out: Any = None) -> np.ndarray:
-    """``I + sin θ/θ hat(w) + 2 sin²(θ/2)/θ² hat(w)²``."""
+    """Return ``I + sin θ/θ hat(w) + 2 sin²(θ/2)/θ² hat(w)²``."""
 
 def so3_interpolate(R_a: Any, R_b: Any, s: Any, out: Any = None) -> np.ndarray:
-    """``R_a exp(s log(R_aᵀ R_b))``, from the nearer end, which is exact that way."""
+    """Return ``R_a exp(s log(R_aᵀ R_b))``, computed from the nearer end so that both ends are exact."""
 
 def so3_left_jacobian(w: Any, out: Any = None) -> np.ndarray:
-    """``I + (1 - cos θ)/θ² hat(w) + (θ - sin θ)/θ³ hat(w)²``."""
+    """Return ``I + (1 - cos θ)/θ² hat(w) + (θ - sin θ)/θ³ hat(w)²``."""
 
 def so3_left_jacobian_inv(w: Any, out: Any = None) -> np.ndarray:
-    """``I - hat(w)/2 + (1 - θ/2 cot(θ/2))/θ² hat(w)²``."""
+    """Return ``I - hat(w)/2 + (1 - θ/2 cot(θ/2))/θ² hat(w)²``."""
 
 def so3_log(R: Any, out: Any = None) -> np.ndarray:
-    """``2 atan2(abs(v), w) v/abs(v)`` of the quaternion (w, v)."""
+    """Return ``2 atan2(abs(v), w) v/abs(v)`` of the quaternion (w, v)."""
 
 def solve_wrench(
     A: np.ndarray, error: np.ndarray, variance: np.ndarray, bound: np.ndarray, prior: np.ndarray, method: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, float, bool]:
     """Return x (k,), its covariance (k, k), active joints (n,), iterations, KKT residual and whether x is undetermined.
 
-    x and its covariance are NaN where the numbers do not determine them. One solution of `WrenchEstimator`; the tests
-    hold its laws on it.
+    x and its covariance are NaN where the data do not determine them. This is one solution of `WrenchEstimator`,
+    exposed for the tests of its laws.
 
     Parameters
     ----------
     A : (k, n) rows of the Jacobian for the k unknowns.
-    error, variance, bound : (n,) torque errors [N m], variances [(N m)^2] above zero, bounds [N m] not below it.
-    prior : (k,) prior variances of the unknowns, above zero.
+    error, variance, bound : (n,) torque errors [N m], positive variances [(N m)^2], bounds [N m] of at least 0.
+    prior : (k,) positive prior variances of the unknowns.
     method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund, 6 ols.
     """
 
@@ -1138,8 +1089,8 @@ def wrench_interval(
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Return the smallest and largest value (k, 2) of each unknown in {x : |error - A^T x| <= spread, |x| <= box}.
 
-    None when the set is empty; then the mask (n,) marks joints that contradict each other. NaN for torque errors or
-    rows of the Jacobian that are not finite.
+    None if the set is empty; the mask (n,) then marks contradictory joints. NaN for non-finite torque errors or rows of
+    the Jacobian.
 
     Parameters
     ----------
