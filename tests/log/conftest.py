@@ -123,13 +123,8 @@ class Ros:
     def joints(self, ns: int, names: Sequence[str], values: Sequence[float], efforts: bool = True) -> object:
         numbers = np.array(values, dtype=float)
         none = np.zeros(0)
-        return self.types["sensor_msgs/msg/JointState"](
-            header=self.header(ns),
-            name=list(names),
-            position=numbers,
-            velocity=-numbers,
-            effort=2 * numbers if efforts else none,
-        )
+        parts = {"position": numbers, "velocity": -numbers, "effort": 2 * numbers if efforts else none}
+        return self.types["sensor_msgs/msg/JointState"](header=self.header(ns), name=list(names), **parts)
 
     def wrench(self, ns: int, frame: str, values: Sequence[float]) -> object:
         parts = {"force": self.vector("Vector3", *values[:3]), "torque": self.vector("Vector3", *values[3:])}

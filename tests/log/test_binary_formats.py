@@ -169,12 +169,8 @@ def saved(variables: dict[str, Any], packed: bool) -> bytes:
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_arrays_as_scipy_reads_them(packed: bool) -> None:
-    arrays = {
-        "few": np.array([[1, 2, 3]], np.int16),
-        "deep": np.arange(24.0).reshape(2, 3, 4),
-        "none": np.zeros((0, 3)),
-    }
-    arrays |= {"flags": np.array([[True], [False]]), "large": np.array([[2**63]], np.uint64)}
+    arrays = {"few": np.array([[1, 2, 3]], np.int16), "deep": np.arange(24.0).reshape(2, 3, 4)}
+    arrays |= {"flags": np.array([[True], [False]]), "large": np.array([[2**63]], np.uint64), "none": np.zeros((0, 3))}
     arrays["single"] = np.array([[0.1]], np.float32)
     data = saved(arrays, packed)
     found, wanted = variables_in(data), loadmat(BytesIO(data))

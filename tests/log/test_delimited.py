@@ -36,7 +36,7 @@ def test_units_are_converted_and_joints_put_together(tmp_path: Path) -> None:
     assert table.source[0].startswith("log.csv sha256 ")
 
 
-def test_labels_of_other_tools(tmp_path: Path) -> None:
+def test_labels_and_texts_of_other_tools(tmp_path: Path) -> None:
     """ROS exports, orca logs, semicolons, a byte-order mark, Windows line ends, blank lines, lines before."""
     ros = read_csv(written(tmp_path, "t,- arm_1_joint_effort,- arm_2_joint_effort\n0,1,2\n0.01,3,4\n"))
     np.testing.assert_array_equal(ros.matching("arm_1_joint"), [[1], [3]])
@@ -53,10 +53,7 @@ def test_labels_of_other_tools(tmp_path: Path) -> None:
     spaces = read_csv(written(tmp_path, "t,a,b\n0,1\x1d,x\n0.1, \x1c2,\x1d\n"))  # that only Python knows
     assert np.array_equal(spaces["a"], [1.0, 2.0])
     assert spaces["b"].dtype.kind == "U"
-
-
-def test_words_make_a_text_column_with_a_note(tmp_path: Path) -> None:
-    table = read_csv(written(tmp_path, "t,mode,x\n0,auto,1\n1,,2\n2,manual,nan\n"))
+    table = read_csv(written(tmp_path, "t,mode,x\n0,auto,1\n1,,2\n2,manual,nan\n"))  # words make a text column
     assert table["mode"].tolist() == ["auto", "", "manual"]
     assert np.isnan(table["x"][2])
     assert any("mode: text, because of 'auto'" in note for note in table.notes)
@@ -86,11 +83,8 @@ def test_bad_files_get_a_sentence(tmp_path: Path, text: str, sentence: str) -> N
 
 
 def test_whole_numbers_beyond_every_float_are_infinite(tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
-    path.write_text(
-        f"t,x [1],y [1]\n0,1{'0' * 400},1\n1,-1{'0' * 400},2\n2,{'1' * 5000},{2**62 + 1}\n", encoding="utf-8"
-    )
-    table = read_csv(path)
+    text = f"t,x [1],y [1]\n0,1{'0' * 400},1\n1,-1{'0' * 400},2\n2,{'1' * 5000},{2**62 + 1}\n"
+    table = read_csv(written(tmp_path, text))
     assert table["x"].tolist() == [np.inf, -np.inf, np.inf]
     assert table["y"].tolist() == [1, 2, 2**62 + 1]
 
@@ -130,7 +124,6 @@ def test_numbers_in_any_writing(tmp_path: Path, text: str, separator: str) -> No
 
 @pytest.mark.parametrize("word", ["true", "null", "[1]", '"1', "1e", "NaN", "Infinity", "--1", "0x10", "1_000"])
 def test_words_that_json_or_python_take_for_numbers(tmp_path: Path, word: str) -> None:
-    """What is read fast and what is read word by word mean the same."""
     path = written(tmp_path, f"t,x,k\n0,1,1\n1,{word},2\n")
     if word == '"1':
         with pytest.raises(LogError, match="Expected 3 fields"):
@@ -214,21 +207,15 @@ def put(path: Path, text: bytes, packed: bool = False) -> Path:
     return path
 
 
-@pytest.fixture
-def short(monkeypatch: pytest.MonkeyPatch) -> int:
-    """Lines of at most so many characters."""
-    monkeypatch.setattr("armlab.log.file_formats.delimited.LONGEST", 40)
-    return 40
-
-
 @pytest.mark.parametrize(("packed", "block", "digit"), [(False, 1, b"1"), (True, 7, b"a"), (False, 30, b"a")])
 def test_a_line_is_as_long_as_is_allowed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, short: int, packed: bool, block: int, digit: bytes
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, packed: bool, block: int, digit: bytes
 ) -> None:
+    monkeypatch.setattr("armlab.log.file_formats.delimited.LONGEST", 40)
     monkeypatch.setattr("armlab.log.file_formats.delimited.BLOCK", block)
-    path = put(tmp_path / "log", b"t,x\n0,1\n1," + digit * (short - 3) + b"\n2,3\n", packed)
+    path = put(tmp_path / "log", b"t,x\n0,1\n1," + digit * 37 + b"\n2,3\n", packed)
     assert len(log.read_csv(path)) == 3
-    put(path, b"t,x\n0,1\n1," + digit * (short - 2) + b"\n2,3\n", packed)
+    put(path, b"t,x\n0,1\n1," + digit * 38 + b"\n2,3\n", packed)
     with pytest.raises(LogError, match=r"Expected at most 40 characters in line 3 of .*log, got more\. End each row"):
         log.read_csv(path)
 
@@ -247,14 +234,11 @@ def test_a_line_of_megabytes_takes_no_memory(tmp_path: Path, head: bytes, packed
 def test_what_unpacks_to_far_more_than_its_size_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, digit: bytes, most: float
 ) -> None:
-    """Numbers are not read once more as words for that, which take more."""
     monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", SOME)
     text = b"x\n" + (digit + b"\n") * SOME
     path = put(tmp_path / "log", text, packed=True)
-    with (
-        memory(most * SOME),
-        pytest.raises(LogError, match=rf"Expected at most {SOME} bytes of text, 200 times its size, .* gunzip"),
-    ):
+    words = rf"Expected at most {SOME} bytes of text, 200 times its size, .* gunzip"
+    with memory(most * SOME), pytest.raises(LogError, match=words):
         log.read_csv(path, rate=250.0)
     assert len(log.read_csv(put(path, text), rate=250.0)) == SOME
     monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", len(text))
@@ -270,7 +254,6 @@ def test_what_unpacks_to_far_more_than_its_size_is_refused(
 
 
 def test_one_long_text_among_short_ones_is_refused(tmp_path: Path) -> None:
-    """180 kB, of which 7 GiB would be made."""
     path = put(tmp_path / "log", b"t,note\n" + b"0,a\n" * 20_000 + b"1," + b"a" * 100_000 + b"\n")
     with pytest.raises(LogError, match=r"arrays of similar size, got 20001 rows .* in log: note"):
         log.read_csv(path)
@@ -330,14 +313,13 @@ T = np.arange(5) * 0.004
 
 
 def test_a_log_of_the_ancestors(path_described: Path) -> None:
-    """Fields of Robotlab.jl, one sample per column, as its matrices are; what has another size is named."""
+    """Fields of Robotlab.jl, one sample per column."""
     q = np.arange(35.0).reshape(5, 7)
     arrays = {"timestamp": T[None], "pos": q.T, "trq_o": q.T, "seqnum": np.arange(5)[None], "GR": np.eye(7)}
     table = foreign_table(path_described, {name: (array, "") for name, array in arrays.items()}, ["Log"])
     np.testing.assert_array_equal(table.t, T)
     np.testing.assert_array_equal(table["q"], q)
-    assert set(table.names) == {"q", "tau_ref", "seq"}
-    assert table["seq"].dtype == np.int64
+    assert (set(table.names), table["seq"].dtype) == ({"q", "tau_ref", "seq"}, np.int64)
     assert table.notes == ("skipped: Log, GR (7, 7)",)
     square = np.arange(25.0).reshape(5, 5)  # samples in rows stay
     arrays = {"t": (T[:, None], "s"), "q": (square, "deg"), "T": (np.zeros((5, 4, 4)), ""), "x": (T[:, None], "")}

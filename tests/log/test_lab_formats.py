@@ -36,11 +36,10 @@ def write_text(path: Path, labels: list[str], columns: list[np.ndarray], separat
 
 
 def yumi(tmp_path: Path, signals: dict[int, np.ndarray]) -> tuple[Path, Path]:
-    labels = [f"s{signal} {axis}" for signal in signals for axis in range(1, 8)]
+    names = [(signal, axis) for signal in signals for axis in range(1, 8)]
+    labels = [f"s{signal} {axis}" for signal, axis in names]
     columns = [array[:, axis] for array in signals.values() for axis in range(7)]
-    lines = [
-        f'"s{signal} {axis}" = {{ signal = {signal}, axis = {axis} }}' for signal in signals for axis in range(1, 8)
-    ]
+    lines = [f'"s{signal} {axis}" = {{ signal = {signal}, axis = {axis} }}' for signal, axis in names]
     head = 'arm = "yumi_left"\ntime = "time"\ntime_unit = "ms"\n[columns]\n'
     text = write_text(tmp_path / "run.txt", ["time", *labels], [CLOCK, *columns])
     return text, written(tmp_path / "map.toml", head + "\n".join(lines))
@@ -60,7 +59,6 @@ def test_units_and_order(tmp_path: Path) -> None:
 
 
 def test_lines_of_a_rapid_logger(tmp_path: Path) -> None:
-    """No labels, spaces, twelve channels at most: missing axes are missing, unknown signals keep their number."""
     columns = [CLOCK, POS[:, 0], POS[:, 6], TRQ[:, 4]]
     path = write_text(tmp_path / "run.txt", [], columns, "  ")
     path.write_text("time v1 v2\n" + path.read_text())
@@ -80,14 +78,10 @@ def test_an_axis_that_abb_counts_from_the_foot(tmp_path: Path) -> None:
     labels = [f"{what}{axis}" for what in "pst" for axis in range(1, 7)]
     columns = [array[:, axis] for array in (POS, SPEED, TRQ) for axis in range(6)]
     path = write_text(tmp_path / "run.txt", labels, columns, ";")
-    lines = [
-        f"{what}{axis} = {{ signal = {number}, axis = {axis} }}"
-        for what, number in zip("pst", (4000, 4001, 4002))
-        for axis in range(1, 7)
-    ]
-    about = written(
-        tmp_path / "map.toml", 'arm = "irb2400"\nrate = 250.0\nseparator = ";"\n[columns]\n' + "\n".join(lines)
-    )
+    numbers = {"p": 4000, "s": 4001, "t": 4002}
+    lines = [f"{name} = {{ signal = {numbers[name[0]]}, axis = {name[1]} }}" for name in labels]
+    head = 'arm = "irb2400"\nrate = 250.0\nseparator = ";"\n[columns]\n'
+    about = written(tmp_path / "map.toml", head + "\n".join(lines))
     table = read_abb(path, about)
     q = DEG * POS[:, :6]
     np.testing.assert_allclose(table["q"][:, 1], q[:, 1], rtol=1e-13)
@@ -111,9 +105,8 @@ def test_order_of_axes_comes_before_the_rod_and_a_linear_axis_is_in_millimetres(
     lift = replace(robot, name="lift", prismatic=(False, False, True, False, False, False))
     robots.save(lift, tmp_path / "lift.toml")
     path = write_text(tmp_path / "run.txt", ["a", "b"], [POS[:, 0], POS[:, 1]])
-    about = f'arm = "{tmp_path / "lift.toml"}"\nrate = 10.0\n[columns]\n' + (
-        "a = { signal = 4000, axis = 3 }\nb = { signal = 4000, axis = 4 }\n"
-    )
+    about = f'arm = "{tmp_path / "lift.toml"}"\nrate = 10.0\n[columns]\n'
+    about += "a = { signal = 4000, axis = 3 }\nb = { signal = 4000, axis = 4 }\n"
     table = read_abb(path, written(tmp_path / "map.toml", about))
     np.testing.assert_allclose(table["q"][:, 2], 1e-3 * POS[:, 0], rtol=1e-14)
     np.testing.assert_allclose(table["q"][:, 3], DEG * POS[:, 1], rtol=1e-14)
@@ -138,12 +131,7 @@ def test_two_arms_in_one_file(tmp_path: Path) -> None:
     ("old", "new", "error", "words"),
     [
         ("4000, axis = 1", "4000, axis = 8", ConfigError, "an axis from 1 to 7 of 'yumi_left' .* got 8"),
-        (
-            "4000, axis = 1",
-            "4000, axis = 2",
-            ConfigError,
-            "each signal of an axis exactly once .*signal_4000_axis_2 twice",
-        ),
+        ("4000, axis = 1", "4000, axis = 2", ConfigError, "exactly once .*signal_4000_axis_2 twice"),
         ("axis = 1 }", "axes = 1 }", ConfigError, "unknown field `axes`"),
         ('time = "time"\n', "", ConfigError, "either time or rate"),
         ('"yumi_left"', '"yumi_up"', UnknownName, "yumi_up"),
@@ -228,10 +216,8 @@ def test_joints_of_both_arms(tmp_path: Path) -> None:
 
 def test_names_of_the_old_exports_and_holes(tmp_path: Path) -> None:
     """Aliases, velocity that was not filtered, NaN before the first value: missing of the joints it moves."""
-    robot, values = coupled(), signals(4)
-    names = {
-        f"robot_0__joint_{k}__{signal}": values[signal][:, k] for k in range(7) for signal in ("posRawAbs", "velRaw")
-    }
+    robot, values, kinds = coupled(), signals(4), ("posRawAbs", "velRaw")
+    names = {f"robot_0__joint_{k}__{signal}": values[signal][:, k] for k in range(7) for signal in kinds}
     names["robot_0__joint_2__posRawAbs"] = np.where(np.arange(20) < 3, np.nan, values["posRawAbs"][:, 2])
     names["robot_0__joint_7__posRawAbs"] = np.zeros(20)  # an external axis
     table = Table(np.arange(20) * PERIOD, names, dict.fromkeys(names, Column(unit="1")))
@@ -275,18 +261,14 @@ PLANE = (
 )
 
 
-def test_read_cloud(tmp_path: Path) -> None:
+def test_read_cloud_with_any_separators_up_to_a_word(tmp_path: Path) -> None:
     cloud = read_cloud(written(tmp_path / "file.txt", CLOUD))
     assert isinstance(cloud, Cloud)
-    np.testing.assert_allclose(cloud.p[0], [-0.450925232, 0.144769196, -2.566102783], rtol=0, atol=1e-15)
-    assert cloud.index.tolist() == [0.0, 1.0]
+    whole = cloud.p
+    np.testing.assert_allclose(whole[0], [-0.450925232, 0.144769196, -2.566102783], rtol=0, atol=1e-15)
+    assert (cloud.index.tolist(), whole.flags.writeable) == ([0.0, 1.0], False)
     np.testing.assert_allclose(cloud.R[0], euler.from_rpy(np.deg2rad([10.0, 20, 30]), "xyz"), atol=1e-15)
     assert (cloud.stopped, cloud.comments) == (4, {"REF_OBJECT": "", "MEAS_OBJECT": "CloudSeam"})
-    assert not cloud.p.flags.writeable
-
-
-def test_other_separators_read_the_same_and_a_word_ends_the_cloud(tmp_path: Path) -> None:
-    whole = read_cloud(written(tmp_path / "file.txt", CLOUD)).p
     for text in (
         CLOUD.replace(" , ", " "),
         CLOUD.replace(" , ", ","),

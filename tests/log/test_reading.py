@@ -24,7 +24,7 @@ from armlab.robots import Robot
 from armlab.state import Command, State
 
 
-def test_every_column_comes_back_bit_for_bit(recording: Callable[..., Path], rows: Callable) -> None:
+def test_every_column_and_state_comes_back_bit_for_bit(recording: Callable[..., Path], rows: Callable) -> None:
     count = 300  # more than a chunk
     table = read(recording(count))
     samples = [rows(i) for i in range(count)]
@@ -40,29 +40,21 @@ def test_every_column_comes_back_bit_for_bit(recording: Callable[..., Path], row
         assert np.array_equal(table[name], values), name
     poses = np.array([state.T_frame_tool for state, _, _ in samples])
     assert table["T_frame_tool"] == pytest.approx(poses, abs=1e-14)
-    assert table.clock == "robot"
-    assert table.t0_ns == samples[0][2].stamp_ns
+    assert (table.clock, table.t0_ns, table.notes) == ("robot", samples[0][2].stamp_ns, ())
     assert np.array_equal(table.t, np.arange(count) * 4_032_000 / 1e9)
-    assert table.columns["mode"].kind == "count"
-    assert table.columns["fext"].frame == "base"
-    assert table.columns["q"].labels == ("axis_1", "axis_2", "axis_7", "axis_3", "axis_4", "axis_5", "axis_6")
-    assert table["late"].dtype == bool
-    assert table.notes == ()
+    columns = table.columns
+    assert (columns["mode"].kind, columns["fext"].frame, table["late"].dtype) == ("count", "base", bool)
+    assert columns["q"].labels == ("axis_1", "axis_2", "axis_7", "axis_3", "axis_4", "axis_5", "axis_6")
     assert table.source[0].startswith("run.mcap sha256 ")
-
-
-def test_states_of_a_recording_are_those_of_the_run(recording: Callable[..., Path], rows: Callable) -> None:
-    states = list(read(recording(20)).states())
-    for i, state in enumerate(states):
-        live, _, _ = rows(i)
+    for i, (live, state) in enumerate(zip(states[:20], table.states())):
         for name in ("t", "dt", "seq", "missed", "session", "motors", "mci", "rapid", "converged", "utilization"):
             assert getattr(state, name) == getattr(live, name), name
         assert (state.qd_source, state.tau_source, state.robot_ns) == ("measured", "measured", live.robot_ns)
         assert np.array_equal(state.tau, live.tau)
         assert np.all(np.isnan(state.wrench))
         if i:
-            assert np.array_equal(state.q_sent, rows(i - 1)[2].q_sent)
-            assert np.array_equal(state.clamped, rows(i - 1)[2].clamped)
+            assert np.array_equal(state.q_sent, ticks[i - 1].q_sent)
+            assert np.array_equal(state.clamped, ticks[i - 1].clamped)
 
 
 def test_absent_data_have_no_column(tmp_path: Path, robot: Robot) -> None:
@@ -84,9 +76,8 @@ def test_some_columns_or_one_robot_only(
     path = recording(100)
     whole = read(path)
     part = read(path, ["tau", "fext"])
+    assert part.sha256 == whole.select("tau", "fext").sha256
     assert part.names == ("tau", "fext")
-    assert np.array_equal(part["tau"], whole["tau"])
-    assert np.array_equal(part.t, whole.t)
     with pytest.raises(UnknownName, match=r"'torque'\. Known: .*fext"):
         read(path, ["torque"])
     with pytest.raises(LogError, match=r"Expected values of wrench in .*got no values in 100 rows"):
@@ -114,7 +105,6 @@ def test_some_columns_or_one_robot_only(
 
 
 def test_rows_out_of_time_order_are_dropped_counted_and_reachable(tmp_path: Path, robot: Robot) -> None:
-    """A clock that was set back while recording: session time and stamps repeat too."""
     times = [0, 1, 2, 2, 1, 3, 4]
     with Recorder(tmp_path / "back.mcap", robot) as recorder:
         for i, time in enumerate(times):
@@ -133,7 +123,6 @@ DISORDER = {"t": [0.0, 1.0, 1.0, 0.5, 2.0], "x": [1.0, 2.0, 3.0, 4.0, 5.0]}
 
 
 def in_disorder(path: Path) -> Path:
-    """Write a file of another program whose time stands, and runs back."""
     if path.suffix == ".mat":
         savemat(path, DISORDER)
     elif path.suffix == ".h5":
@@ -172,16 +161,11 @@ def test_every_error_of_reading_names_the_file(tmp_path: Path) -> None:
     for look in (read, inspect, recover, is_foreign, read_topics):
         with pytest.raises(LogError) as caught:
             look(path)
-        assert str(caught.value).startswith(
-            f"Expected a valid log in {path}, got an error: Expected the header of an MC"
-        )
-    with (
-        pytest.raises(LogError, match=r"^Expected a valid log in a\.mcap, got an error: Expected no e"),
-        naming(Path("a.mcap")),
-    ):
-        raise LogError("Expected no end.")
-    with pytest.raises(LogError, match=r"^Expected no end in a\.mcap\.$"), naming(Path("a.mcap")):
-        raise LogError("Expected no end in a.mcap.")
+        assert f"Expected a valid log in {path}, got an error: Expected the header of an MC" in str(caught.value)
+    added = r"^Expected a valid log in a\.mcap, got an error: Expected no end\.$"
+    for text, words in (("Expected no end.", added), ("Expected no end in a.mcap.", r"^Expected no end in a\.mcap\.$")):
+        with pytest.raises(LogError, match=words), naming(Path("a.mcap")):
+            raise LogError(text)
 
 
 def test_a_damaged_chunk_costs_its_rows_only(recording: Callable[..., Path], tmp_path: Path) -> None:
@@ -211,10 +195,8 @@ def test_foreign_damaged_and_missing_files_are_refused_in_a_sentence(tmp_path: P
         (b"\x89MCAP0\r\n" + b"\x01" + (2**60).to_bytes(8, "little"), "without columns"),
     ):
         path.write_bytes(data)
-        with pytest.raises(LogError, match=message) as caught:
+        with pytest.raises(LogError, match=rf"(?s)(?=.*strange).*{message}.*\.$"):
             read(path)
-        assert str(caught.value).endswith(".")
-        assert "strange" in str(caught.value)
     for missing in (tmp_path / "none.mcap", tmp_path):
         with pytest.raises(LogError, match="Expected a log at"):
             read(missing)
@@ -274,11 +256,11 @@ def test_logs_that_are_not_of_the_arm_are_refused(truth, tmp_path: Path) -> None
         log.read_arm(bare, robots.load("ur5e"))
     joints = "log of the joints"
     for names, missing, advice in (
-        (("q",), "tau", "research extension"),
-        (("qd",), "q and tau", joints),
-        (("qd", "tau"), "q", joints),
+        ("q", "tau", "research extension"),
+        ("qd", "q and tau", joints),
+        ("qd tau", "q", joints),
     ):
-        mute = log.write(table.select(*names), tmp_path / "mute.csv")
+        mute = log.write(table.select(*names.split()), tmp_path / "mute.csv")
         with pytest.raises(LogError, match=f"got no {missing} among the columns .*{advice}"):
             log.read_arm(mute, truth.robot)
     with pytest.raises(LogError, match=r"no\.mcap"):
@@ -310,13 +292,10 @@ def test_formats() -> None:
     assert {first: format_of(first) for first in FIRST} == FIRST
 
 
-def test_the_hash_of_a_table_never_changes_between_versions() -> None:
+def test_the_hash_of_a_table_never_changes_and_depends_on_neither_nan_bits_nor_padding() -> None:
     """Model files refer to it: a new value here breaks every model file's link to its log."""
     table = Table([0.0, 0.5], {"q": [[1.0], [np.nan]], "seq": [1, 2]}, {})
     assert table.sha256 == "164643750a016c3d86447c5228ca174c0140b35bf7485e8e5c888912c09129b0"
-
-
-def test_every_nan_is_the_same_nan_and_text_has_no_padding() -> None:
     odd = np.array([0x7FF8000000000001, 0], dtype=np.uint64).view(float)
     about = {"x": Column(unit="1"), "w": Column(unit="1", kind="text")}
     a = Table([0.0, 1.0], {"x": odd, "w": np.array(["a", "b"], dtype="U9")}, about)

@@ -28,20 +28,26 @@ from armlab.log.recording.rows import RowLayout
 from armlab.robots import Robot
 from armlab.state import Command
 
+PATIENCE = 20.0  # s: only a test that fails waits so long
+
 
 def event_texts(path: Path) -> list[str]:
     return [event.text for event in inspect(path).events]
 
 
+def until(done: Callable[[], object], meanwhile: Callable[[], object] = lambda: time.sleep(0.001)) -> None:
+    end = time.monotonic() + PATIENCE
+    while not done():
+        assert time.monotonic() < end
+        meanwhile()
+
+
 def test_what_cannot_be_recorded_is_refused_at_once(tmp_path: Path, robot: Robot) -> None:
-    for extra, message in (
-        ({"mine": Column(shape=(3,))}, "unit"),
-        ({"q": Column(shape=(7,))}, "new names"),
-        ({"word": Column(unit="1", kind="text")}, "text"),
-        ({"mine": Column(unit="1", kind="odd")}, "kind"),
-    ):
+    wrong = [("mine", Column(shape=(3,)), "unit"), ("word", Column(unit="1", kind="text"), "text")]
+    wrong += [("q", Column(shape=(7,)), "new names"), ("mine", Column(unit="1", kind="odd"), "kind")]
+    for name, column, message in wrong:
         with pytest.raises((ShapeError, UnknownName), match=message):
-            Recorder(tmp_path / "run.mcap", robot, extra=extra)
+            Recorder(tmp_path / "run.mcap", robot, extra={name: column})
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").write_text("")
     with pytest.raises(LogError, match="Expected to create the log"):
@@ -75,15 +81,12 @@ def test_text_that_is_no_utf8_does_not_end_the_recording(
         recorder.event(f"{half} was refused", tick.stamp_ns)
         recorder.parameter(1, half, half, half, tick.stamp_ns)
         assert recorder.row(*rows(1))
-    assert (recorder.failed, recorder.rows, recorder.dropped) == (None, 2, 0)
-    held = inspect(recorder.path)
-    assert len(read(recorder.path)) == 2
-    assert held.metadata["armlab"]["command"] == r"armlab run --log caf\udce9"
-    assert held.attachments[r"caf\udce9"] == b"data"
-    assert [event.text for event in held.events][1:3] == [
-        r"not written, because not declared with extra=: 5, caf\udce9",
-        r"caf\udce9 was refused",
-    ]
+    assert (recorder.failed, recorder.rows, recorder.dropped, len(read(recorder.path))) == (None, 2, 0, 2)
+    held, escaped = inspect(recorder.path), r"caf\udce9"
+    assert held.metadata["armlab"]["command"] == f"armlab run --log {escaped}"
+    assert held.attachments[escaped] == b"data"
+    undeclared = f"not written, because not declared with extra=: 5, {escaped}"
+    assert [event.text for event in held.events][1:3] == [undeclared, f"{escaped} was refused"]
 
 
 def test_complaints_that_are_always_new_do_not_fill_the_disk(tmp_path: Path, robot: Robot, rows: Callable) -> None:
@@ -115,10 +118,8 @@ def test_a_finished_file_is_read_by_rosbags_and_by_mcap(recording: Callable[...,
         covariance = found["wrench_hat"][i][1].covariance.reshape(6, 6)
         assert np.array_equal(covariance, command.record["wrench_hat_cov"])
         o = found["tcp_pose"][i][1].pose.orientation
-        expected = quaternion.from_matrix(state.T_frame_tool[:3, :3])
-        assert np.sign(o.w) * np.array([o.w, o.x, o.y, o.z]) == pytest.approx(
-            expected * np.sign(expected[0]), abs=1e-12
-        )
+        q = quaternion.from_matrix(state.T_frame_tool[:3, :3])
+        assert np.sign(o.w) * np.array([o.w, o.x, o.y, o.z]) == pytest.approx(q * np.sign(q[0]), abs=1e-12)
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         assert reader.get_header().profile == "ros2"
@@ -185,13 +186,9 @@ def test_ctrl_c_leaves_a_complete_file_also_when_nobody_closes_the_recorder(tmp_
     assert abs(len(read(path)) - rows) <= 1  # the row in progress when the signal came
 
 
-PATIENCE = 20.0  # s: only a test that fails waits so long
-
-
 def test_a_disk_that_is_slow_to_sync_holds_up_no_row(
     tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else a process that is killed meanwhile would lose what had come since."""
     gate, reached = threading.Event(), threading.Event()
     monkeypatch.setattr("armlab.log.recording.recorder.FLUSH_PERIOD", 0.0)
     recorder = Recorder(tmp_path / "run.mcap", robot)
@@ -200,10 +197,7 @@ def test_a_disk_that_is_slow_to_sync_holds_up_no_row(
     assert reached.wait(PATIENCE)
     for i in range(1, 5):
         recorder.row(*rows(i))
-    until = time.monotonic() + PATIENCE
-    while recorder._file.rows < 5 or recorder._file._chunk_rows:  # a chunk that is being closed is no file to read
-        assert time.monotonic() < until
-        time.sleep(0.001)
+    until(lambda: recorder._file.rows == 5 and not recorder._file._chunk_rows)  # not while a chunk is closed
     with pytest.warns(UserWarning, match="not finished"):
         assert len(read(recorder.path)) == 5
     gate.set()
@@ -214,8 +208,6 @@ def test_a_disk_that_is_slow_to_sync_holds_up_no_row(
 def test_an_error_whose_text_cannot_be_made_stops_the_recorder(
     tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """There may be no memory for words: the file is closed all the same."""
-
     class Mute(Exception):
         def __str__(self) -> str:
             raise MemoryError
@@ -226,10 +218,7 @@ def test_an_error_whose_text_cannot_be_made_stops_the_recorder(
     recorder = Recorder(tmp_path / "run.mcap", robot)
     number = recorder._file._file.fileno()
     monkeypatch.setattr(recorder._file, "write", broken)
-    until = time.monotonic() + PATIENCE
-    while recorder.failed is None:
-        assert time.monotonic() < until
-        recorder.row(*rows(0))
+    until(lambda: recorder.failed, lambda: recorder.row(*rows(0)))
     assert recorder.failed == f"The log {recorder.path} stopped."
     recorder.close()
     with pytest.raises(OSError, match="Bad file descriptor"):
@@ -254,10 +243,7 @@ def test_a_sync_that_fails_stops_the_recorder(
     if is_last:
         recorder._syncing.ask()
         recorder._syncing._thread.join(PATIENCE)
-    until = time.monotonic() + PATIENCE
-    while recorder.failed is None and not is_last:
-        assert time.monotonic() < until
-        recorder.row(*rows(0))
+    until(lambda: recorder.failed or is_last, lambda: recorder.row(*rows(0)))
     recorder.close()
     assert str(recorder.failed).endswith("Input/output error.")
 
@@ -265,7 +251,6 @@ def test_a_sync_that_fails_stops_the_recorder(
 def test_waiting_instead_of_dropping(
     tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A link in lockstep keeps no real time: nothing may be lost."""
     sample, count = rows(0), 2 * QUEUE_ROWS + 1  # the thread that hangs in the disk has taken a full queue at most
     with Recorder(tmp_path / "run.mcap", robot, wait=True) as recorder:
         moves, write = threading.Event(), recorder._file.write
@@ -304,11 +289,6 @@ def test_a_recording_has_no_name_of_another_format(name: str, tmp_path: Path, ro
     assert not list(tmp_path.iterdir())
 
 
-def close_it(file: PersistentFile, folder: Path) -> int:
-    os.close(file.fileno())
-    return -1
-
-
 def replace_it(file: PersistentFile, folder: Path) -> int:
     """Close it and open another file, which gets its number."""
     number = file.fileno()
@@ -317,19 +297,19 @@ def replace_it(file: PersistentFile, folder: Path) -> int:
     return number
 
 
-@pytest.mark.parametrize("lose", [close_it, replace_it])
-def test_writing_goes_on_at_the_same_place(lose: Callable[[PersistentFile, Path], int], tmp_path: Path) -> None:
+@pytest.mark.parametrize("replaced", [False, True])
+def test_writing_goes_on_at_the_same_place(replaced: bool, tmp_path: Path) -> None:
     file = PersistentFile(tmp_path / "run")
     file.write(b"0123456789")
     file.seek(2)
-    number = lose(file, tmp_path)
+    number = replace_it(file, tmp_path) if replaced else os.close(file.fileno())
     assert file.write(b"ab") == 2
     file.seek(4)
     file.truncate(8)
     os.fsync(file.fileno())
     assert (tmp_path / "run").read_bytes() == b"01ab4567"
     file.close()
-    if number >= 0:
+    if number is not None:
         os.close(number)
         assert (tmp_path / "other").read_bytes() == b""
 
@@ -344,7 +324,7 @@ def test_a_file_of_somebody_else_is_neither_written_nor_closed(tmp_path: Path) -
         file.write(b"x")
     assert (tmp_path / "run").read_bytes() == b""
     file = PersistentFile(tmp_path / "run-2")
-    close_it(file, tmp_path)
+    os.close(file.fileno())
     (tmp_path / "run-2").rename(tmp_path / "moved")
     (tmp_path / "run-2").write_bytes(b"theirs")
     with pytest.raises(FileNotFoundError, match="its name belongs to another file"):
@@ -372,12 +352,10 @@ def kill_one(path: Path, seconds: float) -> tuple[int, int]:
     lost = max(count - len(table), 0)
     assert np.array_equal(table["seq"], np.arange(len(table)))
     held = inspect(path)
-    assert not held.finished
-    assert held.metadata["armlab"]["note"] == "of a program"
+    assert (held.finished, held.metadata["armlab"]["note"]) == (False, "of a program")
     assert held.attachments["robot.toml"] == b"the description"
-    assert "connected" in [event.text for event in held.events]
-    repaired = recover(path)
-    assert read(repaired.path).sha256 == table.sha256
+    assert "connected" in event_texts(path)
+    assert read(recover(path).path).sha256 == table.sha256
     return count, lost
 
 

@@ -38,7 +38,6 @@ def test_what_is_not_there_is_missing(robot: Robot) -> None:
 
 
 def test_the_end_of_a_row_is_there_when_it_is_needed(robot: Robot) -> None:
-    """Rows of both kinds in one table; what RAPID never said is missing, not False."""
     layout = RowLayout(robot)
     state = State(0.0, 0.004, np.zeros(7), np.zeros(7), np.zeros(7))
     tick = Tick(0, 1, 9, 0, 5, 0)
@@ -48,7 +47,7 @@ def test_the_end_of_a_row_is_there_when_it_is_needed(robot: Robot) -> None:
     long = layout.pack(replace(state, rapid_data=np.array([7.0])), command, sent)
     assert len(long) == layout.size == len(short) + 8 * (6 + 6 + 40 + 40 + 2)
     found = layout.unpack([short, long])
-    for name in SELDOM:
+    for name in SELDOM:  # of RAPID, what was never said is missing, not False
         assert np.isnan(found[name][0]).all(), name
     assert found["q_ext_ref"][1, :3].tolist()[:2] == [0.5, -0.5]
     assert found["q_ext_sent"][1, 0] == 0.4
@@ -63,10 +62,9 @@ TYPES = ("Tick", "Column", "WrenchEstimate", "Parameter")
 
 
 def written(topic: Topic, layout: RowLayout, row: bytes, stamp_ns: int) -> bytes | None:
-    """Return the message of a topic that is written of a row with another stamp, None when there is none."""
-    row = stamp_ns.to_bytes(8, "little") + row[8:]
+    """Return the message of a topic that is written of a row with another stamp, if any."""
     planned: Plan = plan(3, topic, layout.slots)
-    records, *_ = RowEncoder([planned]).encode([row])
+    records, *_ = RowEncoder([planned]).encode([stamp_ns.to_bytes(8, "little") + row[8:]])
     return next((message for *_, message in messages_in(records)), None)
 
 
@@ -82,7 +80,6 @@ def store():
 
 
 def test_numbers_are_where_sentinels_say(robot: Robot, store) -> None:
-    """Each number of the row is its own place: decoded, none may be anywhere else."""
     layout = RowLayout(robot)
     values = {}
     for number, (name, slot) in enumerate(layout.slots.items()):
@@ -151,15 +148,13 @@ STAMPS = 10**18 + np.arange(6) * 4_000_000
 
 @pytest.mark.parametrize("step", [4_032_000, -3_600_000_000_000, 3_600_000_000_000, -1_000_000])
 def test_a_robot_clock_that_was_set_is_not_trusted(step: int) -> None:
-    """Stamps where there is nothing else."""
     robot_ns = 5 * 10**18 + np.arange(6) * 4_032_000
     robot_ns[3:] += step - 4_032_000
-    t, clock = recording_clock({"robot_ns": robot_ns, "session_t": np.arange(6) * 0.004032}, STAMPS)
-    assert clock == "robot"
-    assert t == pytest.approx(np.arange(6) * 0.004032, abs=1e-15)
+    expected = np.arange(6) * 0.004032
+    t, clock = recording_clock({"robot_ns": robot_ns, "session_t": expected}, STAMPS)
+    assert (clock, t) == ("robot", pytest.approx(expected, abs=1e-15))
     t, clock = recording_clock({}, STAMPS)
-    assert clock == "bridge"
-    assert t == pytest.approx(np.arange(6) * 0.004)
+    assert (clock, t) == ("bridge", pytest.approx(np.arange(6) * 0.004))
     assert len(recording_clock({}, STAMPS[:0])[0]) == 0
 
 
@@ -167,8 +162,7 @@ def test_sessions_are_placed_by_the_stamps() -> None:
     session_t = np.array([1.0, 1.004, 1.008, 0.0, 0.004, 0.008])
     stamps = STAMPS + np.repeat([0, 2_000_000_000], 3)
     t, clock = recording_clock({"session_t": session_t, "session": np.repeat([1, 2], 3)}, stamps)
-    assert clock == "robot"
-    assert t == pytest.approx([0.0, 0.004, 0.008, 2.012, 2.016, 2.020])
+    assert (clock, t) == ("robot", pytest.approx([0.0, 0.004, 0.008, 2.012, 2.016, 2.020]))
 
 
 def test_pushed_values_become_columns_and_nothing_else(robot: Robot) -> None:
@@ -196,8 +190,7 @@ def test_wrong_values_are_refused_before_anything_is_stored(robot: Robot, extra:
         log.push(q=np.zeros(7), force=1.0)
     with pytest.raises(ShapeError, match="fext"):
         log.push(q=np.zeros(7), fext=np.zeros(5))
-    assert len(log) == 0
-    assert len(log.table()) == 0
+    assert len(log) == len(log.table()) == 0
 
 
 def test_saved_rows_are_a_finished_recording_of_the_same(
@@ -233,8 +226,6 @@ def test_a_tail_keeps_the_last_seconds(robot: Robot, rows: Callable, extra: dict
     for i in range(400):
         tail.row(*rows(i))
     table = tail.table()
-    assert table.t[-1] - table.t[0] <= 0.5
-    assert table["seq"][-1] == 399 + 7
-    assert len(table) == 125
+    assert table.t[-1] - table.t[0] <= tail.seconds == 0.5
+    assert (len(table), table["seq"][-1]) == (125, 399 + 7)
     assert len(Tail(1.0, robot).table()) == 0
-    assert tail.seconds == 0.5
