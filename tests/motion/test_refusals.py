@@ -107,7 +107,7 @@ RUNS: dict[str, tuple[Callable[..., Any], dict[str, tuple[Any, ...]]]] = {
     **{f"fit of {name}": (call, WRONG_DEMOS) for name, call in FITS.items()},
     "options of a fit": (lambda **more: fit_dmp(U, Y, n_basis=6, **more), OPTIONS),
     "lists": (
-        lambda y=(Y, Y), **more: fit_dmp([U, U], list(y) if isinstance(y, tuple) else y, n_basis=6, **more),
+        lambda y=(Y, Y), **more: fit_dmp([U, U], y, n_basis=6, **more),
         {"sample_weights": (1.0, "even", [np.ones(30)]), "y": ([Y], [Y, Y[:5]], [Y, "home"], Y)},
     ),
     **{name: (call, {"v": NO_TEXTS}) for name, call in TEXTS.items()},
