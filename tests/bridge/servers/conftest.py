@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +15,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.arbiter import Arbiter
-from armlab.bridge.cell import Cell, run_cell
+from armlab.bridge.cell import Cell, parse_cell, run_cell
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.supervisor import Servers, server_command
@@ -102,6 +103,12 @@ def nested(depth: int) -> list[Any]:
     return found
 
 
+def cell_of(server: str, settings: str = "", arm: str = 'link = "sim://yumi_left"') -> Cell:
+    """Return a cell with one simulated arm and one server that may command."""
+    robot = f'[[robots]]\nname = "yumi_left"\n{arm}\n'
+    return parse_cell(f'name = "yumi"\ncommands = ["{server}"]\n{robot}[servers.{server}]\n{settings}\n')
+
+
 LONGEST = 120.0  # s; only a test that fails runs so long
 
 
@@ -122,10 +129,12 @@ def play(monkeypatch: pytest.MonkeyPatch, cell: Cell, script: Callable[[], None]
 
     monkeypatch.setattr(Arbiter, "__call__", obey_or_end)
     thread = threading.Thread(target=run, daemon=True)
-    try:
-        return run_cell(cell, seconds=LONGEST, patience=20.0, ready=lambda line: thread.start())
-    finally:
-        thread.join(LONGEST)
-        assert not thread.is_alive()
-        if failures:
-            raise failures[0]
+    with tempfile.TemporaryDirectory() as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        try:
+            return run_cell(cell, seconds=LONGEST, patience=20.0, ready=lambda line: thread.start())
+        finally:
+            thread.join(LONGEST)
+            assert not thread.is_alive()
+            if failures:
+                raise failures[0]

@@ -27,15 +27,21 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("armlab.bridge.servers.ros.topics._SILENT", 0.2)
 
 
-@contextmanager
-def turning_cell(server: str) -> Iterator[Any]:
+def cell_class(server: str) -> Any:
+    """Return the class of a server with a node, over DDS ("ros2") or Zenoh ("rmw_zenoh")."""
     if server == "ros2":
         pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
         from .dds_peers import DdsCell as Cell
     else:
         pytest.importorskip("zenoh", reason="the extra net is not installed")
         from .zenoh_nodes import ZenohCell as Cell
-    one, over = Cell(), threading.Event()
+    return Cell
+
+
+@contextmanager
+def turning_cell(server: str) -> Iterator[Any]:
+    """Run the loop of a cell whose arm stays where it is."""
+    one, over = cell_class(server)(), threading.Event()
 
     def turn() -> None:
         while not over.wait(0.004):

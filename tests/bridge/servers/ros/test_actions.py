@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
-import shutil
 import socket
 import subprocess
 import time
@@ -21,7 +21,6 @@ from scipy.interpolate import CubicSpline
 pytest.importorskip("rosbags", reason="rosbags is not installed")
 
 from armlab import bridge, robots
-from armlab.bridge.cell import parse_cell
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.local import LocalFeed
 from armlab.bridge.servers.messages import CommandRequest, Leave, Renew, Stop, Subscribe, TrajectoryRequest
@@ -33,10 +32,9 @@ from armlab.log import Tick
 from armlab.state import Command, State
 
 from ....processes import free_port
-from ..conftest import play, until
+from ..conftest import cell_of, play, until
 from .conftest import turning_cell
 
-PEERS, SYSTEM = Path(__file__).parent / "peers", "/usr/bin:/bin:/usr/local/bin"
 ROBOT = robots.load("yumi_left")
 NAMES = list(ROBOT.ros_joint_names)
 ACTION = "/yumi_left/joint_trajectory_controller/follow_joint_trajectory"
@@ -134,6 +132,10 @@ class Bench:
         (answer,) = answers
         return answer["status"], answer["result"]["error_code"], answer["result"]["error_string"]
 
+    def close(self) -> None:
+        self.hub.close()
+        self.feed.close()
+
     def status(self) -> dict[int, int]:
         last = [one for name, one in self.published if name.endswith("status")][-1]
         return {int(one.goal_info.goal_id.uuid[0]): one.status for one in last.status_list}
@@ -145,10 +147,8 @@ def uuid(number: int) -> dict[str, bytes]:
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    made = Bench()
-    yield made
-    made.hub.close()
-    made.feed.close()
+    with contextlib.closing(Bench()) as made:
+        yield made
 
 
 def test_a_goal_arrives_with_feedback(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -422,12 +422,10 @@ def test_no_lease_is_renewed_between_the_parts_of_a_goal(bench: Bench, monkeypat
 
 def test_servers_that_only_read_or_do_not_command() -> None:
     for options, words in (({"allowed": []}, "no commands through ros2"), ({"read_only": ["ros2"]}, "only read")):
-        bench = Bench(**options)
-        status, _, text = bench.until(bench.send(1, {"trajectory": trajectory((1.0, 0.1))}))
+        with contextlib.closing(Bench(**options)) as bench:
+            status, _, text = bench.until(bench.send(1, {"trajectory": trajectory((1.0, 0.1))}))
         assert status == ABORTED
         assert words in text
-        bench.hub.close()
-        bench.feed.close()
 
 
 def test_names_and_types_are_those_of_ros2(bench: Bench) -> None:
@@ -474,18 +472,7 @@ def test_the_services_over_the_network(running: Any) -> None:
     until(lambda: status()[-1].status_list[-1].status in (CANCELED, ABORTED))
 
 
-CELL = """
-name = "yumi"
-commands = ["ros2"]
-[[robots]]
-name = "yumi_left"
-link = "sim://yumi_left"
-speed = 0.5
-[servers.ros2]
-domain = {domain}
-"""
-
-
+ARM = 'link = "sim://yumi_left"\nspeed = 0.5'
 KINDS = {
     "actions": (("make", "gcc", "idlc"), "make gcc cyclonedds-dev cyclonedds-tools"),
     "fast_actions": (("make", "g++", "fastddsgen"), "make g++ libfastrtps-dev fastddsgen"),
@@ -494,15 +481,10 @@ KINDS = {
 
 
 def peer(folder: Path, kind: str, domain: int, *more: str) -> subprocess.Popen[str]:
-    tools, packages = KINDS[kind]
-    missing = [tool for tool in tools if shutil.which(tool, path=SYSTEM) is None]
-    if missing:
-        pytest.skip(f"{', '.join(missing)} is missing: apt-get install {packages}")
-    environment = {**os.environ, "PATH": SYSTEM, "CYCLONEDDS_URI": f"file://{PEERS}/loopback.xml"}
-    build = ["make", "-f", str(PEERS / "Makefile"), kind]
-    made = subprocess.run(build, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    assert made.returncode == 0, made.stderr
-    command = [str(folder / kind), str(domain), *map(str, ROBOT.q_home), *more]
+    from .test_peers import SOURCES, _built
+
+    environment = {**os.environ, "CYCLONEDDS_URI": f"file://{SOURCES}/loopback.xml"}
+    command = [*_built(folder, kind, *KINDS[kind]), str(domain), *map(str, ROBOT.q_home), *more]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
 
 
@@ -512,7 +494,6 @@ def test_a_node_runs_trajectories(kind: str, tmp_path: Path, monkeypatch: pytest
     pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
     from .dds_peers import free_domain
 
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     domain, said = free_domain(), list[str]()
 
     def script() -> None:
@@ -521,7 +502,7 @@ def test_a_node_runs_trajectories(kind: str, tmp_path: Path, monkeypatch: pytest
         assert node.returncode == 0, errors
         said.extend(out.splitlines())
 
-    run = play(monkeypatch, parse_cell(CELL.format(domain=domain)), script)
+    run = play(monkeypatch, cell_of("ros2", f"domain = {domain}", ARM), script)
     goals = {line.split(" ", 1)[0]: line.split(" ", 4)[1:] for line in said}
     assert goals["1"][:2] == ["4", "0"], said
     assert int(goals["5"][2]) > 10
@@ -544,7 +525,6 @@ def test_the_arm_rests_after_its_client_was_killed(tmp_path: Path, monkeypatch: 
     pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
     from .dds_peers import free_domain
 
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     domain, gone = free_domain(), list[bool]()
 
     def script() -> None:
@@ -560,7 +540,7 @@ def test_the_arm_rests_after_its_client_was_killed(tmp_path: Path, monkeypatch: 
             gone.append(True)
             until(lambda: np.abs(row_of(feed)["yumi_left.qd"]).max() < 1e-3, what="rest")
 
-    run = play(monkeypatch, parse_cell(CELL.format(domain=domain)), script)
+    run = play(monkeypatch, cell_of("ros2", f"domain = {domain}", ARM), script)
     assert gone
     assert any("it closed. The arm holds." in event for _, event in run.events)
     np.testing.assert_allclose(run.table.dropna("qd_sent")["qd_sent"][-1], 0.0, atol=1e-9)
@@ -579,22 +559,10 @@ def check_limits(run: Any) -> None:
     assert run.statistics["problems"] == []
 
 
-LOCKSTEP = """
-name = "yumi"
-commands = ["rosbridge"]
-[[robots]]
-name = "yumi_left"
-link = "sim://yumi_left?lockstep=true"
-[servers.rosbridge]
-port = {port}
-"""
-
-
 @pytest.mark.slow
-def test_a_minute_is_tracked_as_by_a_controller_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_minute_is_tracked_as_by_a_controller_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compares 600 points with the spline itself in the loop. Takes 40 s."""
     client = pytest.importorskip("websockets.sync.client", reason="the extra net is not installed")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     t = np.linspace(0.0, 60.0, 601)
     envelope = np.sin(np.pi * t / 60.0)[:, None] ** 2
     swings = np.sin(2.0 * np.pi * t[:, None] * np.linspace(0.1, 0.3, 7))
@@ -613,7 +581,8 @@ def test_a_minute_is_tracked_as_by_a_controller_in_python(tmp_path: Path, monkey
                 socket_.send(json.dumps(goal))
                 found.append(json.loads(socket_.recv(timeout=120.0)))
 
-    run = play(monkeypatch, parse_cell(LOCKSTEP.format(port=port)), script)
+    lockstep = 'link = "sim://yumi_left?lockstep=true"'
+    run = play(monkeypatch, cell_of("rosbridge", f"port = {port}", lockstep), script)
     assert found[-1]["values"] == {"error_code": 0, "error_string": ""}
 
     def follow(state: State) -> Command:

@@ -22,7 +22,6 @@ import numpy as np
 import pytest
 
 from armlab import kinematics, robots
-from armlab.bridge.cell import parse_cell
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.ros.actions import CONTROLLER, FOLLOW, STATUS, TRAJECTORY, _register
@@ -35,7 +34,7 @@ from armlab.log import Tick
 from armlab.state import Command, State
 
 from ....processes import free_port
-from ..conftest import play, until
+from ..conftest import cell_of, play, until
 from .dds_peers import free_domain
 
 pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
@@ -219,12 +218,8 @@ def test_a_reader_that_stops_and_one_that_dies_disturb_nobody(node: list[str], s
 
 
 def test_a_node_moves_the_simulated_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     domain = free_domain()
-    cell = parse_cell(
-        f'name = "yumi"\ncommands = ["ros2"]\n[[robots]]\nname = "yumi_left"\nlink = "sim://yumi_left"\n'
-        f"[servers.ros2]\ndomain = {domain}\n"
-    )
+    cell = cell_of("ros2", f"domain = {domain}")
     found: dict[str, Any] = {}
     command = _python(tmp_path)
     run = play(monkeypatch, cell, lambda: found.update(Peer(command, tmp_path, domain, 700, 200, 600).ended()))
@@ -259,15 +254,6 @@ STATES, COMMANDS = "/yumi_left/joint_states", "/yumi_left/joint_group_velocity_c
 PROGRAM = Path(__file__).parent / "peers" / "sdk.py"
 OUT, IN = ["RELIABLE", "VOLATILE", "KEEP_LAST", 10], ["BEST_EFFORT", "VOLATILE", "KEEP_LAST", 1]
 LATCHED = ["RELIABLE", "TRANSIENT_LOCAL", "KEEP_LAST", 1]
-CELL = """
-commands = ["rmw_zenoh"]
-[[robots]]
-name = "yumi_left"
-link = "sim://yumi_left"
-[servers.rmw_zenoh]
-port = {port}
-"""
-
 ROUTER = """
 import json, sys, zenoh
 config = zenoh.Config()
@@ -339,10 +325,7 @@ def router(other: str) -> Iterator[int]:
     process.communicate("")
 
 
-def test_a_node_of_another_version_reads_and_commands(
-    other: str, router: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+def test_a_node_of_another_version_reads_and_commands(other: str, router: int, monkeypatch: pytest.MonkeyPatch) -> None:
     names, types = Names(0, "1"), store().types
     array = types[ARRAY](types["std_msgs/msg/MultiArrayLayout"]([], 0), np.array([0.0] * 6 + [0.05]))
     raw = bytes(store().serialize_cdr(array, ARRAY)).hex()
@@ -353,7 +336,7 @@ def test_a_node_of_another_version_reads_and_commands(
         said, _ = node.communicate(timeout=90.0)
         found.update(json.loads(said))
 
-    run = play(monkeypatch, parse_cell(CELL.format(port=router)), script)
+    run = play(monkeypatch, cell_of("rmw_zenoh", f"port = {router}"), script)
     numbers = np.array(found["numbers"])
     assert np.all(np.diff(numbers) > 0), "in order"
     counted = numbers[numbers > numbers[0] + 250]
@@ -362,15 +345,14 @@ def test_a_node_of_another_version_reads_and_commands(
     joints = store().deserialize_cdr(bytes.fromhex(found["last"]), JOINTS)
     moved = joints.position[6] - robots.load("yumi_left").q_home[6]
     assert moved > 0.02, "the command moved the arm"
-    assert parse_cell(CELL.format(port=router)).servers["rmw_zenoh"]["distribution"] == "jazzy"
+    assert cell_of("rmw_zenoh", f"port = {router}").servers["rmw_zenoh"]["distribution"] == "jazzy"
     measured = {row.tobytes() for row in np.asarray(run.table["q"])}
     assert np.asarray(joints.position).tobytes() in measured, "what the node read is what was measured"
 
 
 def test_zenoh_ros2_sdk_sees_the_graph_reads_and_commands(
-    installing: dict[str, Installing], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    installing: dict[str, Installing], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     python = environment(installing, f"zenoh-ros2-sdk=={SDK}")
     _register()
     messages = [name for name in store().fielddefs if "/msg/" in name]
@@ -386,7 +368,7 @@ def test_zenoh_ros2_sdk_sees_the_graph_reads_and_commands(
         assert node.returncode == 0, node.stderr
         found.update(json.loads(node.stdout))
 
-    run = play(monkeypatch, parse_cell(CELL.format(port=port)), script)
+    run = play(monkeypatch, cell_of("rmw_zenoh", f"port = {port}"), script)
     arm = robots.load("yumi_left")
     out = {name: one.type for name, one in Topics({arm.name: arm}, RowSchema.of([arm])).published.items()}
     controller = f"/{arm.name}/{CONTROLLER}"

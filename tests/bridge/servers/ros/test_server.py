@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from armlab import robots
 from armlab.bridge.servers.ros.topics import store
 
 from ..conftest import WALL, until
+from .conftest import cell_class
 
 pytestmark = pytest.mark.usefixtures("often")
 ARM = robots.load("yumi_left")
@@ -24,19 +26,8 @@ SET = "/yumi_left/set_parameter"
 
 @pytest.fixture(params=["ros2", pytest.param("rmw_zenoh", marks=pytest.mark.slow)])
 def start(request: pytest.FixtureRequest) -> Iterator[Callable[..., Any]]:
-    made: list[Any] = []
-
-    def begin(**options: Any) -> Any:
-        if request.param == "ros2":
-            from .dds_peers import DdsCell as Cell
-        else:
-            from .zenoh_nodes import ZenohCell as Cell
-        made.append(Cell(**options))
-        return made[-1]
-
-    yield begin
-    for one in made:
-        one.close()
+    with ExitStack() as stack:
+        yield lambda **options: stack.enter_context(closing(cell_class(request.param)(**options)))
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from armlab import cli, kinematics, robots
-from armlab.bridge.cell import parse_cell, run_cell
+from armlab.bridge.cell import run_cell
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.net.sockets import pair
 from armlab.bridge.servers.hub import Hub
@@ -32,7 +32,7 @@ from armlab.log import Recorder, Tick
 from armlab.state import State
 from tests.processes import bound, free_port
 
-from ..conftest import ServedProcess
+from ..conftest import ServedProcess, cell_of
 from .conftest import PATIENCE, PYTHON, Ros, end
 
 ROWS = 750  # 3 s
@@ -359,15 +359,6 @@ def test_a_played_recording_drives_robot_state_publisher(ros: Ros, tmp_path: Pat
 @pytest.mark.slow
 def test_a_node_moves_the_arm_of_a_cell(ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    text = f"""
-    commands = ["ros1"]
-    [[robots]]
-    name = "yumi_left"
-    link = "sim://yumi_left"
-    speed = 0.5
-    [servers.ros1]
-    master = "{ros.uri}"
-    """
     started: list[subprocess.Popen[bytes]] = []
 
     def ready(line: str) -> None:
@@ -375,7 +366,8 @@ def test_a_node_moves_the_arm_of_a_cell(ros: Ros, tmp_path: Path, monkeypatch: p
         topic = "/yumi_left/joint_group_velocity_controller/command"
         started.append(ros.program(COMMANDER, topic, "0,0,0,0.05,0,0,0", "never"))
 
-    run = run_cell(parse_cell(text), seconds=4.0, ready=ready, patience=20.0)
+    cell = cell_of("ros1", f'master = "{ros.uri}"', 'link = "sim://yumi_left"\nspeed = 0.5')
+    run = run_cell(cell, seconds=4.0, ready=ready, patience=20.0)
     assert any("ros1 /commander commands yumi_left." in event for _, event in run.events)
     moved = run.table["q"][-1] - run.table["q"][0]
     assert moved[3] > 0.05

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import json
 import select
 import socket
@@ -77,9 +78,8 @@ class Played:
 
 @pytest.fixture
 def played(monkeypatch: pytest.MonkeyPatch) -> Iterator[Played]:
-    made = Played(monkeypatch)
-    yield made
-    made.close()
+    with contextlib.closing(Played(monkeypatch)) as made:
+        yield made
 
 
 def test_ready_is_said_before_the_first_command(played: Played) -> None:
@@ -161,9 +161,8 @@ class Nodes:
 
 @pytest.fixture
 def nodes() -> Iterator[Nodes]:
-    made = Nodes()
-    yield made
-    made.close()
+    with contextlib.closing(Nodes()) as made:
+        yield made
 
 
 def read(node: socket.socket, nodes: Nodes) -> bytes:

@@ -16,16 +16,18 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.cell import parse_cell
+from armlab.bridge.cell import Cell
 
 from ....processes import free_port
-from ..conftest import play, until
+from ..conftest import cell_of, play, until
 from .conftest import HANDSHAKE
 
 LOST_PROGRAM = """
@@ -50,19 +52,12 @@ with connect(f"ws://127.0.0.1:{port}", compression=None, max_queue=None) as clie
 """
 
 MANY = ("joint_states", "joint_states_sent", "tcp_pose", "egm_states", "wrench_hat", "joint_states_ref")
-CELL = """
-commands = ["rosbridge"]
-[[robots]]
-name = "yumi_left"
-link = "sim://yumi_left"
-speed = 0.5
-[parameters.gain]
-default = 2.0
-maximum = 10.0
-rights = "anyone"
-[servers.rosbridge]
-port = {port}
-"""
+GAIN = '[parameters.gain]\ndefault = 2.0\nmaximum = 10.0\nrights = "anyone"'
+
+
+def cell_at(port: int, settings: str = "") -> Cell:
+    arm = 'link = "sim://yumi_left"\nspeed = 0.5'
+    return cell_of("rosbridge", f"port = {port}\n{settings}\n{GAIN}", arm)
 
 
 class Proxy:
@@ -106,9 +101,8 @@ def _address(text: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="tells of connections on Linux only")
-def test_one_client_reads_while_the_others_are_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_client_reads_while_the_others_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """Takes 20 s: a lost client is disconnected after 10 s without progress, or 15 s without a pong."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     port, programs, proxies = free_port(), list[subprocess.Popen[bytes]](), list[Proxy]()
     with contextlib.ExitStack() as stack:
 
@@ -140,7 +134,7 @@ def test_one_client_reads_while_the_others_are_lost(tmp_path: Path, monkeypatch:
             assert b"keepalive ping timeout" in heard
             until(lambda: all(proxy.closed.is_set() for proxy in proxies), what="the end of clients that had gone")
 
-        cell_run = play(monkeypatch, parse_cell(CELL.format(port=port) + 'dialect = "ros1"\n'), script)
+        cell_run = play(monkeypatch, cell_at(port, 'dialect = "ros1"'), script)
         output, _ = programs[0].communicate(timeout=30.0)
     numbers = np.array(json.loads(output))
     assert len(numbers) > 1000
@@ -197,18 +191,23 @@ ros.terminate()
 """
 
 
-@pytest.mark.slow
-def test_roslibpy_reads_sets_and_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("roslibpy", reason="roslibpy is not installed (extra dev)")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    port, said = free_port(), list[bytes]()
+def beside_a_cell(monkeypatch: pytest.MonkeyPatch, command: Sequence[str], *more: str) -> tuple[Any, Any]:
+    """Run a client program, which gets the port of a cell; return the run of the cell and the program's JSON."""
+    port, found = free_port(), list[Any]()
 
     def script() -> None:
-        command = [sys.executable, "-c", PROGRAM, str(port)]
-        said.append(subprocess.run(command, stdout=subprocess.PIPE, timeout=90.0, check=True).stdout)
+        words = [*command, str(port), *more]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=90.0, check=False)
+        assert done.returncode == 0, done.stderr
+        found.append(json.loads(done.stdout))
 
-    cell_run = play(monkeypatch, parse_cell(CELL.format(port=port)), script)
-    found = json.loads(said[0])
+    return play(monkeypatch, cell_at(port), script), found[0]
+
+
+@pytest.mark.slow
+def test_roslibpy_reads_sets_and_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("roslibpy", reason="roslibpy is not installed (extra dev)")
+    cell_run, found = beside_a_cell(monkeypatch, [sys.executable, "-c", PROGRAM])
     assert (found["before"], found["after"]) == (2.0, 3.0)
     assert "from -inf to 10" in found["refused"]
     assert found["stamp"] == ["nanosec", "sec"]
@@ -245,16 +244,7 @@ def _installed(version: str, folder: Path) -> None:
 @pytest.mark.parametrize("version", ["1.4.1", "2.1.0"])
 def test_roslib_reads_topics_and_parameters(version: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _installed(version, tmp_path)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    port, done = free_port(), list[subprocess.CompletedProcess[str]]()
-
-    def script() -> None:
-        command = ["node", str(tmp_path / SCRIPT.name), str(port)]
-        done.append(subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False))
-
-    play(monkeypatch, parse_cell(CELL.format(port=port)), script)
-    assert done[0].returncode == 0, done[0].stderr
-    found = json.loads(done[0].stdout)
+    _, found = beside_a_cell(monkeypatch, ["node", str(tmp_path / SCRIPT.name)])
     assert {"/yumi_left/joint_states", "/yumi_left/stop"} <= set(found["topics"])
     assert found["params"] == ["gain"]
     assert found["type"] == ("sensor_msgs/JointState" if version.startswith("1.") else "sensor_msgs/msg/JointState")
@@ -313,17 +303,9 @@ process.stdout.write(`${JSON.stringify(found)}\\n`, () => process.exit(0));
 def test_roslib_runs_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _installed("2.1.0", tmp_path)
     (tmp_path / "actions.mjs").write_text(ACTIONS)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    port, done = free_port(), list[subprocess.CompletedProcess[str]]()
     home = robots.load("yumi_left").q_home
-
-    def script() -> None:
-        command = ["node", str(tmp_path / "actions.mjs"), str(port), json.dumps(home.tolist())]
-        done.append(subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False))
-
-    cell_run = play(monkeypatch, parse_cell(CELL.format(port=port)), script)
-    assert done[0].returncode == 0, done[0].stderr
-    found = json.loads(done[0].stdout)
+    command = ["node", str(tmp_path / "actions.mjs")]
+    cell_run, found = beside_a_cell(monkeypatch, command, json.dumps(home.tolist()))
     assert found["servers"] == ["/yumi_left/joint_trajectory_controller/follow_joint_trajectory"]
     assert found["moved"].get("result") == {"error_code": 0, "error_string": ""}, found["moved"]
     feedback = found["moved"]["feedback"]

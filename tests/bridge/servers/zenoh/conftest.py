@@ -76,15 +76,13 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def start(robot: Robot) -> Iterator[Callable[..., Running]]:
-    made: list[Running] = []
+    with contextlib.ExitStack() as stack:
 
-    def begin(port: int = 0, **options: Any) -> Running:
-        made.append(Running(options.pop("robot", robot), port or free_port(), **options))
-        return made[-1]
+        def begin(port: int = 0, **options: Any) -> Running:
+            one = Running(options.pop("robot", robot), port or free_port(), **options)
+            return stack.enter_context(contextlib.closing(one))
 
-    yield begin
-    for one in made:
-        one.close()
+        yield begin
 
 
 @pytest.fixture(autouse=True)

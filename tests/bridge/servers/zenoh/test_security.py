@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.bridge.cell import listening, parse_cell
+from armlab.bridge.cell import listening
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.zenoh.feed import robots_at
 from armlab.bridge.servers.zenoh.messages import Attachment, key
@@ -22,7 +22,7 @@ from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
 
 from ....processes import free_port
-from ..conftest import until
+from ..conftest import cell_of, until
 from .conftest import Running, heard
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
@@ -112,23 +112,14 @@ def test_passwords_alone_do_not_encrypt_but_keep_viewers_from_commanding(
     until(read)
 
 
-CELL = """
-commands = ["zenoh"]
-[[robots]]
-name = "yumi_left"
-link = "sim://yumi_left"
-[servers.zenoh]
-"""
-
-
 def test_commands_beyond_this_computer_need_both(lab: Path) -> None:
     files = bridge_files(lab)
-    assert listening(["zenoh=127.0.0.1"], parse_cell(CELL)) == {"zenoh": "127.0.0.1"}
+    assert listening(["zenoh=127.0.0.1"], cell_of("zenoh")) == {"zenoh": "127.0.0.1"}
     for names in ((), ("ca", "certificate", "key"), ("users",)):
-        cell = parse_cell(CELL + "".join(f'{name} = "{files[name]}"\n' for name in names))
+        cell = cell_of("zenoh", "".join(f'{name} = "{files[name]}"\n' for name in names))
         with pytest.raises(ConfigError, match="needs a secret and encryption"):
             listening(["zenoh=0.0.0.0"], cell)
-    cell = parse_cell(CELL + "".join(f'{name} = "{path}"\n' for name, path in files.items()))
+    cell = cell_of("zenoh", "".join(f'{name} = "{path}"\n' for name, path in files.items()))
     assert listening(["zenoh=0.0.0.0"], cell) == {"zenoh": "0.0.0.0"}
 
 
