@@ -324,7 +324,7 @@ def test_a_jump_is_refused_and_the_last_command_stays() -> None:
     bench = Bench()
     bench(order())
     assert bench(order(offset=0.2)).q[0] == HOME[0] + 0.01
-    assert "Expected a position near the last one sent" in bench.answers[0][1]
+    assert "Expected a position near the last position sent" in bench.answers[0][1]
     bench.q_sent["yumi_left"] = HOME + 0.2  # held elsewhere meanwhile
     assert bench() is None
     assert bench(order("labcomm b")) is None, "what is refused makes no old command new"
@@ -371,7 +371,7 @@ def test_distances_are_those_of_the_axes_where_these_are_not_the_joints() -> Non
     bench(away(0.0, 0.0))
     assert bench(away(0.095, 0.095)).q[1] == linked.q_home[1]
     axis = linked.q_home[1] + linked.q_home[2]
-    assert f"last one sent, {axis:.4f}, for joint 3 (axis_3) of irb2400, got {axis + 0.19:.4f}" in bench.answers[1][1]
+    assert f"last position sent, {axis:.4f}, for joint 3 (axis_3) of irb2400, got {axis + 0.19:.4f}" in bench.answers[1][1]
     assert "ABB's axes" in bench.answers[1][1]
     bench.q_sent[linked.name] = at(0.06, 0.06)  # held elsewhere meanwhile
     assert bench() is None

@@ -1,6 +1,6 @@
-"""Command arbitration: `Arbiter`, a controller with one commanding client per arm; `Order`, a client's command.
+"""Command arbitration: `Arbiter`, a controller with one commanding client per arm; `Order`, the command of a client.
 
-Not a safety function: emergency stop and the robot's own supervision stay in charge.
+Arbitration is not a safety function; the emergency stop and the supervision of the robot remain in charge.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Order(NamedTuple):
-    """A client's command to an arm: references, or a trajectory and the name of its goal."""
+    """Command of a client to an arm: references, or a trajectory with the name of its goal."""
 
     client: str
     arm: str
@@ -39,12 +39,12 @@ class Order(NamedTuple):
 
     @property
     def server(self) -> str:
-        """Name of the client's server."""
+        """Name of the server of the client."""
         return self.client.partition(" ")[0]
 
 
 def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Command, str]:
-    """Return the command of an order, and its problem or ""; one invalid number makes the whole order invalid."""
+    """Return the command of an order, and the error text or ""; one invalid number makes the whole order invalid."""
     values: dict[str, np.ndarray | None] = {}
     for name in ("q", "qd", "tau"):
         values[name], problem = _vector(order, name, robot)
@@ -52,8 +52,8 @@ def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Co
             return Command(), problem
     if values["tau"] is not None and not has_torque:
         problem = (
-            f"Expected no torque for {robot.name}, because this cell allows no torque commands. Set `torque` of "
-            "the robot in its file."
+            f"Expected no torque for {robot.name}, because this cell allows no torque commands to it. Set `torque` of "
+            "the robot in the cell file."
         )
         return Command(), problem
     if all(value is None for value in values.values()):
@@ -62,7 +62,7 @@ def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Co
 
 
 def _vector(order: Order, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
-    """Return one vector (n,) of a command, and its problem or ""."""
+    """Return one vector (n,) of a command, and the error text or ""."""
     values = getattr(order, name)
     if values is None:
         return None, ""
@@ -71,7 +71,7 @@ def _vector(order: Order, name: str, robot: Robot) -> tuple[np.ndarray | None, s
     except (ValueError, TypeError, OverflowError):
         array = np.empty(0)
     if array.shape != (robot.n,):
-        return None, f"Expected {robot.n} numbers in {name} for {robot.name}, got {np.shape(array)}."
+        return None, f"Expected {robot.n} numbers in {name} for {robot.name}, got shape {np.shape(array)}."
     if not np.isfinite(array).all():
         i = int(np.argmin(np.isfinite(array)))
         joint = joint_name(robot, i, order.first, order.by_axis)
@@ -81,19 +81,19 @@ def _vector(order: Order, name: str, robot: Robot) -> tuple[np.ndarray | None, s
 
 
 LEASE = 0.1
-"""Silence after which an arm is free again [s], the same for all servers."""
+"""Silence of the commanding client after which an arm is free [s], the same for all servers."""
 
 Result = tuple[str, str, str]
-"""Status of a goal ("executing", "succeeded", "canceled" or "aborted"), how its trajectory ended, and the reason."""
+"""Status of a goal ("executing", "succeeded", "canceled" or "aborted"), kind of end of its trajectory, and reason."""
 
-_RESULTS = 64  # results of ended goals, kept for clients that missed them
+_RESULTS = 64  # stored results of ended goals, for clients that missed them
 _ANSWER_EVERY = 1_000_000_000  # ns between two answers to one client
-_CLIENTS = 256  # limit on clients counted and on commands queued, against floods
+_CLIENTS = 256  # limit on counted clients and on queued commands, against floods
 
 
 @dataclass(slots=True)
 class _Holder:
-    """Commanding client of an arm; its current command, with the command's number and arrival time [ns]."""
+    """Commanding client of an arm, with the number and arrival time [ns] of its current command."""
 
     client: str
     command: Command
@@ -103,15 +103,14 @@ class _Holder:
 
 
 class Arbiter:
-    """Controller that passes on the newest command of each arm's commanding client, or holds without one.
+    """Controller that forwards the newest command of the commanding client of each arm; a free arm holds.
 
-    A free arm goes to the first valid command of an allowed client. The client keeps the arm by sending commands, and
-    loses the arm after a silence of `lease` seconds, on disconnection, or by `release`. The first position must lie
-    within `entry` of the measured joints. A refused command changes nothing. Any client may `stop`; only operators may
-    `resume`.
+    The first valid command of an allowed client takes a free arm. The client keeps the arm by sending commands, and
+    loses it after a silence of `lease` [s], on disconnection, or by `release`. The first position must lie within
+    `entry` of the measured joints. A refused command has no effect. Any client may `stop`; only operators may `resume`.
 
-    A trajectory is a single, lasting command: the client's server renews the lease while the client is connected.
-    `on_goal` reports the start and the result of each goal.
+    A trajectory is a single command of long duration: the server renews the lease while the client is connected.
+    `on_goal` receives the start and the result of each goal.
     """
 
     poll: Callable[[], None]
@@ -146,17 +145,17 @@ class Arbiter:
         self.stopped = self._reserved = ""
 
     def commander(self, arm: str) -> str:
-        """Return the commanding client of an arm, "" if free."""
+        """Return the commanding client of an arm, or "" if the arm is free."""
         holder = self._holder(arm)
         return "" if holder is None else holder.client
 
     def commands(self, client: str) -> bool:
-        """Return whether a client commands an arm, or may take one because all arms are free."""
+        """Return whether a client commands an arm, or may take an arm because all arms are free."""
         holders = [holder.client for holder in map(self._holder, self._holders) if holder is not None]
         return client in holders or (not holders and client.partition(" ")[0] in self._allowed)
 
     def submit(self, order: Order) -> None:
-        """Queue a command for the next tick; only the newest per client and arm counts."""
+        """Queue a command for the next tick; only the newest command per client and arm counts."""
         now, why = self._clock(), ""
         self._results.pop((order.client, order.goal), None)  # a client may reuse a goal name
         if order.arm not in self._holders:
@@ -175,7 +174,7 @@ class Arbiter:
             self._refuse(order, why, now)
 
     def renew(self, client: str, arm: str, goal: str) -> None:
-        """Renew the lease of a trajectory; called by the client's server while the client is connected."""
+        """Renew the lease of a trajectory; the server calls this while the client is connected."""
         if not goal:
             return
         holder, (_, waiting) = self._holder(arm), self._inbox.get((arm, client), (0, None))
@@ -194,7 +193,7 @@ class Arbiter:
             self._on_goal(Order(client, arm, goal=goal), known)
 
     def cancel(self, who: str, arm: str, goal: str) -> None:
-        """Cancel a goal and bring the arm that follows its trajectory to rest; open to all clients, like `stop`."""
+        """Cancel a goal and bring its arm to rest; open to all clients, like `stop`."""
         if not goal:
             return
         holder = self._holder(arm)
@@ -207,11 +206,11 @@ class Arbiter:
                 self._end(order, "canceled", "interrupted", f"Canceled by {who}.")
 
     def reserve(self, who: str) -> None:
-        """Refuse the commands of all clients, because a controller commands the arms."""
+        """Refuse the commands of all clients from now on, because a controller commands the arms."""
         self._reserved = who
 
     def stop(self, who: str) -> None:
-        """Hold all arms until an operator resumes; open to all clients."""
+        """Hold all arms until an operator calls `resume`; open to all clients."""
         if not self.stopped:
             self.stopped = who
             self._tell(f"Stopped by {who}. An operator can end the stop with armlab bridge resume.", warn=True)
@@ -219,7 +218,7 @@ class Arbiter:
             self._free(arm, "all arms were stopped")
 
     def resume(self, who: str) -> None:
-        """End a stop (operators only); each client must restart near the current position of the arm."""
+        """End a stop (operators only); each client must begin again near the current position of its arm."""
         if self.stopped:
             self.release(who)
             for _, order in self._inbox.values():
@@ -229,7 +228,7 @@ class Arbiter:
             self._tell(f"Resumed by {who}.")
 
     def release(self, who: str, client: str = "") -> None:
-        """Free the arms of a commanding client, or all arms if no client is given."""
+        """Free the arms of a commanding client; default: all arms."""
         for arm, holder in self._holders.items():
             if holder is not None and client in ("", holder.client):
                 self._free(arm, f"released by {who}")
@@ -243,11 +242,11 @@ class Arbiter:
         self._answered.pop(client, None)
 
     def report(self, client: str, why: str) -> None:
-        """Count a message refused by its server, and report it at most once a second per client."""
+        """Count a message that a server refused, and report it at most once a second per client."""
         self._refuse(Order(client, ""), why, self._clock(), answer=False)
 
     def __call__(self, state: State) -> Command | tuple[Command | None, ...] | None:
-        """Return the command of each arm: the newest from its commanding client, or None (hold)."""
+        """Return the newest command of the commanding client of each arm, or None (hold)."""
         self.poll()
         now = self._called_ns = self._clock()
         for arm in self._holders:
@@ -275,7 +274,7 @@ class Arbiter:
         return None if holder is None or self._clock() - holder.received_ns > self._lease_ns else holder
 
     def _judge(self, order: Order, state: State, came_ns: int) -> bool:
-        """Activate a command for one lease from its arrival; return False if it is refused."""
+        """Activate a command for one lease from its arrival; return False if the command is refused."""
         holder = self._holders[order.arm]
         robot = next(one for one in self._robots if one.name == order.arm)
         if self.stopped:
@@ -311,17 +310,17 @@ class Arbiter:
 
     def _command(self, robot: Robot, state: State, is_fresh: bool, dt: float) -> Command | None:
         holder = self._holders[robot.name]
-        if holder is None or self.stopped:  # another thread may have stopped the arms meanwhile
+        if holder is None or self.stopped:  # another thread may have stopped the arms
             return None
         if holder.order.trajectory is not None:
             return self._follow(holder.order, holder.order.trajectory, state, 0.0 if is_fresh else dt)
         q, axes, jump = holder.command.q, self._axes[robot.name], self._limits[robot.name].jump
         if not is_fresh and q is not None and np.any(np.abs(axes(q) - axes(_sent(state))) > jump):
-            return None  # the arm has held meanwhile: continuing would be a jump, which ends the run
+            return None  # the arm has held since this command; to continue would be a jump, which ends the run
         return holder.command
 
     def _follow(self, order: Order, trajectory: TrajectoryController, state: State, dt: float) -> Command | None:
-        """Return the next command of a trajectory, or None once it has ended or its reference has diverged."""
+        """Return the next command of a trajectory, or None after its end or if its reference is too far away."""
         command, axes = trajectory(state, dt), self._axes[order.arm]
         is_far = command.q is not None and not np.all(
             np.abs(axes(command.q) - axes(_sent(state))) <= self._limits[order.arm].jump
@@ -334,7 +333,7 @@ class Arbiter:
         return None
 
     def _end(self, order: Order | None, status: str, ending: str, reason: str) -> None:
-        """Report the result of a goal once; other commands have no result."""
+        """Report the result of a goal once; commands without a goal have no result."""
         if order is not None and order.goal and (order.client, order.goal) not in self._results:
             self._results[order.client, order.goal] = found = status, ending, reason
             while len(self._results) > _RESULTS:
@@ -355,7 +354,7 @@ class Arbiter:
             self._answered.pop(next(iter(self._answered)))
         if now - self._answered.get(client, -_ANSWER_EVERY) >= _ANSWER_EVERY:
             self._answered[client] = now
-            if answer and order.goal:  # the result of the goal gives the reason
+            if answer and order.goal:  # the result of the goal contains the reason
                 self._tell(f"A trajectory of {client} was refused: {why}", warn=True)
             elif answer:
                 self._answer(client, f"{why} {self.refused[client]} commands refused so far.")
@@ -366,7 +365,7 @@ class Arbiter:
 
 
 def _count(counter: Counter[str], client: str) -> None:
-    """Count a client; drop the oldest entry if the counter is full."""
+    """Count a client; remove the oldest entry of a full counter."""
     if client not in counter and len(counter) >= _CLIENTS:
         del counter[next(iter(counter))]
     counter[client] += 1

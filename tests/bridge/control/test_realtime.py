@@ -262,7 +262,7 @@ def test_five_in_a_row() -> None:
         now += 10 * 10**9
     verdicts = [lateness.add(now + k * PERIOD, True, 0) for k in range(5)]
     assert verdicts[:4] == [""] * 4
-    assert "5 cycles in a row" in verdicts[4]
+    assert "5 consecutive cycles" in verdicts[4]
 
 
 def test_five_percent_in_one_second() -> None:

@@ -132,7 +132,7 @@ def test_our_own_silence_is_named(feed: Any) -> None:
     feed(seqno=0)
     for _ in range(60):
         feed()
-    assert "did not answer for 0.24 s (event 41822" in feed.session.end()
+    assert "armlab sent no reply for 0.24 s (event 41822" in feed.session.end()
     feed(seqno=0)
     for _ in range(60):
         feed()
@@ -345,7 +345,7 @@ def stall(ms: float) -> list[float]:
         ([4.0] * 400, stall(150.0), {}, ""),
         ([4.0] * 400, stall(300.0), {}, ""),
         ([4.0] * 400, stall(450.0), {}, ""),
-        ([2.0] * 2600, [8.0] * 2600, {}, "runs behind ours"),
+        ([2.0] * 2600, [8.0] * 2600, {}, "runs slower than ours"),
         ([24.0] * 50, [0.1] * 50, {"checks_arrival": False}, ""),
     ],
     ids=["bunches", "stall 150", "stall 300", "stall 450", "slow", "lockstep"],

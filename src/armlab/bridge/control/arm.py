@@ -1,4 +1,4 @@
-"""`ArmSession`: one arm during a run. It receives packets, sends one reply to each, and records both."""
+"""`ArmSession`: one arm during a run; it receives packets, sends one reply per packet, and records both."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from armlab.state import Command
 from armlab.wire.egm import Codec, Reference
 from armlab.wire.egm.types import StandingQueue
 
-_BINS = 20_000  # of 1 us; the last bin collects all longer times
+_BINS = 20_000  # bins of 1 us; the last bin counts all longer times
 
 
 class Latency:
@@ -45,7 +45,7 @@ class Latency:
         self.longest = max(self.longest, 1e-3 * nanoseconds)
 
     def percentile(self, percent: float) -> float:
-        """Return a percentile of the latency [us]; NaN if there are no replies."""
+        """Return a percentile of the latency [us]; NaN without replies."""
         if not self.count:
             return float("nan")
         index = int(np.searchsorted(np.cumsum(self._bins), percent / 100.0 * self.count))
@@ -56,19 +56,19 @@ class Latency:
         return {name: self.percentile(percent) for name, percent in names.items()} | {"max": self.longest}
 
     def histogram(self) -> dict[str, list[int]]:
-        """Return the bin edges ("below_us": doubling from 2 us) and the "count" of replies in each bin."""
+        """Return the upper edges of the bins ("below_us", doubling from 2 us), and the "count" of replies per bin."""
         limits = [1 << k for k in range(1, _BINS.bit_length() + 1)]
         counts = [sum(self._bins[before:limit]) for before, limit in zip([0, *limits], limits, strict=False)]
         return {"below_us": limits, "count": counts}
 
 
-_CYCLES = 3  # consecutive cycles with messages left in the queue; fewer may be replies in transit
+_CYCLES = 3  # consecutive cycles with queued messages before a reply is skipped; fewer may be replies in transit
 _REMEDY = "End other programs that send to this robot, then restart its EGM session."
-_MAX_SKIPPED = 16  # consecutive replies, so that the robot gets one well before its time-out
+_MAX_SKIPPED = 16  # consecutive skipped replies; the robot must get a reply well before its time-out
 
 
 class QueueTrimming:
-    """Skips replies to empty the robot's receive queue; reports a queue that stays full."""
+    """Skips replies to empty the receive queue of the robot; reports a queue that stays full."""
 
     left_out: int
 
@@ -78,13 +78,13 @@ class QueueTrimming:
         self._depths: list[int] = []
 
     def leaves_out(self, depth: int, period: float) -> bool:
-        """Return whether to skip the reply to this packet: one per message left in the queue for three cycles."""
+        """Return whether to skip the reply to this packet: one reply per message queued for three cycles."""
         before, self._depth = self._depth, depth
         if depth <= 0 and before <= 0:
             return False
         if standing := self._standing.after(depth, period):
             self._on_event(f"{standing} Skipping {self.left_out} replies did not empty the queue. {_REMEDY}", warn=True)
-        self._owed = min(self._owed, max(depth, 0))  # the queue may be shorter, or belong to a new session
+        self._owed = min(self._owed, max(depth, 0))  # the queue may have become shorter, or belong to a new session
         if not self._owed:
             self._depths = [*self._depths, depth] if depth > 0 else []
             if len(self._depths) < _CYCLES:
@@ -96,14 +96,14 @@ class QueueTrimming:
         return True
 
 
-_DROPS = 64  # refused datagrams per wake-up: a flood must not block the loop
-_BACKLOG = 1000  # datagrams per wake-up: more than are queued after any stall
+_DROPS = 64  # refused datagrams per wake-up, so that a flood does not block the loop
+_BACKLOG = 1000  # datagrams per wake-up, more than the queue contains after any stall
 _DEADLINE = 0.75  # of a period, from arrival to reply
-_SILENCE = 0.5  # s of silence that end a session
+_SILENCE = 0.5  # s of silence after which a session ends
 
 
 class End(NamedTuple):
-    """Port and codec of an arm. `admittance` converts torques to velocities; None if torques are sent or refused."""
+    """Port and codec of an arm; `admittance` converts torques to velocities, None sends or refuses torques."""
 
     robot: Robot
     port: Port
@@ -112,7 +112,7 @@ class End(NamedTuple):
 
 
 class ArmSession:
-    """State of one arm in a loop; its methods are called under the loop's lock."""
+    """One arm of a loop; the loop holds its lock while it calls the methods."""
 
     robot: Robot
     port: Port
@@ -176,11 +176,11 @@ class ArmSession:
         return self._robot_ns if self._in_lockstep and self._robot_ns else self._wall_ns + time.monotonic_ns()
 
     def set_command(self, command: Command | None) -> None:
-        """Store the controller's command for an arm that does not pace the loop."""
+        """Store the command of the controller for an arm that does not pace the loop."""
         self._given, self._given_age = kept(command), 0.0
 
     def kept_command(self, sample: Sample, longest: float) -> Command | None:
-        """Return the stored command, or None (hold) once it is older than `longest` [s]."""
+        """Return the stored command, or None (hold) if it is older than `longest` [s]."""
         self._given_age += sample.dt
         return self._given if self._given_age <= longest else None
 
@@ -198,16 +198,18 @@ class ArmSession:
                 self._arrival, pending = arrival, sample
                 self._observe(sample, woken_ns)
             if refused == _DROPS or taken == _BACKLOG:
-                break  # before reading another datagram from the port, which would be lost
+                break  # before the next read, whose datagram would be lost
             arrival = self.port.receive()
         return pending
 
     def _observe(self, sample: Sample, woken_ns: int) -> None:
         if sample.fresh:
-            self.set_command(None)  # drop the last session's command: its age does not include the silence
+            self.set_command(None)  # the age of the command of the last session does not include the silence
         if sample.fresh and sample.session > 1:
             self.supervisor.judge()
-        if sample.fresh and sample.session > 1 and not self._resumes:  # restarted before the silence was detected
+        if (
+            sample.fresh and sample.session > 1 and not self._resumes
+        ):  # the session restarted before the silence was detected
             self.machine.lose(self.session.reason, resume=False)
         else:
             self.machine.observe(sample)
@@ -233,13 +235,13 @@ class ArmSession:
         call_ns: int = 0,
         late: bool = False,
     ) -> None:
-        """Send the only reply to a packet; `record` later records the packet and those that it overtook."""
+        """Send the only reply to a packet; `record` later records the packet and the packets that it overtook."""
         seq = send_ns = -1
         self._went_out = self._left_out = False
         try:
             if reply is not None:
                 seq, send_ns = self._send(sample, reply)
-        finally:  # also when the codec raises: nothing was sent
+        finally:  # also after an error in the codec, which prevents sending
             if reply is not None and not self._went_out:
                 self.machine.take_back(self._left_out)
         given = self._given if self._went_out and command is self._given else None
@@ -258,7 +260,7 @@ class ArmSession:
             self.latency.add(send_ns - sample.arrival_ns)
 
     def _send(self, sample: Sample, reply: Reply) -> tuple[int, int]:
-        """Send a reply. Return its number and time [ns], or -1 and -1 if nothing was sent."""
+        """Send a reply; return its sequence number and time [ns], or -1 and -1 if it is not sent."""
         session, packet = self.session, sample.packet
         depth = -1 if self._in_lockstep else packet.queue_depth  # lockstep waits for every reply
         self._left_out = self.trimming.leaves_out(depth, self.period)
@@ -277,14 +279,14 @@ class ArmSession:
             )
             self.recording.event(what, warn=True)
             return -1, -1
-        self._went_out = True  # stays True even if a later step fails
+        self._went_out = True  # also if a later step fails
         session.replied(now)
         return seq, now
 
     def record(self) -> None:
-        """Record the packets answered or overtaken since the last call; runs when no reply is due.
+        """Record the packets answered or overtaken since the last call; called when no reply is due.
 
-        A row that fails for lack of memory is retried by the next call.
+        The next call retries a row that could not be stored for lack of memory.
         """
         while self.rows:
             sample, wall_ns = self.rows[0], self._wall_ns

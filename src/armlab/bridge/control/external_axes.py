@@ -1,4 +1,4 @@
-"""`ExternalReferences`: RAPID data, and references of external axes within their limits."""
+"""`ExternalReferences`: limited references of external axes, and RAPID data."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from armlab.wire.egm import Beside, Packet
 
 _MOST_DATA = 40  # values in EgmRAPIDdata
 _OUTSIDE, _STEP, _FASTER = 0.1, 0.02, 2.0  # as in `feedback`
-_KNOWS_DATA = "7"  # RobotWare version that accepts RAPID data
+_KNOWS_DATA = "7"  # RobotWare version with RAPID data
 
 
 class ExternalReferences:
-    """References of the external axes and RAPID data, packet by packet.
+    """Computes the references of the external axes and the RAPID data for each packet.
 
-    The first `Command.q_ext` of a session enables the axes. Each later reply carries a reference for them; without one,
-    the robot controller would keep the last reference, including its speed. RAPID data are sent once.
+    The first `Command.q_ext` of a session enables the axes. Each later reply contains a reference for them, because the
+    robot controller would otherwise keep the last reference, including its speed. RAPID data are sent once.
     """
 
     moves: bool
@@ -37,7 +37,7 @@ class ExternalReferences:
 
     @property
     def memory(self) -> tuple[bool, bool, Any]:
-        """State of the limiter, to be restored if a reply was not sent."""
+        """State of the limiter, which is restored if a reply is not sent."""
         return self.moves, self._entered, None if self._limiter is None else self._limiter.memory
 
     @memory.setter
@@ -48,15 +48,15 @@ class ExternalReferences:
             self._limiter.memory = sent
 
     def begin(self) -> None:
-        """Begin a session: disable the axes."""
+        """Begin a session with disabled axes."""
         self.moves = self._entered = False
         self._plausible, self._since = 0, 0.0
         self._q: np.ndarray | None = None
 
     def observe(self, packet: Packet, dt: float) -> str:
-        """Check the feedback, because implausible feedback must never become a reference.
+        """Check the feedback; return the first of consecutive problems, else "".
 
-        Return only the first of consecutive problems, else "".
+        Implausible feedback must never become a reference.
         """
         limits, q = self._limits, packet.q_ext
         if limits is None or q.shape != limits.q_min.shape:
@@ -72,10 +72,9 @@ class ExternalReferences:
         return ""
 
     def rest(self, packet: Packet) -> Beside | None:
-        """Return the measured positions as the external references of a robot that follows no references.
+        """Return the measured positions as the external references, for a robot that does not follow references.
 
-        The next commanded position must be near them. If the number of axes differs from the limits, the axes are
-        disabled.
+        The next commanded position must be near them. A number of axes that differs from the limits disables the axes.
         """
         self._entered = False
         if not self.moves or self._limiter is None or self._q is None or packet.q_ext.shape != self._limiter.q.shape:
@@ -85,10 +84,7 @@ class ExternalReferences:
         return Beside(reply.q, reply.qd)
 
     def hold(self, dt: float, longest: float) -> Beside | None:
-        """Return the external references of a hold: the axes come to rest, and RAPID receives no data.
-
-        See `Limiter.step`.
-        """
+        """Return references that bring the axes to rest, without RAPID data; see `Limiter.step`."""
         if not self.moves or self._limiter is None:
             return None
         reply = self._limiter.hold(dt, longest)
@@ -162,7 +158,7 @@ class ExternalReferences:
             limiter.memory = memory  # this reply is not sent: the hold continues from the previous one
             k = abs(reply.refused) - 1
             raise CommandRefused(
-                f"Expected a position of external axis {k + 1} near the last one sent, {before[k]:.4f}, got "
+                f"Expected a position of external axis {k + 1} near the last position sent, {before[k]:.4f}, got "
                 f"{wanted[k]:.4f}. Move there gradually."
             )
         return Beside(reply.q, reply.qd)

@@ -11,23 +11,23 @@ from armlab.wire.egm import Packet
 from armlab.wire.egm.axes import Linkage
 
 READY_AFTER = 3
-"""Plausible packets in a row before the robot counts as ready."""
+"""Number of consecutive plausible packets after which the robot counts as ready."""
 STOP_AFTER = 3.0
-"""Number of implausible packets that stops the run; each plausible packet subtracts an eighth."""
+"""Count of implausible packets that stops the run; each plausible packet subtracts 1/8 from the count."""
 
 _DECAY = 0.125
 
-_OUTSIDE = 0.1  # rad or m beyond the limits of a joint
-_LAG, _CATCHES_UP = 0.05, 0.2  # s: following error per speed, and time constant of its decay
-_RAMP, _RAMP_LAG = 1.0, 0.3  # s: while EGM ramps in (RampInTime), the lag is larger; at full speed it lasts longer
-_FROZEN = 0.1  # s without any change
-_STEP, _FASTER = 0.02, 2.0  # rad or m, and multiple of the speed limit: a larger step is implausible
+_OUTSIDE = 0.1  # rad or m beyond the joint limits
+_LAG, _CATCHES_UP = 0.05, 0.2  # s: following error divided by speed, and time constant of its decay
+_RAMP, _RAMP_LAG = 1.0, 0.3  # s: duration and larger lag while EGM ramps in (RampInTime)
+_FROZEN = 0.1  # s without any change of the feedback
+_STEP, _FASTER = 0.02, 2.0  # largest plausible step: rad or m, plus a multiple of the speed limit
 
 
 class FeedbackCheck:
-    """Checks each feedback position against the limits, the last plausible position, and the reference sent.
+    """Checks the feedback against the limits, the last plausible position and the last reference sent.
 
-    Frozen feedback is detected once the reference moves away from it. With coupled axes, all checks are in axis space.
+    Frozen feedback is detected when the reference moves away from it. With coupled axes, all checks are in axis space.
     """
 
     plausible: int
@@ -49,7 +49,7 @@ class FeedbackCheck:
         self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
 
     def check(self, q: np.ndarray, dt: float, sent: Reply | None) -> str:
-        """Return why the feedback is implausible, or "" if it is plausible."""
+        """Return the reason for implausible feedback, or "" if the feedback is plausible."""
         self._since += dt
         same = self._newest is not None and q.tobytes() == self._newest.tobytes()
         self._frozen = self._frozen + dt if same else 0.0
@@ -67,14 +67,14 @@ class FeedbackCheck:
             i = -found - 1
             problem = (
                 f"Expected the feedback of {joint_name(self._robot, i)} to move no faster than the arm can, got a jump "
-                f"from {before[i]:.4f} to {axes[i]:.4f} in {1e3 * self._since:.1f} ms. Check the robot's controller."
+                f"from {before[i]:.4f} to {axes[i]:.4f} in {1e3 * self._since:.1f} ms. Check the robot controller."
             )
         if sent is not None and not problem:
             problem = self._apart(axes, dt, sent)
         if problem:
             self.plausible, self.implausible = 0, self.implausible + 1.0
             if not self.confirmed and found <= 0:
-                self.q, self._since = q, 0.0  # the first two positions contradict each other: neither is trusted
+                self.q, self._since = q, 0.0  # the first two positions contradict each other, so neither is trusted
         else:
             self.plausible, self.implausible = self.plausible + 1, max(0.0, self.implausible - _DECAY)
             self.q, self._since = q, 0.0
@@ -111,7 +111,7 @@ class FeedbackCheck:
 
 
 def outside_range(q: np.ndarray, robot: Robot) -> str:
-    """Return the error text for feedback (n,) far outside a joint's range, "" if inside."""
+    """Return the error text for feedback (n,) far outside the range of a joint, or "" if it is inside."""
     q = axes_of(robot)(q)
     outside = np.maximum(robot.q_min - q, q - robot.q_max)
     i = int(outside.argmax())
@@ -128,12 +128,12 @@ MCI_RUNNING = 3
 """MCI state of a robot under EGM guidance."""
 
 _MOTORS_ON = 1
-_RAPID_MOVES = (0, 2)  # undefined (0) persists after a controller restart although RAPID is running
-_ABSENT = 3  # consecutive packets without a state before it counts as unknown
+_RAPID_MOVES = (0, 2)  # the state stays undefined (0) after a controller restart, although RAPID is running
+_ABSENT = 3  # consecutive packets without a state after which the state counts as unknown
 
 
 def not_ready_reason(motors: int, rapid: int, mci: int) -> str:
-    """Return why the robot would not follow a reference, or "" if it would; states as in a `Packet`."""
+    """Return the reason why the robot would not follow a reference, or "" if it would; states as in a `Packet`."""
     if motors != _MOTORS_ON:
         return "the motors are off" if motors else "its packets do not contain the motor state"
     if rapid not in _RAPID_MOVES:
@@ -142,7 +142,7 @@ def not_ready_reason(motors: int, rapid: int, mci: int) -> str:
 
 
 class Readiness:
-    """Robot states in the newest packets; one or two packets without a state do not end a motion."""
+    """Tracks the robot states in the packets; one or two packets without states do not interrupt a motion."""
 
     is_unknown: bool
 
@@ -154,7 +154,7 @@ class Readiness:
         self.is_unknown = False
 
     def not_ready_reason(self, packet: Packet) -> str:
-        """Return why the robot would not follow a reference, or "" if it would."""
+        """Return the reason why the robot would not follow a reference, or "" if it would."""
         absent = not (packet.motors and packet.mci)
         self._absent = self._absent + 1 if absent else 0
         if self._absent in range(1, _ABSENT):

@@ -1,4 +1,4 @@
-"""`Limits` of a run, the references of a command (`requested`), `Limiter`, and the error texts for refused commands."""
+"""`Limits` of a run, references of a command (`requested`), `Limiter`, and error texts for refused commands."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from armlab.wire.egm import Beside
 from armlab.wire.egm.axes import Linkage
 
 ENTRY = 0.05
-"""Default distance of the first position from the held one [rad or m]."""
+"""Default largest distance of the first position from the held position [rad or m]."""
 
 _TORQUE_RISE = 0.1  # s from zero to the torque limit
-_SPEED_RISE = 0.1  # s from rest to full speed, for axes of unknown acceleration
+_SPEED_RISE = 0.1  # s from rest to full speed, for axes with an unknown acceleration limit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,8 +56,8 @@ class Limits(Shown):
     Raises
     ------
     ConfigError
-        Different shapes, NaN, q_min not below q_max, any other limit not above 0, entry above jump, or only one of the
-        torque limits.
+        Different shapes, NaN, q_min not below q_max, any other limit not above 0, entry above jump, a negative lag, or
+        only one of the two torque limits.
     """
 
     q_min: np.ndarray
@@ -92,9 +92,8 @@ class Limits(Shown):
                 raise ConfigError(f"Expected Limits with {name} above 0 for each joint, got {getattr(self, name)}.")
         if not np.all(self.entry <= self.jump):
             raise ConfigError(
-                f"Expected Limits with entry up to jump for each joint, got {self.entry} and {self.jump}, because a "
-                "first position further away would be rejected as a jump. Start closer and approach the position "
-                "gradually."
+                f"Expected Limits with entry up to jump for each joint, got {self.entry} and {self.jump}. A first "
+                "position further away would be refused as a jump: reduce entry and approach the position gradually."
             )
 
     @classmethod
@@ -110,20 +109,20 @@ class Limits(Shown):
         following_error: float | np.ndarray | None = None,
         lag: float = 0.2,
     ) -> Limits:
-        """Return the limits of a robot.
+        """Return limits from the description of a robot.
 
         Parameters
         ----------
         robot : Robot
             The robot.
         margin : float, rad or m
-            Distance to keep from the joint limits.
+            Distance between the position limits and the joint limits of the robot.
         speed : float
             Fraction of the robot's speed and acceleration limits, in (0, 1].
         entry : float, rad or m
-            See `Limits`; at most 0.02 m for prismatic joints.
+            See `Limits`; reduced to 0.02 m for prismatic joints.
         tau_max : float or array, shape (n,), N m or N
-            Torque limits, reached in 0.1 s at the earliest; default: the robot's own, if any.
+            Torque limits, reached after 0.1 s at the earliest; default: the torque limits of the robot, if known.
         external : Limits
             Limits of the external axes, see `of_axes`.
         following_error : float or array, shape (n,), rad or m
@@ -134,7 +133,7 @@ class Limits(Shown):
         Raises
         ------
         ConfigError
-            A fraction outside (0, 1], an entry above 0.1 rad, or a margin that is negative or leaves no joint range.
+            A speed outside (0, 1], an entry above 0.1 rad, or a margin that is negative or leaves no joint range.
         """
         if not 0.0 < speed <= 1.0 or not entry > 0.0 or not margin >= 0.0:
             raise ConfigError(
@@ -158,7 +157,7 @@ class Limits(Shown):
         q_max: Sequence[float] | np.ndarray,
         qd_max: Sequence[float] | np.ndarray,
     ) -> Limits:
-        """Return limits of external axes: full speed after 0.1 s, jumps up to 0.1, first position within 0.05.
+        """Return limits of external axes: full speed after 0.1 s, jumps up to 0.1 rad or m, entry within 0.05 rad or m.
 
         Parameters
         ----------
@@ -179,7 +178,7 @@ class Limits(Shown):
 
 
 class Reply(NamedTuple):
-    """One reference within the limits."""
+    """Reference within the limits."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -196,7 +195,7 @@ Memory = tuple[np.ndarray, np.ndarray | None]
 
 
 class Limiter:
-    """Tracks the last reference sent; limits the next one (law: `kernels.limit_reference`)."""
+    """Tracks the last reference sent and limits the next reference by `kernels.limit_reference`."""
 
     def __init__(self, limits: Limits, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
         self._reach = reach
@@ -219,7 +218,7 @@ class Limiter:
         return not self.memory[0][1:].any()
 
     def rest(self, q: np.ndarray) -> Reply:
-        """Stand still at `q` (n,) regardless of the last reference; used for an arm that follows no references."""
+        """Rest at `q` (n,) regardless of the last reference; for an arm that does not follow references."""
         q = np.minimum(np.maximum(q, self._reach[0]), self._reach[1])
         sent = np.stack((q, np.zeros_like(q), np.zeros_like(q)))
         sent.flags.writeable = False
@@ -227,18 +226,18 @@ class Limiter:
         return Reply(sent[0], sent[1], self._none)
 
     def follow(self, q: np.ndarray, qd: np.ndarray) -> Reply:
-        """Track a freely moving arm: the next reference starts from its `q` and `qd` (n,)."""
+        """Track a freely moving arm: the next reference starts from the position `q` and velocity `qd` (n,)."""
         sent = np.stack((q, qd, qd))
         sent.flags.writeable = False
         self.memory = sent, None
         return Reply(sent[0], sent[2], self._none, free=True)
 
     def hold(self, dt: float, longest: float = np.inf) -> Reply:
-        """Come to rest within the acceleration limits, then stay; see `step`."""
+        """Come to rest within the acceleration limits, then hold the position; see `step`."""
         return self.step(None, None, dt, longest)
 
     def step(self, q: np.ndarray | None, qd: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
-        """Return the reference for a position `q` (n,), a velocity `qd` (n,), both, or neither (hold)."""
+        """Return the limited reference for a position `q` (n,), a velocity `qd` (n,), both, or neither (hold)."""
         bounds = self._bounds
         if dt > longest:
             bounds = bounds.copy()
@@ -250,7 +249,7 @@ class Limiter:
 
 
 class LinkedLimiter(Limiter):
-    """`Limiter` in axis space, for robots with coupled axes: ABB limits axes, but the controller commands joints."""
+    """`Limiter` in axis space, for coupled axes: limits apply to axes, but the controller commands joints."""
 
     def __init__(self, limits: Limits, linkage: Linkage, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
         super().__init__(limits, reach)
@@ -271,7 +270,7 @@ class LinkedLimiter(Limiter):
 
 
 def limiter_of(limits: Limits, robot: Robot) -> Limiter:
-    """Return the limiter of a robot, which works in axis space."""
+    """Return the limiter of a robot, in axis space if axes are coupled."""
     linkage, reach = Linkage.of(robot), (robot.q_min, robot.q_max)
     return Limiter(limits, reach) if linkage is None else LinkedLimiter(limits, linkage, reach)
 
@@ -283,15 +282,15 @@ def axes_of(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:
 
 
 JointName = Callable[[int], str]
-"""Name of a joint by its index, from 0."""
+"""Function that returns the name of a joint from its index (from 0)."""
 
 _DOUBLE = np.dtype(np.float64)
-_REAL = "f", "i", "u"  # dtype kinds; conversion would silently turn others into numbers
+_REAL = "f", "i", "u"  # dtype kinds; other kinds would be converted to numbers silently
 _NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
 
 
 def requested(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-    """Return the position, velocity and torque (n,) of a command (None if unset); raise if invalid."""
+    """Return position, velocity and torque (n,) of a command (None if unset); raise an error if it is invalid."""
     if not isinstance(command, Command):
         raise CommandRefused(
             f"Expected the controller to return a Command or None, got {type(command).__name__}. "
@@ -330,7 +329,7 @@ def numbers(values: Any) -> np.ndarray:
 
 
 def kept(command: Command | None) -> Command | None:
-    """Return a command with copied arrays, because the controller may reuse its arrays for the next command."""
+    """Return a command with copied arrays; the controller may reuse its arrays for the next command."""
     if not isinstance(command, Command):
         return command
     return replace(command, **{name: _copied(getattr(command, name)) for name in _NUMBERS})
@@ -344,17 +343,17 @@ def _copied(values: Any) -> Any:
 
 
 def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.ndarray, robot: Robot) -> str:
-    """Return the error text for a reference refused by the limits."""
+    """Return the error text for a reference that the limiter refused."""
     i = abs(refused) - 1
     joint, axes = joint_name(robot, i), axes_of(robot)
     if refused > 0 or q is None:  # only a position can jump
         got = ", ".join(f"{name} = {values[i]}" for name, values in (("q", q), ("qd", qd)) if values is not None)
-        return f"Expected finite numbers in the Command, got {got} for {joint}. NaN never goes to a robot."
+        return f"Expected finite numbers in the Command, got {got} for {joint}. NaN is never sent to a robot."
     return _jumped(axes(q), axes(sent), i, robot, joint)
 
 
 def jump_refusal(q: np.ndarray, sent: np.ndarray, jump: np.ndarray, robot: Robot, name: JointName) -> str:
-    """Return the error text for a position (n,) more than `jump` (n,) from the last position sent, else ""."""
+    """Return the error text for a position (n,) that is more than `jump` (n,) from the last position sent, else ""."""
     axes = axes_of(robot)
     q, sent = axes(q), axes(sent)
     excess = np.abs(q - sent) - jump
@@ -364,8 +363,8 @@ def jump_refusal(q: np.ndarray, sent: np.ndarray, jump: np.ndarray, robot: Robot
 
 def _jumped(q: np.ndarray, sent: np.ndarray, i: int, robot: Robot, joint: str) -> str:
     return (
-        f"Expected a position near the last one sent, {sent[i]:.4f}, for {joint} of {robot.name}, got {q[i]:.4f}: a "
-        f"jump of {abs(q[i] - sent[i]):.4f}. Move there gradually. {causes(robot)}"
+        f"Expected a position near the last position sent, {sent[i]:.4f}, for {joint} of {robot.name}, got {q[i]:.4f}: "
+        f"a jump of {abs(q[i] - sent[i]):.4f}. Move there gradually. {causes(robot)}"
     )
 
 
@@ -377,7 +376,7 @@ def entry_refusal(
     name: JointName | None = None,
     where: str = "holds",
 ) -> str:
-    """Return the error text for a first position too far from the held (or actual) position, else ""."""
+    """Return the error text for a first position that is too far from the held (or actual) position, else ""."""
     axes = axes_of(robot)
     q, held = axes(q), axes(held)
     distance = np.abs(q - held)
@@ -393,7 +392,7 @@ def entry_refusal(
 
 
 def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = False) -> str:
-    """Return the name of joint i (from 0) with its place in the client's message."""
+    """Return the name of joint i (from 0), with its place in the message of a client."""
     if first is not None:
         return f"{robot.ros_joint_names[i]} (number {first + i + 1} of the message)"
     if by_axis:
@@ -402,7 +401,7 @@ def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = F
 
 
 def causes(robot: Robot) -> str:
-    """Return the usual causes of a distant position, and the coordinates in which it is reported."""
+    """Return the usual causes of a distant position, and the coordinates of the reported numbers."""
     usual = "Usual causes are degrees instead of radians, or a different joint order."
     are_joints = Linkage.of(robot) is None
     return usual if are_joints else f"{usual} The numbers are positions of ABB's axes, which may combine joints."

@@ -1,8 +1,8 @@
-"""Control loop; per packet, in this order: receive, decode, call the controller, limit, send one reply, record.
+"""Control loop. For each packet, in this order: receive, decode, call the controller, limit, send one reply, record.
 
-Each packet gets at most one reply; a packet overtaken by a newer one gets none. One arm paces the loop: its packets
-trigger the controller calls. The other arms are answered in their own ticks with their newest commands. Everything
-except the controller runs under one lock, which the watchdog thread takes when the controller is overdue.
+Each packet gets at most one reply; a packet overtaken by a newer packet gets no reply. One arm paces the loop: its
+packets trigger the controller calls. The other arms receive their newest commands in their own ticks. All code except
+the controller runs under one lock, which the watchdog thread takes when the controller is overdue.
 
 `merge_states` combines the States of several arms; `split_command` splits a Command among the arms.
 """
@@ -50,7 +50,7 @@ _AGE = list(State.__slots__).index("age")
 def merge_states(states: Sequence[State], ages: Sequence[float], pace: int, t: float) -> State:
     """Return the State of all arms: joint arrays are concatenated, and `arms` holds the State and age of each arm.
 
-    Time, sequence and state numbers come from the pacing arm. Poses and wrenches are NaN; read them from `arms`.
+    Time, sequence number and robot states are those of the pacing arm. Poses and wrenches are NaN; see `arms`.
     """
     arrays = list(chain.from_iterable(zip(*map(_joints, states), strict=True)))
     flat, clamped = np.concatenate(arrays), np.concatenate([state.clamped for state in states])
@@ -120,19 +120,19 @@ def _parts(name: str, values: Any, robots: Sequence[Robot]) -> Sequence[np.ndarr
 
 
 Controller = Callable[[State], Command | Sequence[Command | None] | None]
-"""User's controller: maps each state to a command or None (hold); for several arms also to one command per arm."""
+"""Controller: maps a State to a Command or None (hold), or, for several arms, to one Command per arm."""
 
-_CHECK_EVERY = 0.05  # s between two checks for silence or an interrupt
-_GRACE = 0.25  # of a period, always granted to the controller
-_BLAME = 0.5  # of a period: after a longer call, a late cycle is blamed on the controller
-_HANGS = 1_000_000_000  # ns in one call, after which the controller counts as hanging
-_NAP = 2e-3  # s the watchdog waits for a packet
-_SPARE = 1_000_000  # ns before the next packet, enough to collect garbage
+_CHECK_EVERY = 0.05  # s between two checks for silence and interrupts
+_GRACE = 0.25  # of a period, minimum time for a controller call
+_BLAME = 0.5  # of a period; a late cycle with a longer call counts against the controller
+_HANGS = 1_000_000_000  # ns, duration of a call after which the controller counts as hanging
+_NAP = 2e-3  # s that the watchdog waits for a packet
+_SPARE = 1_000_000  # ns before the next packet, sufficient for garbage collection
 _PROGRESS = 0.1  # s between two progress calls
-_STALE_PERIODS, _STALE = 3.0, 0.02  # periods and s: an arm silent for longer than both holds the others
-_SERVES = 2.5  # periods of the pacing arm for which the command of another arm stays valid
+_STALE_PERIODS, _STALE = 3.0, 0.02  # periods and s; the other arms hold while an arm is silent for longer than both
+_SERVES = 2.5  # periods of the pacing arm for which a command to another arm is valid
 _elapsed = attrgetter("machine.elapsed")  # robot time while an arm was ready [s]
-_RESERVE = 2**24  # bytes freed at the end of the run: stopping the arms and reporting the cause need memory
+_RESERVE = 2**24  # bytes freed at the end of the run, to stop the arms and to report the cause
 
 
 class Loop:
@@ -158,30 +158,30 @@ class Loop:
         self.interrupted = self._has_failed = False
         self.reason = ""
         self._lock = threading.Lock()
-        self._reserve: mmap | None = None  # untouched pages use address space but no memory
+        self._reserve: mmap | None = None  # untouched pages use address space, but no memory
         self._next_progress = 0.0
         self._checked_ns = time.monotonic_ns()
         self._sessions: tuple[int, ...] = ()
         self._t0 = 0.0
-        # Shared with the watchdog. `_calling` becomes False only under the lock; `_pending` is fixed while it is True.
+        # Shared with the watchdog: `_calling` becomes False only under the lock; until then, `_pending` is constant.
         self._calling = self._taken = self._reported = False
         self._called_ns, self._deadline_ns = 0, 0.0
         self._pending: Sample | None = None
 
     @property
     def failure(self) -> LinkError | None:
-        """Error raised by `Link.run`."""
+        """Error for `Link.run` to raise, or None."""
         return next((arm.machine.failure for arm in self._arms if arm.machine.failure is not None), None)
 
     def interrupt(self) -> None:
-        """Stop at the next packet; on the second call, or while the controller hangs, raise KeyboardInterrupt."""
+        """Stop at the next packet; the second call, or a call while the controller hangs, raises KeyboardInterrupt."""
         again, self.interrupted = self.interrupted, True
         if again or self._hangs:
             raise KeyboardInterrupt
 
     @property
     def _hangs(self) -> bool:
-        """Whether the controller has been running for so long that it may never return."""
+        """Whether the current controller call is so long that it may never return."""
         return self._calling and time.monotonic_ns() - self._called_ns > _HANGS
 
     def run(self) -> None:
@@ -189,8 +189,8 @@ class Loop:
             self._reserve = mmap(-1, _RESERVE)
         except OSError as error:
             self.reason = "there is no memory to end the run"
-            text = f"Expected {_RESERVE >> 20} MiB of memory to set aside for the end of the run: {error.strerror}. "
-            raise LinkError(f"{text}End other programs, or raise the limit of this one.") from error
+            text = f"Expected {_RESERVE >> 20} MiB of free memory for the end of the run: {error.strerror}. "
+            raise LinkError(f"{text}End other programs, or raise the memory limit of this program.") from error
         ended = False
         while not ended:
             try:
@@ -199,7 +199,7 @@ class Loop:
                     self.cycle()
             except Exception as error:
                 with self._lock:
-                    ended = self._has_failed  # second failure: the arms cannot be brought to rest
+                    ended = self._has_failed  # after a second failure, the arms cannot be brought to rest
                     if not ended:
                         self._fail(error)
         self._free_reserve()
@@ -209,29 +209,29 @@ class Loop:
             self._reserve.close()
 
     def _fail(self, error: Exception) -> None:
-        """Stop after an internal error, or an error in the user's codec or source, so that no arm keeps its speed."""
+        """Stop after an internal error or an error in a custom codec or source, so that no arm keeps its speed."""
         self._free_reserve()
         self._has_failed = True
         failure = LinkError(f"Expected the cycle to run without errors, got {_named(error)}.")
         failure.__cause__ = error
-        with suppress(Exception):  # the arms come to rest even if the report fails
+        with suppress(Exception):  # the arms come to rest even if a report fails
             self._stop("the bridge failed", failure)
-        self._pace.machine.failure = self.failure or failure  # also when the arms were already stopping
+        self._pace.machine.failure = self.failure or failure  # also if the arms are already stopping
         with suppress(Exception):
             self._pace.recording.event(str(failure), warn=True)
             self._pace.recording.catch_up()
 
     def cycle(self) -> None:
-        """Wait for one packet, answer it and any waiting packets of other arms, and record them."""
+        """Wait for one packet, reply to it and to waiting packets of other arms, and record all of them."""
         pending = self.answer(self._waiting.next(_CHECK_EVERY))
-        for _ in self._others:  # arms often send together: all replies go out before any bookkeeping
+        for _ in self._others:  # arms often send together; all replies are sent before any recording
             if self._have_ended() or (found := self._waiting.next(0.0)) is None:
                 break
             pending = self.answer(found) or pending
         for arm in self._arms:
             arm.record()
         now_ns = time.monotonic_ns()
-        if pending is None or now_ns - self._checked_ns > 1e9 * _CHECK_EVERY:  # also when only one arm is silent
+        if pending is None or now_ns - self._checked_ns > 1e9 * _CHECK_EVERY:  # also if only one arm is silent
             self._checked_ns = now_ns
             for arm in self._arms:
                 arm.supervisor.check_silence(arm.arrived_ns)
@@ -272,12 +272,12 @@ class Loop:
             progress(elapsed)
         except Exception as error:
             self._free_reserve()
-            failure = ControllerFailed(f"`progress` raised {_named(error)}. The arm was stopped.")
+            failure = ControllerFailed(f"The callback `progress` raised {_named(error)}. The arm was stopped.")
             failure.__cause__ = error
             self._stop("the progress callback failed", failure)
 
     def overdue(self) -> float:
-        """Called by the watchdog: return the seconds until the controller is overdue, at most 0 if it is overdue."""
+        """Called by the watchdog: return the time [s] until the controller is overdue, at most 0 if it is overdue."""
         if not self._calling:
             return 1.0
         return 0.0 if self._taken else 1e-9 * (self._deadline_ns - time.monotonic_ns())
@@ -285,13 +285,13 @@ class Loop:
     def answer_for_controller(self) -> None:
         """Called by the watchdog: send hold replies until the controller returns."""
         if self._taken:
-            time.sleep(_NAP)  # only the loop's own thread may wait on the ports
+            time.sleep(_NAP)  # only the thread of the loop may wait on the ports
         with self._lock:
             if self.overdue() > 0.0:
                 return
             try:
                 self._hold_for_controller()
-            except Exception as error:  # the watchdog must survive to end the run
+            except Exception as error:  # the watchdog must keep running to end the run
                 self._taken = True
                 self._fail(error)
 
@@ -310,7 +310,7 @@ class Loop:
             arm.record()
 
     def _may_ask(self, pending: Sample | None = None) -> bool:
-        """Whether to call the controller: all arms are ready with recent packets, and no required source is stale."""
+        """Return whether all arms are ready with recent packets, and no required source is stale."""
         for arm in self._arms:
             if not arm.machine.calls or arm.fusion.missing:
                 return False
@@ -322,7 +322,7 @@ class Loop:
         return True
 
     def _answer(self, arm: ArmSession, pending: Sample) -> None:
-        """Reply without the controller: the pacing arm holds, and the other arms get their newest command."""
+        """Reply without the controller: the pacing arm holds, and another arm gets its newest command."""
         command = None
         if arm is self._pace:
             for other in self._others:
@@ -338,7 +338,7 @@ class Loop:
                 self._answer(arm, pending)
 
     def _call(self, pending: Sample) -> None:
-        """Call the controller and reply; discard its result if the watchdog has replied meanwhile."""
+        """Call the controller and reply; discard the result if the watchdog has already replied."""
         pace, controller, period_ns = self._pace, self._controller, 1e9 * self._pace.period
         state = self._state(pending) if self._others else pending.state
         result, failure = None, None
@@ -348,7 +348,7 @@ class Loop:
         self._calling = True
         try:
             result = controller(state) if controller is not None else None
-        except BaseException as error:  # also SystemExit: the arm must not keep its last speed
+        except BaseException as error:  # including SystemExit: the arm must not keep its last speed
             by_hand = isinstance(error, KeyboardInterrupt) and self.interrupted
             if by_hand and not self._hangs:
                 raise  # the second Ctrl-C
@@ -365,7 +365,7 @@ class Loop:
                 self._stop("the controller failed", failure)
             if not self._taken:
                 self._apply(pending, result, call_ns)
-            if not self._in_lockstep:  # only the controller is blamed, not a busy computer
+            if not self._in_lockstep:  # counts lateness caused by the controller, not by a busy computer
                 blamed = self._taken or (pace.was_late and call_ns > _BLAME * period_ns)
                 too_late = self._lateness.add(time.monotonic_ns(), blamed, call_ns)
                 if too_late:
@@ -381,7 +381,7 @@ class Loop:
         return merge_states([one.state for one in pendings], ages, self._pace_index, pending.state.t - self._t0)
 
     def _apply(self, pending: Sample, result: Any, call_ns: int) -> None:
-        """Reply to the newest packet of the pacing arm with its command; store the commands of the other arms."""
+        """Send the command for the pacing arm in reply to its newest packet; store the commands for the other arms."""
         pace = self._pace
         try:
             commands = split_command(result, self._robots, self._pace_index) if self._others else (result,)
@@ -400,7 +400,7 @@ class Loop:
                     arm.set_command(command if is_same else None)
 
     def _have_ended(self) -> bool:
-        """Whether all arms have ended; an arm that is stopping or has ended stops the others."""
+        """Return whether all arms have ended; an arm that is stopping or has ended stops the others."""
         ended = True
         for arm in self._arms:
             mode = arm.machine.mode
@@ -410,21 +410,21 @@ class Loop:
         return ended
 
     def _stop(self, reason: str, failure: LinkError | None = None) -> None:
-        """Bring all arms to rest and end; the first reason is kept. The failure is stored in the pacing arm."""
+        """Bring all arms to rest and end; store the first reason, and the failure in the pacing arm."""
         self.reason = self.reason or reason
         self._pace.machine.stop(reason, failure)
         for arm in self._others:
             arm.machine.stop(reason)
 
 
-_DRY_RUNS = 20  # before a run: Python specialises code that has run several times
+_DRY_RUNS = 20  # before a run; Python specialises code that has run several times
 
 
 class DryRun:
-    """Dry run: answers a synthetic packet with the code of a real cycle in a separate loop, and discards the reply.
+    """Dry run of a cycle: a separate loop replies to a synthetic packet, and the reply is discarded.
 
-    Run just before a packet is due, it reloads the code into the processor's caches, which other programs use between
-    packets. This shortens a reply by a third (benchmarks/bench_egm.py).
+    A dry run just before a packet is due reloads the code into the caches of the processor, which other programs use
+    between packets. This shortens the reply latency by a third (benchmarks/bench_egm.py).
     """
 
     host, port, errors = "", 0, 0
@@ -465,7 +465,7 @@ class DryRun:
 
 
 def _named(error: BaseException) -> str:
-    """Return the type and text of any error."""
+    """Return the type and text of an error; never raises an error."""
     try:
         text = "out of memory" if isinstance(error, MemoryError) else str(error)
     except Exception:

@@ -1,4 +1,4 @@
-"""Real-time support: garbage collection, thread switching, priority, interrupts, waiting, and the watchdog."""
+"""Real-time support: garbage collection, thread switching, priority, interrupts, waiting and the watchdog."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from armlab.bridge.net.events import Tell, nobody
 from armlab.bridge.net.sockets import Arrival, Port
 
 LOOP_PRIORITY, GUARD_PRIORITY = 50, 55
-_SWITCH_INTERVAL = 5e-4  # s; with Python's default of 5 ms, a busy controller delays the watchdog by a cycle
-_DUE = 700  # new objects after which the youngest generation is collected
+_SWITCH_INTERVAL = 5e-4  # s; with the default of Python, 5 ms, a busy controller delays the watchdog by a cycle
+_DUE = 700  # number of new objects after which the youngest generation is collected
 
 
 @contextmanager
 def quiet_memory() -> Iterator[None]:
-    """Disable the garbage collector after one full collection, because each can take as long as thirty cycles."""
+    """Disable the garbage collector after one full collection; a collection can take as long as thirty cycles."""
     was_enabled = gc.isenabled()
     gc.collect()
     gc.freeze()
@@ -34,21 +34,21 @@ def quiet_memory() -> Iterator[None]:
     try:
         yield
     finally:
-        gc.collect()  # only the loop's objects, while the others are still frozen
+        gc.collect()  # only objects of the loop, while older objects are still frozen
         gc.unfreeze()
         if was_enabled:
             gc.enable()
 
 
 def collect_if_due() -> None:
-    """Collect the youngest generation if it is large; called when no packet is due."""
+    """Collect the youngest generation of objects if it is large; called when no packet is due."""
     if gc.get_count()[0] > _DUE:
         gc.collect(0)
 
 
 @contextmanager
 def short_switches() -> Iterator[None]:
-    """Switch threads every 0.5 ms, so that the watchdog acts in time even if the controller is busy."""
+    """Switch threads every 0.5 ms, so that the watchdog acts in time despite a busy controller."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(before, _SWITCH_INTERVAL))
     try:
@@ -65,8 +65,8 @@ def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
     except (OSError, AttributeError) as error:
         on_event(
-            f"Running at normal priority because real-time scheduling is not permitted ({error}). On a busy computer "
-            "replies are late more often. Set an rtprio limit in /etc/security/limits.d, or grant CAP_SYS_NICE."
+            f"The loop runs at normal priority, because real-time scheduling is not permitted ({error}). On a busy "
+            "computer, more replies are late. Set an rtprio limit in /etc/security/limits.d, or grant CAP_SYS_NICE."
         )
         yield False
         return
@@ -79,10 +79,10 @@ def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
 
 @contextmanager
 def interrupts(stop: Callable[[], None]) -> Iterator[None]:
-    """Call `stop` on Ctrl-C, SIGTERM and SIGHUP (closed terminal); works in the main thread only.
+    """Call `stop` on Ctrl-C, SIGTERM and SIGHUP (closed terminal); has an effect only in the main thread.
 
-    A closed terminal may send SIGHUP repeatedly. Only the first counts, and none after another signal, so that it
-    never cuts a stop short. An ignored SIGHUP (nohup) stays ignored.
+    A closed terminal may send SIGHUP repeatedly. A SIGHUP after any earlier signal is ignored, so that it never
+    interrupts a stop. SIGHUP stays ignored if it was ignored before (nohup).
     """
     came: list[int] = []
 
@@ -97,18 +97,18 @@ def interrupts(stop: Callable[[], None]) -> Iterator[None]:
 
 
 Wait = Literal["block", "ahead", "spin"]
-"""Ways of waiting."""
+"""Methods of waiting for a packet."""
 
-_AHEAD = 400_000  # ns before the predicted arrival at which polling begins
-_AFTER = 600_000  # ns after the predicted arrival at which blocking begins
-_LATE_SHARE = 0.02  # fraction of the delay of a late arrival that corrects the prediction
-_LOST = 5  # periods: a larger prediction error restarts the prediction
+_AHEAD = 400_000  # ns from the start of polling to the predicted arrival
+_AFTER = 600_000  # ns from the predicted arrival to the end of polling
+_LATE_SHARE = 0.02  # fraction of the delay of a late arrival by which the prediction is corrected
+_LOST = 5  # periods; a larger prediction error restarts the prediction
 
 
 class Prediction:
-    """Predicted arrival of the next packet: the phase of the robot's cycle on our clock.
+    """Prediction of the next arrival: the phase of the robot's cycle on our clock.
 
-    Early arrivals correct the phase fully, late ones by 2 %, because the network can only delay packets.
+    Early arrivals correct the phase completely, late arrivals by 2 %, because the network can only delay packets.
     """
 
     def __init__(self) -> None:
@@ -126,7 +126,7 @@ class Prediction:
 
 
 class Waiting:
-    """Waits for datagrams on all ports of a link; calls `dry_run` before each predicted arrival."""
+    """Waits for datagrams on all ports of a link, and calls `dry_run` before each predicted arrival."""
 
     def __init__(
         self,
@@ -164,31 +164,31 @@ class Waiting:
             kernels.await_datagram([port.fileno() for _, port in self._ports], int(poll), int(until))
 
     def _soonest(self, now: int) -> float | None:
-        """Return the earliest predicted arrival that is not yet past."""
+        """Return the earliest predicted arrival that has not yet passed."""
         times = [prediction.next_ns for prediction in self._predictions]
         return min((ns for ns in times if ns is not None and now < ns + _AFTER), default=None)
 
 
-_ROW = 5  # late cycles in a row
-_SHARE = 0.05  # fraction of the cycles within one second
+_ROW = 5  # consecutive late cycles
+_SHARE = 0.05  # fraction of late cycles within one second
 _WINDOW = 1_000_000_000  # ns
 _LONGEST_CALL = 250_000_000  # ns
-_PAUSE = 250_000_000  # ns without a call that restart the window
+_PAUSE = 250_000_000  # ns without a call, after which the window restarts
 _NAP = 2e-3  # s between two checks of the watchdog
 
 
 class Lateness:
-    """Limit on late cycles: 5 in a row, 5 % within 1 s, or one call above 0.25 s."""
+    """Limit on late cycles: 5 consecutive cycles, 5 % within 1 s, or one call above 0.25 s."""
 
     def __init__(self) -> None:
         self._row = self._recent_late = 0
         self._recent: deque[tuple[int, bool]] = deque()
 
     def add(self, now_ns: int, late: bool, call_ns: int) -> str:
-        """Add one cycle; return why the controller must stop, or "" if it may continue."""
+        """Add one cycle; return the reason for a stop of the controller, or "" if it may continue."""
         self._row = self._row + 1 if late else 0
         if self._recent and now_ns - call_ns - self._recent[-1][0] > _PAUSE:
-            self._recent.clear()  # a second that is mostly pause has few cycles: one of them exceeds 5 %
+            self._recent.clear()  # a second with a long pause has so few cycles that one late cycle exceeds 5 %
             self._recent_late = 0
         self._recent.append((now_ns, late))
         self._recent_late += late
@@ -198,14 +198,14 @@ class Lateness:
         if call_ns > _LONGEST_CALL:
             return f"one call took {1e-9 * call_ns:.2f} s, more than {1e-9 * _LONGEST_CALL:.2f} s"
         if self._row >= _ROW:
-            return f"{self._row} cycles in a row were late"
+            return f"{self._row} consecutive cycles were late"
         if full and self._recent_late > _SHARE * len(self._recent):
             return f"{self._recent_late} of {len(self._recent)} cycles within one second were late"
         return ""
 
 
 class Guard:
-    """Watchdog thread: wakes at the deadline of each cycle and acts only when the loop is overdue."""
+    """Watchdog thread: wakes at the deadline of each cycle, and acts only if the loop is overdue."""
 
     def __init__(self, overdue: Callable[[], float], act: Callable[[], None]) -> None:
         self._overdue, self._act = overdue, act

@@ -1,4 +1,4 @@
-"""`Recording`: rows and events of one arm during a run, stored in a file or in memory and passed on to feeds."""
+"""`Recording`: rows and events of one arm during a run, stored in a file or in memory and passed to feeds."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from armlab.log import Column, Log, Recorder, Table, Tail, Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-_KEPT_SECONDS = 10.0  # in `.table` of errors
+_KEPT_SECONDS = 10.0  # s of rows in `.table` of errors
 _KEPT_EVENTS = 1000
 _logger = logging.getLogger("armlab.bridge")
 
 
 class Feed(Protocol):
-    """Additional consumer of the rows and events of a run; called in the loop after each reply, so it must be fast.
+    """Additional consumer of the rows and events of a run; the loop calls it after each reply, so it must be fast.
 
-    A feed that raises an error is dropped, and an event reports it. An optional method ``begin(tell, files, keep)`` is
-    called at the start with the event callback, the files of the recording and the callback for parameter changes. The
-    dict returned by an optional ``summary()`` is added to the statistics of the run.
+    A feed that raises an error is dropped with an event. Optional methods: ``begin(tell, files, keep)`` receives the
+    event callback, the files of the recording and the callback for parameter changes at the start; ``summary()``
+    returns a dict that is added to the statistics of the run.
     """
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
@@ -39,7 +39,7 @@ class Feed(Protocol):
 
 
 def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | None]:
-    """Return the file of each arm; with several arms, the side or name of each is added to the stem."""
+    """Return the file of each arm; with several arms, the file names contain the side or name of the arm."""
     if record is None:
         return [None] * len(robots)
     path = Path(record)
@@ -51,7 +51,7 @@ def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | Non
 
 
 class Recording:
-    """Recorder of one arm."""
+    """Recorder of the rows and events of one arm."""
 
     path: Path | None
 
@@ -74,27 +74,29 @@ class Recording:
         self._feeds = [] if feeds is None else feeds
         self._reported: set[str] = set()
         self._limited = Limited(self._keep)
-        self._held: deque[tuple[str, bool, int, bool]] = deque()  # events since the last row, so that no reply waits
+        self._held: deque[tuple[str, bool, int, bool]] = (
+            deque()
+        )  # events since the last row; writing them must not delay a reply
         self.path = None if self._recorder is None else self._recorder.path
         self.events: deque[tuple[int, str]] = deque(maxlen=_KEPT_EVENTS)
-        self._early: list[Callable[[int], None]] = []  # waiting for a time stamp
+        self._early: list[Callable[[int], None]] = []  # entries that need the time stamp of the first row
 
     def keep(self, state: State, command: Command | None, tick: Tick) -> Command | None:
-        """Store one row in memory. Return the command as stored, or None if it could not be stored."""
+        """Store one row in memory; return the stored command, or None if the command could not be stored."""
         if self._held or self._limited.waiting:
             self.catch_up()
         if self._early:
             self._stamp_early(tick.stamp_ns)
         try:
             self._log.row(state, command, tick)
-        except MemoryError:  # not the command's fault
+        except MemoryError:  # not caused by the command
             raise
         except Exception as error:  # a controller may return anything
             command = self._keep_less(state, command, tick, error)
         return command
 
     def _keep_less(self, state: State, command: Any, tick: Tick, error: Exception) -> Command | None:
-        """Store a row without the controller's record and without an invalid command."""
+        """Store a row without the record of the controller and, if it is invalid, without the command."""
         try:
             command = replace(command, record={})
             self._log.row(state, command, tick)
@@ -105,11 +107,11 @@ class Recording:
             return None
         if str(error) not in self._reported:
             self._reported.add(str(error))
-            self.event(f"A row was stored without the controller's record: {error}", warn=True)
+            self.event(f"A row was stored without the record of the controller: {error}", warn=True)
         return command
 
     def publish(self, state: State, command: Command | None, tick: Tick) -> None:
-        if self._feeds:  # first: clients wait for the row
+        if self._feeds:  # first, because clients wait for the row
             self._call_feeds(lambda feed: feed.row(state, command, tick))
         if self._recorder is not None and not self._recorder.row(state, command, tick):
             self._report_stop(self._recorder)
@@ -117,11 +119,11 @@ class Recording:
             self.catch_up()
 
     def event(self, text: str, warn: bool = False, each: bool = False) -> None:
-        """Store an event and send it to the logger ``armlab.bridge``, as a warning if `warn`."""
+        """Store an event of this arm and send it to the logger ``armlab.bridge``; `warn` selects the level warning."""
         self.note(f"{self._label}: {text}" if self._label else text, warn, each)
 
     def note(self, text: str, warn: bool = False, each: bool = False) -> None:
-        """Store an event of the whole run with the next row; see `event`, and `Limited` for the rate limit."""
+        """Store an event of the whole run with the next row; see `event` and, for the rate limit, `Limited`."""
         self._held.append((text, warn, self._clock(), each))
 
     def parameter(self, change: Change) -> None:
@@ -130,25 +132,25 @@ class Recording:
             self._stamped(lambda stamp: recorder.parameter(*change, stamp), self._clock())
 
     def catch_up(self) -> None:
-        """Store the events since the last row and those delayed by the rate limit."""
+        """Store the events since the last row, and events that the rate limit delayed."""
         while self._held:
             self._limited(*self._held.popleft())
         if self._limited.waiting:
             self._limited.due(self._clock())
 
     def _keep(self, text: str, warn: bool, stamp: int) -> None:
+        def write(stamp: int) -> None:
+            self.events.append((stamp, text))
+            if self._recorder is not None:
+                self._recorder.event(text, stamp)
+
         _logger.log(logging.WARNING if warn else logging.INFO, text)
-        self._stamped(lambda stamp: self._write_event(text, stamp), stamp)
+        self._stamped(write, stamp)
         if self._feeds:
             self._call_feeds(lambda feed: feed.event(text, warn))
 
-    def _write_event(self, text: str, stamp: int) -> None:
-        self.events.append((stamp, text))
-        if self._recorder is not None:
-            self._recorder.event(text, stamp)
-
     def _stamped(self, write: Callable[[int], None], stamp: int) -> None:
-        """Write with a stamp; in lockstep, events before the first packet get the stamp of the first row."""
+        """Write with a time stamp; in lockstep, entries before the first packet get the time stamp of the first row."""
         if stamp:
             write(stamp)
         else:
@@ -163,13 +165,13 @@ class Recording:
         for feed in tuple(self._feeds):
             try:
                 call(feed)
-            except Exception as error:  # a feed must not stop the loop
+            except Exception as error:  # an error in a feed must not stop the loop
                 if feed in self._feeds:
                     self._feeds.remove(feed)
                 self.event(f"A feed was dropped: it raised {type(error).__name__}: {error}.", warn=True)
 
     def _report_stop(self, recorder: Recorder) -> None:
-        """Report a failed recording once, while the cause can still be fixed."""
+        """Report a failed recording once, during the run, when the user can still fix the cause."""
         if recorder.failed is not None and recorder.failed not in self._reported:
             self._reported.add(recorder.failed)
             self.event(f"The recording stopped: {recorder.failed}", warn=True)
@@ -188,10 +190,10 @@ class Recording:
         return log.read(self.path)
 
     def close(self, summary: Mapping[str, Any]) -> list[str]:
-        """Close the file; return any recording problems as sentences."""
+        """Close the file; return sentences about problems of the recording."""
         self.catch_up()
         self._limited.close()
-        self._stamp_early(time.time_ns())  # if no packet arrived
+        self._stamp_early(time.time_ns())  # without any packet
         recorder = self._recorder
         if recorder is None:
             return []

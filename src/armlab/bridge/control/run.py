@@ -1,4 +1,4 @@
-"""Assembly of the arms of a run (`assemble`), and its result (`finished`, `Run`, `statistics`)."""
+"""Start and result of a run: `assemble` creates the arms; `finished` returns the `Run`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def checked_limits(
             raise ConfigError(f"Expected Limits, or a list with one Limits per arm, got {one!r}. Use Limits.of(robot).")
     if len(given) != len(robots):
         names = ", ".join(robot.name for robot in robots)
-        raise ConfigError(f"Expected Limits for each of {names}, got {len(given)}. Use Limits.of(robot) for each.")
+        raise ConfigError(f"Expected Limits for each of {names}, got {len(given)}. Use Limits.of(robot) for each arm.")
     for one, robot in zip(given, robots, strict=True):
         if len(one.q_min) != robot.n:
             raise ConfigError(
@@ -45,7 +45,7 @@ def checked_limits(
         if commands and not np.isfinite([one.qd_max, one.qdd_max, one.jump]).all():
             raise ConfigError(
                 f"Expected speed and acceleration limits for each joint of {robot.name}, got qd_max = {one.qd_max} "
-                f"and qdd_max = {one.qdd_max}, which would allow any jump. Add them to the robot's file, or pass "
+                f"and qdd_max = {one.qdd_max}, which would allow any jump. Add these limits to the robot file, or pass "
                 "`limits`."
             )
     return given
@@ -64,13 +64,13 @@ def assemble(
     feeds: Sequence[Feed],
     sources: Sequence[Source],
 ) -> list[ArmSession]:
-    """Return the arms of one run, with a common clock."""
+    """Create the arms of a run, with a common clock."""
     wall_ns = time.time_ns() - time.monotonic_ns()
-    active_feeds = list(feeds)  # shared: a feed that fails is dropped for all arms
+    active_feeds = list(feeds)  # shared, so that a failing feed is dropped for all arms
     for name, column in (extra or {}).items():
         if not isinstance(column, Column):
             raise ConfigError(
-                f"Expected `extra` to map names to columns, as extra={{'{name}': Column('N')}}, got {column!r}."
+                f"Expected `extra` to map names to columns, as in extra={{'{name}': Column(unit='N')}}, got {column!r}."
             )
     columns = {**Fusion(sources).columns, **(extra or {})}
     for source in sources:
@@ -89,7 +89,7 @@ def assemble(
                 feeds=active_feeds,
                 label=end.robot.name if len(ends) > 1 else "",
             )
-            fusion = Fusion(sources, recording.event if not arms else nobody)
+            fusion = Fusion(sources, nobody if arms else recording.event)
             arms.append(
                 ArmSession(
                     end, one, settings, wall_ns, recording, fusion, commands=commands, answer_stream=answer_stream
@@ -145,13 +145,13 @@ class Run(Shown):
     reason : str
         Why the run ended.
     statistics : mapping
-        Counts and latencies, also stored in the recording as its summary; for several arms, by arm name under "arms".
+        Counts and latencies, also stored as the summary of the recording; for several arms, by arm name under "arms".
     events : tuple of (int, str)
         Wall clock [ns] and text of each event.
     path : Path
         File of the recording; None if the rows were kept in memory or the run had several arms.
     arms : tuple of Run
-        The Run of each arm if there are several, the pacing arm first.
+        With several arms, the Run of each arm, the pacing arm first.
     """
 
     reason: str
@@ -163,13 +163,13 @@ class Run(Shown):
 
     @cached_property
     def table(self) -> Table:
-        """Measured, commanded and sent values, one row per packet; for several arms see `together`."""
+        """Measured, commanded and sent values, one row per packet; several arms are merged by `together`."""
         if self._recording is not None:
             return self._recording.table()
         return together({arm.statistics["robot"]: arm.table for arm in self.arms})
 
     def report(self) -> str:
-        """Return a summary in a few lines: packets, latency, late cycles, drops, clamps per joint, clients."""
+        """Return a short summary: packets, latency, late cycles, drops, clamps per joint, and clients."""
         arms = [line for arm in self.arms or (self,) for line in arm._lines()]
         return "\n".join([*arms, *served((self.arms or (self,))[0].statistics)])
 
@@ -192,8 +192,8 @@ class Run(Shown):
         if s["skipped"]:
             share = 100.0 * s["skipped"] / (s["skipped"] + s["missed"] + s["packets"])
             lines.append(
-                f"Cycles without a packet, by the controller's clock: {s['skipped']} ({share:.1f} %). A simulator "
-                "skips cycles on a busy computer."
+                f"Cycles without a packet, according to the clock of the controller: {s['skipped']} ({share:.1f} %). A "
+                "simulator skips cycles on a busy computer."
             )
         if s["left_out"]:
             lines.append(f"Skipped {s['left_out']} replies because the robot's receive queue was full.")
@@ -235,7 +235,7 @@ def statistics(arm: ArmSession, reason: str) -> dict[str, Any]:
 
 
 def served(statistics: Mapping[str, Any]) -> list[str]:
-    """Return the clients served, the commanding clients and the parameters of a run, as report lines."""
+    """Return the report lines about served clients, commanding clients and parameters."""
     lines = []
     for name, server in statistics.get("servers", {}).items():
         lost = f" ({server['lost']} lost)" if server["lost"] else ""
@@ -250,10 +250,10 @@ def served(statistics: Mapping[str, Any]) -> list[str]:
     for arm, clients in statistics.get("commands", {}).items():
         lines.append(f"Commands to {arm}: {_counted(clients)}.")
     if statistics.get("commands_refused"):
-        lines.append(f"Commands of clients refused: {_counted(statistics['commands_refused'])}.")
+        lines.append(f"Refused commands of clients: {_counted(statistics['commands_refused'])}.")
     if statistics.get("parameters"):
         values = (f"{name} = {value}" for name, value in statistics["parameters"].items())
-        lines.append(f"Parameters in force: {', '.join(values)}.")
+        lines.append(f"Parameter values: {', '.join(values)}.")
     return lines
 
 
@@ -264,8 +264,8 @@ def _counted(clients: Mapping[str, int]) -> str:
 def together(tables: Mapping[str, Table]) -> Table:
     """Merge the tables of several arms into one, with columns such as ``yumi_left.q``.
 
-    The rows follow the first arm. Every other arm contributes its last row at or before the time of each;
-    ``<robot>.age`` is the age of the contributed row.
+    The rows are those of the first arm. Each row is joined with the last row of every other arm at or before its time;
+    ``<robot>.age`` is the age of the joined row.
     """
     named = [
         (robot, table.rename({name: f"{robot}.{name}" for name in table.names})) for robot, table in tables.items()

@@ -1,4 +1,4 @@
-"""`Session`: sequence numbers, start and end of EGM sessions, and dropped packets; `Sample`: one valid packet."""
+"""`Session`: sequence numbers, dropped packets, start and end of EGM sessions; `Sample`: one valid packet."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from armlab.wire.egm import Codec, Drop, Packet
 NOMINAL_PERIOD = 0.004
 """EGM cycle time assumed before the first measurement [s]; a real controller uses 4.032 ms."""
 
-_LONGEST = 1.0  # s between two packets; a larger step means that the clock was set
+_LONGEST = 1.0  # s between two packets; a longer step means that the clock was set
 _WINDOW = 9  # samples of the median
-_TRUSTED = 1.5 * NOMINAL_PERIOD  # s, upper bound until the first window is complete: a gap is not a cycle
-_GAIN = 0.02
-_NEAR = 0.4  # of the estimate: wider than one tick of a millisecond clock, narrower than one skipped cycle
+_TRUSTED = 1.5 * NOMINAL_PERIOD  # s, upper bound until the first window is complete, because a gap is not a cycle
+_GAIN = 0.02  # of the slow average
+_NEAR = 0.4  # share of the period: more than one tick of a millisecond clock, less than one skipped cycle
 _WRAP_MS = 2**32
-_SHORTEST = 2e-4  # s between two packets; shorter steps come from bursts or a wrong clock
-_AHEAD, _BEHIND = 1e-3, 0.5  # s by which robot time may lead or trail arrival: jitter, and a stalled network
-_STAYS = 10.0  # s: a longer lag of robot time means a longer route or a slow clock, not a burst
+_SHORTEST = 2e-4  # s between two packets; a burst or a wrong clock causes shorter steps
+_AHEAD, _BEHIND = 1e-3, 0.5  # s by which robot time may lead arrivals (jitter) or trail them (network stall)
+_STAYS = 10.0  # s; a longer lag of robot time means a longer route or a slow clock, not a burst
 _DRIFT = 1e-4  # relative drift of crystal oscillators
-_WRONG, _WRONG_SHARE = 0.02, 0.01  # s and fraction of time rejected; a delayed first packet causes less
+_WRONG, _WRONG_SHARE = 0.02, 0.01  # s and fraction of rejected robot time that a delayed first packet never causes
 
 
 class Period:
-    """The robot's cycle time: median of nine samples, then a slow average; re-estimated when it changes."""
+    """Estimate of the robot's cycle time: median of nine samples, then a slow average; restarted after a change."""
 
     seconds: float
 
@@ -43,7 +43,7 @@ class Period:
         self._learnt = False
 
     def add(self, sample: float) -> bool:
-        """Add the time between packets over their number difference [s]; return whether the period was re-estimated."""
+        """Add a cycle time: time between packets [s] over number difference; return whether the estimate restarts."""
         if sample < _SHORTEST:
             return False
         self._recent.append(sample)
@@ -63,12 +63,12 @@ class Period:
 
 
 class RobotClock:
-    """Increments of robot time from feedBack.time, else from the header's tm, else from the arrival times.
+    """Increments of robot time, from feedBack.time, else from tm of the header, else from the arrival times.
 
-    A clock that steps back, stands still or jumps by more than 1 s is not used for that step. A tm that repeats is too
-    coarse for the cycle and is not used again, because its next increment would count twice. `believed` bounds the step
-    of a reference: robot time may lead the arrivals of the fastest packets by 1 ms and trail them by 0.5 s, for
-    example after a network stall.
+    A clock that steps back, stands still or jumps by more than 1 s is ignored for that step. A repeated tm is too
+    coarse for the cycle and is ignored from then on, because its next increment would count twice. `believed` bounds
+    the step of a reference: robot time may lead the arrivals of the fastest packets by 1 ms and trail them by 0.5 s,
+    for example after a network stall.
     """
 
     exact: bool
@@ -78,8 +78,8 @@ class RobotClock:
         self._checks_arrival, self._on_event = checks_arrival, on_event
         self.exact = self._is_coarse = False
         self.believed = 0.0
-        self._lead = self._cut_off = 0.0  # s of robot time ahead of arrival, and of rejected robot time
-        self._trails = 0.0  # s for which robot time has trailed
+        self._lead = self._cut_off = 0.0  # s by which robot time leads arrivals, and rejected robot time [s]
+        self._trails = 0.0  # s since robot time began to trail arrivals
         self._trailed = False
         self._reported: set[str] = set()
         self._last: tuple[int, int | None, int] | None = None  # robot ns, tm ms, arrival ns
@@ -99,7 +99,7 @@ class RobotClock:
                 what = "stands still" if dt == 0.0 else f"was set by {dt:+.3f} s"
                 self._report_once(
                     "set" if dt else "still",
-                    f"The robot's clock {what}. This step is measured by the header's tm or by arrival times.",
+                    f"The robot's clock {what}. This step is measured by tm of the header or by arrival times.",
                 )
         if claimed is None and packet.tm_ms is not None and tm_ms is not None and not self._is_coarse:
             dt = 1e-3 * ((packet.tm_ms - tm_ms) % _WRAP_MS)
@@ -113,16 +113,16 @@ class RobotClock:
         if self._cut_off > _WRONG:
             self._report_once(
                 "fast",
-                f"The robot's clock runs ahead of ours: it claims {1e3 * claimed:.1f} ms between packets that arrived "
-                f"{1e3 * arrived:.1f} ms apart. Steps are limited to the time between arrivals.",
+                f"The robot's clock runs faster than ours: it reports {1e3 * claimed:.1f} ms between packets that "
+                f"arrived {1e3 * arrived:.1f} ms apart. Steps are limited to the time between arrivals.",
             )
         forgotten = min(abs(self._lead), _DRIFT * arrived)
         self._lead -= forgotten if self._lead > 0.0 else -forgotten
         self._lead = max(self._lead + dt - arrived, -_BEHIND)
         self._trails = self._trails + arrived if self._lead < -_WRONG else 0.0
-        if self._trails > _STAYS:  # the current arrivals are the new reference
+        if self._trails > _STAYS:  # the current arrivals become the new reference
             if self._trailed:
-                self._report_once("slow", "The robot's clock runs behind ours: steps follow the slower clock.")
+                self._report_once("slow", "The robot's clock runs slower than ours. Steps follow the slower clock.")
             self._lead, self._trails, self._trailed = 0.0, 0.0, True
         return claimed
 
@@ -133,24 +133,24 @@ class RobotClock:
 
 
 EGM_ERROR = "the controller reported an EGM error"
-"""Reason for the end of a session when the robot controller reports an error."""
+"""Reason for the end of a session after an error report of the robot controller."""
 
 _SEQUENCES = 2**32
-_HALF = 2**31  # ms: a tm further ahead is in the past
-_FAR = 2**16  # packets ahead: more than fit into the silence that ends a session
-_FILTER = 30.0  # Hz, for velocities from differences
-_OVERTAKEN_MS = 100  # a first packet that is older by less was overtaken in transit and begins no session
+_HALF = 2**31  # ms; a tm further ahead is in the past
+_FAR = 2**16  # packets ahead, more than are sent during the silence that ends a session
+_FILTER = 30.0  # Hz, low-pass filter of velocities from differences
+_OVERTAKEN_MS = 100  # a first packet that is older by less was overtaken in transit and does not begin a session
 _SILENT_PERIODS = 5  # periods of silence before another port of the same host may begin a session
-_FOLLOWERS = 3  # consecutive out-of-order packets that form a separate session
-_REMEMBERED = 8  # sessions whose first packet is recognised if it arrives again
-_OWN_SILENCE = 150_000_000  # ns without a reply: shorter than any usual CommTimeout
-_FOREIGN = Drop("foreign source", "only the first sender of a session is answered; each motion task needs its own port")
+_FOLLOWERS = 3  # consecutive out-of-order packets that begin a new session
+_REMEMBERED = 8  # previous sessions whose repeated first packet is recognised
+_OWN_SILENCE = 150_000_000  # ns without a reply, shorter than any usual CommTimeout
+_FOREIGN = Drop("foreign source", "only the first sender of a session gets replies; use a separate port for each task")
 _MOTORS_OFF, _RAPID_STOPPED, _MCI_ERROR, _MCI_RUNNING = 2, 1, 1, 3
 
 
 @dataclass(slots=True, eq=False)
 class Sample:
-    """One valid packet and its reply; a packet without a reply was overtaken by a newer one."""
+    """Valid packet and its reply; a packet without a reply was overtaken by a newer packet."""
 
     packet: Packet
     arrival_ns: int
@@ -174,15 +174,15 @@ class Sample:
 
 
 class Session:
-    """Tracks one robot controller: sequence numbers, sources, sessions.
+    """Tracks the sequence numbers, sources and sessions of one robot controller.
 
-    Sequence numbers are compared modulo 2**32. These packets start a session, whose replies are numbered from 0:
+    Sequence numbers are compared modulo 2**32. These packets begin a session, in which replies are numbered from 0:
 
-    - the first packet, and the first after a silence;
-    - number 0, even with an earlier clock (the robot restarted), unless its `tm` matches the first packet of this or a
-      previous session, which makes it a late duplicate;
-    - the third consecutive packet older than the newest one, once no newer ones have arrived for five periods: the
-      first packet of its session was lost.
+    - the first packet, and the first packet after a silence;
+    - a packet with number 0, even with an earlier clock (the robot restarted), unless its `tm` is that of the first
+      packet of this or a previous session (late duplicate);
+    - the third consecutive out-of-order packet, after five periods without a packet in order: the first packet of its
+      session was lost.
     """
 
     number: int
@@ -208,7 +208,7 @@ class Session:
         self._last: Sample | None = None
         self._first_tm: int | None = None
         self._past_tms: deque[int | None] = deque(maxlen=_REMEMBERED)
-        self._stray: tuple[Packet, int, int] | None = None  # newest out-of-order packet, number in a row, start [ns]
+        self._stray: tuple[Packet, int, int] | None = None  # newest out-of-order packet, their count, start [ns]
         self._begun_ns = self._replied_ns = 0
 
     def accept(self, arrival: Arrival) -> Sample | None:
@@ -217,7 +217,7 @@ class Session:
             self.end()
         foreign = self.active and arrival.source != self.source
         if foreign and not (self.source and arrival.source[0] == self.source[0] and self._is_quiet(arrival)):
-            # RAPID restarts fast: only the same host may return from another port, once the old port is silent
+            # RAPID restarts fast: the same host may return from another port once the old port is silent
             return self._drop(_FOREIGN, arrival)
         packet = self._codec.decode(arrival.data)
         if isinstance(packet, Drop):
@@ -236,12 +236,12 @@ class Session:
         return self.active and self._last is not None and now_ns - self._last.arrival_ns >= self._timeout_ns
 
     def replied(self, now_ns: int) -> None:
-        """Count a reply that was sent."""
+        """Count a sent reply."""
         self.seq += 1
         self._replied_ns = now_ns
 
     def end(self) -> str:
-        """End the session and return the reason: the first cause consistent with its last packet."""
+        """End the session; return the reason, the first cause that is consistent with the last packet."""
         if self.active and self._last is not None:
             self.reason = self._why(self._last)
             self._on_event(f"Session {self.number} ended: {self.reason}.", warn=True)
@@ -252,48 +252,48 @@ class Session:
         packet = last.packet
         own = last.arrival_ns - max(self._replied_ns, self._begun_ns)
         causes = (
-            (packet.converged, "the convergence condition of EGMAct was met (a window of zero is never met)"),
+            (packet.converged, "the convergence condition of EGMAct was met (a window of zero prevents this)"),
             (packet.motors == _MOTORS_OFF, "the motors were switched off"),
             (packet.rapid == _RAPID_STOPPED, "RAPID was stopped"),
             (packet.mci == _MCI_ERROR, EGM_ERROR),
             (
                 packet.mci == _MCI_RUNNING and own > _OWN_SILENCE,
-                f"we did not answer for {1e-9 * own:.2f} s (event 41822 is likely)",
+                f"armlab sent no reply for {1e-9 * own:.2f} s (event 41822 is likely)",
             ),
         )
         return next((text for holds, text in causes if holds), "the controller stopped sending")
 
     def _count(self, packet: Packet, last: Packet) -> int | Drop:
-        """Return the number of packets lost in between, -1 for a new session, or the reason to drop the later one."""
+        """Return the number of packets lost in between, -1 for a new session, or the reason to drop the packet."""
         now, then = packet.tm_ms, last.tm_ms
         is_late = now is not None and then is not None and (now - then) % _SEQUENCES >= _HALF  # of an earlier session
         ahead = (packet.seqno - last.seqno) % _SEQUENCES
         if packet.seqno == 0 and ahead != 1:
             same_tm = now == self._first_tm if now is not None else last.seqno == 0
             if same_tm:
-                return Drop("duplicate", "repetition of the first packet of the session")
+                return Drop("duplicate", "repeated first packet of the session")
             is_own = now is not None and self._first_tm is not None and 0 < self._first_tm - now < _OVERTAKEN_MS
             if not is_own and (now is None or now not in self._past_tms):
                 return -1
         if ahead == 0:
-            return Drop("duplicate", f"packet {packet.seqno} again")
+            return Drop("duplicate", f"repeated packet {packet.seqno}")
         if is_late or ahead > _FAR:
             return Drop("old", f"packet {packet.seqno} after {last.seqno}, at {now} after {then} ms")
         return ahead - 1
 
     def _goes_on(self, packet: Packet, arrival: Arrival) -> bool:
-        """Whether out-of-order packets belong to a session whose first packet was lost."""
+        """Return whether out-of-order packets belong to a new session whose first packet was lost."""
         before, count, since_ns = self._stray or (None, 0, 0)
         follows = before is not None and packet.seqno == (before.seqno + 1) % _SEQUENCES
         if before is not None and packet.tm_ms is not None and before.tm_ms is not None:
             follows = follows and 0 < (packet.tm_ms - before.tm_ms) % _SEQUENCES < _HALF
         count, since_ns = (count + 1, since_ns) if follows else (1, arrival.ns)
         self._stray = packet, count, since_ns
-        in_time = arrival.ns - since_ns > 0.5e9 * (_FOLLOWERS - 1) * self.period.seconds  # a burst was delayed
+        in_time = arrival.ns - since_ns > 0.5e9 * (_FOLLOWERS - 1) * self.period.seconds  # else a delayed burst
         return count >= _FOLLOWERS and in_time and self._is_quiet(arrival)
 
     def _is_quiet(self, arrival: Arrival) -> bool:
-        """Whether another source may replace the session because the session is silent."""
+        """Return whether the session has been silent for so long that another source may replace it."""
         last = self._last
         return last is not None and arrival.ns - last.arrival_ns > _SILENT_PERIODS * 1e9 * self.period.seconds
 
@@ -315,7 +315,7 @@ class Session:
         return self._sample(packet, arrival, 0)
 
     def _new_clock(self) -> RobotClock:
-        return RobotClock(math.isfinite(self._timeout_ns), self._on_event)  # in lockstep, arrival times are meaningless
+        return RobotClock(math.isfinite(self._timeout_ns), self._on_event)  # arrival times are meaningless in lockstep
 
     def _sample(self, packet: Packet, arrival: Arrival, missed: int) -> Sample:
         last = self._last

@@ -1,12 +1,12 @@
-"""State machine of a run: `Mode`, and `StateMachine`, which chooses the reply to each packet.
+"""State machine of a run: `Mode`, and `StateMachine`, which selects the reply to each packet.
 
 WAITING -> HOLDING (not ready: the feedback is echoed; ready: the position is frozen) -> RUNNING -> STOPPING -> ENDED.
-LISTENING never sends. *Hold* always means that the sent velocity ramps to zero within the acceleration limits and the
-position then stays constant.
+LISTENING never sends. *Hold* always means that the sent velocity ramps to zero within the acceleration limits, and that
+the position then stays constant.
 
 The time step of a reference is the measured robot time since the last reference sent. Implausible feedback is never
-echoed or held. The robot becomes ready after three plausible packets in a row; three implausible packets in a row stop
-the run.
+echoed or held. The robot becomes ready after three consecutive plausible packets; three consecutive implausible packets
+stop the run.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ PLAIN = State(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 STOP_TIME = 0.5  # s at rest before a run ends
-_UNSENT = 500  # unsent replies end a stop: after 2 s the robot's own time-out has acted
+_UNSENT = 500  # unsent replies that end a stop; after 2 s, the time-out of the robot has acted
 _REFUSALS = 3  # consecutive refusals that end the run
-_GAP = 3.0  # periods: largest step of a reference after a gap
-_ENTRY_PATIENCE = 1.0  # s of refused entries before a warning
-_BITS = 1, 2, 4, 8, 16, 32  # of `Reply.clamped`
+_GAP = 3.0  # periods, largest step of a reference after a gap
+_ENTRY_PATIENCE = 1.0  # s of refused first positions before a warning
+_BITS = 1, 2, 4, 8, 16, 32  # bits of `Reply.clamped`
 
 
 class Mode(Enum):
@@ -57,7 +57,7 @@ _LAST = (Mode.STOPPING, Mode.ENDED)
 
 
 class StateMachine:
-    """Decides for each packet whether the controller is called and which reply is sent."""
+    """Decides for each packet whether the controller is called, and which reply is sent."""
 
     ready: bool
     t: float
@@ -111,7 +111,7 @@ class StateMachine:
 
     @property
     def _may_be_guided(self) -> bool:
-        """Whether the robot has merely stopped reporting its states; it then holds without a step to the feedback."""
+        """Whether a guided robot no longer reports its states; it then holds without a step to the feedback."""
         return self.guided and self._readiness.is_unknown
 
     @property
@@ -120,7 +120,7 @@ class StateMachine:
         return self._dt, self._rested, self._last, self._limiter.memory, self._torques.memory, external
 
     def observe(self, sample: Sample) -> None:
-        """Update readiness, time and mode with one sample; `answer` replies to the newest one."""
+        """Update readiness, time and mode with one sample; `answer` replies to the newest sample."""
         packet, self._qd = sample.packet, sample.qd
         self._packet = packet
         if sample.fresh:
@@ -162,7 +162,7 @@ class StateMachine:
         self.ready = ready
 
     def state(self, sample: Sample, t_receive: int, fused: Mapping[str, Any]) -> State:
-        """Return the controller's view of the sample just observed, with the previous reply and `fused` fields."""
+        """Return the State of the sample just observed, with the previous reply and the `fused` fields."""
         packet, last, plain = sample.packet, self._last, PLAIN
         (
             seqno, _, robot_ns, q, q_planned, q_ext, _, tau, tau_source, T_frame_tool, wrench_raw, motors, mci, rapid,
@@ -185,7 +185,7 @@ class StateMachine:
         packet, self._before = self._packet, self._memory
         if packet is None or self.mode in _UNANSWERED:
             return None
-        if self.mode is Mode.ENDED and self._rested < STOP_TIME:  # an arm at rest is still answered while others stop
+        if self.mode is Mode.ENDED and self._rested < STOP_TIME:  # an arm at rest still gets replies while others stop
             return None
         self._longest = _GAP * period
         if self._dt == 0.0:  # this packet has been answered
@@ -214,7 +214,7 @@ class StateMachine:
         return self._last
 
     def hold(self, period: float) -> Reply | None:
-        """Return the hold reply to the newest packet while the controller is overdue; the mode is unchanged."""
+        """Return the hold reply to the newest packet while the controller is overdue; the mode does not change."""
         if not self.calls or self._dt == 0.0:
             return self.answer(None, period)
         self._before, self._longest = self._memory, _GAP * period
@@ -222,7 +222,7 @@ class StateMachine:
         return self._last
 
     def take_back(self, waits: bool = False) -> None:
-        """Undo the last reply, which was not sent; the next reply continues from the robot's last reference."""
+        """Undo the last reply, which was not sent; the next reply continues from the last reference of the robot."""
         self._dt, rested, self._last, self._limiter.memory, self._torques.memory, external = self._before
         if external is not None:
             self._external.memory = external
@@ -234,13 +234,13 @@ class StateMachine:
         if self._unsent >= _UNSENT:
             problem = (
                 f"Expected the replies that bring the arm to rest to be sent, got {_UNSENT} unsent replies. The robot "
-                "keeps the last reference until its own timeout. Check the network of this computer."
+                "keeps the last reference until its time-out. Check the network of this computer."
             )
             self.mode, self.failure = Mode.ENDED, self.failure or LinkError(problem)
             self._on_event(problem, warn=True)
 
     def stop(self, reason: str, failure: LinkError | None = None) -> None:
-        """Bring the arm to rest and end; the first reason is kept."""
+        """Bring the arm to rest and end the run; only the first reason is stored."""
         if self.mode in _LAST:
             return
         self.reason, self.failure = reason, failure
@@ -296,7 +296,7 @@ class StateMachine:
         return reply
 
     def _free(self, tau: np.ndarray, packet: Packet) -> Reply:
-        """Reply to a torque-only command, without a position loop while the arm stays within its limits."""
+        """Reply to a torque-only command, without position loop while the arm is within its limits."""
         problem = self._torques.outside(packet.q, self._qd)
         if problem:
             self._refuse(problem)
@@ -346,7 +346,7 @@ class StateMachine:
         self._on_event("The robot is ready and holds.")
 
     def _doubt(self, problem: str) -> None:
-        """Report implausible feedback; three packets in a row stop the run."""
+        """Report implausible feedback; three consecutive packets stop the run."""
         if self._feedback.implausible <= 1.0:
             self._on_event(problem, warn=True)
         if self._feedback.implausible >= STOP_AFTER and (self.ready or self._feedback.q is None):

@@ -1,7 +1,4 @@
-"""Reasons outside the controller to end a run: silence, a lost robot, or sessions that end immediately.
-
-Also defines `Settings`, the settings of a run.
-"""
+"""`Supervisor`: end of a run after silence, loss of the robot, or very short sessions; `Settings` of a run."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ from armlab.errors import ControllerFailed, LinkError, NoRobot, SessionEnded
 
 _CHECKLIST_AFTER = 5.0  # s without any packet
 _BRIEF = 0.1  # s under guidance: a shorter session does not advance the run
-_BRIEF_IN_A_ROW = 10  # such sessions end the run: `Settings.seconds` counts only time under guidance
+_BRIEF_IN_A_ROW = 10  # consecutive short sessions that end the run, because `Settings.seconds` counts only guidance
 
 
 @dataclass(frozen=True)
@@ -29,12 +26,12 @@ class Settings:
     resume: bool = True
     clock: Literal["wall", "robot"] = "wall"
     patience: float = 30.0
-    alive: Callable[[], str] = str  # returns why the robot is lost, "" while it runs
+    alive: Callable[[], str] = str  # returns the reason for the loss of the robot, "" while it is running
     progress: Callable[[float], None] | None = None
 
 
 class Supervisor:
-    """Detects the end of a session or run; called when no packet has arrived and when a session begins."""
+    """Detects the end of sessions and of the run; called after silence and at the beginning of a session."""
 
     def __init__(self, port: Port, session: Session, machine: StateMachine, settings: Settings, on_event: Tell) -> None:
         self._port, self._session, self._machine, self._settings = port, session, machine, settings
@@ -44,7 +41,7 @@ class Supervisor:
         self._elapsed, self._brief = 0.0, 0
 
     def check_silence(self, last_packet_ns: int) -> None:
-        """End the session after a silence, and the run if no packet can follow."""
+        """End the session after a silence, and the run if no further packet can arrive."""
         machine, session, now = self._machine, self._session, time.monotonic_ns()
         if session.silent(now):
             machine.lose(session.end(), self._settings.resume)
@@ -64,10 +61,10 @@ class Supervisor:
             self._on_event(f"No packet yet. {check_list(self._port)}", warn=True)
 
     def judge(self) -> None:
-        """End the run if too many sessions in a row ended immediately; called before a new session is observed.
+        """End the run after too many consecutive short sessions; called before a new session is observed.
 
-        Except when listening, in lockstep or after an EGM error, a session without guidance does not count, because the
-        robot may be waiting for its operator.
+        A session without guidance counts only when listening, in lockstep or after an EGM error, because the robot may
+        be waiting for its operator.
         """
         machine, session = self._machine, self._session
         gained, self._elapsed = machine.elapsed - self._elapsed, machine.elapsed
@@ -83,38 +80,38 @@ class Supervisor:
         if self._brief >= _BRIEF_IN_A_ROW:
             kind = "packets" if machine.mode is Mode.LISTENING else "guidance"
             failure = SessionEnded(
-                f"Expected a session with {kind} for {_BRIEF:g} s or more, got {self._brief} shorter sessions in a "
-                f"row; the last one ended because {session.reason}. Read the event log of the robot's controller; a "
-                "usual cause is a refused reference that is too far away or too fast."
+                f"Expected a session with {kind} for {_BRIEF:g} s or more, got {self._brief} consecutive shorter "
+                f"sessions; the last session ended because {session.reason}. Read the event log of the robot "
+                "controller; a usual cause is a refused reference that is too far away or too fast."
             )
             machine.stop("sessions ended immediately", failure)
 
     def _stop_without_descriptors(self) -> None:
-        """Bring the arm to rest via the re-bound socket."""
+        """Bring the arm to rest through the re-bound socket."""
         self._machine.stop(
             "file descriptors were closed",
             ControllerFailed(
-                "The controller or other code in this process closed file descriptors it did not open, including the "
-                "bridge's socket. The arm was stopped. Close only the files that the controller opens."
+                "The controller or other code in this process closed file descriptors of other code, including the "
+                "socket of the bridge. The arm was stopped. Close only files that the controller opens."
             ),
         )
 
     def _silence(self) -> LinkError:
         session, seconds = self._session, self._settings.patience
         if session.number:
-            return SessionEnded(f"Expected another packet within {seconds:g} s, got none: {session.end()}.")
+            return SessionEnded(f"Expected another packet within {seconds:g} s, got no packet: {session.end()}.")
         others = ", ".join(f"{number} {kind}" for kind, number in session.drops.items())
         received = f" Other datagrams arrived: {others}." if others else ""
         return NoRobot(
-            f"Expected packets from a robot within {seconds:g} s, got none.{received} {check_list(self._port)}"
+            f"Expected packets from a robot within {seconds:g} s, got no packet.{received} {check_list(self._port)}"
         )
 
 
 def check_list(port: Port) -> str:
-    """Return what to check when no packet arrives."""
+    """Return advice for a port at which no packet arrives."""
     loopback = " That address receives only from programs on this computer." if port.host.startswith("127.") else ""
     return (
-        f"Listening on {port.host}:{port.port}.{loopback} Check that the controller's UDPUC device specifies this "
+        f"Listening on {port.host}:{port.port}.{loopback} Check that the UDPUC device of the controller has this "
         f"computer's address and port {port.port}, that RAPID runs EGMStreamStart or EGMRunJoint, and that no "
-        "firewall drops UDP."
+        "firewall drops UDP packets."
     )

@@ -1,7 +1,7 @@
-"""Torque references: requests, limits, and an admittance for links that carry no torques.
+"""Torque references: checks, limits, and an admittance for links without torque commands.
 
-A torque sent with a position or velocity is feed-forward. A torque alone replaces the position loop: the drive then
-adds gravity compensation only. The measured position is also sent, and a hold starts from it.
+A torque with a position or velocity is feed-forward. A torque alone replaces the position loop; the drive then adds
+only gravity compensation. The reply also contains the measured position, from which a hold starts.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from armlab.robots import Robot
 from armlab.wire.egm.axes import Linkage
 
 TorqueFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Torques (n,) of a free motion from positions and velocities (n,)."""
+"""Function that returns the torques (n,) of free motion from positions and velocities (n,)."""
 FreeTorque = TorqueFunction | TorqueModel | Fit[TorqueModel]
 
 _CLIPPED, _SLOWED = 16, 32
-_SLACK = 1e-9  # N m: rounding does not count as a clamp
+_SLACK = 1e-9  # N m, so that rounding does not count as a clamp
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Admittance:
     def __post_init__(self) -> None:
         damping = np.asarray(self.damping, dtype=np.float64)
         if damping.ndim != 1 or not np.all((damping > 0.0) & np.isfinite(damping)):
-            raise ConfigError(f"Expected a positive damping for each joint [N m s/rad], got {self.damping}.")
+            raise ConfigError(f"Expected a positive damping [N m s/rad] for each joint, got {self.damping}.")
         object.__setattr__(self, "damping", damping)
 
     def velocity(self, tau: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
@@ -44,10 +44,10 @@ class Admittance:
 
 
 class Torques:
-    """Tracks the last torque sent; limits the next one.
+    """Tracks the last torque sent and limits the next torque.
 
-    ``tau = tau_last + clip(clip(tau_ref, +-tau_max) - tau_last, +-tau_rate T)``; without a reference the torque returns
-    to zero at the same rate.
+    ``tau = tau_last + clip(clip(tau_ref, +-tau_max) - tau_last, +-tau_rate T)``; without a reference, the torque
+    returns to zero at the same rate.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Torques:
         self.reset()
 
     def reset(self) -> None:
-        """Reset the torque, because the arm follows no references."""
+        """Reset the torque; called when the arm does not follow references."""
         self.memory: np.ndarray | None = None
 
     def requested(
@@ -71,35 +71,34 @@ class Torques:
         qd: np.ndarray,
         measured: bool = True,
     ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-        """Return the references (n,) of a command with a torque; an admittance converts it to a velocity.
+        """Return the references (n,) of a command with a torque; an admittance converts the torque to a velocity.
 
-        `measured` states whether the robot reports torques; drives that report none accept no torque commands.
+        `measured` states whether the robot reports torques; drives without torque reports accept no torque commands.
         """
         if not np.isfinite(tau).all():
-            raise CommandRefused(f"Expected finite numbers in Command.tau, got {tau}. NaN never goes to a robot.")
+            raise CommandRefused(f"Expected finite numbers in Command.tau, got {tau}. NaN is never sent to a robot.")
         if self.admittance is None:
             self._check()
             if not measured and "measured_torque" in self._capabilities:
                 raise CommandRefused(
                     f"Expected no torque in the Command, because {self._robot.name} reports no torques and has no "
                     "torque-controlled drives. A simulated arm needs masses in its description (<inertial> in a URDF, "
-                    "inertias in a "
-                    'TOML file); otherwise command q or qd, or run with torque="admittance".'
+                    'inertias in a TOML file). Otherwise, command q or qd, or run with torque="admittance".'
                 )
             return q_ref, qd_ref, tau
         if q_ref is not None or qd_ref is not None:
             raise CommandRefused(
-                "Expected only tau in the Command, because the admittance converts it to qd, got q or qd too."
+                "Expected only tau in the Command, because the admittance converts tau to qd, but q or qd is set too."
             )
         return None, self.admittance.velocity(tau, q, qd), None
 
     def _check(self) -> None:
         if "torque" not in self._capabilities:
-            able = ", ".join(sorted(self._capabilities)) or "nothing"
+            able = ", ".join(sorted(self._capabilities)) or "no references"
             raise CommandRefused(
-                f"Expected no torque in the Command, but tau is set and this link carries {able} only. Command q or "
-                'qd, connect with a codec that carries torques (extension=True), or run with torque="admittance" and '
-                "damping per joint."
+                f"Expected no torque in the Command, but tau is set and this link only carries {able}. Command q or "
+                'qd, connect with a codec for torques (extension=True), or run with torque="admittance" and a damping '
+                "per joint."
             )
         if self._limits.tau_max is None:
             raise CommandRefused(
@@ -108,7 +107,7 @@ class Torques:
             )
 
     def outside(self, q: np.ndarray, qd: np.ndarray) -> str:
-        """Return why a torque-only command is refused because the arm is outside its limits, or "" if it is inside."""
+        """Return the error text for a torque-only command to an arm outside its limits, or "" if the arm is inside."""
         limits = self._limits
         if self._linkage is not None:  # the limits apply to axes
             q, qd = self._linkage.axes(q), self._linkage.axes(qd)
@@ -125,7 +124,7 @@ class Torques:
         )
 
     def limited(self, reply: Reply, tau: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
-        """Return the reply with `tau` (n,) limited; the rate limit assumes a step of at most `longest` [s]."""
+        """Return the reply with the limited torque `tau` (n,); the rate limit uses a step of at most `longest` [s]."""
         tau_max, tau_rate = self._limits.tau_max, self._limits.tau_rate
         if (tau is None and self.memory is None) or tau_max is None or tau_rate is None:
             return reply
@@ -144,16 +143,16 @@ class Torques:
 def admittances(
     torque: str, damping: np.ndarray | None, model: FreeTorque | Sequence[FreeTorque] | None, robots: Sequence[Robot]
 ) -> list[Admittance | None]:
-    """Return the admittance of each arm, or None if torques are sent or refused."""
+    """Return the admittance of each arm, or None for each arm if torques are sent or refused."""
     if torque not in ("refuse", "admittance"):
-        raise ConfigError(f"Expected torque to be refuse or admittance, got {torque!r}.")
+        raise ConfigError(f'Expected torque to be "refuse" or "admittance", got {torque!r}.')
     if torque == "refuse":
         if damping is not None or model is not None:
-            raise ConfigError('Expected damping and torque_model only together with torque="admittance".')
+            raise ConfigError('Expected damping and torque_model only with torque="admittance".')
         return [None] * len(robots)
     sizes = [robot.n for robot in robots]
     if damping is None or np.shape(damping) != (sum(sizes),):
-        raise ConfigError(f"Expected damping for each of {sum(sizes)} joints [N m s/rad], got {damping}.")
+        raise ConfigError(f"Expected a damping [N m s/rad] for each of {sum(sizes)} joints, got {damping}.")
     parts = np.split(np.asarray(damping, dtype=np.float64), np.cumsum(sizes)[:-1])
     models = list(model) if isinstance(model, Sequence) else [model] * len(robots)
     if len(models) != len(robots) or (len(robots) > 1 and model is not None and not isinstance(model, Sequence)):
@@ -163,7 +162,7 @@ def admittances(
 
 
 def _function(model: FreeTorque | None, robot: Robot) -> TorqueFunction | None:
-    """Return the torque function of an identified model or its fit; functions are returned unchanged."""
+    """Return the torque function of an identified model or its fit; a function is returned unchanged."""
     known = value_of(model)
     if not isinstance(known, TorqueModel):
         return known
