@@ -1,7 +1,7 @@
 """armlab: a robotics laboratory for robot arms.
 
-Robot descriptions and logs yield model files, model files are used to run robots, and every run produces a log.
-Subpackages (and NumPy) are imported on first use, because ``armlab --help`` needs none of them.
+A robot description and a log give a model file, the model file runs the robot, and every run gives the next log.
+Subpackages and NumPy are imported on first use, because ``armlab --help`` needs none of them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``python -m armlab`` runs the command ``armlab``."""
+"""Run the command ``armlab`` as ``python -m armlab``."""
 
 from armlab.cli import main
 

@@ -1,7 +1,6 @@
 """Display of values: a repr of at most twenty lines, a table in notebooks, and the colours of figures.
 
-`Shown` is the base of public dataclasses created with ``repr=False``; it shows one field per line, and arrays by their
-shape.
+`Shown` is the base class of public dataclasses with ``repr=False``; it shows one field per line, and arrays by shape.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Atomic writing of files, file descriptors that other code in this process may close, and bounded TOML.
-
-`os.closerange` closes descriptors by number, regardless of their owner.
-"""
+"""Atomic writing of files, descriptors that survive `os.closerange` by other code, and TOML with bounded size."""
 
 from __future__ import annotations
 
@@ -19,9 +16,9 @@ _APART = 512  # below the usual limit of 1024
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a path to write to; on success it is renamed to `path` atomically, on failure nothing remains.
+    """Yield a path to write to, which is atomically renamed to `path` on success and deleted on failure.
 
-    An OSError names `path`, which plain write errors do not.
+    Unlike plain write errors, an OSError names `path`.
     """
     part = path.with_name(f"{path.name}.part")
     try:
@@ -35,7 +32,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 class Descriptor:
-    """Open descriptor, stored with its file because its number may belong to another file once it is closed."""
+    """Open descriptor and its file, because the number may belong to a different file once it is closed."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -43,7 +40,7 @@ class Descriptor:
 
     @property
     def is_open(self) -> bool:
-        """Whether the number still belongs to the file."""
+        """Whether the number still refers to the file."""
         return self._file is not None and _file(self.number) == self._file
 
     def same_file(self, number: int) -> bool:
@@ -51,7 +48,7 @@ class Descriptor:
         return self._file is not None and _file(number) == self._file
 
     def close(self) -> None:
-        """Close the descriptor unless its number belongs to another file. A second call does nothing."""
+        """Close the descriptor unless its number refers to a different file; a second call does nothing."""
         if self.is_open:
             os.close(self.number)
         self._file = None
@@ -67,9 +64,9 @@ def _file(number: int) -> tuple[int, int] | None:
 
 
 def apart(number: int) -> int:
-    """Move a newly opened descriptor to a high number that no other code still uses for a closed file.
+    """Move a new descriptor to a high number, which no other code still uses for a closed file; return the number.
 
-    The old number is closed, unless no high number is available.
+    If no high number is available, the descriptor keeps its number.
     """
     try:
         moved = fcntl.fcntl(number, fcntl.F_DUPFD_CLOEXEC, _APART)
@@ -99,7 +96,7 @@ class TomlError(ValueError):
 def parsed(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text; raise TomlError for invalid text and for text beyond the bounds.
 
-    Python's parser accepts integers of any length, nests as deep as Python allows, and takes quadratic time for
+    Python's parser accepts integers of any length, nests as deeply as Python allows, and takes quadratic time for
     dotted keys. The bounds are therefore 64 bits, 16 names, 16 MiB, and 10 000 keys and tables.
     """
     try:
@@ -125,11 +122,8 @@ def _check_size(text: str) -> None:
 
 
 def _check(value: Any) -> None:
-    if isinstance(value, dict):
-        for one in value.values():
-            _check(one)
-    elif isinstance(value, list):
-        for one in value:
-            _check(one)
+    if isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
+            _check(item)
     elif isinstance(value, int) and not -_LARGEST <= value < _LARGEST:
         raise ValueError(f"an integer of {value.bit_length()} bits and a sign, although TOML allows 63")

@@ -11,10 +11,9 @@ from types import FrameType
 
 @contextmanager
 def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Handle SIGINT, SIGTERM and (unless ignored, as with nohup) SIGHUP with `handler` in the main thread during the
-    block.
+    """Handle SIGINT, SIGTERM and SIGHUP (unless ignored, as with nohup) with `handler` during the block.
 
-    Outside the main thread it does nothing, because the owner of the process handles signals.
+    Outside the main thread, this does nothing, because the owner of the process handles signals.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -32,7 +31,7 @@ def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Delay Ctrl-C and similar signals until the block has ended, because compiled modules may swallow an interrupt."""
+    """Delay Ctrl-C and similar signals until the end of the block, because compiled modules may lose an interrupt."""
     came: list[int] = []
     with handling(lambda number, _frame: came.append(number)):
         yield

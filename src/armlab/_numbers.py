@@ -1,4 +1,4 @@
-"""Validation of user input as arrays of real numbers or tuples; errors are one sentence."""
+"""Validation of user input as arrays of real numbers or as tuples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from armlab.errors import ArmlabError, RobotError, ShapeError, UnknownName
 def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) -> np.ndarray:
     """Return real numbers as float64, without a copy if possible; raise `error` for anything else.
 
-    NumPy alone would parse strings of digits and drop imaginary parts. `what` names the value in the message.
+    NumPy alone would parse digit strings and drop imaginary parts. `what` names the value in the message.
     """
     try:
         array = np.asarray(value)
@@ -27,7 +27,7 @@ def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) 
 
 
 def members(value: Any, what: str, error: type[ArmlabError] = RobotError) -> tuple[Any, ...]:
-    """Return the members of a list or tuple; a string is rejected, although Python would iterate over it."""
+    """Return the members of a list or tuple; strings are rejected, although Python would iterate over them."""
     if (
         isinstance(value, str | bytes)
         or not isinstance(value, Iterable)
@@ -66,7 +66,7 @@ def make_read_only(result: Any, *names: str) -> None:
 
 
 def flag(value: Any, what: str) -> bool:
-    """Return True or False; raise for anything else, because a list or a string would count as True."""
+    """Return True or False; raise for anything else, because lists and strings would count as True."""
     if not isinstance(value, bool | np.bool_):
         raise ShapeError(f"Expected {what} to be True or False, got {shortened(value)}.")
     return bool(value)
@@ -86,7 +86,7 @@ def number(value: Any, what: str, error: type[ArmlabError] = ShapeError) -> floa
 
 
 def positive(value: Any, what: str, advice: str = "Correct it.", error: type[ArmlabError] = ShapeError) -> float:
-    """Return one finite number above zero; raise `error`, which ends with `advice`, for anything else."""
+    """Return one finite number above zero; raise `error`, whose message ends with `advice`, for anything else."""
     found = number(value, what, error)
     if not 0.0 < found < np.inf:
         raise error(f"Expected a finite {what} above zero, got {found:g}. {advice}")
@@ -94,7 +94,7 @@ def positive(value: Any, what: str, advice: str = "Correct it.", error: type[Arm
 
 
 def check_name(value: Any, what: str, names: Collection[str]) -> None:
-    """Raise UnknownName for a value outside `names`; an array never matches, although == would return an array."""
+    """Raise UnknownName for a value outside `names`; arrays never match, although == would return an array."""
     if not isinstance(value, str) or value not in names:
         raise UnknownName.among(what, value, names)
 

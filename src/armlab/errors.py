@@ -1,6 +1,6 @@
 """All errors of armlab.
 
-Each message states the expected and the received value, where they occur, and the remedy. Each class derives from
+Each message states the expected value, the received value, the location and the remedy. Each class derives from
 `ArmlabError` and, if applicable, from the built-in exception that callers would catch.
 """
 
@@ -21,7 +21,7 @@ class ArmlabError(Exception):
     """Base class of all errors that armlab raises on purpose."""
 
     def __str__(self) -> str:
-        """Return the message without the quotes of KeyError."""
+        """Return the message without the quotes that KeyError adds."""
         return str(self.args[0]) if self.args else ""
 
 
@@ -154,14 +154,14 @@ class ModelMismatchError(ArmlabError, ValueError):
 
 
 class NotExcited(ArmlabError, ValueError):
-    """Data that do not identify the requested quantities.
+    """Data that do not excite the requested quantities.
 
     Attributes
     ----------
     directions : tuple of str
         Parameters, joints or directions without excitation.
     spread : tuple of str
-        Excitation of each in the data, as text.
+        Excitation of each of them in the data, as text.
     """
 
     def __init__(self, message: str, directions: Sequence[str] = (), spread: Sequence[str] = ()) -> None:
@@ -221,7 +221,7 @@ class SessionEnded(LinkError):
 
 
 class CommandRefused(LinkError):
-    """A refused command, because of a wrong shape, non-finite values, a jump, or a capability that the link lacks."""
+    """A command refused because of a wrong shape, non-finite values, a jump, or a capability that the link lacks."""
 
 
 class ControllerLate(LinkError):
@@ -229,4 +229,4 @@ class ControllerLate(LinkError):
 
 
 class ControllerFailed(LinkError):
-    """An exception in the user's controller (as `__cause__`), or bridge descriptors closed by the controller."""
+    """An exception of the user's controller (its `__cause__`), or bridge descriptors closed by the controller."""

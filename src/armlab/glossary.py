@@ -1,6 +1,6 @@
-"""Glossary of armlab's symbols with shape, unit, frame, kind and one sentence, read from ``glossary.toml``.
+"""Glossary of armlab's symbols with shape, unit, frame, kind and description, read from ``glossary.toml``.
 
-Plot labels, log headers and messages about shapes are taken from it.
+Plot labels, log headers and error messages use it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["Symbol", "columns", "label", "lookup", "symbols"]
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Symbol(Shown):
-    """One symbol.
+    """Symbol of the glossary.
 
     Attributes
     ----------
@@ -29,8 +29,8 @@ class Symbol(Shown):
     unit : SI unit.
     frame : axes in which the numbers are expressed; empty if not applicable.
     kind : real, angle, pose, quaternion, count, flag or text; decides how a column is resampled.
-    text : one sentence.
-    column : whether a log column has this name, unit and shape. In other files, x, y, e or g have other meanings.
+    text : description.
+    column : whether log columns use the symbol. In other files, names such as x, y, e and g have other meanings.
     """
 
     name: str
@@ -51,7 +51,7 @@ def symbols() -> Mapping[str, Symbol]:
 
 @cache
 def columns() -> Mapping[str, Symbol]:
-    """Return, by name, the symbols that are log columns."""
+    """Return the symbols that are log columns, by name."""
     return MappingProxyType({name: symbol for name, symbol in symbols().items() if symbol.column})
 
 

@@ -1,7 +1,7 @@
 """Input and output of a controller: `State` and `Command`.
 
-A controller is any callable ``State -> Command``. Fields follow docs/egm, with names from `glossary.toml`.
-Values missing in the packet are NaN arrays, NaN, None or empty, never zeros.
+A controller is any callable ``State -> Command``. Fields are explained in docs/egm.md, with names from `glossary.toml`.
+Values missing in the packet are NaN, None or empty, never zero.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def _nothing() -> None:
 
 
 def _known(details: Any) -> Any:
-    """Return the decoded details in a copy of a State."""
+    """Return the decoded details of a copied State."""
     return details
 
 
 def _kept(kind: type[Any], values: dict[str, Any]) -> Any:
-    """Return the copy of a State with read-only arrays."""
+    """Return a copied State with read-only arrays."""
     for value in values.values():
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
@@ -54,7 +54,7 @@ _NAN44 = _nan(4, 4)
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class State(Shown):
-    """Sample of one arm in SI units and kinematic joint order.
+    """Measured state of one arm at one instant, in SI units and kinematic joint order.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class State(Shown):
     seq : int
         The robot's sequence number.
     missed : int
-        Packets lost before this one.
+        Number of packets lost before this packet.
     session : int
         Session number, counted from 1.
     qd_source : str
@@ -126,10 +126,10 @@ class State(Shown):
     age : float, s
         Time from arrival to this tick; 0 for the pacing arm.
     details : callable
-        Decodes and returns the other fields of the packet (`wire.egm.Details`: planned pose, collision, currents, ...);
-        None if the link or log has no other fields.
+        Decodes and returns further fields of the packet (`wire.egm.Details`: planned pose, collision, currents, ...); None
+        if the link or log has no further fields.
     arms : tuple of State
-        State of each arm if there are several; `q` and the other joint arrays are then concatenated.
+        State of each arm of a link with several arms, in which case `q` and the other joint arrays are concatenated.
     """
 
     t: float
@@ -169,7 +169,7 @@ class State(Shown):
     arms: tuple[State, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy the State with decoded `details`, and sources as plain dicts."""
+        """Pickle and copy the State with decoded `details` and a plain dict of sources."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         values["sources"] = dict(self.sources)
         if self.details is not _nothing:
@@ -235,5 +235,5 @@ class Command(Shown):
 
     @classmethod
     def stop(cls) -> Command:
-        """Return a command that brings the arm to rest and ends the run."""
+        """Return the command that brings the arm to rest and ends the run."""
         return cls(ends=True)

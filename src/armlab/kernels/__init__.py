@@ -1,8 +1,8 @@
-# ruff: noqa: F401  kernels are for the packages of armlab, by the names of `_native.pyi`
-"""The compiled core: kernels that run per sample or per million samples.
+# ruff: noqa: F401  the packages of armlab import the kernels by the names in `_native.pyi`
+"""Compiled kernels, which run for single samples and for batches of millions.
 
-They are C++ (folder native); signatures and documentation are in `_native.pyi`. The tests hold each of them to its
-mathematics in plain NumPy, tests/oracles.
+They are written in C++ (folder native) and documented in `_native.pyi`. The tests compare each kernel with its
+mathematics in plain NumPy (tests/oracles).
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ class Chain:
         """
 
     def forward_jacobian(self, q: Any, tool: bool = False, out: _Pair | None = None, threads: int = 1) -> _Pair:
-        """Return the pair T_base_tool (..., 4, 4) of `forward` and J (..., 6, n) of `jacobian`; `out` is such a pair."""
+        """Return the results of `forward` (..., 4, 4) and `jacobian` (..., 6, n); `out` is such a pair."""
 
     def jacobian_derivative(self, q: Any, qd: Any, tool: bool = False, out: Any = None) -> np.ndarray:
         """Return Jd (..., 6, n), the derivative of `jacobian` along the motion `q`, `qd` (..., n).
@@ -844,7 +844,7 @@ def filled(kind: Any, slots: tuple[Any, ...], values: tuple[Any, ...]) -> Any:
     """Return an instance of a class with slots, filled with the values without calling its constructor."""
 
 def filtered_velocity(q: np.ndarray, last: np.ndarray, velocity: np.ndarray, dt: float, cutoff: float) -> np.ndarray:
-    """Return the read-only velocity (n,) after a step from `last` to `q`, through a first-order low-pass filter [Hz]."""
+    """Return the read-only velocity (n,) after a step from `last` to `q`, filtered by a first-order low-pass [Hz]."""
 
 def implausible(
     q: np.ndarray, before: np.ndarray | None, bounds: np.ndarray, margin: float, step: float, seconds: float
