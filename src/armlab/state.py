@@ -126,8 +126,8 @@ class State(Shown):
     age : float, s
         Time from arrival to this tick; 0 for the pacing arm.
     details : callable
-        Decodes and returns further fields of the packet (`wire.egm.Details`: planned pose, collision, currents, ...); None
-        if the link or log has no further fields.
+        Decodes and returns further fields of the packet (`wire.egm.Details`: planned pose, collision, currents, ...);
+        None if the link or log has no further fields.
     arms : tuple of State
         State of each arm of a link with several arms, in which case `q` and the other joint arrays are concatenated.
     """
