@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from contextlib import redirect_stdout
 from functools import cache
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
@@ -45,8 +44,8 @@ def load(
     Raises
     ------
     UnknownName : if the robot, or a link or joint of the URDF, does not exist; the message lists the available names.
-    RobotError : if the file is missing or inconsistent, or if several branches of a URDF move and the tip is missing;
-        the message states the file, the joint or line, and the value, or lists the tips.
+    RobotError : if the file is missing or inconsistent, or if several branches of a URDF move and no tip is given. The
+        message states the file, the joint or line, and the value, or lists the tips.
     """
     if not isinstance(name, str | Path):
         raise UnknownName.among("robot", str(name), names())
@@ -131,6 +130,8 @@ def _of_example_robot_data(name: str) -> Path | None:
 @cache
 def _example_robot_data() -> dict[str, Path]:
     """Return the URDF files of the package example-robot-data by name; empty without the package."""
+    from importlib.metadata import PackageNotFoundError, distribution  # here: a third of the time to import kinematics
+
     try:
         files = distribution("example-robot-data").files or ()
     except PackageNotFoundError:
