@@ -26,14 +26,12 @@ RATES = {"ur5e": 20.0, "yumi_left": 100.0, "yumi_right": 250.0}
 
 @pytest.mark.slow
 def test_robots_and_how_they_do(processes: Callable[..., Started]) -> None:
-    """Three that send at different rates, and one of them damaged rows."""
     with Router(port=(port := free_port())):
         for name, rate in RATES.items():
             processes("publisher", port, name, name, str(1.0 / rate))
         found: list[FleetRobot] = []
 
         def rates_are_right() -> bool:
-            """A publisher that was not run for a while catches up: the next look sees its rate."""
             found[:] = list_robots(LabAddress(port=port, lab="lab1"), 1.2)
             return {one.robot for one in found} == set(RATES) and all(
                 0.9 * RATES[one.robot] < one.rate < 1.1 * RATES[one.robot] for one in found

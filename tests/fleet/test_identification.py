@@ -6,7 +6,6 @@ import os
 import pickle
 import shutil
 import signal
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -32,15 +31,13 @@ def sums(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plain(early: None, folder: Path, short_arm, sums: Path) -> fleet.Identified:
-    """What the logs of the folder give here, without an executor; their sums are kept."""
     return fleet.identify(folder, short_arm.robot, cache=sums)
 
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Grows by one for each log that is reduced to sums."""
-    count: list[int] = []
-    make: Callable = identification.log_sums
+    count, make = [], identification.log_sums
     monkeypatch.setattr(identification, "log_sums", lambda *given: count.append(1) or make(*given))
     return count
 
@@ -90,7 +87,6 @@ def spoilt(short_arm) -> dict[str, tuple[Table, str]]:
 def test_logs_that_cannot_be_used_are_named_with_their_sentence(
     folder: Path, short_arm, tmp_path: Path, plain: fleet.Identified
 ) -> None:
-    """One at another rate among the first is read for the draft, and left out of it; copies say nothing new."""
     logs = shutil.copytree(folder, tmp_path / "logs")
     (logs / "torn.parquet").write_bytes(b"PAR1 and nothing else")
     log.write(short_arm.log(9, 1000).rows(slice(None, None, 2)), logs / "log0_slow.parquet")
@@ -116,7 +112,6 @@ def test_logs_that_cannot_be_used_are_named_with_their_sentence(
 def test_a_file_that_ends_its_reader_is_skipped_by_name_also_among_the_first(
     folder: Path, short_arm, tmp_path: Path, plain: fleet.Identified, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A reader that ends its process stands for libraries that do so over a damaged file; workers are forked of it."""
     logs = shutil.copytree(folder, tmp_path / "logs")
     deadly, here = logs / "log0 deadly.parquet", os.getpid()
     shutil.copy(folder / "log0.parquet", deadly)
@@ -151,8 +146,6 @@ def test_all_skipped_is_an_error_with_a_reason(short_arm) -> None:
 
 @pytest.mark.slow
 def test_joints_may_move_in_a_log_each(short_arm) -> None:
-    """No log alone tells anything of the joint that rests. With four workers, the draft of the first two does not tell
-    enough, while the others are known by then: the bits are those of one process."""
     tables = [short_arm.log(k, 1000, still=still) for k, still in enumerate([{1: -0.5}, {1: 0.2}, {0: 0.3}, {0: -0.2}])]
     for table, joint in ((tables[0], "joint_2"), (tables[-1], "joint_1")):
         with pytest.raises(NotExcited, match=joint):
@@ -216,7 +209,6 @@ def test_a_second_run_makes_no_sums_and_damaged_ones_are_made_anew(
 def test_an_interrupted_run_goes_on(
     folder: Path, short_arm, tmp_path: Path, plain: fleet.Identified, made: list[int]
 ) -> None:
-    """What is kept is whole at once, so that Ctrl-C and kill -9 leave the same; nothing of it is made again."""
     cache = tmp_path / "cache"
 
     def stop(done: int, total: int, what: str) -> None:
@@ -253,7 +245,6 @@ def test_another_version_of_the_code_or_another_robot_makes_all_sums_anew(
 def test_two_that_keep_the_sums_of_equal_files_at_once(
     folder: Path, short_arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As with one log under two names, or two runs over one folder."""
     logs, write, inner = sorted(folder.iterdir())[:2], np.savez, []
 
     def meanwhile(*given, **named) -> None:
@@ -267,12 +258,11 @@ def test_two_that_keep_the_sums_of_equal_files_at_once(
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_a_cache_that_cannot_be_written_costs_time_only(folder: Path, short_arm, tmp_path: Path, plain) -> None:
+def test_a_cache_that_cannot_be_written_costs_time_only_and_is_the_users_by_default(
+    folder: Path, short_arm, tmp_path: Path, plain, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "cache").write_text("a file in its place")
     assert bits(fleet.identify(folder, short_arm.robot, cache=tmp_path / "cache")) == bits(plain)
-
-
-def test_the_default_folder_is_the_users(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
     assert default_folder() == Path("/somewhere/armlab/sums")
     monkeypatch.delenv("XDG_CACHE_HOME")

@@ -72,13 +72,8 @@ class Blaming(Executor):
 
 def test_whom_dask_blames_is_tried_alone_and_skipped_only_then() -> None:
     jobs, said = {f"joint {k}": k for k in range(6)}, []
-    done = map_logs(
-        abs,
-        jobs,
-        executor=Blaming(len(jobs), {1, 4}),
-        kind="joint",
-        progress=lambda done, total, what: said.append(what),
-    )
+    blaming = Blaming(len(jobs), {1, 4})
+    done = map_logs(abs, jobs, executor=blaming, kind="joint", progress=lambda *told: said.append(told[2]))
     assert list(done.skipped) == ["joint 1", "joint 4"]
     assert all("this joint, but it crashed again" in reason for reason in done.skipped.values())
     assert done.results == {name: k for name, k in jobs.items() if k not in (1, 4)}
@@ -126,7 +121,6 @@ def test_jobs_that_always_kill_their_worker_are_skipped_and_the_rest_is_done() -
 
 
 def test_a_worker_killed_from_outside_while_its_job_is_tried_alone_does_not_cost_the_job(tmp_path: Path) -> None:
-    """The job kills its worker among others, and the first time alone; it is innocent the third time."""
     marks = " || ".join(f"mkdir {tmp_path / name} 2>/dev/null" for name in "ab")
     job = partial(subprocess.check_output, ["sh", "-c", f"({marks}) && kill -9 $PPID; echo alive"])
     with ProcessPoolExecutor(2) as pool:
@@ -147,8 +141,6 @@ def test_workers_that_cannot_start_or_were_broken_before() -> None:
 
 
 def test_an_interrupt_leaves_no_job_waiting() -> None:
-    """What waits for a worker is not started any more; the pool ends with the jobs that run."""
-
     def stop(done: int, total: int, what: str) -> None:
         if done:
             raise KeyboardInterrupt
@@ -205,8 +197,8 @@ def test_a_cluster_that_loses_a_worker_beside_a_slow_one_gives_the_same_bits(
             found = fleet.identify(folder, short_arm.robot, executor, kill)
     assert killed
     assert (found.used, found.skipped, found.fit.n) == (here.used, {}, here.fit.n)
-    assert found.fit.parameters.tobytes() == here.fit.parameters.tobytes()
-    assert found.fit.cov.tobytes() == here.fit.cov.tobytes()
+    for name in ("parameters", "cov"):
+        assert getattr(found.fit, name).tobytes() == getattr(here.fit, name).tobytes()
 
 
 @contextmanager

@@ -76,8 +76,8 @@ def test_messages_of_no_robot_are_counted_and_leave_no_file(
     assert set(fleet.robots) == {"lab1/nobody", "lab1/other"}
     fleet.close()
     assert list(tmp_path.iterdir()) == []
-    assert any("rows without a description" in text for text in told)
-    assert any("lab1/other: invalid messages" in text for text in told)
+    for words in ("rows without a description", "lab1/other: invalid messages"):
+        assert any(words in text for text in told)
 
 
 def test_what_goes_wrong_with_one_robot_ends_its_recording_alone(
@@ -106,7 +106,6 @@ def test_what_goes_wrong_with_one_robot_ends_its_recording_alone(
 
 
 def test_what_waits_takes_bounded_memory(lab: tuple[FleetRecorder, Put], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows of robots that nobody describes, and what is larger than rows are."""
     fleet, put = lab
     monkeypatch.setattr(recorder, "_ROOM", 100)
     fleet._room = 100
@@ -141,7 +140,6 @@ def test_every_row_is_in_the_files(processes: Callable[..., Started], tmp_path: 
 
 @pytest.mark.slow
 def test_a_router_that_dies_leaves_a_hole_that_is_counted(processes: Callable[..., Started], tmp_path: Path) -> None:
-    """By the stamps of the rows it ends within 5 s after the next router."""
     port, name = free_port(), "lab1/yumi_left"
     router = processes("router", port)
     with FleetRecorder(LabAddress(port=port, lab="lab1"), tmp_path) as fleet:
@@ -230,10 +228,8 @@ def test_holes_are_named_and_counted(record: RobotRecord, robot: Robot, told: li
     table = log.read(record.paths[0])
     np.testing.assert_array_equal(table["tick"], [5, 6, 9, 10, 20])
     assert "11 rows were dropped while recording: ticks 7 to 8, 11 to 19" in table.notes
-    assert [text for text in told if "rows missing" in text] == [
-        f"lab1/{robot.name}: 2 rows missing, ticks 7 to 8",
-        f"lab1/{robot.name}: 9 rows missing, ticks 11 to 19",
-    ]
+    missing = ["2 rows missing, ticks 7 to 8", "9 rows missing, ticks 11 to 19"]
+    assert [text for text in told if "rows missing" in text] == [f"lab1/{robot.name}: {words}" for words in missing]
 
 
 @pytest.mark.parametrize(
@@ -247,7 +243,6 @@ def test_holes_are_named_and_counted(record: RobotRecord, robot: Robot, told: li
 def test_a_bridge_that_starts_again_gets_a_file_of_its_own(
     record: RobotRecord, robot: Robot, told: list[str], run: str, first: int, is_doubted: bool, counts: tuple
 ) -> None:
-    """Whatever its ticks are; what came before it had gone belongs to the old run."""
     fed(record, Bridge(robot), [(k, k) for k in range(9)])
     record.take(Bridge(robot).row(9, 9))
     if is_doubted:
@@ -261,7 +256,6 @@ def test_a_bridge_that_starts_again_gets_a_file_of_its_own(
 def test_rows_of_a_bridge_that_does_not_answer_are_taken_for_the_same_run(
     record: RobotRecord, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And given up where there was none before."""
     fed(record, Bridge(robot), [(0, 0)])
     record.doubt()
     monkeypatch.setattr(recorder, "_UNANSWERED", -1.0)

@@ -40,12 +40,9 @@ def test_files_of_mcap(ros: Any, tmp_path: Path, chunking: bool) -> None:
     table = log.read(path, clock="/joint_states")
     np.testing.assert_array_equal(table["q"][:, 0], np.arange(20))
     np.testing.assert_array_equal(table["state.gain"], np.arange(20))
-    assert table.notes == ("skipped: /odd (Expected messages encoded as cdr, json or protobuf, got 'flatbuffer')",)
-    with pytest.raises(
-        LogError,
-        match=r"as clock= for .*, got /odd: Expected messages encoded as cdr, json or protobuf, got "
-        r"'flatbuffer'\.",
-    ):
+    reason = "Expected messages encoded as cdr, json or protobuf, got 'flatbuffer'"
+    assert table.notes == (f"skipped: /odd ({reason})",)
+    with pytest.raises(LogError, match=rf"as clock= for .*, got /odd: {reason}\."):
         log.read(path, clock="/odd")
     assert log.read(path, ["q"], robot=None).names == ("q",)
 
@@ -93,19 +90,15 @@ def test_idl_and_types_that_nobody_defines(ros: Any, tmp_path: Path) -> None:
 
 
 def test_parts_of_a_topic_that_are_holes_together_are_left_out_alone() -> None:
-    """Of two files, or two publishers."""
     into = TopicMessages(fields={name: TopicFields("t/msg/T", {}) for name in ("/ragged", "/good")})
     for rows, width in ((1, 100_000), (3000, 1)):
         for topic in ("/ragged", "/good"):
             array = np.zeros((rows, 1 if topic == "/good" else width))
             into.add(topic, Decoded(np.zeros(rows, np.uint32), np.arange(rows), {"x": array}))
     ((name, _, decoded),) = into.decoded()
-    assert name == "/good"
-    assert len(decoded.sequence) == 3001
-    (sentence,) = into.damage
-    assert sentence.startswith(
-        "3001 messages on /ragged skipped: Expected arrays of similar size, got 3001 rows with 103000"
-    )
+    assert (name, len(decoded.sequence)) == ("/good", 3001)
+    words = "3001 messages on /ragged skipped: Expected arrays of similar size, got 3001 rows with 103000"
+    assert [sentence[: len(words)] for sentence in into.damage] == [words]
 
 
 def test_json() -> None:
@@ -123,8 +116,7 @@ def test_messages_become_fields() -> None:
     raws = [b'{"a": 1, "b": [1, 2]}', b"no", b'{"a": 2, "b": [3], "c": true}', b'{"a": 123456789012345678901}']
     decoded, bad, reason = decode_one_by_one([(k, 10 * k, raw) for k, raw in enumerate(raws)], numbers_in_json)
     assert (bad, reason) == (1, "Expected a message in JSON, got: Input data was truncated.")
-    assert decoded.sequence.tolist() == [0, 2, 3]
-    assert decoded.log_ns.tolist() == [0, 20, 30]
+    assert (decoded.sequence.tolist(), decoded.log_ns.tolist()) == ([0, 2, 3], [0, 20, 30])
     assert decoded.fields["a"].dtype == float  # one is larger than 64 bits
     np.testing.assert_array_equal(decoded.fields["b"], [[1, 2], [3, np.nan], [np.nan, np.nan]])
     np.testing.assert_array_equal(decoded.fields["c"][:, 0], [np.nan, 1, np.nan])
@@ -139,17 +131,11 @@ def test_messages_become_fields() -> None:
 
 
 def test_one_long_message_does_not_ask_for_memory_in_all_rows() -> None:
-    """Half a megabyte of messages, 19 GB of columns; and as many names as messages, just below what is refused."""
     long = b"[%b]" % b",".join([b"1"] * 200_000)
-    decoded, bad, reason = decode_one_by_one(
-        ((k, k, raw) for k, raw in enumerate([long, b"no", *[b"[1]"] * 4_000])), numbers_in_json
-    )
-    assert decoded.fields == {}
-    assert len(decoded.sequence) == 0
-    assert bad == 4_002
-    assert reason.startswith(
-        "Expected arrays of similar size, got 4001 rows with 204000 numbers, up to 200000 in value"
-    )
+    raws = [long, b"no", *[b"[1]"] * 4_000]
+    decoded, bad, reason = decode_one_by_one(((k, k, raw) for k, raw in enumerate(raws)), numbers_in_json)
+    assert (decoded.fields, len(decoded.sequence), bad) == ({}, 0, 4_002)
+    assert reason.startswith("Expected arrays of similar size, got 4001 rows with 204000 numbers, up to 200000 in v")
     decoded, bad, _ = decode_one_by_one(((k, k, b'{"%d": %d}' % (k, k)) for k in range(2000)), numbers_in_json)
     assert bad == 0
     assert [decoded.fields[str(k)][k, 0] for k in range(2000)] == list(range(2000))

@@ -96,16 +96,13 @@ def test_columns_of_one_topic_need_no_clock(ros: Any, tmp_path: Path) -> None:
 
 def test_joints_of_another_robot_are_listed_on_both_sides(ros: Any, tmp_path: Path) -> None:
     path = ros.bag(tmp_path / "bag", ur_bag(ros, 3))
-    with pytest.raises(
-        LogError, match=r"Only in the robot: panda_joint1, .*; only in the log: elbow_joint, .*_3_joint\."
-    ):
+    words = r"Only in the robot: panda_joint1, .*; only in the log: elbow_joint, .*_3_joint\."
+    with pytest.raises(LogError, match=words):
         log.read(path, ["q"], robot="panda")
     with pytest.raises(UnknownName, match=r"library robot or the first part of a topic name in this file, got 'nix'"):
         log.read(path, robot="nix")
     only = ros.bag(tmp_path / "other", [("/x", ros.start, ros.numbers([1.0]))])
-    with pytest.raises(
-        LogError, match=r"a topic of type sensor_msgs/msg/JointState with the joints of ur5e .*got /x 1"
-    ):
+    with pytest.raises(LogError, match=r"a topic of type sensor_msgs/msg/JointState with the joints of ur5e .*got /x"):
         log.read(only, robot=robots.load("ur5e"))
 
 
@@ -199,7 +196,6 @@ def test_split_packed_and_unfinished_bags(ros: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("lost", [(), (1, 3)])
 def test_a_bag_of_ros_1(ros: Any, tmp_path: Path, lost: tuple[int, ...]) -> None:
-    """Messages that are cut off are left out alone."""
     store = get_typestore(Stores.ROS1_NOETIC)
     path = tmp_path / "run.bag"
     with Ros1Writer(path) as bag:
@@ -275,7 +271,7 @@ def test_messages_without_fields_in_a_bag_of_ros_1(tmp_path: Path) -> None:
     }  # fmt: skip
     path = bag_of_one(tmp_path / "endless.bag", "Nothing[] a", b"\xff\xff\xff\xff")  # as many as a message says
     with pytest.warns(
-        UserWarning, match=r"skipped: /one \(Expected at most 16 fields per byte in the elements of a of lab_msgs/"
+        UserWarning, match=r"skipped: /one \(Expected at most 16 fields per byte in the elements of a of"
     ):
         assert read_topics(path) == {}
 
@@ -300,8 +296,6 @@ def fields(ros: Any, topic: TopicFields, *raws: bytes) -> dict[str, np.ndarray]:
 
 def test_a_state_of_one_message(ros: Any) -> None:
     """As the drivers of Franka arms send: everything in one message of their own type."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(ROBOT, "lab_msgs/msg/State"))
     topic = TopicFields("lab_msgs/msg/State", {name: entry[1] for name, entry in store.fielddefs.items()})
@@ -310,16 +304,10 @@ def test_a_state_of_one_message(ros: Any) -> None:
         names = ["a", "b"] if i else ["b", "a"]  # another order is another layout
         joints = ros.joints(ros.start, names, [i, -i] if i else [-i, i])
         poses = [ros.pose(ros.start, "base", [i, 2, 3], (0, 0, 1, 0) if i else (0, 0, 0, 0))]
-        message = store.types["lab_msgs/msg/State"](
-            header=ros.header(ros.start, "link0"),
-            measured=joints,
-            o_f_ext=ros.wrench(ros.start, "tool", [i, 0, 0, 0, 0, 1]),
-            poses=poses,
-            gains=np.full(7, float(i)),
-            count=2**64 - 1 if i == 2 else i,
-            on=i == 1,
-            picture=np.zeros(100, dtype=np.uint8),
-        )
+        parts = {"header": ros.header(ros.start, "link0"), "measured": joints, "poses": poses}
+        parts |= {"o_f_ext": ros.wrench(ros.start, "tool", [i, 0, 0, 0, 0, 1]), "gains": np.full(7, float(i))}
+        parts |= {"count": 2**64 - 1 if i == 2 else i, "on": i == 1, "picture": np.zeros(100, dtype=np.uint8)}
+        message = store.types["lab_msgs/msg/State"](**parts)
         raws.append(bytes(store.serialize_cdr(message, "lab_msgs/msg/State")))
     values, columns, notes = columns_of_fields(topic, fields(ros, topic, *raws))
     assert list(values) == [
@@ -345,10 +333,7 @@ def test_states_without_a_joint_or_without_an_effort(ros: Any) -> None:
     assert notes == []
     values, _, notes = columns_of_fields(topic, fields(ros, topic, *messages))
     np.testing.assert_array_equal(values["q"], [[np.nan, np.nan], [np.nan, np.nan], [3.0, 4.0]])
-    assert notes == [
-        "q of 1 messages are missing: they do not name their joints",
-        "qd of 1 messages are missing: they do not name their joints",
-    ]
+    assert notes == [f"{name} of 1 messages are missing: they do not name their joints" for name in ("q", "qd")]
 
 
 def streams(ros: Any, topic: str, messages: list[tuple[int, Any]]) -> list[Stream]:
@@ -366,10 +351,8 @@ def streams(ros: Any, topic: str, messages: list[tuple[int, Any]]) -> list[Strea
 
 def test_names_order_and_stamps_of_a_topic(ros: Any) -> None:
     (one,) = streams(ros, "/a/pose", [(1, ros.pose(5, "base", [1, 2, 3]))])
-    assert list(one.values) == ["a.pose"]
-    assert one.columns["a.pose"].kind == "pose"
-    assert one.stamp_ns is not None
-    assert one.stamp_ns.tolist() == [5]
+    assert (list(one.values), one.columns["a.pose"].kind) == (["a.pose"], "pose")
+    np.testing.assert_array_equal(one.stamp_ns, [5])
     vector = ros.types["geometry_msgs/msg/Vector3Stamped"]
     (two,) = streams(ros, "/v", [(1, vector(header=ros.header(0), vector=ros.vector("Vector3", 1, 2, 3)))])
     assert list(two.values) == ["v.vector.x", "v.vector.y", "v.vector.z"]
@@ -388,8 +371,7 @@ def test_transforms_of_two_publishers(ros: Any) -> None:
     messages = [(i, ros.transforms(i + 1, *((*pair, [i, 0, 0]) for pair in pairs[i % 2]))) for i in range(4)]
     body, camera = streams(ros, "/tf", messages)
     assert list(body.values) == ["tf.w.b", "tf.b.base/link.1"]
-    assert camera.stamp_ns is not None
-    assert camera.stamp_ns.tolist() == [2, 4]
+    np.testing.assert_array_equal(camera.stamp_ns, [2, 4])
     assert camera.values["tf.cam.m"][:, 0, 3].tolist() == [1, 3]
 
 
@@ -411,7 +393,6 @@ def stream(
 
 
 def test_a_header_of_another_clock_is_not_believed() -> None:
-    """A camera with a clock of its own; simulated time beside recorded time."""
     log_ns = 10**18 + ROWS * 10**7
     arm = stream("/joint_states", log_ns, log_ns - 300, JOINTS)
     odd = stream("/cam", log_ns + 1000, ROWS * 10**7 + 5)

@@ -36,7 +36,6 @@ def test_velocity_of_another_sign_unit_or_order(truth, excited) -> None:
 
 
 def test_a_locked_joint_that_is_not_fitted_has_no_velocity_to_compare(truth, excited) -> None:
-    """Its position stands still and its velocity is noise: no derivative of anything, and no reason to refuse."""
     q, qd = excited["q"].copy(), excited["qd"].copy()
     q[:, 6], qd[:, 6] = 0.3, 1e-3 * np.random.default_rng(0).standard_normal(len(q))
     for speed in (qd, np.where(np.arange(7) == 6, 0.0, qd)):
@@ -87,9 +86,8 @@ def test_torque_of_the_motors_without_masses_in_the_robot_file(truth, excited) -
     """The arm is judged by its reach: at the motors of a gear of 100 it would hold itself up with a finger's force."""
     robot = truth.robot
     assert robot.inertias is None
-    with pytest.raises(
-        ShapeError, match=r"motor torques for .*axis_1 \(gear ratio 100\).*reach.*motor_torque_to_joint"
-    ):
+    words = r"motor torques for .*axis_1 \(gear ratio 100\).*reach.*motor_torque_to_joint"
+    with pytest.raises(ShapeError, match=words):
         prepare(changed(excited, tau=joint_torque_to_motor(robot, excited["tau"])), robot)
     silent = replace(robot, coupling=np.eye(7))
     with pytest.raises(ShapeError, match="Multiply it by the gear ratio, and add the coupling to the robot"):

@@ -24,13 +24,7 @@ from armlab.glossary import columns as known
 from armlab.lie import se3
 from armlab.log import Column, Table
 from armlab.log.file_formats.opening import file_hash
-from armlab.log.file_formats.rosbag2 import (
-    STORAGES,
-    is_ours,
-    read_rosbag2,
-    topics_of,
-    whole_poses,
-)
+from armlab.log.file_formats.rosbag2 import STORAGES, is_ours, read_rosbag2, topics_of, whole_poses
 from armlab.log.writing import ENDINGS, write
 
 N = 100
@@ -79,33 +73,26 @@ def test_what_cannot_be_written_is_refused_and_leaves_nothing(table: Table, tmp_
     yumi, six = robots.load("yumi_left"), Table([0.0, 1.0], {"q": np.zeros((2, 6)), "tau": np.zeros((2, 6))})
     about = {"id": Column(unit="1", kind="count")}
     large = Table([0.0, 1.0], {"q": np.zeros((2, 7)), "id": np.array([1, 2**53 + 1])}, about)
-    odd = [
-        Table([0.0, 1.0], {"m": np.array(["a", w])}, {"m": Column(unit="1", kind="text")}) for w in ("a\0b", "\ud800")
-    ]
+    words = {"m": Column(unit="1", kind="text")}
+    odd = [Table([0.0, 1.0], {"m": np.array(["a", word])}, words) for word in ("a\0b", "\ud800")]
     text = r"without NUL or lone surrogates in the column 'm', got .* in row 1"
     late, far = Table(table.t, {"q": table["q"]}, t0_ns=2**62), Table([0.0, 1e300], {"q": np.zeros((2, 1))})
-    for what, name, robot, storage, error, words in (
-        (table, "est.xlsx", None, "mcap", ConfigError, r"ends in \.mcap, \.csv, .*\.hdf5, \.rosbag2, got"),
-        (table, "none/est.csv", None, "mcap", LogError, "create"),
-        (table, "est.mcap", None, "mcap", ConfigError, "Pass robot="),
-        (
-            six,
-            "six.mcap",
-            yumi,
-            "mcap",
-            ShapeError,
-            r"q of shape \(2, 7\) for robot 'yumi_left' with 7 .* got \(2, 6\)",
-        ),
-        (six, "six.mcap", "irb120", "mcap", RobotError, "Load it first"),
-        ("six.csv", "six.mcap", yumi, "mcap", ShapeError, "Expected a Table"),
-        (large, "run.mcap", yumi, "mcap", LogError, r"counts up to 2\^53 in 'id' for MCAP"),
-        *((one, "run.h5", None, "mcap", LogError, text) for one in odd),
-        (late, "run.rosbag2", None, "mcap", LogError, "before the year 2038"),
-        (far, "run.rosbag2", None, "mcap", LogError, r"times of at most 2\.15e\+09 s"),
-        (table, "run.rosbag2", None, "postgres", UnknownName, "storage"),
+    for what, name, robot, error, words in (
+        (table, "est.xlsx", None, ConfigError, r"ends in \.mcap, \.csv, .*\.hdf5, \.rosbag2, got"),
+        (table, "none/est.csv", None, LogError, "create"),
+        (table, "est.mcap", None, ConfigError, "Pass robot="),
+        (six, "six.mcap", yumi, ShapeError, r"q of shape \(2, 7\) for robot 'yumi_left' with 7 .* got \(2, 6\)"),
+        (six, "six.mcap", "irb120", RobotError, "Load it first"),
+        ("six.csv", "six.mcap", yumi, ShapeError, "Expected a Table"),
+        (large, "run.mcap", yumi, LogError, r"counts up to 2\^53 in 'id' for MCAP"),
+        *((one, "run.h5", None, LogError, text) for one in odd),
+        (late, "run.rosbag2", None, LogError, "before the year 2038"),
+        (far, "run.rosbag2", None, LogError, r"times of at most 2\.15e\+09 s"),
     ):
         with pytest.raises(error, match=words):
-            write(what, tmp_path / name, robot, storage=storage)  # type: ignore[arg-type]
+            write(what, tmp_path / name, robot)  # type: ignore[arg-type]
+    with pytest.raises(UnknownName, match="storage"):
+        write(table, tmp_path / "run.rosbag2", storage="postgres")
     assert not list(tmp_path.iterdir())
     (tmp_path / "run.rosbag2").mkdir()
     (tmp_path / "run.rosbag2" / "thesis.tex").write_text("years of work")
@@ -115,7 +102,6 @@ def test_what_cannot_be_written_is_refused_and_leaves_nothing(table: Table, tmp_
 
 
 def test_csv_alone_keeps_whole_nanoseconds(tmp_path) -> None:
-    """Without the file beside it: what the glossary knows, and whole numbers that a float cannot hold."""
     rng, stamps = np.random.default_rng(0), 1_700_000_000_000_000_001 + 4_000_001 * np.arange(40)
     real = np.array([np.inf, -0.0, 5e-324, np.nan, *rng.normal(size=36)])
     values = {"q": rng.normal(size=(40, 7)), "robot_ns": np.where(np.arange(40) == 3, 0, stamps), "real": real}
@@ -145,9 +131,8 @@ def test_poses_that_a_quaternion_can_hold_come_back(tmp_path) -> None:
     T = np.tile(np.eye(4), (3, 1, 1))
     T[:, :3, 3] = np.arange(9.0).reshape(3, 3)
     T[1] = np.nan
-    table = Table(
-        np.arange(3.0), {"q": np.zeros((3, 6)), "T_cam_marker": T}, {"T_cam_marker": Column(unit="1", kind="pose")}
-    )
+    values, pose = {"q": np.zeros((3, 6)), "T_cam_marker": T}, Column(unit="1", kind="pose")
+    table = Table(np.arange(3.0), values, {"T_cam_marker": pose})
     found = log.read(write(table, tmp_path / "run.mcap", robots.load("irb2400")))
     np.testing.assert_array_equal(found["T_cam_marker"], T)
 
@@ -164,9 +149,8 @@ def full_disk() -> Iterator[None]:
 @pytest.mark.parametrize(("ending", "storage"), [*((ending, "mcap") for ending in ENDINGS), (".rosbag2", "sqlite3")])
 def test_a_full_disk_is_one_sentence_and_leaves_nothing(table: Table, tmp_path, full_disk, ending, storage) -> None:
     path = tmp_path / f"run{ending}"
-    with pytest.raises(LogError, match=rf"Expected to create the file .*run\{ending}, got: .*\.") as told:
+    with pytest.raises(LogError, match=rf"^Expected to create the file .*run\{ending}, got: .*\.$"):  # in one line
         write(table, path, robots.load("yumi_left") if ending == ".mcap" else None, storage=storage)
-    assert "\n" not in str(told.value)
     assert not list(tmp_path.iterdir())
 
 
@@ -331,16 +315,12 @@ def test_what_another_program_reads(table_bag: Table, tmp_path: Path, storage: s
             types[connection.topic] = connection.msgtype
             found.setdefault(connection.topic, []).append((stamp, bag.deserialize(raw, connection.msgtype)))
     assert Counter(len(messages) for messages in found.values()) == {5: len(types)}
+    plain = {"t": "Float64", "seq": "Int64", "mode": "String", "late": "Bool", "J": "Float64MultiArray"}
     assert types == {
-        "/t": "std_msgs/msg/Float64",
+        **{f"/{name}": f"std_msgs/msg/{kind}" for name, kind in {**plain, "bits": "UInt8MultiArray"}.items()},
         "/joint_states": "sensor_msgs/msg/JointState",
         "/wrench": "geometry_msgs/msg/WrenchStamped",
         "/T_base_tool": "geometry_msgs/msg/PoseStamped",
-        "/seq": "std_msgs/msg/Int64",
-        "/mode": "std_msgs/msg/String",
-        "/late": "std_msgs/msg/Bool",
-        "/J": "std_msgs/msg/Float64MultiArray",
-        "/bits": "std_msgs/msg/UInt8MultiArray",
     }
     stamp, joints = found["/joint_states"][1]
     assert stamp == START + 1_004_000_000
@@ -350,12 +330,10 @@ def test_what_another_program_reads(table_bag: Table, tmp_path: Path, storage: s
     np.testing.assert_array_equal(joints.effort, table_bag["tau"][1])
     assert len(joints.velocity) == 0
     wrench = found["/wrench"][2][1]
-    assert wrench.header.frame_id == "base"
-    assert wrench.wrench.torque.z == table_bag["wrench"][2, 5]
+    assert (wrench.header.frame_id, wrench.wrench.torque.z) == ("base", table_bag["wrench"][2, 5])
     pose = found["/T_base_tool"][3][1].pose
     assert pose.position.y == table_bag["T_base_tool"][3, 1, 3]
-    size = pose.orientation.w**2 + pose.orientation.x**2 + pose.orientation.y**2 + pose.orientation.z**2
-    assert size == pytest.approx(1.0)
+    assert sum(getattr(pose.orientation, axis) ** 2 for axis in "wxyz") == pytest.approx(1.0)
     array = found["/J"][4][1]
     assert [(dim.size, dim.stride) for dim in array.layout.dim] == [(2, 6), (3, 3)]
     np.testing.assert_array_equal(array.data, table_bag["J"][4].ravel())
@@ -391,13 +369,6 @@ def test_topics_have_names_that_ros_allows_and_none_comes_twice() -> None:
     columns = {"a.b": Column((), "1"), "a_b": Column((), "1"), "t?": Column((2,), "1"), "joint_states": Column((), "1")}
     columns |= {"q": Column((2,), "rad"), "qd_sent": Column((2,), "rad/s"), "words": Column((2,), "1", kind="text")}
     topics = topics_of(columns, [])
-    assert [(topic.name, *topic.fields) for topic in topics] == [
-        ("/t", "t"),
-        ("/joint_states", "q"),
-        ("/joint_states_sent", "qd_sent"),
-        ("/a_b", "a.b"),
-        ("/a_b_2", "a_b"),
-        ("/t_", "t?"),
-        ("/joint_states_2", "joint_states"),
-        ("/words", "words"),
-    ]
+    wanted = [("/t", "t"), ("/joint_states", "q"), ("/joint_states_sent", "qd_sent"), ("/a_b", "a.b")]
+    wanted += [("/a_b_2", "a_b"), ("/t_", "t?"), ("/joint_states_2", "joint_states"), ("/words", "words")]
+    assert [(topic.name, *topic.fields) for topic in topics] == wanted
