@@ -365,7 +365,7 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
         ({"inertias": [[0, 1] + [0] * 8, BODY]}, "inertia of link 1 of robot 'r', got moments without a mass"),
         ({"inertias": [BODY, inertia.from_body(1.0, [0, 0, 0], np.diag([-1e-3, 1, 1]))]}, r"moments \[-0.001"),
         ({"meshes": [["link.stl"], [], []]}, "Expected a robots.Mesh in the meshes of robot 'r', got 'link.stl'"),
-        ({"meshes": [[MESH], []]}, "Expected meshes in robot 'r' of the mount and 2 links, got 2 tuples"),
+        ({"meshes": [[MESH], []]}, "Expected meshes of the mount and 2 links in robot 'r', got 2 tuples"),
         ({"gravity": [0, 0, np.inf]}, "Expected finite gravity"),
         ({"gravity": [0, 0, np.nan]}, r"Expected numbers in gravity of robot 'r', got NaN at index \(2,\)\."),
         ({"joint_names": ["a"]}, r"Expected 2 different joint_names of robot 'r', got \['a'\]\."),

@@ -152,10 +152,10 @@ def test_gravity_follows_the_base(tree: Tree) -> None:
 def test_what_is_left_out_is_said(tree: Tree) -> None:
     robot = tree.chain("body", "tip_b")
     assert robot.inertias is None
-    assert "omitted, behind joints: finger_a" in robot.source.splitlines()
-    assert "follow other joints: finger_b" in robot.source.splitlines()
+    assert "omitted branches behind: finger_a" in robot.source.splitlines()
+    assert "mimic joints: finger_b" in robot.source.splitlines()
     across = tree.chain("cup", "tip_a")
-    assert "no mass known behind: left_turn, right_turn, finger_a" in across.source
+    assert "unknown mass behind: left_turn, right_turn, finger_a" in across.source
     assert across.joint_names == ("left_slide", "left_turn", "right_turn", "finger_a")
 
 

@@ -194,7 +194,7 @@ def is_pose(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarr
 
     Raises
     ------
-    ShapeError : wrong shape, or a tolerance that is not a number >= 0.
+    ShapeError : wrong shape, or a negative or invalid tolerance.
     """
     T = arguments.array(T, (4, 4), "T")
     last_row = (T[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all(axis=-1)
@@ -211,7 +211,7 @@ def orthonormalise(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> n
 
     Raises
     ------
-    ShapeError : wrong shape, or a tolerance that is not a number >= 0.
+    ShapeError : wrong shape, or a negative or invalid tolerance.
     """
     T = arguments.array(T, (4, 4), "T").copy()
     T[..., :3, :3] = so3.orthonormalise(T[..., :3, :3], tolerance)

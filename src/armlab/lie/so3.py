@@ -21,7 +21,7 @@ __all__ = [
 ]  # fmt: skip
 
 ROTATION_TOLERANCE = arguments.ROTATION_TOLERANCE
-"""Largest entry of |RᵀR - I| accepted as a rotation; six decimals have errors of up to 2e-6.
+"""Largest entry of |RᵀR - I| accepted as a rotation; matrices with six decimals are off by up to 2e-6.
 
 For larger errors, use `project`.
 """
@@ -126,7 +126,7 @@ def is_rotation(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarr
 
     Raises
     ------
-    ShapeError : wrong shape, or a tolerance that is not a number >= 0.
+    ShapeError : wrong shape, or a negative or invalid tolerance.
     """
     R, tolerance = arguments.array(R, (3, 3), "R"), arguments.tolerance(tolerance)
     R = np.where(np.isfinite(R).all(axis=(-1, -2), keepdims=True), R, 0.0)
@@ -148,7 +148,7 @@ def orthonormalise(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.nd
 
     Raises
     ------
-    ShapeError : wrong shape, or a tolerance that is not a number >= 0.
+    ShapeError : wrong shape, or a negative or invalid tolerance.
     """
     R = arguments.array(R, (3, 3), "R")
     precise = is_rotation(R, NEGLIGIBLE)

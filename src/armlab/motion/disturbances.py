@@ -37,7 +37,7 @@ class Push(Shown):
 
     Raises
     ------
-    ShapeError : times that are not finite or do not increase, or velocities that are not finite.
+    ShapeError : non-finite or non-increasing times, or non-finite velocities.
     """
 
     t0: float
@@ -57,7 +57,7 @@ class Push(Shown):
         which = np.arange(n) if self.dofs is None else np.asarray(self.dofs)
         whole = which.ndim == 1 and which.dtype.kind in "iu" and bool(((which >= 0) & (which < n)).all())
         if not whole or not which.size or len(set(which.tolist())) < len(which):
-            raise ShapeError(f"Expected dofs as different numbers from 0 to {n - 1}, got {self.dofs}.")
+            raise ShapeError(f"Expected dofs as distinct indices from 0 to {n - 1}, got {self.dofs}.")
         velocity = numbers(self.velocity, "velocity", ShapeError)
         if velocity.shape not in ((), which.shape):
             raise ShapeError(
@@ -78,7 +78,7 @@ class Hold(Push):
 
     Raises
     ------
-    ShapeError : times that are not finite or do not increase.
+    ShapeError : non-finite or non-increasing times.
     """
 
     def __init__(self, t0: float, t1: float, dofs: Dofs = None) -> None:
@@ -96,7 +96,7 @@ class Displace(Shown):
 
     Raises
     ------
-    ShapeError : a time or displacement that is not finite.
+    ShapeError : a non-finite time or displacement.
     """
 
     t: float

@@ -119,7 +119,7 @@ class Dmp(Equation, Saved, kind="dmp"):
 
         Raises
         ------
-        ShapeError : times that do not increase, wrong shapes, NaN.
+        ShapeError : non-increasing times, wrong shapes, or NaN.
         ConfigError : both duration and tau_d.
         """
         return self._run(RunParameters.of(self, **run), t)
@@ -295,7 +295,7 @@ def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = Non
     )
     if not inside or len(np.unique(times)) != len(times):
         raise ShapeError(
-            f"Expected different times (k,) above 0 and up to the duration, {dmp.duration:g} s, got {times.tolist()}."
+            f"Expected distinct times (k,) above 0 and up to the duration, {dmp.duration:g} s, got {times.tolist()}."
         )
     wanted = [_points(values, what, len(times), dmp.n) for values, what in ((y, "y"), (yd, "yd")) if values is not None]
     if not wanted:

@@ -38,7 +38,7 @@ class Capsule(Shown):
 
     Raises
     ------
-    ShapeError : wrong shapes, values that are not finite, a negative radius.
+    ShapeError : wrong shapes, non-finite values, or a negative radius.
     """
 
     a: np.ndarray
@@ -174,7 +174,7 @@ class AvoidingDmp(Shown):
 
         Raises
         ------
-        ShapeError : start or goal within the clearance, and as in `Dmp.rollout`.
+        ShapeError : start or goal within the clearance, or as in `Dmp.rollout`.
         """
         setting, around = self._resolved(run)
         times = setting.times(t)
@@ -195,7 +195,7 @@ class AvoidingDmp(Shown):
 
         Raises
         ------
-        ShapeError : start or goal within the clearance, and as in `Dmp.stepper`.
+        ShapeError : start or goal within the clearance, or as in `Dmp.stepper`.
         """
         return AvoidingStepper(self, *self._resolved(run))
 
@@ -240,9 +240,9 @@ def rows_of(capsules: Iterable[Capsule], axes: int) -> np.ndarray:
     rows = []
     for i, one in enumerate(members(capsules, "capsules")):
         if not isinstance(one, Capsule):
-            raise ShapeError(f"Expected capsules, got {one!r:.50} as number {i}. Use motion.Capsule.")
+            raise ShapeError(f"Expected capsules, got {one!r:.50} at index {i}. Use motion.Capsule.")
         if len(one.a) != axes:
-            raise ShapeError(f"Expected capsules in {axes} dimensions, got {len(one.a)} for number {i}.")
+            raise ShapeError(f"Expected capsules in {axes} dimensions, got {len(one.a)} dimensions at index {i}.")
         a, b, velocity = (np.append(x, np.zeros(3 - axes)) for x in (one.a, one.b, np.asarray(one.velocity)))
         rows.append(np.concatenate([a, b, [one.radius], velocity]))
     return np.array(rows).reshape(-1, 10)

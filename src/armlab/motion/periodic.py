@@ -50,7 +50,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
 
     Raises
     ------
-    ShapeError : fields with inconsistent shapes, values that are not finite or not positive.
+    ShapeError : fields with inconsistent shapes, non-finite values, or non-positive constants.
 
     References
     ----------
@@ -155,7 +155,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
 
         Raises
         ------
-        ShapeError : times that do not increase, wrong shapes, NaN, a period that is not positive.
+        ShapeError : non-increasing times, wrong shapes, NaN, or a non-positive period.
         """
         tau, *state = self._start_state(period, g, r, y0, v0, phase)
         times = clock(t, 2 * np.pi * tau)
@@ -207,7 +207,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
 
         Raises
         ------
-        ShapeError : wrong number of joints, a baseline outside the limits, and as in `rollout`.
+        ShapeError : wrong number of joints, a baseline outside the limits, or as in `rollout`.
         """
         return PeriodicController(robot, self, {"period": period, "g": g, "r": r, "turns": turns}, limits)
 
@@ -343,8 +343,8 @@ def fit_periodic_dmp(
 
     Raises
     ------
-    ShapeError : wrong shapes, NaN or times that do not increase (with row numbers); a period that is not positive;
-        several demonstrations.
+    ShapeError : wrong shapes, NaN or non-increasing times (with row numbers), a non-positive period, or several
+        demonstrations.
     ConfigError : options out of range.
     NotExcited : samples that leave part of the period empty, without a ridge.
     """

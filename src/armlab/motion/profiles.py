@@ -51,7 +51,7 @@ def minimum_jerk(q0: ArrayLike, q1: ArrayLike, duration: float, dt: float = PERI
 
     Raises
     ------
-    ShapeError : points of different shapes, missing values, a duration that is not positive.
+    ShapeError : points of different shapes, missing values, or a non-positive duration.
 
     References
     ----------
@@ -81,7 +81,7 @@ def quintic(
 
     Raises
     ------
-    ShapeError : points of different shapes, missing values, a duration that is not positive.
+    ShapeError : points of different shapes, missing values, or a non-positive duration.
     """
     start = arguments.point(q0, "q0")
     end, n = arguments.second_point(q1, "q1", start), len(start)
@@ -148,7 +148,7 @@ def blend(q0: ArrayLike, q1: ArrayLike, duration: float, cruise: float = 1.5, dt
 
     Raises
     ------
-    ShapeError : points of different shapes, a duration that is not positive, `cruise` out of range.
+    ShapeError : points of different shapes, a non-positive duration, or `cruise` out of range.
     """
     start = arguments.point(q0, "q0")
     return connect([start, arguments.second_point(q1, "q1", start)], duration, cruise, dt)
@@ -193,7 +193,7 @@ def spline(t: ArrayLike, q: ArrayLike, qd0: ArrayLike = 0.0, qd1: ArrayLike = 0.
 
     Raises
     ------
-    ShapeError : fewer than two points, missing values, times that do not increase, shapes that do not match.
+    ShapeError : fewer than two points, missing values, non-increasing times, or shapes that do not match.
     """
     from scipy.interpolate import CubicSpline
 
@@ -201,8 +201,7 @@ def spline(t: ArrayLike, q: ArrayLike, qd0: ArrayLike = 0.0, qd1: ArrayLike = 0.
     times = arguments.point(t, "t [s]")
     if times.shape != (len(path),) or not (np.diff(times) > 0.0).all():
         raise ShapeError(
-            f"Expected t of shape ({len(path)},) that increases, one time per point, got {times.tolist()}. Sort the "
-            "points."
+            f"Expected increasing t of shape ({len(path)},), one time per point, got {times.tolist()}. Sort the points."
         )
     bc: Any = tuple((1, arguments.velocity(v, what, path.shape[1])) for v, what in ((qd0, "qd0"), (qd1, "qd1")))
     own = times - times[0]
@@ -253,7 +252,7 @@ def time_optimal(
         if len(fast):
             raise ShapeError(
                 f"Expected {what} within qd_max, got {rate[fast[0]]:g} of {limits[0][fast[0]]:g} for joint {fast[0]}. "
-                "Slow down first."
+                "Reduce the velocity."
             )
     if np.array_equal(start, end) and not np.any(rates):
         raise ShapeError("Expected q0 and q1 to differ, got identical points at rest. Pass a different q1.")
@@ -274,7 +273,7 @@ class Profile(Shown):
 
     Raises
     ------
-    ShapeError : breaks that do not increase, coefficients of the wrong shape, a period that is not positive.
+    ShapeError : non-increasing breaks, coefficients of the wrong shape, or a non-positive period.
     """
 
     breaks: np.ndarray
@@ -348,7 +347,7 @@ class Profile(Shown):
 
         Raises
         ------
-        ShapeError : limits of the wrong shape or not positive.
+        ShapeError : limits of the wrong shape, or non-positive limits.
         """
         n = self.q.shape[1]
         speed, acceleration = peaks(self.breaks, self.coefficients)

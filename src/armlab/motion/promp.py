@@ -45,7 +45,7 @@ class ProMP(Saved, kind="promp"):
 
     Raises
     ------
-    ShapeError : fields with inconsistent shapes, values that are not finite, or an invalid covariance.
+    ShapeError : fields with inconsistent shapes, non-finite values, or an invalid covariance.
 
     References
     ----------

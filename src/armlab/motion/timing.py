@@ -54,7 +54,7 @@ def shortest_duration(
 
     Raises
     ------
-    ShapeError : limits of the wrong shape or not positive; otherwise as in `Dmp.rollout`.
+    ShapeError : limits of the wrong shape, or non-positive limits; otherwise as in `Dmp.rollout`.
     """
     dmp = value_of(dmp)
     limits = [arguments.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max"))]
@@ -102,7 +102,7 @@ def retimed(
 ) -> PacedDmp:
     """Return the motion on the same path, slowed down only where a limit requires it.
 
-    Uses the time-optimal parameterisation of the path with a clock rate of at most 1 (that of the demonstration). The
+    The path has the time-optimal parameterisation with a clock rate of at most 1 (that of the demonstration). The
     motion never takes longer than with uniform slow-down to `shortest_duration`. Its acceleration is discontinuous, so
     the jerk is unbounded.
 
@@ -190,7 +190,7 @@ class PacedDmp(Shown):
 
         Raises
         ------
-        ShapeError : times that do not increase or are not finite, a step that is not positive.
+        ShapeError : non-increasing or non-finite times, or a non-positive step.
         """
         times = clock(t, self.duration)
         if times.ndim != 1 or not len(times) or not np.isfinite(times).all() or not (np.diff(times) > 0.0).all():

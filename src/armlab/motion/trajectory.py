@@ -374,7 +374,7 @@ class TrajectoryController:
         if what == "" and sent <= _SENT and not np.isnan(state.q).any():
             self.ending = "arrived"
         elif self.t > self._trajectory.t[-1] + self._goal_time:
-            what = what or f"a reference {sent:.3g} from it"
+            what = what or f"a reference {sent:.3g} away from it"
             self._fail("goal", f"Expected the arm at the goal {self._goal_time:g} s after the last point, got {what}.")
 
     def _fail(self, ending: Ending, reason: str) -> str:
@@ -400,5 +400,5 @@ def _outside(q: np.ndarray, qd: np.ndarray, tolerance: np.ndarray, joints: Seque
         over = np.abs(values) > most
         if over.any():
             i = int(np.argmax(over))
-            return f"the {what} of {joints[i]} {abs(values[i]):.3g} away (tolerance {most[i]:.3g})"
+            return f"a {what} error of {abs(values[i]):.3g} at {joints[i]} (tolerance {most[i]:.3g})"
     return ""

@@ -205,7 +205,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
 
         Raises
         ------
-        ShapeError : wrong number of joints, a goal outside the limits.
+        ShapeError : wrong number of joints, or a goal outside the limits.
         ConfigError : as in `Dmp.rollout`.
         """
         return TwoDofController(robot, self, {"duration": duration, "g": g, "amplitude": amplitude}, limits, give_way)

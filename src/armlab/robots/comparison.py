@@ -109,7 +109,7 @@ def _by_joint(name: str, robot: Robot, other: Robot) -> str:
         return ""
     i = int(differ[0])
     unit = sliding if robot.prismatic[i] else turning
-    rest = f" (so are {len(differ) - 1} other joints)" if len(differ) > 1 else ""
+    rest = f" (and {len(differ) - 1} other joints differ)" if len(differ) > 1 else ""
     return f"{words} of joint {i + 1} {a[i]:.5g} {unit}, not {b[i]:.5g} {unit}{rest}"
 
 

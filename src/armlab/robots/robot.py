@@ -401,7 +401,7 @@ def _check_poses(robot: Robot) -> None:
     if not np.isfinite(robot.gravity).all():
         raise RobotError(f"Expected finite gravity for robot {robot.name!r}, got {robot.gravity}.")
     if not np.isfinite(robot.coupling).all() or np.linalg.matrix_rank(robot.coupling) < robot.n:
-        raise RobotError(f"Expected a coupling of robot {robot.name!r} that can be inverted, got rank below {robot.n}.")
+        raise RobotError(f"Expected a coupling of robot {robot.name!r} of full rank, got a rank below {robot.n}.")
 
 
 def _check_limits(robot: Robot) -> None:
@@ -448,7 +448,7 @@ def _check_bodies(robot: Robot) -> None:
     """Check that inertias are physically consistent, and that meshes belong to the mount or to a link."""
     if len(robot.meshes) not in (0, robot.n + 1):
         raise RobotError(
-            f"Expected meshes in robot {robot.name!r} of the mount and {robot.n} links, got {len(robot.meshes)} tuples."
+            f"Expected meshes of the mount and {robot.n} links in robot {robot.name!r}, got {len(robot.meshes)} tuples."
         )
     for mesh in (mesh for meshes in robot.meshes for mesh in meshes):
         if not isinstance(mesh, Mesh):

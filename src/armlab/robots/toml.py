@@ -87,7 +87,7 @@ def read_robot(text: str, path: str) -> Robot:
     except (ValueError, ArithmeticError, RecursionError) as error:  # invalid TOML, wrong fields, float overflow
         raise RobotError(
             f"Expected a robot file in {path}, got a file that cannot be read: {_as_written(str(error), fields)}. "
-            "The documentation page Robot files lists the fields."
+            "The documentation page 'Robot files' lists the fields."
         ) from None
 
 

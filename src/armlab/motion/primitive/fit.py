@@ -140,7 +140,7 @@ def _check_options(method: str, schedule: str, scaling: str, bandwidth: float | 
             "Expected a bandwidth only for methods with derivatives, got a bandwidth with 'trajectory'. Omit it."
         )
     if flag(raw_kernels, "raw_kernels") and method != "lwr":
-        raise ConfigError(f"Expected raw_kernels only with method 'lwr', got raw_kernels with {method!r}. Omit them.")
+        raise ConfigError(f"Expected raw_kernels only with method 'lwr', got raw_kernels with {method!r}. Omit it.")
 
 
 def _pins(pin: Sequence[str], known: dict[str, np.ndarray]) -> tuple[str, ...]:

@@ -24,22 +24,17 @@ DAMPING = 1e-8  # relative to the mean square of a column
 
 @dataclass(frozen=True)
 class Learned:
-    """Fitted weights (m, n), with ends and statistics.
+    """Fitted weights with ends and statistics."""
 
-    It contains y0, v0, g of each demonstration (M, 3, n); covariances (n, d, d) of the weights (and of the ends if
-    fitted) for unit noise variance; noise (n,); residuals (N, n) of position or forcing; the triangle of the unknowns
-    and their numbers; scales (M, n).
-    """
-
-    weights: np.ndarray
-    ends: np.ndarray
-    unit: np.ndarray
-    sigma: np.ndarray
-    residuals: np.ndarray
-    triangle: np.ndarray
-    unknowns: tuple[int, ...]
+    weights: np.ndarray  # (m, n)
+    ends: np.ndarray  # (M, 3, n) y0, v0, g of each demonstration
+    unit: np.ndarray  # (n, d, d) covariance of the weights, and of fitted ends, for unit noise variance
+    sigma: np.ndarray  # (n,) noise
+    residuals: np.ndarray  # (N, n) of position or forcing
+    triangle: np.ndarray  # of the unknowns
+    unknowns: tuple[int, ...]  # indices among weights and ends
     of_position: bool
-    scales: np.ndarray
+    scales: np.ndarray  # (M, n)
 
     def path(self, dmp: Dmp, demo: Demo, k: int) -> np.ndarray:
         """Return the motion (N, n) of demonstration k."""
@@ -247,8 +242,8 @@ def _forced(problem: WeightProblem, k: int) -> tuple[np.ndarray, np.ndarray, np.
 def fit_regression(problem: WeightProblem, x: np.ndarray, f: np.ndarray, ends: np.ndarray) -> Learned:
     """Fit weights shared by demonstrations to their forcing f (N, n) at phases x (N,) or (N, n).
 
-    Uses least squares or, with method "lwr", sets each weight to the mean weighted by its own kernel, ``sum bell x f /
-    sum bell x^2``. The forcing has the factor x, except with schedule "time".
+    Least squares determine the weights or, with method "lwr", the mean weighted by each kernel: ``sum bell x f`` over
+    ``sum bell x^2``. The forcing has the factor x, except with schedule "time".
     """
     blank, m, fades = problem.blank, problem.blank.n_basis, problem.blank.schedule != "time"
     fit = _kernel_by_kernel if problem.method == "lwr" else _least_squares
@@ -353,16 +348,12 @@ RCOND = 1e-11  # relative singular value below which a direction is set to zero
 
 @dataclass(frozen=True)
 class Solution:
-    """Least-squares solution x (p, q) of ``A x = b``.
+    """Least-squares solution of ``A x = b``."""
 
-    With the inverse G (p, p) of the normal matrix, the triangle (p, p) of A, and the minimum sums of squares (q,),
-    including penalties.
-    """
-
-    x: np.ndarray
-    G: np.ndarray
-    triangle: np.ndarray
-    squares: np.ndarray
+    x: np.ndarray  # (p, q)
+    G: np.ndarray  # (p, p) inverse of the normal matrix
+    triangle: np.ndarray  # (p, p) triangle of A
+    squares: np.ndarray  # (q,) minimum sums of squares, including penalties
 
 
 def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:

@@ -52,8 +52,8 @@ def read(path: str | Path) -> Tree:
 def parse(text: str | bytes, file: str = "the URDF text") -> Tree:
     """Parse a URDF text.
 
-    The reader supports revolute, continuous, prismatic and fixed joints with origin, axis, limits and mimic; floating
-    and planar joints, which no chain may include; inertias; and meshes by reference. Other shapes, materials,
+    The reader supports revolute, continuous, prismatic and fixed joints with origin, axis, limits and mimic, as well as
+    inertias and meshes by reference. A chain must not include floating or planar joints. Other shapes, materials,
     transmissions and unknown elements are ignored.
 
     Parameters

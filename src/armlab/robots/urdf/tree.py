@@ -539,9 +539,9 @@ def _source(tree: Tree, base: str, tip: str, steps: list[Step], massless: list[s
         "geometry": f"{Path(tree.file).name}, from {base!r} to {tip!r}",
         "gravity": gravity,
         "accelerations": "assumption: full speed in 0.1 s",
-        "no mass known behind": ", ".join(massless),
-        "omitted, behind joints": ", ".join(_side_branches(tree, steps)),
-        "follow other joints": ", ".join(step.joint.name for step in steps if step.joint.follows),
+        "unknown mass behind": ", ".join(massless),
+        "omitted branches behind": ", ".join(_side_branches(tree, steps)),
+        "mimic joints": ", ".join(step.joint.name for step in steps if step.joint.follows),
     }
     return "\n".join(f"{key}: {text}" for key, text in notes.items() if text)
 
