@@ -142,7 +142,7 @@ def _draft(
         except NotExcited:
             if tried.all and names == tried.of(math.inf):  # workers may have tried more logs than the fit needed
                 raise
-            wanted = 2.0 * max(wanted, tried.seconds(names))
+            wanted = 2.0 * max(wanted, sum(tried.known[name][1] for name in names))
         else:
             return draft, pattern, names, tried.refused
 
@@ -160,7 +160,7 @@ class _Tried:
         self._jobs, self._arm, self._executor, self._tell = jobs, arm, executor, tell
         self._waiting = list(jobs)[::-1]
         self._at_once = 1 if executor is None else min(getattr(executor, "_max_workers", AT_ONCE), AT_ONCE)
-        self._known: dict[str, tuple[float, float]] = {}
+        self.known: dict[str, tuple[float, float]] = {}  # rate [Hz] and duration [s]
         self._rows: dict[str, str] = {}
         self.refused: dict[str, str] = {}
 
@@ -168,15 +168,12 @@ class _Tried:
     def all(self) -> bool:
         return not self._waiting
 
-    def seconds(self, names: Iterable[str]) -> float:
-        return sum(self._known[name][1] for name in names)
-
     def of(self, wanted: float) -> list[str]:
         """Return the names of the first logs with equal rates that last `wanted` seconds in total, or of all logs."""
         while True:
             names, seconds = [], 0.0
-            rates = [rate for rate, _ in self._known.values()]
-            for name, (rate, length) in self._known.items():
+            rates = [rate for rate, _ in self.known.values()]
+            for name, (rate, length) in self.known.items():
                 if seconds < wanted and same_rate(rate, rates[0]):
                     names.append(name)
                     seconds += length
@@ -188,7 +185,7 @@ class _Tried:
                 executor=self._executor, progress=lambda done, total, what: self._tell(),
             )  # fmt: skip
             copies = _copies(self._rows, {name: sha256 for name, (*_, sha256) in done.results.items()})
-            self._known |= {name: found[:2] for name, found in done.results.items() if name not in copies}
+            self.known |= {name: found[:2] for name, found in done.results.items() if name not in copies}
             self.refused |= {**done.skipped, **copies}
 
 

@@ -90,13 +90,8 @@ def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: 
 
 def _meaning(gain: float, correlation: float, gear: float) -> str:
     """Return the likely cause of a factor between qd and the derivative of q."""
-    known = [
-        (1.0, "sign"),
-        (np.rad2deg(1.0), "degrees per second"),
-        (np.deg2rad(1.0), "position in degrees"),
-        (1e3, "per millisecond"),
-        (1e-3, "thousandths"),
-    ]
+    known = [(1.0, "sign"), (np.rad2deg(1.0), "degrees per second"), (np.deg2rad(1.0), "position in degrees")]
+    known += [(1e3, "per millisecond"), (1e-3, "thousandths")]
     if gear >= GEARED:
         known.append((gear, f"motor side, gear ratio {gear:g}"))
         known.append((1.0 / gear, f"position on the motor side, ratio {gear:g}"))

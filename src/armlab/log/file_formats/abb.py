@@ -182,13 +182,8 @@ def _joined(table: Table, robot: Robot, path: Path) -> Table:
             unit, frame = (None, None) if name in glossary.columns() else ("N m", "joint")
             columns[name] = Column(unit=unit, frame=frame, labels=robot.joint_names)
             table = table.without(*(axis for axis in axes if axis in table))
-    return Table(
-        table.t,
-        {**values, **table.values},
-        {**columns, **table.columns},
-        notes=table.notes,
-        source=(table.source[0], f"read_abb({robot.name}, {origin(path)})"),
-    )
+    source = (table.source[0], f"read_abb({robot.name}, {origin(path)})")
+    return replace(table, values={**values, **table.values}, columns={**columns, **table.columns}, source=source)
 
 
 MOTOR_SIGNALS = {"q": ("rad", ["posRawAbs"]), "qd": ("rad/s", ["velFlt", "velRaw"]), "tau": ("N m", ["trqRaw"])}
@@ -233,15 +228,9 @@ def from_orca(table: Table, robot: Robot, arm: int) -> Table:
         arms = sorted({match[1] for name in table.names if (match := re.search(r"robot_(\d+)__joint_", alias(name)))})
         have = f"arms {', '.join(arms)}" if arms else f"columns {', '.join(table.names[:5])}, ..."
         raise LogError(f"Expected columns robot[{arm}].joint[0].posRawAbs and so on, got {have}. Give another arm.")
-    return Table(
-        table.t,
-        values,
-        {name: Column(labels=robot.joint_names) for name in values},
-        t0_ns=table.t0_ns,
-        clock=table.clock,
-        notes=table.notes,
-        source=(*table.source, f"from_orca({robot.name}, arm {arm})"),
-    )
+    columns = {name: Column(labels=robot.joint_names) for name in values}
+    source = (*table.source, f"from_orca({robot.name}, arm {arm})")
+    return replace(table, values=values, columns=columns, source=source)
 
 
 def _motors(table: Table, robot: Robot, arm: int, signal: str, unit: str) -> np.ndarray | None:

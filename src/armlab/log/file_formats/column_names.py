@@ -220,17 +220,13 @@ def _source(name: str, text: str) -> _Source:
     except ValueError:
         factors = ()
     usable = bool(names and factors) and bool(np.isfinite(factors).all()) and 0.0 not in factors
-    if not usable or len(factors) not in (1, *_counts(names)):
+    counts = range(2, _MOST) if any("{" in one for one in names) else [len(names)]  # "{": the file determines the names
+    if not usable or len(factors) not in (1, *counts):
         raise ConfigError(
             f"Expected {name}=SOURCE, SOURCE*FACTOR or SOURCE*{{FACTORS}}, optionally followed by [unit], such as "
             f"{name}=joint_{{1..6}} [deg], got {name}={text}."
         )
     return _Source(text, names, factors, (found["unit"] or "").strip() if found else "")
-
-
-def _counts(names: Sequence[str]) -> tuple[int, ...]:
-    """Return the allowed numbers of factors: one per name, or any number if the file determines the names."""
-    return tuple(range(2, _MOST)) if any("{" in name for name in names) else (len(names),)
 
 
 def _split(text: str, mark: str) -> list[str]:

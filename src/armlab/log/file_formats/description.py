@@ -14,8 +14,7 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-import armlab
-from armlab import glossary
+from armlab import __version__, glossary
 from armlab.errors import ArmlabError, LogError
 from armlab.log.assembly import rows_in_order
 from armlab.log.column import OLD_NAMES, UNITS, Column, heading
@@ -56,9 +55,7 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @classmethod
     def of(cls, table: Table) -> Description:
-        return cls(
-            armlab.__version__, int(table.t0_ns), table.clock, table.notes, table.source, _columns(table.columns)
-        )
+        return cls(__version__, int(table.t0_ns), table.clock, table.notes, table.source, _columns(table.columns))
 
     @classmethod
     def made(cls, columns: Mapping[str, Column], **about: Any) -> Description:
@@ -68,8 +65,9 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return {name: Column(**msgspec.structs.asdict(one)) for name, one in self.columns.items()}
 
     def labels(self) -> list[str]:
-        """Return the heading of each component, the clock first."""
-        return ["t [s]", *(label for name, column in self.described().items() for label in headings(name, column))]
+        """Return the heading of each component, the clock first: "t [s]", "q1 [rad]", "wrench_hat_cov1_4 [N^2 m]"."""
+        parts = [(column, part) for name, column in self.described().items() for part in _parts(name, column)]
+        return ["t [s]", *(heading(replace(column, unit=unit), label) for column, (label, unit) in parts)]
 
     def json(self, **more: object) -> str:
         """Return the description and `more` as ASCII JSON, for `of_json`."""
@@ -116,11 +114,6 @@ def of_json(text: str | bytes, path: Path) -> Description:
         raise LogError(
             f"Expected a description of the columns in {path}, got: {str(error).rstrip('.')}. Export the log again."
         ) from None
-
-
-def headings(name: str, column: Column) -> Sequence[str]:
-    """Return the heading of each component of a column: "q2 [rad]", "wrench_hat_cov1_4 [N^2 m]"."""
-    return [heading(replace(column, unit=unit), label) for label, unit in _parts(name, column)]
 
 
 def components(table: Table) -> Iterator[tuple[str, str, np.ndarray]]:
