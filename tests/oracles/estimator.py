@@ -64,10 +64,33 @@ def contact_map(chain: Chain, q: np.ndarray, point: np.ndarray | None) -> np.nda
 
 
 class Stepwise:
-    """An estimator of `n` joints that takes samples one at a time; `interval` says whether it tells intervals."""
+    """An estimator of `n` joints that takes samples one at a time; `interval` says whether it returns intervals."""
 
-    n: int
     interval = False
+
+    def __init__(
+        self,
+        chain: Chain,
+        gravity: np.ndarray,
+        links: np.ndarray,
+        rotor: np.ndarray,
+        drive: Drive,
+        gains: np.ndarray,
+        gain_variance: float,
+        covariance: np.ndarray,
+        prior: np.ndarray,
+        point: np.ndarray | None,
+    ) -> None:
+        self._chain, self.n, self._drive, self._gain_variance = chain, chain.n, drive, gain_variance
+        given = (gravity, links, rotor, gains, covariance, prior)
+        arrays = (np.array(a, dtype=float) for a in given)
+        self._gravity, self._links, self._rotor, self._gains, self._covariance, self._prior = arrays
+        self._point = None if point is None else np.array(point, dtype=float)
+        self._static = 0.5 * (drive.friction[1] + drive.friction[2]) + np.maximum(drive.friction[4], 0.0)
+        self.reset()
+
+    def reset(self) -> None:
+        raise NotImplementedError
 
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[Any, ...]:
         raise NotImplementedError
@@ -87,34 +110,13 @@ class WrenchEstimator(Stepwise):
     """Contact wrench from joint motion and torque, one sample at a time."""
 
     def __init__(
-        self,
-        chain: Chain,
-        gravity: np.ndarray,
-        links: np.ndarray,
-        rotor: np.ndarray,
-        drive: Drive,
-        gains: np.ndarray,
-        gain_variance: float,
-        covariance: np.ndarray,
-        bound: np.ndarray,
-        prior: np.ndarray,
-        cutoff: float,
-        method: int = 0,
-        point: np.ndarray | None = None,
-    ) -> None:
-        self._chain, self.n, self.interval = chain, chain.n, METHODS[method] == "interval"
-        self._gravity = np.array(gravity, dtype=float)
-        self._links = np.array(links, dtype=float)
-        self._rotor = np.array(rotor, dtype=float)
-        self._drive, self._gains, self._gain_variance = drive, np.asarray(gains, dtype=float), gain_variance
-        self._covariance = np.array(covariance, dtype=float)
-        self._bound = np.array(bound, dtype=float)
-        self._prior = np.array(prior, dtype=float)
-        self._cutoff = float(cutoff)
-        self._method, self._band = method, METHODS[method] in ("bounded", "clip", "interval")
-        self._point = None if point is None else np.array(point, dtype=float)
-        self._static = 0.5 * (drive.friction[1] + drive.friction[2]) + np.maximum(drive.friction[4], 0.0)
-        self.reset()
+        self, chain: Chain, gravity: Any, links: Any, rotor: Any, drive: Drive, gains: Any, gain_variance: float,
+        covariance: Any, bound: Any, prior: Any, cutoff: float, method: int = 0, point: Any = None,
+    ) -> None:  # fmt: skip
+        self._bound, self._cutoff = np.array(bound, dtype=float), float(cutoff)
+        self.interval, self._method = METHODS[method] == "interval", method
+        self._band = METHODS[method] in ("bounded", "clip", "interval")
+        super().__init__(chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior, point)
 
     def reset(self) -> None:
         """Forget everything but the parameters."""

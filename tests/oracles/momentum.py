@@ -112,41 +112,15 @@ class MomentumEstimator(Stepwise):
     """Contact wrench from joint motion and torque by the momentum, one sample at a time."""
 
     def __init__(
-        self,
-        chain: Chain,
-        gravity: np.ndarray,
-        links: np.ndarray,
-        rotor: np.ndarray,
-        drive: Drive,
-        gains: np.ndarray,
-        gain_variance: float,
-        covariance: np.ndarray,
-        prior: np.ndarray,
-        memory: np.ndarray,
-        qd_noise: np.ndarray,
-        rate: np.ndarray,
-        leak: np.ndarray,
-        gain: float,
-        filters: bool,
-        biased: bool,
-        point: np.ndarray | None = None,
-    ) -> None:
-        self._chain, self.n = chain, chain.n
-        self._gravity = np.array(gravity, dtype=float)
-        self._links = np.array(links, dtype=float)
-        self._rotor = np.array(rotor, dtype=float)
-        self._drive, self._gains, self._gain_variance = drive, np.asarray(gains, dtype=float), gain_variance
-        self._covariance = np.array(covariance, dtype=float)
-        self._prior = np.array(prior, dtype=float)
-        self._point = None if point is None else np.array(point, dtype=float)
-        self._memory = np.array(memory, dtype=float)
-        self._qd_noise = np.array(qd_noise, dtype=float)
-        self._rate = np.array(rate, dtype=float)
-        self._leak = np.array(leak, dtype=float)
+        self, chain: Chain, gravity: Any, links: Any, rotor: Any, drive: Drive, gains: Any, gain_variance: float,
+        covariance: Any, prior: Any, memory: Any, qd_noise: Any, rate: Any, leak: Any, gain: float,
+        filters: bool, biased: bool, point: Any = None,
+    ) -> None:  # fmt: skip
+        arrays = (np.array(a, dtype=float) for a in (memory, qd_noise, rate, leak))
+        self._memory, self._qd_noise, self._rate, self._leak = arrays
         self._gain, self._filters, self._biased = gain, filters, biased
         self._k = 6 if point is None else 3
-        self._static = 0.5 * (drive.friction[1] + drive.friction[2]) + np.maximum(drive.friction[4], 0.0)
-        self.reset()
+        super().__init__(chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior, point)
 
     def reset(self) -> None:
         """Forget everything but the parameters."""

@@ -25,16 +25,9 @@ from armlab.sim.arm.mismatch import Mismatch, load_share
 from armlab.sim.arm.truth import Truth, synthetic_truth
 
 T = 0.004032
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return robots.load("yumi_left")
-
-
-@pytest.fixture(scope="module")
-def truth(robot: Robot) -> Truth:
-    return synthetic_truth(robot)
+YUMI = robots.load("yumi_left")
+TRUTH = synthetic_truth(YUMI)
+NOISELESS, SMOOTH = TRUTH.without("noise"), TRUTH.without("ripple", "offset")
 
 
 def sway(robot: Robot, t: float, share: float = 0.6, hertz: float = 0.35) -> tuple[np.ndarray, np.ndarray]:
@@ -70,66 +63,66 @@ def test_samples_satisfy_the_equation_of_motion(name: str) -> None:
         np.testing.assert_allclose(sample.T_base_tool, robot.chain.forward(sample.q), atol=1e-12)
 
 
-def test_a_payload_appears_as_its_weight(robot: Robot, truth: Truth) -> None:
+def test_a_payload_appears_as_its_weight() -> None:
     """1 kg at the tool point that the model does not know: f_z = -9.81 N at rest."""
-    tool = robot.frames[-1][:3, 3]
-    arm = SimulatedArm(robot, truth.with_payload(1.0, tool).without("friction", "ripple"))
+    tool = YUMI.frames[-1][:3, 3]
+    arm = SimulatedArm(YUMI, TRUTH.with_payload(1.0, tool).without("friction", "ripple"))
     for _ in range(1000):
-        arm.step(robot.q_home, np.zeros(7), None)
-    tau_e = equation(robot, truth, arm.sample) - arm.sample.tau
-    estimate = np.linalg.lstsq(robot.chain.jacobian(arm.sample.q).T, tau_e, rcond=None)[0]
+        arm.step(YUMI.q_home, np.zeros(7), None)
+    tau_e = equation(YUMI, TRUTH, arm.sample) - arm.sample.tau
+    estimate = np.linalg.lstsq(YUMI.chain.jacobian(arm.sample.q).T, tau_e, rcond=None)[0]
     np.testing.assert_allclose(estimate, [0, 0, -9.80665, 0, 0, 0], atol=1e-4)
 
 
-def test_energy_is_kept_without_drives_and_friction(robot: Robot, truth: Truth) -> None:
+def test_energy_is_kept_without_drives_and_friction() -> None:
     """A free double swing: kinetic plus potential energy, from the kernels' terms, stays."""
-    free = truth.without("friction", "ripple", "offset")
-    arm = SimulatedArm(robot, free, q=robot.q_home + 0.5)
+    free = TRUTH.without("friction", "ripple", "offset")
+    arm = SimulatedArm(YUMI, free, q=YUMI.q_home + 0.5)
     arm.drive.torque = lambda *args: args[-1].fill(0.0)  # type: ignore[method-assign]
-    arm.place(robot.q_home + 0.5)
+    arm.place(YUMI.q_home + 0.5)
 
     def energy(sample: TrueState) -> tuple[float, float]:
         q, qd, zero = sample.q, sample.qd, np.zeros(7)
-        M_qd = robot.chain.rnea(q, zero, qd, np.zeros(3), free.pi) + free.rotor * qd
+        M_qd = YUMI.chain.rnea(q, zero, qd, np.zeros(3), free.pi) + free.rotor * qd
         heights = sum(
             pi[0] * T_base_link[2, 3] + T_base_link[2, :3] @ pi[1:4]
-            for pi, T_base_link in zip(free.pi, robot.chain.link_transforms(q))
+            for pi, T_base_link in zip(free.pi, YUMI.chain.link_transforms(q))
         )
         return 0.5 * qd @ M_qd, 9.80665 * heights
 
     energies = []
     for _ in range(500):
-        arm.step(robot.q_home, np.zeros(7), None)
+        arm.step(YUMI.q_home, np.zeros(7), None)
         energies.append(energy(arm.sample))
     kinetic, potential = np.array(energies).T
     assert kinetic.max() > 5.0
     assert np.ptp(kinetic + potential) < 2e-4 * kinetic.max()
 
 
-def test_tracking_at_sixty_percent_speed(robot: Robot, truth: Truth) -> None:
-    arm = SimulatedArm(robot, truth)
-    samples = drive_along(arm, robot, 3.0)
-    peak = np.max([np.abs(s.qd) / robot.qd_max for s in samples], axis=0)
+def test_tracking_at_sixty_percent_speed() -> None:
+    arm = SimulatedArm(YUMI, TRUTH)
+    samples = drive_along(arm, YUMI, 3.0)
+    peak = np.max([np.abs(s.qd) / YUMI.qd_max for s in samples], axis=0)
     assert peak[:4].min() > 0.4
     errors = np.degrees([s.q - s.q_ref for s in samples])
     assert np.abs(errors).max() < 1.0
     assert arm.drive.saturated == 0
 
 
-def test_noise_is_white_with_the_stated_size(robot: Robot, truth: Truth) -> None:
-    arm = SimulatedArm(robot, truth, seed=7)
+def test_noise_is_white_with_the_stated_size() -> None:
+    arm = SimulatedArm(YUMI, TRUTH, seed=7)
     errors_tau, errors_qd = [], []
     for k in range(1, 1500):
-        arm.step(*sway(robot, k * T, 0.3), None)
+        arm.step(*sway(YUMI, k * T, 0.3), None)
         measured = arm.measure()
-        errors_tau.append(measured.tau - equation(robot, truth, arm.sample))
+        errors_tau.append(measured.tau - equation(YUMI, TRUTH, arm.sample))
         errors_qd.append(measured.qd - arm.sample.qd)
         assert isinstance(measured, SensorReading)
         assert np.abs(measured.q - arm.sample.q).max() <= 0.5e-5 + 1e-12
     tau, qd = np.array(errors_tau), np.array(errors_qd)
-    np.testing.assert_allclose(tau.std(0), np.hypot(truth.tau_noise, truth.tau_step / np.sqrt(12)), rtol=0.06)
+    np.testing.assert_allclose(tau.std(0), np.hypot(TRUTH.tau_noise, TRUTH.tau_step / np.sqrt(12)), rtol=0.06)
     np.testing.assert_allclose(qd.std(0), 1e-3, rtol=0.06)
-    assert (np.abs(tau.mean(0)) < 4 * truth.tau_noise / np.sqrt(len(tau))).all()
+    assert (np.abs(tau.mean(0)) < 4 * TRUTH.tau_noise / np.sqrt(len(tau))).all()
     for lag in (1, 2, 5):
         rho = (tau[lag:] * tau[:-lag]).mean(0) / tau.var(0)
         assert np.abs(rho).max() < 4 / np.sqrt(len(tau))
@@ -178,10 +171,6 @@ def test_bodies_move_as_those_of_mujoco(name: str) -> None:
     np.testing.assert_allclose(now.T_base_tool[:3, 3], data.site_xpos[0], rtol=0, atol=1e-12)
 
 
-YUMI = robots.load("yumi_left")
-NOISELESS = synthetic_truth(YUMI).without("noise")
-
-
 def walk(arm: SimulatedArm, k: int) -> None:
     arm.step(YUMI.q_home + 0.1 * (1 - np.cos(3 * k * T)), np.full(7, 0.3 * np.sin(3 * k * T)), None)
 
@@ -228,7 +217,6 @@ def test_a_step_comes_after_two_cycles_through_a_lag_of_8_ms() -> None:
     np.testing.assert_allclose(arm.sample.T_base_tool, UR5E.chain.forward(measured.q))
 
 
-TRUTH = synthetic_truth(YUMI)
 SWAY = identify.dither(YUMI.q_home, 2.0)
 
 
@@ -268,11 +256,6 @@ def test_stamps_jitter_and_samples_are_lost() -> None:
 STEP = 1e-3
 
 
-@pytest.fixture
-def smooth() -> Truth:
-    return synthetic_truth(robots.load("yumi_left")).without("ripple", "offset")
-
-
 def slide(friction: JointFriction, speed: float, distance: float) -> np.ndarray:
     """Move all joints at one speed; return the friction torque at the end."""
     qd = np.full(7, speed)
@@ -282,22 +265,22 @@ def slide(friction: JointFriction, speed: float, distance: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("speed", [0.02, 0.1, 1.0])
-def test_constant_speed_gives_the_stribeck_curve(smooth: Truth, speed: float) -> None:
+def test_constant_speed_gives_the_stribeck_curve(speed: float) -> None:
     bump = 1 + 0.3 * np.exp(-((speed / 0.05) ** 2))
     np.testing.assert_allclose(
-        slide(JointFriction(smooth), speed, 0.01), smooth.coulomb_pos * bump + smooth.viscous * speed, rtol=1e-6
+        slide(JointFriction(SMOOTH), speed, 0.01), SMOOTH.coulomb_pos * bump + SMOOTH.viscous * speed, rtol=1e-6
     )
     np.testing.assert_allclose(
-        slide(JointFriction(smooth), -speed, 0.01), -smooth.coulomb_neg * bump - smooth.viscous * speed, rtol=1e-6
+        slide(JointFriction(SMOOTH), -speed, 0.01), -SMOOTH.coulomb_neg * bump - SMOOTH.viscous * speed, rtol=1e-6
     )
 
 
-def test_break_away_is_at_static_friction(smooth: Truth) -> None:
+def test_break_away_is_at_static_friction() -> None:
     """A slowly growing torque on a free mass: it creeps within the presliding distance, then it goes."""
-    friction, inertia = JointFriction(smooth), np.full(7, 0.2)
+    friction, inertia = JointFriction(SMOOTH), np.full(7, 0.2)
     qd, q, broke = np.zeros(7), np.zeros(7), np.full(7, np.nan)
     for share in np.linspace(0.0, 1.6, 20000):
-        tau = share * smooth.coulomb_pos
+        tau = share * SMOOTH.coulomb_pos
         qd += STEP * (tau - friction.torque(q, qd, np.empty(7))) / inertia
         q += STEP * qd
         friction.advance(STEP * qd, qd)
@@ -306,22 +289,21 @@ def test_break_away_is_at_static_friction(smooth: Truth) -> None:
     np.testing.assert_allclose(broke, 1.3, atol=0.05)
 
 
-def test_presliding_is_a_spring(smooth: Truth) -> None:
-    friction = JointFriction(smooth)
+def test_presliding_is_a_spring() -> None:
+    friction = JointFriction(SMOOTH)
     friction.advance(np.full(7, 1e-8), np.zeros(7))
-    np.testing.assert_allclose(friction.bristle, smooth.coulomb_pos / smooth.delta * 1e-8, rtol=1e-3)
+    np.testing.assert_allclose(friction.bristle, SMOOTH.coulomb_pos / SMOOTH.delta * 1e-8, rtol=1e-3)
 
 
 def test_ripple_and_offset() -> None:
-    smooth = synthetic_truth(robots.load("yumi_left"))
-    friction, q = JointFriction(smooth), np.linspace(-1, 1, 7)
-    expected = smooth.offset + smooth.ripple * np.sin(smooth.ripple_cycles * q + np.arange(7))
+    friction, q = JointFriction(TRUTH), np.linspace(-1, 1, 7)
+    expected = TRUTH.offset + TRUTH.ripple * np.sin(TRUTH.ripple_cycles * q + np.arange(7))
     np.testing.assert_allclose(friction.torque(q, np.zeros(7), np.empty(7)), expected, rtol=1e-12)
-    turn = friction.torque(q + 2 * np.pi / smooth.ripple_cycles, np.zeros(7), np.empty(7))
+    turn = friction.torque(q + 2 * np.pi / TRUTH.ripple_cycles, np.zeros(7), np.empty(7))
     np.testing.assert_allclose(turn, expected, rtol=1e-9)
 
 
-WORN_TRUTH = synthetic_truth(YUMI).without("offset")
+WORN_TRUTH = TRUTH.without("offset")
 
 
 def slide_worn(friction: JointFriction, speed: np.ndarray, step: float = 0.01, count: int = 50) -> np.ndarray:
@@ -333,8 +315,7 @@ def slide_worn(friction: JointFriction, speed: np.ndarray, step: float = 0.01, c
 
 def test_a_warm_drive_has_lost_its_share_of_viscous_friction() -> None:
     """At a quarter of full speed the warmth settles at 1, with the time constant of 12 minutes."""
-    smooth = WORN_TRUTH.without("ripple")
-    speed = 0.25 * YUMI.qd_max
+    smooth, speed = SMOOTH, 0.25 * YUMI.qd_max
     friction = WornFriction(smooth, Mismatch(warm_up=0.4), 1.0, np.zeros(7))
     cold = slide_worn(JointFriction(smooth), speed, 1.0)
     slide_worn(friction, speed, 1.0, round(WARM_TIME))
@@ -347,7 +328,7 @@ def test_a_warm_drive_has_lost_its_share_of_viscous_friction() -> None:
 
 
 def test_load_presses_on_the_bearings() -> None:
-    speed, smooth = np.full(7, 1.0), WORN_TRUTH.without("ripple")
+    speed, smooth = np.full(7, 1.0), SMOOTH
     mismatch = Mismatch(load_friction=0.06)
     loaded, share = WornFriction(smooth, mismatch, 0.01, -smooth.tau_max), load_share(mismatch, 7)
     growth = slide_worn(loaded, speed) - slide_worn(JointFriction(smooth), speed)
@@ -356,7 +337,7 @@ def test_load_presses_on_the_bearings() -> None:
 
 
 def test_offsets_swing() -> None:
-    speed, smooth = np.full(7, 1.0), WORN_TRUTH.without("ripple")
+    speed, smooth = np.full(7, 1.0), SMOOTH
     drifting = WornFriction(smooth, Mismatch(offset_drift=0.02), 0.5, np.zeros(7))
     along = np.array([slide_worn(drifting, speed, 0.5, 1) for _ in range(400)])
     away = (along - slide_worn(JointFriction(smooth), speed)) / smooth.tau_max
@@ -370,7 +351,7 @@ def test_the_ripple_jumps_at_reversal(sign: float) -> None:
     """Forward it is where it was; backward its phase is later by the knob."""
     speed = np.full(7, sign)
     jumping = slide_worn(WornFriction(WORN_TRUTH, Mismatch(ripple_jump=1.0), 0.01, np.zeros(7)), speed)
-    rest = slide_worn(JointFriction(WORN_TRUTH.without("ripple")), speed)
+    rest = slide_worn(JointFriction(SMOOTH), speed)
     phase = WORN_TRUTH.ripple_phase + (0.0 if sign > 0 else 1.0)
     np.testing.assert_allclose(jumping - rest, WORN_TRUTH.ripple * np.sin(phase), atol=0.06 * WORN_TRUTH.ripple.max())
 

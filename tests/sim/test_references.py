@@ -124,16 +124,20 @@ def test_a_pose_is_reached_from_the_planned_posture() -> None:
 
 def test_what_is_absent_goes_back_to_its_default() -> None:
     target = ReferenceDecoder(ROBOT, ControllerSettings())
-    assert target.is_plain
+
+    def assert_added(tau: float, gain_q: float) -> None:
+        found = (target.tau, target.gain_q, target.gain_qd)
+        np.testing.assert_array_equal(found, np.repeat([[tau], [gain_q], [1.0]], 7, axis=1))
+
+    assert_added(0.0, 1.0)
     target.accept(SensorMessage(0, 1, 3, tau=ONES, gain_q=9 * ONES, q_ext=np.array([0.5])), HOME, None)
-    assert not target.is_plain
-    np.testing.assert_array_equal(target.gain_q, 2.0)
+    assert_added(1.0, 2.0)
     target.accept(SensorMessage(1, 1, 3), HOME, None)
-    assert target.is_plain
+    assert_added(0.0, 1.0)
     assert target.q_ext is not None, "an external reference stays"
     target.accept(SensorMessage(2, 1, 3, tau=ONES), HOME, None)
     target.release()
-    assert target.is_plain
+    assert_added(0.0, 1.0)
     target.begin(HOME)
     assert target.q is None
 

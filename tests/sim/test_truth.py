@@ -15,6 +15,9 @@ from armlab.sim.arm.arm import SimulatedArm
 from armlab.sim.arm.mismatch import Mismatch, built_robot, built_truth, draw, position_gain, torque_gain
 from armlab.sim.arm.truth import Truth, cylinder, no_masses, synthetic_truth
 
+ROBOT = robots.load("yumi_left")
+TRUTH = synthetic_truth(ROBOT)
+T = 0.004032
 GRAVITY = np.array([0.0, 0.0, -9.81])
 G_LEFT = [6.20953, 5.37511, -0.02260, 0.53069, -0.00042, -0.02481, 0.0]
 G_RIGHT = [-6.20953, 5.37511, 0.02260, 0.53069, 0.00042, -0.02481, 0.0]
@@ -29,16 +32,15 @@ def test_gravity_at_home_is_golden(name: str, expected: list[float]) -> None:
 
 
 def test_yumi_parameters_follow_the_rule() -> None:
-    truth = synthetic_truth(robots.load("yumi_left"))
-    np.testing.assert_array_equal(truth.tau_max, [40, 40, 25, 25, 10, 10, 5])
-    np.testing.assert_array_equal(truth.pi[:, 0], [1.7, 1.6, 1.4, 1.1, 0.9, 0.5, 0.2])
-    np.testing.assert_allclose(truth.coulomb_pos, 0.0525 * truth.tau_max)
-    np.testing.assert_allclose(truth.coulomb_neg, 0.0475 * truth.tau_max)
-    np.testing.assert_allclose(truth.viscous * np.radians([180] * 4 + [400] * 3), 0.05 * truth.tau_max)
-    np.testing.assert_allclose(truth.offset, 0.01 * truth.tau_max * [1, -1, 1, -1, 1, -1, 1])
-    np.testing.assert_allclose(truth.ripple_cycles, [200, 200, 200, 200, 200, 202, 200])
-    np.testing.assert_allclose(truth.rotor, 0.1)
-    np.testing.assert_allclose(truth.static_ratio, 1.3)
+    np.testing.assert_array_equal(TRUTH.tau_max, [40, 40, 25, 25, 10, 10, 5])
+    np.testing.assert_array_equal(TRUTH.pi[:, 0], [1.7, 1.6, 1.4, 1.1, 0.9, 0.5, 0.2])
+    np.testing.assert_allclose(TRUTH.coulomb_pos, 0.0525 * TRUTH.tau_max)
+    np.testing.assert_allclose(TRUTH.coulomb_neg, 0.0475 * TRUTH.tau_max)
+    np.testing.assert_allclose(TRUTH.viscous * np.radians([180] * 4 + [400] * 3), 0.05 * TRUTH.tau_max)
+    np.testing.assert_allclose(TRUTH.offset, 0.01 * TRUTH.tau_max * [1, -1, 1, -1, 1, -1, 1])
+    np.testing.assert_allclose(TRUTH.ripple_cycles, [200, 200, 200, 200, 200, 202, 200])
+    np.testing.assert_allclose(TRUTH.rotor, 0.1)
+    np.testing.assert_allclose(TRUTH.static_ratio, 1.3)
 
 
 @pytest.mark.parametrize("name", [name for name in robots.names() if not no_masses(robots.load(name))])
@@ -104,36 +106,30 @@ def test_cylinder_is_the_textbook_one() -> None:
 
 
 def test_effects_can_be_switched_off() -> None:
-    truth = synthetic_truth(robots.load("yumi_left"))
-    silent = truth.without("noise", "ripple")
+    silent = TRUTH.without("noise", "ripple")
     assert not silent.tau_noise.any()
     assert not silent.q_step.any()
     assert not silent.ripple.any()
-    assert truth.tau_noise.all()
+    assert TRUTH.tau_noise.all()
     assert silent.viscous.all()
     with pytest.raises(UnknownName, match="ripple"):
-        truth.without("rippel")
+        TRUTH.without("rippel")
 
 
 def test_payload_adds_a_point_mass() -> None:
-    truth = synthetic_truth(robots.load("yumi_left"))
-    loaded = truth.with_payload(0.5, np.array([0, 0, 0.1]))
-    np.testing.assert_allclose(loaded.pi[-1] - truth.pi[-1], [0.5, 0, 0, 0.05, 0.005, 0, 0.005, 0, 0, 0], atol=1e-15)
-    np.testing.assert_array_equal(loaded.pi[:-1], truth.pi[:-1])
+    loaded = TRUTH.with_payload(0.5, np.array([0, 0, 0.1]))
+    np.testing.assert_allclose(loaded.pi[-1] - TRUTH.pi[-1], [0.5, 0, 0, 0.05, 0.005, 0, 0.005, 0, 0, 0], atol=1e-15)
+    np.testing.assert_array_equal(loaded.pi[:-1], TRUTH.pi[:-1])
 
 
 def test_shapes_are_checked() -> None:
-    truth = synthetic_truth(robots.load("yumi_left"))
-    fields = {name: getattr(truth, name) for name in Truth.__dataclass_fields__}
+    fields = {name: getattr(TRUTH, name) for name in Truth.__dataclass_fields__}
     with pytest.raises(ShapeError, match="viscous"):
         Truth(**fields | {"viscous": np.ones(3)})
     with pytest.raises(ValueError, match="read-only"):
-        truth.pi[0, 0] = 1.0
+        TRUTH.pi[0, 0] = 1.0
 
 
-ROBOT = robots.load("yumi_left")
-TRUTH = synthetic_truth(ROBOT)
-T = 0.004032
 MOVED = {
     "base_turn": 0.02,
     "link_length": 0.002,

@@ -79,15 +79,11 @@ class JointDrives:
         self._rate = step / INTEGRAL_TIME
         self._integral, self.gravity = np.zeros((2, len(inertia)))
         self.saturated = 0
-        self.alone()
+        self.assist(np.zeros_like(inertia), np.ones_like(inertia), np.ones_like(inertia))
 
     def assist(self, tau: np.ndarray, gain_q: np.ndarray, gain_qd: np.ndarray) -> None:
         """Set the added torque (n,) [N m] and the factors (n,) on the position and velocity gains."""
         self._added = (tau, gain_q, gain_qd)
-
-    def alone(self) -> None:
-        """Use the drive's own gains and no added torque."""
-        self._added = np.zeros_like(self._inertia), np.ones_like(self._inertia), np.ones_like(self._inertia)
 
     def reset(self, holding: np.ndarray, bias: np.ndarray) -> None:
         """Set the integral for the torque `holding` at rest; `bias` is the gravity torque [N m]."""

@@ -159,11 +159,6 @@ class ReferenceDecoder:
             return 3
         return 1 if self._has_position_loop else 2
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether the drive uses its own gains and no added torque."""
-        return bool((self.gain_q == 1).all() and (self.gain_qd == 1).all() and not self.tau.any())
-
     def read(self, message: SensorMessage, planned: np.ndarray) -> tuple[np.ndarray, np.ndarray | None] | None:
         """Return the references (q, qd) of a message, which may be NaN; None if the pose is out of reach."""
         if self._mode == "joint":
@@ -204,11 +199,7 @@ class ReferenceDecoder:
 
     def apply(self, drive: JointDrives | None) -> None:
         """Set the torque and gains of the drives, which are None for an arm without masses."""
-        if drive is None:
-            return
-        if self.is_plain:
-            drive.alone()
-        else:
+        if drive is not None:
             drive.assist(self.tau, self.gain_q, self.gain_qd)
 
     def release(self) -> None:
