@@ -160,7 +160,7 @@ def test_a_tag_needs_intrinsics_and_is_named_when_it_is_ambiguous() -> None:
         np.testing.assert_allclose(got, T @ middle, rtol=0, atol=5e-3)
     with pytest.raises(NotExcited, match="--intrinsics FILE"):
         calibrate.board_poses(images, "apriltag:36h11:0.06")
-    with pytest.raises(NotExcited, match=r"got it in 0 of 3 \(0: tag 3 not among 7"):
+    with pytest.raises(NotExcited, match=r"found in 0 of 3 \(0: tag 3 not among 7"):
         calibrate.board_poses(images, "apriltag:36h11:0.06:3", intrinsics=(K, []))
 
 
@@ -181,7 +181,7 @@ def test_boards_that_cannot_be_are_refused(board, words) -> None:
 
 def test_images_that_are_none_or_show_too_little_are_refused_by_name() -> None:
     blank = np.full((48, 64), 128, np.uint8)
-    with pytest.raises(NotExcited, match=r"in at least 3 images, got it in 0 of 2 \(a.png: 0 corners"):
+    with pytest.raises(NotExcited, match=r"in at least 3 images, but it was found in 0 of 2 \(a.png: 0 corners"):
         calibrate.board_poses({"a.png": blank, "b.png": blank}, CHARUCO, intrinsics=(K, []))
     with pytest.raises(ShapeError, match="8-bit images"):
         calibrate.board_poses([blank.astype(float)], CHARUCO)

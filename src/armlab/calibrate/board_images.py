@@ -1,10 +1,10 @@
 """Hand-eye calibration from images of a board: corners, intrinsics, and board poses with covariance.
 
-Corners are detected by OpenCV (extra ``vision``). Intrinsics and poses minimise the reprojection error
-``u - proj(T p)``. Its standard deviation s gives the covariance of each pose for known intrinsics,
-``s^2 (J_i^T J_i)^-1``, and the covariance of the shared intrinsics, ``s^2 (sum_i J_k^T (I - P_i) J_k)^-1`` with P_i the
-projection onto the columns of J_i. The two errors are independent, because the intrinsics are determined by residuals
-that poses cannot explain (bundle adjustment: Triggs et al. 2000).
+OpenCV (extra ``vision``) detects the corners. Intrinsics and poses minimise the reprojection error ``u - proj(T p)``.
+With its standard deviation s, the covariance of each pose for known intrinsics is ``s^2 (J_i^T J_i)^-1``. The
+covariance of the shared intrinsics is ``s^2 (sum_i J_k^T (I - P_i) J_k)^-1``, with P_i the projection onto the columns
+of J_i. The two errors are independent, because the residuals that poses cannot explain determine the intrinsics
+(bundle adjustment: Triggs et al. 2000).
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from armlab.estimation import Fit
 from armlab.lie import se3, so3
 from armlab.models import HandEye
 
-LEAST_IMAGES, LEAST_FOR_INTRINSICS = 3, 6
-FOCAL = 0.05  # largest relative deviation of the focal length
-FEW_CORNERS = 6  # minimum corners of a board for a pose
-UNLIKE = 4.0  # ratio to the usual reprojection error beyond which corners are wrong
-TRIED, FEW_MARKERS = 10, 4  # images in the search for a dictionary; markers that identify one
+LEAST_IMAGES, LEAST_FOR_INTRINSICS = 3, 6  # minimum number of images
+FOCAL = 0.05  # largest relative standard deviation of the focal length
+FEW_CORNERS = 6  # minimum number of corners of a board for a pose
+UNLIKE = 4.0  # ratio to the median reprojection error beyond which corners are wrong
+TRIED, FEW_MARKERS = 10, 4  # images in the search for a dictionary; number of markers that identify the dictionary
 SURE = 2.5  # standard deviations of chi^2 from which a misfit is significant
-AMBIGUOUS = 2.0  # smallest error ratio of the two pose solutions of a small tag
+AMBIGUOUS = 2.0  # smallest ratio of the errors of the two pose solutions of a tag
 FORMS = (
     "charuco:COLUMNSxROWS:SQUARE:MARKER[:DICTIONARY] (squares, m), checkerboard:COLUMNSxROWS:SQUARE (inner corners, "
     "m), apriltag:FAMILY:SIZE[:ID] or aruco:DICTIONARY:SIZE[:ID] (m)"
@@ -51,13 +51,13 @@ def opencv() -> Any:
 
 @dataclass(frozen=True)
 class _Board:
-    """A parsed board such as ``charuco:7x5:0.03:0.022``."""
+    """Parsed board such as ``charuco:7x5:0.03:0.022``."""
 
     kind: str
     columns: int = 1
     rows: int = 1
-    square: float = 0.0  # m; size of a tag
-    marker: float = 0.0  # m
+    square: float = 0.0  # side of a square, or of a tag [m]
+    marker: float = 0.0  # side of a marker [m]
     dictionary: str = ""
     tag: int | None = None
 
@@ -82,8 +82,8 @@ class _Board:
             raise ConfigError(f"Expected a ChArUco board with at least 3x3 squares, got {text!r}.")
         if kind == "checkerboard" and (min(board.columns, board.rows) < 3 or (board.columns + board.rows) % 2 == 0):
             raise ConfigError(
-                "Expected at least 3x3 inner corners, an even number along one side and an odd one along the other, "
-                f"got {text!r}: such a board looks the same upside down. Use another board, or charuco."
+                "Expected at least 3x3 inner corners, with an even number along one side and an odd number along the "
+                f"other, got {text!r}, which looks the same upside down. Use a different board, or charuco."
             )
         return board
 
@@ -95,22 +95,22 @@ class BoardPoses(Shown):
     Attributes
     ----------
     T_cam_marker : ndarray, shape (N, 4, 4)
-        NaN if the board was not found. Axes follow OpenCV: z of the camera points forward, and x of the board along a
-        row.
+        Poses; NaN if the board was not found. Axes as in OpenCV: z of the camera points forward, and x of the board
+        along a row.
     cov : ndarray, shape (N, 6, 6)
         Covariance of [v; w] for known intrinsics: v in camera axes [m], w in board axes [rad].
     valid : ndarray of bool, shape (N,)
         Mask of images with a pose.
     failures : dict
-        Reason for each missing pose, by image name (by number if unnamed).
+        Reason for each missing pose, by the name (or number) of the image.
     camera_matrix : ndarray, shape (3, 3)
-        K [pixel], given or calibrated.
+        Camera matrix K [pixel], given or calibrated.
     distortion : ndarray, shape (k,)
-        OpenCV coefficients k1, k2, p1, p2, ...
+        Distortion coefficients k1, k2, p1, p2, ... as in OpenCV.
     sigma : float
-        Reprojection error per axis [pixel]: RMS, corrected for degrees of freedom.
+        RMS reprojection error per axis [pixel], corrected for degrees of freedom.
     intrinsics_cov : ndarray, shape (d, d)
-        Covariance of fx, fy, cx, cy, k1, k2, p1, p2; d = 0 if the intrinsics are given.
+        Covariance of fx, fy, cx, cy, k1, k2, p1, p2; d = 0 if the intrinsics were given.
     sensitivity : ndarray, shape (N, 6, d)
         Derivative of each pose with respect to the intrinsics.
     """
@@ -126,17 +126,17 @@ class BoardPoses(Shown):
     sensitivity: np.ndarray
 
     def report(self) -> str:
-        """Return text with the intrinsics, the reprojection error, and the reason for each image without a pose."""
+        """Return text with the intrinsics, the reprojection error, and the reason for each missing pose."""
         K = self.camera_matrix
         values = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *self.distortion]
         names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
         sd = [*np.sqrt(np.diag(self.intrinsics_cov)), *[np.nan] * len(values)]
         words = [f"{name} {x:.6g}" + (f" +- {s:.2g}" if s == s else "") for name, x, s in zip(names, values, sd)]
-        how = "found" if len(self.intrinsics_cov) else "given"
+        how = "Calibrated" if len(self.intrinsics_cov) else "Given"
         lines = [
             f"{np.count_nonzero(self.valid)} of {len(self.valid)} images show the board; reprojection error "
             f"{self.sigma:.3g} pixel per axis.",
-            f"Intrinsics, {how} [pixel]: {', '.join(words)}.",
+            f"{how} intrinsics [pixel]: {', '.join(words)}.",
         ]
         return "\n".join([*lines, *(f"{name}: {why}" for name, why in self.failures.items())])
 
@@ -147,20 +147,21 @@ def board_poses(
     *,
     intrinsics: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> BoardPoses:
-    """Detect a calibration board in images; return its poses with covariance, and the intrinsics unless given.
+    """Detect a calibration board in images; return its poses with covariance, and the intrinsics of the camera.
 
     Parameters
     ----------
     images : sequence or mapping of ndarray, shape (H, W) or (H, W, 3), 8 bit
-        Images from one camera, all of the same size; a mapping names them.
+        Images from one camera, all of the same size; the keys of a mapping are their names.
     board : str
-        ``charuco:7x5:0.03:0.022`` (squares along x and y, side of a square and of a marker [m], optionally the
-        dictionary, default: detected), ``checkerboard:8x5:0.025`` (inner corners), ``apriltag:36h11:0.05`` (side of the
-        black square, optionally the number of the tag) or ``aruco:4X4_50:0.05``. Origin: OpenCV's first corner of the
-        board, the first inner corner of a checkerboard, or the centre of a tag.
+        ``charuco:7x5:0.03:0.022`` (number of squares along x and y, sides of a square and of a marker [m], optionally
+        the dictionary; default: detected), ``checkerboard:8x5:0.025`` (number of inner corners, side of a square [m]),
+        ``apriltag:36h11:0.05`` or ``aruco:4X4_50:0.05`` (side of the black square [m], optionally the number of the
+        tag). The origin is the first corner of the board in OpenCV, the first inner corner of a checkerboard, or the
+        centre of a tag.
     intrinsics : tuple, optional
-        Camera matrix (3, 3) [pixel] and OpenCV distortion coefficients. Default: calibrated (fx, fy, cx, cy, k1, k2,
-        p1, p2) from at least six images; required for tags.
+        Camera matrix (3, 3) [pixel] and distortion coefficients as in OpenCV. Default: calibrated (fx, fy, cx, cy, k1,
+        k2, p1, p2) from at least six images. Required for tags.
 
     Returns
     -------
@@ -170,8 +171,8 @@ def board_poses(
     ------
     MissingExtra : OpenCV is not installed.
     ConfigError : an invalid board.
-    ShapeError : images of another type or of different sizes.
-    NotExcited : too few images with a board, with the reason for each; intrinsics not determined by the images.
+    ShapeError : images of a wrong type or of different sizes.
+    NotExcited : too few images with a board (states the reasons), or images that do not determine the intrinsics.
 
     References
     ----------
@@ -202,13 +203,12 @@ def poses_of_corners(
     intrinsics: tuple[ArrayLike, ArrayLike] | None = None,
     is_tag: bool = False,
 ) -> BoardPoses:
-    """Return the pose from the corners in each image, or a text with the reason for a missing pose."""
+    """Return the poses from the corners found in each image; a text instead of corners states why there are none."""
     cv2 = opencv()
-    failures = {name: one for name, one in found.items() if isinstance(one, str)}
-    seen = {name: one for name, one in found.items() if not isinstance(one, str)}
+    failures, seen = _separated(found)
     if intrinsics is None and is_tag:
         raise NotExcited(
-            "Expected intrinsics with a single tag, because its four corners do not determine them, got none. Pass "
+            "Expected intrinsics for a tag, because its four corners do not determine them, got no intrinsics. Pass "
             "them (--intrinsics FILE), or use a board.", ["intrinsics"], ["4 corners per image"],
         )  # fmt: skip
     while True:  # until no image is an outlier
@@ -217,15 +217,14 @@ def poses_of_corners(
             K, dist, poses = _calibrated(cv2, seen, size)
         else:
             K, dist = (np.asarray(one, dtype=float) for one in intrinsics)
-            poses = {name: _pose(cv2, *corners, K, dist, is_tag) for name, corners in seen.items()}
-            failures |= {name: pose for name, pose in poses.items() if isinstance(pose, str)}
-            poses = {name: pose for name, pose in poses.items() if not isinstance(pose, str)}
+            why, poses = _separated({name: _pose(cv2, *one, K, dist, is_tag) for name, one in seen.items()})
+            failures |= why
         parts = {name: _linear(cv2, *seen[name], *pose, K, dist) for name, pose in poses.items()}
         rms = {name: float(np.sqrt(np.mean(r**2))) for name, (r, _, _) in parts.items()}
         usual = float(np.median(list(rms.values()))) if rms else 0.0
         wrong = {name: value for name, value in rms.items() if value > UNLIKE * usual}
         failures |= {
-            name: f"reprojection error of {value:.2g} pixel instead of {usual:.2g} as in other images: wrong corners"
+            name: f"reprojection error of {value:.2g} pixel, but {usual:.2g} in other images: wrong corners"
             for name, value in wrong.items()
         }
         seen = {name: corners for name, corners in seen.items() if name in parts and name not in wrong}
@@ -233,6 +232,12 @@ def poses_of_corners(
             break
     _require_images(seen, found, failures, LEAST_IMAGES)
     return _result(list(found), poses, parts, failures, K, dist, estimated=intrinsics is None)
+
+
+def _separated(results: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, Any]]:
+    """Return the failures, which are texts, and the other results."""
+    failures = {name: one for name, one in results.items() if isinstance(one, str)}
+    return failures, {name: one for name, one in results.items() if name not in failures}
 
 
 def fit_hand_eye_images(
@@ -245,37 +250,38 @@ def fit_hand_eye_images(
 ) -> Fit[HandEye]:
     """Calibrate the poses of the camera and a board from robot poses and images of the board at rest.
 
-    Calls `fit_hand_eye` with the covariance of each pose. If the pose residuals exceed what their covariance
-    explains, the covariance is scaled: ``C chi^2 / dof`` (Birge's ratio), because corner errors in an image
-    may be correlated and the arm may be inaccurate. The shared error of estimated intrinsics is added: ``C + S C_k
-    S^T``, S the sensitivity of the result to the intrinsics.
+    The function calls `fit_hand_eye` with the covariance of each board pose. If the residuals are larger than this
+    covariance explains, the covariance C of the result is scaled to ``C chi^2 / dof`` (Birge's ratio), because corner
+    errors within an image may be correlated and the arm may be inaccurate. The shared error of estimated intrinsics is
+    added: ``C + S C_k S^T``, with S the sensitivity of the result to the intrinsics.
 
     Parameters
     ----------
     T_base_tool : array_like, shape (N, 4, 4)
-        Pose of the robot for each image; rows without a detected board are ignored.
+        Pose of the robot for each image; rows of images without a board are ignored.
     seen : BoardPoses
         Result of `board_poses`.
     setup : {"eye_to_hand", "eye_in_hand"}
-        Fixed camera or camera on the tool.
+        Fixed camera, or camera on the tool.
     noise_robot : array_like, optional
-        Standard deviations of the robot poses (m, rad) or their covariance, as in `fit_hand_eye`; recommended,
+        Standard deviations of the robot poses (m, rad), or their covariance, as in `fit_hand_eye`; recommended,
         because a camera is often more accurate than the arm.
     robust : bool
-        Detect and exclude outliers. `Fit.outliers` covers only images with a detected board.
+        Detect and exclude outliers. `Fit.outliers` has one entry per image with a detected board.
 
     Returns
     -------
-    Fit of a `models.HandEye`; see `fit_hand_eye`.
+    Fit of a `models.HandEye`
+        See `fit_hand_eye`.
 
     Raises
     ------
-    ShapeError : not one pose per image.
+    ShapeError : there is not one robot pose per image.
     NotExcited, NotConverged : see `fit_hand_eye`.
     """
     T, N = numbers(T_base_tool, "T_base_tool", ShapeError), len(seen.valid)
     if T.shape != (N, 4, 4):
-        raise ShapeError(f"Expected a pose of the robot for each of the {N} images, (N, 4, 4), got {T.shape}.")
+        raise ShapeError(f"Expected a robot pose for each of the {N} images, (N, 4, 4), got {T.shape}.")
     A, B, cov = T[seen.valid], seen.T_cam_marker[seen.valid], seen.cov[seen.valid]
     noise = numbers(noise_robot, "noise_robot", ShapeError) if noise_robot is not None else None
     if noise is not None and noise.ndim == 3 and len(noise) == N:
@@ -288,7 +294,7 @@ def fit_hand_eye_images(
     if ratio > 1.0:
         notes.append(
             f"Residuals of the poses are {np.sqrt(ratio):.2g} times as large as corner errors explain; the standard "
-            "deviations are scaled accordingly."
+            "deviations are scaled by this factor."
         )
     D, S, sd = seen.sensitivity[seen.valid][keep], np.zeros((12, d)), np.sqrt(np.diag(seen.intrinsics_cov))
     for k in range(d):
@@ -300,7 +306,7 @@ def fit_hand_eye_images(
 
 
 def _misfit(fit: Fit[HandEye], A: np.ndarray, B: np.ndarray, cov: np.ndarray, noise_robot: Any, setup: str) -> float:
-    """Return chi^2 divided by its degrees of freedom if this is significantly above 1, otherwise 1."""
+    """Return chi^2 divided by its degrees of freedom if the ratio is significantly above 1, otherwise 1."""
     equation, _ = equation_of(A, B, setup, cov, noise_robot)
     X, Y = np.asarray(fit.value.X), fit.value.Y
     (one,) = equation.evaluate(Pair(X[:3, :3], X[:3, 3], Y[:3, :3], Y[:3, 3]))
@@ -315,7 +321,7 @@ def _plus(T: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def _difference(one: HandEye, other: HandEye) -> np.ndarray:
-    """Return the step (12,) between two values: v in the parent's axes, w in the child's."""
+    """Return the step (12,) between two values, v in the parent's axes, w in the child's axes."""
     parts = []
     for a, b in ((np.asarray(one.X), np.asarray(other.X)), (one.Y, other.Y)):
         parts += [b[:3, 3] - a[:3, 3], so3.log(a[:3, :3].T @ b[:3, :3])]
@@ -327,10 +333,10 @@ def _require_images(seen: Mapping[str, Any], found: Mapping[str, Any], failures:
         return
     listed = "; ".join(f"{name}: {why}" for name, why in list(failures.items())[:5])
     raise NotExcited(
-        f"Expected the board in at least {least} images, got it in {len(seen)} of {len(found)}"
+        f"Expected the board in at least {least} images, but it was found in {len(seen)} of {len(found)}"
         + (f" ({listed}). " if listed else ". ")
         + ("Take more images" if len(seen) else "Check --board")
-        + (", or give the intrinsics." if least == LEAST_FOR_INTRINSICS else "."),
+        + (", or pass the intrinsics." if least == LEAST_FOR_INTRINSICS else "."),
         [f"everything: {len(seen)} images"],
         [f"{len(seen)} of at least {least} images"],
     )
@@ -338,20 +344,19 @@ def _require_images(seen: Mapping[str, Any], found: Mapping[str, Any], failures:
 
 def _gray(cv2: Any, image: Any, name: str) -> np.ndarray:
     pixels = np.asarray(image)
-    if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] not in (1, 3, 4)):
+    channels = 1 if pixels.ndim == 2 else pixels.shape[2] if pixels.ndim == 3 else 0
+    if pixels.dtype != np.uint8 or channels not in (1, 3, 4):
         raise ShapeError(
             f"Expected 8-bit images of shape (H, W) or (H, W, 3), got {pixels.dtype} of shape {pixels.shape} for "
             f"{name}."
         )
-    if pixels.ndim == 3:
-        codes = {1: None, 3: cv2.COLOR_BGR2GRAY, 4: cv2.COLOR_BGRA2GRAY}
-        code = codes[pixels.shape[2]]
-        return pixels[:, :, 0] if code is None else cv2.cvtColor(pixels, code)
-    return pixels
+    if channels == 1:
+        return pixels.reshape(pixels.shape[:2])
+    return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY if channels == 3 else cv2.COLOR_BGRA2GRAY)
 
 
 def _detector(cv2: Any, board: _Board, images: Sequence[np.ndarray]) -> Any:
-    """Return the function that detects corners in an image, or raise with the cause."""
+    """Return a function that returns the corners in an image, or a text that states why there are none."""
     if board.kind == "checkerboard":
         return lambda image: _checkerboard(cv2, board, image)
     if board.kind == "charuco":
@@ -377,7 +382,7 @@ def _refined(cv2: Any) -> Any:
 
 
 def _charuco_detector(cv2: Any, board: _Board, images: Sequence[np.ndarray]) -> Any:
-    """Return the detector whose dictionary and pattern find the most markers in the first images with any markers."""
+    """Return the detector with the dictionary and the pattern that find the most markers in the first images."""
     count = board.columns * board.rows // 2
 
     def markers(name: str, image: np.ndarray) -> int:
@@ -392,7 +397,7 @@ def _charuco_detector(cv2: Any, board: _Board, images: Sequence[np.ndarray]) -> 
             shown = [image]
             break
     detectors = []
-    for legacy in (False, True) if board.rows % 2 == 0 else (False,):  # other layout before OpenCV 4.6
+    for legacy in (False, True) if board.rows % 2 == 0 else (False,):  # before OpenCV 4.6, the layout was different
         made = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, board.marker, _dictionary(cv2, name))
         made.setLegacyPattern(legacy)
         detectors.append(cv2.aruco.CharucoDetector(made))
@@ -416,7 +421,7 @@ def _charuco_points(cv2: Any, detector: Any, image: np.ndarray) -> Corners | str
 
 
 def _sharpened(cv2: Any, board: Any, image: np.ndarray, places: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return corners refined without markers; unrefined corners have correlated errors of about 0.1 pixel."""
+    """Return the refined corners; unrefined corners have correlated errors of about 0.1 pixel."""
     apart = np.linalg.norm(places[:, None] - places[None], axis=2) + 1e9 * np.eye(len(places))
     pixels = np.linalg.norm(corners[:, None] - corners[None], axis=2)
     scale = float(np.min(pixels[apart < 1.1 * board.getSquareLength()], initial=np.inf)) / board.getSquareLength()
@@ -431,7 +436,7 @@ def _checkerboard(cv2: Any, board: _Board, image: np.ndarray) -> Corners | str:
     if not there:
         return f"no checkerboard with {board.columns} x {board.rows} inner corners, all of which must be visible"
     u = corners.reshape(board.rows, board.columns, 2).astype(float)
-    if _inner_square(image, u) > _inner_square(image, u[::-1, ::-1]):  # start at a dark square: the other end is bright
+    if _inner_square(image, u) > _inner_square(image, u[::-1, ::-1]):  # the first square must be dark
         u = u[::-1, ::-1]
     x, y = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
     places = board.square * np.stack([x, y, 0 * x], axis=2).reshape(-1, 3)
@@ -472,7 +477,7 @@ def _checked_intrinsics(camera_matrix: ArrayLike, distortion: ArrayLike) -> tupl
 
 
 def _calibrated(cv2: Any, seen: Mapping[str, Corners], size: tuple[int, int]) -> tuple[Any, Any, dict[str, Any]]:
-    """Return the camera matrix, the distortion, and the rotation vector and position of the board in each image."""
+    """Return the camera matrix, the distortion, and the rotation vectors and positions of the board."""
     places = [board.astype(np.float32) for board, _ in seen.values()]
     corners = [image.astype(np.float32) for _, image in seen.values()]
     end = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12)
@@ -482,8 +487,8 @@ def _calibrated(cv2: Any, seen: Mapping[str, Corners], size: tuple[int, int]) ->
         )[:5]
     except cv2.error as error:
         raise NotConverged(
-            f"Expected images that determine the intrinsics, got: {str(error).splitlines()[-1]}. Tilt the board more, "
-            "or pass the intrinsics."
+            f"Expected images that determine the intrinsics, but OpenCV reports: {str(error).splitlines()[-1]}. Tilt "
+            "the board more, or pass the intrinsics."
         ) from None
     poses = {name: (r.ravel(), t.ravel()) for name, r, t in zip(seen, turns, shifts)}
     return K, dist.ravel()[:4], poses
@@ -492,14 +497,14 @@ def _calibrated(cv2: Any, seen: Mapping[str, Corners], size: tuple[int, int]) ->
 def _pose(
     cv2: Any, places: np.ndarray, corners: np.ndarray, K: np.ndarray, dist: np.ndarray, is_tag: bool
 ) -> tuple[np.ndarray, np.ndarray] | str:
-    """Return the rotation vector and position of the board, or a text if two poses explain the corners equally well."""
+    """Return the rotation vector and position of the board, or a text if the pose of a tag is ambiguous."""
     way = cv2.SOLVEPNP_IPPE_SQUARE if is_tag else cv2.SOLVEPNP_IPPE
     _, turns, shifts, errors = cv2.solvePnPGeneric(places, corners, K, dist, flags=way)
     found = sorted(zip(errors.ravel().tolist(), range(len(turns))))
     if is_tag and len(found) > 1 and found[1][0] < AMBIGUOUS * found[0][0]:
         return (
-            f"two poses of the tag fit its corners, with {found[0][0]:.2g} and {found[1][0]:.2g} pixel. Come closer, "
-            "or use a board"
+            f"two poses fit the corners of the tag, with errors of {found[0][0]:.2g} and {found[1][0]:.2g} pixel; move "
+            "closer, or use a board"
         )
     start = found[0][1]
     end = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-14)
@@ -510,7 +515,7 @@ def _pose(
 def _linear(
     cv2: Any, places: np.ndarray, corners: np.ndarray, r: np.ndarray, t: np.ndarray, K: np.ndarray, dist: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residuals (2K,) and their derivatives w.r.t. pose (2K, 6), [v; w], and intrinsics (2K, 8)."""
+    """Return the residuals (2K,), and their derivatives with respect to the pose (2K, 6) and the intrinsics (2K, 8)."""
     projected, J = cv2.projectPoints(places, r, t, K, dist)
     by_turn = J[:, :3] @ so3.left_jacobian_inv(-r)
     residual = (corners - projected.reshape(-1, 2)).ravel()
@@ -546,7 +551,7 @@ def _result(
         raise NotExcited(
             f"Expected images that determine the focal length to {100 * FOCAL:.0f} %, got {K[0, 0]:.4g} +- "
             f"{np.sqrt(shared[0, 0]):.2g} pixel. Tilt the board by 20 to 40 degrees to both sides, or pass the "
-            "intrinsics.", ["focal length"], [f"{np.sqrt(shared[0, 0]) / K[0, 0]:.2g} of it"],
+            "intrinsics.", ["focal length"], [f"relative standard deviation {np.sqrt(shared[0, 0]) / K[0, 0]:.2g}"],
         )  # fmt: skip
     whole = {name: failures[name] for name in names if name in failures}
     valid = np.array([name in kept for name in names])

@@ -1,4 +1,4 @@
-"""Diagnostics shared by all calibrations: limits, axis names, insufficient rotations, misread orientations."""
+"""Diagnostics shared by all calibrations: limits, names of axes, too few rotations, misread orientations."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from armlab.estimation.residual_tests import ResidualCheck
 from armlab.lie import quaternion
 
 Limits = TypeVar("Limits", tuple[float, float], tuple[float, float, float])
-FIXED = 1e-6  # rad: smaller rotations count as zero
-NOISE = 3.0  # standard deviations of the noise below which rotations also count as zero
+FIXED = 1e-6  # rotation [rad] below which poses count as not rotated
+NOISE = 3.0  # the same in standard deviations of the noise
 ALIGNED = 0.996  # cosine above which an axis is named by its letter
 THINNED = 2000  # maximum number of rotations searched for the largest angle
-UNSEEN = 1e-9  # information below which a direction is unobserved
-ROUGH = 0.05  # rad: larger residuals are not sensor noise
+UNSEEN = 1e-9  # information below which a direction is unobservable
+ROUGH = 0.05  # residual [rad] too large for sensor noise
 COUNTS = {2: "two", 3: "three"}
-SPREAD_AND_ANGLE = "a share of the spread of the positions and an angle [rad]"
-ANGLE_WEIGHT_LENGTH = "an angle [rad], a share of the weight and a length [m]"
+SPREAD_AND_ANGLE = "a fraction of the spread of the positions and an angle [rad]"
+ANGLE_WEIGHT_LENGTH = "an angle [rad], a fraction of the weight and a length [m]"
 SUSPECT = 0.02  # residual (relative or in rad) above which other interpretations are tried
-MUCH_BETTER = 0.3  # largest residual of the right interpretation, relative to the present one
-FITS = 0.1  # largest residual of the right interpretation, relative to the spread
+MUCH_BETTER = 0.3  # largest ratio of the residual of a better interpretation to the current residual
+FITS = 0.1  # largest ratio of the residual of a better interpretation to the spread
 ROBOT, MARKER = "T_base_tool", "T_cam_marker"
 
 
@@ -45,7 +45,7 @@ def limits_of(limits: Any, what: str, usual: Limits) -> Limits:
     values = numbers(limits, "limits", ShapeError)
     if values.shape != (len(usual),) or not np.all(values > 0):
         raise ShapeError(
-            f"Expected limits as {COUNTS[len(usual)]} numbers above zero, {what}, got {limits!r}. The defaults are "
+            f"Expected limits as {COUNTS[len(usual)]} numbers above zero ({what}), got {limits!r}. The defaults are "
             f"{usual}."
         )
     found: Any = tuple(values.tolist())
@@ -53,9 +53,9 @@ def limits_of(limits: Any, what: str, usual: Limits) -> Limits:
 
 
 def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence[str]) -> None:
-    """Raise unless the rotations are about two axes; `noise` is the standard deviation of a rotation [rad].
+    """Raise unless the tool rotates about two axes; `noise` is the standard deviation of a rotation [rad].
 
-    ``e_u^2 = 1 - |mean(R_A) u|^2`` is the mean square rotation of a tool axis u; noise alone makes it 2 sigma^2.
+    The mean square rotation of a tool axis u is ``1 - |mean(R_A) u|^2``; noise alone makes it 2 sigma^2.
     """
     M = RA.sum(axis=0) / len(RA)
     squares, u = np.linalg.eigh(np.eye(3) - M.T @ M)
@@ -65,13 +65,13 @@ def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence
         return
     axes = [u[:, 0]] if turned[1] > limit else list(np.eye(3))
     where = [f"translation of {moved[0]} along {axis_text(v, carrier)} ({moved[1]} moves with it)" for v in axes]
-    turn = "about one axis only" if turned[1] > limit else "nowhere"
+    turn = "rotations about one axis only" if turned[1] > limit else "no rotation"
     largest = largest_rotation(RA)
     raise NotExcited(
-        f"Expected poses that rotate the tool about two axes, got rotations {turn} (largest angle between two poses "
+        f"Expected poses that rotate the tool about two axes, got {turn} (largest angle between two poses "
         f"{largest:.3g} rad). Not identifiable: {'; '.join(where)}. Rotate the wrist about a second axis.",
         where,
-        [f"turned by {t:.2g} rad, noise {noise:.2g} rad" for t in turned[: len(where)]],
+        [f"rotated by {t:.2g} rad, noise {noise:.2g} rad" for t in turned[: len(where)]],
     )
 
 
@@ -82,26 +82,26 @@ def largest_rotation(R: np.ndarray) -> float:
 
 
 def doubts_of(check: ResidualCheck, remarks: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
-    """Return the doubts about a fit, and the remarks that are not doubts (doubts are phrased as questions)."""
+    """Separate the remarks on a fit into doubts, which are phrased as questions, and other remarks."""
     asked = (line for line in remarks if line.endswith("?"))
     return (*check.doubts, *asked), [line for line in remarks if line and not line.endswith("?")]
 
 
 def require_most(outliers: np.ndarray, what: str, best: Any) -> None:
-    """Raise if a fit excludes at least half of the samples, because the others may then fit by chance."""
+    """Raise if a fit excludes at least half of the samples, because the remaining samples may then fit by chance."""
     left, total = int(np.count_nonzero(outliers)), len(outliers)
     if 2 * left < total or not left:
         return
     raise NotConverged(
         f"Expected mostly consistent {what}, but {left} of {total} samples were excluded. Check that sample i of all "
-        "records belongs to the same moment; also check units, frames, and the noise if given.",
+        "records is simultaneous. Also check the units, the frames, and the noise if given.",
         best=best,
         reason="mismatch",
     )
 
 
 class Reading(NamedTuple):
-    """Description of one interpretation of orientations, and the resulting poses (N, 3, 3), (N, 3)."""
+    """Interpretation of the orientations: its description, and the resulting rotations and positions."""
 
     text: str
     R: np.ndarray
@@ -109,22 +109,22 @@ class Reading(NamedTuple):
 
 
 def readings(R: np.ndarray, t: np.ndarray) -> list[Reading]:
-    """Return alternative interpretations of poses, each with a sentence about "{}".
+    """Return alternative interpretations of poses; "{}" in a description stands for the name of the poses.
 
-    If both records have the wrong quaternion order, the rotations of ``A X = Y B`` still agree: ``q_A = q_Y q_B
-    q_X^-1`` is a rotation of the four numbers in any order. Only positions reveal the error.
+    If both records have the wrong quaternion order, the rotations of ``A X = Y B`` still agree, because ``q_A = q_Y q_B
+    q_X^-1`` rotates the four numbers in any order. Only the positions then reveal the error.
     """
     q = quaternion.from_matrix(R)
     there, back = (quaternion.to_matrix(np.roll(q, by, -1)) for by in (1, -1))
     return [
         Reading("The quaternions of {} are x, y, z, w but were read as w, x, y, z.", there, t),
         Reading("The quaternions of {} are w, x, y, z but were read as x, y, z, w.", back, t),
-        Reading("The rotations of {} are transposed (rotations of the inverse).", R.transpose(0, 2, 1), t),
+        Reading("The rotations of {} are transposed (those of the inverse poses).", R.transpose(0, 2, 1), t),
     ]
 
 
 def readings_of_robot(R: np.ndarray, t: np.ndarray) -> Iterator[Reading]:
-    """Yield interpretations of the robot poses and of their inverses, which eye-in-hand setups use."""
+    """Yield interpretations of the robot poses, and of their inverses for eye-in-hand setups."""
     yield from readings(R, t)
     back = R.transpose(0, 2, 1)
     for one in readings(back, -(back @ t[:, :, None])[:, :, 0]):

@@ -4,7 +4,6 @@ Maximum-likelihood estimate of two poses in ``A_i X = Y B_i``, with the noise of
 
     r_t = t_B - R_Y^T (R_A t_X + t_A - t_Y),    r_R = Log((R_Y^T R_A R_X)^T R_B)
 
-The file follows the order of the fit: inputs, problem with closed-form initial guess, solution, diagnostics.
 Theory: Shiu and Ahmad (1989); Park and Martin (1994); Dornaika and Horaud (1998); Strobl and Hirzinger (2006).
 """
 
@@ -46,23 +45,20 @@ from armlab.lie import so3
 from armlab.models import HandEye
 from armlab.models.sensors import FRAMES
 
-LIMITS = (0.2, 0.2)
+LIMITS = (0.2, 0.2)  # largest accepted standard deviations: fraction of the spread of the positions, and [rad]
 CLASSES = ("position [m]", "rotation [rad]")
 WHAT = "hand-eye calibration"
 COMPONENTS = ("t",) * 3 + ("R",) * 3
 SHARED = 0.3  # relative length above which a component of a direction is named
-APART = 0.5  # residual over spread above which two records are inconsistent
-COARSE = 0.03  # of the spread: larger residuals are not sensor noise
-NOTHING, FITS_BETTER = (
-    1e-4,
-    0.1,
-)  # mean square rotation [rad^2] without misfit; relative misfit of a better interpretation
-FAR = 30.0  # m: longer than any arm; 30 cm given in millimetres exceed it
+APART = 0.5  # ratio of residual to spread above which two records are inconsistent
+COARSE = 0.03  # ratio of residual to spread that is too large for sensor noise
+NOTHING, FITS_BETTER = 1e-4, 0.1  # misfit that counts as zero [rad^2]; relative misfit of a better interpretation
+FAR = 30.0  # spread [m] beyond the reach of any arm, as of 30 cm given in millimetres
 LATE, ENOUGH = 4.0, 12  # standard deviations and samples needed for a time offset
-LEAST, LATEST = 0.01, 1.5  # samples: smaller offsets count as zero (unordered poses); larger ones mean wrong pairing
-STENCIL = 5  # poses of the interpolating polynomial
-PROBE, TINY = 1e-5, 1e-12  # step in samples of a numerical derivative; rounding in m, rad
-FIRST_ORDER = 0.05  # rad: larger standard deviations are only first-order approximations
+LEAST, LATEST = 0.01, 1.5  # samples: smaller offsets count as zero (unordered poses); larger offsets are wrong pairing
+STENCIL = 5  # number of poses of the interpolating polynomial
+PROBE, TINY = 1e-5, 1e-12  # step of a numerical derivative in samples; rounding in m or rad
+FIRST_ORDER = 0.05  # standard deviation [rad] beyond which it is only a first-order approximation
 
 
 def fit_hand_eye(
@@ -81,39 +77,40 @@ def fit_hand_eye(
         eye_to_hand:  T_base_tool T_tool_marker    = T_base_cam T_cam_marker
         eye_in_hand:  T_base_tool^-1 T_base_marker = T_tool_cam T_cam_marker
 
-    No initial guess is needed; the result does not depend on the order of the samples, the frames or the unit of
-    length.
+    No initial guess is needed. The order of the samples, the frames and the unit of length do not affect the result.
 
     Parameters
     ----------
     T_base_tool : (N, 4, 4) poses of the robot, N >= 3, rotated about at least two axes.
-    T_cam_marker : (N, 4, 4) poses of the marker in the camera.
+    T_cam_marker : (N, 4, 4) poses of the marker in the camera frame.
     setup : "eye_to_hand": fixed camera, marker on the tool. "eye_in_hand": camera on the tool, fixed marker.
-    noise : noise of T_cam_marker: (sd of each axis of the position [m], of the rotation vector [rad]), or covariance
-        (6, 6) or (N, 6, 6) of [v; w], v in camera axes, w in marker axes. Default: estimated.
-    noise_robot : the same for T_base_tool, v in base axes, w in tool axes. Never estimated, because data cannot
-        separate the two noises. Default: exact.
-    robust : detect outliers; `Fit.outliers` marks them, and they are excluded.
-    offset : camera delay in samples: T_cam_marker[i] shows robot pose i - offset. Needs consecutive, evenly spaced
-        samples of a motion. None: estimated as the last parameter if the motion determines it, and then listed in
-        `doubts`, because it was not given.
-    limits : largest accepted standard deviation along any direction: share of the spread of the positions, and [rad].
+    noise : noise of T_cam_marker: standard deviations (of each coordinate of the position [m], of each component of the
+        rotation vector [rad]), or covariance (6, 6) or (N, 6, 6) of [v; w], v in camera axes, w in marker axes.
+        Default: estimated.
+    noise_robot : noise of T_base_tool in the same forms, v in base axes, w in tool axes. It is never estimated, because
+        the data cannot separate the two noises. Default: exact poses.
+    robust : detect and exclude outliers; `Fit.outliers` marks them.
+    offset : delay of the camera in samples: T_cam_marker[i] shows robot pose i - offset. Requires consecutive, evenly
+        spaced samples of a motion. Default: estimated as the last parameter if the motion determines it; it is then
+        also listed in `doubts`, because it was not given.
+    limits : largest accepted standard deviation along any direction: fraction of the spread of positions, and [rad].
 
     Returns
     -------
-    Fit of a `models.HandEye`. Parameters and covariance: position and rotation vector of X, then of Y. The
-    covariance is that of (R Exp(w), t + v): v in the parent's axes, w in the child's. Residuals (N, 6): [r_t; r_R].
+    Fit of a `models.HandEye`
+        Parameters: position [m] and rotation vector [rad] of X, then of Y. The covariance is that of the errors v and w
+        in (R Exp(w), t + v), v in the parent's axes, w in the child's axes. Residuals (N, 6): [r_t; r_R].
 
     Raises
     ------
-    ShapeError : wrong shape, NaN rows, invalid rotations, left-handed axes.
+    ShapeError : wrong shapes, rows with NaN, invalid rotations, left-handed axes.
     UnknownName : unknown setup.
-    NotExcited : too few poses; an unidentifiable direction, by name.
-    NotConverged : inconsistent records: pairing, inverse poses, millimetres.
+    NotExcited : too few poses, or an unidentifiable direction (named in the message).
+    NotConverged : inconsistent records because of wrong pairing, inverse poses or millimetres.
 
     References
     ----------
-    Shah, J. Mech. Robotics 5(3), 2013 (start); Strobl and Hirzinger, IROS 2006 (weights).
+    Shah, J. Mech. Robotics 5(3), 2013 (initial guess); Strobl and Hirzinger, IROS 2006 (weights).
     """
     equation, notes = equation_of(T_base_tool, T_cam_marker, setup, noise, noise_robot)
     widths = limits_of(limits, SPREAD_AND_ANGLE, LIMITS)
@@ -134,15 +131,14 @@ def fit_hand_eye(
 def equation_of(
     T_base_tool: ArrayLike, T_cam_marker: ArrayLike, setup: str, noise: Any, noise_robot: Any
 ) -> tuple[HandEyeEquation, list[str]]:
-    """Return the validated equation and remarks on its poses."""
+    """Return the validated equation, and remarks on its poses."""
     if setup not in FRAMES:
         raise UnknownName.among("setup", setup, FRAMES)
     RA, tA, first = poses(T_base_tool, "T_base_tool")
     RB, tB, second = poses(T_cam_marker, "T_cam_marker")
     if len(RA) != len(RB):
         raise ShapeError(
-            f"Expected equal numbers of robot and marker poses, got {len(RA)} and {len(RB)}. "
-            "Pair them by their time first."
+            f"Expected equal numbers of robot and marker poses, got {len(RA)} and {len(RB)}. Pair them by time first."
         )
     N = len(RA)
     of_camera, of_robot = pose_noise(noise, N), pose_noise(noise_robot, N, "noise_robot")
@@ -164,7 +160,7 @@ def robot_side(
 
 
 def inverse_noise(noise: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the covariance (N, 6, 6) of the inverses of noisy poses: v' = hat(-R^T t) w - R^T v, w' = -R w."""
+    """Return the covariance (N, 6, 6) of inverse poses, with errors v' = hat(-R^T t) w - R^T v and w' = -R w."""
     M = np.zeros((len(R), 6, 6))
     Rt = R.transpose(0, 2, 1)
     M[:, :3, :3] = -Rt
@@ -179,7 +175,7 @@ def full(noise: np.ndarray) -> np.ndarray:
 
 
 def rotation_sd(noise: np.ndarray | None) -> float:
-    """Return the standard deviation of one rotation component [rad] from a covariance of poses; 0 for None."""
+    """Return the standard deviation of a rotation component [rad] from the covariance of poses; 0 for None."""
     if noise is None:
         return 0.0
     variance = noise if noise.ndim == 1 else np.diagonal(noise, axis1=-2, axis2=-1)
@@ -193,12 +189,12 @@ class Pair(NamedTuple):
     tY: np.ndarray
 
     def plus(self, x: np.ndarray) -> Pair:
-        """Return the pair after a step x = (v_X, w_X, v_Y, w_Y): v in the parent's axes, w in the child's."""
+        """Return the pair after a step x = (v_X, w_X, v_Y, w_Y), v in the parent's axes, w in the child's axes."""
         turn = so3.exp(x.reshape(4, 3)[1::2])
         return Pair(self.RX @ turn[0], self.tX + x[:3], self.RY @ turn[1], self.tY + x[6:9])
 
     def parameters(self) -> np.ndarray:
-        """Return position and rotation vector of both poses (12,)."""
+        """Return the positions and rotation vectors of both poses (12,)."""
         return np.concatenate([self.tX, so3.log(self.RX), self.tY, so3.log(self.RY)])
 
     def poses(self) -> tuple[np.ndarray, np.ndarray]:
@@ -219,15 +215,14 @@ class TimedPair(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HandEyeEquation:
-    """Hand-eye equation A_i X = Y B_i for pairs of poses; AX = XB is its form for relative poses."""
+    """Hand-eye equation A_i X = Y B_i for pairs of poses."""
 
-    RA: np.ndarray  # RA, tA: (N, 3, 3) and (N, 3) of A
-    tA: np.ndarray
-    RB: np.ndarray  # RB, tB: of B, which is measured
-    tB: np.ndarray
-    # of B: variances (6,) or covariance (6, 6) or (N, 6, 6); None: estimate
-    noise: np.ndarray | None = None
-    noise_A: np.ndarray | None = None  # of A, in the same forms; None: exact
+    RA: np.ndarray  # (N, 3, 3) rotations of A
+    tA: np.ndarray  # (N, 3) positions of A
+    RB: np.ndarray  # (N, 3, 3) measured rotations of B
+    tB: np.ndarray  # (N, 3) measured positions of B
+    noise: np.ndarray | None = None  # variances (6,) or covariance (6, 6) or (N, 6, 6) of B; None: estimated
+    noise_A: np.ndarray | None = None  # noise of A in the same forms; None: exact
 
     @property
     def N(self) -> int:
@@ -235,25 +230,25 @@ class HandEyeEquation:
 
     @cached_property
     def mean(self) -> np.ndarray:
-        """Mean of R_A (3, 3), with a smaller norm for larger rotations."""
+        """Mean of R_A (3, 3); its norm decreases with larger rotations."""
         return self.RA.sum(axis=0) / self.N
 
     @cached_property
     def spread(self) -> float:
-        """Length scale of the positions [m]: the larger RMS distance from the mean of both records."""
+        """Spread of the positions [m]: RMS distance from their mean, of the record with the larger value."""
         both = (t - t.sum(axis=0) / self.N for t in (self.tA, self.tB))
         return max(float(np.sqrt(np.vdot(t, t) / self.N)) for t in both) or 1.0
 
     @cached_property
     def _near(self) -> tuple[np.ndarray, np.ndarray]:
-        """Neighbours (N, 5) of each pose of A, and the steps (N, 5, 6) to them."""
+        """Relative indices (N, 5) of the neighbours of each pose of A, and the steps (N, 5, 6) to the neighbours."""
         here, width = np.arange(self.N), min(STENCIL, self.N)
         near = np.clip(here - width // 2, 0, self.N - width)[:, None] + np.arange(width)
         turn = so3.log(self.RA.transpose(0, 2, 1)[:, None] @ self.RA[near])
         return near - here[:, None], np.concatenate([self.tA[near] - self.tA[:, None], turn], axis=2)
 
     def late(self, samples: float) -> HandEyeEquation:
-        """Return the equation with the poses of A this many samples earlier, by polynomial interpolation."""
+        """Return the equation with the poses of A shifted to earlier times, by polynomial interpolation."""
         places, steps = self._near
         apart = places[:, :, None] - places[:, None, :] + np.eye(places.shape[1])
         ahead = np.where(np.eye(places.shape[1]) > 0, 1.0, -samples - places[:, None, :])
@@ -261,7 +256,7 @@ class HandEyeEquation:
         return replace(self, RA=self.RA @ so3.exp(x[:, 3:]), tA=self.tA + x[:, :3])
 
     def timed(self, value: TimedPair) -> list[Measurement]:
-        """Return the residuals, with their derivative with respect to the offset in the last column."""
+        """Return the residuals; the last column of J is the derivative with respect to the offset."""
         now, pair = self.late(value.late) if value.late else self, value.pair
         (one,) = now.evaluate(pair)
         (R0, t0), (R1, t1) = ((e.RA, e.tA) for e in (self.late(value.late + h) for h in (-PROBE, PROBE)))
@@ -272,12 +267,12 @@ class HandEyeEquation:
         return [replace(one, J=np.concatenate([one.J, column], axis=2))]
 
     def product(self) -> np.ndarray:
-        """Return the mean K of R_A (x) R_B (9, 9): K vec(R_X) = vec(R_Y); its norm is 1 - sigma_R^2."""
+        """Return the mean K of R_A (x) R_B (9, 9), with K vec(R_X) = vec(R_Y) and norm 1 - sigma_R^2."""
         K = self.RA.reshape(-1, 9).T @ self.RB.reshape(-1, 9) / self.N
         return K.reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
 
     def start(self) -> Pair:
-        """Return rotations from the singular vectors of K, positions by least squares; no initial guess is needed."""
+        """Return the initial guess: rotations from the singular vectors of K, positions by least squares."""
         U, _, V = np.linalg.svd(self.product())
         pair = np.stack([V[0], U[:, 0]]).reshape(2, 3, 3)
         U, _, V = np.linalg.svd(np.sign(np.linalg.det(pair[0])) * pair)
@@ -290,7 +285,7 @@ class HandEyeEquation:
         return Pair(RX, tX, RY, M @ tX - middle)
 
     def evaluate(self, pair: Pair) -> list[Measurement]:
-        """Return r_t = t_B - t_h in camera axes and r_R = Log(R_h^T R_B) in marker axes, where h = Y^-1 A X."""
+        """Return r_t = t_B - t_h in camera axes and r_R = Log(R_h^T R_B) in marker axes, with h = Y^-1 A X."""
         C = pair.RY.T @ self.RA
         t = C @ pair.tX + (self.tA - pair.tY) @ pair.RY
         back = (C @ pair.RX).transpose(0, 2, 1)
@@ -305,7 +300,7 @@ class HandEyeEquation:
         return [Measurement(r, J, self.noise if of_A is None else full(self.noise) + of_A, COMPONENTS)]
 
     def _noise_of_A(self, pair: Pair, C: np.ndarray) -> np.ndarray | None:
-        """Return G S_A G^T (N, 6, 6), G = [[-R_Y^T, C hat(t_X)], [0, -R_X^T]]: t_X couples both; C = R_Y^T R_A."""
+        """Return G S_A G^T (N, 6, 6), with G = [[-R_Y^T, C hat(t_X)], [0, -R_X^T]] and C = R_Y^T R_A."""
         if self.noise_A is None:
             return None
         G = np.zeros((self.N, 6, 6))
@@ -319,7 +314,7 @@ class HandEyeEquation:
 
 
 def _solve(equation: HandEyeEquation, robust: bool) -> tuple[NonlinearSolution[Pair], np.ndarray]:
-    """Return the most likely poses and the residuals (N, 6) of all samples; raise with the cause if none are found."""
+    """Return the most likely poses and the residuals (N, 6) of all samples; raise an error with the likely cause."""
     try:
         found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust)
     except NotConverged as error:
@@ -335,8 +330,8 @@ def _offset(offset: Any) -> float:
     found = numbers(offset, "offset", ShapeError)
     if found.shape != () or not abs(found) <= LATEST:
         raise ShapeError(
-            f"Expected offset to be one number of samples up to {LATEST}, got {offset!r}. Shift the records by whole "
-            "samples first."
+            f"Expected offset to be one number of samples between -{LATEST} and {LATEST}, got {offset!r}. Shift the "
+            "records by whole samples first."
         )
     return float(found)
 
@@ -348,7 +343,7 @@ def _pair(found: NonlinearSolution[Any]) -> Pair:
 def _timed(
     equation: HandEyeEquation, found: NonlinearSolution[Pair], robust: bool
 ) -> NonlinearSolution[TimedPair] | None:
-    """Return the fit with the time offset of the camera, or None if the data do not determine the offset."""
+    """Return the fit with the time offset of the camera, or None if the data do not determine it."""
     if equation.N < ENOUGH:
         return None
     (one,) = equation.timed(TimedPair(found.value, 0.0))
@@ -368,13 +363,12 @@ def _timed(
 
 
 def _require_excitation(equation: HandEyeEquation, noise: float, setup: str) -> None:
-    """Raise unless the poses rotate the tool about two axes; `noise` is the standard deviation of a rotation [rad]."""
     names = FRAMES[setup]
     require_two_axes(equation.RA, noise, names[0].split("_")[1], names)
 
 
 def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
-    """Return the standard deviation of rotations [rad] known before the fit."""
+    """Return the standard deviation of a rotation [rad] as far as it is determined before the fit."""
     if equation.noise is not None:
         return float(np.hypot(rotation_sd(equation.noise), rotation_sd(equation.noise_A)))
     if robust:
@@ -383,7 +377,7 @@ def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
 
 
 def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) -> None:
-    """Raise if two records fit much better with another interpretation of orientations."""
+    """Raise if two records fit much better with another interpretation of the orientations."""
     now = _sizes(r[kept])
     if now[0] < SUSPECT * equation.spread and now[1] < SUSPECT:
         return
@@ -392,27 +386,26 @@ def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) ->
         fits = position < min(max(MUCH_BETTER * now[0], SUSPECT * equation.spread), FITS * equation.spread)
         if fits and rotation < max(MUCH_BETTER * now[1], SUSPECT):
             raise NotConverged(
-                f"Expected two consistent records of poses, got {now[0]:.3g} m and {now[1]:.3g} rad between "
-                f"them (RMS). {text}",
+                f"Expected two consistent records of poses, got residuals of {now[0]:.3g} m and {now[1]:.3g} rad "
+                f"(RMS). {text}",
                 best=other.start(),
                 reason="mismatch",
             )
 
 
 def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
-    """Raise if records are inconsistent (residuals r (N, 6)), stating the interpretation that would fit, if any."""
+    """Raise if the residuals r (N, 6) show inconsistent records; the message has the likely cause."""
     require_order(equation, r, kept)
     turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
-    squares, count = (r[kept] ** 2).sum(axis=0), np.count_nonzero(kept)
-    position, rotation = np.sqrt(squares.reshape(2, 3).sum(axis=1) / count)
-    few = 2 * count <= len(kept)
+    position, rotation = _sizes(r[kept])
+    few = 2 * np.count_nonzero(kept) <= len(kept)
     if (rotation <= APART * turned or rotation < ROUGH) and position <= APART * moved and not few:
         cause = _other_reading(equation) if rotation > SUSPECT else ""
         if not cause:
             return
     left_out = f", {np.count_nonzero(~kept)} of {len(kept)} excluded" if few else ""
     raise NotConverged(
-        f"Expected two consistent records of poses, got {position:.3g} m and {rotation:.3g} rad between them "
+        f"Expected two consistent records of poses, got residuals of {position:.3g} m and {rotation:.3g} rad "
         f"(RMS{left_out}), although the poses spread over {moved:.3g} m and {turned:.3g} rad. {_cause(equation)}",
         best=best,
         reason="mismatch",
@@ -423,13 +416,13 @@ def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, be
 class Part:
     """Group of three unknowns."""
 
-    what: str  # "translation of T_tool_marker"
-    axes: str  # their axes, "tool"
+    what: str  # such as "translation of T_tool_marker"
+    axes: str  # axes of the unknowns, such as "tool"
     rotation: bool  # True for a rotation vector
 
     @classmethod
     def of(cls, names: Sequence[str]) -> tuple[Part, ...]:
-        """Return the parts of poses T_a_b: translation in axes of a and rotation in axes of b."""
+        """Return the parts of poses T_a_b: the translation in axes of a, and the rotation in axes of b."""
         found: list[Part] = []
         for name in names:
             _, parent, child = name.split("_")
@@ -439,15 +432,15 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class PoseUnknowns:
-    """Names, units and limits of the unknowns; describes directions, see `check_spread`."""
+    """Names, units and limits of the unknowns; describes directions for `check_spread`."""
 
-    parts: Sequence[Part]  # parts of the unknowns, three each
+    parts: Sequence[Part]  # groups of three unknowns
     spread: float  # spread of the measured positions [m]
-    limits: tuple[float, float]  # largest accepted deviation: share of the spread, and [rad]
+    limits: tuple[float, float]  # largest accepted standard deviation: fraction of the spread, and [rad]
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Name of each unknown, for example "T_base_cam rx"."""
+        """Names of the unknowns, such as "T_base_cam rx"."""
         return tuple(f"{p.what.split()[-1]} {'r' * p.rotation}{axis}" for p in self.parts for axis in "xyz")
 
     @cached_property
@@ -459,13 +452,11 @@ class PoseUnknowns:
         return np.repeat([self.limits[1] if p.rotation else self.limits[0] * self.spread for p in self.parts], 3)
 
     def __call__(self, step: np.ndarray) -> str:
-        """Return for example "translation of T_tool_marker along tool axis z (T_base_cam moves with it), 0.4 m"."""
+        """Return text such as "translation of T_tool_marker along tool axis z (T_base_cam moves with it), 0.4 m"."""
         blocks = step.reshape(-1, 3)
         sizes = [hypot(*block) for block in (blocks / self.widths.reshape(-1, 3)).tolist()]
         largest = max(sizes)
-        first = next(
-            i for i, size in enumerate(sizes) if size > 0.5 * largest
-        )  # first of several poses that move together
+        first = next(i for i, size in enumerate(sizes) if size > 0.5 * largest)  # of poses that move together
         part = self.parts[first]
         text = f"{part.what} {'about' if part.rotation else 'along'} {axis_text(blocks[first], part.axes)}"
         others = {p.what.split()[-1] for p, size in zip(self.parts, sizes) if size > SHARED * largest}
@@ -486,7 +477,7 @@ def require_samples(N: int, least: int, what: str) -> None:
 
 
 def _cause(equation: HandEyeEquation) -> str:
-    """Return the likely error in the records: an interpretation that fits much better, if any."""
+    """Return the likely error in the records, such as an interpretation that fits much better."""
     cause = _other_reading(equation)
     if cause:
         return cause
@@ -494,15 +485,12 @@ def _cause(equation: HandEyeEquation) -> str:
     if scale is not None and scale < 0.0:
         return "Positions and rotations have opposite handedness: one axis of the camera or of the robot is reversed."
     if scale is not None:
-        return (
-            f"The measured poses would fit with lengths scaled by {scale:.3g}; perhaps millimetres were given as "
-            "metres."
-        )
-    return "Check that sample i of both records is simultaneous, and the frame of each."
+        return f"The measured poses would fit if scaled by {scale:.3g}; perhaps millimetres were given as metres."
+    return "Check that sample i of both records is simultaneous, and check the frames of the poses."
 
 
 def _other_reading(equation: HandEyeEquation) -> str:
-    """Return the interpretation of the records whose rotations fit much better, or an empty string."""
+    """Return a description of the records with which the rotations fit much better, or an empty string."""
     now = _misfit(equation.RA, equation.RB)
     RA, RB = equation.RA, equation.RB
     other = {
@@ -518,21 +506,20 @@ def _other_reading(equation: HandEyeEquation) -> str:
 
 
 def _misfit(RA: np.ndarray, RB: np.ndarray) -> float:
-    """Return 1 minus the largest singular value of the mean of R_A (x) R_B, which is 0 for consistent records."""
+    """Return 1 minus the largest singular value of the mean of R_A (x) R_B; it is 0 for consistent records."""
     still = np.zeros((len(RA), 3))
     return float(1.0 - np.linalg.svd(HandEyeEquation(RA, still, RB, still).product(), compute_uv=False)[0])
 
 
 def _scale(equation: HandEyeEquation) -> float | None:
-    """Return the factor on t_B for which the positions fit (negative for a mirror image), or None if there is none."""
+    """Return the factor on t_B for which the positions fit (negative for a mirror image), or None."""
     RY = equation.start().RY
     turned = equation.tB @ RY.T
     A = np.concatenate([equation.RA, -turned[:, :, None], np.broadcast_to(-np.eye(3), (equation.N, 3, 3))], axis=2)
     x = np.linalg.lstsq(A.reshape(-1, 7), -equation.tA.ravel(), rcond=None)[0]
     left = float(np.sqrt(np.mean((A.reshape(-1, 7) @ x + equation.tA.ravel()) ** 2) * 3.0))
     odd = x[3] < 0 or abs(np.log(max(x[3], 1e-300))) > np.log(2.0)
-    fits = left < 0.1 * float(equation.tA.std(axis=0).max()) and odd
-    return float(x[3]) if fits else None
+    return float(x[3]) if left < 0.1 * float(equation.tA.std(axis=0).max()) and odd else None
 
 
 def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution[Any], turns: np.ndarray) -> list[str]:
@@ -550,7 +537,7 @@ def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution
 
 
 def _equations(equation: HandEyeEquation) -> Iterator[tuple[str, HandEyeEquation]]:
-    """Yield the equation with another interpretation of the robot, the marker, or both."""
+    """Yield equations with another interpretation of the robot poses, the marker poses, or both."""
     RA, tA, RB, tB = equation.RA, equation.tA, equation.RB, equation.tB
     of_marker = readings(RB, tB)
     for one in of_marker:
@@ -563,7 +550,7 @@ def _equations(equation: HandEyeEquation) -> Iterator[tuple[str, HandEyeEquation
 
 
 def _sizes(r: np.ndarray) -> tuple[float, float]:
-    """Return the RMS of residuals (N, 6): positions [m] and rotations [rad]."""
+    """Return the RMS of the residuals (N, 6) of positions [m] and rotations [rad]."""
     position, rotation = np.sqrt((r**2).sum(axis=0).reshape(2, 3).sum(axis=1) / max(len(r), 1))
     return float(position), float(rotation)
 
@@ -572,7 +559,7 @@ def _result(
     equation: HandEyeEquation, found: NonlinearSolution[Any], residuals: np.ndarray, setup: str,
     limits: tuple[float, float], notes: list[str],
 ) -> Fit[HandEye]:  # fmt: skip
-    """Return the fit; raise on unknowns that are not identifiable within the limits."""
+    """Return the fit; raise on directions that are not identifiable within the limits."""
     words = PoseUnknowns(Part.of(FRAMES[setup]), equation.spread, limits)
     J, pair, late = found.rows.J, _pair(found), []
     names, units, parameters = words.names, words.units, pair.parameters()
@@ -581,7 +568,7 @@ def _result(
         J = J[:, :12] - np.outer(column, column @ J[:, :12]) / (column @ column)
         names, units, parameters = (*names, "time offset"), (*units, "samples"), np.append(parameters, by)
         late = [
-            f"The camera is {abs(by):.2f} +- {sd:.1g} samples {'late' if by > 0 else 'early'}; this is corrected. "
+            f"The camera is {abs(by):.2f} +- {sd:.1g} samples {'late' if by > 0 else 'early'}; the fit corrects it. "
             f"Synchronise the clocks, or pass offset={by:.2f}."
         ]
     excitation = check_spread(J, words.names, words.units, words.widths, WHAT, describe=words)

@@ -2,11 +2,9 @@
 
     p_ik = Y^-1 A_i s_k + noise,    s_k = X l_k with a known marker
 
-Estimating marker poses as an intermediate step would lose accuracy, because their covariances differ. Here, samples
-with missing points still contribute.
-
-The equation is ``A_i s_k = Y p_ik`` for the points s_k on the tool. A linear initial guess is followed by residuals
-with their Jacobian, for a known marker or unknown points.
+Fitting the points directly is more accurate than estimating marker poses first, because the covariances of these poses
+differ. Samples with missing points also contribute. The initial guess is a linear solution of ``A_i s_k = Y p_ik`` for
+the points s_k on the tool.
 """
 
 from __future__ import annotations
@@ -53,12 +51,12 @@ from armlab.lie import se3, so3
 from armlab.models import HandEye
 from armlab.models.sensors import FRAMES
 
-TURNED = 1e-3  # rad, accuracy of robot orientations: smaller rotations count as zero
-APART = 0.5  # residual over spread above which two records are inconsistent
+TURNED = 1e-3  # accuracy of robot orientations [rad]; smaller rotations count as zero
+APART = 0.5  # ratio of residual to spread above which two records are inconsistent
 ROUND = 0.5  # smallest ratio of singular values of a scaled rotation or mirror image
 SHAPED = 0.25  # relative difference from which two arrangements count as different
 CLEAR = 5.0  # standard deviations from which a difference is significant
-OTHER_UNIT = 2.0  # scale error beyond that of any camera
+OTHER_UNIT = 2.0  # scale factor too large for the error of any camera
 
 
 def fit_hand_eye_points(
@@ -80,26 +78,29 @@ def fit_hand_eye_points(
     Parameters
     ----------
     T_base_tool : (N, 4, 4) poses of the robot, rotated about at least two axes.
-    p_cam : (N, K, 3) points in camera axes [m], K >= 1; NaN only where not visible.
-    marker : (K, 3) points in marker axes [m], not on a line. None: unknown; their positions on the tool are estimated.
-    visible : (N, K) visibility of the points; default: all.
+    p_cam : (N, K, 3) points in camera axes [m], K >= 1; only invisible points may be NaN.
+    marker : (K, 3) points in marker axes [m], not collinear. Default: unknown; their positions on the tool are
+        estimated.
+    visible : (N, K) mask of the visible points; default: all.
     setup : as in `fit_hand_eye`.
-    noise : deviation of each coordinate of a point [m], or covariance (3, 3) or (N, K, 3, 3). Default: estimated.
-    noise_robot : noise of T_base_tool, as in `fit_hand_eye`, shared by all points of a sample. Default: exact.
-    robust : detect outliers; `Fit.outliers` marks them, and they are excluded.
-    limits : largest accepted standard deviation along any direction: share of the spread of the points, and [rad].
+    noise : standard deviation of each coordinate of a point [m], or covariance (3, 3) or (N, K, 3, 3) [m^2]. Default:
+        estimated.
+    noise_robot : noise of T_base_tool, as in `fit_hand_eye`, shared by all points of a sample. Default: exact poses.
+    robust : detect and exclude outliers; `Fit.outliers` marks them.
+    limits : largest accepted standard deviation along any direction: fraction of the spread of the points, and [rad].
 
     Returns
     -------
-    Fit of a `models.HandEye` with `points`, the points on the tool. Parameters: X, or the K points, then Y. Residuals
-    (N, K, 3); NaN where not visible.
+    Fit of a `models.HandEye`
+        `points` are the points on the tool [m]. Parameters: X, or the K points if the marker is unknown, then Y.
+        Residuals (N, K, 3) [m]; NaN for invisible points.
 
     Raises
     ------
-    ShapeError : wrong shape, NaN rows where visible, invalid rotations.
+    ShapeError : wrong shapes, NaN in visible points, invalid rotations.
     UnknownName : unknown setup.
-    NotExcited : too few poses or points; an unidentifiable direction, by name.
-    NotConverged : inconsistent records: pairing, inverse poses, millimetres, a left-handed camera.
+    NotExcited : too few poses or points, or an unidentifiable direction (named in the message).
+    NotConverged : inconsistent records because of wrong pairing, inverse poses, millimetres or a left-handed camera.
     """
     if setup not in FRAMES:
         raise UnknownName.among("setup", setup, FRAMES)
@@ -149,11 +150,19 @@ def _point_model(
 ) -> tuple[PointModel, np.ndarray, list[str]]:
     """Return the validated observations, their visibility (N, K), and remarks on the poses."""
     RA, tA, note = poses(T_base_tool, "T_base_tool")
-    p, seen = _points(p_cam, visible)
+    p, seen = sightings(p_cam, visible, "p_cam")
+    never = np.flatnonzero(~seen.any(axis=0))
+    if len(never):
+        raise NotExcited(
+            f"Expected every point to be visible in some sample, but points {rows_text(never)} are never visible. "
+            "Remove these points.",
+            [f"translation of point{k}" for k in never],
+            ["never visible"] * len(never),
+        )
     if len(RA) != len(p):
         raise ShapeError(
-            f"Expected equal numbers of robot poses and samples of points, got {len(RA)} and {len(p)}. First pair "
-            "them by time, and mark missing points with visible=."
+            f"Expected equal numbers of robot poses and samples of points, got {len(RA)} and {len(p)}. Pair them by "
+            "time first, and mark missing points with visible=."
         )
     RA, tA, of_robot = robot_side(RA, tA, pose_noise(noise_robot, len(RA), "noise_robot"), setup)
     cov = point_noise(noise, seen.shape)
@@ -161,20 +170,6 @@ def _point_model(
         cov = cov[seen]
     sample, point = np.nonzero(seen)
     return PointModel(RA, tA, p[seen], sample, point, seen.shape[1], cov, of_robot), seen, [note] if note else []
-
-
-def _points(p_cam: ArrayLike, visible: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points (N, K, 3) and their visibility (N, K); each point is visible in at least one sample."""
-    p, seen = sightings(p_cam, visible, "p_cam")
-    never = np.flatnonzero(~seen.any(axis=0))
-    if len(never):
-        raise NotExcited(
-            f"Expected every point to be visible in some sample, but points {rows_text(never)} never are. Remove "
-            "these points.",
-            [f"translation of point{k}" for k in never],
-            ["never visible"] * len(never),
-        )
-    return p, seen
 
 
 class Points(NamedTuple):
@@ -189,12 +184,12 @@ class Points(NamedTuple):
         return Points(self.s + x[:-6].reshape(-1, 3), self.RY @ so3.exp(x[-3:]), self.tY + x[-6:-3])
 
     def parameters(self) -> np.ndarray:
-        """Return the points and the position and rotation vector of Y (3 K + 6,)."""
+        """Return the points, and the position and rotation vector of Y (3 K + 6,)."""
         return np.concatenate([self.s.ravel(), self.tY, so3.log(self.RY)])
 
 
 class Linear(NamedTuple):
-    """Solution of A_i s_k = M p_ik + t_Y with an arbitrary matrix M; `misfit`: RMS residual [m]."""
+    """Solution of A_i s_k = M p_ik + t_Y with an arbitrary matrix M, and its RMS residual `misfit` [m]."""
 
     s: np.ndarray
     M: np.ndarray
@@ -205,19 +200,18 @@ class Linear(NamedTuple):
 class PointModel:
     """Measured points, with one row per visible point of a sample."""
 
-    RA: np.ndarray  # RA, tA: (N, 3, 3), (N, 3) of the samples
-    tA: np.ndarray
+    RA: np.ndarray  # (N, 3, 3) rotations of the robot
+    tA: np.ndarray  # (N, 3) positions of the robot
     p: np.ndarray  # (m, 3) measured points in camera axes
-    sample: np.ndarray  # sample, point: (m,) indices
-    point: np.ndarray
+    sample: np.ndarray  # (m,) index of the sample
+    point: np.ndarray  # (m,) index of the point
     K: int  # number of points
-    noise: np.ndarray | None  # variances (3,) or covariance (3, 3) or (m, 3, 3); None: estimate
-    # noise of the robot poses: variances (6,) or covariance (6, 6) or (N, 6, 6); None: exact
-    noise_A: np.ndarray | None = None
+    noise: np.ndarray | None  # variances (3,) or covariance (3, 3) or (m, 3, 3); None: estimated
+    noise_A: np.ndarray | None = None  # of the robot: variances (6,) or covariance (6, 6) or (N, 6, 6); None: exact
 
     @cached_property
     def spread(self) -> float:
-        """RMS distance of the measured points from their mean [m]."""
+        """Spread of the measured points [m]: RMS distance from their mean."""
         t = self.p - self.p.mean(axis=0)
         return float(np.sqrt(np.vdot(t, t) / len(t))) or 1.0
 
@@ -230,15 +224,13 @@ class PointModel:
         return self.linear(self.RA, self.tA)
 
     def linear(self, RA: np.ndarray, tA: np.ndarray) -> Linear:
-        """Return the linear solution for these robot poses, (N, 3, 3) and (N, 3)."""
-        A, t = RA[self.sample], tA[self.sample]
+        """Return the linear solution for robot rotations (N, 3, 3) and positions (N, 3)."""
         m, n = len(self.p), 3 * self.K
-        rows = np.zeros((m, 3, n + 13))
-        rows[:, :, :n].reshape(m, 3, self.K, 3)[np.arange(m), :, self.point] = A
+        rows = self._rows(RA, 13)
         for i in range(3):
             rows[:, i, n + 3 * i : n + 3 * i + 3] = -self.p
             rows[:, i, n + 9 + i] = -1.0
-        rows[:, :, -1] = -t
+        rows[:, :, -1] = -tA[self.sample]
         R = triangle(rows.reshape(3 * m, -1))
         scale = np.linalg.norm(R[:, :-1], axis=0)
         scale = np.where(scale > 0, scale, 1.0)
@@ -247,19 +239,24 @@ class PointModel:
         return Linear(x[:n].reshape(-1, 3), x[n : n + 9].reshape(3, 3), misfit)
 
     def start(self) -> Points:
-        """Return Y with the rotation nearest to the linear solution, and the matching points and position."""
-        RY = so3.project(self.solution.M)[0]
-        m, n = len(self.p), 3 * self.K
-        rows = np.zeros((m, 3, n + 4))
-        rows[:, :, :n].reshape(m, 3, self.K, 3)[np.arange(m), :, self.point] = self.RA[self.sample]
+        """Return the initial guess: R_Y nearest to the linear solution, with the best points and t_Y."""
+        RY, n = so3.project(self.solution.M)[0], 3 * self.K
+        rows = self._rows(self.RA, 4)
         rows[:, :, n : n + 3] = -np.eye(3)
         rows[:, :, -1] = self.p @ RY.T - self.tA[self.sample]
-        R = triangle(rows.reshape(3 * m, -1))
+        R = triangle(rows.reshape(3 * len(rows), -1))
         x = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0]
         return Points(x[:n].reshape(-1, 3), RY, x[n:])
 
+    def _rows(self, RA: np.ndarray, others: int) -> np.ndarray:
+        """Return rows (m, 3, 3 K + others) with the coefficients of the points, and zeros for the other columns."""
+        m, n = len(self.p), 3 * self.K
+        rows = np.zeros((m, 3, n + others))
+        rows[:, :, :n].reshape(m, 3, self.K, 3)[np.arange(m), :, self.point] = RA[self.sample]
+        return rows
+
     def seen(self, s: np.ndarray, RY: np.ndarray, tY: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return R_Y^T R_A (m, 3, 3), expected points ph (m, 3), and the derivative (m, 3, 6) of p - ph w.r.t. Y."""
+        """Return R_Y^T R_A (m, 3, 3), the expected points ph (m, 3), and the derivative (m, 3, 6) of p - ph by Y."""
         C = (self.RA.transpose(0, 2, 1).reshape(-1, 3) @ RY).reshape(-1, 3, 3).transpose(0, 2, 1)[self.sample]
         ph = (C @ s[self.point][:, :, None])[:, :, 0] + ((self.tA - tY) @ RY)[self.sample]
         J = np.empty((len(ph), 3, 6))
@@ -270,7 +267,7 @@ class PointModel:
         return self.p - self.seen(np.asarray(value.points), value.Y[:3, :3], value.Y[:3, 3])[1]
 
     def free(self) -> NonlinearProblem[Points]:
-        """Return the problem with unknown points."""
+        """Return the problem with an unknown marker."""
 
         def evaluate(value: Points) -> list[Measurement]:
             C, ph, JY = self.seen(*value)
@@ -298,11 +295,7 @@ class PointModel:
     def _measured(
         self, ph: np.ndarray, J: np.ndarray, C: np.ndarray, s: np.ndarray, RY: np.ndarray
     ) -> list[Measurement]:
-        """Return measured minus expected points, grouped by sample if they share the noise of the robot pose.
-
-        ph (m, 3) are the expected points, J is (m, 3, d), C = R_Y^T R_A (m, 3, 3), and s (K, 3) are points in tool
-        axes.
-        """
+        """Return p - ph with its Jacobian J (m, 3, d), grouped by sample if the points share the noise of the robot."""
         r = self.p - ph
         if self.noise_A is None:
             return [Measurement(r, J, self.noise, ("p",) * 3, self.sample)]
@@ -320,13 +313,13 @@ class PointModel:
 
     @cached_property
     def _together(self) -> list[np.ndarray]:
-        """Rows (n, v) of the samples with v visible points for every v."""
+        """Rows (n, v) of the samples with v visible points, for every v."""
         counts = np.bincount(self.sample)
         first = np.cumsum(counts) - counts
         return [first[counts == v][:, None] + np.arange(v) for v in np.unique(counts[counts > 0])]
 
     def _apart(self, rows: np.ndarray) -> np.ndarray:
-        """Return the covariance (n, 3 v, 3 v) of independent noise of the points; rows (n, v)."""
+        """Return the covariance (n, 3 v, 3 v) of the independent noise of points with row indices (n, v)."""
         noise = np.zeros(3) if self.noise is None else self.noise
         n, v = rows.shape
         cov = np.zeros((n, v, 3, v, 3))
@@ -336,24 +329,24 @@ class PointModel:
 
 
 def marked_start(free: Points, marker: np.ndarray) -> Pair:
-    """Return X, found by fitting the marker to the points, and Y."""
+    """Return X, from fitting the marker to the points, and Y."""
     X = marker_pose(free.s[None], marker).T[0]
     return Pair(X[:3, :3], X[:3, 3], free.RY, free.tY)
 
 
 def require_agreement(model: PointModel, rms: float | None = None, left_out: float = 0.0) -> None:
-    """Raise on inconsistent records, with the likely cause; `rms` is None before the fit."""
+    """Raise on inconsistent records, with the likely cause; `rms` [m] is None before the fit."""
     found = model.solution
     if rms is None:
         cause = _unit_or_hand(model, found)
     else:
         bad = rms > APART * model.spread or left_out >= 0.5
         cause = _other_reading(model, found.misfit) if bad or rms > SUSPECT * model.spread else ""
-        cause = cause or ("Check that sample i of both records is simultaneous, and the frame of each." if bad else "")
+        cause = cause or "Check that sample i of both records is simultaneous, and check their frames." * bad
     if cause:
         share = f", with {100 * left_out:.0f} % of the samples excluded" if left_out else ""
         raise NotConverged(
-            f"Expected consistent poses and points, got points {found.misfit:.3g} m away from a rigid "
+            f"Expected consistent poses and points, got points that deviate by {found.misfit:.3g} m from a rigid "
             f"arrangement (RMS of the linear solution{share}). {cause}",
             best=found,
             reason="mismatch",
@@ -361,7 +354,7 @@ def require_agreement(model: PointModel, rms: float | None = None, left_out: flo
 
 
 def require_marker(model: PointModel, s: np.ndarray, marker: np.ndarray) -> None:
-    """Raise on a marker whose points are arranged differently from the observed ones."""
+    """Raise on a marker whose points have another arrangement than the observed points."""
     a, b = s - s.mean(axis=0), marker - marker.mean(axis=0)
     U, sizes, V = np.linalg.svd(a.T @ b)
     hand = np.sign(np.linalg.det(U @ V))
@@ -377,8 +370,8 @@ def require_marker(model: PointModel, s: np.ndarray, marker: np.ndarray) -> None
     elif hand < 0 and turned > (1.0 - SHAPED**2) * seen * given:
         cause = "Its mirror image would fit, so one axis of the marker is reversed."
     raise NotConverged(
-        f"Expected a marker with the same arrangement as the observed points, got {apart / np.sqrt(model.K):.3g} m "
-        f"between them (RMS), although they spread over {seen / np.sqrt(model.K):.3g} m. {cause}",
+        "Expected a marker with the same arrangement as the observed points, got residuals of "
+        f"{apart / np.sqrt(model.K):.3g} m (RMS), although they spread over {seen / np.sqrt(model.K):.3g} m. {cause}",
         best=s,
         reason="mismatch",
     )
@@ -387,18 +380,18 @@ def require_marker(model: PointModel, s: np.ndarray, marker: np.ndarray) -> None
 def _unit_or_hand(model: PointModel, found: Linear) -> str:
     """Return the likely error if the matrix of a good linear solution is not a rotation."""
     size = np.linalg.svd(found.M, compute_uv=False)
-    if size[2] < ROUND * size[0] or found.misfit > 0.1 * float(np.cbrt(np.prod(size))) * model.spread:
-        return ""
     scale = float(np.cbrt(np.prod(size)))
+    if size[2] < ROUND * size[0] or found.misfit > 0.1 * scale * model.spread:
+        return ""
     if np.linalg.det(found.M) < 0:
-        return "The axes of the camera are left-handed, so one of them is reversed."
+        return "The axes of the camera are left-handed: one axis is reversed."
     if abs(np.log(scale)) > np.log(OTHER_UNIT):
         return f"The points would fit if scaled by {scale:.3g}; perhaps millimetres were given as metres."
     return ""
 
 
 def _other_reading(model: PointModel, now: float) -> str:
-    """Return the interpretation of the poses that fits much better, or an empty string."""
+    """Return a description of the poses that fits much better, or an empty string."""
     N = len(model.tA)
     inverse = model.RA.transpose(0, 2, 1)
     other = {
@@ -418,7 +411,7 @@ def _other_reading(model: PointModel, now: float) -> str:
 
 
 def require_order_of_robot(model: PointModel) -> None:
-    """Raise if the robot poses fit the points of a marker much better with another interpretation."""
+    """Raise if the robot poses fit the points much better with another interpretation of the orientations."""
     rms = model.solution.misfit
     if rms < SUSPECT * model.spread:
         return
@@ -426,7 +419,7 @@ def require_order_of_robot(model: PointModel) -> None:
         other = model.linear(one.R, one.t)
         if other.misfit < min(MUCH_BETTER * rms, FITS * model.spread):
             raise NotConverged(
-                f"Expected consistent poses and points, got {rms:.3g} m between them (RMS). {one.text.format(ROBOT)}",
+                f"Expected consistent poses and points, got residuals of {rms:.3g} m (RMS). {one.text.format(ROBOT)}",
                 best=other,
                 reason="mismatch",
             )

@@ -13,17 +13,17 @@ from armlab.lie import so3
 
 
 def finite(values: np.ndarray, name: str) -> None:
-    """Raise on NaN and infinity, with their rows."""
+    """Raise on NaN and infinity, and list the rows."""
     if not np.isfinite(values).all():
         bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1))
         raise ShapeError(
-            f"Expected finite {name}, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. "
-            "Remove these samples from all records."
+            f"Expected finite {name}, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. Remove these samples from "
+            "all records."
         )
 
 
 def poses(value: ArrayLike, name: str) -> tuple[np.ndarray, np.ndarray, str]:
-    """Return the rotations (N, 3, 3) and positions (N, 3), and a remark on the poses."""
+    """Return the rotations (N, 3, 3) and positions (N, 3) of poses, and a remark on projected rotations."""
     T = numbers(value, name, ShapeError)
     if T.ndim != 3 or T.shape[1:] != (4, 4):
         raise ShapeError(f"Expected {name} of shape (N, 4, 4), got {T.shape}. Pass one pose per sample.")
@@ -39,7 +39,7 @@ def poses(value: ArrayLike, name: str) -> tuple[np.ndarray, np.ndarray, str]:
 
 
 def orientations(value: ArrayLike, name: str) -> tuple[np.ndarray, str]:
-    """Return the rotations (N, 3, 3) of poses (N, 4, 4) or rotations (N, 3, 3), and a remark on them."""
+    """Return the rotations (N, 3, 3) of poses or rotations, and a remark on projected rotations."""
     values = numbers(value, name, ShapeError)
     if values.ndim == 3 and values.shape[1:] == (4, 4):
         R, _, note = poses(values, name)
@@ -52,14 +52,14 @@ def orientations(value: ArrayLike, name: str) -> tuple[np.ndarray, str]:
 
 
 def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
-    """Return R (N, 3, 3), projected if slightly inexact, and a remark on that."""
+    """Return R (N, 3, 3), projected if slightly inexact, and a remark on the projection."""
     finite(R, name)
     off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).reshape(len(R), 9).max(axis=1, initial=0.0)
     wrong = off > so3.ROTATION_TOLERANCE
     if wrong.any():
         raise ShapeError(
             f"Expected rotations in {name}, got matrices off by up to {off.max():.2g} in rows "
-            f"{rows_text(np.flatnonzero(wrong))}. Project them (lie.so3.project) if they are intended as rotations."
+            f"{rows_text(np.flatnonzero(wrong))}. Project them with lie.so3.project if they are meant as rotations."
         )
     mirrored = np.flatnonzero(np.linalg.det(R) < 0)
     if len(mirrored):
@@ -75,7 +75,6 @@ def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
 
 
 def gravity_of(gravity: Any) -> np.ndarray:
-    """Return gravity (3,); raise if it is invalid."""
     g = numbers(gravity, "gravity", ShapeError)
     if g.shape != (3,) or not 0.0 < g @ g < np.inf:
         raise ShapeError(
@@ -86,7 +85,7 @@ def gravity_of(gravity: Any) -> np.ndarray:
 
 
 def pose_noise(noise: Any, N: int, name: str = "noise") -> np.ndarray | None:
-    """Return variances (6,) or a covariance (6, 6) or (N, 6, 6) of poses; None for None. Zero is allowed."""
+    """Return variances (6,) or a covariance (6, 6) or (N, 6, 6) of poses, which may be zero; None for None."""
     wanted = "poses as (sd of position [m], sd of rotation [rad])"
     return noise_of(noise, 2, (N,), name, wanted, "Pass one number in metres and one in radians.", zero=True)
 
@@ -97,10 +96,10 @@ def point_noise(noise: Any, shape: tuple[int, ...]) -> np.ndarray | None:
 
 
 def noise_of(
-    noise: Any, groups: int, batch: tuple[int, ...], name: str, wanted: str, advice: str = "Correct it.",
+    noise: Any, groups: int, batch: tuple[int, ...], name: str, wanted: str, advice: str = "Correct the noise.",
     zero: bool = False,
 ) -> np.ndarray | None:  # fmt: skip
-    """Return variances (k,) or a covariance (k, k) or (*batch, k, k) of groups of three axes; None for None."""
+    """Return variances (k,) or a covariance (k, k) or (*batch, k, k), k = 3 groups; None for None."""
     if noise is None:
         return None
     values, k = numbers(noise, name, ShapeError), 3 * groups
@@ -113,15 +112,10 @@ def noise_of(
         wide = ", ".join(str(n) for n in (*batch, k, k))
         got = repr(noise) if values.size <= k else f"shape {values.shape}"
         raise ShapeError(f"Expected {name} of {wanted} or as a covariance ({k}, {k}) or ({wide}), got {got}. {advice}")
-    return covariance(values, name)
-
-
-def covariance(values: np.ndarray, name: str) -> np.ndarray:
-    """Raise unless the matrices are symmetric and positive semidefinite."""
     size = np.abs(values).max()
     even = np.abs(values - np.swapaxes(values, -1, -2)).max() <= 1e-9 * size
     if not even or np.linalg.eigvalsh(values).min() < -1e-12 * size:
         raise ShapeError(
-            f"Expected symmetric covariances without negative eigenvalues in {name}, got other matrices. Correct it."
+            f"Expected symmetric, positive semidefinite covariances in {name}, got invalid matrices. Correct them."
         )
     return values

@@ -4,8 +4,8 @@ With g = R_i^T n, c = R_X^T g, h = d - n.t_i - g.t_X and k = hypot(c_x, c_y):
 
     e1 = (c_x p_x + c_y p_y - h) / k [m],        e2 = asin((c_x l_x + c_y l_y) / k) [rad]
 
-Initial guesses come first from one linear system per plate, then from the rotations of a cube, then from random
-rotations. Errors name the directions that the scans do not determine, or the likely cause of a misfit.
+The initial guesses are solutions of one linear system per plate, then the rotations of a cube, then random rotations.
+Errors name the directions that the scans do not determine, or the likely cause of a misfit.
 """
 
 from __future__ import annotations
@@ -25,21 +25,20 @@ from armlab.estimation import Measurement, NonlinearProblem
 from armlab.lie import quaternion, so3
 
 TINY = 1e-12
-ENOUGH = 15  # scans of a plate needed for a linear start
-RESTARTS = 20
+ENOUGH = 15  # scans of a plate needed for a linear initial guess
+RESTARTS = 20  # random rotations
 PRODUCT = 0.3  # ratio of the second to the first singular value beyond which a matrix is not a product
 LIMITS = (0.2, 0.2)  # largest accepted standard deviations: fraction of the spread of the points, and [rad]
 FLAT = 0.05  # sine of the angle between plate and laser plane below which a scan is unusable
-SHAKEN = 1e-3  # rad: accuracy of robot orientations; smaller rotations do not count
-UNITS = 2.0  # ratio of length units beyond which it is reported
-FAR = 20.0  # ratio beyond which no fit is tried
-ROUGH = 0.1  # residual over the spread of the points beyond which scans do not fit
-FAR_APART = 30.0  # m: larger than any cell; 30 cm given in millimetres exceed it
-TURNED = 0.2  # rad between lines and plates beyond which scans do not fit
+SHAKEN = 1e-3  # accuracy of robot orientations [rad]; smaller rotations count as zero
+UNITS, FAR = 2.0, 20.0  # ratio of length units beyond which it is reported, and beyond which no fit is tried
+ROUGH = 0.1  # ratio of the residual to the spread of the points beyond which scans are inconsistent
+FAR_APART = 30.0  # spread [m] larger than any cell, as of 30 cm given in millimetres
+TURNED = 0.2  # residual angle [rad] beyond which scans are inconsistent
 
 
 class Scene(NamedTuple):
-    """Pose of the sensor on the tool, and planes: R (3, 3), t (3,), n (P, 3), d (P,)."""
+    """Pose of the sensor on the tool, R (3, 3) and t (3,), and planes, n (P, 3) and d (P,)."""
 
     R: np.ndarray
     t: np.ndarray
@@ -47,7 +46,7 @@ class Scene(NamedTuple):
     d: np.ndarray
 
     def plus(self, x: np.ndarray) -> Scene:
-        """Return the scene after a step (v, w, then two tilts and an offset for each plane)."""
+        """Return the scene after a step (v, w, and two tilts and an offset for each plane)."""
         tilts = x[6:].reshape(-1, 3)
         n = self.n + np.einsum("jab,jb->ja", tangents(self.n), tilts[:, :2])
         n /= np.linalg.norm(n, axis=1, keepdims=True)
@@ -60,10 +59,10 @@ class Scene(NamedTuple):
 
 
 def tangents(n: np.ndarray) -> np.ndarray:
-    """Return bases (P, 3, 2) of the planes normal to n (P, 3)."""
+    """Return two orthonormal vectors (P, 3, 2) normal to each n (P, 3)."""
     cross = so3.hat(n)
     B = np.empty((len(n), 3, 2))
-    first = -cross[np.arange(len(n)), :, np.argmin(np.abs(n), axis=1)]  # e x n, with e the axis farthest from n
+    first = -cross[np.arange(len(n)), :, np.argmin(np.abs(n), axis=1)]  # e x n, with e the axis least parallel to n
     B[:, :, 0] = first / np.sqrt(np.einsum("ji,ji->j", first, first))[:, None]
     B[:, :, 1:] = cross @ B[:, :, :1]
     return B
@@ -73,14 +72,14 @@ def tangents(n: np.ndarray) -> np.ndarray:
 class Scans:
     """Scans of plates as lines or points."""
 
-    RA: np.ndarray  # RA, tA: (N, 3, 3), (N, 3) of T_base_tool
-    tA: np.ndarray
+    RA: np.ndarray  # (N, 3, 3) rotations of T_base_tool
+    tA: np.ndarray  # (N, 3) positions of T_base_tool
     plane: np.ndarray  # (N,) index of the plate
-    p: np.ndarray  # p, line: (N, 2) point and unit direction of the line in each scan
-    line: np.ndarray
+    p: np.ndarray  # (N, 2) point on the line in each scan
+    line: np.ndarray  # (N, 2) unit direction of the line in each scan
     points: np.ndarray | None  # (M, 2) raw points, or None if lines were measured
     owner: np.ndarray  # (M,) scan of each point
-    noise: np.ndarray | None  # (2,) variances of point and angle, (1,) of points; None: estimated
+    noise: np.ndarray | None  # variances (2,) of points and angles, or (1,) of raw points; None: estimated
 
     @property
     def N(self) -> int:
@@ -103,19 +102,19 @@ class Scans:
         return 2 * self.N if self.points is None else len(self.points)
 
     def seen(self, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return g, c (N, 3) and h (N,)."""
+        """Return g and c (N, 3) and h (N,) of the equations above."""
         n = scene.n[self.plane]
         g = np.einsum("nij,ni->nj", self.RA, n)
         return g, g @ scene.R, scene.d[self.plane] - np.sum(n * self.tA, axis=1) - g @ scene.t
 
     def slant(self, scene: Scene) -> np.ndarray:
-        """Return k (N,), the sine of the angle between plate and laser plane."""
+        """Return the sine k (N,) of the angle between plate and laser plane."""
         return np.hypot(*self.seen(scene)[1][:, :2].T)
 
     def evaluate(self, scene: Scene) -> list[Measurement]:
-        """Return the distances of points from the plate in the laser plane, and the angles of the lines.
+        """Return the distances of the points from the plate in the laser plane, and the angles of the lines.
 
-        With a = p - e1 c / k and b = (-c_y, c_x) / k^2, in the laser plane: de1 = (a . dc - dh) / k, de2 = +- b . dc.
+        With a = p - e1 c / k and b = (-c_y, c_x) / k^2, de1 = (a . dc - dh) / k and de2 = +- b . dc.
         """
         g, c, h = self.seen(scene)
         k = np.maximum(np.hypot(c[:, 0], c[:, 1]), TINY)
@@ -143,7 +142,7 @@ class Scans:
         return [Measurement(r, J, self.noise, classes, np.arange(self.N) if self.points is None else self.owner)]
 
     def residuals(self, scene: Scene) -> np.ndarray:
-        """Return the residuals (N, 2), or (M, 1) for raw points, of `evaluate`."""
+        """Return the residuals of `evaluate`: (N, 2), or (M, 1) for raw points."""
         _, c, h = self.seen(scene)
         return self._off(c, h, np.maximum(np.hypot(c[:, 0], c[:, 1]), TINY))
 
@@ -166,8 +165,8 @@ class Scans:
 
 
 def starts(scans: Scans, ratio: float) -> Iterator[list[Scene]]:
-    """Yield groups of initial guesses, best first; `ratio` is the SD of points divided by that of angles."""
-    linear = [R for found, _ in linear_rotations(scans, ratio) for R in found]
+    """Yield groups of initial guesses, best first; `ratio` is the SD of the points divided by the SD of the angles."""
+    linear = [R for j in range(scans.P) for R in linear_rotations(scans, j, ratio)[0]]
     if linear:
         yield _sorted(scans, linear, ratio)
     yield _sorted(scans, list(cube()), ratio)
@@ -191,18 +190,12 @@ def _sorted(scans: Scans, rotations: list[np.ndarray], ratio: float) -> list[Sce
     return [scenes[i] for i in np.argsort(costs, kind="stable")]
 
 
-def linear_rotations(scans: Scans, ratio: float) -> list[tuple[list[np.ndarray], float]]:
-    """Return rotations from the scans of each plate separately, and the ratio of the length units of scans and poses.
-
-    The ratio is 1 if the scans do not determine it; it is used only if the matrices are nearly products.
+def linear_rotations(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarray], float]:
+    """Return rotations from the scans of plate j, and the ratio of the length units of scans and poses (1 if unknown).
 
     p_x n.R_i r1 + p_y n.R_i r2 + n.R_i t + n.t_i - d = 0 and l_x n.R_i r1 + l_y n.R_i r2 = 0 are linear in
     [n (x) r1, n (x) r2, n (x) t, n, d], up to scale.
     """
-    return [_linear(scans, j, ratio) for j in range(scans.P)]
-
-
-def _linear(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarray], float]:
     mine = scans.plane == j
     if np.count_nonzero(mine) < ENOUGH:
         return [], 1.0
@@ -221,12 +214,12 @@ def _linear(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarray], float
         r1, r2 = (U @ W).T
         found.append(np.stack([r1, r2, np.cross(r1, r2)], axis=1))
     size = float(np.linalg.norm(z[27:30]))
-    known = size > 0 and s[1] < PRODUCT * s[0]
+    known = size > 0 and s[1] < PRODUCT * s[0]  # the matrices are nearly products
     return found, float(s[0] / np.sqrt(2.0) / size) if known else 1.0
 
 
 def scene_of(scans: Scans, R: np.ndarray) -> Scene:
-    """Return the best planes and position for a sensor rotation R; lines determine the normals, points the rest."""
+    """Return the best planes and position for a sensor rotation R; the lines determine the normals."""
     lines = np.einsum("nij,nj->ni", scans.RA, scans.line @ R[:, :2].T)
     across = (lines[scans.plane == j] for j in range(scans.P))
     n = np.linalg.eigh(np.stack([one.T @ one for one in across]))[1][:, :, 0]
@@ -243,8 +236,8 @@ def scene_of(scans: Scans, R: np.ndarray) -> Scene:
 class SceneUnknowns:
     """Names, units and limits of the unknowns; describes directions for `check_spread`."""
 
-    scans: Scans  # scans, scene: of the fit
-    scene: Scene
+    scans: Scans
+    scene: Scene  # estimate
     planes: tuple[str, ...]  # labels
     limits: tuple[float, float]  # fraction of the spread of the points, and [rad]
 
@@ -259,7 +252,7 @@ class SceneUnknowns:
 
     @cached_property
     def spread(self) -> float:
-        """RMS distance of the measured points from their mean [m]."""
+        """Spread of the measured points [m]: RMS distance from their mean."""
         q = self.scans.base_points(self.scene)
         return float(np.sqrt(np.mean(np.sum((q - q.mean(axis=0)) ** 2, axis=1)))) or 1.0
 
@@ -268,7 +261,7 @@ class SceneUnknowns:
         return np.array([self.limits[0] * self.spread if unit == "m" else self.limits[1] for unit in self.units])
 
     def __call__(self, step: np.ndarray) -> str:
-        """Return a description such as "translation of the sensor along tool axis z, 0.4 m"."""
+        """Return text such as "translation of the sensor along tool axis z, 0.4 m"."""
         widths = self.widths
         sizes = np.linalg.norm((step / widths).reshape(-1, 3), axis=1)
         first = int(np.flatnonzero(sizes > 0.5 * sizes.max())[0])
@@ -291,14 +284,14 @@ class SceneUnknowns:
 
 
 def require_motion(scans: Scans, planes: tuple[str, ...]) -> None:
-    """Raise on too few scans, and on orientations that leave a translation of the sensor undetermined."""
+    """Raise on too few scans, and on orientations that do not determine the position of the sensor."""
     needed = 7 + 3 * scans.P
     few = [str(planes[j]) for j in range(scans.P) if np.count_nonzero(scans.plane == j) < 2]
     if scans.numbers < needed or few:
-        where = f"planes {', '.join(few)} with one scan" if few else f"{scans.N} scans"
+        where = f"planes {', '.join(few)} with only one scan" if few else f"{scans.N} scans"
         raise NotExcited(
-            f"Expected at least {needed} numbers and two scans of each of {scans.P} planes, got {scans.numbers} numbers"
-            f" from {where}. Scan each plate from many directions.",
+            f"Expected at least {needed} numbers and two scans of each of {scans.P} planes, got {scans.numbers} "
+            f"numbers from {where}. Scan each plate from many directions.",
             [where],
             [f"{scans.numbers} of {needed} numbers"],
         )
@@ -309,34 +302,33 @@ def require_slant(scans: Scans, scene: Scene) -> None:
     bad = np.flatnonzero(scans.slant(scene) < FLAT)
     if len(bad):
         raise ShapeError(
-            f"Expected plates that cut the laser plane, got parallel ones (sine below {FLAT}) in rows "
+            f"Expected plates that intersect the laser plane, got parallel plates (sine below {FLAT}) in rows "
             f"{rows_text(bad)}. Drop these scans."
         )
 
 
 def require_units(scans: Scans, ratio: float) -> None:
-    """Raise early if the length units of scans and poses differ strongly."""
+    """Raise before the fit if the length units of scans and poses differ strongly."""
     size = _unit(scans, ratio)
     if not 1.0 / FAR < size < FAR:
         raise misfit(scans, ratio, None, f"lengths of {size:.2g} times those of the poses")
 
 
 def _unit(scans: Scans, ratio: float) -> float:
-    """Return the ratio of the poses' unit to that of the scans, or 1 if the plates disagree."""
-    sizes = [size for _, size in linear_rotations(scans, ratio)]
+    """Return the ratio of the length unit of the poses to that of the scans, or 1 if the plates disagree."""
+    sizes = [linear_rotations(scans, j, ratio)[1] for j in range(scans.P)]
     agreed = np.ptp(np.log(np.maximum(sizes, 1e-300))) < np.log(UNITS)
     return float(np.median(sizes)) if agreed else 1.0
 
 
 def misfit(scans: Scans, ratio: float, best: Scene | None, text: str) -> NotConverged:
-    """Return the error, with the identified cause, for scans that no initial guess fits."""
+    """Return the error, with the likely cause, for scans that cannot be fitted from any initial guess."""
     size = _unit(scans, ratio)
-    cause = "Check the plate labels, check that scan i and pose i are simultaneous, or detect outliers "
-    cause += "with robust=True."
+    cause = "Check the plate labels and that scan i and pose i are simultaneous, or detect outliers with robust=True."
     if not 1.0 / UNITS < size < UNITS:
         cause = f"The scans would fit with lengths scaled by {size:.2g}."
         if not 1.0 / FAR < size < FAR:
-            cause = f"{cause[:-1]}: perhaps millimetres instead of metres."
+            cause = f"{cause[:-1]}; perhaps millimetres were given as metres."
     return NotConverged(
         f"Expected scans of flat plates from one sensor, got {text}. {cause}", best=best, reason="misfit"
     )

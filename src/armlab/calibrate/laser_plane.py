@@ -1,16 +1,12 @@
 """Calibration of a laser line scanner from flat plates: its pose on the tool and the planes of the plates.
 
-    e1 = (c_x p_x + c_y p_y - h) / k,        e2 = asin((c_x l_x + c_y l_y) / k)
-
-Maximum-likelihood estimate from lines or raw profiles in the laser plane. No initial guess is needed, and plates may
-pass through the origin. For the problem, see Bagge Carlson, Johansson and Robertsson (2015).
-
-Search: short descents from many initial guesses; the best ones are continued to convergence.
+Maximum-likelihood estimate from lines or raw profiles in the laser plane (residuals: `laser_model`). No initial guess
+is needed, and plates may pass through the origin. For the problem, see Bagge Carlson, Johansson and Robertsson (2015).
 
 The best initial guess of each group is fitted first. If the fit disagrees with the noise, every initial guess of the
 group takes a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` over whole scans, with rho scaled by the median
-residual, so that unknown noise and outliers have little effect. The best few are then fitted to convergence. This
-bounds the cost for scans that cannot be fitted.
+residual, so that unknown noise and outliers have little effect. The best two are then fitted to convergence. This
+limits the computing time for scans that cannot be fitted.
 """
 
 from __future__ import annotations
@@ -50,16 +46,16 @@ from armlab.lie import se3, so3
 from armlab.models import LaserSensor
 
 CLASSES = {"p": "point [m]", "l": "line [rad]"}
-FAT = 0.2  # width over length of a profile beyond which it is not a line
+FAT = 0.2  # ratio of width to length beyond which a profile is not a line
 SCHEDULE = (100.0, 30.0, 10.0, 5.0)
 REFUSED = 1e-4  # p-value of chi^2 below which a fit is rejected
-MANY = 0.35  # fraction of outliers from which another start is tried
+MANY = 0.35  # fraction of outliers from which another initial guess is tried
 STEPS, TUNING, SETTLED = 9, 5.0, 1e-2  # short descent: maximum steps, c, last step in standard deviations
-BEST, WORSE, SAME = 2, 5.0, 1e-3  # per group: number fitted, ratio to the best, similarity
-LOST = 1.5  # rad, residual of angles and scaled points beyond which no fit is tried; wrong labels leave 2 to 8
-CLEAR = (2e-3, 0.03)  # residual over the spread of the points, and [rad], below which no other starts are tried
-HELD = 0.6  # leverage (of its two numbers) from which a scan is suspect
-TINY = 1e-12  # m, rad: rounding
+BEST, WORSE, SAME = 2, 5.0, 1e-3  # per group: number of fits, largest ratio to the best, smallest relative difference
+LOST = 1.5  # residual [rad] of angles and scaled points beyond which no fit is tried; wrong labels leave 2 to 8 rad
+CLEAR = (2e-3, 0.03)  # ratio of residual to spread of the points, and [rad], below which no other guess is tried
+HELD = 0.6  # leverage of a scan, per number, from which it is suspicious
+TINY = 1e-12  # rounding [m or rad]
 FAILED = (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError)  # failures of a descent
 
 
@@ -78,25 +74,28 @@ def fit_laser_plane(
     Parameters
     ----------
     T_base_tool : (N, 4, 4) poses of the tool, rotated about at least two axes.
-    scans : lines (N, 4): a point and a unit direction of either sign, in the laser plane (x, y) [m]; or N raw profiles
-        of a plate, each (K, 2).
-    plane : (N,) label of the plate of each scan. One plate suffices, three are better.
-    noise : for lines (sd of the point [m], sd of the angle [rad]); for raw points one sd [m]. Default: estimated.
-    start : (4, 4) approximate T_tool_sensor; optional.
+    scans : lines (N, 4), each a point and a unit direction of either sign in the laser plane (x, y) [m]; or N raw
+        profiles of a plate, each of points (K, 2) [m].
+    plane : (N,) label of the plate of each scan. One plate is sufficient, three are better.
+    noise : for lines, standard deviations of points [m] and of angles [rad]; for raw points, one standard deviation
+        [m]. Default: estimated.
+    start : (4, 4) approximate T_tool_sensor; default: found by a search.
     robust : detect and exclude outliers; `Fit.outliers` marks them.
     limits : largest accepted standard deviation along any direction: fraction of the spread of the points, and [rad].
 
     Returns
     -------
-    Fit of a `models.LaserSensor`. Parameters: position and rotation vector of T_tool_sensor (covariance of
-    (R Exp(w), t + v): v in tool axes, w in sensor axes), then for each plane two tilts [rad] from the fitted normal
-    and its offset. Residuals (N, 2) in the laser plane: distance [m], angle [rad]; for raw profiles (M, 1).
+    Fit of a `models.LaserSensor`
+        Parameters: position [m] and rotation vector [rad] of T_tool_sensor, then two tilts [rad] and the offset [m] of
+        each plane; tilts are relative to the fitted normal. The covariance of the pose is that of v and w in
+        (R Exp(w), t + v), v in tool axes, w in sensor axes. Residuals (N, 2) in the laser plane: distance [m], angle
+        [rad]; for raw profiles (M, 1).
 
     Raises
     ------
-    ShapeError : wrong shapes, NaN rows, invalid rotations; a plate parallel to the laser plane.
-    NotExcited : too few scans, or an unidentifiable direction, by name.
-    NotConverged : no start fits the noise: wrong labels, matching, units or scans.
+    ShapeError : wrong shapes, rows with NaN, invalid rotations; a plate parallel to the laser plane.
+    NotExcited : too few scans, or an unidentifiable direction (named in the message).
+    NotConverged : no initial guess gives a fit consistent with the noise, because of wrong labels, pairing or units.
 
     References
     ----------
@@ -112,13 +111,13 @@ def fit_laser_plane(
     excitation = check_spread(found.rows.J, words.names, words.units, words.widths, "laser scanner", describe=words)
 
     found_planes = (f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))
-    chi2 = "" if data.noise is None else f"residuals {times(found):.3g} times the noise"
-    wide = f"points spread over {words.spread:.3g} m: millimetres instead of metres?" * (words.spread > FAR_APART)
+    chi2 = "" if data.noise is None else f"residuals {times(found):.3g} times the given noise"
+    wide = f"points spread over {words.spread:.3g} m: millimetres given as metres?" * (words.spread > FAR_APART)
     rough = ""
     if data.noise is None and not _is_clear(data, found):
         angle = f" and {np.degrees(found.sigma[1]):.2g} deg" if len(found.sigma) > 1 else ""
         rough = (
-            f"residuals of {1e3 * found.sigma[0]:.3g} mm{angle}, large for a line scanner: are the plate labels wrong?"
+            f"residuals of {1e3 * found.sigma[0]:.3g} mm{angle} are large for a scanner: are the plate labels wrong?"
         )
     doubts, lines = doubts_of(found.check, [note, *found_planes, chi2, wide, rough])
     tilts = np.column_stack([np.zeros((len(planes), 2)), scene.d]).ravel()
@@ -133,13 +132,13 @@ def fit_laser_plane(
 
 
 def scans_of(T_base_tool: Any, scans: Any, plane: Any, noise: Any) -> tuple[Scans, tuple[str, ...], str]:
-    """Return the scans, the plate labels, and remarks on the poses."""
+    """Return the validated scans, the plate labels, and a remark on the poses."""
     RA, tA, note = poses(T_base_tool, "T_base_tool")
     N = len(RA)
     labels = np.asarray(plane)
     if labels.shape != (N,) or labels.dtype.kind not in "iuUS":
         raise ShapeError(
-            f"Expected one label per scan in plane, {N} integers or strings, got {labels.dtype} of shape "
+            f"Expected plane to have one label per scan, {N} integers or strings, got {labels.dtype} of shape "
             f"{labels.shape}. Pass the plate of each scan."
         )
     names, number = np.unique(labels, return_inverse=True)
@@ -190,8 +189,8 @@ def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | Non
 
 def _shape_text(N: int, got: Any) -> str:
     return (
-        f"Expected {N} scans, one per pose: lines of shape ({N}, 4), point and unit direction in the laser plane, or "
-        f"profiles of shape (K, 2) each, got {got}. First match them with the poses."
+        f"Expected {N} scans, one per pose: lines of shape ({N}, 4), each a point and a unit direction in the laser "
+        f"plane, or profiles of shape (K, 2), got {got}. Match them with the poses first."
     )
 
 
@@ -201,12 +200,12 @@ def _profile_noise(noise: Any, count: int) -> np.ndarray | None:
     values = np.atleast_1d(numbers(noise, "noise", ShapeError))
     if values.shape != (count,) or not np.all(values > 0) or not np.isfinite(values).all():
         usual = "(sd of points [m], sd of angles [rad]) of lines" if count == 2 else "one sd of raw points [m]"
-        raise ShapeError(f"Expected noise as {usual}, above zero, got {noise!r}. Correct it.")
+        raise ShapeError(f"Expected noise as {usual}, above zero, got {noise!r}. Correct the noise.")
     return values**2
 
 
 def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearSolution[Scene]:
-    """Return the first fit consistent with its noise, or for unknown noise the best of all."""
+    """Return the first fit consistent with the given noise, or, for unknown noise, the best of all fits."""
     ratio = _ratio(scans)
     size = max(ratio, _spread(scans.p))
     require_units(scans, ratio)
@@ -219,12 +218,12 @@ def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearS
             if best is None or _rank(scans, found, size, robust) < _rank(scans, best, size, robust):
                 best = found
         if best is not None and len(group) > 1 and scans.noise is None and _is_clear(scans, best):
-            break  # a single guess proves nothing
+            break  # a single guess would not be sufficient
     if best is None or scans.noise is not None:
         text = "no convergence"
         if best is not None:
             text = f"residuals {times(best):.3g} times the noise at best"
-            text += f" and {int(best.outliers.sum())} of {scans.N} outliers" if robust else ""
+            text += f" and {int(best.outliers.sum())} of {scans.N} scans as outliers" if robust else ""
         raise misfit(scans, ratio, None if best is None else best.value, text)
     if robust:
         best = nonlinear_least_squares(scans.problem(), best.value.oriented(), robust=True, majority=True)
@@ -245,7 +244,7 @@ def times(found: NonlinearSolution[Scene]) -> float:
 
 
 def _ratio(scans: Scans) -> float:
-    """Return the SD of points divided by that of angles [m/rad], which is the spread of a scan along its line."""
+    """Return the SD of points divided by the SD of angles [m/rad], which is the spread of a scan along its line."""
     if scans.points is not None:
         off = scans.points - scans.p[scans.owner]
         return float(np.sqrt(np.median(np.bincount(scans.owner, np.sum(off * off, axis=1)) / np.bincount(scans.owner))))
@@ -260,7 +259,7 @@ def _spread(p: np.ndarray) -> float:
 
 
 def _fitted(scans: Scans, group: list[Scene], size: float, robust: bool) -> Iterator[NonlinearSolution[Scene]]:
-    """Yield the fit from the first initial guess, then the fits from the best short descents."""
+    """Yield the fit from the first initial guess, then the fits after the best short descents."""
     first = _tried(scans, group[0], robust)
     if first is not None:
         yield first
@@ -280,7 +279,6 @@ def _fitted(scans: Scans, group: list[Scene], size: float, robust: bool) -> Iter
 def _approached(scans: Scans, scene: Scene) -> Scene:
     """Return the scene after a short descent that is robust to unknown noise and outliers."""
     problem = replace(scans, noise=None).problem()
-    names = ("p", "l")
     for _ in range(STEPS):
         r = scans.residuals(scene)
         sizes = np.maximum([mad(r[:, k]) for k in range(r.shape[1])], TINY)
@@ -289,7 +287,7 @@ def _approached(scans: Scans, scene: Scene) -> Scene:
             rho2 = np.bincount(scans.owner, rho2) / np.bincount(scans.owner)
         weight = (TUNING**2 / (TUNING**2 + rho2)) ** 2
         try:
-            found = descend(problem, scene, dict(zip(names, sizes)), weight, iterations=1, strict=False)
+            found = descend(problem, scene, dict(zip("pl", sizes)), weight, iterations=1, strict=False)
         except FAILED:
             break
         scene = found.value
@@ -299,7 +297,7 @@ def _approached(scans: Scans, scene: Scene) -> Scene:
 
 
 def _left(scans: Scans, scene: Scene, size: float) -> float:
-    """Return the residual size of a scene from the medians of angles and of points scaled to angles."""
+    """Return the size of the residuals of a scene [rad]: median of the scaled points plus median of the angles."""
     r = np.median(np.abs(scans.residuals(scene)), axis=0)
     left = float(r[0] / size + np.sum(r[1:]))
     return left if np.isfinite(left) else np.inf
@@ -313,7 +311,7 @@ def _tried(scans: Scans, scene: Scene, robust: bool) -> NonlinearSolution[Scene]
 
 
 def _doubted(scans: Scans, found: NonlinearSolution[Scene], size: float) -> NonlinearSolution[Scene]:
-    """Return the fit, or a better fit without a high-leverage scan that caused other scans to be excluded."""
+    """Return the fit, or a better fit from a start without one of the scans with high leverage."""
     held = np.einsum("ij,jk,ik->i", found.rows.J, found.cov, found.rows.J)
     numbers = np.bincount(found.rows.sample, minlength=scans.N)
     strong = np.bincount(found.rows.sample, held, minlength=scans.N) > HELD * np.minimum(numbers, 2)
@@ -336,14 +334,14 @@ def _oriented(scans: Scans, found: NonlinearSolution[Scene], robust: bool) -> No
 
 
 def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
-    """Return whether the residuals of points and angles are small relative to the scene."""
+    """Return whether the residuals of points and angles are small, and most scans are inliers."""
     left = np.median(np.abs(scans.residuals(found.value)), axis=0)
     near = left[0] < CLEAR[0] * SceneUnknowns(scans, found.value, (), LIMITS).spread
     return bool(near and (len(left) == 1 or left[1] < CLEAR[1]) and np.mean(found.outliers) <= MANY)
 
 
 def _rank(scans: Scans, found: NonlinearSolution[Scene], size: float, robust: bool) -> float:
-    """Return the criterion to minimise: chi^2 for given noise, otherwise the negative log likelihood per scan."""
+    """Return the criterion to minimise: chi^2 for given noise, otherwise the size of the residuals."""
     if scans.noise is not None:
         return float(found.outliers.sum()) + times(found) if robust else found.cost
     if robust:
@@ -352,14 +350,14 @@ def _rank(scans: Scans, found: NonlinearSolution[Scene], size: float, robust: bo
 
 
 def _require_fit(scans: Scans, ratio: float, found: NonlinearSolution[Scene]) -> None:
-    """If the noise is unknown, raise on residuals larger than the errors of any scanner."""
+    """Raise on residuals larger than the errors of any scanner."""
     size, spread = float(found.sigma[0]), SceneUnknowns(scans, found.value, (), LIMITS).spread
     turn = float(found.sigma[1]) if len(found.sigma) > 1 else 0.0
     if size <= ROUGH * spread and turn <= TURNED and np.mean(found.outliers) <= MANY:
         return
-    angles = f", {turn:.2g} rad between lines and plates" if turn else ""
+    angles = f" and {turn:.2g} rad" if turn else ""
     raise misfit(
         scans, ratio, found.value,
-        f"{size:.3g} m between points and plates (RMS), which spread over {spread:.3g} m{angles}, "
-        f"{int(found.outliers.sum())} of {scans.N} outliers",
+        f"residuals of {size:.3g} m{angles} (RMS), although the points spread over {spread:.3g} m, and "
+        f"{int(found.outliers.sum())} of {scans.N} scans as outliers",
     )  # fmt: skip

@@ -18,25 +18,25 @@ WIDE = 0.4  # variation of gravity in tool axes beyond which a wrong convention 
 STILL = 1e-6  # variation of gravity in tool axes that counts as zero
 HAND = 20.0  # Delta from which the handedness is decided
 RICH = 0.1  # variation of gravity in two directions beyond which the readings must follow it
-UNEXPLAINED = 0.5
+UNEXPLAINED = 0.5  # largest accepted fraction of the variation that a load does not explain
 ROUGH = 5.0  # ratio to the given noise beyond which residuals are not noise
-FIRST_ORDER = 0.05  # rad: beyond it, a covariance is only a first-order approximation
-FAR, ABSURD = 1.0, 10.0  # m: a centre of mass farther away possibly, or certainly, has wrong units
+FIRST_ORDER = 0.05  # standard deviation [rad] beyond which it is only a first-order approximation
+FAR, ABSURD = 1.0, 10.0  # distance [m] of a centre of mass that is possibly, or certainly, in wrong units
 OTHER_UNIT = 2.0  # factor too large for an error in weight or gravity
-HEAVY, LIGHT = 500.0, 1e-3  # kg, beyond the range of arms and sensors
+HEAVY, LIGHT = 500.0, 1e-3  # masses [kg] beyond the range of arms and sensors
 LOW_GRAVITY = 1.5  # m/s^2, less than on the Moon
 MANY = 1.0 / 3.0  # fraction of outliers from which the left-handed solution is tried
-STANDARD = 9.80665
+STANDARD = 9.80665  # standard gravity [m/s^2]
 
 
 @dataclass(frozen=True, eq=False)
 class LoadUnknowns:
     """Names, units and limits of the unknowns; describes directions for `check_spread`."""
 
-    equation: WeightEquation  # of the fit
-    load: Load  # the estimate
+    equation: WeightEquation
+    load: Load  # estimate
     limits: tuple[float, float, float]  # (angle [rad], fraction of the weight, length [m])
-    scale: str = "mass"  # name of the mass parameter: "mass" in kg, or "scale" of an accelerometer
+    scale: str = "mass"  # name of the mass parameter: "mass" [kg], or "scale" of an accelerometer
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -57,12 +57,12 @@ class LoadUnknowns:
     def parameters(self) -> np.ndarray:
         load, pull = self.load, self.equation.pull
         mass = load.gamma if pull is None else np.array([load.gamma @ pull / (pull @ pull)])
-        all_ = {"rotation": so3.log(load.R), "mass": mass, "force bias": load.bias[:3], "centre": load.centre}
-        all_["torque bias"] = load.bias[3:]
-        return np.concatenate([all_[kind] for kind in self.equation.widths])
+        parts = {"rotation": so3.log(load.R), "mass": mass, "force bias": load.bias[:3], "centre": load.centre}
+        parts["torque bias"] = load.bias[3:]
+        return np.concatenate([parts[kind] for kind in self.equation.widths])
 
     def __call__(self, step: np.ndarray) -> str:
-        """Return a description such as "rotation about tool axis z, bias along it, 0.4 rad"."""
+        """Return text such as "rotation about tool axis z, bias along it, 0.4 rad"."""
         parts = {kind: step[at] for kind, at in self.equation.places.items()}
         sizes = {kind: np.linalg.norm(step[at] / self.widths[at]) for kind, at in self.equation.places.items()}
         first = next(kind for kind in parts if sizes[kind] > 0.5 * max(sizes.values()))
@@ -82,7 +82,7 @@ class LoadUnknowns:
 
 
 def _along(equation: WeightEquation) -> str:
-    """Name the other unknowns that are unidentifiable along the axis of an unidentifiable rotation."""
+    """Return the names of the other unknowns that are unidentifiable along the axis of the rotation."""
     return (", bias" + " and centre of mass" * equation.torque + " along it") * equation.bias
 
 
@@ -100,7 +100,7 @@ def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str,
 
 
 def require_motion(equation: WeightEquation) -> float:
-    """Raise on samples that are too few or not exciting; return the variation of gravity in its second direction."""
+    """Raise on too few or unexciting samples; return the variation of gravity in its second direction."""
     needed = (2 + equation.bias) if equation.pull is not None else (4 + equation.bias)
     if needed > equation.N:
         raise NotExcited(
@@ -116,9 +116,7 @@ def require_motion(equation: WeightEquation) -> float:
         still = "orientation of the tool does not change"
         line = f"rotation about {axis_text(u, 'tool')}, weight and bias along it"
     else:
-        moved = equation.turn.moved[:0:-1]  # the largest first
-        if moved[1] > STILL:
-            return moved[1]
+        moved = equation.turn.moved[:0:-1]  # in descending order
         u = np.linalg.eigh(equation.turn.H)[1][:, 2]
         still = "gravity in tool axes is constant (rotations about the vertical only)"
         line = f"rotation about {axis_text(u, 'tool')}{_along(equation)}"
@@ -126,15 +124,15 @@ def require_motion(equation: WeightEquation) -> float:
         return float(moved[1])
     direction = still if moved[0] <= STILL else line
     raise NotExcited(
-        f"Expected orientations that vary gravity in tool axes in two directions, got less: {direction}. "
-        "Rotate the tool about a second horizontal axis.",
+        "Expected orientations that vary gravity in tool axes in two directions, got too little variation: "
+        f"{direction}. Rotate the tool about a second horizontal axis.",
         [direction],
-        [f"gravity varies by {moved[1]:.1e} of itself"],
+        [f"relative variation of gravity {moved[1]:.1e}"],
     )
 
 
 def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.ndarray, moved: float) -> None:
-    """Raise on readings that do not follow gravity, if gravity varies enough in tool axes."""
+    """Raise on readings that do not follow gravity, if gravity in tool axes varies enough."""
     count = np.count_nonzero(kept)
     power = float(equation.weights[kept] @ np.einsum("ij,ij->i", r[kept, :3], r[kept, :3]))
     if moved < RICH or 2 * count < 3 or (equation.noise is not None and power < 3 * count * ROUGH**2):
@@ -151,7 +149,7 @@ def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.
 
 
 def _unexplained(equation: WeightEquation, load: Load, kept: np.ndarray) -> float:
-    """Return the fraction of the forces' variation unexplained by a load."""
+    """Return the fraction of the variation of the forces that a load does not explain."""
     w = equation.weights[kept] / equation.weights[kept].sum()
     f = equation.y[kept, :3]
     r = f - load.gamma @ (equation.RA[kept] @ load.R)
@@ -161,18 +159,18 @@ def _unexplained(equation: WeightEquation, load: Load, kept: np.ndarray) -> floa
 
 
 def _cause(equation: WeightEquation, kept: np.ndarray) -> str:
-    """Return the cause of a misfit, such as another unit that would fit."""
+    """Return the likely cause of a misfit, such as a wrong unit."""
     if equation.mass is not None and equation.pull is not None:
         turn = Turn.of(replace(equation, mass=None), kept)
         free = Load(turn.R, turn.m * equation.pull, np.zeros(3), np.zeros(3))
         times = turn.m / equation.mass
         if _unexplained(equation, free, kept) < UNEXPLAINED and abs(np.log(max(times, 1e-300))) > np.log(OTHER_UNIT):
             return f"Readings of {times:.3g} times the expected size would fit; check the units."
-    return "Check that sample i of both records is simultaneous and that the poses are those of the tool."
+    return "Check that sample i of both records is simultaneous, and that the poses are poses of the tool."
 
 
 def require_right_hand(equation: WeightEquation, kept: np.ndarray) -> str:
-    """Raise on sensors with a mirrored axis or a reversed sign; return a remark if this is undecided."""
+    """Raise on a sensor with a mirrored axis or a reversed sign; return a remark if the handedness is undecided."""
     if equation.pull is None:
         return ""
     turn = equation.turn if kept.all() else Turn.of(equation, kept)
@@ -180,8 +178,8 @@ def require_right_hand(equation: WeightEquation, kept: np.ndarray) -> str:
         return ""
     if turn.difference > -HAND:
         return (
-            f"handedness and sign of the sensor are undecided (Delta {turn.difference:.1f}, decidable from "
-            f"{HAND:.0f}): rotate the tool farther"
+            f"handedness and sign of the sensor are undecided (Delta {turn.difference:.1f}, at least {HAND:.0f} "
+            "required): rotate the tool farther"
         )
     error = mirrored(equation, turn)
     if _unexplained(equation, error.best, kept) > UNEXPLAINED:
@@ -190,14 +188,14 @@ def require_right_hand(equation: WeightEquation, kept: np.ndarray) -> str:
 
 
 def require_lever(equation: WeightEquation, load: Load, sd: np.ndarray) -> None:
-    """Raise on torques in newton millimetres, which imply an impossible centre of mass."""
+    """Raise on torques in newton millimetres, which give an impossible centre of mass."""
     if not equation.torque:
         return
     away, unsure = np.linalg.norm(load.centre), np.linalg.norm(sd[equation.places["centre"]])
     if away > max(ABSURD, 3.0 * unsure):
         raise NotConverged(
             f"Expected a centre of mass within {ABSURD:.0f} m of the sensor, got {away:.3g} m. Torques seem to be in "
-            "N mm: divide by 1000.",
+            "N mm: divide them by 1000.",
             best=load,
             reason="units",
         )
@@ -206,53 +204,50 @@ def require_lever(equation: WeightEquation, load: Load, sd: np.ndarray) -> None:
 def mirrored(equation: WeightEquation, turn: Turn) -> NotConverged:
     """Return the error for a left-handed sensor, including its fit."""
     pull = np.zeros(3) if equation.pull is None else equation.pull
-    gamma = turn.other_m * pull
-    R = turn.mirrored
+    gamma, R = turn.other_m * pull, turn.mirrored
     bias = np.mean(equation.y[:, :3] - gamma @ (equation.RA @ R), axis=0) * equation.bias
     return NotConverged(
         "Expected readings in right-handed axes with the given sign, got the opposite. An axis is mirrored or the "
-        f"sign is reversed (Delta {turn.difference:.3g}); the data cannot distinguish them. Correct the axis that the "
-        "sensor's manual reverses, or pass the other sign.",
+        f"sign is reversed (Delta {turn.difference:.3g}); the data cannot distinguish the two. Correct the axis that "
+        "is reversed according to the manual of the sensor, or pass the other sign.",
         best=Load(R, gamma, bias, np.full(3, np.nan)),
         reason="left_handed",
     )
 
 
 def remarks(words: LoadUnknowns, sd: np.ndarray, squares: float | None, moved: float) -> list[str]:
-    equation, load = words.equation, words.load
-    lines = [f"gravity in tool axes varies by {moved:.2g} of itself in its second direction"]
+    equation, load, away = words.equation, words.load, float(np.linalg.norm(words.load.centre))
+    lines = [f"relative variation of gravity in tool axes in its second direction: {moved:.2g}"]
     if squares is not None:
         lines.append(f"residuals {np.sqrt(squares):.3g} times the given noise")
     if equation.pull is None:
         lines.append(
-            "gravity unknown: the sign of the sensor is not identifiable and was kept as given; a mirrored axis with "
-            "reversed weight would fit equally well"
+            "gravity is unknown: the sign of the sensor is not identifiable and was kept as given; a mirrored axis "
+            "with reversed weight would fit equally well"
         )
-    if equation.torque and np.linalg.norm(load.centre) > FAR:
-        lines.append(f"centre of mass {np.linalg.norm(load.centre):.3g} m away: N mm instead of N m?")
+    if equation.torque and away > FAR:
+        lines.append(f"centre of mass {away:.3g} m away: are torques in N mm instead of N m?")
     if equation.pull is not None and equation.mass is None:
         lines += _odd_scale(float(load.gamma @ equation.pull / (equation.pull @ equation.pull)), words)
     if sd[:3].max() > FIRST_ORDER:
-        lines.append(
-            "the rotation is uncertain by more than 3 degrees: standard deviations are first-order approximations"
-        )
+        lines.append("standard deviations of the rotation exceed 3 degrees and are only first-order approximations")
     return lines
 
 
 def _odd_scale(m: float, words: LoadUnknowns) -> list[str]:
-    """Return a doubt about the units for an implausible mass or scale."""
+    """Return a doubt about the units if the mass or the scale is implausible."""
     pull = words.equation.pull
     g = 0.0 if pull is None else float(np.linalg.norm(pull))
     if words.scale == "scale":
         odd = abs(np.log(max(m, 1e-300))) > np.log(OTHER_UNIT)
-        return [f"scale of {m:.3g}: readings or gravity in another unit than m/s^2?"] if odd else []
+        return [f"scale of {m:.3g}: are readings or gravity in a unit other than m/s^2?"] if odd else []
     if g < LOW_GRAVITY:
-        return [f"gravity of {g:.3g} m/s^2: given in units of g?"]
-    return [] if LIGHT < m < HEAVY else [f"mass of {m:.3g} kg: forces in another unit than N?"]
+        return [f"gravity of {g:.3g} m/s^2: is it given in units of g?"]
+    return [] if LIGHT < m < HEAVY else [f"mass of {m:.3g} kg: are forces in a unit other than N?"]
 
 
 def require_order_of_tool(equation: WeightEquation, kept: np.ndarray) -> None:
-    """Raise if the orientations explain the forces much better in another convention."""
+    """Raise if another convention of the orientations explains the forces much better."""
     if equation.pull is None:
         return
     now = equation.turn if kept.all() else Turn.of(equation, kept)

@@ -2,8 +2,8 @@
 
     f_i = s m R^T R_base_tool,i^T g + b_f,        tau_i = c x (f_i - b_f) + b_tau,        R = R_tool_sensor
 
-For forces with known gravity, the maximum-likelihood solution has a closed form. Torques refine the rotation, and all
-parameters are then fitted jointly. The closed form is due to Umeyama (1991).
+For forces with known gravity, the maximum-likelihood solution has a closed form (Umeyama 1991). All parameters are then
+fitted jointly, so that torques refine the rotation.
 """
 
 from __future__ import annotations
@@ -38,11 +38,10 @@ from armlab.estimation.linear_problem import check_spread
 from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.models import Accelerometer, ForceSensor
 
-LIMITS = (0.2, 0.3, 0.1)
+LIMITS = (0.2, 0.3, 0.1)  # largest accepted standard deviations: angle [rad], fraction of the weight, length [m]
 UNKNOWN = np.full(3, np.nan)
 CLASSES = ("force [N]",) * 3 + ("torque [N m]",) * 3
 Value = TypeVar("Value")
-
 SCHEDULE = (200.0, 60.0, 20.0, 10.0, 5.0)
 
 
@@ -62,37 +61,44 @@ def fit_force_sensor(
 
     Parameters
     ----------
-    T_base_tool : (N, 4, 4) poses of the tool, or (N, 3, 3) orientations, without contact.
-    wrench : (N, 3) forces, or (N, 6) forces and torques, raw, sensor axes [N, N m].
-    gravity : (3,) base axes [m/s^2], or "unknown": the weight in base axes is then also estimated.
-    sign : +1 if the sensor reads the suspended weight, -1 if it reads the reaction.
+    T_base_tool : (N, 4, 4) poses, or (N, 3, 3) orientations, of the tool at rest without contact.
+    wrench : (N, 3) forces, or (N, 6) forces and torques, raw, in sensor axes [N, N m].
+    gravity : (3,) gravity in base axes [m/s^2]; or "unknown": the weight in base axes is then also estimated.
+    sign : +1 if the sensor reads the weight of the load, -1 if it reads the reaction force.
     bias : whether readings without weight may be non-zero.
     mass : known mass of the load [kg]; default: estimated.
-    noise : standard deviation of the force [N]; with torques (sd of force [N], sd of torque [N m]); or covariance
-        (k, k) or (N, k, k). Default: estimated.
+    noise : standard deviation of the forces [N]; with torques, a pair (forces [N], torques [N m]); or covariance (k, k)
+        or (N, k, k) of the k readings. Default: estimated.
     robust : detect and exclude samples with contact; `Fit.outliers` marks them.
     limits : largest accepted standard deviation along any direction: angle [rad], fraction of the weight, length [m].
 
     Returns
     -------
-    Fit of a `models.ForceSensor`. Parameters: rotation vector of R_tool_sensor (covariance of R Exp(w), sensor axes),
-    mass or weight, bias, centre of mass. Without torques, `centre` and the moments of `bias` are NaN.
+    Fit of a `models.ForceSensor`
+        Parameters: rotation vector of R_tool_sensor (the covariance is that of w in R Exp(w), in sensor axes [rad]),
+        mass or weight, bias, centre of mass. Without torques, `centre` and the moments of `bias` are NaN.
 
     Raises
     ------
-    ShapeError : wrong shapes, NaN rows, invalid rotations, gravity, sign or mass.
-    NotExcited : too few samples, or an unidentifiable direction, which is named.
-    NotConverged : an axis mirrored or the sign reversed (`reason` "left_handed"); readings that do not follow gravity.
+    ShapeError : wrong shapes, rows with NaN, invalid rotations, gravity, sign or mass.
+    NotExcited : too few samples, or an unidentifiable direction (named in the message).
+    NotConverged : a mirrored axis or a reversed sign (`reason` "left_handed"); readings that do not follow gravity.
 
     References
     ----------
     Umeyama, PAMI 13(4), 1991.
     """
     RA, note = orientations(T_base_tool, "T_base_tool")
-    y = _readings(wrench, len(RA))
+    y = numbers(wrench, "wrench", ShapeError)
+    if y.ndim != 2 or y.shape[1] not in (3, 6) or len(y) != len(RA):
+        raise ShapeError(
+            f"Expected readings of shape ({len(RA)}, 3) or ({len(RA)}, 6), one per pose with forces first, got "
+            f"{y.shape}. Match them by time first."
+        )
+    finite(y, "wrench")
     if sign not in (1, -1) or isinstance(sign, bool):
         raise ShapeError(
-            f"Expected the sign +1 or -1 of a force sensor, got {sign!r}. Use +1 for a sensor that reads the weight."
+            f"Expected the sign of a force sensor as +1 or -1, got {sign!r}. Use +1 for a sensor that reads the weight."
         )
     pull = None if isinstance(gravity, str) and gravity == "unknown" else sign * gravity_of(gravity)
     if mass is not None and (pull is None or not 0.0 < float(numbers(mass, "mass", ShapeError)) < np.inf):
@@ -116,17 +122,6 @@ def fit_force_sensor(
     return fit_weight(equation, value, limits_of(limits, ANGLE_WEIGHT_LENGTH, LIMITS), robust, [note])
 
 
-def _readings(wrench: ArrayLike, N: int) -> np.ndarray:
-    y = numbers(wrench, "wrench", ShapeError)
-    if y.ndim != 2 or y.shape[1] not in (3, 6) or len(y) != N:
-        raise ShapeError(
-            f"Expected readings of shape ({N}, 3) or ({N}, 6), one per pose, forces first, got {y.shape}. "
-            "First match them by time."
-        )
-    finite(y, "wrench")
-    return y
-
-
 def fit_accelerometer(
     T_base_tool: ArrayLike,
     acc: ArrayLike,
@@ -143,45 +138,43 @@ def fit_accelerometer(
 
     Parameters
     ----------
-    T_base_tool : (N, 4, 4) poses of the tool, or (N, 3, 3) orientations, at rest.
-    acc : (N, 3) readings, sensor axes [m/s^2]; upwards at rest.
-    scale : also estimate the scale of the readings; otherwise 1.
-    gravity : (3,) base axes [m/s^2].
-    noise : standard deviation [m/s^2], or covariance (3, 3) or (N, 3, 3). Default: estimated.
+    T_base_tool : (N, 4, 4) poses, or (N, 3, 3) orientations, of the tool at rest.
+    acc : (N, 3) readings in sensor axes [m/s^2], which point upwards at rest.
+    scale : also estimate the scale of the readings; default: 1.
+    gravity : (3,) gravity in base axes [m/s^2].
+    noise : standard deviation [m/s^2], or covariance (3, 3) or (N, 3, 3) [m^2/s^4]. Default: estimated.
     robust : detect and exclude samples in motion; `Fit.outliers` marks them.
     limits : largest accepted standard deviation along any direction: angle [rad], fraction of gravity.
 
     Returns
     -------
-    Fit of a `models.Accelerometer`. Parameters: rotation vector of R_tool_sensor (covariance of R Exp(w), sensor axes),
-    scale if estimated, bias.
+    Fit of a `models.Accelerometer`
+        Parameters: rotation vector of R_tool_sensor (the covariance is that of w in R Exp(w), in sensor axes [rad]),
+        scale if estimated, bias [m/s^2].
 
     Raises
     ------
-    ShapeError : wrong shapes, NaN rows, invalid rotations.
-    NotExcited : too few samples, or an unidentifiable direction, which is named.
-    NotConverged : an axis mirrored or the sign reversed (`reason` "left_handed"); readings that do not follow gravity.
+    ShapeError : wrong shapes, rows with NaN, invalid rotations.
+    NotExcited : too few samples, or an unidentifiable direction (named in the message).
+    NotConverged : a mirrored axis or a reversed sign (`reason` "left_handed"); readings that do not follow gravity.
     """
     RA, note = orientations(T_base_tool, "T_base_tool")
     y = numbers(acc, "acc", ShapeError)
     if y.shape != (len(RA), 3):
         raise ShapeError(
-            f"Expected readings of shape ({len(RA)}, 3), one per pose, got {y.shape}. First match them by time."
+            f"Expected readings of shape ({len(RA)}, 3), one per pose, got {y.shape}. Match them by time first."
         )
     finite(y, "acc")
     g = gravity_of(gravity)
-    cov = point_noise(noise, (len(RA),))
-    equation = WeightEquation(
-        RA, y, -g, True, None if scale else 1.0, cov, ("acceleration [m/s^2]",) * 3, "accelerometer"
-    )  # fmt: skip
+    cov, classes = point_noise(noise, (len(RA),)), ("acceleration [m/s^2]",) * 3
+    equation = WeightEquation(RA, y, -g, True, None if scale else 1.0, cov, classes, "accelerometer")
 
     def value(load: Load) -> Accelerometer:
         size = float(np.linalg.norm(load.gamma) / np.linalg.norm(g)) if scale else 1.0
         return Accelerometer(load.R, load.bias, size, g)
 
-    return fit_weight(
-        equation, value, limits_of((*limits, 1.0), ANGLE_WEIGHT_LENGTH, LIMITS), robust, [note], scale="scale"
-    )
+    widths = limits_of((*limits, 1.0), ANGLE_WEIGHT_LENGTH, LIMITS)
+    return fit_weight(equation, value, widths, robust, [note], scale="scale")
 
 
 def fit_weight(
@@ -217,7 +210,7 @@ def fit_weight(
 def _solved_globally(
     equation: WeightEquation, robust: bool, moved: float, limits: tuple[float, float, float], scale: str
 ) -> NonlinearSolution[Load]:
-    """Return the best of all minima; raise with the cause if none was found."""
+    """Return the best of all minima; raise an error with the likely cause if the descent fails."""
     start = equation.only(likely_samples(equation)).start() if robust else equation.start()
     try:
         found = _solved(equation, start, robust)
@@ -238,7 +231,7 @@ def _solved(equation: WeightEquation, start: Load, robust: bool) -> NonlinearSol
 def _better_of_mirrored(
     equation: WeightEquation, found: NonlinearSolution[Load], robust: bool
 ) -> NonlinearSolution[Load]:
-    """Return the better of a minimum and its mirrored minimum: fewer outliers first, then smaller residuals."""
+    """Return the better of a minimum and its mirror solution, judged by outliers first, then by residuals."""
     start = mirror_solution(equation, found.value)
     if start is None:
         return found
@@ -255,7 +248,7 @@ def _better_of_mirrored(
 
 
 def _explain(equation: WeightEquation, best: Load, moved: float, words: LoadUnknowns) -> None:
-    """Raise with the cause of a failed descent: readings that do not follow gravity, or unexciting orientations."""
+    """Raise with the cause of a failed descent: readings that do not follow gravity, or too little excitation."""
     (one,) = equation.evaluate(best)
     everything = np.ones(equation.N, dtype=bool)
     require_order_of_tool(equation, everything)
@@ -268,7 +261,7 @@ def _explain(equation: WeightEquation, best: Load, moved: float, words: LoadUnkn
 
 
 def _try_other_hand(equation: WeightEquation) -> None:
-    """Raise if the mirrored forces have far fewer outliers than the original forces."""
+    """Raise if the forces with reversed signs have far fewer outliers."""
     noise = equation.noise
     if noise is not None:
         noise = noise[:3] if noise.ndim == 1 else noise[..., :3, :3]
@@ -286,7 +279,7 @@ def _require_weight(equation: WeightEquation, load: Load) -> None:
     if along <= 0.0:
         raise NotExcited(
             f"Expected the readings of the {equation.what} to contain a weight, got zero weight. Check the sign and "
-            "units of the readings, and check that the tool rotates about a horizontal axis.",
+            "the units of the readings, and check that the tool rotates about a horizontal axis.",
             ["mass"],
             ["no weight"],
         )

@@ -2,7 +2,7 @@
 
     f_i = R^T R_base_tool,i^T gamma + b_f,        tau_i = c x (R^T R_base_tool,i^T gamma) + b_tau
 
-with gamma = s m g in base axes. For an accelerometer, gamma = -(scale) g. For forces with known gravity and isotropic
+with gamma = s m g in base axes; for an accelerometer, gamma = -scale g. For forces with known gravity and isotropic
 noise, the maximum-likelihood load has a closed form.
 """
 
@@ -18,30 +18,30 @@ import numpy as np
 from armlab.estimation import Measurement, NonlinearProblem
 from armlab.lie import so3
 
-ROUNDING = 1e-11  # fraction of the largest reading
+ROUNDING = 1e-11  # rounding errors relative to the largest reading
 FLOOR = 1e-6  # noise relative to the readings below which it is rounding
-ROUNDS = 50
-SETTLED = 1e-3  # change of the weights, relative to the largest
-SHORT = 1e-3  # fraction of the median residual: smaller residuals are raised to it
+ROUNDS = 50  # maximum number of reweighting steps
+SETTLED = 1e-3  # change of the weights at convergence, relative to the largest weight
+SHORT = 1e-3  # smallest residual of the weights, relative to the median residual
 FAR = 4.0  # ratio to the median residual beyond which a sample is excluded from the initial guess
-NULL = 1e-9
+NULL = 1e-9  # relative singular value that counts as zero
 ALIKE = 0.5  # ratio of the mean weight in tool axes to the weight beyond which the mirror solution is also a minimum
 
 
 class Load(NamedTuple):
-    """R (3, 3) from sensor to tool, gamma (3,) base axes, bias (k,), centre (3,)."""
+    """Unknowns of a load."""
 
-    R: np.ndarray
-    gamma: np.ndarray
-    bias: np.ndarray
-    centre: np.ndarray
+    R: np.ndarray  # (3, 3) rotation from sensor to tool
+    gamma: np.ndarray  # (3,) weight in base axes
+    bias: np.ndarray  # (k,)
+    centre: np.ndarray  # (3,) centre of mass in sensor axes [m]
 
 
 @dataclass(frozen=True, eq=False)
 class WeightEquation:
     RA: np.ndarray  # (N, 3, 3) R_base_tool
     y: np.ndarray  # (N, 3) forces, or (N, 6) with torques
-    pull: np.ndarray | None  # (3,) s g, derivative of gamma with respect to the mass; None for unknown gravity
+    pull: np.ndarray | None  # (3,) s g, derivative of gamma with respect to the mass; None if gravity is unknown
     bias: bool  # whether the readings have a bias
     mass: float | None  # known mass; None: estimated
     noise: np.ndarray | None  # variances (k,), or covariance (k, k) or (N, k, k); None: estimated
@@ -114,7 +114,7 @@ class WeightEquation:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Inverse mean variance (N,) of the force of each sample; 1 for unknown noise."""
+        """Inverse mean variance (N,) of the force of each sample; 1 if the noise is unknown."""
         if self.noise is None:
             return np.ones(self.N)
         variances = self.noise if self.noise.ndim == 1 else np.diagonal(self.noise, axis1=-2, axis2=-1)
@@ -122,7 +122,7 @@ class WeightEquation:
 
     @cached_property
     def turn(self) -> Turn:
-        """Rotation and mass from all samples, for known gravity."""
+        """Closed-form rotation and mass from all samples, for known gravity."""
         return Turn.of(self)
 
     def start(self) -> Load:
@@ -149,7 +149,7 @@ class WeightEquation:
         return values - np.tensordot(self.weights / self.weights.sum(), values, axes=1)
 
     def _unknown_gravity(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return R and gamma from R f_i = R_i^T gamma, linear in both, centred if there is a bias."""
+        """Return R and gamma from R f_i = R_i^T gamma, which is linear in both."""
         root = np.sqrt(self.weights)
         D = (self.centred(self.RA.transpose(0, 2, 1)) * root[:, None, None]).reshape(-1, 3)
         f = self.centred(self.y[:, :3]) * root[:, None]
@@ -165,21 +165,20 @@ class WeightEquation:
 class Turn(NamedTuple):
     """Closed-form rotation, mass and bias that minimise ``sum w_i |f_i - m R^T h_i - b|^2``.
 
-    Here ``h_i = R_base_tool,i^T pull``. Closed form (Umeyama 1991): with weighted means subtracted if there is a bias,
-    ``H = sum w h h^T`` and ``S = sum w h f^T`` with signed singular values s, R is the rotation nearest to S and
-    ``m = (s1 + s2 + s3) / tr H``.
-    The best left-handed solution has -s3 instead of s3.
+    Here ``h_i = R_base_tool,i^T pull``. If there is a bias, weighted means are subtracted. With ``H = sum w h h^T`` and
+    ``S = sum w h f^T`` with signed singular values s, R is the rotation nearest to S and ``m = (s1 + s2 + s3) / tr H``
+    (Umeyama 1991). The best left-handed solution has -s3 instead of s3.
     """
 
     R: np.ndarray  # (3, 3)
-    H: np.ndarray  # H, S: (3, 3) products of gravity in tool axes with itself and with the forces
-    S: np.ndarray
+    H: np.ndarray  # (3, 3) product of gravity in tool axes with itself
+    S: np.ndarray  # (3, 3) product of gravity in tool axes with the forces
     m: float  # mass
     other_m: float  # mass of the best left-handed solution
     power: float  # residual sum of squares
     signal: float  # total sum of squares; both divided by the variance if the noise is given
-    moved: list[float]  # relative variation of gravity in tool axes, along three axes, ascending
-    difference: float  # Delta, chi^2 of the best left-handed solution minus that of the best rotation
+    moved: list[float]  # relative variation of gravity in tool axes along three axes, in ascending order
+    difference: float  # Delta: chi^2 of the best left-handed solution minus chi^2 of the best rotation
 
     @property
     def mirrored(self) -> np.ndarray:
@@ -190,7 +189,7 @@ class Turn(NamedTuple):
 
     @classmethod
     def of(cls, equation: WeightEquation, kept: np.ndarray | None = None) -> Turn:
-        """Solve with the selected samples (N,); None: all."""
+        """Return the solution for the selected samples (N,); None: all."""
         w = (equation.weights if kept is None else equation.weights * kept)[:, None]
         pull = np.zeros(3) if equation.pull is None else equation.pull
         h, f = pull @ equation.RA, equation.y[:, :3]
@@ -215,10 +214,10 @@ class Turn(NamedTuple):
 
 
 def likely_samples(equation: WeightEquation) -> np.ndarray:
-    """Return the samples (N,) near a least-absolute-residuals regression, for the initial guess.
+    """Return the samples (N,) for the initial guess, which are near a robust linear regression.
 
-    Forces are linear in the orientation of the tool, ``f_i = sum_k c_k (R_i)_k + b`` (or in gravity in tool axes if it
-    is known). ``sum |r_i|`` is convex, and is robust against contacts.
+    Forces are linear in the orientation of the tool, ``f_i = sum_k c_k (R_i)_k + b``, or in gravity in tool axes if it
+    is known. The regression minimises ``sum |r_i|``, which is convex and robust against contacts.
     """
     X = equation.RA.reshape(equation.N, 9) if equation.pull is None else equation.pull @ equation.RA
     if equation.bias:
@@ -226,7 +225,7 @@ def likely_samples(equation: WeightEquation) -> np.ndarray:
     U, size, _ = np.linalg.svd(X, full_matrices=False)
     Q, f, w = U[:, size > NULL * size[0]], equation.y[:, :3], np.ones(equation.N)
     r = w
-    if 2 * Q.shape[1] > equation.N:  # it would interpolate half of the samples
+    if 2 * Q.shape[1] > equation.N:  # the regression would interpolate half of the samples
         return np.ones(equation.N, dtype=bool)
     for _ in range(ROUNDS):
         weighted = Q.T * w
@@ -241,8 +240,8 @@ def likely_samples(equation: WeightEquation) -> np.ndarray:
 def mirror_solution(equation: WeightEquation, load: Load) -> Load | None:
     """Return the load with its weight reversed and the sensor rotated by half a turn about it.
 
-    Both fit equally well to first order in the tilts: ``R^T (u x w) = (H R)^T (-u x w)`` with H the half turn about u;
-    the bias absorbs the mean. Returns None for large tilts or without a bias.
+    Both fit equally well to first order in the tilts, because ``R^T (u x w) = (H R)^T (-u x w)`` with H the half turn
+    about u; the bias absorbs the mean. Returns None for large tilts or without a bias.
     """
     u = load.gamma @ equation.RA.mean(axis=0)
     length = float(np.linalg.norm(u))

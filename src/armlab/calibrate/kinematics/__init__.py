@@ -1,3 +1,3 @@
-"""Kinematic calibration of one arm, and of two arms that measure each other."""
+"""Kinematic calibration of one arm, or of two arms that measure each other."""
 
 __all__ = []

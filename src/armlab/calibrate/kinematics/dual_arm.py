@@ -1,12 +1,11 @@
-"""Calibration of two arms that measure each other: the kinematics of both and the pose of one base in the other.
+"""Calibration of two arms that measure each other: the kinematics of both arms and the relative pose of their bases.
 
     Z_i = T_a(q_a,i)^-1 T_basea_baseb T_b(q_b,i)
 
-The measurement is the pose of, or a point on, the tool of b relative to the tool of a. One system of equations covers
-both arms and all samples. No absolute measurement is needed; without one, the pose of each arm's base is a convention.
-
-The tool of b relative to the tool of a is ``Z = T_a^-1 T_basea_baseb T_b``. The motion of a point p on b's tool in a's
-tool axes is its motion due to the frames and the base of b, minus its motion due to the frames of a.
+The measurement Z is the pose of b's tool, or the position of a point on it, relative to a's tool. One system of
+equations covers both arms and all samples. No absolute measurement is needed; without it, the pose of each base in its
+arm is a convention. The motion of a point on b's tool in a's tool axes is its motion due to the frames and the base of
+b, minus its motion due to the frames of a.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from armlab.calibrate.kinematics.identifiability import UnobservableDirection, arm_scale, far_links, joints_at_rest
 from armlab.calibrate.kinematics.measurements import Kind, check_harmonics, check_joints, check_terms, measured_kinds
-from armlab.calibrate.kinematics.model import Arm, ArmState, amplitude_prior, chosen, link_prior, pose_residual
+from armlab.calibrate.kinematics.model import TWIST, Arm, ArmState, amplitude_prior, chosen, link_prior, pose_residual
 from armlab.calibrate.kinematics.solve import (
     KinematicEstimation,
     check_scale,
@@ -40,8 +39,7 @@ from armlab.lie import se3
 from armlab.models import DualArmCorrection
 from armlab.robots import Robot
 
-LIMITS = (0.05, 0.05)
-TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+LIMITS = (0.05, 0.05)  # largest accepted standard deviation along any direction [m, rad]
 
 
 def fit_dual_arm(
@@ -71,26 +69,27 @@ def fit_dual_arm(
     ----------
     robot_a, robot_b : nominal arms.
     q_a, q_b : (N, n) simultaneous joint positions [rad or m].
-    pose : (N, 4, 4) poses of b's tool relative to a's tool; (4, 4) for a closed chain with tools held in a known pose.
+    pose : (N, 4, 4) poses of b's tool relative to a's tool; (4, 4) if a closed chain holds the tools in a known pose.
     position : (N, 3) positions of b's tool point in a's tool axes [m].
-    closed : the tools are joined: b's tool is fixed relative to a's. The pose may be unknown.
+    closed : True if the tools are joined, so that b's tool is fixed relative to a's tool. The pose may be unknown.
     absolute_a : (N, 4, 4) poses of a's tool in a frame that then defines the base of a.
-    visible : (N,), False for missing relative measurements.
+    visible : (N,) mask, False for missing relative measurements.
     noise : noise of the relative measurement, as in `fit_kinematics`. Default: estimated.
     noise_absolute : noise of `absolute_a`, (sd [m], sd [rad]) or a covariance; required with `noise`.
-    harmonics : orders of joint errors of both arms, as in `fit_kinematics`.
+    harmonics : orders of the joint errors of both arms, as in `fit_kinematics`.
     joint_terms_a, joint_terms_b : phi (N, n, L) of each arm, as in `fit_kinematics`.
     prior, weak, robust, limits : as in `fit_kinematics`.
 
     Returns
     -------
-    Fit of `models.DualArmCorrection`. The parameters are the twists of the frames of a and b relative to their start.
-    The twist of T_basea_baseb, which has no nominal value, is relative to its estimate.
+    Fit of a `models.DualArmCorrection`
+        The parameters are the twists of the frames of a and b relative to their start. The twist of T_basea_baseb,
+        which has no nominal value, is relative to its estimate.
 
     Raises
     ------
-    NotExcited : unidentifiable directions, by name; for a closed chain always the overall scale and the common motion
-        of both tools, unless weak="prior" holds them.
+    NotExcited : unidentifiable directions (named in the message). A closed chain never determines the overall scale and
+        the common motion of both tools; weak="prior" holds them.
     NotConverged : inconsistent samples.
     ShapeError, ConfigError, UnknownName : as in `fit_kinematics`.
 
@@ -101,7 +100,7 @@ def fit_dual_arm(
     q_a, q_b = check_joints(robot_a, q_a, "q_a"), check_joints(robot_b, q_b, "q_b")
     if len(q_a) != len(q_b):
         raise ShapeError(
-            f"Expected equal numbers of rows of q_a and q_b, got {len(q_a)} and {len(q_b)}. Give simultaneous samples."
+            f"Expected equal numbers of rows of q_a and q_b, got {len(q_a)} and {len(q_b)}. Pass simultaneous samples."
         )
     check_weak(weak)
     orders = check_harmonics(harmonics)
@@ -127,7 +126,7 @@ def fit_dual_arm(
 
 
 def _without_bases(problem: DualProblem) -> np.ndarray:
-    """Return the unknowns without the gauge and the bases; T_basea_baseb relates the bases."""
+    """Return the mask of the unknowns without the gauge and the bases, whose relative pose is T_basea_baseb."""
     a, b = problem.arm_a.unbound.copy(), problem.arm_b.unbound.copy()
     b[:6] = False
     a[:6] &= problem.absolute
@@ -140,14 +139,12 @@ def _measured(
     """Return the relative measurement and an initial guess of T_basea_baseb."""
     if (pose is None) == (position is None) and not (closed and position is None):
         raise ConfigError(
-            "Expected either the pose or the position of b's tool relative to a's tool, got both or neither. Give one."
+            "Expected either the pose or the position of b's tool relative to a's tool, got both or neither. Pass one."
         )
     T_a, T_b = (arm.move(arm.first())[:, -1] for arm in (a, b))
     if closed:
         if position is not None:
-            raise ConfigError(
-                "Expected no position for a closed chain, got position=. Pass pose= (4, 4), or neither of them."
-            )
+            raise ConfigError("Expected no position for a closed chain, got position=. Pass pose= (4, 4), or neither.")
         if pose is None:  # Z of T_b = T_basea_baseb^-1 T_a Z
             pose = se3.from_rp(*hand_eye(T_a, T_b)[:2])
         pose = np.broadcast_to(np.asarray(pose, dtype=float), (len(T_a), 4, 4))
@@ -155,8 +152,8 @@ def _measured(
     kind = kinds[0]
     if kind.name == "position" and kind.values.shape[1] > 1:
         raise ShapeError(
-            f"Expected position of shape ({len(T_a)}, 3), one point on b's tool, got {kind.values.shape}. Pass one of "
-            "the points."
+            f"Expected position of shape ({len(T_a)}, 3), one point on b's tool, got {kind.values.shape}. Pass only "
+            "one point."
         )
     rows = np.flatnonzero(kind.visible.reshape(len(T_a), -1)[:, 0])
     if len(rows) < 3:
@@ -165,14 +162,13 @@ def _measured(
             ["everything"],
             [f"{len(rows)} of at least 3 samples"],
         )
+    size = size_of(T_a[:, :3, 3]) + size_of(T_b[:, :3, 3])
     if kind.name == "pose":
-        check_scale(
-            size_of(T_a[:, :3, 3]) + size_of(T_b[:, :3, 3]), size_of(kind.values[rows, :3, 3]), "positions of poses"
-        )
+        check_scale(size, size_of(kind.values[rows, :3, 3]), "positions of poses")
         seen = T_a[rows] @ kind.values[rows] @ se3.inv(T_b[rows])
         return kinds, se3.project(np.mean(seen, axis=0))[0]
     seen = np.einsum("iab,ib->ia", T_a[rows, :3, :3], kind.values[rows, 0]) + T_a[rows, :3, 3]
-    check_scale(size_of(T_a[:, :3, 3]) + size_of(T_b[:, :3, 3]), size_of(kind.values[rows, 0]), "positions")
+    check_scale(size, size_of(kind.values[rows, 0]), "positions")
     return kinds, kabsch(T_b[rows, :3, 3], seen)
 
 
@@ -186,17 +182,17 @@ class DualState(NamedTuple):
 class DualProblem:
     """Two arms and their measurements."""
 
-    arm_a: Arm  # arm_a, arm_b: the arms
+    arm_a: Arm
     arm_b: Arm
     kinds: tuple[Kind, ...]  # relative pose or position, then optionally the absolute pose of arm a
     absolute: bool  # whether the absolute pose is given
-    closed: bool  # whether b's tool is fixed relative to a's
+    closed: bool  # whether b's tool is fixed relative to a's tool
     active: np.ndarray  # (d,) mask of the components of a step
-    prior: tuple[float, float] | None  # (metres, radians) of the links, or None
+    prior: tuple[float, float] | None  # standard deviations (metres, radians) of the links; None: no prior
 
     @property
     def size(self) -> int:
-        """Number of unknowns, including the gauge: arm a, arm b, twist of T_basea_baseb."""
+        """Number d of unknowns, including the gauge: arm a, arm b, twist of T_basea_baseb."""
         return self.arm_a.size + self.arm_b.size + 6
 
     @property
@@ -221,19 +217,19 @@ class DualProblem:
         return (*self.arm_a.units, *self.arm_b.units, *("m",) * 3, *("rad",) * 3)
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
-        """Return the limits (d,): `length` for unknowns in metres, `angle` for unknowns in radians."""
+        """Return limits (d,): `length` for unknowns in metres, `angle` for unknowns in radians."""
         arms = [arm.sizes(length, angle) for arm in (self.arm_a, self.arm_b)]
         return np.concatenate([*arms, np.repeat([length, angle], 3)])
 
     def values(self, state: DualState) -> np.ndarray:
-        """Return all unknowns (d,), with frames as twists from the start and a zero twist for T."""
+        """Return all unknowns (d,); frames are twists relative to the start, and the twist of T is zero."""
         parts = []
         for arm, one in ((self.arm_a, state.a), (self.arm_b, state.b)):
             parts += [arm.corrections(one.frames).ravel(), one.amplitudes.ravel(), one.coefficients]
         return np.concatenate([*parts, np.zeros(6)])
 
     def gauge(self, state: DualState, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Return the unobservable directions (d, g) and their names: joints, and the base pose of each arm."""
+        """Return the unobservable directions (d, g) and their names: through joints, and the base of each arm."""
         a, b = self.arm_a.size, self.arm_a.size + self.arm_b.size
         columns, names = [], []
         for arm, one, at, letter in ((self.arm_a, state.a, 0, "a"), (self.arm_b, state.b, a, "b")):
@@ -283,7 +279,7 @@ class DualProblem:
         return found
 
     def priors(self, state: DualState, local: bool = False) -> Iterator[Measurement]:
-        """Yield the priors: small amplitudes and, if requested, nearly nominal links."""
+        """Yield the priors of the amplitudes and, if requested, of the links."""
         for arm, one, at in ((self.arm_a, state.a, 0), (self.arm_b, state.b, self.arm_a.size)):
             if arm.orders:
                 yield amplitude_prior(arm, one, self.size, at)
@@ -315,7 +311,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         return mask
 
     def nature(self, state: DualState) -> list[UnobservableDirection]:
-        """Return the orientation of b's tool, which is structurally unobservable."""
+        """Return the orientation of b's tool, which positions never determine."""
         problem = self.problem
         at = problem.arm_a.size + 6 * problem.arm_b.n + 3
         turns = np.zeros((problem.size, 3))
@@ -325,7 +321,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         ]
 
     def candidates(self, state: DualState) -> list[UnobservableDirection]:
-        """Return the candidates: joints at rest, common motion of both tools, and the scale."""
+        """Return joints at rest, the common motion of both tools, and the scale."""
         arm_a, arm_b = self.problem.arm_a, self.problem.arm_b
         a, size = arm_a.size, self.problem.size
         found = joints_at_rest(arm_a, state.a.frames, 0, size, " of arm a")
@@ -353,7 +349,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         return self.result(found, state, self._value, ())
 
     def spaces(self) -> list[float]:
-        """Return the size [m] of the workspace of each measurement (for a closed chain, the workspace of arm a)."""
+        """Return the size of the workspace of each measurement [m]; for a closed chain, that of arm a."""
         problem = self.problem
         places = [kind.values[kind.visible.reshape(len(kind.values), -1)[:, 0]] for kind in problem.kinds]
         if problem.closed:
@@ -364,9 +360,7 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         a, b = self.problem.arm_a, self.problem.arm_b
         return far_links(a, state.a.frames, " of arm a") + far_links(b, state.b.frames, " of arm b")
 
-    def _value(self, state: DualState, cov: np.ndarray) -> DualArmCorrection:
+    def _value(self, state: DualState, whole: np.ndarray) -> DualArmCorrection:
         problem, a = self.problem, self.problem.arm_a.size
-        whole = np.zeros((problem.size, problem.size))
-        whole[np.ix_(self.used, self.used)] = cov
         arm_a = corrected_arm(problem.arm_a, state.a, whole[:a, :a])
         return DualArmCorrection(arm_a, corrected_arm(problem.arm_b, state.b, whole[a:-6, a:-6]), state.T, whole)

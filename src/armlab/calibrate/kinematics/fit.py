@@ -2,8 +2,8 @@
 
     T(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n,        E_j <- E_j Exp(x_j)
 
-Every frame may move by a twist, so all arms are treated alike, including those with parallel axes. The estimate
-maximises the likelihood over all kinds of measurement; `excitation` names unobservable directions.
+Every frame may move by a twist, so that arms with parallel axes need no special treatment. The estimate maximises the
+likelihood of all kinds of measurement; `excitation` names the unobservable directions.
 """
 
 from __future__ import annotations
@@ -35,9 +35,7 @@ from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.models import KinematicCorrection
 from armlab.robots import Robot
 
-LIMITS = (0.05, 0.05)
-"""Largest accepted standard deviation [m, rad] along any direction."""
-
+LIMITS = (0.05, 0.05)  # largest accepted standard deviation along any direction [m, rad]
 MODELS, CHOICES = ("local_poe", "poe"), ("all", "offsets", "base_tool")
 
 
@@ -70,38 +68,41 @@ def fit_kinematics(
     robot : nominal arm, from which the fit starts. A distant measurement frame is located first.
     q : (N, n) joint positions [rad or m].
     pose : (N, 4, 4) measured poses of the tool.
-    position : (N, 3) positions of the tool point, or (N, K, 3) of K points at unknown places on the tool [m].
-    distance : (N,) distances from `anchor`, a fixed, approximately known point, to the tool point [m].
-    pair_distance : (i, j, d): samples i and j (M,), and the distances d (M,) of their tool points [m].
-    anchor : (3,) initial guess of the fixed point, measurement frame [m].
-    length_offset, length_scale : estimate ``measured = scale * true + offset`` of distances.
-    visible : (N,) or (N, K), False where a measurement is missing; by kind where masks differ: {"position": mask}.
-    noise : for poses (sd [m], sd [rad]) or 6 sd; for positions one sd or 3 [m]; for distances one sd; or covariances
-        (k, k) or (N, k, k). An infinite sd excludes a component. For several kinds: {"pose": ..., "distance": ...}. The
-        noise of missing kinds is estimated.
+    position : (N, 3) measured positions of the tool point [m], or (N, K, 3) of K points at unknown places on the tool.
+    distance : (N,) measured distances of the tool point from `anchor`, a fixed, approximately known point [m].
+    pair_distance : (i, j, d): indices i and j (M,) of two samples, and the distance d (M,) between their tool points
+        [m].
+    anchor : (3,) initial guess of the fixed point in the measurement frame [m].
+    length_offset, length_scale : estimate offset and scale of distances, ``measured = scale * true + offset``.
+    visible : (N,) or (N, K) mask, False for missing measurements; {"position": mask} if masks differ between kinds.
+    noise : standard deviations: for poses a pair ([m], [rad]) or 6 values; for positions 1 or 3 values [m]; for
+        distances 1 value [m]. Or covariances (k, k) or (N, k, k). An infinite standard deviation excludes a component.
+        For several kinds of measurement: {"pose": ..., "distance": ...}. Default, also for omitted kinds: estimated.
     model : "local_poe": steps of the frames; "poe": steps of the screws in the base and of the home pose. The result
         is the same.
     free : "all"; "offsets": joint offsets, base and tool; "base_tool"; or a mask (n+1, 6) of the twists [v; w] of the
-        frames, with joint j + 1 the z axis of frame j.
+        frames, in which joint j + 1 moves about or along the z axis of frame j.
     harmonics : orders k of ``a_jk cos k q_j + b_jk sin k q_j`` added to q, with a prior of 0.1 deg on the amplitudes.
-    joint_terms : phi (N, n, L), for example gravity torques: ``sum_l c_l phi_l`` is added to q.
-    prior : standard deviation of the links [m and rad, or a pair] for `weak="prior"`; not for base and tool.
-    weak : "refuse" raises on directions beyond `limits`; "prior" holds them.
-    robust : detect outliers among the samples.
-    limits : largest accepted standard deviation [m, rad].
+    joint_terms : phi (N, n, L), for example gravity torques; ``sum_l c_l phi_l`` is added to q.
+    prior : standard deviation of the links [m and rad], one value or a pair, for `weak="prior"`; base and tool have no
+        prior.
+    weak : "refuse": directions beyond `limits` raise an error; "prior": the prior holds these directions.
+    robust : detect and exclude outliers among the samples.
+    limits : largest accepted standard deviation along any direction [m, rad].
 
     Returns
     -------
-    Fit of `models.KinematicCorrection`. The parameters are the twists of the frames from the start (with minimum norm
-    along the gauge), followed by amplitudes, coefficients, points, anchor and the optional unknowns. `residuals` and
-    `outliers` have one row per sample, followed by one row per pair; components that were not measured are NaN.
+    Fit of a `models.KinematicCorrection`
+        The parameters are the twists of the frames relative to the start (with minimum norm along the gauge), then
+        amplitudes, coefficients, points, anchor and the optional unknowns. `residuals` and `outliers` have one row per
+        sample, then one row per pair; residuals of missing measurements are NaN.
 
     Raises
     ------
-    NotExcited : unidentifiable directions, by name.
+    NotExcited : unidentifiable directions (named in the message).
     NotConverged : inconsistent samples.
     ShapeError : wrong shapes, NaN that is not masked, invalid rotations, millimetres, degrees.
-    ConfigError, UnknownName : options that do not exist.
+    ConfigError, UnknownName : invalid options.
 
     References
     ----------
@@ -144,7 +145,7 @@ def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:
     if anchor is None:
         if needed:
             raise ConfigError(
-                "Expected an initial guess of the fixed point for distances, got no anchor. Pass anchor=(x, y, z)."
+                "Expected an initial guess of the fixed point of distances, got no anchor. Pass anchor=(x, y, z)."
             )
         return np.zeros(3)
     found = numbers(anchor, "anchor", ShapeError)
@@ -163,8 +164,8 @@ def _check_lengths(problem: KinematicProblem, start: State, length_offset: bool)
         measured = kind.values[kind.visible]
         if len(measured) and not length_offset and measured.min() < 0:
             raise ShapeError(
-                f"Expected {kind.name} >= 0, got {measured.min():.4g} m. Pass length_offset=True if the instrument "
-                "has an offset."
+                f"Expected {kind.name} >= 0, got {measured.min():.4g} m. Pass length_offset=True if the instrument has "
+                "an offset."
             )
         if len(measured):
             check_scale(float(np.mean(np.abs(measured - one.r[:, 0]))), float(np.mean(measured)), kind.name)
@@ -213,10 +214,8 @@ class ArmEstimation(KinematicEstimation[State]):
         return may_be_missing(self.problem, state)
 
     def fit(self, found: NonlinearSolution[State], smallest: bool, notes: Sequence[str]) -> Fit[KinematicCorrection]:
-        """Return the value, covariance and excitation of the equivalent fit that is nearest to the start."""
-        state = found.value
-        if smallest:
-            state = self._smallest(state)
+        """Return the fit, at the equivalent state nearest to the start if `smallest`."""
+        state = self._smallest(found.value) if smallest else found.value
         return self.result(found, state, self._value, notes)
 
     def rigid(self) -> np.ndarray:
@@ -250,17 +249,11 @@ class ArmEstimation(KinematicEstimation[State]):
                 sizes.append(spread_of(seen[:, :3, 3]) if kind.name == "pose" else float(np.mean(seen)))
         return sizes
 
-    def _value(self, state: State, cov: np.ndarray) -> KinematicCorrection:
+    def _value(self, state: State, whole: np.ndarray) -> KinematicCorrection:
         arm, problem = self.problem.arm, self.problem
-        whole = np.zeros((problem.size, problem.size))
-        whole[np.ix_(self.used, self.used)] = cov
         anchored = bool(self.used[arm.size + 3 * problem.points : -2].any())
+        offset, scale = state.length.tolist()
         return corrected_arm(
-            arm,
-            state.arm,
-            whole[: arm.size, : arm.size],
-            points=state.points,
-            anchor=state.anchor if anchored else None,
-            length_offset=float(state.length[0]),
-            length_scale=float(state.length[1]),
-        )
+            arm, state.arm, whole[: arm.size, : arm.size], points=state.points,
+            anchor=state.anchor if anchored else None, length_offset=offset, length_scale=scale,
+        )  # fmt: skip

@@ -1,9 +1,9 @@
-"""Identifiability of an arm's parameters: gauge, directions never observed by a kind of measurement, joints at rest.
+"""Identifiability of the parameters of an arm: gauge, directions that the measurements never determine, joints at rest.
 
-Directions are in units of the limits. Three classes are unobservable. Gauge: motion that can be moved from one frame to
-the next. Structural: a tool point does not determine the tool's orientation, and a distance does not determine the
-base. Data-dependent: a joint at rest, a tool point on the last axis, an unknown scale. Data-dependent directions and
-all directions with a standard deviation beyond their limit raise NotExcited.
+Directions are in units of the limits. There are three classes of unobservable directions. Gauge: motion that can be
+moved from one frame to the next. Structural: a tool point does not determine the orientation of the tool, and a
+distance does not determine the base. Data-dependent: a joint at rest, a tool point on the last axis, or an unknown
+scale. Data-dependent directions and directions with a standard deviation beyond their limit raise NotExcited.
 """
 
 from __future__ import annotations
@@ -19,18 +19,16 @@ from armlab.estimation import Excitation
 from armlab.lie import se3, so3
 
 NULL = 1e-9  # relative singular value below which a direction is unobservable
-SEEN = 1e-8  # the same for a given direction, which has rounding errors
+SEEN = 1e-8  # the same for a candidate direction, which has rounding errors
 SAME = 0.9  # cosine above which a direction matches a named one
 PART = 0.3  # fraction of the largest component above which a component is named
-UNSEEN = np.inf
-LITTLE = 0.35  # rad or m: joints with less motion are named as a cause
-STILL = 1e-3
-TURNED, SHIFTED = 0.5, 0.3  # rad, and fraction of the reach: implausible deviations of a link
+LITTLE, STILL = 0.35, 1e-3  # motion [rad or m] below which a joint is named as a cause, and counts as at rest
+TURNED, SHIFTED = 0.5, 0.3  # implausible deviations of a link: [rad], and fraction of the reach
 
 
 @dataclass(frozen=True, eq=False)
 class UnobservableDirection:
-    """Possibly unobservable directions (d, k) with their name and advice."""
+    """Possibly unobservable directions (d, k), with a common name and advice."""
 
     name: str
     directions: np.ndarray
@@ -39,20 +37,19 @@ class UnobservableDirection:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiabilityTest:
-    """Unknowns with the data used to assess their excitation."""
+    """Unknowns, and the directions along which the data may not determine them."""
 
-    names: Sequence[str]  # names, units: of the d unknowns
-    units: Sequence[str]
+    names: Sequence[str]  # names of the d unknowns
+    units: Sequence[str]  # units of the d unknowns
     limits: np.ndarray  # (d,) largest accepted standard deviations
-    gauge: np.ndarray  # (d, g) unobservable directions, with their names
+    gauge: np.ndarray  # (d, g) directions of the gauge
     gauge_names: Sequence[str]
     nature: Sequence[UnobservableDirection]  # structurally unobservable directions
-    # returns candidates that the data may not observe; called only for weak directions
-    candidates: Callable[[], Sequence[UnobservableDirection]]
+    candidates: Callable[[], Sequence[UnobservableDirection]]  # data-dependent directions; called only if some are weak
     what: str  # name of the fitted quantity
 
     def excitation(self, J: np.ndarray, hold: bool) -> Excitation:
-        """Return the excitation of the whitened Jacobian (m, d), or raise NotExcited."""
+        """Return the excitation of the whitened Jacobian (m, d); raise on weak directions unless a prior holds them."""
         A = np.asarray(np.linalg.qr(J, mode="r")) * self.limits if len(J) > J.shape[1] else J * self.limits
         fixed, names = _independent(self.gauge / self.limits[:, None]), [f"gauge: {name}" for name in self.gauge_names]
         largest = float(np.linalg.norm(A))
@@ -70,7 +67,7 @@ class IdentifiabilityTest:
         singular = np.zeros(rest.shape[1])
         singular[: len(found)] = found
         vectors, unseen = rest @ rows.T, singular <= NULL * max(largest, np.finfo(float).tiny)
-        spread = np.divide(1.0, singular, out=np.full_like(singular, UNSEEN), where=~unseen)
+        spread = np.divide(1.0, singular, out=np.full_like(singular, np.inf), where=~unseen)
         weak = _Named.of(vectors[:, spread > 1.0], spread[spread > 1.0], self, fixed)
         if weak.words and not hold:
             raise NotExcited(weak.sentence(self.what), weak.words, weak.spreads)
@@ -83,7 +80,7 @@ class IdentifiabilityTest:
         )  # fmt: skip
 
     def words(self, v: np.ndarray, spread: float) -> str:
-        """Name a direction by its largest components, with their standard deviation."""
+        """Return the names of the largest components of a direction, with the standard deviation of the largest."""
         order = [int(i) for i in np.argsort(-np.abs(v))[:3]]
         kept = [i for i in order if abs(v[i]) > PART * abs(v[order[0]])]
         text, i = " and ".join(self.names[i] for i in kept), order[0]
@@ -135,8 +132,8 @@ class _Named:
         return (
             f"Expected measurements that determine every direction of the {what}, but {len(self.words)} are "
             f"undetermined or beyond the limit: {'; '.join(self.words)}. "
-            f"{todo or 'Measure at more positions of all joints with more variation.'} "
-            "With weak='prior' the fit holds them near their nominal values."
+            f"{todo or 'Measure at more positions, with more variation of all joints.'} "
+            "With weak='prior', the fit holds these directions near their nominal values."
         )
 
 
@@ -145,7 +142,7 @@ def _spread_text(spread: float) -> str:
 
 
 def _independent(D: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis of the columns, in the order of the independent columns."""
+    """Return an orthonormal basis of the columns, in their order if they are independent."""
     if not D.shape[1]:
         return D
     lengths = np.linalg.norm(D, axis=0)
@@ -158,7 +155,7 @@ def _independent(D: np.ndarray) -> np.ndarray:
 
 
 def far_links(arm: Arm, frames: np.ndarray, whose: str = "") -> list[str]:
-    """Return a remark on the link farthest from its description if the difference is implausible."""
+    """Return a remark on the link that differs most from its description, if the difference is implausible."""
     twists = arm.corrections(frames)[1:-1]
     if not len(twists):
         return []
@@ -170,12 +167,12 @@ def far_links(arm: Arm, frames: np.ndarray, whose: str = "") -> list[str]:
         return []
     return [
         f"link {j + 1}{whose} is {shift[j]:.2g} m and {turn[j]:.2g} rad from its description: possible causes are a "
-        "reversed joint, a joint offset, left-handed measurements or another arm"
+        "reversed joint, a joint offset, left-handed measurements or a different arm"
     ]
 
 
 def joints_at_rest(arm: Arm, frames: np.ndarray, at: int, size: int, whose: str = "") -> list[UnobservableDirection]:
-    """Return, for each joint that moves little, the directions that can be moved through it from frame to frame."""
+    """Return, for each joint with little motion, the directions that can be moved from frame to frame through it."""
     found = []
     reach = np.ptp(arm.q, axis=0)
     for j in np.flatnonzero(reach < LITTLE):
@@ -202,7 +199,7 @@ def arm_scale(arm: Arm, frames: np.ndarray) -> np.ndarray:
 
 
 def never_seen(problem: KinematicProblem, state: State) -> list[UnobservableDirection]:
-    """Return structurally unobservable directions: base position, tool orientation, all positions."""
+    """Return the structurally unobservable directions: base pose, tool orientation, and all positions."""
     arm, size = problem.arm, problem.size
     frames, b = state.arm.frames, arm.size + 3 * problem.points
     shifts = np.zeros((size, 6))
@@ -245,7 +242,7 @@ def may_be_missing(problem: KinematicProblem, state: State) -> list[Unobservable
 
 
 def _on_last_axis(arm: Arm, state: ArmState, size: int) -> UnobservableDirection:
-    """Return tilts of the last axis about the tool point."""
+    """Return the tilts of the last axis about the tool point."""
     D = np.zeros((size, 2))
     D[6 * arm.n - 6 : 6 * arm.n - 3] = so3.hat([0.0, 0.0, state.frames[-1, 2, 3]])[:, :2]
     D[6 * arm.n - 3 : 6 * arm.n] = np.eye(3)[:, :2]

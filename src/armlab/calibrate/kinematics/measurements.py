@@ -1,4 +1,4 @@
-"""Validated measurements of a kinematic calibration, each kind with its mask and noise."""
+"""Validated measurements of a kinematic calibration, with the mask and the noise of each kind."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from armlab.lie import se3
 from armlab.robots import Robot
 
 KINDS = ("pose", "position", "distance", "pair_distance")
-DEGREES = 20.0  # rad, beyond any joint
+DEGREES = 20.0  # joint angle [rad] beyond the range of any joint
 CLASSES: dict[str, tuple[str, ...]] = {
     "pose": (*("pose position [m]",) * 3, *("pose rotation [rad]",) * 3),
     "position": ("position [m]",) * 3,
@@ -28,10 +28,10 @@ CLASSES: dict[str, tuple[str, ...]] = {
 class Kind:
     name: str  # one of KINDS
     values: np.ndarray  # (N, 4, 4), (N, K, 3), (N,), or (M,) for pairs
-    visible: np.ndarray  # (N,), or (N, K) for positions
-    kept: np.ndarray  # used components
-    cov: np.ndarray | None  # of the used components, (k,), (k, k) or (N, k, k); None: estimated
-    pairs: np.ndarray | None = None  # (2, M) samples of a pair distance
+    visible: np.ndarray  # mask (N,), or (N, K) for positions
+    kept: np.ndarray  # indices of the used components
+    cov: np.ndarray | None  # (k,), (k, k) or (N, k, k) of the used components; None: estimated
+    pairs: np.ndarray | None = None  # (2, M) sample indices of pair distances
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -57,14 +57,14 @@ def check_joints(robot: Robot, q: Any, name: str = "q") -> np.ndarray:
     far = np.abs(q[:, ~robot.prismatic])
     if far.size and far.max() > DEGREES:
         raise ShapeError(
-            f"Expected joint angles in radians, got up to {far.max():.4g} in {name}. These seem to be degrees: use "
+            f"Expected joint angles in radians, got up to {far.max():.4g} in {name}. They seem to be in degrees: use "
             "numpy.deg2rad."
         )
     return q
 
 
 def check_terms(value: Any, shape: tuple[int, int], name: str = "joint_terms") -> np.ndarray:
-    """Return the joint terms (N, n, L); L = 0 for None."""
+    """Return the joint terms (N, n, L), with L = 0 for None."""
     if value is None:
         return np.zeros((*shape, 0))
     terms = numbers(value, name, ShapeError)
@@ -75,7 +75,7 @@ def check_terms(value: Any, shape: tuple[int, int], name: str = "joint_terms") -
 
 
 def check_harmonics(value: Any) -> tuple[int, ...]:
-    """Return the orders of the harmonics, which are distinct positive integers."""
+    """Return the orders of the harmonics; raise unless they are distinct positive integers."""
     orders = numbers(list(value), "harmonics", ConfigError) if len(value) else np.zeros(0)
     if orders.ndim != 1 or np.any(orders < 1) or np.any(orders % 1) or len(set(orders.tolist())) != len(orders):
         raise ConfigError(f"Expected harmonics as distinct positive integers, such as (1, 2), got {value!r}.")
@@ -83,10 +83,10 @@ def check_harmonics(value: Any) -> tuple[int, ...]:
 
 
 def measured_kinds(N: int, given: Mapping[str, Any], visible: Any, noise: Any) -> tuple[list[Kind], list[str]]:
-    """Return the measured kinds and remarks for the report."""
+    """Return the kinds of measurement, and remarks for the report."""
     names = [name for name in KINDS if given.get(name) is not None]
     if not names:
-        raise ConfigError(f"Expected at least one of {', '.join(KINDS)}, got no measurement. Give one.")
+        raise ConfigError(f"Expected at least one of {', '.join(KINDS)}, got no measurement. Pass one of them.")
     masks, noises = _by_kind(visible, names, "visible"), _by_kind(noise, names, "noise")
     kinds, notes = [], []
     for name in names:
@@ -117,7 +117,7 @@ def _by_kind(value: Any, names: list[str], what: str) -> dict[str, Any]:
 
 
 def _values(name: str, value: Any, N: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the measurements with validated shape, and the index pairs of pair distances."""
+    """Return the measurements with a validated shape, and the index pairs of pair distances."""
     if name == "pair_distance":
         return _pairs(value, N)
     array = numbers(value, name, ShapeError)
@@ -133,7 +133,7 @@ def _values(name: str, value: Any, N: int) -> tuple[np.ndarray, np.ndarray | Non
 def _pairs(value: Any, N: int) -> tuple[np.ndarray, np.ndarray]:
     parts = [numbers(part, "pair_distance", ShapeError) for part in value] if len(value) == 3 else []
     if len(parts) != 3 or parts[0].ndim != 1 or any(part.shape != parts[0].shape for part in parts):
-        raise ShapeError("Expected pair_distance as (i, j, d): two arrays of sample numbers and the distances (M,).")
+        raise ShapeError("Expected pair_distance as (i, j, d): two arrays of sample indices, and the distances (M,).")
     ends = np.stack(parts[:2])
     if np.any(ends % 1) or ends.min(initial=0) < 0 or ends.max(initial=0) >= N or np.any(ends[0] == ends[1]):
         raise ShapeError(
@@ -143,7 +143,7 @@ def _pairs(value: Any, N: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _mask(value: Any, values: np.ndarray, name: str) -> np.ndarray:
-    """Return the mask of present measurements: (N,), or (N, K) for positions."""
+    """Return the mask of the measurements that are not missing: (N,), or (N, K) for positions."""
     shape = values.shape[:2] if name == "position" else values.shape[:1]
     if value is None:
         return np.ones(shape, dtype=bool)
@@ -154,20 +154,20 @@ def _mask(value: Any, values: np.ndarray, name: str) -> np.ndarray:
 
 
 def _finite(values: np.ndarray, seen: np.ndarray, name: str) -> None:
-    """Raise on NaN and infinity in visible measurements, with their rows."""
+    """Raise on NaN and infinity in visible measurements, and list the rows."""
     if not values.size:
         return
     good = np.isfinite(values.reshape(*seen.shape, -1)).all(axis=-1) | ~seen
     if not good.all():
         bad = np.flatnonzero(~good.reshape(len(good), -1).all(axis=1))
         raise ShapeError(
-            f"Expected finite {name}, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. Drop these samples, or "
-            "mark missing values with visible."
+            f"Expected finite {name}, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. Drop these samples, or mark "
+            "missing values with visible."
         )
 
 
 def _noise(value: Any, name: str, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the used components and their covariance; an infinite standard deviation excludes a component."""
+    """Return the used components and their covariance; infinite standard deviations exclude components."""
     k = len(CLASSES[name])
     if value is None:
         return np.arange(k), None
@@ -189,8 +189,8 @@ def _noise(value: Any, name: str, shape: tuple[int, ...]) -> tuple[np.ndarray, n
     wanted = {6: "(sd of position [m], sd of rotation [rad]), 6 sd", 3: "one sd [m], 3 sd", 1: "one sd [m]"}[k]
     raise ShapeError(
         f"Expected noise of {name} as {wanted}, or a positive definite covariance ({k}, {k}) or "
-        f"({shape[0]}, {k}, {k}), got {np.array2string(noise, threshold=8)}. Use an infinite standard deviation only "
-        "for some components."
+        f"({shape[0]}, {k}, {k}), got {np.array2string(noise, threshold=8)}. At least one standard deviation must be "
+        "finite."
     )
 
 

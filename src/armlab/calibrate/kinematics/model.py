@@ -1,7 +1,7 @@
 """Model of a kinematic calibration: unknowns of one arm, and residuals of all kinds of measurement with Jacobian.
 
-The frames are those of `robots.Robot`, with joint axes z: ``T = E_0 Z_1 E_1 ... Z_n E_n``. A step moves each frame to
-``E_j Exp([v; w])``. A motion that commutes with Z_j can be moved from E_{j-1} to E_j without effect; this is the gauge.
+The frames E_j are those of `robots.Robot`, with joint axes z: ``T = E_0 Z_1 E_1 ... Z_n E_n``. A step moves each frame
+to ``E_j Exp([v; w])``. A motion that commutes with Z_j can be moved from E_{j-1} to E_j without effect (gauge).
 """
 
 from __future__ import annotations
@@ -21,17 +21,15 @@ from armlab.lie import se3, so3
 from armlab.models.kinematic_correction import harmonic_basis
 from armlab.robots import Robot
 
-GAUGE: dict[bool, tuple[int, ...]] = {
-    False: (2, 5),
-    True: (0, 1, 2, 5),
-}  # components of [v; w] that commute with Rz, with Tz
-SMALLEST_ROUNDS, SMALLEST_STEP = 20, 1e-12
+# Components of [v; w] that commute with a revolute (False) and with a prismatic (True) joint.
+GAUGE: dict[bool, tuple[int, ...]] = {False: (2, 5), True: (0, 1, 2, 5)}
+SMALLEST_ROUNDS, SMALLEST_STEP = 20, 1e-12  # maximum number of steps to the nearest equivalent frames; last step
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
-HARMONIC_PRIOR = np.radians(0.1)  # otherwise amplitudes of several degrees compensate for errors of the geometry
+HARMONIC_PRIOR = np.radians(0.1)  # prevents amplitudes of several degrees that compensate for geometric errors
 
 
 class ArmState(NamedTuple):
-    """Unknowns of an arm: frames (n+1, 4, 4), amplitudes (n, 2 m), coefficients (L,)."""
+    """Unknowns of an arm: frames (n+1, 4, 4), amplitudes (n, 2 m) of harmonics, coefficients (L,) of joint terms."""
 
     frames: np.ndarray
     amplitudes: np.ndarray
@@ -43,12 +41,12 @@ class Arm:
     """Nominal arm and its samples."""
 
     robot: Robot  # nominal
-    start: np.ndarray  # (n+1, 4, 4) its frames, the first possibly moved to the measurement frame
-    q: np.ndarray  # (N, n)
+    start: np.ndarray  # (n+1, 4, 4) nominal frames; the first may be moved to the measurement frame
+    q: np.ndarray  # (N, n) joint positions
     waves: np.ndarray  # (N, n, 2 m) harmonics at q
-    terms: np.ndarray  # (N, n, L)
-    orders: tuple[int, ...]  # of the harmonics
-    chart: str = "local_poe"  # "local_poe", or "poe": steps move the screws S_j in the base and the home pose M
+    terms: np.ndarray  # (N, n, L) joint terms
+    orders: tuple[int, ...]  # orders of the harmonics
+    chart: str = "local_poe"  # steps move the frames; "poe": steps move the screws in the base and the home pose
 
     @classmethod
     def of(cls, robot: Robot, q: np.ndarray, orders: tuple[int, ...], terms: np.ndarray, chart: str) -> Arm:
@@ -73,12 +71,12 @@ class Arm:
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """Unit of every unknown; for a joint term, rad (or m) per unit of the term."""
+        """Units of the unknowns; for joint terms, rad (or m) per unit of the term."""
         twists = (*("m",) * 3, *("rad",) * 3) * (self.n + 1)
         return (*twists, *("rad",) * self.waves[0].size, *("rad/unit",) * self.terms.shape[2])
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
-        """Return the limits (d,): `length` for metres, `angle` for radians, and its equivalent for joint terms."""
+        """Return limits (d,): `length` for metres, `angle` for radians, and its equivalent for joint terms."""
         twists = np.tile([*(length,) * 3, *(angle,) * 3], self.n + 1)
         parts = [twists, np.full(self.waves[0].size, angle)]
         if self.terms.shape[2]:
@@ -88,7 +86,7 @@ class Arm:
 
     @cached_property
     def unbound(self) -> np.ndarray:
-        """Mask (d,) of unknowns without the gauge, that is, every frame except along the following axis."""
+        """Mask (d,) of the unknowns without the gauge; it excludes the motion of a frame along the following axis."""
         kept = np.ones(self.size, dtype=bool)
         for j, slides in enumerate(self.robot.prismatic):
             kept[[6 * j + k for k in GAUGE[bool(slides)]]] = False
@@ -96,7 +94,7 @@ class Arm:
 
     @cached_property
     def existing(self) -> np.ndarray:
-        """Mask (d,) without the harmonics of prismatic joints."""
+        """Mask (d,) of all unknowns except the harmonics of prismatic joints."""
         kept = np.ones(self.size, dtype=bool)
         waves = np.repeat(~self.robot.prismatic, self.waves.shape[2])
         kept[6 * (self.n + 1) : 6 * (self.n + 1) + len(waves)] = waves
@@ -113,7 +111,7 @@ class Arm:
         return ArmState(moved, state.amplitudes + waves, state.coefficients + terms)
 
     def move(self, state: ArmState) -> np.ndarray:
-        """Return the frames at every sample (N, n+1, 4, 4); the last frame is the tool."""
+        """Return the poses of the frames for every sample (N, n+1, 4, 4); the last frame is the tool."""
         q = self.q
         if self.orders:
             q = q + np.sum(self.waves * state.amplitudes, axis=2)
@@ -122,7 +120,7 @@ class Arm:
         return frame_poses(Chain(state.frames, self.robot.prismatic), state.frames, q)
 
     def jacobian(self, state: ArmState, P: np.ndarray, point: np.ndarray, local: bool = False) -> np.ndarray:
-        """Return the motion (N, 6, d) of points (N, 3) fixed to the tool, in axes of P; `local`: by frame steps."""
+        """Return the motion (N, 6, d) of points (N, 3) on the tool, in axes of P; `local`: by steps of the frames."""
         J = twist_jacobian(P, point)
         turning = J[:, :, np.arange(self.n), np.where(self.robot.prismatic, 2, 5)]
         flat = J.reshape(len(P), 6, -1)
@@ -134,7 +132,7 @@ class Arm:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
 
     def gauge(self, frames: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Return the unobservable directions (d, g) at these frames and their names."""
+        """Return the unobservable directions (d, g) for these frames, and their names."""
         joints, parts, names = self.moving
         back, count = se3.adjoint_inv(frames[1:]), np.arange(len(joints))
         G = np.zeros((self.size, len(joints)))
@@ -144,7 +142,7 @@ class Arm:
 
     @cached_property
     def moving(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-        """Joint and component (g,) of each twist that can be moved through a joint, and its name."""
+        """Joint, component and name (g,) of each twist that can be moved through a joint without effect."""
         joints, parts, names = [], [], []
         for j, slides in enumerate(self.robot.prismatic):
             for k in GAUGE[bool(slides)]:
@@ -160,7 +158,7 @@ class Arm:
     def smallest(self, frames: np.ndarray, base: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the equivalent frames nearest to the start, and the motion of the base (4, 4).
 
-        `base` (6, b) and `tool` (6, t) are unobservable twists of the base (in measurement axes) and of the tool.
+        `base` (6, b), in measurement axes, and `tool` (6, t) are the unobservable twists of the base and of the tool.
         """
         frames, whole = np.array(frames), np.eye(4)
         rows, columns, _ = self.moving
@@ -202,8 +200,8 @@ class Arm:
 def frame_steps(frames: np.ndarray) -> np.ndarray:
     """Return the steps of the frames (d, d) equivalent to steps of the screws and the home pose in the base.
 
-    With ``C_j = E_0 ... E_j`` the screw of joint j + 1 is ``Ad(C_j) e_z``; ``C_j Exp(x_j)`` for all j makes
-    ``E_j Exp(x_j - Ad(E_j^-1) x_{j-1})``. The column block of T is then ``Ad(C_j) - Ad(exp(S q) C_j)``.
+    With ``C_j = E_0 ... E_j``, the screw of joint j + 1 is ``Ad(C_j) e_z``. Steps ``C_j Exp(x_j)`` for all j change the
+    frames to ``E_j Exp(x_j - Ad(E_j^-1) x_{j-1})``.
     """
     m = len(frames)
     steps = np.eye(6 * m)
@@ -213,7 +211,7 @@ def frame_steps(frames: np.ndarray) -> np.ndarray:
 
 
 def _turned(frames: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return frames (n+1, 4, 4) whose products E_0 ... E_j are moved by steps in their own axes."""
+    """Return the frames (n+1, 4, 4) after steps of the products E_0 ... E_j in their own axes."""
     moved = np.empty_like(frames)
     moved[0] = frames[0] @ steps[0]
     moved[1:] = se3.inv(steps[:-1]) @ frames[1:] @ steps[1:]
@@ -221,7 +219,7 @@ def _turned(frames: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 
 class State(NamedTuple):
-    """Unknowns: the arm, points (K, 3) in tool axes, anchor (3,), offset and scale (2,) of lengths."""
+    """Unknowns: the arm, points (K, 3) in tool axes, anchor (3,), and offset and scale (2,) of lengths."""
 
     arm: ArmState
     points: np.ndarray
@@ -233,15 +231,15 @@ class State(NamedTuple):
 class KinematicProblem:
     """One arm with its measurements and unknowns."""
 
-    arm: Arm  # the arm
+    arm: Arm
     kinds: tuple[Kind, ...]  # measurements
     active: np.ndarray  # (d,) mask of the components of a step
     points: int  # number of unknown tool points
-    prior: tuple[float, float] | None  # (metres, radians) of the links, or None
+    prior: tuple[float, float] | None  # standard deviations (metres, radians) of the links; None: no prior
 
     @cached_property
     def size(self) -> int:
-        """Number of unknowns, including the gauge: arm, points, anchor, offset and scale of lengths."""
+        """Number d of unknowns, including the gauge: arm, points, anchor, offset and scale of lengths."""
         return self.arm.size + 3 * self.points + 5
 
     @property
@@ -250,7 +248,7 @@ class KinematicProblem:
 
     @property
     def rows(self) -> int:
-        """Number of residual rows: samples, then pairs."""
+        """Number of residual rows: one per sample, then one per pair."""
         return self.first_pair + max((len(kind.values) for kind in self.kinds if kind.pairs is not None), default=0)
 
     @property
@@ -259,7 +257,7 @@ class KinematicProblem:
 
     @property
     def tool_held(self) -> bool:
-        """Whether only several tool points define the tool: the fit then moves the points, not the tool frame."""
+        """Whether several tool points alone define the tool; the fit then moves the points, not the tool frame."""
         return self.points > 0 and all(kind.name == "position" for kind in self.kinds)
 
     @property
@@ -272,24 +270,24 @@ class KinematicProblem:
         return (*self.arm.units, *("m",) * (3 * self.points + 4), "-")
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
-        """Return the limits (d,): `length` for metres, `angle` for radians and for the scale of lengths."""
+        """Return limits (d,): `length` for metres, `angle` for radians and for the scale of lengths."""
         lengths = np.full(3 * self.points + 4, length)
         return np.concatenate([self.arm.sizes(length, angle), lengths, [angle]])
 
     def values(self, state: State) -> np.ndarray:
-        """Return all unknowns (d,), with frames as twists from the start."""
+        """Return all unknowns (d,); frames are twists relative to the start."""
         arm = state.arm
         twists = self.arm.corrections(arm.frames).ravel()
         joints = [arm.amplitudes.ravel(), arm.coefficients]
         return np.concatenate([twists, *joints, state.points.ravel(), state.anchor, state.length])
 
     def gauge(self, state: State, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Return the unobservable directions (d, g) that move only used unknowns, and their names."""
+        """Return the unobservable directions (d, g) of the used unknowns, and their names."""
         arm, a = self.arm, self.arm.size
         inner, names = arm.gauge(state.arm.frames)
         G = np.zeros((self.size, len(names)))
         G[:a] = inner
-        if self.tool_held:  # motion through the last joint moves the points, not the tool
+        if self.tool_held:  # motion through the last joint moves the points
             tool = G[6 * arm.n : 6 * arm.n + 6].copy()
             G[6 * arm.n : 6 * arm.n + 6] = 0.0
             for k, point in enumerate(state.points):
@@ -315,7 +313,7 @@ class KinematicProblem:
         return [*found, *(chosen(one, self.active) for one in self.priors(state))]
 
     def measurements(self, state: State, local: bool = False) -> list[Measurement]:
-        """Return residuals of the data and their derivatives w.r.t. all unknowns; `local`: w.r.t. frame steps."""
+        """Return the residuals and their derivatives by all unknowns; `local`: by steps of the frames."""
         P = self.arm.move(state.arm)
         J = self.arm.jacobian(state.arm, P, P[:, -1, :3, 3], local)
         found: list[Measurement] = []
@@ -329,7 +327,7 @@ class KinematicProblem:
         return found
 
     def priors(self, state: State, local: bool = False) -> Iterator[Measurement]:
-        """Yield the priors: small amplitudes and, if requested, nearly nominal links."""
+        """Yield the priors of the amplitudes and, if requested, of the links."""
         arm, d = self.arm, self.size
         if arm.orders:
             yield amplitude_prior(arm, state.arm, d)
@@ -357,7 +355,7 @@ class KinematicProblem:
         return found
 
     def _length(self, kind: Kind, state: State, p: np.ndarray, J: np.ndarray) -> Measurement:
-        """Return distances of tool points p (N, 3) from the anchor or, for pairs, from each other."""
+        """Return the residuals of distances of tool points p (N, 3) from the anchor or, for pairs, from each other."""
         rows, (offset, scale) = np.flatnonzero(kind.visible), state.length
         if kind.pairs is None:
             sample, away, moved = rows, p[rows] - state.anchor, J[rows]
@@ -380,14 +378,14 @@ class KinematicProblem:
         return 0 if all(kind.name == "pair_distance" for kind in self.kinds) else len(self.arm.q)
 
     def _wide(self, J: np.ndarray) -> np.ndarray:
-        """Return derivatives with respect to the arm, padded with zeros for the other unknowns."""
+        """Return the derivatives by the unknowns of the arm, padded with zeros for the other unknowns."""
         wide = np.zeros((*J.shape[:2], self.size))
         wide[:, :, : J.shape[2]] = J
         return wide
 
 
 def pose_residual(T: np.ndarray, measured: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals (N, 6) of poses and their derivatives, given the motion J (N, 6, d) of the tool in base axes."""
+    """Return the residuals (N, 6) of poses and their derivatives, given the motion J (N, 6, d) in base axes."""
     R = T[:, :3, :3].transpose(0, 2, 1)
     turn = so3.log(R @ measured[:, :3, :3])
     r = np.concatenate([measured[:, :3, 3] - T[:, :3, 3], turn], axis=1)
@@ -398,7 +396,7 @@ def pose_residual(T: np.ndarray, measured: np.ndarray, J: np.ndarray) -> tuple[n
 
 
 def amplitude_prior(arm: Arm, state: ArmState, size: int, at: int = 0) -> Measurement:
-    """Return the prior on the amplitudes of harmonics; the arm's unknowns begin at `at`."""
+    """Return the prior on the amplitudes of the harmonics; the unknowns of the arm begin at index `at`."""
     first = at + 6 * (arm.n + 1)
     J = np.eye(size)[first : first + state.amplitudes.size, None]
     cov = np.full(1, HARMONIC_PRIOR**2)
@@ -408,7 +406,7 @@ def amplitude_prior(arm: Arm, state: ArmState, size: int, at: int = 0) -> Measur
 def link_prior(
     arm: Arm, state: ArmState, prior: tuple[float, float], size: int, at: int = 0, local: bool = False
 ) -> Measurement:
-    """Return the prior on the frames between the joints, excluding base and tool; the arm's unknowns begin at `at`."""
+    """Return the prior on the links, without base and tool; the unknowns of the arm begin at index `at`."""
     twists = arm.corrections(state.frames)[1:-1]
     steps = np.eye(6 * (arm.n + 1)) if local or arm.chart == "local_poe" else frame_steps(state.frames)
     J = np.zeros((arm.n - 1, 6, size))
@@ -418,7 +416,7 @@ def link_prior(
 
 
 def _mixture(row: np.ndarray, names: Sequence[str]) -> str:
-    """Name a combination by its largest components."""
+    """Return the names of the largest components of a combination."""
     order = [int(i) for i in np.argsort(-np.abs(row))]
     return " with ".join(names[i] for i in order[:3] if abs(row[i]) > 0.3 * abs(row[order[0]]))
 

@@ -23,28 +23,28 @@ from armlab.lie import se3, so3
 from armlab.models import KinematicCorrection
 
 SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
-UNIT = 1e-3  # 1 mm and 1 mrad, the units of the minimum-norm step
+UNIT = 1e-3  # units of the minimum-norm step: 1 mm and 1 mrad
 WEAK = ("refuse", "prior")
 MISFIT = 0.1  # fraction of the measured size, or of half a turn, beyond which samples are inconsistent
-NO_NOISE = 1e-12  # m or rad: below it, records are copies without noise
+NO_NOISE = 1e-12  # smallest noise [m or rad]
 GAUGE = 1e-6  # component of an unidentifiable direction beyond which a parameter depends on it
-ROUNDING = 1e-9  # of the largest coordinate: smaller motion is rounding
+ROUNDING = 1e-9  # motion relative to the largest coordinate that counts as rounding
 NOBODY = np.zeros(0, dtype=int)
-FAR = 0.1  # m or rad from the nominal robot, beyond which the measurement frame is a different one
-MILLIMETRES = 30.0  # ratio beyond any deviation of an arm from its description
-STILL = 1e-4  # ratio too small for any error of unit: the tool did not move
+FAR = 0.1  # distance [m or rad] from the nominal robot beyond which the measurement frame is a different frame
+MILLIMETRES = 30.0  # ratio of lengths too large for the deviation of an arm from its description
+STILL = 1e-4  # ratio of lengths too small for an error of the unit: the tool did not move
 
 S = TypeVar("S")
 Value = TypeVar("Value")
 
 
 def start_arm(arm: Arm, kinds: tuple[Kind, ...]) -> tuple[Arm, np.ndarray]:
-    """Return the arm at its start, and the tool points (K, 3) if several are unknown."""
+    """Return the arm, moved to the measurement frame, and the initial guess of several unknown tool points (K, 3)."""
     by_name = {kind.name: kind for kind in kinds}
     T = arm.move(arm.first())[:, -1]
     points = np.zeros((0, 3))
     if "pose" in by_name and by_name["pose"].kept.max() >= 3:
-        return _from_poses(arm, T, by_name["pose"]), _points(arm, T, by_name.get("position"))
+        return _from_poses(arm, T, by_name["pose"]), _points(T, by_name.get("position"))
     if "position" in by_name:
         kind = by_name["position"]
         if kind.values.shape[1] > 1:
@@ -59,22 +59,22 @@ def start_arm(arm: Arm, kinds: tuple[Kind, ...]) -> tuple[Arm, np.ndarray]:
 
 
 def kabsch(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the pose (4, 4) with ``b = R a + p`` by least squares on points (N, 3)."""
+    """Return the pose (4, 4) in ``b = R a + p`` by least squares, for points a and b (N, 3)."""
     U, _, V = np.linalg.svd((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
     return se3.from_rp(R, b.mean(axis=0) - R @ a.mean(axis=0))
 
 
 def check_scale(nominal: float, measured: float, what: str) -> None:
-    """Raise on lengths that are wrong by about a factor of a thousand."""
+    """Raise on lengths in millimetres."""
     if measured > MILLIMETRES * nominal > 0:
         raise ShapeError(
-            f"Expected {what} in metres, got numbers {measured / nominal:.3g} times as large as those of the nominal "
-            "robot. The numbers seem to be millimetres: divide by 1000."
+            f"Expected {what} in metres, got values {measured / nominal:.3g} times as large as those of the nominal "
+            "robot. The values seem to be millimetres: divide them by 1000."
         )
     if nominal > MILLIMETRES * measured > STILL * nominal:
         raise ShapeError(
-            f"Expected {what} and the robot in metres, got numbers {measured / nominal:.3g} times as large as those of "
+            f"Expected {what} and the robot in metres, got values {measured / nominal:.3g} times as large as those of "
             "the nominal robot. The description of the robot, or the initial guess of a fixed point, seems to be in "
             "millimetres."
         )
@@ -120,7 +120,7 @@ def _from_poses(arm: Arm, T: np.ndarray, kind: Kind) -> Arm:
 
 
 def hand_eye(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return X and Y of ``B_i = Y A_i X``: rotations by the mean of ``R_A (x) R_B``, translations by least squares."""
+    """Return X and Y in ``B_i = Y A_i X``: rotations from the mean of ``R_A (x) R_B``, positions by least squares."""
     RA, RB = A[:, :3, :3], B[:, :3, :3]
     K = np.einsum("iab,icd->acbd", RA, RB).reshape(9, 9) / len(A)
     U, _, V = np.linalg.svd(K)
@@ -132,24 +132,23 @@ def hand_eye(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
     return RX, x[:3], RY, x[3:]
 
 
-def _points(arm: Arm, T: np.ndarray, kind: Kind | None) -> np.ndarray:
-    """Return the tool points (K, 3), given poses of the tool."""
+def _points(T: np.ndarray, kind: Kind | None) -> np.ndarray:
+    """Return the tool points (K, 3), given nominal poses of the tool."""
     if kind is None or kind.values.shape[1] == 1:
         return np.zeros((0, 3))
-    return np.stack([_in_tool(T, kind.values[:, k], kind.visible[:, k]) for k in range(kind.values.shape[1])])
-
-
-def _in_tool(T: np.ndarray, p: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    rows = np.flatnonzero(seen)
-    if not len(rows):
-        return np.zeros(3)
-    return np.mean(np.einsum("iba,ib->ia", T[rows, :3, :3], p[rows] - T[rows, :3, 3]), axis=0)
+    points = np.zeros((kind.values.shape[1], 3))
+    for k in range(len(points)):
+        rows = np.flatnonzero(kind.visible[:, k])
+        if len(rows):
+            away = kind.values[rows, k] - T[rows, :3, 3]
+            points[k] = np.mean(np.einsum("iba,ib->ia", T[rows, :3, :3], away), axis=0)
+    return points
 
 
 def _from_points(arm: Arm, T: np.ndarray, kind: Kind) -> tuple[Arm, np.ndarray]:
-    """Solve ``R_i s_k + t_i = R' p_ik + t'`` for all s_k, R' and t', then move the base by the inverse."""
+    """Return the arm and all points s_k from ``R_i s_k + t_i = R' p_ik + t'``; the base moves by the inverse pose."""
     K, blocks, known = kind.values.shape[1], [], []
-    at_nominal = np.stack([_in_tool(T, kind.values[:, k], kind.visible[:, k]) for k in range(K)])
+    at_nominal = _points(T, kind)
     if np.sqrt(np.mean([_misfit(T, kind, k, at_nominal[k]) for k in range(K)])) < FAR**2 or len(kind.kept) < 3:
         return arm, at_nominal
     for k in range(K):
@@ -181,18 +180,18 @@ class KinematicEstimation(ABC, Generic[S]):
     """Estimation problem: descent, identifiability and covariance."""
 
     problem: Any  # `KinematicProblem` or `DualProblem`: residuals with named unknowns
-    used: np.ndarray  # (d,) used unknowns, including the gauge
-    limits: tuple[float, float]  # accepted (metres, radians)
-    hold: bool  # hold weak directions by a prior
+    used: np.ndarray  # (d,) mask of the used unknowns, including the gauge
+    limits: tuple[float, float]  # largest accepted standard deviations (metres, radians)
+    hold: bool  # whether a prior holds weak directions
     start: Any  # initial state
 
     @abstractmethod
     def nature(self, state: S) -> list[UnobservableDirection]:
-        """Return directions that are unobservable with these kinds of measurement."""
+        """Return the directions that these kinds of measurement never determine."""
 
     @abstractmethod
     def candidates(self, state: S) -> list[UnobservableDirection]:
-        """Return candidate directions that may be unobservable."""
+        """Return the directions that the data may not determine."""
 
     @abstractmethod
     def spaces(self) -> list[float]:
@@ -203,7 +202,7 @@ class KinematicEstimation(ABC, Generic[S]):
         """Return the mask (d,) of non-kinematic unknowns: bases, tools, points."""
 
     def solve(self, robust: bool) -> NonlinearSolution[S]:
-        """Descend; on failure, name the unidentifiable direction if there is one."""
+        """Return the solution; the error of a failed descent names an unidentifiable direction, if any."""
         problem, start = self.problem, self.start
         self._check_count(start)
         task = NonlinearProblem(problem.evaluate, problem.retract, problem.sizes(UNIT, UNIT)[problem.active], "arm")
@@ -217,7 +216,6 @@ class KinematicEstimation(ABC, Generic[S]):
         return found
 
     def _check_majority(self, found: NonlinearSolution[S]) -> None:
-        """Raise if most samples contradict the arm; with as few samples as unknowns, the fit is always exact."""
         out = int(np.count_nonzero(found.outliers))
         if not out:
             return
@@ -240,11 +238,11 @@ class KinematicEstimation(ABC, Generic[S]):
         needed = int(np.count_nonzero(used)) - int(np.linalg.matrix_rank(G[used]))
         data = problem.measurements(start, local=True)
         needed -= sum(never_moves(self.nature(start), data, used))
-        needed -= problem.waves  # their prior suffices
+        needed -= problem.waves  # these have a prior
         needed += any(kind.cov is None for kind in problem.kinds)
         if got < needed:
             raise NotExcited(
-                f"Expected at least {needed} numbers for the unknowns of the arm, got {got}. Measure at least "
+                f"Expected at least {needed} numbers to determine the arm, got {got}. Measure at least "
                 f"{-(-needed // each)} samples, preferably twice as many.",
                 ["everything"],
                 [f"{got} of {needed} numbers"],
@@ -253,18 +251,20 @@ class KinematicEstimation(ABC, Generic[S]):
     def result(
         self, found: NonlinearSolution[S], state: S, value: Callable[[S, np.ndarray], Value], notes: Sequence[str]
     ) -> Fit[Value]:
-        """Return the fit at a state equivalent to the solution; `value` is called with the state and the covariance."""
+        """Return the fit at a state equivalent to the solution; `value` takes the state and the covariance (d, d)."""
         problem, used = self.problem, self.used
         outside = np.flatnonzero(found.outliers)
         data = problem.measurements(state, local=True)
         check_misfit(data, self.spaces(), found.value, outside)
         excitation = self._judge_fit(data, state, found)
         cov, formal, check = self.covariance(data, state, found, excitation)
+        whole = np.zeros((problem.size, problem.size))
+        whole[np.ix_(used, used)] = cov
         doubts, lines = doubts_of(check, [*notes, *self.match(found), *self.doubts(state)])
         accuracy = cache(partial(self._accuracy, data, found))  # only for the report
         shown = ~np.any(np.abs(excitation.null_space) > GAUGE, axis=1)
         return Fit(
-            value=value(state, cov),
+            value=value(state, whole),
             names=tuple(name for name, mine in zip(problem.names, used) if mine),
             units=tuple(unit for unit, mine in zip(problem.units, used) if mine),
             parameters=problem.values(state)[used],
@@ -282,10 +282,10 @@ class KinematicEstimation(ABC, Generic[S]):
 
     @abstractmethod
     def doubts(self, state: S) -> list[str]:
-        """Return remarks on links that are far from their description."""
+        """Return remarks on links that differ implausibly from their description."""
 
     def match(self, found: NonlinearSolution[S]) -> list[str]:
-        """Return remarks on residuals relative to the given noise."""
+        """Return a remark on the residuals relative to the given noise."""
         if any(kind.cov is None for kind in self.problem.kinds) or not found.freedom:
             return []
         return [f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the given noise"]
@@ -293,7 +293,7 @@ class KinematicEstimation(ABC, Generic[S]):
     def judge(
         self, data: Sequence[Measurement], state: S, sigma: dict[str, float], outside: np.ndarray = NOBODY
     ) -> Excitation:
-        """Return the excitation at a state, or raise NotExcited."""
+        """Return the excitation at a state; raise on weak directions unless a prior holds them."""
         problem, used = self.problem, self.used
         sigma = {name: max(size, NO_NOISE) for name, size in sigma.items()}
         G, gauge_names = problem.gauge(state, used)
@@ -306,7 +306,7 @@ class KinematicEstimation(ABC, Generic[S]):
         return test.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
 
     def _accuracy(self, data: Sequence[Measurement], found: NonlinearSolution[S]) -> list[str]:
-        """Return the RMS residuals before, after and held out; they are independent of the gauge."""
+        """Return lines with the RMS residuals before the fit, after the fit, and of held-out samples."""
         kept = [_kept(one, np.flatnonzero(found.outliers)) for one in data]
         sizes = [_sizes(data, [one.r for one in data], kept)]
         sizes.append(_sizes(data, self._left_out(data, found), kept))
@@ -325,7 +325,7 @@ class KinematicEstimation(ABC, Generic[S]):
         ]
 
     def _left_out(self, data: Sequence[Measurement], found: NonlinearSolution[S]) -> list[np.ndarray]:
-        """Return the first-order residuals of each measurement from a fit to the others, ``(1 - U U^T)^-1 r``."""
+        """Return the residuals of each sample from a fit to the other samples, ``(1 - U U^T)^-1 r`` to first order."""
         sigma = {name: max(size, NO_NOISE) for name, size in zip(found.classes, found.sigma.tolist())}
         R = np.linalg.qr(found.rows.J, mode="r")
         _, singular, V = np.linalg.svd(R)
@@ -340,11 +340,11 @@ class KinematicEstimation(ABC, Generic[S]):
         return left
 
     def _instrument(self) -> dict[str, float]:
-        """Return the noise of a typical instrument per class."""
+        """Return the noise of a typical instrument for each class."""
         return dict.fromkeys([name for kind in self.problem.kinds for name in kind.classes], UNIT)
 
     def _judge_fit(self, data: Sequence[Measurement], state: S, found: NonlinearSolution[S]) -> Excitation:
-        """Return the excitation at the solution; raise if large residuals leave directions undetermined."""
+        """Return the excitation at the solution; raise a misfit error if only large residuals make directions weak."""
         sigma, outside = dict(zip(found.classes, found.sigma.tolist())), np.flatnonzero(found.outliers)
         try:
             return self.judge(data, state, sigma, outside)
@@ -354,9 +354,9 @@ class KinematicEstimation(ABC, Generic[S]):
             self.judge(data, state, self._instrument(), outside)
             sizes = ", ".join(f"{size:.3g} in {name}" for name, size in sigma.items())
             raise NotConverged(
-                f"Expected an arm that fits the measurements, got residuals of {sizes} (RMS); with an instrument "
-                "accuracy of 1 mm, every direction would be determined. Detect outliers with robust=True, and check "
-                "the joint order and the pairing of samples and joint positions.",
+                f"Expected an arm that fits the measurements, got residuals of {sizes} (RMS). They leave directions "
+                "undetermined that an instrument accuracy of 1 mm would determine. Detect outliers with robust=True, "
+                "and check the joint order and the pairing of samples and joint positions.",
                 best=found.value,
                 reason="mismatch",
             ) from None
@@ -364,7 +364,7 @@ class KinematicEstimation(ABC, Generic[S]):
     def covariance(
         self, data: Sequence[Measurement], state: S, found: NonlinearSolution[S], excitation: Excitation
     ) -> tuple[np.ndarray, np.ndarray | None, ResidualCheck]:
-        """Return the covariance (p, p) of the used unknowns: zero along gauge and unidentifiable directions."""
+        """Return the covariance (p, p) of the used unknowns, which is zero along unidentifiable directions."""
         limits = self.problem.sizes(*self.limits)[self.used]
         priors = list(self.problem.priors(state, local=True))
         sigma = {name: max(size, NO_NOISE) for name, size in zip(found.classes, found.sigma.tolist())}
@@ -391,7 +391,7 @@ def _cut_to(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> li
 
 
 def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any, outside: np.ndarray = NOBODY) -> None:
-    """Raise on inconsistent samples; `sizes` [m] are the extents of the workspaces, 0 at rest."""
+    """Raise on inconsistent samples; `sizes` are the sizes of the workspaces [m], 0 at rest."""
     for one, size in zip(data, sizes):
         kept = one.r[_kept(one, outside)]
         for unit, space in (("m", size), ("rad", np.pi)):
@@ -414,7 +414,6 @@ def spread_of(points: np.ndarray) -> float:
 
 
 def corrected_arm(arm: Arm, state: ArmState, cov: np.ndarray, **more: Any) -> KinematicCorrection:
-    """Return the correction of an arm with covariance and further estimates."""
     return KinematicCorrection(
         robot=arm.corrected(state.frames), robot_name=arm.robot.name, robot_hash=arm.robot.hash, harmonics=arm.orders,
         amplitudes=state.amplitudes, coefficients=state.coefficients, cov=cov, **more,
@@ -424,7 +423,7 @@ def corrected_arm(arm: Arm, state: ArmState, cov: np.ndarray, **more: Any) -> Ki
 def never_moves(
     candidates: Sequence[UnobservableDirection], data: Sequence[Measurement], used: np.ndarray
 ) -> list[bool]:
-    """Return whether the first direction of each, restricted to the used unknowns, moves no measurement."""
+    """Return, for each candidate, whether its first direction moves no measurement."""
     if not candidates:
         return []
     V = np.stack([one.directions[:, 0] * used for one in candidates], axis=1)
@@ -437,7 +436,7 @@ def _kept(one: Measurement, outside: np.ndarray) -> np.ndarray:
 
 
 def _whitened(data: Sequence[Measurement], sigma: dict[str, float], outside: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield whitened derivatives (m, d) of the included samples."""
+    """Yield the whitened derivatives (m, d) of the included samples."""
     for one in data:
         kept = np.ones(len(one.r), dtype=bool) if one.prior else _kept(one, outside)
         roots, J = one.roots(sigma), one.J[kept]
@@ -451,7 +450,7 @@ def check_weak(weak: str) -> None:
 
 
 def length_angle(value: Any, what: str) -> tuple[float, float]:
-    """Return a pair (metres, radians) from one or two numbers."""
+    """Return a pair (metres, radians) from one or two positive numbers."""
     pair = numbers(value, what, ConfigError)
     if pair.shape not in ((), (2,)) or not np.all(pair > 0) or not np.isfinite(pair).all():
         raise ConfigError(f"Expected {what} as one or two positive numbers [m, rad], got {value!r}.")
@@ -460,7 +459,7 @@ def length_angle(value: Any, what: str) -> tuple[float, float]:
 
 
 def _sizes(data: Sequence[Measurement], r: Sequence[np.ndarray], kept: Sequence[np.ndarray]) -> dict[str, float]:
-    """Return the RMS length of each kind of residual, in mm or mrad."""
+    """Return the RMS norm of each kind of residual, in mm or mrad."""
     found = {}
     for one, values, mine in zip(data, r, kept):
         for unit, small in (("[m]", "mm"), ("[rad]", "mrad")):
@@ -472,7 +471,7 @@ def _sizes(data: Sequence[Measurement], r: Sequence[np.ndarray], kept: Sequence[
 
 
 def _table(data: Sequence[Measurement], rows: int) -> np.ndarray:
-    """Return the residuals with one row per sample, then one per pair; NaN for missing measurements."""
+    """Return the residuals, one row per sample, then one row per pair; NaN for missing measurements."""
     table = np.full((rows, sum(one.r.shape[1] for one in data)), np.nan)
     first = 0
     for one in data:
