@@ -52,17 +52,14 @@ def run(quick: bool) -> list[Table]:
             for one, other in parts:  # Pinocchio fills the upper half of M
                 agree(title, *(np.triu(part) if name == "crba" else part for part in (one, other)))
         contenders = [
-            Contender(f"armlab dynamics.{ours.__name__}", loop(_call(ours, robot), rows), "armlab"),
-            Contender("Pinocchio", loop(_call(theirs, model, data), rows), bar=0.6, note=name),
+            Contender(
+                f"armlab dynamics.{ours.__name__}", loop(lambda row, call=ours: call(robot, *row), rows), "armlab"
+            ),
+            Contender("Pinocchio", loop(lambda row, call=theirs: call(model, data, *row), rows), bar=0.6, note=name),
         ]
         text = f"{ROBOT} with invented masses, {robot.n} joints, varying motions."
         tables.append(table(f"{title}, one call", text, "µs", contenders, 30 if quick else 200))
     return [*tables, _batch(robot, 100_000 if quick else 1_000_000)]
-
-
-def _call(function: Callable[..., Any], *first: Any) -> Callable[[tuple[np.ndarray, ...]], Any]:
-    bound = partial(function, *first)
-    return lambda row: bound(*row)
 
 
 def _batch(robot: robots.Robot, count: int) -> Table:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from blocks import Figure, Table
 
 SCALE = {"µs": 1e6, "ms": 1e3, "s": 1.0, "s of rows": 1.0, "%": 1e2, "N": 1.0}
+REASONS = Path(__file__).with_name("missed_targets.toml")
 SHARED = 0.1  # cores; above this, the report warns
 
 METHOD = """\
@@ -117,6 +120,7 @@ def _bars(sections: Sequence[Section]) -> list[str]:
     judged = [(t, f) for section in sections for t in section.tables for f in t.figures if f.bar is not None]
     if not judged:
         return []
+    reasons = tomllib.loads(REASONS.read_text(encoding="utf-8"))
     lines = ["## Targets", "", "| benchmark | contender | measured | target | |", "|---|---|---|---|---|"]
     for table, figure in judged:
         if figure.over:
@@ -129,7 +133,8 @@ def _bars(sections: Sequence[Section]) -> list[str]:
             )
         else:
             measured, bar = _ratio(figure), f"{figure.bar:.3g}"
-        verdict = "met" if figure.is_met else "**missed**"
+        reason = reasons.get(table.title, {}).get(figure.name, "reason unknown")
+        verdict = "met" if figure.is_met else f"**missed**: {reason}"
         lines.append(f"| {table.title} | {figure.name} | {measured} | {bar} | {verdict} |")
     return [*lines, ""]
 

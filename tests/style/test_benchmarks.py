@@ -99,7 +99,7 @@ def test_report_tells_bars_and_noise(harness: dict[str, ModuleType]) -> None:
     section = report.Section("pose", [blocks.table("One pose", "A pose.", "µs", contenders, rounds=1)], 0.25, 90.0)
     text = report.render("2026-01-02", ["A machine."], [section], quick=True)
     assert "| One pose | armlab forward | 2 of writing | 3 | met |" in text
-    assert re.search(r"\| One pose \| Peer \| 0\.000667 .*\| 0\.0005 \| \*\*missed\*\* \|", text)
+    assert re.search(r"\| One pose \| Peer \| 0\.000667 .*\| 0\.0005 \| \*\*missed\*\*: reason unknown \|", text)
     assert "| Peer | 3000 | 3000 | 3000–3000 |" in text
     assert "| pose | 90 | 0.25 |" in text, "how long it took"
     assert "armlab reaches 50 % of this limit" in text
