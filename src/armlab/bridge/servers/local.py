@@ -58,7 +58,7 @@ def cells() -> list[str]:
     return found
 
 
-class LocalFeed:
+class LocalFeed(contextlib.AbstractContextManager["LocalFeed"]):
     """Client of a cell's local feed ("": the only running cell), which waits `patience` seconds for a message."""
 
     def __init__(self, cell: str = "", patience: float = 5.0) -> None:
@@ -85,9 +85,6 @@ class LocalFeed:
                 f"Expected a running bridge of the cell {cell!r}, but it cannot be reached ({error}). "
                 "Start armlab bridge --config CELL."
             ) from error
-
-    def __enter__(self) -> LocalFeed:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

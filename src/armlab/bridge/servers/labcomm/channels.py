@@ -207,7 +207,7 @@ class ArmChannel(Channel):
     ) -> None:
         super().__init__(name, port, dialect, follows_client)
         self.types: RowTypes = RowTypes(axes, order, types)
-        self.sent = self.types.sent
+        self.sent: SampleType | None = self.types.sent
         self._on_command, self._on_left = on_command, on_left
 
     def put(self, item: Row, peers: Iterable[Peer]) -> None:
@@ -269,7 +269,7 @@ class FusedChannel(Channel):
         follows_client: bool = False,
     ) -> None:
         super().__init__("fused", port, dialect, follows_client)
-        self.sent = idl.samples("armlab")["fused_row"]
+        self.sent: SampleType | None = idl.samples("armlab")["fused_row"]
         self._types = RowTypes(axes, order)
         if self._types.n != 7:
             raise ConfigError(f"Expected arms with 7 joints for fused rows, got {self._types.n}.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import secrets
 import time
+from contextlib import AbstractContextManager
 from typing import Any, cast
 
 import numpy as np
@@ -41,7 +42,7 @@ def robots_at(session: Any, lab: str = EVERY, patience: float = 1.0) -> list[tup
     return sorted({robot_of(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None})
 
 
-class ZenohFeed:
+class ZenohFeed(AbstractContextManager["ZenohFeed"]):
     """Client of a bridge on another computer, with the methods of `LocalFeed`."""
 
     damaged: int
@@ -79,9 +80,6 @@ class ZenohFeed:
         self._alive = self._session.liveliness().declare_subscriber(
             key(lab, arm, "alive"), self._take_life, history=True
         )
-
-    def __enter__(self) -> ZenohFeed:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -347,12 +347,11 @@ _LAST = 1.0  # s to send the queue when closing
 class Publisher:
     """Publisher of one key, which sends only while the key has readers and drops messages for slow readers."""
 
-    wanted: bool
-    sent: int
-    dropped: int
+    wanted: bool = False
+    sent: int = 0
+    dropped: int = 0
 
     def __init__(self, session: Any, key: str, changed: Callable[[], None] = lambda: None) -> None:
-        self.wanted, self.sent, self.dropped = False, 0, 0
         self._changed = changed
         self._publisher = self._declared(session, key)
         self._listener = self._publisher.declare_matching_listener(self._matched)
@@ -377,7 +376,6 @@ class LatchedPublisher(Publisher):
     """Publisher that keeps its last message for late-joining readers, as rmw_zenoh does."""
 
     def __init__(self, session: Any, key: str) -> None:
-        self.wanted, self.sent, self.dropped = False, 0, 0
         ext = zenoh().ext
         self._publisher = ext.declare_advanced_publisher(
             session,
