@@ -64,7 +64,7 @@ def test_lockstep_same_seed_same_bytes(make_peer: MakePeer, rates: FaultRates | 
 def test_lockstep_gives_a_gone_peer_up(make_peer: MakePeer) -> None:
     peer = make_peer(RIGHT, lambda k, packet, reply: [reply] if k < 50 else [])
     client = channel(peer.port)
-    reason = run([client], Timing(lockstep=True, patience=0.02, gone=0.1))
+    reason = run([client], Timing(lockstep=True, patience=0.02, gone=1.0))
     assert "the peer is gone" in reason
     statistics = client.controller.statistics
     assert statistics.counts["replies"] == 50
