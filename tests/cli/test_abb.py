@@ -194,7 +194,6 @@ def test_a_run_starts_and_stops_rapid_and_no_password_is_anywhere(
 
 
 def everything_in(log: Path) -> str:
-    """Return all messages, metadata and attachments of a recording, uncompressed."""
     reader = pytest.importorskip("mcap.reader", reason="needs mcap of the extra dev")
     with log.open("rb") as file:
         made = reader.make_reader(file)

@@ -107,7 +107,6 @@ def test_stop_release_and_resume(running: Hub, command, monkeypatch: pytest.Monk
 
 
 def test_others_may_set_parameters_meanwhile(running: Hub, monkeypatch: pytest.MonkeyPatch, command) -> None:
-    """What is shown is what this program set, not the first echo that comes."""
     taken = running._take
 
     def set_another_first(outlet: Any, data: bytes) -> None:
@@ -123,7 +122,6 @@ def test_others_may_set_parameters_meanwhile(running: Hub, monkeypatch: pytest.M
 
 
 def test_a_request_without_an_answer(running: Hub, monkeypatch: pytest.MonkeyPatch, command) -> None:
-    """Events and reports go on: it must not wait for ever."""
     monkeypatch.setattr(running, "answer", lambda client, text: None)
     monkeypatch.setattr("armlab.cli.bridge._PATIENCE", 0.05)
     noise = threading.Timer(0.1, lambda: running.event("Still here."))
@@ -133,7 +131,6 @@ def test_a_request_without_an_answer(running: Hub, monkeypatch: pytest.MonkeyPat
 
 
 def test_the_report_comes_also_with_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -> None:
-    """The code of the exit is that of the error."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr("armlab.bridge.link.Loop.run", lambda loop: loop._fail(ValueError("odd")))
     path = tmp_path / "cell.toml"
@@ -243,7 +240,6 @@ def test_the_table() -> None:
 
 @pytest.mark.slow
 def test_plain_lines(running: Hub, command) -> None:
-    """Without a terminal: a line per arm and second, and the events."""
     running.event("Something happened.")
     shown = command(["monitor", "--seconds", "0.5"]).out
     assert "yumi_left, state holding" in shown

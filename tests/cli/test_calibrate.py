@@ -30,7 +30,6 @@ from .conftest import samples_csv
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory) -> Path:
-    """A folder with the samples of one cell."""
     folder, made = tmp_path_factory.mktemp("samples"), sim.cell(1)
     seen, weighed, scans = made.hand_eye(wrong=2), made.force(torque=0.005), made.laser()
     savemat(folder / "eye.mat", {"T_base_tool": np.moveaxis(seen.A, 0, -1), "T_cam_marker": seen.B})
@@ -184,7 +183,6 @@ NOISE = ["1e-4", "1.75e-4"]
 
 @pytest.fixture(scope="module")
 def nominal(tmp_path_factory) -> str:
-    """The description of the arm of the cell, in a file."""
     path = tmp_path_factory.mktemp("robot") / "nominal.toml"
     robots.save(sim.cell(1).kinematics().robot, path)
     return str(path)
@@ -235,10 +233,8 @@ def test_distances_between_samples_of_several_files(nominal: str, tmp_path: Path
     p, rng = arm.pose[:, :3, 3], np.random.default_rng(1)
     files = []
     for k in range(2):
-        q, points = (
-            np.insert(arm.q[60 * k : 60 * k + 60], 5, np.nan, axis=0),
-            np.insert(p[60 * k : 60 * k + 60], 5, 0, 0),
-        )
+        part = slice(60 * k, 60 * k + 60)
+        q, points = np.insert(arm.q[part], 5, np.nan, axis=0), np.insert(p[part], 5, 0, 0)
         other = np.roll(np.arange(61.0), 7)
         length = np.linalg.norm(points - points[other.astype(int)], axis=1) + 5e-5 * rng.standard_normal(61)
         wrong = np.isnan(q[:, 0]) | np.isnan(q[other.astype(int), 0])
@@ -248,9 +244,8 @@ def test_distances_between_samples_of_several_files(nominal: str, tmp_path: Path
     assert found["excitation"]["rank"] == 21
     assert found["noise"]["pair distance [m]"] == pytest.approx(5e-5, rel=0.2)
     assert [source.split()[0] for source in found["sources"]] == ["bar0.csv", "bar1.csv"]
-    bad = samples_csv(
-        tmp_path / "bad.csv", {"q": arm.q, "pair_distance": np.ones(120), "pair_with": np.full(120, 120.0)}
-    )
+    pairs = {"pair_distance": np.ones(120), "pair_with": np.full(120, 120.0)}
+    bad = samples_csv(tmp_path / "bad.csv", {"q": arm.q, **pairs})
     assert "number of another sample" in command(["calibrate", "kinematics", nominal, bad], 1).err
 
 
@@ -290,7 +285,6 @@ def test_two_arms(kind: str, tmp_path: Path) -> None:
 
 
 def joined(pair: DualRun) -> tuple[np.ndarray, np.ndarray]:
-    """Joint positions of two arms whose tools are held together."""
     q_a = np.random.default_rng(0).uniform(-0.6, 0.6, (60, 6))
     held = se3.from_rp(so3.exp([3.0, 0.2, 0.1]), [0.05, 0.02, 0.3])
     found = inverse(pair.robot_b, se3.inv(pair.T_basea_baseb) @ forward(pair.robot_a, q_a) @ held)

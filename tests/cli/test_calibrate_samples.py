@@ -95,19 +95,14 @@ def test_what_is_not_there_is_told(T: np.ndarray, tmp_path: Path) -> None:
     turned = T.copy()
     turned[:, 3, 0] = 1.0
     empty = Samples(tmp_path / "x.csv", {"a": np.zeros(3), "word": np.array(["one", "two", "six"])}, "")
+    quaternions = samples_csv(tmp_path / "q.csv", longer)
     cases = [
         (lambda: empty.poses("pose"), "Expected pose in .*x.csv, got a, word"),
         (lambda: empty.vectors("a", (3,)), r"a of shape \(N, 3\) in .*, got \(3,\)"),
         (lambda: empty.numbers("word"), "numbers in word of .* text such as 'one'"),
-        (
-            lambda: Samples(empty.path, {"a": np.zeros((3, 2))}, "").numbers("a"),
-            r"one number per sample of a .*\(3, 2\)",
-        ),
+        (lambda: Samples(empty.path, {"a": np.zeros((3, 2))}, "").numbers("a"), r"one number per sample .*\(3, 2\)"),
         (lambda: Samples(empty.path, {"pose": turned}, "").poses("pose"), "a last row other than 0 0 0 1"),
-        (
-            lambda: read_samples(samples_csv(tmp_path / "q.csv", longer)).poses("pose"),
-            "length 1 in pose_qw .* in sample 2",
-        ),
+        (lambda: read_samples(quaternions).poses("pose"), "length 1 in pose_qw .* in sample 2"),
         (lambda: read_samples(tmp_path / "none.csv"), "none.csv"),
         (lambda: read_samples(tmp_path / "none.mat"), "MAT file at .*none.mat"),
     ]
@@ -265,7 +260,6 @@ def test_poses_of_other_programs_are_read_by_their_representation(form, tmp_path
 
 
 def moving(t: np.ndarray) -> np.ndarray:
-    """Poses along a smooth motion."""
     turn = np.stack([0.8 * np.sin(0.5 * t), 0.7 * np.cos(0.4 * t), 0.5 * np.sin(0.3 * t + 1)], axis=1)
     return se3.from_rp(so3.exp(turn), 0.2 * np.stack([np.sin(0.6 * t), np.cos(0.5 * t), np.sin(0.7 * t)], axis=1))
 
@@ -385,7 +379,5 @@ def test_pictures_of_a_board_become_a_calibration_in_one_line(tmp_path: Path, co
     found = models.load(tmp_path / "eye.toml")
     assert np.abs(found.Y - Y).max() < 5e-3
     (tmp_path / "poses.csv").write_text("\n".join([",".join(header), rows[0].replace("0.png", "gone.png")]))
-    assert (
-        "1 missing images, first gone.png"
-        in command(["calibrate", "hand-eye", tmp_path / "poses.csv", *options], 1).err
-    )
+    said = command(["calibrate", "hand-eye", tmp_path / "poses.csv", *options], 1)
+    assert "1 missing images, first gone.png" in said.err

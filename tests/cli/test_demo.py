@@ -91,9 +91,8 @@ def test_any_arm_with_masses_meets_its_scaled_bars(name: str, seed: int, tmp_pat
 
 
 def test_forces_and_bars_go_with_the_torque_limits(tmp_path) -> None:
-    assert [force_unit(robots.load(name))[0] / UNIT for name in ("yumi_left", "yumi_right")] == pytest.approx(
-        [1, 1], 0.01
-    )
+    units = [force_unit(robots.load(f"yumi_{side}"))[0] / UNIT for side in ("left", "right")]
+    assert units == pytest.approx([1, 1], 0.01)
     path = tmp_path / "scara.urdf"
     path.write_text(any_arm.SCARA)
     weak, strong = robots.load(path), tmp_path / "strong.urdf"
@@ -109,7 +108,6 @@ def test_forces_and_bars_go_with_the_torque_limits(tmp_path) -> None:
 
 
 def test_directions_that_no_torque_tells_are_neither_pressed_nor_judged() -> None:
-    """Two parallel axes: no force along them."""
     pi = inertia.from_body([2.0, 1.0], [[0.2, 0, 0], [0.1, 0, 0]], 0.01 * np.eye(3))
     limits = {"q_min": [-2, -2], "q_max": [2, 2], "qd_max": [2, 2], "q_home": [0.3, 0.9], "tau_max": [20, 10]}
     flat = robots.from_dh("flat", [0.0, 0.0], [0.4, 0.3], [0.0, 0.0], inertias=pi, **limits)
@@ -135,7 +133,6 @@ def noise(plan: Plan, sd: float) -> np.ndarray:
 
 
 def test_a_good_estimate_passes_and_its_text_says_so(plan: Plan) -> None:
-    """White errors with the stated deviation: everything but the rest is in order; with a wide band at rest, all is."""
     table = pretend(plan, noise(plan, 0.5))
     verdict = judge(table, plan)
     assert len(verdict.missed) == 1

@@ -11,15 +11,7 @@ import pytest
 
 from armlab import bridge, kinematics, log, robots
 from armlab.cli import main
-from armlab.cli.dmp.playing import (
-    OPTIONS,
-    PlannedMotion,
-    distance,
-    motion_of,
-    rehearsed,
-    resolved,
-    rolled_out,
-)
+from armlab.cli.dmp.playing import OPTIONS, PlannedMotion, distance, motion_of, rehearsed, resolved, rolled_out
 from armlab.cli.dmp.teaching import KINDS, Demonstration, check_options, numbers_of, read_demonstration, taught, text_of
 from armlab.cli.dmp.teaching import MotionWindow as Window
 from armlab.errors import ConfigError
@@ -49,7 +41,6 @@ def path(share: float = 1.0, t: np.ndarray = T) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A log: half a second of rest, a motion of a second, and rest."""
     table = Table(T_TAUGHT, {"q": path(t=T_TAUGHT - 0.5)})
     return log.write(table, tmp_path_factory.mktemp("taught") / "shown.csv")
 
@@ -75,9 +66,8 @@ def test_a_motion_is_fitted_without_the_rest_around_it(shown: Path, primitive: P
 def test_the_motion_is_written_to_a_file(primitive: Path, tmp_path: Path, command) -> None:
     path, words = tmp_path / "motion.csv", ["dmp", "play", str(primitive), "--json", "-o"]
     goal = Dmp.load(primitive).g + 0.01
-    assert json.loads(command([*words, path, "--duration", "2", "--goal", ",".join(map(str, goal))]).out)[
-        "seconds"
-    ] == pytest.approx(2.0, abs=0.004)
+    said = json.loads(command([*words, path, "--duration", "2", "--goal", ",".join(map(str, goal))]).out)
+    assert said["seconds"] == pytest.approx(2.0, abs=0.004)
     table = log.read(path)
     np.testing.assert_allclose(table["y"][-1], goal, rtol=0, atol=1e-3)
     assert main([*words, str(path), "--force", "--robot", "yumi_left", "--speed", "0.1"]) == 0
@@ -88,7 +78,6 @@ def test_the_motion_is_written_to_a_file(primitive: Path, tmp_path: Path, comman
 
 @pytest.mark.slow  # 3 s
 def test_it_is_played_on_the_simulated_arm(primitive: Path, tmp_path: Path, command, monkeypatch) -> None:
-    """Or not, and that is an error, where the bridge refuses its commands."""
     monkeypatch.chdir(tmp_path)
     words = ["dmp", "play", primitive, "--robot", "yumi_left", "--link", "sim://yumi_left?lockstep=true", "--json"]
     said = json.loads(command([*words, "--log", "first.mcap"]).out)
@@ -103,7 +92,6 @@ def test_it_is_played_on_the_simulated_arm(primitive: Path, tmp_path: Path, comm
 
 @pytest.mark.slow  # 3 s
 def test_poses_are_played_on_the_simulated_arm(shown: Path, tmp_path: Path, command, monkeypatch) -> None:
-    """Over EGM, by inverse kinematics, from and to where the tool was shown."""
     monkeypatch.chdir(tmp_path)
     assert main(["dmp", "fit", str(shown), "-o", "pose.toml", "--kind", "pose", "--robot", "yumi_left"]) == 0
     words = ["dmp", "play", "pose.toml", "--robot", "yumi_left", "--link", "sim://yumi_left?lockstep=true"]
@@ -115,7 +103,6 @@ def test_poses_are_played_on_the_simulated_arm(shown: Path, tmp_path: Path, comm
 
 @pytest.fixture(scope="module")
 def made() -> dict[str, Any]:
-    """One primitive of each kind that has a file."""
     dmp = fit_dmp(T, path(), n_basis=20).value
     round_and_round = ROBOT.q_home + 0.1 * np.outer(np.sin(2 * np.pi * T), np.ones(7))
     return {
@@ -222,7 +209,6 @@ def test_rest_is_left_out_and_windows_are_kept(shown: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["joints", "periodic"])
 def test_joints_of_a_bag_need_their_robot(ur5e_bag: Path, kind: str) -> None:
-    """In the order of their driver they would be played by the wrong joints."""
     found = read_demonstration(ur5e_bag, kind, (), "ur5e", Window(whole=True))
     np.testing.assert_array_equal(found.y[0], np.arange(6.0))
     assert "robot" in check_options(kind, {"robot": "ur5e", "period": 1.0 if kind == "periodic" else None})

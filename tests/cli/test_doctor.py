@@ -24,7 +24,6 @@ from ..processes import free_port
 
 @contextmanager
 def simulated(port: int, *words: str) -> Iterator[None]:
-    """Run `armlab sim`, streaming; it has begun, however long a busy machine took."""
     command = [sys.executable, "-m", "armlab", "sim", "yumi_left", "--to", f"127.0.0.1:{port}", "--stream", "1000"]
     with subprocess.Popen([*command, *words], stderr=subprocess.DEVNULL) as process:
         try:

@@ -36,7 +36,6 @@ def pushed(monkeypatch, truth, model, tmp_path) -> str:
 
 
 def test_the_press_is_found(pushed: str, monkeypatch, tmp_path, command) -> None:
-    """It is printed, drawn, reported, and written row by row."""
     monkeypatch.setattr("armlab.plots.style.png", lambda drawn: plt.close("all") or b"drawn")
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "-o"]
     figure, report = tmp_path / "wrench.png", tmp_path / "est.html"
@@ -172,7 +171,6 @@ def flagged(table: Table, flag: int, share: int = 2) -> Table:
 
 
 def hidden(table: Table) -> Table:
-    """f_z is not seen in the first half."""
     seen = table["observability"].copy()
     seen[: len(seen) // 2, 2] = 0.1
     return table.with_column("observability", seen)
@@ -239,7 +237,6 @@ def test_the_longest_gaps_are_named(table: Table, model: TorqueModel) -> None:
 
 @pytest.fixture
 def limited(table: Table) -> Table:
-    """With limits of -1 to 3 in every axis; of f_x from 2 s on 5 to 9."""
     interval = np.tile([-1.0, 3.0], (len(table), 6, 1))
     interval[table.t >= 2.0, 0] = 5.0, 9.0
     interval[:10] = np.nan

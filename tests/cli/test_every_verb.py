@@ -128,12 +128,12 @@ record yumi_left -o good.mcap | exists
 record yumi_lefft -o run.mcap | Did you mean
 run yumi_left --log a --no-log | either --log or --no-log
 run yumi_left --log nowhere/a | existing folder
-run yumi_left --link sim://yumi_right | Expected a link to yumi_left, got sim://yumi_right, another arm
+run yumi_left --link sim://yumi_right | Expected a link to yumi_left, got sim://yumi_right, a different arm
 run yumi_left --link sim://yumi_left+yumi_right | one URL per robot
 doctor yumi | Did you mean
 excite yumi_left | got neither
 excite yumi_left -o motion.txt | .csv
-excite yumi_left --run sim://yumi_right | got sim://yumi_right, another arm
+excite yumi_left --run sim://yumi_right | got sim://yumi_right, a different arm
 view --live yumi_left yumi_right | Expected one arm with --live, got yumi_left, yumi_right
 view --live --model none.toml | Expected a model file at none.toml
 view --live --package-path none | Expected --package-path with a folder, got none
@@ -187,8 +187,8 @@ sim yumi_right --to 127.0.0.1:9 --seconds 0.05 --stats /dev/full | Expected to w
 sim yumi_right --to 127.0.0.1:9 --seconds 0.05 --truth /dev/full | Expected to write /dev/full, got: No space left
 excite yumi_left --saved none.csv --run sim://yumi_left | none.csv
 log show folder | Is a directory
-log cut good.mcap --from 9 -o to.mcap | got none. It has 0 s to 0.996 s
-log cut good.csv --from 9 -o to.csv | It has 0 s to 0.996 s
+log cut good.mcap --from 9 -o to.mcap | got none. The log covers 0 s to 0.996 s
+log cut good.csv --from 9 -o to.csv | The log covers 0 s to 0.996 s
 log merge good.mcap good.mcap -o to.mcap | to begin after
 log open good.csv | got a file of format text
 plot wrench good.csv | armlab estimate ROBOT LOG
@@ -223,7 +223,6 @@ def rows(text: str) -> list[str]:
 
 
 def verbs(app: App | None = None, before: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """Yield the words of every command."""
     app = cli.build_app() if app is None else app
     commands = [name for name in app if not name.startswith("-")]
     for name in commands:
@@ -234,7 +233,6 @@ def verbs(app: App | None = None, before: tuple[str, ...] = ()) -> Iterator[tupl
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with good files and bad ones."""
     folder = tmp_path_factory.mktemp("desk")
     for name, content in FILES.items():
         if content is not None:
@@ -276,7 +274,6 @@ def tried(desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
 
 
 def contents(folder: Path) -> dict[Path, bytes]:
-    """Everything in a folder, but what Python keeps of a controller that it has read."""
     found = (path for path in folder.rglob("*") if "__pycache__" not in path.parts)
     return {path: path.read_bytes() if path.is_file() else b"" for path in found}
 
@@ -306,7 +303,6 @@ def test_help_ends_with_an_example_that_is_right_and_imports_nothing_heavy() -> 
 
 
 def test_the_reference_names_every_command() -> None:
-    """`plot` has a command per figure; the gallery shows them."""
     page = (Path(__file__).parents[2] / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
     table = "\n".join(line for line in page.splitlines() if line.startswith("| `armlab"))
     for words in verbs():
@@ -414,7 +410,6 @@ def test_a_full_disk_leaves_nothing_half(words: str, tried, full_disk) -> None:
 
 @pytest.mark.parametrize("closed", ["full", "gone"])
 def test_standard_output_that_takes_nothing(closed: str) -> None:
-    """Of a full device, and of a reader that left, as in `| head`."""
     reader, writer = os.pipe()
     os.close(reader)
     with Path("/dev/full").open("w") as full:

@@ -17,7 +17,6 @@ from armlab.state import Command
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A search of a few rounds."""
     monkeypatch.setattr("armlab.cli.excite.ROUNDS", 3)
 
 

@@ -29,10 +29,8 @@ def test_an_empty_fleet(tmp_path: Path, command) -> None:
         where = ["--router", f"127.0.0.1:{port}"]
         assert command(["fleet", "list", *where, "--seconds", "0"]).out == "No robots found.\n"
         assert json.loads(command(["fleet", "list", *where, "--json"]).out) == []
-        assert (
-            command(["fleet", "record", *where, "-o", tmp_path / "new", "--seconds", "0"]).out
-            == "No robots recorded.\n"
-        )
+        said = command(["fleet", "record", *where, "-o", tmp_path / "new", "--seconds", "0"]).out
+        assert said == "No robots recorded.\n"
     assert threading.active_count() < 20  # what listened has ended
 
 

@@ -32,14 +32,11 @@ def logs(excited: Table, truth) -> dict[str, Table]:
 
 @pytest.fixture
 def reading(monkeypatch, logs: dict[str, Table]) -> None:
-    """`log.read` gives the synthetic logs by name."""
     monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: logs[path.name])
 
 
 @pytest.mark.slow
 def test_it_prints_a_verdict_and_leaves_model_page_and_figure(reading, fitted, monkeypatch, tmp_path, command) -> None:
-    """Everything that the command can leave, in one run; the fit itself is that of the other tests."""
-
     def told(tables, robot, method, progress, force, cutoff) -> Fit[TorqueModel]:
         assert (len(tables), robot.name, method, force) == (1, "yumi_left", "irls", False)
         progress(0, 5, "checking the log")
@@ -68,11 +65,9 @@ def test_it_prints_a_verdict_and_leaves_model_page_and_figure(reading, fitted, m
 
 
 def with_lines(fit: Fit[TorqueModel]) -> Fit[TorqueModel]:
-    """A fit whose model has a line of ripple at joint 2, and leaves half of what it left before."""
     speeds = np.tile(np.linspace(0, 1, 3), (7, 1))
-    lines = models.RippleLines(
-        np.array([1]), np.array([200.0]), speeds, np.full((7, 3), 0.5), np.full((1, 2, 3, 2), 0.01)
-    )
+    size = np.full((7, 3), 0.5), np.full((1, 2, 3, 2), 0.01)
+    lines = models.RippleLines(np.array([1]), np.array([200.0]), speeds, *size)
     quality = replace(fit.value.quality, rms_cv=0.5 * fit.value.quality.rms_cv)
     return replace(fit, value=replace(fit.value, lines=lines, quality=quality))
 
@@ -96,7 +91,6 @@ def test_json_has_the_numbers_and_the_verdict(reading, fitted, monkeypatch, tmp_
 
 
 def test_drives_that_are_refused_leave_the_base_model_and_the_reason(reading, fitted, monkeypatch, tmp_path) -> None:
-    """With --force the fit takes torques that are not plausible, and what it doubts is said."""
     asked: dict[str, object] = {}
 
     def forced(*_, **options) -> Fit[TorqueModel]:
@@ -121,7 +115,6 @@ def test_drives_that_are_refused_leave_the_base_model_and_the_reason(reading, fi
 
 
 def test_gravity_only_is_fitted_and_said(reading, fitted, logs, monkeypatch, tmp_path, command) -> None:
-    """The logs go to `fit_gravity`, whose own tests fit slow motion."""
     given, said = [], []
     monkeypatch.setattr("armlab.identify.fit_gravity", lambda tables, *_, **__: given.append(tables) or fitted)
     page = lambda *parts: said.append(parts[4]) or HtmlReport("a", "b")  # noqa: E731
@@ -217,7 +210,6 @@ def test_what_is_good_and_what_is_bad_is_said(
 
 @pytest.fixture(scope="module")
 def tables(truth) -> dict[str, Table]:
-    """A log with 0.5 kg, one without, one with 5 g."""
     motion = identify.design_excitation(truth.robot, seconds=12, speed=0.4, acceleration=8.0, seed=3)
 
     def log(mass: float, seed: int) -> Table:
@@ -231,7 +223,6 @@ def tables(truth) -> dict[str, Table]:
 
 @pytest.fixture
 def words(monkeypatch, tables: dict[str, Table], model, tmp_path: Path) -> list[str]:
-    """The logs by name, and the model file."""
     monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: tables[path.name])
     saved = models.save(model, tmp_path / "model.toml")
     return ["payload", "yumi_left", "full.mcap", "--model", str(saved)]
@@ -284,16 +275,14 @@ def test_of_an_arm_that_rests_in_part_the_joints_that_move_are_judged(
     words: list[str], truth, monkeypatch, command
 ) -> None:
     motion = identify.design_excitation(truth.robot, seconds=12, speed=0.4, acceleration=8.0, seed=3)
-
     rests = np.arange(7) < 3
 
     def wrist(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         q, qd, qdd = motion.sample(t)
         return np.where(rests, truth.robot.q_home, q), np.where(rests, 0.0, qd), np.where(rests, 0.0, qdd)
 
-    monkeypatch.setattr(
-        "armlab.log.reading.read", lambda path, **_: truth.log(identify.Trajectory(motion.seconds, wrist), seed=1)
-    )
+    log = truth.log(identify.Trajectory(motion.seconds, wrist), seed=1)
+    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: log)
     said = command(words).out
     assert "excluded because at rest: axis_1, axis_2, axis_7" in said
     assert "Arm and load together" in said
@@ -301,7 +290,6 @@ def test_of_an_arm_that_rests_in_part_the_joints_that_move_are_judged(
 
 @pytest.mark.slow
 def test_a_log_of_rtde_becomes_a_model_in_one_line(excited, truth, fitted, tmp_path, command) -> None:
-    """Torque as currents beside the controller's moments, in the header and the separator of the RTDE client."""
     arm, n = truth.robot, truth.robot.n
     constants, qdd = np.linspace(3.0, 1.0, n), np.gradient(excited["qd"], excited.t, axis=0)
     moment = arm.chain.rnea(excited["q"], excited["qd"], qdd, arm.gravity, fitted.value.link_parameters)
@@ -316,7 +304,7 @@ def test_a_log_of_rtde_becomes_a_model_in_one_line(excited, truth, fitted, tmp_p
     _, err = command(words)
     assert "N m/A, identified from target_moment" in err
     assert "1 of" in err
-    assert "lack a number" in err
+    assert "have missing values and are skipped" in err
     model = models.load(tmp_path / "model.toml")
     sd = np.sqrt(np.diag(model.base_cov))
     assert np.all(np.abs(model.base_values - fitted.value.base_values) < 3 * sd + 1e-9)

@@ -29,30 +29,22 @@ def path(tmp_path: Path) -> Path:
     return recorder.path
 
 
-@pytest.mark.parametrize("size", [2000])
-def test_a_log_cut_off_before_its_first_message_says_what_recover_says(
-    path: Path, tmp_path: Path, command, size: int
-) -> None:
+def test_a_log_cut_off_before_its_first_message_says_what_recover_says(path: Path, tmp_path: Path, command) -> None:
     tiny = tmp_path / "tiny.mcap"
-    tiny.write_bytes(path.read_bytes()[:size])
+    tiny.write_bytes(path.read_bytes()[:2000])
     for words in (["show"], ["show", "--json"], ["show", "--parameters"], ["recover"]):
         said = command(["log", *words, tiny], 1)
         assert said.out == ""
-        assert f"Expected messages in {tiny}, got no readable message in {size} bytes." in said.err
+        assert f"Expected messages in {tiny}, got no readable message in 2000 bytes." in said.err
 
 
 def test_show_says_what_the_log_holds(path: Path, command) -> None:
     captured = command(["log", "show", path])
     assert captured.err == ""
     text = captured.out
-    for words in (
-        "finished, began 2023-11-14 22:13:20 UTC",
-        "300 rows, 1.196 s at 250 Hz on the robot clock",
-        "robot       yumi_right",
-        "note        a test",
-        "the operator pressed",
-        "model.toml",
-    ):
+    assert "finished, began 2023-11-14 22:13:20 UTC" in text
+    assert "300 rows, 1.196 s at 250 Hz on the robot clock" in text
+    for words in ("robot       yumi_right", "note        a test", "the operator pressed", "model.toml"):
         assert words in text, words
     (line,) = [line for line in text.splitlines() if line.startswith("tau ")]
     table = read(path)
@@ -124,7 +116,7 @@ def test_export_and_back(path: Path, tmp_path: Path, command, ending: str) -> No
 def test_export_names_what_matlab_calls_otherwise(tmp_path: Path, command) -> None:
     (tmp_path / "orca.csv").write_text("t [s],robot[0].pos\n0,1\n1,2\n")
     said = command(["log", "export", tmp_path / "orca.csv", tmp_path / "orca.mat"]).err
-    assert "robot[0].pos is robot_0__pos." in said
+    assert "robot[0].pos to robot_0__pos." in said
 
 
 def test_of_a_recording_without_rows_the_first_events_are_shown(tmp_path: Path, command) -> None:
@@ -168,10 +160,8 @@ def test_resample_makes_the_rate_even_and_leaves_gaps_missing(path: Path, tmp_pa
     np.testing.assert_allclose(even["q"][[10, 120]], table["q"][[10, 120]], atol=1e-6)
     np.testing.assert_allclose(even["q"][100], table["q"][[99, 101]].mean(axis=0), atol=1e-6)
     assert np.isnan(even["q"][175]).all()
-    assert (
-        "Expected a rate of at least 250"
-        in command(["log", "resample", path, "--rate", 10, "-o", tmp_path / "slow.csv"], 1).err
-    )
+    slow = ["log", "resample", path, "--rate", 10, "-o", tmp_path / "slow.csv"]
+    assert "Expected a rate of at least 250" in command(slow, 1).err
 
 
 def test_the_name_of_a_cell_stands_for_the_files_of_its_arms(tmp_path: Path, path: Path, command) -> None:
@@ -186,7 +176,6 @@ def test_the_name_of_a_cell_stands_for_the_files_of_its_arms(tmp_path: Path, pat
 
 
 def test_open_calls_an_installed_program(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -> None:
-    """The first that is installed, or the one that is asked for; Rerun for this computer only."""
     monkeypatch.setenv("PATH", str(tmp_path))
     said = command(["log", "open", path], 1).err
     assert "Expected Foxglove, PlotJuggler or Rerun on the PATH, got none of these programs" in said
@@ -207,7 +196,6 @@ def test_open_calls_an_installed_program(path: Path, tmp_path: Path, monkeypatch
 
 
 def test_a_bag_of_another_program(ur5e_bag: Path, tmp_path: Path, command) -> None:
-    """Each topic is shown by itself; export asks for the clock and puts the joints into the robot's order."""
     said = command(["log", "show", ur5e_bag])
     assert said.err == ""
     assert "/JointState: Table of 5 rows, 4.000 s at 1 Hz" in said.out
@@ -234,7 +222,6 @@ def names_in(bag: Path) -> set[tuple[str, ...]]:
 
 @pytest.mark.slow
 def test_a_bag_has_the_joint_names_of_the_robot(path: Path, tmp_path: Path, command) -> None:
-    """Those of the URDF, of a recording and where it is named; else the labels of the columns."""
     csv, bag = tmp_path / "run.csv", tmp_path / "run.rosbag2"
     of_urdf = {tuple(f"yumi_robr_joint_{k}" for k in range(1, 8))}
     command(["log", "export", path, csv])
@@ -268,12 +255,8 @@ def test_both_arms_in_one_file(path: Path, tmp_path: Path, command) -> None:
     assert "--robot" in command(["log", "cut", both, "--to", "0.04", "-o", tmp_path / "which.csv"], 1).err
     command(["log", "export", both, tmp_path / "left.csv", "--robot", "yumi_left"])
     assert read(tmp_path / "left.csv").sha256 == left.sha256
-    for source, name, end in (
-        (both, "part.csv", 0.04),
-        (both, "part.mcap", 0.04),
-        (both, "whole.mcap", np.inf),
-        (tmp_path / "left.csv", "new.mcap", 0.04),
-    ):
+    parts = ((both, "part.csv", 0.04), (both, "part.mcap", 0.04), (both, "whole.mcap", np.inf))
+    for source, name, end in (*parts, (tmp_path / "left.csv", "new.mcap", 0.04)):
         until = [] if end == np.inf else ["--to", end]
         command(["log", "cut", source, *until, "--robot", "yumi_left", "-o", tmp_path / name])
         assert read(tmp_path / name).sha256 == left.between(-np.inf, end).sha256
@@ -294,9 +277,7 @@ def test_the_history_of_the_parameters(path: Path, tmp_path: Path, command) -> N
     assert third.endswith("gain = 3.0, set by local 1 (1)")
     assert last == "At the end: gain = 3.0."
     told = json.loads(command(["log", "show", "--parameters", "--json", recorder.path]).out)
-    assert [(one["value"], one["who"]) for one in told["parameters"]] == [
-        (2.0, "in force at the start"),
-        (3.0, "local 1"),
-    ]
+    history = [(one["value"], one["who"]) for one in told["parameters"]]
+    assert history == [(2.0, "in force at the start"), (3.0, "local 1")]
     assert told["parameters_at_end"] == {"gain": 3.0}
     assert told.items() <= json.loads(command(["log", "show", "--json", recorder.path]).out).items()

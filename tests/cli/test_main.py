@@ -96,7 +96,6 @@ def test_the_help_of_a_verb_that_takes_a_robot_names_the_options_of_a_urdf(
 
 
 def completed(script: Path, *words: str) -> list[str]:
-    """Return what bash offers for the last word."""
     typed = " ".join(f"'{word}'" for word in words)
     code = (
         f"source {script}; COMP_WORDS=({typed}); COMP_CWORD={len(words) - 1}; "

@@ -63,7 +63,7 @@ def test_two_arms_are_recorded_and_nothing_is_sent(tmp_path: Path, streaming: An
         assert "q_sent" not in table.names
         assert f"run{side}.mcap: {len(table)} packets" in said.out
         assert peer.surplus() == 0
-    assert "Manual mode, motors off" in said.err
+    assert "manual mode with motors off" in said.err
     assert "yumi_right does not start in its home posture: joint 3 is 0.20" in said.err
     assert "yumi_left does not start" not in said.err
 
@@ -79,7 +79,6 @@ def test_an_arm_that_waits_for_references_gets_none_but_is_told_of(tmp_path: Pat
 
 
 def written(path: Path) -> int:
-    """Number of rows that a recording which is being written shows to others."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it is not finished
         try:
@@ -130,8 +129,6 @@ def test_a_recording_that_is_ended_from_outside(tmp_path: Path, number: signal.S
 
 @pytest.mark.parametrize("step", ["write", "finish"])
 def test_a_full_disk(tmp_path: Path, streaming: Any, capsys: Any, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
-    """It is told while the robot still streams, at the latest at the end, and the exit code says that it failed."""
-
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 

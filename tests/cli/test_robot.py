@@ -26,31 +26,24 @@ def test_list_names_every_robot_of_the_library(capsys: pytest.CaptureFixture[str
     assert max(len(line) for line in text.splitlines()) <= 100
 
 
-def test_show_prints_torques_and_what_a_motor_moves_besides(capsys: pytest.CaptureFixture[str]) -> None:
-    show("irb2400")
-    assert capsys.readouterr().out.endswith("the motor of axis_2 also moves axis_3: -1 rad/rad\n")
+def test_show_prints_joints_and_torques_and_draws_the_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "arm.png"
+    show("irb2400", figure=picture)
+    said = capsys.readouterr()
+    assert said.out.endswith("the motor of axis_2 also moves axis_3: -1 rad/rad\n")
+    assert f"figure: {picture}" in said.err
+    assert picture.stat().st_size > 10_000
     show("ur5e")
     rows = [line.split() for line in capsys.readouterr().out.splitlines() if "_joint " in line]
     assert [row[7] for row in rows] == ["150", "150", "150", "28", "28", "28"]
-
-
-def test_show_prints_the_joints(capsys: pytest.CaptureFixture[str]) -> None:
     arm = robots.load("yumi_right")
     show("yumi_right")
     text = capsys.readouterr().out
-    for name in arm.joint_names:
-        assert f"\n{name} " in text
+    assert all(f"\n{name} " in text for name in arm.joint_names)
     show("yumi_right", json=True)
     data = json.loads(capsys.readouterr().out)
     assert data["q_max"] == pytest.approx(arm.q_max)
     assert data["hash"] == arm.hash
-
-
-def test_show_draws_the_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    picture = tmp_path / "arm.png"
-    show("irb2400", figure=picture)
-    assert f"figure: {picture}" in capsys.readouterr().err
-    assert picture.stat().st_size > 10_000
 
 
 GRIPPER = """<robot name="gripper">
@@ -114,10 +107,8 @@ def test_a_model_and_a_calibration_go_into_a_urdf(fitted, truth, tmp_path: Path,
     assert "rotor inertia on the joint side" in text
     arm, found, words = truth.robot, tmp_path / "kinematics.toml", ["robot", "export", "yumi_left"]
     moved = replace(arm, T_flange_tool=arm.T_flange_tool + np.pad([[0.001]], ((0, 3), (3, 0))))
-    models.save(
-        models.KinematicCorrection(moved, arm.name, arm.hash, (), np.zeros((7, 0)), np.zeros(0), np.zeros((48, 48))),
-        found,
-    )
+    free = (), np.zeros((7, 0)), np.zeros(0), np.zeros((48, 48))
+    models.save(models.KinematicCorrection(moved, arm.name, arm.hash, *free), found)
     command([*words, tmp_path / "new.toml", "--calibrated", found, "--model", model])
     new = robots.load(tmp_path / "new.toml")
     assert new.inertias is not None

@@ -63,7 +63,6 @@ def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, comm
 def test_a_log_of_the_same_name_is_kept_and_the_new_name_is_told(
     folder: Path, command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And the prompt afterwards has the table, the run, and the robot."""
     seen: dict = {}
     monkeypatch.setattr("code.interact", lambda *_, local, **__: seen.update(local))
     monkeypatch.setattr("armlab.cli.run.time.strftime", lambda *_: "now")
@@ -147,10 +146,8 @@ def test_files_that_are_no_controllers(folder: Path, place: str, words: str) -> 
 @pytest.mark.parametrize(("name", "code"), [("late", 1), ("once", 0)])
 def test_a_run_whose_last_command_was_refused_says_so_and_fails(folder: Path, command, name: str, code: int) -> None:
     when = {"late": "state.t > 0.1", "once": "state.t < 0.1"}[name]
-    text = (
-        f"from armlab import Command\ndef {name}(state):\n    return Command(state.q * 0 + 45.0) if {when} else None\n"
-    )
-    (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    text = f"def {name}(state):\n    return Command(state.q * 0 + 45.0) if {when} else None\n"
+    (folder / f"{name}.py").write_text(f"from armlab import Command\n{text}", encoding="utf-8")
     link = ["--link", "sim://yumi_left?lockstep=true", "--no-log", "--seconds", "0.2"]
     said = command(["run", "yumi_left", f"{name}.py:{name}", *link], code).out
     assert "Ended: the time is up." in said

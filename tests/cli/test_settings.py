@@ -18,7 +18,6 @@ from armlab.sim.arm.arm import scara
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of work, and one of the user's own settings; returns the latter."""
     (tmp_path / "work").mkdir()
     (tmp_path / "own" / "armlab").mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "work")
@@ -36,9 +35,8 @@ def test_environment_before_folder_before_user(home: Path) -> None:
         "HOME": "/nowhere",
     }
     told = load_settings(variables)
-    assert told.settings == UserSettings(
-        "cell.toml", str(home / "logs"), {"yumi_left": 7001, "yumi_right": 7002}, 0.5, "block"
-    )
+    ports = {"yumi_left": 7001, "yumi_right": 7002}
+    assert told.settings == UserSettings("cell.toml", str(home / "logs"), ports, 0.5, "block")
     user = str(user_file(variables))
     assert told.origins == {
         "cell": "armlab.toml", "logs": user, "ports": "$ARMLAB_PORTS", "speed": "$ARMLAB_SPEED", "wait": user,
@@ -81,7 +79,6 @@ def test_the_folder_of_logs_is_made(home: Path, tmp_path: Path) -> None:
 
 @pytest.fixture
 def changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> robots.Robot:
-    """An arm that has the name of another one, in "my arm?.toml" here."""
     monkeypatch.chdir(tmp_path)
     irb120 = robots.load("irb120")
     arm = replace(irb120, q_home=irb120.q_home + 0.5)
@@ -148,14 +145,9 @@ def test_settings_and_cell_with_their_origins(home: Path, command, monkeypatch: 
     assert rows["cell.robots[0].extension"] == ["false", "default"]
     assert rows["cell.name"] == ['"cell"', "default"]
     assert {path: path.read_bytes() for path in Path().iterdir()} == before
-
-
-def test_settings_and_cell_as_json(home: Path, command) -> None:
-    Path("cell.toml").write_text(CELL)
     Path("armlab.toml").write_text('cell = "cell.toml"\n')
-    found = {
-        one["name"]: (one["value"], one["origin"]) for one in json.loads(command(["config", "show", "--json"]).out)
-    }
+    told = json.loads(command(["config", "show", "--json"]).out)
+    found = {one["name"]: (one["value"], one["origin"]) for one in told}
     assert found["cell"] == ("cell.toml", "armlab.toml")
     assert found["cell.robots[0].link"] == ("sim://yumi_left", "cell.toml")
     assert "speed                     1.0\n" in command(["config", "show"]).out

@@ -29,7 +29,6 @@ HEADER = "t,fx,fy,fz,mx,my,mz\n"
 
 @pytest.fixture
 def answering() -> Iterator[int]:
-    """The port of a bridge that answers every packet."""
     peer = ThreadedPeer(robots.load("yumi_right"))
     yield peer.port
     peer.close()
@@ -37,7 +36,6 @@ def answering() -> Iterator[int]:
 
 @pytest.fixture
 def silent() -> Iterator[socket.socket]:
-    """A port that takes packets and answers none."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         one.bind(("127.0.0.1", 0))
         one.settimeout(30)
@@ -109,7 +107,6 @@ def test_abb_defaults_do_not_replace_what_was_given(answering: int, monkeypatch:
     ],
 )
 def test_flavours_from_the_command(options: list[str], robotware: str, n: int, silent: socket.socket, command) -> None:
-    """One packet in real time is enough: what the codec says of it."""
     to = f"127.0.0.1:{silent.getsockname()[1]}"
     assert cli.main(["sim", "--to", to, "--seconds", "0.05", *options]) == 0
     robot = scara() if n == 4 else robots.load("irb1200")
@@ -163,42 +160,32 @@ def test_sim_ends_cleanly_when_terminated(tmp_path: Path, silent: socket.socket)
     assert json.loads(stats.read_text(encoding="utf-8"))["yumi_right"]["counts"]["packets"] >= 1
 
 
-ROBOT = robots.load("yumi_right")
-
-
 def test_around_the_arms(tmp_path: Path) -> None:
-    push = tmp_path / "push.csv"
-    push.write_text("t,fx,fy,fz,mx,my,mz\n0,1,0,0,0,0,0\n9,1,0,0,0,0,0\n", encoding="utf-8")
+    push, robot = tmp_path / "push.csv", robots.load("yumi_right")
+    push.write_text(HEADER + "0,1,0,0,0,0,0\n9,1,0,0,0,0,0\n", encoding="utf-8")
     around = SurroundingOptions(operator=push, motors="0:on,2:off", rapid="undefined")
-    first, second = (around.scene(ROBOT, index, [0, index], 1) for index in (0, 1))
+    first, second = (around.scene(robot, index, [0, index], 1) for index in (0, 1))
     assert first.operator.at(1.0) is not None
     assert second.operator is None, "the files are for the first robot"
     assert first.hand is not None
     assert (first.motors.at(3.0), first.rapid.at(3.0), first.external) == (2, 0, 1)
     with pytest.raises(UnknownName, match="off"):
-        SurroundingOptions(motors="aus").scene(ROBOT, 0, [0], 0)
+        SurroundingOptions(motors="aus").scene(robot, 0, [0], 0)
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
+def test_invalid_files_of_an_operator_and_a_hand_are_named_with_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "hand.csv"
+    for text, where in (
         ("t,fx,fy,fz\n", "line 1"),
         (HEADER + "0,1,2,3,4,5,6\n1,1,2,3\n", "line 3"),
         (HEADER + "0,1,2,3,4,5,nan\n", "line 2"),
         (HEADER + "1,0,0,0,0,0,0\n\n1,0,0,0,0,0,0\n", "line 4"),
         (HEADER + "1" * 200_000 + ",0,0,0,0,0,0\n", "line 2"),
         ("", "line 1"),
-    ],
-)
-def test_read_operator_names_file_and_line(tmp_path: Path, text: str, where: str) -> None:
-    path = tmp_path / "hand.csv"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError, match=rf"{where} of .*hand\.csv"):
-        read_operator(path)
-
-
-def test_read_hand_refuses(tmp_path: Path) -> None:
-    path = tmp_path / "hand.csv"
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ConfigError, match=rf"{where} of .*hand\.csv"):
+            read_operator(path)
     for text, what in (("t,q1\n0,0\n", "header t,q1,q2"), ("t,q1,q2\n0,0,0\n", "two rows")):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(ConfigError, match=what):
@@ -220,9 +207,8 @@ USELESS = {  # what cannot act on an arm without masses, by verb
 @pytest.mark.parametrize("verb", USELESS)
 @pytest.mark.parametrize("name", ["irb1200", "massless.urdf", "yumi_left"])
 def test_hands_and_mismatch_need_masses(verb: str, name: str, tmp_path: Path, command, monkeypatch) -> None:
-    """Table of verbs and robots: from the library, from a file, and one with masses that asks for none of them."""
     monkeypatch.chdir(tmp_path)
-    Path("operator.csv").write_text("t,fx,fy,fz,mx,my,mz\n0,0,0,0,0,0,0\n1,5,0,0,0,0,0\n")
+    Path("operator.csv").write_text(HEADER + "0,0,0,0,0,0,0\n1,5,0,0,0,0,0\n")
     robots.save(robots.load("irb1200"), "massless.urdf")
     words = {"demo": ["demo", "--robot", name], "excite": ["excite", name, "--run", f"sim://{name}"]}
     words = words.get(verb, ["sim", name])
@@ -238,7 +224,6 @@ def test_hands_and_mismatch_need_masses(verb: str, name: str, tmp_path: Path, co
 @pytest.mark.parametrize("name", ["irb1200", "yumi_left"])
 @pytest.mark.parametrize("program", ["loop", "stream"])
 def test_a_hand_that_leads_needs_its_program(name: str, program: str, tmp_path: Path, command, monkeypatch) -> None:
-    """With or without masses: the arm would not follow the hand."""
     monkeypatch.chdir(tmp_path)
     n = robots.load(name).n
     Path("hand.csv").write_text("t," + ",".join(f"q{i + 1}" for i in range(n)) + "\n0" + ",0" * n + "\n1" + ",0" * n)

@@ -23,7 +23,6 @@ pytest.importorskip("viser", reason="the view in the browser needs the extra `li
 
 @pytest.fixture
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No bridge of this user runs."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 
@@ -45,7 +44,6 @@ def log(tmp_path: Path) -> Path:
 
 
 def test_a_log_is_played(log: Path, monkeypatch: pytest.MonkeyPatch, command, capsys) -> None:
-    """A log that tells no robot is given one; the page has its name."""
     shown: list[Player] = []
 
     def run(player: Player) -> None:

@@ -65,8 +65,6 @@ def page() -> Callable[..., Any]:
 
 
 class Bridge:
-    """What a bridge shows on its local feed, without robots and processes."""
-
     def __init__(self, arms: list[Robot], cell: str = "small") -> None:
         self._exchange = Hub(arms, [OPERATOR], about={"cell": cell})
         self._far = self._exchange.open(OPERATOR)
@@ -108,7 +106,6 @@ def bridge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable
 
 @pytest.fixture
 def following(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Running]]:
-    """Return what follows bridges; it looks for them twenty times a second."""
     monkeypatch.setattr("armlab.live.live_bridge._AGAIN", 0.05)
     made: list[Running] = []
 
@@ -123,8 +120,6 @@ def following(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Running
 
 @pytest.fixture
 def hear_until() -> Callable[..., None]:
-    """Return what lets a `Running` hear until something is so."""
-
     def hear(running: Running, true: Callable[[], Any], send: Callable[[], None] = lambda: None) -> None:
         for _ in range(LOOKS):
             send()

@@ -27,8 +27,6 @@ PERIOD = 0.02  # s between two rows
 
 
 class FleetBridge:
-    """A bridge with one arm in a pose, a row every 20 ms from a thread."""
-
     def __init__(self, router: int, robot: Robot, lab: str) -> None:
         self.robot, self.q = robot, np.array(robot.q_home)
         self._exchange = Hub([robot], ["zenoh"], about={"cell": robot.name})
@@ -43,9 +41,7 @@ class FleetBridge:
     def _send(self) -> None:
         tick, nothing = 0, 0 * self.q
         while not self._over.wait(PERIOD):
-            state = State(
-                t=PERIOD * tick, dt=PERIOD, q=self.q, qd=nothing, tau=nothing, robot=self.robot.name, seq=tick
-            )
+            state = State(PERIOD * tick, PERIOD, self.q, nothing, nothing, robot=self.robot.name, seq=tick)
             now = time.time_ns()
             self._exchange.row(state, None, Tick(tick, -1, now, now, -1, 0))
             self._exchange.poll()
@@ -62,8 +58,6 @@ class FleetBridge:
 
 
 class Fleet:
-    """A router, and what is at it."""
-
     def __init__(self) -> None:
         self.port = free_port()
         self._router = open_session("router", [f"127.0.0.1:{self.port}"])
@@ -79,7 +73,6 @@ class Fleet:
         return self._heard[-1]
 
     def put(self, where: str, data: bytes) -> None:
-        """Send what is no row of a bridge."""
         self._router.put(where, data)
 
     def close(self) -> None:
@@ -89,7 +82,6 @@ class Fleet:
 
 
 def hear_fleet(rows: FleetRows, condition: Any, draw: Any = lambda: None) -> None:
-    """Hear, and draw, until something is so."""
     until = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < until, {name: one.state for name, one in rows.robots.items()}
@@ -99,7 +91,6 @@ def hear_fleet(rows: FleetRows, condition: Any, draw: Any = lambda: None) -> Non
 
 @pytest.fixture
 def fleet(monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
-    """Return a fleet whose bridges report ten times a second."""
     pytest.importorskip("zenoh", reason="many robots need the extra `net`")
     monkeypatch.setattr("armlab.bridge.servers.zenoh.process._STATUS", 10**8)
     monkeypatch.setattr("armlab.bridge.servers.zenoh.feed._DISCOVERY", 0.1)

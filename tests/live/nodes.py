@@ -25,7 +25,6 @@ def link(arm: str, number: int) -> str:
 
 
 def tool(server: Any, arm: str, n: int) -> np.ndarray:
-    """Return the pose (4, 4) of an arm's tool in its base."""
     found = np.eye(4)
     for i in range(1, n + 1):
         found = found @ pose(node(server, link(arm, i)))
@@ -33,5 +32,4 @@ def tool(server: Any, arm: str, n: int) -> np.ndarray:
 
 
 def tip(arrow: Any) -> np.ndarray:
-    """Return where the arrow from (0, 0, 0) to (0, 0, 1) ends."""
     return (pose(arrow) @ [0.0, 0.0, arrow.scale[2], 1.0])[:3]

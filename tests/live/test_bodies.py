@@ -44,7 +44,6 @@ def test_an_arrow_points_along_z_and_is_turned_anywhere() -> None:
 
 @pytest.mark.parametrize("name", robots.names())
 def test_links_hang_together(name: str) -> None:
-    """At any configuration each joint axis lies within the link before it and the link after it."""
     robot = robots.load(name)
     shapes = bodies(robot)
     assert len(shapes) == robot.n + 1

@@ -17,8 +17,6 @@ from armlab.live.curves import ArmPanel, Curves, RingBuffer, Window, envelope
 
 
 class Gui:
-    """Keeps what is drawn."""
-
     def __init__(self) -> None:
         self.plots: list[Any] = []
         self.headings: list[str] = []

@@ -26,7 +26,6 @@ LEFT, UR = robots.load("yumi_left"), robots.load("ur5e")
 
 
 def test_who_comes_is_seen_and_who_goes_is_gone(fleet: Fleet) -> None:
-    """Also of the same name in another lab, and one that comes again with another description."""
     rows = fleet.rows()
     one = fleet.bridge(LEFT, "arm")
     fleet.bridge(UR, "arm", "lab2")
@@ -79,9 +78,8 @@ def test_texts_that_are_none_end_nothing(fleet: Fleet) -> None:
     fleet.bridge(LEFT, "arm")
     hear_fleet(rows, lambda: "lab1/arm" in rows.robots and math.isfinite(rows.robots["lab1/arm"].rate))
     seen = rows.robots["lab1/arm"]
-    hear_fleet(
-        rows, lambda: seen.refused >= len(WRONG), lambda: [fleet.put("armlab/lab1/arm/status", x) for x in WRONG]
-    )
+    send = lambda: [fleet.put("armlab/lab1/arm/status", x) for x in WRONG]  # noqa: E731
+    hear_fleet(rows, lambda: seen.refused >= len(WRONG), send)
     assert math.isfinite(seen.rate)
     before = seen.rows
     hear_fleet(rows, lambda: seen.rows > before)
@@ -133,7 +131,6 @@ def test_a_viewer_that_was_not_run_takes_no_robot_for_silent(fleet: Fleet, monke
 
 @pytest.mark.slow
 def test_each_robot_stands_at_its_place_in_the_pose_of_its_rows(server: Any, fleet: Fleet, page: Any) -> None:
-    """Who looks is put before them all when one comes."""
     rows = fleet.rows()
     looks = page(server.get_port())
     view = FleetView(server, rows)

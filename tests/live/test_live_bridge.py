@@ -88,7 +88,6 @@ def test_a_bridge_over_zenoh_is_waited_for_followed_and_found_again(
 
 
 def test_the_newest_counts_after_a_stall(bridge: Any, following: Any, hear_until: Any) -> None:
-    """Whoever did not look for a while sees what is, not what was."""
     running, one = following(rate=1e6), bridge(LEFT)
     hear_until(running, lambda: running.row, lambda: one.row(LEFT))
     for k in range(20):
@@ -155,7 +154,6 @@ def test_the_force_comes_from_who_knows_most(bridge: Any, following: Any, hear_u
 def test_a_model_estimates_where_nobody_else_does(
     bridge: Any, following: Any, hear_until: Any, model: TorqueModel, excited: Table
 ) -> None:
-    """The estimate is that of the same rows in a table; a row that was dropped makes the next step longer."""
     one, running = bridge(LEFT), following(models=[model])
     hear_until(running, lambda: running.row, lambda: one.row(LEFT))  # from now on every row is sent
     rows = np.r_[0:20, 23:40]
@@ -184,7 +182,6 @@ HAT = np.array([0.0, 0.0, 10.0, 0.0, 0.5, 0.0])
 
 
 def data(view: RunningView, arm: str, plot: str) -> np.ndarray:
-    """What a plot holds: times, then the curves; NaN where they are interrupted."""
     columns = [
         [np.nan if value is None else value for value in msgspec.msgpack.decode(one)]
         if isinstance(one, msgspec.Raw)
@@ -222,7 +219,6 @@ def test_the_arms_are_drawn_as_the_bridge_has_them(server: Any, bridge: Any, fol
 
 
 def test_a_silent_arm_shows_no_force_and_no_torque(server: Any, bridge: Any, following: Any, hear_until: Any) -> None:
-    """What it said last is no news while the other arm goes on."""
     one, running = bridge(LEFT, RIGHT), following(rate=1e6)
     view = RunningView(server, running)
     hear_until(running, lambda: running.row, lambda: one.row(RIGHT, wrench=HAT))
@@ -285,7 +281,6 @@ def test_the_words_of_a_bridge_are_no_markup(server: Any, bridge: Any, following
 
 
 def test_nothing_is_drawn_while_nobody_looks(bridge: Any, page: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who comes is shown what was kept meanwhile."""
     one, told, pages, drawn = bridge(LEFT), [], [], []
     draw, rows = RunningView.draw, iter(range(LOOKS))
 

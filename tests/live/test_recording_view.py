@@ -27,7 +27,6 @@ DT = 0.004
 
 
 def recording(path: Path, robot: Robot, first: float = 0.0, seconds: float = 2.0, **options: object) -> Path:
-    """A log at 250 Hz: joint 1 moves, a limit of joint 2 acts after half of it, one packet is missed."""
     with Recorder(path, robot, **options) as recorder:  # type: ignore[arg-type]
         for k in range(round(seconds / DT)):
             stamp = START + round(1e9 * (first + DT * k))
@@ -127,7 +126,6 @@ def test_a_robot_that_a_file_tells_is_not_taken_for_the_next_one(tmp_path: Path,
 
 
 def test_a_bag_of_another_program_shows_the_arm_in_its_posture(ur5e_bag: Path) -> None:
-    """Its driver has another order of the joints, and logs other things at other rates."""
     (arm,) = read_arms([ur5e_bag], [robots.load("ur5e")])
     np.testing.assert_array_equal(arm.table["q"][0], np.arange(6.0))
     (same,) = read_arms([ur5e_bag / "bag.mcap"], [robots.load("ur5e")])
@@ -135,7 +133,6 @@ def test_a_bag_of_another_program_shows_the_arm_in_its_posture(ur5e_bag: Path) -
 
 
 def test_a_model_estimates_for_its_own_arm_only(tmp_path: Path, model: TorqueModel, excited: Table) -> None:
-    """One of another arm would be passed over, and who gave it would take the picture for an arm without force."""
     log.write(excited.select("q", "qd", "tau"), tmp_path / "left.csv")
     (arm,) = read_arms([tmp_path / "left.csv"], [LEFT], [model])
     assert arm.wrench is not None
@@ -173,7 +170,6 @@ def arm(robot: robots.Robot, **columns: np.ndarray) -> Recorded:
 
 @pytest.fixture
 def pressed() -> Recorded:
-    """A force that grows along x, known better and better."""
     f = np.zeros((len(T), 6))
     f[:, 0] = T
     return arm(LEFT, wrench_hat=f, wrench_hat_cov=np.eye(6) * (30.0 - T)[:, None, None])
@@ -237,9 +233,8 @@ def test_the_force_of_that_instant_and_its_covariance_are_drawn(server: Any, pre
         player.seek(t)
         player.advance(0.0)
         arrow = server.scene.get_handle_by_name("/yumi_left/force")
-        np.testing.assert_allclose(
-            tip(arrow), tool(server, "yumi_left", 7)[:3, 3] + 0.01 * t * np.eye(3)[0], atol=1e-9, rtol=0
-        )
+        at = tool(server, "yumi_left", 7)[:3, 3] + 0.01 * t * np.eye(3)[0]
+        np.testing.assert_allclose(tip(arrow), at, atol=1e-9, rtol=0)
         assert (tuple(arrow.color) == rgb("#D55E00")) is significant
         widths.append(max(server.scene.get_handle_by_name("/yumi_left/uncertainty").scale))
     np.testing.assert_allclose(widths, 0.02 * np.sqrt([25.0, 12.0]))

@@ -45,7 +45,6 @@ def test_links_and_tool_stand_where_the_kinematics_put_them(server: Any) -> None
 
 
 def test_arms_come_go_and_move(server: Any) -> None:
-    """An arm of the same name takes the place of the old one; the floor is below all."""
     scene = RobotScene(server, [LEFT])
     scene.add(RIGHT, se3.from_rp(np.eye(3), [0.0, 2.0, 0.0]))
     scene.show("yumi_right", RIGHT.q_home)
@@ -130,16 +129,15 @@ def test_frames_come_move_and_go(server: Any) -> None:
 
 
 def test_wrong_input_gets_a_sentence(server: Any) -> None:
-    with pytest.raises(RobotError, match="different names"):
-        RobotScene(server, [LEFT, LEFT])
-    with pytest.raises(RobotError, match="different names, got none"):
-        RobotScene(server, [])
-    with pytest.raises(RobotError):
-        RobotScene(server, ["yumi_left"])  # type: ignore[list-item]
-    with pytest.raises(UnknownName, match="yumi_left"):
-        RobotScene(server, [LEFT], {"ur5e": np.eye(4)})
-    with pytest.raises(ShapeError, match="Expected a pose"):
-        RobotScene(server, [LEFT], {"yumi_left": np.zeros((4, 4))})
+    for arms, bases, error, words in (
+        ([LEFT, LEFT], {}, RobotError, "different names"),
+        ([], {}, RobotError, "different names, got none"),
+        (["yumi_left"], {}, RobotError, "yumi_left"),
+        ([LEFT], {"ur5e": np.eye(4)}, UnknownName, "yumi_left"),
+        ([LEFT], {"yumi_left": np.zeros((4, 4))}, ShapeError, "Expected a pose"),
+    ):
+        with pytest.raises(error, match=words):
+            RobotScene(server, arms, bases)
     scene = RobotScene(server, [LEFT])
     with pytest.raises(UnknownName, match="arm in this view"):
         scene.show("yumi_right", LEFT.q_home)
@@ -173,12 +171,8 @@ def test_small_forces_are_thin_and_tiny_ones_hidden(server: Any) -> None:
         if shown:
             np.testing.assert_allclose(arrow.scale, [thick, thick, 0.01 * newton])
         np.testing.assert_allclose(ball.position, TOOL + 0.01 * newton * np.eye(3)[1])
-    for force, covariance in (
-        (np.ones(3), unknown),
-        (np.ones(3), None),
-        (None, C_FORCE),
-        (np.full(3, np.nan), C_FORCE),
-    ):
+    missing = ((np.ones(3), unknown), (np.ones(3), None), (None, C_FORCE), (np.full(3, np.nan), C_FORCE))
+    for force, covariance in missing:
         one.show(TOOL, force, covariance, 0.01)
         assert not ball.visible
         assert arrow.visible is (force is not None and bool(np.isfinite(force).all()))

@@ -20,6 +20,8 @@ def test_a_view_is_served_on_this_computer_only(server: Any) -> None:
     with urllib.request.urlopen(address(server), timeout=10.0) as page:
         assert page.status == 200
     assert logging.getLogger("websockets.server").level == logging.CRITICAL
+    with pytest.raises(ConfigError, match="local view"):
+        server.request_share_url()  # also called by viser's page
 
 
 def test_nothing_is_printed_and_a_port_that_is_taken_is_left_alone(
@@ -70,12 +72,6 @@ def test_origins_are_compared_with_the_server_that_was_asked() -> None:
         ([""], [""]),
     ):
         assert not is_own(origins, hosts), (origins, hosts)
-
-
-def test_no_tunnel_is_opened(server: Any) -> None:
-    """The page of viser may ask for one by itself: its handler calls this attribute."""
-    with pytest.raises(ConfigError, match="local view"):
-        server.request_share_url()
 
 
 @pytest.mark.parametrize("port", [-1, 65536, "8080", 80.0])

@@ -31,8 +31,6 @@ def _closed_figures() -> Iterator[None]:
 
 @pytest.fixture
 def spans() -> Spans:
-    """Start and end of every shaded span of a panel."""
-
     def found(ax: Axes) -> list[tuple[float, float]]:
         paths = [path for part in ax.collections if part.get_gid() == "shade" for path in part.get_paths()]
         return [(float(path.vertices[:, 0].min()), float(path.vertices[:, 0].max())) for path in paths]
@@ -42,7 +40,6 @@ def spans() -> Spans:
 
 @pytest.fixture(scope="session")
 def truth(truth: Any) -> Any:
-    """The made-up arm with its first three links on joints that cross."""
     limits = {"q_min": [-2.0, -1.5, -2.0], "q_max": [2.0, 1.5, 2.0], "qd_max": [2.0] * 3, "qdd_max": [10.0] * 3}
     robot = robots.from_dh("three", [np.pi / 2, 0, np.pi / 2], [0, 0.4, 0.1], [0.3, 0, 0.3], tau_max=[40] * 3, **limits)
     friction = Friction(**{field.name: getattr(truth.friction, field.name)[:3] for field in fields(Friction)})
@@ -52,17 +49,14 @@ def truth(truth: Any) -> Any:
 
 @pytest.fixture(scope="session")
 def excited(truth: Any) -> Table:
-    """A noisy log of it."""
     return truth.log(identify.design_excitation(truth.robot, seconds=12, seed=1), seed=1)
 
 
 @pytest.fixture(scope="session")
 def fitted(truth: Any, excited: Table) -> Fit[TorqueModel]:
-    """What is identified from that."""
     return identify.fit_dynamics(excited, truth.robot)
 
 
 @pytest.fixture(scope="session")
 def model(fitted: Fit[TorqueModel]) -> TorqueModel:
-    """The value of that fit."""
     return fitted.value

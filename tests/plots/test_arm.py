@@ -17,7 +17,6 @@ TOOL = se3.from_rp(se3.exp([0, 0, 0, 0.3, 0.2, -0.4])[:3, :3], [0.01, -0.02, 0.1
 
 
 def sliding() -> Robot:
-    """A SCARA-like arm: two revolute joints, one that slides, one that turns."""
     limits = {"q_min": [-2, -2, 0, -3], "q_max": [2, 2, 0.3, 3]}
     return robots.from_dh(
         "scara", [0, np.pi, 0, 0], [0.4, 0.3, 0, 0], [0.5, 0, 0, 0.05], prismatic=[0, 0, 1, 0], **limits
@@ -31,7 +30,6 @@ def arm(request: pytest.FixtureRequest) -> Robot:
 
 
 def drawn(ax: plt.Axes, gid: str) -> list[np.ndarray]:
-    """Return the points (N, 3) of the lines with a name."""
     return [np.stack(line.get_data_3d(), axis=-1) for line in ax.lines if line.get_gid() == gid]
 
 

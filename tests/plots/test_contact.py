@@ -130,13 +130,7 @@ def estimate_of_one_sigma() -> Table:
     hat = rng.normal(size=(N_COVERED, 6))
     seen = np.full((N_COVERED, 6), 0.95)
     seen[1000:2000, 4] = 0.3
-    values = {
-        "qd": qd,
-        "wrench_hat": hat,
-        "wrench_hat_cov": cov,
-        "wrench_true": np.zeros((N_COVERED, 6)),
-        "observability": seen,
-    }
+    values = {"qd": qd, "wrench_hat": hat, "wrench_hat_cov": cov, "wrench_true": 0.0 * hat, "observability": seen}
     return Table(t, values)
 
 

@@ -40,7 +40,6 @@ def with_gap(values: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def estimate(model: TorqueModel, truth: Any, excited: Table) -> Table:
-    """What the estimator makes of the first seconds, with rows missing, and the clock of a loop."""
     found = contact.Estimator(model, truth.robot).run(excited.rows(slice(0, N)))
     for name in ("wrench_hat", "wrench_hat_cov", "observability", "tau_error", "tau_variance"):
         found = found.with_column(name, with_gap(found[name]), unit=found.units[name])
@@ -51,7 +50,6 @@ def estimate(model: TorqueModel, truth: Any, excited: Table) -> Table:
 
 @pytest.fixture(scope="module")
 def drawing(fitted: Fit[TorqueModel], truth: Any, excited: Table, estimate: Table) -> dict[str, tuple[Any, ...]]:
-    """Arguments of each figure."""
     arm, law = robots.load("irb2400"), motion.fit_dmp(T, Q, n_basis=10).value
     q = np.linspace(arm.q_home, arm.q_home + 0.3, 10)
     believed = contact.hypotheses(estimate, truth.robot, window=0.2)
@@ -87,7 +85,6 @@ def drawing(fitted: Fit[TorqueModel], truth: Any, excited: Table, estimate: Tabl
 
 
 def panels_of(drawn: Any) -> list[Axes]:
-    """Return the panels, without the bars of colours."""
     axes = drawn.axes if isinstance(drawn, Figure) else [drawn]
     return [ax for ax in axes if ax.get_label() != "<colorbar>"]
 

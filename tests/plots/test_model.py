@@ -180,14 +180,10 @@ JOINT, CYCLES, SIZE = 2, 200.0, 0.15
 
 @pytest.fixture
 def mapped(model: TorqueModel) -> TorqueModel:
-    """A map that is +1 N m at one end of the range of joint 3, and 0 at the other."""
     low, high = model.training.q_min, model.training.q_max
     positions = np.linspace(low, high, 4).T
     speeds = np.linspace(0.2, 1.0, 3)[None] * model.training.qd_peak[:, None]
-    widths = (
-        np.repeat(np.diff(positions, axis=1)[:, :1], 4, axis=1),
-        np.repeat(np.diff(speeds, axis=1)[:, :1], 3, axis=1),
-    )
+    widths = [np.repeat(np.diff(x, axis=1)[:, :1], x.shape[1], axis=1) for x in (positions, speeds)]
     k = np.zeros((3, 2, 4, 3))
     k[JOINT, 0] = np.linspace(1, 0, 4)[:, None]
     return replace(model, friction_map=FrictionMap(RadialBasis(positions, widths[0], speeds, widths[1]), k))
@@ -265,10 +261,8 @@ def test_quantiles_are_near_the_line_and_ellipses_two_sigma_with_the_truth_a_cro
     assert np.asarray(cross.get_xdata()) == pytest.approx([fit.sd[0]])
     assert outline.get_label() == "T_tool_marker x and T_tool_marker y [m]"
     assert ellipses.xaxis.get_major_formatter()(2e-4) == "0.0002"
-    assert (ellipses.get_xlabel(), ellipses.get_ylabel()) == (
-        "error of the first parameter",
-        "error of the second parameter",
-    )
+    labels = ("error of the first parameter", "error of the second parameter")
+    assert (ellipses.get_xlabel(), ellipses.get_ylabel()) == labels
 
 
 def test_every_calibration_can_be_drawn() -> None:

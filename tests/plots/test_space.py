@@ -39,7 +39,6 @@ def test_the_scale_is_one_and_all_is_inside() -> None:
 
 @pytest.mark.parametrize("sides", [(1.0, 0, 0), (1.0, 1, 0)])
 def test_names_of_axes_stay_clear_of_their_numbers(sides: tuple[float, float, float]) -> None:
-    """Of a flat or a tall box too."""
     figure, ax = space()
     ax.plot(*np.stack([np.zeros(3), sides], axis=1))
     equal_scale(ax)
@@ -134,9 +133,8 @@ def test_named_frames_and_points() -> None:
     (cloud,) = ax.collections
     assert np.array_equal(np.stack(cloud._offsets3d, axis=-1), np.delete(points, 3, axis=0))
     assert np.array_equal(cloud.get_array(), np.delete(np.arange(20), 3))
-    (length,) = {
-        np.round(np.linalg.norm(np.diff(e, axis=0)), 12) for e in arrows(scene({"a": T_PATH[0], "b": T_PATH[-1]}), "b")
-    }
+    ends = arrows(scene({"a": T_PATH[0], "b": T_PATH[-1]}), "b")
+    (length,) = {np.round(np.linalg.norm(np.diff(e, axis=0)), 12) for e in ends}
     assert 0.05 < length < 0.5
     assert scene({"alone": np.eye(4)}).get_xlim()[1] > 0
 

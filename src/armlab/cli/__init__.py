@@ -63,7 +63,6 @@ _COMMANDS = {
     ),
 }
 
-
 _EXAMPLES = {  # examples of commands without subcommands
     "demo": "armlab demo --fast -o first",
     "sim": "armlab sim yumi_left --to 127.0.0.1:6510 --seconds 60",
@@ -205,7 +204,6 @@ def _interruptible() -> Iterator[list[int]]:
 
 _BREAK_IN_PARAGRAPH = re.compile(r"(?<=\S)[ \t]*\n(?![\s*-])")
 
-
 _A_ROBOT = re.compile(r"\blibrary\b|\brobot file|file of the arm", re.IGNORECASE)  # in the help of a robot parameter
 _OF_A_URDF = "For a URDF, --tip LINK, --base LINK and --lock JOINT=VALUE select the arm."
 
@@ -222,7 +220,6 @@ class WrappedHelp:
         _default().render_description(console, options, _wrapped(description))
 
     def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
-        """Print a panel of commands or parameters."""
         from attrs import evolve
 
         if panel.format == "parameter":

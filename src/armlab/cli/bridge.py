@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from armlab.bridge.servers.messages import Request
     from armlab.bridge.servers.status import Watch
 
-
 _WHOLE = re.compile(r"[-+]?[1-9][0-9]*(_[0-9]+)*")
 _PATIENCE = 10.0  # s, timeout for a reply
 
@@ -173,9 +172,8 @@ def write_certificates(folder: Path, hosts: Sequence[str] = ()) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         written = []
         if not (folder / "lab.key").exists():
-            written = [folder / "lab.key", folder / "lab.pem"]
-            extension = "basicConstraints=critical,CA:TRUE"
-            _certify(*written, "-subj", "/CN=armlab lab", "-addext", extension)
+            written = [key, certificate] = [folder / "lab.key", folder / "lab.pem"]
+            _certify(key, certificate, "-subj", "/CN=armlab lab", "-addext", "basicConstraints=critical,CA:TRUE")
         return written + _bridge(folder, names) + _users(folder)
     except OSError as error:
         raise ConfigError(f"Expected a folder to write certificates to, but {error}.") from None

@@ -12,12 +12,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any
 
 import armlab
-from armlab.cli.support.options import load_robot, mesh_option, sim_url
+from armlab.cli.support.options import OptionalOutput, load_robot, mesh_option, sim_url
 from armlab.cli.support.output import aligned, note, progress, result
 from armlab.cli.view import beside
 from armlab.errors import ConfigError, LinkError, LogError
@@ -30,7 +28,6 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.robots import Robot
     from armlab.state import Command, State
-
 
 APPROACH = 2.0  # s, motion to the start
 EXCITATION = 30.0  # s
@@ -140,7 +137,7 @@ def demo(
     view: bool = False,
     seed: int = 0,
     robot: str = "yumi_right",
-    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    output: OptionalOutput = None,
 ) -> int:
     """Run the whole workflow on a simulated YuMi, from excitation to the estimated force of a hand.
 
@@ -165,7 +162,7 @@ def demo(
         outcome = rehearse(robot, seed, folder, fast, view)
     except LinkError:  # the loop was late, or the arm was far behind its reference
         if not fast:
-            note("Real time requires an idle computer; armlab demo --fast runs the same demo without it.")
+            note("A demo in real time requires an idle computer; armlab demo --fast runs the same demo in lockstep.")
         raise
     verdict = judge(outcome["estimate"], outcome["plan"])
     (folder / "identify.txt").write_text(outcome["fit"].report() + "\n")
@@ -176,7 +173,8 @@ def demo(
         f"{shares.max():.1f} % of the torque's standard deviation (identify.txt)\n"
     )
     result(verdict.text())
-    result(f"\nloop latency {latency_line(outcome['run'])}")
+    report = outcome["run"].report().splitlines()
+    result(f"\nloop latency {next((line.strip() for line in report if 'p50' in line), report[0])}")
     note("drawing the figures")
     files = figures(folder, outcome, verdict)
     result(f"files in {folder}: {', '.join(path.name for path in files)}")
@@ -226,7 +224,6 @@ def _url(robot: str, fast: bool, seed: int, operator: Path | None = None) -> str
 
 
 def _estimating(plan: Plan, estimator: Estimator) -> Any:
-    """Return a controller that moves the arm, and estimates and records the wrench."""
     move = plan.test.controller(APPROACH)
 
     def step(state: State) -> Command:
@@ -272,7 +269,6 @@ class DemoVerdict:
 
     @property
     def missed(self) -> tuple[str, ...]:
-        """Descriptions of the missed targets."""
         missed = [
             f"{what} {AXES[i]} {values[i]:.2f} N"
             for what, values in (("force error", self.rms), ("false force", self.free_rms))
@@ -293,7 +289,7 @@ class DemoVerdict:
         return tuple(missed)
 
     def text(self) -> str:
-        rows = [("press", "true [N]", "estimated x", "y", "z", "2-sigma", "error")]
+        rows: list[tuple[str, ...]] = [("press", "true [N]", "estimated x", "y", "z", "2-sigma", "error")]
         for p in self.presses:
             forces = (f"{force:+.2f}" for force in (p["true"], *p["force"]))
             rows.append((p["name"], *forces, f"{p['band']:.2f}", f"{p['error']:+.2f}"))
@@ -360,10 +356,6 @@ def judge(table: Table, plan: Plan) -> DemoVerdict:
         bar=plan.scale * MAX_RMS,
         seen=plan.seen,
     )
-
-
-def latency_line(run: Any) -> str:
-    return next((line.strip() for line in run.report().splitlines() if "p50" in line), run.report().splitlines()[0])
 
 
 def figures(folder: Path, outcome: dict[str, Any], verdict: DemoVerdict) -> list[Path]:

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 
@@ -15,6 +15,7 @@ from armlab.cli import FAILED
 from armlab.cli.support.options import (
     Force,
     Json,
+    OptionalOutput,
     as_given,
     as_typed,
     joints_in,
@@ -63,7 +64,7 @@ class ExcitationOptions:
 def excite(
     robot: str,
     *,
-    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    output: OptionalOutput = None,
     motion: ExcitationOptions = ExcitationOptions(),
     joint: str | None = None,
     saved: Path | None = None,
@@ -183,7 +184,6 @@ def _design(
 
 
 def _data(expected: PredictedUncertainty) -> dict[str, Any]:
-    """Return the prediction as data for JSON."""
     rows = zip(expected.names, expected.units, expected.groups, expected.sd, strict=True)
     parameters = [dict(zip(("name", "unit", "group", "sd"), row, strict=True)) for row in rows]
     excitation = expected.excitation

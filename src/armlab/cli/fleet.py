@@ -14,7 +14,7 @@ from cyclopts import App, Parameter
 
 import armlab
 from armlab.cli import DOUBTFUL, FAILED
-from armlab.cli.support.options import Columns, ForceMethod, Json, Seconds, load_robot, require_seconds
+from armlab.cli.support.options import Columns, ForceMethod, Json, Output, Seconds, load_robot, require_seconds
 from armlab.cli.support.output import aligned, check_output, note, print_json, progress, result
 from armlab.cli.support.results import Results, parameters
 from armlab.errors import ArmlabError, ConfigError
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from armlab.bridge.servers.zenoh.session import LabAddress
     from armlab.robots import Robot
-
 
 RouterAddress = Annotated[str, Parameter(help="HOST:PORT of the router.")]
 Ca = Annotated[Path | None, Parameter(help="CA certificate of the router: lab.pem of armlab bridge certificates.")]
@@ -75,7 +74,7 @@ def router(
 @fleet.command(help_epilogue="Example: armlab fleet record --lab lab1 -o recordings")
 def record(
     *,
-    output: Annotated[Path, Parameter(alias="-o")],
+    output: Output,
     lab: str = "",
     router: RouterAddress = _ROUTER,
     ca: Ca = None,
@@ -198,9 +197,7 @@ class Job:
 
 
 @fleet.command(help_epilogue="Example: armlab fleet identify logs/ -o model.toml --workers 4")
-def identify(
-    *logs: Path, output: Annotated[Path, Parameter(alias="-o")], no_cache: bool = False, job: Job = Job()
-) -> int:
+def identify(*logs: Path, output: Output, no_cache: bool = False, job: Job = Job()) -> int:
     """Identify gravity, inertia and friction from many logs of one arm; save the model.
 
     The result is bit-identical for any number of workers. The sums over each log are cached, so that only additional
@@ -236,7 +233,7 @@ def identify(
 def estimate(
     *logs: Path,
     model: Path,
-    output: Annotated[Path, Parameter(alias="-o")],
+    output: Output,
     method: ForceMethod = "map",
     csv: bool = False,
     job: Job = Job(),
@@ -279,7 +276,7 @@ def estimate(
 def export(
     *logs: Path,
     format: Literal["csv", "mat", "parquet", "h5", "mcap", "rosbag2"],
-    output: Annotated[Path, Parameter(alias="-o")],
+    output: Output,
     job: Job = Job(),
 ) -> int:
     """Convert many logs to another format.

@@ -17,7 +17,7 @@ from cyclopts import App, Parameter
 
 import armlab
 from armlab.cli import FAILED
-from armlab.cli.support.options import Columns, Force, Json, load_robot, require_positive
+from armlab.cli.support.options import Columns, Force, Json, Output, load_robot, require_positive
 from armlab.cli.support.output import aligned, check_output, note, print_json, progress, refuse_overwrite, result
 from armlab.errors import ConfigError, LogError, MissingExtra
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.log.recording.metadata import Inspection
     from armlab.robots import Robot
-
 
 log: App = App(name="log", help="Show, export, cut, resample, merge, open and repair logs.")
 
@@ -119,7 +118,6 @@ def export(
     """
     from armlab.log.file_formats.delimited import sidecar_path
     from armlab.log.file_formats.mat import matlab_names
-    from armlab.log.reading import names_robots
     from armlab.log.writing import ENDINGS
 
     check_output(output, force, ENDINGS, [file])
@@ -128,26 +126,25 @@ def export(
         refuse_overwrite(sidecar_path(output), force)
     arm = _arm_for(ending, file, robot)
     with progress("export") as tell:
-        tell(0, 1, f"reading {file.name}")
-        table = armlab.log.read(
-            file,
-            columns,
-            robot=(robot if arm is None else arm) if names_robots(file) else None,
-            clock=clock,
-            progress=lambda done, total, _: tell(done, total, f"reading {file.name}"),
-        )
+        reading, writing = f"reading {file.name}", f"writing {output.name}"
+        tell(0, 1, reading)
+        name = robot if arm is None else arm
+        table = _table(file, columns, name, clock=clock, progress=lambda done, total, _: tell(done, total, reading))
         armlab.log.write(
-            table,
-            output,
-            arm,
-            storage=storage,
-            progress=lambda done, total, _: tell(done, total, f"writing {output.name}"),
+            table, output, arm, storage=storage, progress=lambda done, total, _: tell(done, total, writing)
         )
     if ending == ".mat":
-        changed = [f"{name} is {own}" for name, own in matlab_names(table.names).items() if own != name]
+        changed = [f"{name} to {own}" for name, own in matlab_names(table.names).items() if own != name]
         if changed:
-            note(f"Renamed for MATLAB: {', '.join(changed)}. The struct `names` in the file lists them.")
+            note(f"Columns renamed for MATLAB: {', '.join(changed)}. The struct `names` in the file lists them.")
     result(str(output))
+
+
+def _table(file: Path, columns: str | None, robot: str | Robot | None, **options: Any) -> Table:
+    """Return the table of a log; `robot` is ignored for a format that does not name robots."""
+    from armlab.log.reading import names_robots
+
+    return armlab.log.read(file, columns, robot=robot if names_robots(file) else None, **options)
 
 
 def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
@@ -190,7 +187,7 @@ def cut(
     to: float | None = None,
     robot: str | None = None,
     columns: Columns = None,
-    output: Annotated[Path, Parameter(alias="-o")],
+    output: Output,
     force: Force = False,
 ) -> None:
     """Copy a segment of a log: the rows with --from <= t < --to. The original is not modified.
@@ -207,7 +204,6 @@ def cut(
         output: The new file: .mcap for a recording, or an extension supported by armlab log export.
     """
     from armlab.log.file_formats.opening import format_at
-    from armlab.log.reading import names_robots
     from armlab.log.topics.reader import is_foreign
     from armlab.log.writing import ENDINGS
 
@@ -221,11 +217,11 @@ def cut(
             armlab.log.cut(file, output, start, stop, robot=robot, progress=tell)
         else:
             arm = _arm_for(output.suffix.lower(), file, robot)
-            table = armlab.log.read(file, columns, robot=robot if names_robots(file) else None)
+            table = _table(file, columns, robot)
             part = table.between(start, stop)
             if not len(part):
-                has = f"{table.t[0]:g} s to {table.t[-1]:g} s" if len(table) else "no rows at all"
-                raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {file}, got none. It has {has}.")
+                has = f"covers {table.t[0]:g} s to {table.t[-1]:g} s" if len(table) else "is empty"
+                raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {file}, got none. The log {has}.")
             armlab.log.write(part, output, arm, progress=tell)
     result(str(output))
 
@@ -238,7 +234,7 @@ def resample(
     max_gap: float | None = None,
     robot: str | None = None,
     columns: Columns = None,
-    output: Annotated[Path, Parameter(alias="-o")],
+    output: Output,
     force: Force = False,
 ) -> None:
     """Resample a log at a uniform rate.
@@ -254,7 +250,6 @@ def resample(
         robot: As in armlab log export.
         output: The new file, with an extension supported by armlab log export.
     """
-    from armlab.log.reading import names_robots
     from armlab.log.writing import ENDINGS
 
     require_positive("rate", rate, "Hz")
@@ -263,7 +258,7 @@ def resample(
     arm = _arm_for(output.suffix.lower(), file, robot)
     with progress("resample") as tell:
         tell(0, 1, f"reading {file.name}")
-        table = armlab.log.read(file, columns, robot=robot if names_robots(file) else None)
+        table = _table(file, columns, robot)
         even = table.resample(rate, max_gap=max_gap)
         armlab.log.write(even, output, arm, progress=tell)
     note(f"{len(table)} rows resampled to {len(even)}")
@@ -271,7 +266,7 @@ def resample(
 
 
 @log.command(help_epilogue="Example: armlab log merge first.mcap second.mcap -o both.mcap")
-def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: Force = False) -> None:
+def merge(*file: Path, output: Output, force: Force = False) -> None:
     """Merge several recordings into one. The originals are not modified.
 
     Recordings of one robot are joined according to their wall clocks; gaps between them remain. Recordings of both arms
@@ -315,7 +310,6 @@ _EVENTS_SHOWN = 20
 
 
 def _data(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> dict[str, Any]:
-    """Return the content of a log as data for JSON."""
     told = [_table_data(table) for table in tables.values()]
     several = "robots" if held and held.robots else "tables"
     rows = told[0] if list(tables) == [""] else {several: dict(zip(tables, told, strict=True))}
@@ -350,7 +344,6 @@ def parameters_data(held: Inspection) -> dict[str, Any]:
 
 
 def _table_data(table: Table) -> dict[str, Any]:
-    """Return the content of a table as data for JSON."""
     from armlab.log.table import component_names, statistics, timing
 
     holes = table.missing()

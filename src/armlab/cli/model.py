@@ -123,7 +123,6 @@ def _urdf(a: str, b: str, T: np.ndarray) -> str:
 
 
 def _camera(form: str, value: Any, named: dict[tuple[str, str], np.ndarray], names: dict[str, str], file: Path) -> str:
-    """Return the camera pose in the format of easy_handeye or MoveIt."""
     if not isinstance(value, armlab.models.HandEye):
         raise ConfigError(f"Expected a hand-eye calibration in {file} for --as {form}, got a {type(value).__name__}.")
     cam = names.get("cam", "cam")

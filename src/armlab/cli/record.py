@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 import armlab
 from armlab.cli import FAILED
-from armlab.cli.support.options import Force, known_ports, load_robot, ports_in, require_positive
+from armlab.cli.support.options import Force, Output, known_ports, load_robot, ports_in, require_positive
 from armlab.cli.support.output import Narrator, check_output, note, result
 from armlab.errors import ConfigError, NoRobot, SessionEnded
 
@@ -20,7 +18,7 @@ if TYPE_CHECKING:
 def record(
     *robot: str,
     port: str | None = None,
-    output: Annotated[Path, Parameter(alias="-o")],
+    output: Output,
     lead_through: bool = False,
     seconds: float | None = None,
     patience: float | None = None,
@@ -73,12 +71,12 @@ def record(
 
 
 _STEPS = """Lead-through, step by step:
-  1. Manual mode, motors off. RAPID from main: ArmlabStream.mod, which only streams.
-  2. Start it at the home posture. This program reports the first packet.
-  3. Stop RAPID and switch lead-through on: on the pendant, or by SetLeadThrough \\On. Whether packets continue
-     after the stop depends on the controller; if they end, switch lead-through on in RAPID before it streams.
-  4. Move the arm by hand. Ctrl-C here ends the log.
-  5. Motors off before RAPID starts again."""
+  1. Select manual mode with motors off, and move the program pointer to main of ArmlabStream.mod, which only streams.
+  2. Start RAPID with the arm in its home posture. This program reports the first packet.
+  3. Stop RAPID and switch lead-through on, on the pendant or by SetLeadThrough \\On. Some controllers stop sending
+     packets at this point; in this case, switch lead-through on in RAPID before streaming starts.
+  4. Move the arm by hand. Ctrl-C ends the recording.
+  5. Switch the motors off before you start RAPID again."""
 
 
 def _urls(port: str | None, arms: list[Robot]) -> list[str]:
@@ -102,5 +100,5 @@ def _told(files: list[Path]) -> int:
             result(f"{path}: {len(table)} packets, {table.t[-1] - table.t[0] if len(table) else 0.0:.2f} s")
         else:
             path.unlink()
-            note(f"No packets received for {path}: no file was kept. Try: armlab doctor")
+            note(f"No packets received for {path}, so the file was removed. Check the network: armlab doctor")
     return 0 if kept == len(files) else FAILED

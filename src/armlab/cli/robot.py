@@ -136,7 +136,6 @@ def export(
 
 
 def _calibrated(arm: Robot, path: Path) -> Robot:
-    """Return the arm with calibrated kinematics."""
     found = armlab.models.load(path)
     parts = [getattr(found, name) for name in ("arm_a", "arm_b") if hasattr(found, name)] or [found]
     for part in parts:

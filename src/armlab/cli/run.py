@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from armlab.motion import JointTrajectory
     from armlab.robots import Robot
 
-
 _NAME = "controller"
 
 
@@ -92,7 +91,8 @@ def run(
 
 
 CHECKS = """A real arm will move now: keep clear, keep a hand on the emergency stop, and start slowly (--speed 0.1).
-Follow this order: automatic mode, or manual mode with the enabling device; motors on; RAPID from main; this program."""
+Follow this order: select automatic mode (or manual mode with the enabling device), switch the motors on, start RAPID
+from main, start this program."""
 
 
 def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] | None]:
@@ -177,7 +177,7 @@ def _prompt(done: Run, link: Link) -> None:
     import numpy as np
 
     names = {"run": done, "log": done.table, "robot": link.robot, "np": np}
-    code.interact("Available: log (table), run (report), robot, np. Ctrl-D ends.", local=names, exitmsg="")
+    code.interact("Available: log (table), run (report), robot, np. Press Ctrl-D to exit.", local=names, exitmsg="")
 
 
 _REST = 1e-3  # rad/s or m/s, largest speed of the last row

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from armlab.sim.controller.statistics import ControllerEvent
     from armlab.sim.events import AppliedWrench, HandPath, Surroundings
 
-
 _AXES = {"6": "irb1200", "7": "yumi_right", "scara": "scara"}
 
 
@@ -466,5 +465,5 @@ class _SharedOptions:
         unusable["mismatch"] = self.mismatch != Mismatch(seed=self.mismatch.seed)
         if option := next((option for option, given in unusable.items() if given), None):
             raise ConfigError(f"Expected an arm with masses for --{option}, but {why}. Omit --{option}.")
-        note(f"note: {why}. It follows references and ignores torques and hands")
+        note(f"note: {why}. The arm follows references, and ignores torques and hands")
         return LaggingArm(robot, period)

@@ -166,5 +166,7 @@ def _first_line(process: subprocess.Popen[str], said: IO[str]) -> str:
     if not line:
         said.seek(0)
         why = said.read().strip().removeprefix("armlab: ")
-        raise LinkError(why or f"Expected the view to start within {_START:g} s, but it did not. Omit it.")
+        raise LinkError(
+            why or f"Expected the view to start within {_START:g} s, but it did not. Run the command without --view."
+        )
     return line

@@ -25,7 +25,6 @@ from armlab.robots.robot import arm_length
 if TYPE_CHECKING:
     from viser import ViserServer
 
-
 _MOST = 1000  # largest number of robots
 _INBOX = 20_000  # queued messages: ten seconds from fifty robots; the oldest are dropped first
 _SILENT = 2.0  # s of listening without a row after which a robot counts as silent
@@ -92,7 +91,6 @@ class SeenRobot:
         self._schema, self._run, self.wants = said.schema, said.run, False
 
     def status(self, data: bytes) -> None:
-        """Process the packet statistics of the bridge."""
         try:
             said = read_message(data)
         except LinkError:

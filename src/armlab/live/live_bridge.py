@@ -30,7 +30,6 @@ from armlab.state import State
 if TYPE_CHECKING:
     from viser import ViserServer
 
-
 _AGAIN = 0.5  # s between searches for a bridge
 _MOST = 5000  # messages processed at once: ten seconds of rows from two arms at the full rate
 _PATIENCE = 2.0  # s, timeout for a bridge over Zenoh
@@ -126,7 +125,6 @@ class Running:
             self._meet(message["robots"])
 
     def _meet(self, descriptions: Mapping[str, str]) -> None:
-        """Read the descriptions of the arms."""
         found = {name: from_toml(text, f"the bridge of {self._cell}") for name, text in descriptions.items()}
         if self._robot is not None and self._robot not in found:
             raise UnknownName.among("robot of this cell", self._robot, found)

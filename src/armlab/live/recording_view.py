@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from armlab.log.recording.metadata import Event, Inspection
     from armlab.models import TorqueModel
 
-
 _SILENT = 0.5  # s without packets before an arm counts as silent
 _RATE_SPAN, _TRIP_SPAN = 1.0, 10.0  # s, windows for the packet rate and the round-trip times
 _CLOCK = "joint_states"  # topic of every recorded arm
@@ -140,7 +139,6 @@ class Recorded:
         return np.cumsum((np.nan_to_num(self.table["clamped"]) != 0).any(axis=1))
 
     def _lost(self, k: int) -> list[str]:
-        """Return the numbers of lost and refused packets so far."""
         found = []
         if "missed" in self.table:
             found.append(f"{self._missed[k]:.0f} missed,")

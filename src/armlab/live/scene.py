@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
     from viser import ViserServer
 
-
 _THICK = (0.042, 0.020)  # radii of the first and last link relative to the arm length
 _DRUM = (1.25, 2.6)  # radius and length of a joint relative to the radius of its link
 _STROKE = 0.3  # default stroke of a prismatic joint without limits, relative to the arm length

@@ -14,7 +14,6 @@ from armlab.errors import ConfigError, LinkError, MissingExtra
 if TYPE_CHECKING:
     from viser import ViserServer
 
-
 HOST = "127.0.0.1"
 """The only listening address."""
 

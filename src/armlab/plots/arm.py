@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d import Axes3D
 
-
 _STICK = "#333333"
 _FAINT = 8  # largest number of configurations drawn in addition to the last configuration
 _CORNERS = 20  # corners of a joint's cylinder
@@ -226,7 +225,6 @@ def _panels(ax: Any) -> tuple[Figure, tuple[Axes, Axes, Any]]:
 _SIZE = 0.22  # largest half-axis in the figure, relative to the length of the arm
 _MOST = 8
 _UNITS = {"position": ("v", "m/s"), "rotation": ("w", "rad/s")}
-
 
 _draw = robot  # alias for functions with a parameter named robot
 

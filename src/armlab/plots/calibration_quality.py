@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 _SINGLE = ("distance", "pair distance", "point", "line")  # noise classes with one number per sample
 _EDGE = 0.03  # margin beside the first and last marker, relative to the width
 _MOST = 3  # largest number of ellipses

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from armlab.log import Table
 
-
 _POINTS = 3_000
 
 

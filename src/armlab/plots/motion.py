@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 TAUGHT: dict[str, Any] = {"color": "#BFBFBF", "linewidth": 3.5, "zorder": 1}
 """Style of demonstrations: wide lines below the motion."""
 _SAMPLES = 501

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 _DASHES: dict[str, tuple[Any, str]] = {"_ref": ((0, (6, 2.5)), "commanded"), "_sent": ((0, (2, 1.5)), "sent")}
 """Dash pattern and legend text by suffix of the column name."""
 _USUAL = ("q", "qd", "tau", "wrench_hat")

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d import Axes3D
 
-
 PROJECTION: dict[str, Any] = {"projection": "3d", "proj_type": "ortho", "elev": 20.0, "azim": -55.0}
 """Arguments for ``subplot_kw``: parallel projection with x to the right, y away from the viewer and z up."""
 AWAY, AHEAD = (-0.3, -0.3, 0.0), (0.0, 0.0, 1.45)

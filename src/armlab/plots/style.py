@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from armlab.log import Table
 
-
 JOINT_STYLES = tuple((color, style) for style in ("-", "-.") for color in COLORS)
 """Colour and line style of joints 1, 2, ... in all figures."""
 MODEL = VERMILION

@@ -16,7 +16,6 @@ PICTURES = 12  # until the page has drawn what it was sent
 
 
 def axes() -> np.ndarray:
-    """Right, down and forward of the camera, columns."""
     z = (LOOK_AT - POSITION) / np.linalg.norm(LOOK_AT - POSITION)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
@@ -24,14 +23,12 @@ def axes() -> np.ndarray:
 
 
 def projected(points: np.ndarray) -> np.ndarray:
-    """Return columns and rows (..., 2) of points (..., 3): a pinhole camera."""
     x, y, z = np.moveaxis((points - POSITION) @ axes(), -1, 0)
     focal = HEIGHT / 2.0 / np.tan(FOV / 2.0)
     return np.stack([WIDTH / 2.0 + focal * x / z, HEIGHT / 2.0 + focal * y / z], axis=-1)
 
 
 def taken(server: Any, path: Path) -> np.ndarray:
-    """Return what the page of a server draws (HEIGHT, WIDTH, 4), and keep it."""
     import imageio.v3 as iio
 
     client = next(iter(server.get_clients().values()))

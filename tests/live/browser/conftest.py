@@ -42,7 +42,6 @@ class Page:
         self.call("Target.setAutoAttach", autoAttach=True, waitForDebuggerOnStart=False, flatten=True)
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Return the answer of the browser."""
         number, until = self._ask(method, None, **parameters), time.monotonic() + PATIENCE
         while time.monotonic() < until:
             message = json.loads(self._socket.recv(timeout=PATIENCE))
@@ -53,7 +52,6 @@ class Page:
         raise TimeoutError(method)
 
     def _ask(self, method: str, session: str | None, **parameters: Any) -> int:
-        """Return the number under which the answer comes."""
         self._number += 1
         request = {"id": self._number, "method": method, "params": parameters}
         self._socket.send(json.dumps(request | ({} if session is None else {"sessionId": session})))
@@ -73,27 +71,22 @@ class Page:
             self.errors.append(about["entry"]["text"])
 
     def close(self) -> None:
-        """Close the page and the connection to it."""
         self.call("Page.close")
         self._socket.close()
 
     def outside(self) -> list[str]:
-        """Return what it asked of another computer."""
         here = ("http://127.0.0.1:", "ws://127.0.0.1:", "data:", "blob:")
         return [url for url in self.requests if not url.startswith(here)]
 
     def value(self, script: str) -> Any:
-        """Return the value of a JavaScript expression."""
         found = self.call("Runtime.evaluate", expression=script, returnByValue=True)
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
     def text(self) -> str:
-        """Return all words on the page."""
         return self.value("document.body.innerText")
 
     def wait(self, script: str) -> None:
-        """Wait until a JavaScript expression is true."""
         until = time.monotonic() + PATIENCE
         while not self.value(script):
             assert time.monotonic() < until, f"never true: {script}\n{self.text()}"
@@ -116,13 +109,11 @@ class Page:
             self.call("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
 
     def picture(self, path: Path) -> None:
-        """Keep a picture of the page."""
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
 
 @pytest.fixture(scope="session")
 def _chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of the DevTools of a browser without a window."""
     program = shutil.which("chromium") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("no Chromium on this computer: apt-get install chromium")
@@ -144,7 +135,6 @@ def _chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.fixture(scope="session")
 def browse(_chromium: str) -> Callable[[str], Page]:
-    """Open an address in a page of its own, which the test closes."""
     from websockets.sync.client import connect
 
     def open_(address: str) -> Page:

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = []
 
-
 calibrate: App = App(
     name="calibrate", help="Calibrate a camera, a force sensor, an arm or a line scanner from samples."
 )

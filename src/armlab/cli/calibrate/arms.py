@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from armlab.models import DualArmCorrection
     from armlab.robots import Robot
 
-
 Harmonics = Annotated[
     list[int] | None,
     Parameter(consume_multiple=True, help="Orders of the periodic joint errors, such as 1 2."),
@@ -204,5 +203,5 @@ def _noises(values: list[float] | None, names: list[str]) -> dict[str, Any]:
         wanted = ", ".join(f"{name}: {'m and rad' if n == 2 else 'm'}" for name, n in zip(names, counts, strict=True))
         raise ConfigError(f"Expected {sum(counts)} numbers for --noise ({wanted}), got {len(values)}.")
     rest = iter(values)
-    found = ((name, tuple(islice(rest, n))) for name, n in zip(names, counts, strict=True))
-    return {name: sizes if len(sizes) > 1 else sizes[0] for name, sizes in found}
+    found = ((name, list(islice(rest, n))) for name, n in zip(names, counts, strict=True))
+    return {name: tuple(sizes) if len(sizes) > 1 else sizes[0] for name, sizes in found}

@@ -127,7 +127,6 @@ def _check_options(
     samples: Sequence[Path], images: Any, board: Any, intrinsics: Any, join: Any, max_gap: Any, robot_topic: Any,
     camera_topic: Any, noise: Any,
 ) -> None:  # fmt: skip
-    """Reject inconsistent options."""
     if (images is None) != (board is None):
         raise ConfigError("Expected --images FOLDER and --board BOARD together, got only one of them. Give both.")
     if images is None and intrinsics is not None:
@@ -150,7 +149,6 @@ def _from_images(
     samples: Sequence[Path], folder: Path, board: str, intrinsics: Path | None, robot: str | None,
     told: Mapping[str, Any], wanted: Wanted,
 ) -> int:  # fmt: skip
-    """Calibrate from a file with image names and robot poses."""
     import numpy as np
 
     wanted.check(wanted.output, (".toml",))
@@ -227,7 +225,8 @@ def joined(read: Sequence[Samples], robot: str | None, join: Join, gap: float | 
     if len(camera) != 1 or len(arm) != 1:
         raise LogError(
             f"Expected T_cam_marker or p_cam in one of {', '.join(one.path.name for one in read)} and T_base_tool or q "
-            f"in the other, got it in {len(camera)}. Rename the columns, or give their names: --columns."
+            f"in the other, got the camera's columns in {len(camera)}. Rename the columns, or give their names with "
+            "--columns."
         )
     for one in read:
         if "t" not in one.values:
@@ -246,7 +245,8 @@ def at_times(T: np.ndarray, t: np.ndarray, times: np.ndarray, join: Join, gap: f
     whole = np.isfinite(T).all(axis=(1, 2))
     T, t = T[whole], t[whole]
     if not len(t) or (len(t) > 1 and not np.all(np.diff(t) > 0)):
-        raise LogError(f"Expected poses of {what} at increasing times, got {len(t)}.")
+        got = "times that do not increase" if len(t) else "none"
+        raise LogError(f"Expected poses of {what} at increasing times, got {got}.")
     if len(t) == 1:  # constant
         return np.broadcast_to(T[0], (len(times), 4, 4)).copy()
     if times[-1] < t[0] or times[0] > t[-1]:

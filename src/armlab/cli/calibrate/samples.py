@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import count, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -55,7 +56,6 @@ class Samples:
         return self.numbers("t") + self.start
 
     def numbers(self, name: str) -> np.ndarray:
-        """Return a column (N,) by name."""
         array = self._found(name)
         array = array.reshape(-1) if max(array.shape, default=0) == array.size else array
         if array.ndim != 1:
@@ -63,14 +63,12 @@ class Samples:
         return array
 
     def vectors(self, name: str, sizes: Sequence[int] = ()) -> np.ndarray:
-        """Return vectors (N, k) by name."""
         import numpy as np
 
         if name not in self.values and f"{name}_x" in self.values:
             array = np.stack([self.numbers(f"{name}_{axis}") for axis in "xyz"], axis=1)
         elif name not in self.values and f"{name}1" in self.values:
-            count = next(k for k in range(1, len(self.values) + 2) if f"{name}{k}" not in self.values)
-            array = np.stack([self._found(f"{name}{k}") for k in range(1, count)], axis=1)
+            array = np.stack([self._found(column) for column in self._numbered(f"{name}%d")], axis=1)
         else:
             array = self._found(name)
         if array.ndim == 2 and sizes and array.shape[1] not in sizes and array.shape[0] in sizes:
@@ -85,9 +83,8 @@ class Samples:
         import numpy as np
 
         if f"{name}1_x" in self.values:
-            count = next(k for k in range(1, len(self.values) + 2) if f"{name}{k}_x" not in self.values)
-            places = [[f"{name}{k}_{axis}" for axis in "xyz"] for k in range(1, count)]
-            return np.stack([[self._found(place) for place in point] for point in places]).transpose(2, 0, 1)
+            points = [column.removesuffix("x") for column in self._numbered(f"{name}%d_x")]
+            return np.stack([[self._found(point + axis) for axis in "xyz"] for point in points]).transpose(2, 0, 1)
         array = self._found(name) if name in self.values else self.vectors(name, (3,))
         if array.ndim == 2 and array.shape[1] % 3 == 0:
             return array.reshape(len(array), -1, 3)
@@ -98,7 +95,6 @@ class Samples:
         return array
 
     def poses(self, name: str) -> np.ndarray:
-        """Return poses (N, 4, 4) by name."""
         import numpy as np
 
         if name not in self.values and f"{name}_x" in self.values:
@@ -118,6 +114,10 @@ class Samples:
             f"Expected homogeneous transformations {name} of shape (N, 4, 4) or (4, 4, N) in {self.path}, got shape "
             f"{array.shape} or a last row other than 0 0 0 1."
         )
+
+    def _numbered(self, pattern: str) -> list[str]:
+        """Return the consecutive columns of a pattern with a number from 1."""
+        return list(takewhile(self.values.__contains__, (pattern % k for k in count(1))))
 
     def _found(self, name: str) -> np.ndarray:
         if name not in self.values:
@@ -314,7 +314,9 @@ def fit_samples(
         widths = {array.shape[1:] for array in part}
         if len(widths) > 1:
             shapes = ", ".join(f"{array.shape} in {one.path.name}" for one, array in zip(read, part, strict=True))
-            raise LogError(f"Expected files with the same measurements, got arrays of {shapes}. Calibrate each alone.")
+            raise LogError(
+                f"Expected files with the same measurements, got arrays of {shapes}. Calibrate each file separately."
+            )
     joined = [np.concatenate(part) for part in zip(*arrays, strict=True)]
     found = fit(*joined)
     return wanted.save(job, found, (*(one.source for one in read), *sources), corrected(found))
@@ -441,7 +443,6 @@ NOTHING = Wanted()
 
 
 def numbers(fit: Fit[Any]) -> dict[str, Any]:
-    """Return the fit as data for JSON."""
     found = fit.excitation
     return {
         "parameters": parameters(fit),

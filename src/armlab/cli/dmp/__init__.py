@@ -9,7 +9,7 @@ from cyclopts import App, Parameter
 
 import armlab
 from armlab.cli import FAILED
-from armlab.cli.support.options import Columns, Force, Json, links_to, load_robot
+from armlab.cli.support.options import Columns, Force, Json, OptionalOutput, Output, links_to, load_robot
 from armlab.cli.support.output import check_output, note, print_json, progress, result
 from armlab.errors import ConfigError
 
@@ -20,14 +20,13 @@ if TYPE_CHECKING:
 
 __all__ = []
 
-
 dmp: App = App(name="dmp", help="Fit movement primitives to logs, and play them on a robot.")
 
 
 @dmp.command(help_epilogue="Example: armlab dmp fit taught.mcap -o motion.toml")
 def fit(
     *logs: Path,
-    output: Annotated[Path, Parameter(alias="-o")],
+    output: Output,
     kind: str = "joints",
     column: list[str] | None = None,
     columns: Columns = None,
@@ -71,7 +70,7 @@ def fit(
     given = {"basis": basis, "schedule": schedule, "scaling": scaling, "convention": convention}
     options = check_options(kind, given | {"frame": frame, "robot": robot, "period": period})
     if not logs:
-        raise ConfigError("Expected the log of a motion, got no file. Pass at least one.")
+        raise ConfigError("Expected the log of a motion, got no file. Pass at least one log.")
     check_output(output, force, [".toml"])
     window = MotionWindow(start, end, whole)
     demos = [read_demonstration(path, kind, column or (), robot, window, columns, force) for path in logs]
@@ -90,7 +89,7 @@ def play(
     *,
     robot: str | None = None,
     link: str | None = None,
-    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    output: OptionalOutput = None,
     duration: float | None = None,
     start: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     goal: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
     from armlab.state import Command, State
 
-
 OPTIONS: dict[str, tuple[str, ...]] = {
     "dmp": ("duration", "start", "goal", "via"),
     "two_dof_dmp": ("duration", "start", "goal", "via"),

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from armlab.estimation import Fit
     from armlab.log import Table
 
-
 KINDS: dict[str, tuple[str, ...]] = {
     "joints": ("basis", "schedule", "scaling", "convention", "robot"),
     "pose": ("basis", "schedule", "scaling", "convention", "frame", "robot"),
@@ -51,7 +50,6 @@ class MotionWindow:
     whole: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse times that are not finite."""
         for name in ("start", "end"):
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
@@ -89,7 +87,7 @@ def read_demonstration(
     arm, foreign = None if robot is None else load_robot(robot), is_foreign(path)
     if foreign and arm is None and kind != "pose" and "q" in (columns or ("q",)):
         raise ConfigError(
-            f"Expected --robot NAME with {path}, got no robot. It determines the joint order of this foreign log."
+            f"Expected --robot NAME with {path}, got no robot. It defines the order of the joints in this foreign log."
         )
     if arm is not None and not foreign:
         check_log(path, arm, force)
@@ -129,7 +127,6 @@ def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]
 
 
 def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:
-    """Return the result as data for JSON."""
     value = found.value
     told = {"kind": kind, "demonstrations": demos, "samples": found.n}
     told["rms"] = np.sqrt((found.residuals**2).mean(axis=0))
@@ -145,7 +142,6 @@ def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:
 
 
 def text_of(kind: str, found: Fit[Any], demos: int) -> str:
-    """Return the result as text."""
     told, value = numbers_of(kind, found, demos), found.value
     shown = "1 demonstration" if demos == 1 else f"{demos} demonstrations"
     length = f"periods of {value.period:.2f} s" if kind == "periodic" else f"{value.duration:.2f} s"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 from cyclopts import Parameter
 
 import armlab
-from armlab.cli.support.options import Columns, ForceMethod, as_given, load_robot
+from armlab.cli.support.options import Columns, ForceMethod, OptionalOutput, as_given, load_robot
 from armlab.cli.support.output import aligned, note, print_json, progress, result
 from armlab.cli.support.results import PLAIN, Results
 from armlab.errors import LogError
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 __all__ = []
-
 
 LEAST = 1.0  # s, shortest log in which contacts are located
 
@@ -43,7 +42,6 @@ class ContactPrior:
 
     @property
     def deviations(self) -> list[float]:
-        """Standard deviations (6,) [N, N m]."""
         return [self.prior_force] * 3 + [self.prior_moment] * 3
 
 
@@ -57,7 +55,7 @@ def estimate(
     bias: bool = False,
     tare: float | None = None,
     columns: Columns = None,
-    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    output: OptionalOutput = None,
     prior: ContactPrior = ContactPrior(),
     wanted: Results = PLAIN,
 ) -> int:

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.models import TorqueModel
 
-
 COLUMNS = ("wrench_hat", "wrench_hat_cov", "observability", "wrench_flags", "wrench_active", "wrench_interval")
 MOTION = ("q", "qd", "tau")  # needed by armlab view to show the arm of an estimate
 AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
@@ -63,7 +62,6 @@ def limits(table: Table, contact: Contact) -> list[tuple[float, float]]:
 
 
 def rows(table: Table) -> list[tuple[str, ...]]:
-    """Return the rows of the table of axes, header first."""
     words = {"min": "min", "max": "max", "rms": "rms", "two_sigma": "2-sigma", "observability": "observability"}
     if "wrench_interval" in table:
         words |= {"limit_low": "limit from", "limit_high": "limit to", "proven": "share beyond zero"}
@@ -86,7 +84,6 @@ def columns(table: Table, believed: Hypotheses | None) -> Table:
 
 
 def places(contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[Contact, str]]:
-    """Return each contact with a description of its location."""
     return [(c, "" if believed is None else believed.during(c.start, c.end)) for c in contacts]
 
 
@@ -223,7 +220,6 @@ def _truth(found: Verdict, table: Table) -> None:
 def page(
     table: Table, verdict: Verdict, contacts: Sequence[Contact], believed: Hypotheses | None, about: str, tell: Tell
 ) -> HtmlReport:
-    """Return the HTML page of the report."""
     page = HtmlReport("Contact wrench", about)
     page.verdict(verdict)
     words = (

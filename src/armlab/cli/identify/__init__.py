@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Literal
 
 import armlab
-from armlab.cli.support.options import Columns, load_robot
+from armlab.cli.support.options import Columns, Output, load_robot
 from armlab.cli.support.output import progress
 from armlab.cli.support.results import PLAIN, Results
 from armlab.errors import ConfigError, NotExcited, ShapeError
@@ -26,7 +24,7 @@ __all__ = []
 def identify(
     robot: str,
     *logs: Path,
-    output: Annotated[Path, Parameter(alias="-o")],
+    output: Output,
     method: Literal["irls", "wls", "ols", "lts"] = "irls",
     gravity_only: bool = False,
     drives: bool = False,

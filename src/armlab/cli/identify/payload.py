@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any, Literal
 
 import armlab
 from armlab.cli.support.html_report import HtmlReport, Verdict
-from armlab.cli.support.options import Columns, load_robot
+from armlab.cli.support.options import Columns, OptionalOutput, load_robot
 from armlab.cli.support.output import progress
 from armlab.cli.support.results import PLAIN, Results, parameters
 
@@ -20,7 +18,6 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.models import Payload, TorqueModel
     from armlab.robots import Robot
-
 
 LARGEST = 0.1  # largest relative standard deviation of the mass
 LEAST = 3.0  # smallest mass, in standard deviations
@@ -35,7 +32,7 @@ def payload(
     mode: Literal["static", "dynamic"] = "static",
     gain: float = 0.05,
     columns: Columns = None,
-    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    output: OptionalOutput = None,
     wanted: Results = PLAIN,
 ) -> int:
     """Identify a payload at the flange from motor torques: mass, centre of mass and, with --mode dynamic, inertia.

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from armlab.models import TorqueModel
     from armlab.robots import Robot
 
-
 FINE, POOR = 0.10, 0.25  # residual relative to the torque standard deviation
 HONEST = (0.92, 0.985)  # share of values inside 2 sigma
 WORSE = 1.5  # held-out residual relative to the training residual
@@ -26,6 +25,10 @@ STRETCHED = 3.0  # covariance scale alpha
 SLOW, SLOW_SHARE = 0.1, 0.15  # fraction of the speed limit, and required share of samples below it
 NARROW = 0.25  # fraction of a joint's range
 MOVING = 0.01  # fraction of the peak speed
+_FRICTION = {  # names of the identified parameters by field of `models.friction.Friction`
+    "viscous": ("viscous",), "coulomb_pos": ("coulomb+", "coulomb"), "coulomb_neg": ("coulomb-", "coulomb"),
+    "offset": ("offset",), "stribeck": ("stribeck",), "root": ("root",), "load": ("load",),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +108,6 @@ def _judge_fit(found: Verdict, fit: Fit[TorqueModel], trial: ModelTrial) -> None
 
 
 def _kept(model: TorqueModel) -> list[str]:
-    """Return the names of the additional drive terms."""
     kept = []
     if model.lines is not None:
         kept.append(f"ripple of {_joints(np.isin(np.arange(model.n), model.lines.joint))}")
@@ -197,13 +199,7 @@ def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
         "share_held_out": quality.rms_cv / quality.torque_sd,
         "share_test": trial.share if trial.unseen else np.full(model.n, np.nan),
         "coverage": quality.coverage,
-        "viscous": friction.viscous,
-        "coulomb_pos": friction.coulomb_pos,
-        "coulomb_neg": friction.coulomb_neg,
-        "offset": friction.offset,
-        "stribeck": friction.stribeck,
-        "root": friction.root,
-        "load": friction.load,
+        **{name: getattr(friction, name) for name in _FRICTION},
         "contact_doubt": model.contact_doubt,
         "delta": friction.delta,
         "sigma_rest": np.sqrt(covariance.alpha2 * covariance.C0),
@@ -225,7 +221,6 @@ def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
 
 
 def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table, about: str, tell: Tell) -> HtmlReport:
-    """Return the HTML page of the report."""
     from armlab.identify.validation import parameter_rows
 
     page = HtmlReport(f"Torque model of {fit.value.robot_name}", about)
@@ -263,28 +258,15 @@ def _residual_rows(fit: Fit[TorqueModel], trial: ModelTrial) -> list[list[str]]:
 def _friction_rows(fit: Fit[TorqueModel], trial: ModelTrial) -> list[list[str]]:
     from armlab.plots.drives import own_parameters
 
-    columns = {
-        "viscous": ("viscous",),
-        "coulomb_pos": ("coulomb+", "coulomb"),
-        "coulomb_neg": ("coulomb-", "coulomb"),
-        "offset": ("offset",),
-        "stribeck": ("stribeck",),
-        "root": ("root",),
-        "load": ("load",),
-    }
     rows = [["joint", "viscous [N m s/rad]", "Coulomb + [N m]", "Coulomb - [N m]", "offset [N m]", "Stribeck [N m]"]]
     rows[0] += ["root [N m sqrt(s/rad)]", "load", "ripple [N m]", "presliding [rad]"]
     for own, joint in zip(own_parameters(fit), numbers(fit, trial)["joints"], strict=True):
         row = [str(joint["joint"])]
-        row += [f"{joint[name]:.3f}{_deviation(fit, own, kinds)}" for name, kinds in columns.items()]
+        for name, kinds in _FRICTION.items():
+            place = next((own[kind] for kind in kinds if kind in own), None)
+            row.append(f"{joint[name]:.3f}{'' if place is None else f' ± {fit.sd[place]:.3f}'}")
         rows.append([*row, f"{joint['ripple']:.3f}" if joint["ripple"] else "-", f"{joint['delta']:.1e}"])
     return rows
-
-
-def _deviation(fit: Fit[TorqueModel], own: dict[str, int], kinds: tuple[str, ...]) -> str:
-    """Return the standard deviation of a friction parameter as text; empty if it was not identified."""
-    place = next((own[kind] for kind in kinds if kind in own), None)
-    return "" if place is None else f" ± {fit.sd[place]:.3f}"
 
 
 def _drawings(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Drawing]:

@@ -8,7 +8,6 @@ from armlab.cli.plot import figures
 
 __all__ = []
 
-
 plot: App = App(
     name="plot",
     help="Plot logs, models, robots and movement primitives. The commands have the names of the functions in "

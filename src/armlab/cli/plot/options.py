@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import armlab
-from armlab.cli.support.options import Columns, joints_in, load_robot
+from armlab.cli.support.options import Columns, OptionalOutput, joints_in, load_robot
 from armlab.cli.support.output import FIGURES, check_output, result, save_figure
 from armlab.errors import LogError
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.models import TorqueModel
     from armlab.robots import Robot
-
 
 POSES = ("T_base_tool", "T_frame_tool")
 
@@ -45,7 +44,7 @@ class FigureFile:
         force: Replace an existing file, and draw a recording of another robot.
     """
 
-    output: Annotated[Path | None, Parameter(alias="-o")] = None
+    output: OptionalOutput = None
     show: bool = False
     force: bool = False
 
@@ -169,7 +168,6 @@ def torque_model(path: Path) -> TorqueModel:
 
 
 def chosen_of(model: Path, joints: str | None) -> tuple[TorqueModel, list[int] | None]:
-    """Return the torque model in a file and the joints to draw."""
     known = torque_model(model)
     return known, None if joints is None else joints_in(joints, known.n)
 

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from armlab.models import TorqueModel
     from armlab.robots import Robot
 
-
 BAND = 5.0  # Hz, band for comparing velocity with the derivative of position
 SHORTEST = 100  # rows
 LARGE = 50_000_000  # bytes; reading more takes seconds
@@ -63,7 +62,8 @@ def _whole_rows(table: Table, names: list[str], path: Path) -> Table:
     if not some.any() or np.count_nonzero(lost) > FEW * len(table):
         return table
     rows = ", ".join(str(row) for row in np.flatnonzero(some)[:5])
-    note(f"{np.count_nonzero(some)} of {len(table)} rows of {path.name} lack a number and are skipped: row {rows}")
+    said = f"{np.count_nonzero(some)} of {len(table)} rows of {path.name}"
+    note(f"{said} have missing values and are skipped; first rows: {rows}")
     return table.rows(np.logical_not(lost))
 
 

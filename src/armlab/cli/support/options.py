@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 from urllib.parse import quote, urlencode
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, Parameter(help="Print JSON for scripts.")]
 Force = Annotated[bool, Parameter(help="Replace existing files.")]
+Output = Annotated[Path, Parameter(alias="-o")]
+OptionalOutput = Annotated[Path | None, Parameter(alias="-o")]
 Seconds = Annotated[float | None, Parameter(help="Stop after this time [s].")]
 Columns = Annotated[
     str | None,
@@ -125,7 +128,7 @@ def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
     for arm, address in zip(arms, addresses(urls, len(arms)), strict=True):
         if link is not None and address.scheme == "sim" and simulated(address.robot) != arm:
             raise ConfigError(
-                f"Expected a link to {robot}, got {link}, another arm. Pass that arm as ROBOT, or use the link {same}."
+                f"Expected a link to {robot}, got {link}, a different arm. Pass it as ROBOT, or use the link {same}."
             )
     return urls
 

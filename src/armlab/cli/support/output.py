@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from armlab.log import Tick
     from armlab.state import Command, State
 
-
 FIGURES = (".png", ".svg", ".pdf")
 
 
