@@ -45,9 +45,7 @@ class Bench:
 
     def state(self) -> State:
         made = [
-            State(
-                0.0, 0.004, np.array(robot.q_home), np.zeros(robot.n), np.zeros(robot.n), q_sent=self.q_sent[robot.name]
-            )
+            State(0.0, 0.004, np.array(robot.q_home), *np.zeros((2, robot.n)), q_sent=self.q_sent[robot.name])
             for robot in self.arms
         ]
         return made[0] if len(made) == 1 else State(0.0, 0.004, *np.zeros((3, 14)), arms=tuple(made))
@@ -92,30 +90,23 @@ def test_others_are_answered_once_a_second() -> None:
     assert sum("refused" in text for text in bench.events) == 3
 
 
-def test_what_a_server_refused_is_told_and_not_answered() -> None:
-    bench = Bench()
+def test_each_tick_polls_first_and_what_a_server_refused_is_told_and_not_answered() -> None:
+    orders = [order()]
+    bench = Bench(poll=lambda: bench.arbiter.submit(orders.pop()))
+    assert bench() is not None
     bench.arbiter.report("ros b", "Expected a message, got noise.")
     assert (bench.warnings, bench.answers) == (["ros b: Expected a message, got noise."], [])
     assert bench.arbiter.refused == {"ros b": 1}
 
 
-def test_each_tick_polls_first() -> None:
-    orders = [order()]
-    bench = Bench(poll=lambda: bench.arbiter.submit(orders.pop()))
-    assert bench() is not None
-
-
-def test_the_lease_lasts_to_its_last_nanosecond() -> None:
+def test_the_lease_lasts_to_its_last_nanosecond_from_when_the_command_came() -> None:
+    """Not from when it was judged: it may have waited for the arm to become ready."""
     bench = Bench()
     bench(order())
     assert bench(after=LEASE) is not None
     assert bench(after=1e-9) is None
     bench.arbiter.submit(order("labcomm b"))
     assert bench(after=LEASE) is not None
-
-
-def test_the_lease_counts_from_when_the_command_came() -> None:
-    """Not from when it was judged: it may have waited for the arm to become ready."""
     bench = Bench()
     bench.arbiter.submit(order())
     assert bench(after=LEASE - 0.004) is not None
@@ -220,9 +211,6 @@ def test_release_and_leave() -> None:
     bench.arbiter.release("local 1")
     assert bench.arbiter.commander("yumi_left") == ""
     assert bench() == (None, None)
-
-
-def test_who_leaves_is_forgotten() -> None:
     bench = Bench()
     bench.arbiter.submit(order())
     bench.arbiter.leave("labcomm a")
@@ -252,9 +240,6 @@ def test_a_flood_of_clients_is_bounded() -> None:
     bench(*[order(f"ros {k}") for k in range(5000)])
     assert len(bench.arbiter.refused) <= 256
     assert len(bench.arbiter._answered) <= 256
-
-
-def test_as_many_clients_wait_as_are_counted_and_of_each_the_newest_counts() -> None:
     bench = Bench()
     for k in range(300):
         bench.arbiter.submit(order(f"labcomm {k}"))
@@ -339,14 +324,11 @@ def test_a_commander_may_lead_the_arm_further_than_it_may_enter() -> None:
     assert bench.events == ["labcomm a commands yumi_left."]
 
 
-def test_a_first_command_far_from_what_was_sent_is_for_the_state_machine_to_refuse() -> None:
-    """Which says why; an arm that was pushed away from where it holds would else not move, and no one know why."""
+def test_before_anything_was_sent_the_measured_joints_count() -> None:
+    """A first command far from the position sent is for the state machine to refuse, which says why."""
     bench = Bench()
     bench.q_sent["yumi_left"] = HOME + 0.2
     assert bench(order()) is not None
-
-
-def test_before_anything_was_sent_the_measured_joints_count() -> None:
     bench = Bench()
     for offset, taken in ((0.01, 0.01), (0.02, 0.02), (0.2, 0.02)):
         bench.q_sent["yumi_left"] = np.full(7, np.nan)
@@ -371,7 +353,9 @@ def test_distances_are_those_of_the_axes_where_these_are_not_the_joints() -> Non
     bench(away(0.0, 0.0))
     assert bench(away(0.095, 0.095)).q[1] == linked.q_home[1]
     axis = linked.q_home[1] + linked.q_home[2]
-    assert f"last position sent, {axis:.4f}, for joint 3 (axis_3) of irb2400, got {axis + 0.19:.4f}" in bench.answers[1][1]
+    assert (
+        f"last position sent, {axis:.4f}, for joint 3 (axis_3) of irb2400, got {axis + 0.19:.4f}" in bench.answers[1][1]
+    )
     assert "ABB's axes" in bench.answers[1][1]
     bench.q_sent[linked.name] = at(0.06, 0.06)  # held elsewhere meanwhile
     assert bench() is None
@@ -394,8 +378,6 @@ def test_the_ends_of_what_is_allowed_are_within() -> None:
 
 def test_a_joint_is_called_as_its_client_knows_it() -> None:
     """ABB calls the third joint of a YuMi the seventh; in ROS they count from the base."""
-    yumi = robots.load("yumi_right")
-    assert joint_name(yumi, 2, None) == f"joint 3 ({yumi.joint_names[2]})"
-    assert joint_name(yumi, 2, 7) == "yumi_robr_joint_3 (number 10 of the message)"
-    assert joint_name(yumi, 2, by_axis=True) == "axis_7 (number 7 of the vector)"
-    assert joint_name(yumi, 3, by_axis=True) == "axis_3 (number 3 of the vector)"
+    assert joint_name(RIGHT, 2) == f"joint 3 ({RIGHT.joint_names[2]})"
+    assert joint_name(RIGHT, 2, by_axis=True) == "axis_7 (number 7 of the vector)"
+    assert joint_name(RIGHT, 3, by_axis=True) == "axis_3 (number 3 of the vector)"

@@ -113,10 +113,8 @@ def test_an_arm_that_does_not_follow_stops_the_run(robot: Robot) -> None:
         for k in range(cycles):
             bench(Command(qd=np.full(7, 0.2)), q=stuck + 1e-4 * (k % 2))
         assert bench.machine.mode is (Mode.ENDED if stops else Mode.RUNNING)
-        assert (
-            "a following error of 0.1" in str(bench.machine.failure)
-            and "MaxSpeedDeviation" in str(bench.machine.failure)
-        ) == stops
+        told = str(bench.machine.failure)
+        assert ("a following error of 0.1" in told and "MaxSpeedDeviation" in told) == stops
 
 
 def test_an_arm_that_follows_late_at_first_may_catch_up(robot: Robot) -> None:
@@ -201,10 +199,8 @@ def test_one_or_two_packets_without_a_state_end_no_motion(packets: Any) -> None:
     assert "the motor state" in readiness.not_ready_reason(packet(packets, motors=None))
     assert readiness.not_ready_reason(packet(packets)) == ""
     assert "motors are off" in readiness.not_ready_reason(packet(packets, motors=2))
-    readiness.begin()
-    assert "the motor state" in readiness.not_ready_reason(packet(packets, motors=None)), (
-        "of a new session nothing is known"
-    )
+    readiness.begin()  # of a new session nothing is known
+    assert "the motor state" in readiness.not_ready_reason(packet(packets, motors=None))
 
 
 def test_a_robot_that_reports_no_states_for_a_while_comes_to_rest_and_goes_on_from_there(bench: Follower) -> None:
@@ -257,13 +253,8 @@ def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -
     assert bench.machine.mode is Mode.ENDED
     failure = bench.machine.failure
     assert isinstance(failure, NoRobot)
-    for words in (
-        "within 7 s",
-        "1 unparsable",
-        f"127.0.0.1:{bench.port.port}",
-        "only from programs on this computer",
-        "firewall",
-    ):
+    place = f"127.0.0.1:{bench.port.port}"
+    for words in ("within 7 s", "1 unparsable", place, "only from programs on this computer", "firewall"):
         assert words in str(failure)
 
 

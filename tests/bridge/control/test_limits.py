@@ -21,7 +21,6 @@ from armlab.errors import ConfigError
 from armlab.robots import Robot, from_links
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec
-from armlab.wire.egm.axes import Linkage
 from tests.oracles import limit_reference
 
 from ..conftest import Packets
@@ -108,10 +107,8 @@ def test_the_limiter_remembers_what_it_sent(robot: Robot) -> None:
 def test_a_limiter_knows_what_was_asked_before(robot: Robot) -> None:
     """As the law of `kernels.limit_reference` says; what was asked before a rest is forgotten."""
     limits = Limits.of(robot)
-    limiter, rows = (
-        Limiter(limits),
-        np.stack((limits.q_min, limits.q_max, limits.qd_max, limits.qdd_max, limits.jump)),
-    )
+    limiter = Limiter(limits)
+    rows = np.stack((limits.q_min, limits.q_max, limits.qd_max, limits.qdd_max, limits.jump))
     path = robot.q_home + 0.05 + 0.3 * T * np.arange(80)[:, None]
     for begin in (limiter.rest, lambda q: limiter.follow(q, np.zeros(7)), limiter.rest):
         begin(robot.q_home)
@@ -340,8 +337,6 @@ def test_an_irb_2400_follows(lagging: bool) -> None:
     with bridge.connect(f"sim://irb2400?lockstep=true&lagging={str(lagging).lower()}", LINKED) as link:
         run = link.run(controller, seconds=3.0)
     table = run.table
-    linkage = Linkage.of(LINKED)
-    assert linkage is not None
     moved = table["q"] - table["q"][0]
     assert moved[:, 1].max() == pytest.approx(0.4, abs=0.02)
     np.testing.assert_allclose(moved[:, 1] + moved[:, 2], 0.0, atol=1e-6 if lagging else 5e-3)

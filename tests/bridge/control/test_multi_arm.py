@@ -10,26 +10,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import bridge, log, robots
+from armlab import bridge, log
 from armlab.bridge.control.loop import merge_states, split_command
 from armlab.bridge.control.state_machine import Mode
 from armlab.errors import CommandRefused, NoRobot, UnknownName
 from armlab.state import Command, State
 from armlab.wire.egm.robot_side import RobotSideCodec
 
-from .conftest import MS, Hands, Make, drift
-
-LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
+from .conftest import LEFT, MS, RIGHT, Hands, Make, drift
 
 
-def state(robot: str, k: float) -> State:
-    return State(
-        k, 0.004, np.full(7, k), np.full(7, 2 * k), np.full(7, 3 * k), robot=robot, t_receive=int(k), seq=int(k)
-    )
+def moving(hands: Hands) -> Hands:
+    """Let twenty packets come to each of two arms; the second then moves at full speed."""
+    for _ in range(20):
+        hands.cycle(0, 1)
+    assert hands.speed(1) == pytest.approx(0.1)
+    return hands
 
 
-def test_fuse() -> None:
-    both = merge_states([state("a", 1.0), state("b", 2.0)], [0.003, 0.0], 1, 5.0)
+def test_merged_states() -> None:
+    def state(robot: str, k: int) -> State:
+        return State(k, 0.004, *(np.full(7, j * k) for j in (1.0, 2.0, 3.0)), robot=robot, t_receive=k, seq=k)
+
+    both = merge_states([state("a", 1), state("b", 2)], [0.003, 0.0], 1, 5.0)
     assert (both.t, both.dt, both.seq, both.robot, both.t_receive) == (5.0, 0.004, 2, "a+b", 2)
     np.testing.assert_array_equal(both.q, [1.0] * 7 + [2.0] * 7)
     np.testing.assert_array_equal(both.tau, [3.0] * 7 + [6.0] * 7)
@@ -47,20 +50,9 @@ def test_shares_of_a_common_command() -> None:
     np.testing.assert_array_equal(right.q, q[7:])
     assert (left.qd, right.qd) == (None, None)
     assert (left.record, right.record) == ({"x": 1.0}, {})
-    assert [one.record for one in split_command(Command(q, record={"x": 1.0}), [LEFT, RIGHT], 1) if one] == [
-        {},
-        {"x": 1.0},
-    ]
-    assert all(one is not None and one.ends for one in split_command(Command.stop(), [LEFT, RIGHT]))
-
-
-@pytest.mark.parametrize("name", ["q_ext", "rapid_data", "rapid_digital"])
-def test_what_is_for_one_arm_is_not_shared(name: str) -> None:
-    with pytest.raises(CommandRefused, match=f"no {name} in a Command for all joints"):
-        split_command(Command(np.arange(14.0), **{name: np.zeros(1)}), [LEFT, RIGHT])  # type: ignore[arg-type]
-
-
-def test_shares_of_each() -> None:
+    paced = split_command(Command(q, record={"x": 1.0}), [LEFT, RIGHT], 1)
+    assert [one.record for one in paced] == [{}, {"x": 1.0}]
+    assert all(one.ends for one in split_command(Command.stop(), [LEFT, RIGHT]))
     one = Command(np.zeros(7))
     assert split_command((one, None), [LEFT, RIGHT]) == (one, None)
     assert split_command(None, [LEFT, RIGHT]) == (None, None)
@@ -72,6 +64,10 @@ def test_shares_of_each() -> None:
     [
         (Command(np.zeros(7)), r"Command.q of shape \(14,\), 7 of yumi_left and 7 of yumi_right, got \(7,\)"),
         (Command(qd=np.zeros((2, 7))), r"Command.qd of shape \(14,\)"),
+        *(
+            (Command(np.arange(14.0), **{name: np.zeros(1)}), f"no {name} in a Command for all joints")
+            for name in ("q_ext", "rapid_data", "rapid_digital")
+        ),
         ((Command(),) * 3, r"got tuple of 3\. Write"),
         (np.zeros(14), r"got ndarray\. Write"),
     ],
@@ -178,10 +174,7 @@ def test_a_session_that_begins_while_the_controller_computes_is_not_sent_its_com
             hands.put(0, q=hands.robots[0].q + 0.3)
         return drift(state)
 
-    hands = two(controller)
-    for _ in range(20):
-        hands.cycle(0, 1)
-    assert hands.speed(1) == pytest.approx(0.1)
+    hands = moving(two(controller))
     assert min(row[1] is not None for row in hands.rows[-2:])
     hands.cycle(0)
     first = hands.reply(0)
@@ -202,9 +195,7 @@ def test_a_command_that_is_none_for_two_arms_holds_both_and_is_the_reason(two: M
 
 
 def test_an_arm_that_stops_stops_the_other(two: Make) -> None:
-    hands = two(drift)
-    for _ in range(20):
-        hands.cycle(0, 1)
+    hands = moving(two(drift))
     hands.arms[1].machine.stop("enough of this arm")
     hands.run(0, 1)
     assert (hands.loop.reason, hands.loop.failure) == ("enough of this arm", None)
@@ -246,10 +237,7 @@ def test_an_arm_that_never_comes_ends_the_run(two: Make) -> None:
 
 
 def test_a_command_serves_another_arm_for_two_and_a_half_periods(two: Make) -> None:
-    hands = two(drift)
-    for _ in range(20):
-        hands.cycle(0, 1)
-    assert hands.speed(1) == pytest.approx(0.1)
+    hands = moving(two(drift))
     speeds = []
     for _ in range(2):  # the second is the third packet of this command
         hands.cycle(1)
@@ -260,10 +248,7 @@ def test_a_command_serves_another_arm_for_two_and_a_half_periods(two: Make) -> N
 
 def test_a_command_of_a_session_serves_in_no_later_one(two: Make) -> None:
     """Both arms begin anew after 0.3 s of silence, the one that does not pace first."""
-    hands = two(drift)
-    for _ in range(20):
-        hands.cycle(0, 1)
-    assert hands.speed(1) == pytest.approx(0.1)
+    hands = moving(two(drift))
     hands.clock.now += 300 * MS
     for packets in hands.robots:
         packets.seq, packets.cycle = 0, packets.cycle + 75
@@ -280,8 +265,7 @@ def test_values_for_rapid_go_out_once(two: Make) -> None:
 
     hands = two(controller)
     hands.robots[1].codec = RobotSideCodec(RIGHT, "7")
-    for _ in range(20):
-        hands.cycle(0, 1)
+    moving(hands)
     hands.cycle(1)
     hands.cycle(0)
     hands.ports[1].works = False
@@ -296,9 +280,7 @@ def test_values_for_rapid_go_out_once(two: Make) -> None:
 
 
 def test_the_pacing_arm_that_holds_takes_its_command_from_the_others(two: Make) -> None:
-    hands = two(drift)
-    for _ in range(20):
-        hands.cycle(0, 1)
+    hands = moving(two(drift))
     hands.cycle(0, mci=2)
     hands.cycle(1)
     assert hands.speed(1) < 0.0999

@@ -91,7 +91,7 @@ def test_signals_call_and_their_handlers_come_back() -> None:
     assert signal.getsignal(signal.SIGTERM) is before
 
 
-def test_a_closed_terminal_counts_once_and_never_as_a_second_signal() -> None:
+def test_a_closed_terminal_counts_once_and_never_as_a_second_signal_and_may_be_ignored() -> None:
     before = signal.getsignal(signal.SIGHUP)
     for first in (signal.SIGHUP, signal.SIGINT):
         calls: list[int] = []
@@ -100,10 +100,7 @@ def test_a_closed_terminal_counts_once_and_never_as_a_second_signal() -> None:
                 signal.raise_signal(number)
         assert calls == [1]
     assert signal.getsignal(signal.SIGHUP) is before
-
-
-def test_a_closed_terminal_that_is_ignored_stays_so() -> None:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with interrupts(lambda: pytest.fail("called")):
             signal.raise_signal(signal.SIGHUP)
@@ -129,27 +126,19 @@ def test_another_thread_leaves_signals_alone() -> None:
 MS = 1_000_000
 
 
-def test_there_is_no_prediction_before_the_first_packet() -> None:
-    assert Prediction().next_ns is None
-
-
-def test_early_pulls_fully_late_by_two_percent() -> None:
+@pytest.mark.parametrize(
+    "packets",  # arrival, periods since the last, and the prediction that follows [ms]
+    [
+        [(100, 1, 104), (103, 1, 107), (108, 1, 111.02)],  # early arrivals count fully, late ones by 2 %
+        [(0, 1, 4), (12, 3, 16), (500, 1, 504)],  # lost packets, and a stall
+    ],
+)
+def test_predictions(packets: list[tuple[int, int, float]]) -> None:
     prediction = Prediction()
-    prediction.add(100 * MS, 1, 0.004)
-    assert prediction.next_ns == 104 * MS
-    prediction.add(103 * MS, 1, 0.004)
-    assert prediction.next_ns == 107 * MS
-    prediction.add(108 * MS, 1, 0.004)
-    assert prediction.next_ns == pytest.approx(111.02 * MS)
-
-
-def test_lost_packets_and_stalls() -> None:
-    prediction = Prediction()
-    prediction.add(0, 1, 0.004)
-    prediction.add(12 * MS, 3, 0.004)
-    assert prediction.next_ns == 16 * MS
-    prediction.add(500 * MS, 1, 0.004)
-    assert prediction.next_ns == 504 * MS
+    assert prediction.next_ns is None
+    for arrival, periods, expected in packets:
+        prediction.add(arrival * MS, periods, 0.004)
+        assert prediction.next_ns == pytest.approx(expected * MS, rel=1e-12)
 
 
 @pytest.fixture
@@ -157,6 +146,9 @@ def port() -> Iterator[Port]:
     port = Port("127.0.0.1", 0)
     yield port
     port.close()
+
+
+other = port
 
 
 @pytest.mark.parametrize("mode", get_args(Wait))
@@ -198,13 +190,6 @@ def test_a_cycle_runs_dry_once_before_each_predicted_packet(
         )
         assert runs == ([] if mode == "block" else [before])
         runs.clear()
-
-
-@pytest.fixture
-def other() -> Iterator[Port]:
-    port = Port("127.0.0.1", 0)
-    yield port
-    port.close()
 
 
 def test_a_socket_that_was_bound_again_is_waited_for(port: Port, other: Port, tmp_path: Path) -> None:
@@ -274,11 +259,7 @@ def test_five_percent_in_one_second() -> None:
     rarely = Lateness()
     assert not any(rarely.add(k * PERIOD, k % 25 == 0, 0) for k in range(1000))
     assert any(rarely.add(k * PERIOD, k % 10 == 0, 0) for k in range(1000, 1250)), "what is late now counts"
-
-
-def test_exactly_five_percent_is_not_too_much() -> None:
-    """A hundred cycles, the oldest of them exactly a second ago."""
-    for share, words in ((20, ""), (19, "6 of 100 cycles within one second were late")):
+    for share, words in ((20, ""), (19, "6 of 100 cycles within one second were late")):  # the oldest a second ago
         lateness = Lateness()
         found = [lateness.add((k + 1) * 10**7 if k else 0, k % share == 0, 0) for k in range(100)]
         assert found[-1] == words

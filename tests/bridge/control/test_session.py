@@ -232,31 +232,23 @@ def packet(packets: Any, **fields: Any) -> Any:
     return EgmCodec(packets.robot).decode(packets(**fields))
 
 
-def test_dt_is_feedback_time(packets: Any) -> None:
+@pytest.mark.parametrize(
+    ("first", "second", "arrival_ns", "dt"),  # robot time [ns] and tm [ms] of two packets
+    [
+        ((10**18, 100), (10**18 + 4_032_000, 100), 4_100_000, 0.004032),
+        ((10**18, 100), (10**18 + 2 * 4_032_000, 100), 8_000_000, 0.008064),
+        # A clock that was set gives way to tm, which wraps after seven weeks; arrival is the last resort.
+        *(((10**18, 100), (ns, 108), 8_000_000, 0.008) for ns in (10**18 - 1, 10**18, 10**18 + 1_100_000_000, None)),
+        ((None, 2**32 - 2), (None, 2), 4_000_000, 0.004),
+        ((None, None), (None, None), 5_000_000, 0.005),
+        ((None, None), (None, None), 0, 1e-6),
+    ],
+)
+def test_dt_between_two_packets(packets: Any, first: Any, second: Any, arrival_ns: int, dt: float) -> None:
     clock = RobotClock()
-    assert clock.step(packet(packets, robot_ns=10**18), 0) is None
-    assert clock.step(packet(packets, robot_ns=10**18 + 4_032_000), 4_100_000) == pytest.approx(0.004032)
-    assert clock.step(packet(packets, robot_ns=10**18 + 3 * 4_032_000), 12_000_000) == pytest.approx(0.008064)
-
-
-@pytest.mark.parametrize("robot_ns", [10**18 - 1, 10**18, 10**18 + 1_100_000_000, None])
-def test_a_clock_that_was_set_gives_way_to_tm(packets: Any, robot_ns: int | None) -> None:
-    clock = RobotClock()
-    clock.step(packet(packets, robot_ns=10**18, tm_ms=100), 0)
-    assert clock.step(packet(packets, robot_ns=robot_ns, tm_ms=108), 8_000_000) == pytest.approx(0.008)
-
-
-def test_tm_wraps_after_seven_weeks(packets: Any) -> None:
-    clock = RobotClock()
-    clock.step(packet(packets, robot_ns=None, tm_ms=2**32 - 2), 0)
-    assert clock.step(packet(packets, robot_ns=None, tm_ms=2), 4_000_000) == pytest.approx(0.004)
-
-
-def test_arrival_is_the_last_resort(packets: Any) -> None:
-    clock = RobotClock()
-    clock.step(packet(packets, robot_ns=None, tm_ms=None), 1_000)
-    assert clock.step(packet(packets, robot_ns=None, tm_ms=None), 5_001_000) == pytest.approx(0.005)
-    assert clock.step(packet(packets, robot_ns=None, tm_ms=None), 5_001_000) > 0.0
+    assert clock.step(packet(packets, robot_ns=first[0], tm_ms=first[1]), 1000) is None
+    found = clock.step(packet(packets, robot_ns=second[0], tm_ms=second[1]), 1000 + arrival_ns)
+    assert found == pytest.approx(dt)
 
 
 def test_a_tm_too_coarse_for_the_cycle_is_left_alone(packets: Any) -> None:
@@ -312,8 +304,7 @@ def steps(
     clock.step(packet(packets, robot_ns=robot_ns), arrival_ns)
     for claimed, arrived in zip(claimed_ms, arrived_ms, strict=True):
         robot_ns, arrival_ns = robot_ns + int(1e6 * claimed), arrival_ns + int(1e6 * arrived)
-        step = clock.step(packet(packets, robot_ns=robot_ns), arrival_ns)
-        assert step is not None
+        clock.step(packet(packets, robot_ns=robot_ns), arrival_ns)
         found.append(1e3 * clock.believed)
     return found, told
 

@@ -134,18 +134,14 @@ def test_who_has_no_port() -> None:
     assert program(2**22 + 1) == f"process {2**22 + 1}"
 
 
-def test_a_port_that_is_taken_names_who_has_it() -> None:
-    with listening_socket("127.0.0.1", 0, "left", 2) as one:
-        assert not one.getblocking()
-        port = one.getsockname()[1]
+def test_a_listening_socket() -> None:
+    """A port that is taken names its holder; Nagle's algorithm is off, so messages wait for no acknowledgement."""
+    with listening_socket("127.0.0.1", 0, "left", 2) as listener:
+        assert not listener.getblocking()
+        port = listener.getsockname()[1]
         words = rf"TCP port 127.0.0.1:{port} for right to be free, got a port in use by process {os.getpid()} \("
         with pytest.raises(LinkError, match=words):
             listening_socket("127.0.0.1", port, "right", 2)
-
-
-def test_small_messages_wait_for_no_acknowledgement() -> None:
-    """A client acknowledges after up to 40 ms; with Nagle's algorithm the next message would wait for that."""
-    with listening_socket("127.0.0.1", 0, "left", 2) as listener:
         listener.setblocking(True)
         with socket.create_connection(listener.getsockname()), listener.accept()[0] as accepted:
             assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
@@ -166,10 +162,7 @@ def test_a_pair_keeps_messages_whole() -> None:
     assert isinstance(theirs, socket.socket)
     ours.close()
     theirs.close()
-
-
-def test_a_closed_outlet_is_silent() -> None:
-    outlet = Outlet("x")
+    outlet = Outlet("x")  # never opened
     assert not outlet.send(b"a")
     outlet.row(b"b")
     assert (outlet.rows, outlet.lost) == (0, 1)

@@ -144,7 +144,9 @@ _SILENT_PERIODS = 5  # periods of silence before another port of the same host m
 _FOLLOWERS = 3  # consecutive out-of-order packets that begin a new session
 _REMEMBERED = 8  # previous sessions whose repeated first packet is recognised
 _OWN_SILENCE = 150_000_000  # ns without a reply, shorter than any usual CommTimeout
-_FOREIGN = Drop("foreign source", "only the first sender of a session gets replies; use a separate port for each task")
+_FOREIGN = Drop(
+    "foreign source", "only the first sender of a session gets replies; each motion task needs its own port"
+)
 _MOTORS_OFF, _RAPID_STOPPED, _MCI_ERROR, _MCI_RUNNING = 2, 1, 1, 3
 
 
