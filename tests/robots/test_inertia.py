@@ -64,8 +64,8 @@ def test_principal_moments_do_not_depend_on_the_frame() -> None:
     (lambda: to_body(np.zeros(9)), r"Expected finite inertial parameters of shape \(\.\.\., 10\)"),
     (lambda: principal_moments(np.full(10, np.nan)), "Expected finite inertial parameters"),
     (lambda: transform(2 * np.eye(4), np.zeros(10)), "Expected the rotation of T_a_b"),
-    (lambda: from_body([1, 2], np.zeros((3, 3)), np.eye(3)), r"that broadcast, got mass \(2,\), centre \(3,\)"),
-    (lambda: transform(np.tile(np.eye(4), (2, 1, 1)), np.ones((3, 10))), r"got T_a_b \(2,\), pi \(3,\)"),
+    (lambda: from_body([1, 2], np.zeros((3, 3)), np.eye(3)), r"that broadcast, got mass of shape \(2,\), centre of"),
+    (lambda: transform(np.tile(np.eye(4), (2, 1, 1)), np.ones((3, 10))), r"T_a_b of shape .*, pi of shape \(3, 10\)"),
 ])  # fmt: skip
 def test_bad_input_is_refused(call, words: str) -> None:
     with pytest.raises(ShapeError, match=words):

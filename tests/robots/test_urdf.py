@@ -17,6 +17,8 @@ from armlab.robots.build import GRAVITY, Details
 from armlab.robots.urdf import Mimic, Tree
 from armlab.robots.urdf.tree import Follow, Joint, Link
 
+from ..dynamics.test_rigid_body import random_robot as random_chain
+
 TWO_ARMS = """<?xml version="1.0"?>
 <robot name="two arms" xmlns:xacro="somewhere">
   <material name="grey"><color rgba="0.5 0.5 0.5 1"/></material>
@@ -312,25 +314,9 @@ def urdf_of(robot: Robot, tmp_path: Path) -> str:
 
 
 def random_robot(seed: int, n: int) -> Robot:
-    """Any frames, any joints, any bodies."""
-    rng = np.random.default_rng(seed)
-    squares = rng.standard_normal((n, 3, 3))
-    squares = squares @ squares.swapaxes(1, 2)  # second moments: the inertia tr(S) 1 - S is that of a real body
-    moments = squares.trace(axis1=1, axis2=2)[:, None, None] * np.eye(3) - squares
-    bodies = rng.uniform(0.1, 9, n), rng.standard_normal((n, 3)), moments
-    return robots.from_links(
-        f"random {seed}",
-        se3.exp(rng.standard_normal((n + 1, 6))),
-        rng.random(n) < 0.4,
-        q_min=rng.uniform(-3, -1, n),
-        q_max=rng.uniform(1, 3, n),
-        qd_max=rng.uniform(1, 3, n),
-        tau_max=rng.uniform(1, 3, n),
-        inertias=inertia.from_body(*bodies),
-        T_base_mount=se3.exp(rng.standard_normal(6)),
-        T_flange_tool=se3.exp(rng.standard_normal(6)),
-        gravity=rng.standard_normal(3),
-    )
+    """Any frames, any joints, any bodies, and limits."""
+    draw = np.random.default_rng(seed).uniform([[-3], [1], [1], [1]], [[-1], [3], [3], [3]], (4, n))
+    return replace(random_chain(seed, n), **dict(zip(("q_min", "q_max", "qd_max", "tau_max"), draw)))
 
 
 def assert_pinocchio_agrees(robot: Robot, text: str, seed: int) -> None:

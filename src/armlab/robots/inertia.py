@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab._numbers import numbers
 from armlab.errors import ShapeError
+from armlab.lie.arguments import broadcasts
 
 __all__ = ["from_body", "transform"]
 
@@ -47,7 +48,7 @@ def from_body(mass: ArrayLike, centre: ArrayLike, inertia: ArrayLike) -> np.ndar
         raise ShapeError(
             f"Expected a centre of shape (..., 3) and an inertia of shape (..., 3, 3), got {c.shape}, {inertia.shape}."
         )
-    _check_batches(mass=m.shape, centre=c.shape[:-1], inertia=inertia.shape[:-2])
+    broadcasts(mass=(m, 0), centre=(c, 1), inertia=(inertia, 2))
     first = m[..., None] * c
     return _assemble(m, first, inertia + _squares(c, first))
 
@@ -78,7 +79,7 @@ def transform(T_a_b: ArrayLike, pi: ArrayLike) -> np.ndarray:
     pi, T = _parameters(pi), kernels.poses(numbers(T_a_b, "T_a_b", ShapeError), "T_a_b")
     if not np.isfinite(T).all():
         raise ShapeError("Expected finite poses T_a_b, got NaN or Inf.")
-    _check_batches(T_a_b=T.shape[:-2], pi=pi.shape[:-1])
+    broadcasts(T_a_b=(T, 2), pi=(pi, 1))
     R, p, m = T[..., :3, :3], T[..., :3, 3], pi[..., 0, None]
     h = (R @ pi[..., 1:4, None])[..., 0]
     about = R @ _matrix(pi) @ np.swapaxes(R, -1, -2) + _squares(p, 2 * h + m * p)
@@ -95,14 +96,6 @@ def _parameters(pi: ArrayLike) -> np.ndarray:
     if pi.shape[-1:] != (10,) or not np.isfinite(pi).all():
         raise ShapeError(f"Expected finite inertial parameters of shape (..., 10), got shape {pi.shape}: {pi}.")
     return pi
-
-
-def _check_batches(**axes: tuple[int, ...]) -> None:
-    try:
-        np.broadcast_shapes(*axes.values())
-    except ValueError:
-        got = ", ".join(f"{name} {shape}" for name, shape in axes.items())
-        raise ShapeError(f"Expected leading axes that broadcast, got {got}.") from None
 
 
 def _matrix(pi: np.ndarray) -> np.ndarray:
