@@ -250,7 +250,7 @@ def test_tolerances(bench: Bench) -> None:
     bench.holds = True
     status, code, text = bench.until(bench.send(1, {"trajectory": trajectory((1.0, 0.1)), "path_tolerance": strict}))
     assert (status, code) == (ABORTED, -4)
-    assert "position of yumi_robl_joint_3" in text
+    assert "at yumi_robl_joint_3 (tolerance 0.01)" in text
     goal = {"trajectory": trajectory((1.0, 0.05)), "goal_time_tolerance": seconds(0.2)}
     bench.sent = bench.q
     status, code, text = bench.until(bench.send(2, goal))
