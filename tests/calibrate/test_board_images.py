@@ -28,7 +28,6 @@ def views(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def cell(seed: int, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """T_base_tool, T_cam_marker, X and Y."""
     rng = np.random.default_rng(seed)
     X, Y = se3.exp(0.1 * rng.standard_normal(6)), se3.exp(rng.standard_normal(6))
     seen = views(rng, count)

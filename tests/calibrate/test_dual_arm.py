@@ -33,7 +33,6 @@ def exact(case: DualRun) -> DualRun:
 
 @pytest.fixture(scope="module")
 def closed(case: DualRun) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return joint positions of both arms whose tools are joined, and how."""
     q_a = np.random.default_rng(0).uniform(-0.6, 0.6, (200, 6))
     Z = se3.from_rp(so3.exp([3.0, 0.2, 0.1]), [0.05, 0.02, 0.3])
     found = inverse(case.robot_b, se3.inv(NOMINAL_PAIR) @ dh_arm(tool=True).forward(q_a) @ Z)
@@ -45,7 +44,6 @@ def fit_of(run: DualRun, **options: Any) -> Fit[DualArmCorrection]:
 
 
 def errors(fit: Fit[DualArmCorrection], run: DualRun) -> tuple[float, float]:
-    """Return mean squares over the validation poses: distance [mm^2], angle [deg^2]."""
     Z, truth = fit.value.forward(run.q_valid_a, run.q_valid_b), run.relative(run.q_valid_a, run.q_valid_b)
     turn = so3.angle(Z[:, :3, :3], truth[:, :3, :3]) / DEGREE
     return 1e6 * float(np.mean(np.sum((Z - truth)[:, :3, 3] ** 2, axis=1))), float(np.mean(turn**2))
@@ -173,7 +171,6 @@ class TestAncestor:
         assert np.linalg.norm(moved[0, :3, 3]) > 1e-4
 
     def test_whole_steps_of_both_arms_at_once(self, exact: DualRun) -> None:
-        """Exact data are fitted to the last digits, whichever arm is called a."""
         swapped = fit_dual_arm(
             exact.robot_b, exact.robot_a, exact.q_b, exact.q_a, pose=se3.inv(exact.pose), noise=NOISE
         ).value.forward(exact.q_valid_b, exact.q_valid_a)
@@ -181,7 +178,6 @@ class TestAncestor:
         np.testing.assert_allclose(se3.inv(swapped), truth, rtol=0, atol=1e-9)
 
     def test_where_the_arms_stand_is_estimated(self, exact: DualRun) -> None:
-        """Anywhere: nothing has to be said of it."""
         there = se3.from_rp(so3.exp([0.3, -2.0, 1.0]), [-2.0, 0.5, 1.0])
         run = replace(exact, T_basea_baseb=there)
         for data in (
@@ -196,7 +192,6 @@ class TestAncestor:
 
 
 def validation(fit: Fit[DualArmCorrection], truth: DualRun) -> tuple[np.ndarray, np.ndarray]:
-    """Return errors [v; w] of twenty validation poses (120,), at least twice the rank, and their covariance."""
     q_a, q_b = truth.q_valid_a[:20], truth.q_valid_b[:20]
     Z, true = fit.value.forward(q_a, q_b), truth.relative(q_a, q_b)
     back = np.swapaxes(true[:, :3, :3], 1, 2)
@@ -215,7 +210,6 @@ def test_the_statistical_contract() -> None:
         return {**data, "pose": spoilt(data["pose"], rng, int(bad.sum()), 2 * DEGREE, 0.02), "robust": True}, bad
 
     def moved(data: dict[str, Any]) -> dict[str, Any]:
-        """Return the data with frames at both tools moved: tool a turned, so that what it sees turns."""
         return {**data, "pose": se3.project(se3.inv(TOOL) @ data["pose"])[0]}
 
     def seen(fit: Fit[DualArmCorrection]) -> Any:

@@ -27,9 +27,7 @@ def variances(width: int) -> np.ndarray:
     return np.repeat(np.square(NOISE[width]), 3)[:width] if width == 6 else np.full(3, 0.01)
 
 
-def equation_of(
-    data: Any, pull: np.ndarray | None = G, noise: np.ndarray | None = None, bias: bool = True
-) -> WeightEquation:
+def equation_of(data: Any, pull: Any = G, noise: Any = None, bias: bool = True) -> WeightEquation:
     return WeightEquation(data.RA, data.y, pull, bias, None, noise, WRENCH[: data.y.shape[1]], "force sensor")
 
 
@@ -75,7 +73,6 @@ def test_exact_data_give_the_exact_answer(gravity, torque, sign) -> None:
 @pytest.mark.parametrize("bias", [True, False])
 @pytest.mark.parametrize("torque", [None, 0.0], ids=["forces", "torques"])
 def test_unknown_gravity(bias, torque) -> None:
-    """A base that leans: its weight in base axes comes out with the rest."""
     data = sensors.weighed(5, 20, 0.0, torque=torque)
     gamma = np.array([2.0, -5.0, 3.0])
     u = gamma @ data.RA @ data.R
@@ -92,7 +89,6 @@ def test_unknown_gravity(bias, torque) -> None:
 
 
 def test_the_closed_form_is_the_most_likely_value() -> None:
-    """Isotropic noise, known gravity: iterating from it moves nothing, with weights as well."""
     for seed, tilt in ((0, None), (1, 0.5)):
         data = sensors.weighed(seed, tilt=tilt)
         sizes = np.random.default_rng(seed).uniform(0.05, 0.3, 100)
@@ -117,7 +113,6 @@ def test_the_unit_of_mass_and_of_force_does_not_matter() -> None:
 
 @pytest.mark.parametrize(("robust", "known", "torque"), [(False, True, None), (True, False, 0.005)])
 def test_mirrored_axes_and_reversed_signs_are_refused(robust, known, torque) -> None:
-    """Data cannot tell which of the two: the same reason, and the fit of the other hand comes along."""
     data = sensors.weighed(4, torque=torque)
     noise = NOISE[data.y.shape[1]] if known else None
     for mirror in (np.diag([1.0, 1, -1]), -np.eye(3)):
@@ -252,7 +247,7 @@ def test_contacts_do_not_lead_to_another_answer(known, torque, unknown, N, bad) 
 def test_the_twin_reads_the_same_to_first_order(torque) -> None:
     for tilt in (0.2, 0.02):
         data = sensors.weighed(22, sigma=0.0, tilt=tilt, torque=torque)
-        equation = WeightEquation(data.RA, data.y, None, True, None, None, ("f",) * data.y.shape[1], "force sensor")
+        equation = equation_of(data, None)
         other = mirror_solution(equation, Load(data.R, G, data.bias, data.centre))
         assert other is not None
         assert np.abs(so3.log(data.R.T @ other.R)).max() > 1.0
@@ -264,8 +259,7 @@ def test_the_twin_reads_the_same_to_first_order(torque) -> None:
 def test_where_there_is_no_twin() -> None:
     for tilt, bias in ((None, True), (0.1, False)):
         data = sensors.weighed(23, tilt=tilt)
-        equation = WeightEquation(data.RA, data.y, None, bias, None, None, ("f",) * 3, "force sensor")
-        assert mirror_solution(equation, Load(data.R, G, data.bias, data.centre)) is None
+        assert mirror_solution(equation_of(data, None, bias=bias), Load(data.R, G, data.bias, data.centre)) is None
 
 
 @pytest.mark.parametrize(
@@ -291,7 +285,6 @@ def test_a_known_mass_is_kept_in_every_kind_of_fit(bias, torque, robust) -> None
 
 @pytest.mark.parametrize("width", [3, 6])
 def test_unequal_noise_counts_by_its_size(width) -> None:
-    """One axis ten times worse than another, correlated, growing from sample to sample."""
     told, equal = [], []
     for run in range(16):
         data, rng = sensors.weighed([15, run], torque=None if width == 3 else 0.005), np.random.default_rng([15, run])
@@ -302,10 +295,7 @@ def test_unequal_noise_counts_by_its_size(width) -> None:
         cov = size[:, :, None] ** 2 * (mix @ mix.T)
         fit = fit_force_sensor(data.RA, y, gravity=G, noise=cov)
         for one, values in ((fit, told), (fit_force_sensor(data.RA, y, gravity=G), equal)):
-            v = one.value
-            e = [so3.log(data.R.T @ v.R_tool_sensor), [v.mass - 1.0], v.bias[:3] - data.bias[:3]]
-            e += [v.centre - data.centre, v.bias[3:] - data.bias[3:]] if width == 6 else []
-            e = np.concatenate(e)
+            e = error(one, truth_of(data))
             values.append(e @ np.linalg.solve(fit.cov, e) / len(e))
     assert 0.8 < np.mean(told) < 1.2
     assert np.mean(equal) > 4.0 * np.mean(told)
@@ -393,7 +383,6 @@ def test_the_statistical_contract_acc(runs: int, scale: bool) -> None:
     refusals = {"about the vertical only": {"T_base_tool": UPRIGHT, "acc": -(G_ACCELEROMETER @ UPRIGHT)}}
     found = check_estimator(
         fit_accelerometer, experiment_of_acc(scale), runs, n=50, error=error_of_acc, gauges=gauges,
-        refusals=refusals,
-        spoil=spoil,
+        refusals=refusals, spoil=spoil,
     )  # fmt: skip
     assert found.passed, found.text()

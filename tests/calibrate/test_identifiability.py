@@ -102,7 +102,6 @@ class TestRank:
             assert sum(name.startswith("gauge: ") for name in fit.excitation.null_names) == 14
 
     def test_nothing_that_is_called_unseen_moves_the_measurement(self, case) -> None:
-        """Each direction of the null space, taken as a step of 1 mm or 1 mrad, leaves all positions where they are."""
         fit = fit_kinematics(case.robot, case.q, position=case.pose[:, :3, 3], noise=1e-4)
         J = fit.value.pose_jacobian(case.q_valid)[:, :3]
         assert np.abs(J @ fit.excitation.null_space).max() < 1e-9
@@ -187,14 +186,12 @@ class TestRefusals:
 
 
 def errors(T: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Return pose errors (N, 6), [v; w], v in base axes, w in tool axes."""
     turn = so3.log(np.swapaxes(truth[:, :3, :3], 1, 2) @ T[:, :3, :3])
     return np.concatenate([(T - truth)[:, :3, 3], turn], axis=1)
 
 
 class TestUncertainty:
     def test_the_covariance_of_a_pose_is_that_of_its_errors(self) -> None:
-        """NEES of six validation poses over 16 runs, and with unknown noise."""
         total, free = [], []
         for run in range(16):
             data = cell(2000).kinematics(run)
@@ -238,7 +235,6 @@ class TestAncestor:
         assert np.sqrt(np.mean(mm)) < 0.0648 * 1.12
 
     def test_metres_may_be_millimetres_if_all_are(self, case) -> None:
-        """A unit of length changes the answer as it must: nothing weighs metres against radians."""
         arm = scaled_robot(case.robot, 1000.0)
         pose = case.pose.copy()
         pose[:, :3, 3] *= 1000.0
@@ -251,7 +247,6 @@ class TestAncestor:
         np.testing.assert_allclose(b[:, :3, :3], a[:, :3, :3], rtol=0, atol=1e-9)
 
     def test_it_stops_when_it_has_converged_not_after_ten_steps(self, case) -> None:
-        """Links wrong by 3 deg and 30 mm: the cost falls to the noise, and a second fit from there changes nothing."""
         rng = np.random.default_rng(0)
         arm = replace(dh_arm(tool=True), frames=dh_arm(tool=True).frames @ se3.exp(0.03 * rng.standard_normal((7, 6))))
         fit = fit_kinematics(case.robot, case.q, pose=arm.forward(case.q), noise=NOISE)
@@ -272,7 +267,6 @@ def scaled_robot(robot: robots.Robot, factor: float) -> robots.Robot:
 def validation_error(
     fit: Fit[KinematicCorrection], truth: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return errors of twelve validation poses (72,) and their covariance."""
     q, T = truth
     J = fit.value.pose_jacobian(q).reshape(-1, len(fit.value.cov))
     return errors(fit.value.forward(q), T).ravel(), J @ fit.value.cov @ J.T
@@ -368,7 +362,6 @@ TABLES = {
     pytest.param("WAM", (1, 2), 3.03, 59, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_a_real_arm(name: str, harmonics: tuple[int, ...], bar: float, rank: int) -> None:
-    """Fit the grid, look at twenty other points: mean distance [mm]."""
     alpha, a, d = (np.array(column, dtype=float) for column in TABLES[name])
     arm = dh_arm((np.zeros(len(a)), d, a, np.radians(alpha)))
     robot, (q, p), (q_test, p_test) = as_robot(arm, name), tracker(name, "grid"), tracker(name, "random")

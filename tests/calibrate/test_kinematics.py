@@ -132,7 +132,6 @@ class TestGaugeAndModels:
             np.testing.assert_allclose(local.cov, whole.cov, rtol=0, atol=1e-12)
 
     def test_axes_remain_axes(self, case) -> None:
-        """Unit axes without pitch, however far the screws have turned."""
         fit = fit_kinematics(case.robot, case.q, pose=case.pose, noise=NOISE, model="poe")
         screws = fit.value.robot.screws
         np.testing.assert_allclose(np.linalg.norm(screws[:, 3:], axis=1), 1.0, rtol=0, atol=1e-14)
@@ -146,7 +145,6 @@ class TestGaugeAndModels:
         assert np.abs(gauge.T @ fit.cov).max() < 1e-20
 
     def test_a_tool_that_turns_with_a_reversed_guess(self, case) -> None:
-        """The measurement frame half a turn away and the tool turned by another: found before the descent."""
         frame = se3.from_rp(so3.exp([0.0, 0.0, np.pi]), [3.0, -1.0, 0.5])
         tool = se3.from_rp(so3.exp([np.pi / np.sqrt(2), np.pi / np.sqrt(2), 0.0]), [0.2, 0.0, 0.3])
         plain = fit_kinematics(case.robot, case.q, pose=case.pose, noise=NOISE)
@@ -200,7 +198,6 @@ class TestMissingData:
         assert np.isfinite(fit.residuals).sum() == 3 * seen.sum()
 
     def test_kinds_together_know_more(self, case) -> None:
-        """Poses of every third sample, positions of all, and one distance between two tool points."""
         third = np.arange(150) % 3 == 0
         p = case.pose[:, :3, 3]
         noise = {"pose": NOISE, "position": 1e-4, "pair_distance": 1.5e-4}
@@ -224,7 +221,6 @@ class TestMissingData:
 
 class TestValue:
     def test_the_report_tells_noise_that_was_given_wrong(self, case) -> None:
-        """Ten times too small: the stated deviations are too, and only the report can say so."""
         for factor, words in ((1.0, "residuals 1.01 times"), (0.1, "residuals 10.1 times")):
             noise = tuple(factor * size for size in NOISE)
             fit = fit_kinematics(case.robot, case.q, pose=case.pose, noise=noise)
@@ -241,7 +237,6 @@ class TestValue:
     ("robot", "model"), [(as_robot(dh_arm(tool=True)), "poe"), (sliding_robot(), "poe"), (sliding_robot(), "local_poe")]
 )
 def test_derivatives_are_those_of_the_residuals(robot: robots.Robot, model: str) -> None:
-    """Central differences, far from the solution: every kind, harmonics, joint terms, instrument, priors."""
     rng = np.random.default_rng(2)
     q, N = rng.uniform(-2, 2, (7, 6)), 7
     pose = forward(robot, q) @ se3.exp(0.3 * rng.standard_normal((N, 6)))
@@ -267,7 +262,6 @@ def test_derivatives_are_those_of_the_residuals(robot: robots.Robot, model: str)
 
 class TestBadInput:
     def test_most_samples_must_agree(self, case) -> None:
-        """Half of them wrong are found; one more than half is refused by their number."""
         pose = spoilt(case.pose, np.random.default_rng(0), 75, 0.3, 0.2)
         fit = fit_kinematics(case.robot, case.q, pose=pose, noise=NOISE, robust=True)
         assert np.flatnonzero(fit.outliers).tolist() == list(range(75))
@@ -305,10 +299,7 @@ def postures(robot: Robot, count: int = 20) -> np.ndarray:
 
 
 class TestGeometry:
-    """An arm whose joints are where they say."""
-
     def test_it_keeps_what_is_not_kinematics(self, yumi) -> None:
-        """Limits, gears, names and home stay; the hash is another, so that models of the old one do not fit."""
         robot, _, fit = yumi
         found = fit.value.robot
         for name in ("q_min", "q_max", "qd_max", "coupling", "q_home"):
@@ -335,7 +326,6 @@ class TestGeometry:
             robots.load(path)
 
     def test_a_torque_model_is_of_one_of_them(self, yumi, model) -> None:
-        """A model that was identified with the description is refused by the corrected arm: identify again."""
         robot, _, fit = yumi
         with pytest.raises(ModelMismatchError, match="yumi_left"):
             contact.Estimator(model, fit.value.robot)
@@ -355,7 +345,6 @@ class TestGeometry:
         np.testing.assert_allclose(both.value.forward(q, q_b), Z, rtol=0, atol=1e-8)
 
     def test_simulation_and_bridge(self, yumi) -> None:
-        """The simulated controller is the library's arm; the loop knows the corrected one, and drives its joints."""
         robot, _, fit = yumi
         found = fit.value.robot
         arm = sim.SimulatedArm(found, sim.synthetic_truth(found), seed=1)
@@ -373,8 +362,6 @@ class TestGeometry:
 
 
 class TestJointErrors:
-    """An arm whose joints are not quite where they say: errors of orders 1 and 2."""
-
     def test_it_is_reached_by_the_positions_that_are_asked_for(self, waved) -> None:
         """Inverse kinematics of the frames, then `command`: the true arm is where it should be, else 0.3 mm off."""
         robot, truth, fit = waved

@@ -28,7 +28,6 @@ def error(fit: Fit[Any], truth: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np
 
 
 def profiles(data: Any, sigma: float, points: int = 60) -> list[np.ndarray]:
-    """Raw points on the lines of exact scans, over 0.2 m."""
     rng = np.random.default_rng(5)
     along = np.linspace(-0.1, 0.1, points)[:, None]
     return [s[:2] + along * s[2:] + sigma * rng.standard_normal((points, 2)) for s in data.scans]
@@ -36,7 +35,6 @@ def profiles(data: Any, sigma: float, points: int = 60) -> list[np.ndarray]:
 
 @pytest.mark.parametrize(("N", "plates", "noise"), [(60, 1, NOISE), (60, 3, None), (30, 3, NOISE)])
 def test_exact_data_give_the_exact_answer_without_a_guess(N, plates, noise) -> None:
-    """Few scans of each plate start from the rotations of a cube."""
     data = sensors.scanned(3, N, 0.0, plates)
     value = fit_laser_plane(**data.given, noise=noise).value
     np.testing.assert_allclose(value.T_tool_sensor, data.X, atol=1e-9)
@@ -134,7 +132,6 @@ def test_noise_of_both_kinds_is_found() -> None:
 
 
 def one_orientation() -> dict[str, Any]:
-    """Scans of three plates with one orientation of the tool, exact."""
     data, rng = sensors.scanned(11, 3, 0.0), np.random.default_rng(0)
     A = np.repeat(data.A, 10, axis=0)
     A[:, :3, :3] = data.A[0, :3, :3]

@@ -16,7 +16,6 @@ G = np.array([0.0, 0.0, -9.82])
 
 
 def rolled(T: np.ndarray, by: int) -> np.ndarray:
-    """Poses whose quaternions were read in another order."""
     R = quaternion.to_matrix(np.roll(quaternion.from_matrix(T[:, :3, :3]), by, axis=1))
     return se3.from_rp(R, T[:, :3, 3])
 
@@ -79,7 +78,6 @@ def test_forces_with_orientations_in_another_reading_are_refused_by_name(text: s
 
 
 def test_residuals_that_no_sensor_has_are_doubted_in_the_report() -> None:
-    """A marker that was mounted anew after a third of the samples: no other reading of the poses explains it."""
     seen = sim.cell(1).hand_eye()
     assert "are some samples" not in fit_hand_eye(seen.A, seen.B).report()
     B = seen.B.copy()

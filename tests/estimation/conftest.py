@@ -9,8 +9,6 @@ RHO = 0.95
 
 
 class Problems:
-    """Draws linear problems of three parameters in very different units."""
-
     theta = np.array([1.0, -2.0, 1e3])
     names = ("mass", "offset", "viscous")
 

@@ -94,8 +94,6 @@ def check(fit: Callable[..., Fit[Any]], runs: int = 200, **options: Any) -> Cont
 
 
 def changed(**changes: Callable[[Fit[Any]], Any]) -> Callable[..., Fit[Any]]:
-    """The correct fit with some of its results changed."""
-
     def fit(x: np.ndarray, y: np.ndarray, noise: float, robust: bool = False) -> Fit[Any]:
         good = fit_curve(x, y, noise, robust)
         return replace(good, **{name: change(good) for name, change in changes.items()})

@@ -27,19 +27,11 @@ models.register("test_pair", Pair)
 
 def fit(cov: np.ndarray, outliers: np.ndarray | None = None) -> Fit[Pair]:
     excitation = Excitation(2, 2, np.array([2.0, 1.0]), "b", held=("c",))
+    x, out = np.array([1.0, 2.0]), np.zeros(0) if outliers is None else outliers
     return Fit(
-        value=Pair(np.array([1.0, 2.0])),
-        names=("a", "b"),
-        units=("m", "N"),
-        parameters=np.array([1.0, 2.0]),
-        cov=cov,
-        sigma=np.array([0.5]),
-        residuals=np.zeros((5, 1)),
-        n=5,
-        excitation=excitation,
-        outliers=np.zeros(0) if outliers is None else outliers,
+        Pair(x), ("a", "b"), ("m", "N"), x, cov, np.array([0.5]), np.zeros((5, 1)), 5, excitation, outliers=out,
         classes=("position [m]",),
-    )
+    )  # fmt: skip
 
 
 def test_fit_is_frozen_and_reports_value_deviation_and_unit() -> None:

@@ -54,7 +54,6 @@ def test_ten_digits_at_a_scaled_condition_of_1e4() -> None:
 
 
 def test_wls_weighs_each_class_by_its_own_noise(problems) -> None:
-    """Noise of classes 1 and 100: WLS is as good as knowing it, OLS is far worse."""
     errors = {method: [] for method in ("ols", "wls")}
     for seed in range(25):
         A, y = problems.draw(seed, 300, k=2)
@@ -216,7 +215,6 @@ def threads() -> dict[str, int]:
 
 
 def test_the_last_of_two_that_overlap_gives_the_threads_back() -> None:
-    """As in threads of a pool: the first to begin is the first to end."""
     with threadpool_limits(2, "blas"):
         before = threads()
         assert 2 in before.values()

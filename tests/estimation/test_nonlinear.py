@@ -110,7 +110,6 @@ def test_outliers_are_flagged_and_do_not_count(bad: int, known: bool) -> None:
 
 
 def test_two_classes_of_noise_find_their_own_deviation() -> None:
-    """Metres and radians: the ratio of their noise is found, not assumed."""
     rng = np.random.default_rng(0)
     A = rng.standard_normal((400, 2, 3))
     y = A @ [1.0, 2.0, 3.0] + rng.standard_normal((400, 2)) * [1e-3, 0.1]
@@ -210,7 +209,6 @@ def test_rosenbrock_from_the_usual_start() -> None:
 
 
 def test_what_the_data_do_not_see_stays_and_is_reported() -> None:
-    """Only x + 2 y is measured: the smallest step in units of the scale, and the other direction in `null`."""
     see = problem(lambda x: np.array([x[0] + 2 * x[1] - 5.0]), lambda x: np.array([[1.0, 2.0]]), scale=np.ones(2))
     found = descend(see, np.zeros(2), {}, np.ones(1))
     np.testing.assert_allclose(found.value, [1.0, 2.0])
@@ -297,7 +295,6 @@ def test_no_bias_and_honest_covariance() -> None:
 
 
 def test_weighted_rows_of_their_own_covariance() -> None:
-    """Correlated errors of different size: NEES/2 is 1, and better than without weights."""
     errors, plain, nees = [], [], []
     for seed in range(60):
         rng = np.random.default_rng([4, seed])

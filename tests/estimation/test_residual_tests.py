@@ -22,7 +22,6 @@ Case = tuple[Fit[Any], np.ndarray]
 
 
 def slow(rng: np.random.Generator, shape: tuple[int, int], phi: float) -> np.ndarray:
-    """Return AR(1) noise of variance 1."""
     e = rng.normal(size=shape) * np.sqrt(1.0 - phi**2)
     e[0] /= np.sqrt(1.0 - phi**2)
     for before, now in pairwise(e):
@@ -56,7 +55,6 @@ def force(seed: int, N: int, phi: float) -> Case:
 
 
 def covered(case: Callable[[int, int, float], Case], runs: int, N: int, phi: float) -> float:
-    """Return the share of runs whose joint 95 % region holds the truth; data that do not excite are refused."""
     inside = []
     for seed in range(runs):
         try:
@@ -109,7 +107,6 @@ def test_white_noise_is_good(case) -> None:
 
 
 def test_student_factor() -> None:
-    """As of F for one class, of a sum of two for two, and 1 for the given noise."""
     assert student_factor(np.array([4.0]), np.array([6.0])) == pytest.approx(4 * 4.533677 / 9.487729, rel=1e-6)
     assert student_factor(np.array([4.0, 3.0]), np.array([np.inf, np.inf])) == 1.0
     rng = np.random.default_rng(0)
@@ -120,7 +117,6 @@ def test_student_factor() -> None:
 
 
 def level(y: np.ndarray, noise: float | None = None, robust: bool = False) -> NonlinearSolution[np.ndarray]:
-    """Fit one number to a record."""
     cov = None if noise is None else np.array([noise**2])
 
     def evaluate(x: np.ndarray) -> list[Measurement]:

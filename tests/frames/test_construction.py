@@ -103,7 +103,6 @@ def test_the_first_is_exact_the_second_orthogonal_the_third_right_handed(one: st
 
 
 def shifted(item: Line | Plane, e: np.ndarray) -> Line | Plane:
-    """Return a feature with the errors e of its names."""
     R = so3.exp(e[0] * item.axes[0] + e[1] * item.axes[1])
     if isinstance(item, Line):
         return Line.of(R @ item.v, item.centroid + e[2:] @ item.axes)
@@ -111,7 +110,6 @@ def shifted(item: Line | Plane, e: np.ndarray) -> Line | Plane:
 
 
 def propagated(make: Callable, items: tuple, error: Callable) -> np.ndarray:
-    """Covariance of what is made of items, by central differences over the errors of their names."""
     columns, variances = [], []
     for which, item in enumerate(items):
         for k, step in enumerate(1e-6 * np.eye(len(item.names))):

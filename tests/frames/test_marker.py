@@ -26,7 +26,6 @@ JSON = 1e-9  # the file has nine decimals
 
 
 def draw(seed: int, N: int = 30, marker: np.ndarray = MARKER, sigma: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Poses and points (N, K, 3)."""
     rng = np.random.default_rng(seed)
     T = se3.from_rp(so3.exp(2.0 * rng.standard_normal((N, 3))), rng.standard_normal((N, 3)))
     p = np.einsum("nij,kj->nki", T[:, :3, :3], marker) + T[:, None, :3, 3]
@@ -46,7 +45,6 @@ def test_exact_data_give_the_exact_poses(K: int) -> None:
 
 
 def test_three_points_make_their_own_marker() -> None:
-    """Origin at point 0, x to point 1, point 2 where y is positive."""
     T, p = draw(1, marker=MARKER[[1, 2, 0]])
     found = marker_pose(p)
     assert found.marker[0].tolist() == [0.0, 0.0, 0.0]
@@ -159,7 +157,6 @@ def seam(p: np.ndarray, plane: Plane) -> np.ndarray:
 
 @pytest.mark.parametrize(("scene", "raw"), [*((scene, True) for scene in FILES), ("edge", False)])
 def test_scenes_are_those_of_the_reference(tracker: Path, reference: dict[str, Any], scene: str, raw: bool) -> None:
-    """With the normal as in the file, as the ancestor used it, and with its length made 1."""
     cloud, flat = (tracker / name for name in FILES[scene])
     want = reference["scenes"][scene] if raw else reference["scenes"][scene]["renormalised"]
     p, plate = read_cloud(cloud).p, read_plane(flat, raw=raw)
@@ -181,7 +178,6 @@ def test_scenes_are_those_of_the_reference(tracker: Path, reference: dict[str, A
 
 @pytest.mark.parametrize("scene", ["edge", "fixture"])
 def test_planes_and_lines_of_the_reference(tracker: Path, reference: dict[str, Any], scene: str) -> None:
-    """The clouds themselves, and features moved to the robot's base."""
     want = reference["scenes"][scene]
     p = read_cloud(tracker / FILES[scene][0]).p
     flat = fit_plane(p, normal=want["fitplane_cloud"]["n"], limit=0.3).value  # seams: nearly lines
