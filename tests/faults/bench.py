@@ -258,6 +258,13 @@ class Bench:
             failure = error
         return Outcome(self.link.last, failure)
 
+    def move_again(self, seconds: float = 0.1) -> None:
+        """Move the arm in another run on the same link."""
+        count = len(self.sent)
+        again = self.run(Motion(), seconds=seconds)
+        judge(self, again, count)
+        assert again.run.reason == "the time is up"
+
     def pass_time(self, seconds: float, guarded: bool = True) -> None:
         """Let time pass in the thread of the loop: the robots go on, and so does the guard, unless all stands still."""
         end = self.now + seconds

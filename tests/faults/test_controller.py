@@ -98,10 +98,7 @@ def test_the_run_ends(bench: Bench, cell: Cell) -> None:
     assert gaps.max() < 2.0 * PERIOD, "no packet had to wait for the controller"
     failure: Any = outcome.failure
     assert len(failure.table) > 100, "the error has the last rows"
-    count = len(bench.sent)
-    again = bench.run(Motion(), seconds=0.1)
-    judge(bench, again, count)
-    assert again.run.reason == "the time is up"
+    bench.move_again()
 
 
 CLOSES = """
@@ -203,10 +200,7 @@ def test_a_codec_raises(bench: Bench, cell: Cell, monkeypatch: pytest.MonkeyPatc
     assert cell.is_told(str(outcome.failure))
     judge(bench, outcome)
     assert not bench.heard()[-1].qd.any(), "it came to rest"
-    count = len(bench.sent)
-    again = bench.run(Motion(), seconds=0.1)
-    judge(bench, again, count)
-    assert again.run.reason == "the time is up"
+    bench.move_again()
 
 
 @shows

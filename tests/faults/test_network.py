@@ -43,12 +43,8 @@ def goes_on(bench: Bench, cell: Cell, outcome: Outcome, over: float) -> None:
     assert cell.is_told(outcome.told), outcome.told
     if cell.state == "stopping":
         met_in_motion(bench, BEGINS["stopping"])
-    count = len(bench.sent)
-    if cell.state == "stopping":
         assert outcome.run.reason == "the controller ended the run"
-        again = bench.run(Motion(), seconds=0.3)
-        judge(bench, again, count)
-        assert again.run.reason == "the time is up"
+        bench.move_again(0.3)
     else:
         assert outcome.run.reason == "the time is up"
     moved = [reply.q for reply, sent in zip(bench.heard(), bench.sent, strict=True) if sent.t > over]
@@ -94,10 +90,8 @@ def test_nothing_more_comes(bench: Bench, cell: Cell) -> None:
     assert bench.now < at + PATIENCE + 0.2
     if cell.state != "waiting":
         judge(bench, outcome)
-    count, robot.alive = len(bench.sent), True
-    again = bench.run(Motion(), seconds=0.1)
-    judge(bench, again, count)
-    assert again.run.reason == "the time is up"
+    robot.alive = True
+    bench.move_again()
 
 
 @shows

@@ -76,26 +76,17 @@ BOUNDS = {  # the largest found on any instruction set, and half as much to twic
     "wrench_interval": (4e7, "to break ties, limits move outwards by up to 2e-10 of the box, never inwards"),
     "rotation_rollout time w": (200.0, "the speed between samples is thirty times that at the samples"),
 }
+_STEPPING = ("change_goal", "change_tau", "start", "step")
 TABLED = {  # tables of kernels that are not called as these are
     "Drive.torque": "Drive",
     "MomentumEstimator.step": "MomentumEstimator",
     "MomentumEstimator.tare": "MomentumEstimator biased filter",
     "Obstacles.add": "Obstacles arm steering",
     "Obstacles.distance": "Obstacles arm distance",
-    "PrimitiveStepper.change_goal": "PrimitiveStepper",
-    "PrimitiveStepper.change_tau": "PrimitiveStepper",
-    "PrimitiveStepper.start": "PrimitiveStepper",
-    "PrimitiveStepper.step": "PrimitiveStepper",
-    "RotationStepper.change_goal": "RotationStepper",
-    "RotationStepper.change_tau": "RotationStepper",
-    "RotationStepper.outputs": "RotationStepper",
-    "RotationStepper.start": "RotationStepper",
-    "RotationStepper.step": "RotationStepper",
+    **{f"PrimitiveStepper.{name}": "PrimitiveStepper" for name in _STEPPING},
+    **{f"RotationStepper.{name}": "RotationStepper" for name in (*_STEPPING, "outputs")},
     "SignalOperator.run": "SignalOperator",
-    "TwoDof.advance": "TwoDof time advance",
-    "TwoDof.reference": "TwoDof time reference",
-    "TwoDof.slopes": "TwoDof time slopes",
-    "TwoDof.time_constant": "TwoDof time time_constant",
+    **{f"TwoDof.{name}": f"TwoDof time {name}" for name in ("advance", "reference", "slopes", "time_constant")},
     "WrenchEstimator.run": "WrenchEstimator",
 }
 BY_PINOCCHIO = "by Pinocchio to 1e-12, derivatives to 1e-9 (tests/dynamics), and parts of rnea and mass_matrix"

@@ -1,9 +1,10 @@
 # ruff: noqa: F401  the oracles by the names of the kernels
-"""The mathematics of the compiled kernels in plain NumPy: what `armlab.kernels` is held to.
+"""Mathematics of the compiled kernels in plain NumPy, with which the tests compare `armlab.kernels`.
 
-Same names, same parameters, the same results to 1e-12. They are written to be read, and are ten to a thousand times
-slower; they check no arguments and have neither `out` nor `threads`. Searches have none: their results are checked, not
-their steps (tests/kinematics). Lie groups and obstacles are held by exact tables alone (tests/numerics).
+Names and parameters are those documented in `armlab/kernels/_native.pyi`, and results agree to 1e-12. Readability
+matters more than speed, so oracles are ten to a thousand times slower. They check no arguments and have neither `out`
+nor `threads`. Searches have no oracle; their results are checked, not their steps (tests/kinematics). Lie groups and
+obstacles are compared with exact tables only (tests/numerics).
 """
 
 from __future__ import annotations

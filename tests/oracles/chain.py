@@ -77,44 +77,29 @@ class Chain:
 
     @property
     def n(self) -> int:
-        """Number of joints."""
         return len(self._prismatic)
 
     @property
     def frames(self) -> np.ndarray:
-        """(n + 1, 4, 4) a copy of E_0 ... E_n."""
         return self._frames.copy()
 
     @property
     def prismatic(self) -> np.ndarray:
-        """(n,) bool, True for prismatic joints."""
         return np.array(self._prismatic)
 
     def forward(self, q: Any) -> np.ndarray:
-        """Return T_base_tool (..., 4, 4) for joint positions `q` (..., n)."""
         return self._links(self._joints(q))[..., -1, :, :] @ self._frames[-1]
 
     def link_transforms(self, q: Any) -> np.ndarray:
-        """Return T_base_i (..., n, 4, 4) of link frames 1 ... n."""
         return self._links(self._joints(q))
 
     def jacobian(self, q: Any, tool: bool = False) -> np.ndarray:
-        """Return J (..., 6, n), rows [v; w], at the tool point in base axes, or in tool axes when `tool`.
-
-        Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic).
-        """
         return self._forward_jacobian(self._joints(q), tool)[1]
 
     def forward_jacobian(self, q: Any, tool: bool = False) -> _Pair:
-        """Return `forward`, T_base_tool (..., 4, 4), and `jacobian`, J (..., 6, n); `out` is such a pair."""
         return self._forward_jacobian(self._joints(q), tool)
 
     def jacobian_derivative(self, q: Any, qd: Any, tool: bool = False) -> np.ndarray:
-        """Return Jd (..., 6, n), the derivative of `jacobian` along the motion `q`, `qd` (..., n).
-
-        Base axes: ``dv_i/dq_j = w_first x v_last`` with first = min(i, j), last = max(i, j), and ``dw_i/dq_j = w_j x
-        w_i`` where j < i, else 0. Tool axes: ``d/dt (R^T u) = R^T (ud - w x u)``, w the angular velocity of the tool.
-        """
         positions, speeds = self._joints(q), np.asarray(qd, dtype=float)
         T, J = self._forward_jacobian(positions)
         v, w = (np.moveaxis(half, -1, 0) for half in (J[..., :3, :], J[..., 3:, :]))  # (n, ..., 3)
@@ -132,10 +117,6 @@ class Chain:
         return np.ascontiguousarray(np.moveaxis(np.concatenate([vd, wd], axis=-1), 0, -1))
 
     def rnea(self, q: Any, qd: Any, qdd: Any, gravity: Any, pi: Any) -> np.ndarray:
-        """Return joint torques tau (..., n) of a motion, by recursive Newton-Euler.
-
-        ``F_i = I_i A_i + V_i x* (I_i V_i)`` with ``A_0 = [-g; 0]``; ``tau_i = S_i . sum of F_k, k >= i``.
-        """
         steps, V, A = self._motion(q, qd, qdd, gravity)
         inertia = np.einsum("ik,kab->iab", np.asarray(pi, dtype=float), UNIT_INERTIAS)
         tau = np.empty((*V[0].shape[:-1], self.n))
@@ -147,7 +128,6 @@ class Chain:
         return tau
 
     def rigid_regressor(self, q: Any, qd: Any, qdd: Any, gravity: Any) -> np.ndarray:
-        """Return Y (..., n, 10 n) with ``tau = Y pi.ravel()``, parameters as in `rnea`."""
         steps, V, A = self._motion(q, qd, qdd, gravity)
         Y = np.zeros((*V[0].shape[:-1], self.n, 10 * self.n))
         for k in range(self.n):

@@ -17,21 +17,6 @@ def limit_reference(
     qd_ref: np.ndarray | None = None,
     lag: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, float, int]:
-    """Return the reference to send next: where it is, how it moves, which limits acted, and whether it was refused.
-
-    With T the time since the last reference, a the acceleration limit, and ``S(d, L)`` the fastest velocity after which
-    an arm that is late by L can still stop within d, whatever the next steps last: ``S (T + L) + S^2 / (2 a) = d``.
-    From S braking with a suffices ever after::
-
-        position   v* = v_r + sign(e) S(|e|, 0),  e = q_last - q,  v_r = (q_ref - q_last) / T
-                   that is (q_ref - q) / T when the reference can be followed, and catching up without overshoot
-        velocity   v* = qd_ref;      hold   v* = 0
-        v* is scaled for all joints by one ratio so that |v*| <= qd_max
-        v  = v* within v_prev +- a T, then within [-S(q - q_min, lag), S(q_max - q, lag)]
-        q' = q + v T, kept within the limits; a joint that is outside may only come back
-
-    The speed sent is v; when both are given it is qd_ref within v +- a T, through the same limits.
-    """
     q, v_last, f_last = sent
     q_min, q_max, qd_max, qdd_max, jump = bounds
     refused = _refusal(q, q_ref, q_last, qd_ref, jump + qd_max * period)
@@ -118,7 +103,6 @@ def _within(
 def implausible(
     q: np.ndarray, before: np.ndarray | None, bounds: np.ndarray, margin: float, step: float, seconds: float
 ) -> int:
-    """Return i (from 1) when joint i is outside its range, -i when it moved too far since `before`, else 0."""
     q_min, q_max, qd_max = bounds
     beyond = np.maximum(q_min - q, q - q_max) - margin
     if len(q) and not beyond.max() <= 0.0:
@@ -136,13 +120,11 @@ def following_error(
     kept: float,
     lag: float,
 ) -> tuple[np.ndarray, int, bool]:
-    """Return the speeds ``max(kept * fastest, |speed|)``, the joint furthest from its reference, and if it is near."""
     fastest = np.maximum(kept * fastest, np.abs(speed))
     excess = np.abs(reference - q) - (allowed + lag * fastest)
     return (fastest, int(excess.argmax()), bool(excess.max() <= 0.0)) if len(q) else (fastest, 0, True)
 
 
 def filtered_velocity(q: np.ndarray, last: np.ndarray, velocity: np.ndarray, dt: float, cutoff: float) -> np.ndarray:
-    """Return the velocity (n,) after a step from `last` to `q`, through a low-pass of first order [Hz]."""
     share = 1.0 - np.exp(-2.0 * np.pi * cutoff * dt)
     return velocity + share * ((q - last) / dt - velocity)

@@ -130,7 +130,6 @@ class Primitive:
         self.alpha, self.stiffness, self.decay, self.pace, self.phase = alpha, stiffness, decay, pace, phase
 
     def basis(self, x: Any) -> np.ndarray:
-        """Return the normalised kernels (..., m) at phases (...)."""
         x = np.asarray(x, dtype=float)
         off = x[..., None] - self.centres
         off = 2.0 * np.sin(0.5 * off) if self.phase == "periodic" else off
@@ -140,7 +139,6 @@ class Primitive:
         return psi / psi.sum(axis=-1, keepdims=True)
 
     def forcing(self, x: Any) -> np.ndarray:
-        """Return the forcing (..., n) at phases (...), or (..., n) where every coordinate has its own."""
         if self.phase == "position":
             x = np.asarray(x, dtype=float)
             f = np.einsum("...ij,ji->...i", self.basis(x), self.weights) * x
@@ -152,7 +150,6 @@ class Primitive:
     def rollout(
         self, t: Any, tau: float, y0: Any, v0: Any, g: Any, scale: Any, weights: Any = None
     ) -> tuple[np.ndarray, ...]:
-        """Return y, yd, ydd, x and f over times (N,)."""
         t, y0, v0, g, scale = (np.asarray(a, dtype=float) for a in (t, y0, v0, g, scale))
         runs = []
         for k, begin in enumerate(zip(*(np.atleast_2d(a) for a in (y0, v0, g, scale)))):
@@ -167,7 +164,6 @@ class Primitive:
         return Primitive(self.centres, self.widths, weights, *shape)
 
     def response(self, t: Any, tau: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return position and velocity (N, m + 3) that each kernel alone, then y0, v0 and g, make."""
         t, m = np.asarray(t, dtype=float), len(self.centres)
         y, z, g = np.zeros((3, m + 3))
         y[m], z[m + 1], g[m + 2] = 1.0, tau, 1.0
@@ -218,7 +214,6 @@ class PrimitiveStepper:
         self.braking = np.zeros(self.n, dtype=bool)
 
     def start(self, y0: Any, v0: Any, g: Any, scale: Any, tau: float) -> None:
-        """Begin at phase time 0."""
         y0, v0, g, scale = (np.asarray(a, dtype=float) for a in (y0, v0, g, scale))
         self.y = self.y0 = y0.copy()
         self.g = self.target = g.copy()
@@ -241,7 +236,6 @@ class PrimitiveStepper:
         return 0.0 if self.moved is None else float(np.exp(-self.filter * (s - self.moved)))
 
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Advance by dt and return y, yd, ydd."""
         r = dt / self.tau
         if self.primitive.phase == "position":
             self._step_position(r)
@@ -290,7 +284,6 @@ class PrimitiveStepper:
         self.braking = there | fast
 
     def change_goal(self, g: Any, scale: Any, limit: Any = None) -> None:
-        """Go for another goal from now on."""
         g, scale = np.asarray(g, dtype=float), np.asarray(scale, dtype=float)
         limit = np.zeros(self.n) if limit is None else np.asarray(limit, dtype=float)
         now = self.scale + self.rise * self._left(self.elapsed)
@@ -305,18 +298,15 @@ class PrimitiveStepper:
         self.forcing = self._force(self.elapsed, self.y, self.g)
 
     def change_tau(self, tau: float) -> None:
-        """Go on with another time constant."""
         self.z, self.tau = self.z * (tau / self.tau), tau
 
     def follow(self, t: Any) -> tuple[np.ndarray, ...]:
-        """Return y, yd, ydd and the forcing over times, each (N, n)."""
         times = np.asarray(t, dtype=float)
         rows = [(*self.outputs(), self.forcing)]
         rows += [(*self.step(dt), self.forcing) for dt in np.diff(times)]
         return tuple(np.array(part) for part in zip(*rows))
 
     def outputs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return y, yd, ydd as they are now."""
         p, yd = self.primitive, self.z / self.tau
         ydd = (p.stiffness * (self.g - self.y) - p.alpha * self.z + self.forcing) / self.tau**2
         return self.y.copy(), yd, np.where(self.braking, np.where(yd == 0, 0.0, -self.side * self.limit), ydd)

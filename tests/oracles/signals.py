@@ -34,7 +34,6 @@ class SignalOperator:
         self.reset(init)
 
     def reset(self, init: np.ndarray | float | None = None) -> None:
-        """Forget all samples; start again from init."""
         if init is not None:
             self._init = np.array(init, dtype=float).ravel()
         elif not hasattr(self, "_init"):
@@ -46,13 +45,11 @@ class SignalOperator:
         self._x = self._y = self._v = np.zeros(0)
 
     def step(self, x: np.ndarray | float, t: float | None = None) -> np.ndarray | float:
-        """Advance by one sample and return the output."""
         x = np.array(x, dtype=float)
         out = self._step(x, t)
         return out if out.ndim else float(out)
 
     def run(self, x: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
-        """Step along samples (N, ...) and return the outputs stacked over N."""
         x = np.asarray(x, dtype=float)
         stamps = None if t is None else np.asarray(t, dtype=float)
         out = np.empty_like(x)

@@ -49,7 +49,6 @@ class TwoDof:
         self._unit = np.array(unit, dtype=float)
 
     def advance(self, state: np.ndarray, dt: float, steps: int, driven: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        """Return the state (5 n + 2,) after dt seconds."""
         n = self.n
         y = np.array(state, dtype=float)
         driven = np.asarray(driven, dtype=float)
@@ -71,13 +70,11 @@ class TwoDof:
         return y
 
     def reference(self, state: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        """Return (3, n) yc', yc'' and ya_ref'' of a state (5 n + 2,), at the end of `speed` (3,)."""
         y = np.asarray(state, dtype=float)
         speed = np.asarray(speed, dtype=float)
         return self._law(y, speed[1], speed[2])[:3].copy()
 
     def slopes(self, state: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        """Return the time derivative (5 n + 2,) of a state whose ya'' is ya_ref'', at the end of `speed` (3,)."""
         y = np.asarray(state, dtype=float)
         speed = np.asarray(speed, dtype=float)
         return self._rates(y, speed[1], speed[2], np.zeros(self.n, dtype=bool))
@@ -85,11 +82,6 @@ class TwoDof:
     def follow(
         self, state: np.ndarray, dt: float, steps: int, speed: np.ndarray, ya: np.ndarray, yad: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the state dt seconds later, when ya and ya' (n,) are measured, and `reference` of it.
-
-        In between ya moves with the velocity that was measured before. A sample that is not finite is passed over: ya
-        goes on as it did.
-        """
         n = self.n
         y = self.advance(state, dt, steps, np.asarray(state)[4 * n : 5 * n], speed)
         ya, yad = np.asarray(ya, dtype=float), np.asarray(yad, dtype=float)
@@ -99,7 +91,6 @@ class TwoDof:
         return y, self.reference(y, speed)
 
     def time_constant(self, state: np.ndarray) -> float:
-        """Return tau_a [s] of a state (5 n + 2,)."""
         y = np.asarray(state, dtype=float)
         return float(self._slowed(y[2 * self.n : 3 * self.n])[0])
 

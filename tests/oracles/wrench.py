@@ -30,10 +30,6 @@ ROUNDING = 1e-14  # a pivot below it, by the largest variance, has no digit
 def solve_wrench(
     A: np.ndarray, error: np.ndarray, variance: np.ndarray, bound: np.ndarray, prior: np.ndarray, method: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, float, bool]:
-    """Return x (k,), its covariance (k, k), active joints (n,), iterations, KKT residual and whether x is undetermined.
-
-    x and its covariance are NaN where the numbers do not determine them.
-    """
     A = np.asarray(A, dtype=float)
     k, n = A.shape
     error, variance, bound = (np.asarray(a, dtype=float) for a in (error, variance, bound))
@@ -169,11 +165,6 @@ def _clip(
 def wrench_interval(
     A: np.ndarray, error: np.ndarray, spread: np.ndarray, box: np.ndarray
 ) -> tuple[np.ndarray | None, np.ndarray]:
-    """Return the smallest and largest value (k, 2) of each unknown in {x : |error - A^T x| <= spread, |x| <= box}.
-
-    None when the set is empty; then the mask (n,) marks joints that contradict each other. NaN for torque errors or
-    rows of the Jacobian that are not finite.
-    """
     from scipy.optimize import linprog
 
     A = np.asarray(A, dtype=float)
