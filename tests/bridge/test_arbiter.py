@@ -253,7 +253,6 @@ step = st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.0, 0.0, 0.01, 
 @settings(max_examples=15)
 @given(st.lists(step, min_size=50, max_size=300), st.randoms(use_true_random=False))
 def test_two_commanders_that_die_at_random(steps: list[tuple[bool, bool, float]], chance: Any) -> None:
-    """The outcome is one of them or hold at each tick, no step is above the bound, each takeover has an event."""
     bench = Bench()
     alive = {"labcomm a": 1.0, "labcomm b": -1.0}
     dead_until = dict.fromkeys(alive, 0)
@@ -317,7 +316,6 @@ def test_a_jump_is_refused_and_the_last_command_stays() -> None:
 
 
 def test_a_commander_may_lead_the_arm_further_than_it_may_enter() -> None:
-    """The first position counts from the joints measured, those after it from the one sent last."""
     bench = Bench()
     for offset in (0.04, 0.08, 0.12):
         assert bench(order(offset=offset)).q[0] == HOME[0] + offset

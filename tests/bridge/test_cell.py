@@ -154,7 +154,6 @@ def test_ros_2_in_a_domain() -> None:
 
 @pytest.mark.slow
 def test_a_second_bridge_refuses_at_once(cell_text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It says which port and who has it, and no robot has been connected by then."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr("armlab.bridge.cell.connect", lambda *words, **options: pytest.fail("a robot was connected"))
     with socket.create_server(("127.0.0.1", 0)) as other:

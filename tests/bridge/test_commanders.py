@@ -60,19 +60,16 @@ class Watch:
                     self.ticks.append(message.values["yumi_left.tick"])
 
     def __getitem__(self, name: str) -> Any:
-        """A value of the newest row."""
         return self.row.values[f"yumi_left.{name}"]
 
     def until(self, condition: Callable[[], bool]) -> None:
         until(lambda: self.row is not None and condition(), PATIENCE)
 
     def wait(self, ticks: int) -> None:
-        """Wait for so many rows from now on."""
         last = len(self.ticks) + ticks
         self.until(lambda: len(self.ticks) > last)
 
     def check(self) -> None:
-        """It got every row, in order."""
         steps = np.diff(self.ticks)
         assert steps.min() == 1
         assert np.sum(steps - 1) <= 0.001 * len(self.ticks)
@@ -139,7 +136,6 @@ class Bench:
         return said
 
     def run(self, script: Callable[[Watch], None], record: Path | None = None) -> Any:
-        """Play the script beside the cell."""
         failures: list[BaseException] = []
 
         def play() -> None:

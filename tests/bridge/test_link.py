@@ -156,7 +156,6 @@ def test_wrong_links(url: Any, arms: int, options: dict[str, Any], words: str) -
 
 @pytest.mark.parametrize(("answer_stream", "controller"), [(True, None), (False, sway)])
 def test_a_robot_in_lockstep_must_be_answered(robot: Robot, answer_stream: bool, controller: Any) -> None:
-    """It would wait for each reply, seemingly for ever."""
     what = "controller=None" if controller is None else "answer_stream=False"
     options: dict[str, Any] = {"answer_stream": answer_stream, "patience": 0.1}
     with (
@@ -218,7 +217,6 @@ def test_ctrl_c_stops_the_arm_first_and_completes_the_log(play: Any, tmp_path: P
 
 @pytest.mark.slow
 def test_the_simulated_robot_in_lockstep_is_repeatable_and_on_one_clock(robot: Robot, tmp_path: Path) -> None:
-    """Also what was said before the first packet: the wall clock is years away from the simulated one."""
     runs, seen = [], list[Any]()
 
     def controller(state: State) -> Command:
@@ -269,7 +267,6 @@ os._exit(0)
 @pytest.mark.slow  # 1 s, of which most is the start of a process
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="tells living processes by /proc")
 def test_it_does_not_outlive_a_bridge_that_dies_while_it_starts() -> None:
-    """The bridge is gone long before the simulator can look who started it."""
     port = Port("127.0.0.1", 0)
     command = [sys.executable, "-c", _DIES_AT_ONCE, str(port.port)]
     number = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE).stdout.strip()
@@ -350,8 +347,6 @@ BROKEN = r"^Expected the cycle to run without errors, got ZeroDivisionError: div
 
 
 def test_an_error_outside_the_controller_stops_the_arm_first(play: Any, robot: Any) -> None:
-    """A codec of the user's that raises, against its protocol."""
-
     class Broken(EgmCodec):
         decoded = 0
 

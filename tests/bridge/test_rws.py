@@ -167,7 +167,6 @@ def test_credentials(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("robotware", ["6.10", "7"])
 def test_no_text_holds_the_password(tmp_path: Path, robotware: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Neither logs at the finest level, nor reprs, nor a traceback with all local variables."""
     caplog.set_level(logging.DEBUG)
     with rws_controller(tmp_path, robotware, ["password"]) as served:
         controller = open_controller(served.host, lambda: OURS, ca=str(served.ca or ""))

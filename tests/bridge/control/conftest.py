@@ -37,7 +37,6 @@ LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
 
 
 def drift(state: State) -> Command:
-    """Move every joint at 0.1 rad/s."""
     return Command(qd=np.full(len(state.q), 0.1))
 
 
@@ -153,7 +152,6 @@ class Hands:
         return self.reply((indices or (0,))[-1])
 
     def run(self, *indices: int) -> None:
-        """Let packets come to each arm, by default the first, until the run has ended."""
         coming = iter([index for _ in range(1000) for index in indices or (0,)])
 
         def following(seconds: float) -> tuple[int, Arrival]:
@@ -165,7 +163,6 @@ class Hands:
         self.loop.run()
 
     def reply(self, index: int = 0) -> SensorMessage | None:
-        """Return the newest reply."""
         sent = self.ports[index].sent
         found = RobotSideCodec(self.robots[index].robot).decode_sensor(sent[-1]) if sent else None
         assert found is None or isinstance(found, SensorMessage)
@@ -175,7 +172,6 @@ class Hands:
         return self.arms[index].recording.table()
 
     def speed(self, index: int = 0) -> float:
-        """Return the speed in the newest reply."""
         reply = self.reply(index)
         assert reply.qd is not None
         return float(np.abs(reply.qd).max())
@@ -186,11 +182,9 @@ Make = Callable[..., Hands]
 
 @pytest.fixture
 def one(monkeypatch: pytest.MonkeyPatch) -> Make:
-    """Return what makes a loop of one arm."""
     return lambda controller=drift, **options: Hands(monkeypatch, [RIGHT], controller, **options)
 
 
 @pytest.fixture
 def two(monkeypatch: pytest.MonkeyPatch) -> Make:
-    """Return what makes a loop of two arms."""
     return lambda controller, **options: Hands(monkeypatch, [LEFT, RIGHT], controller, **options)

@@ -69,7 +69,6 @@ def controller(trimming: QueueTrimming, extra: dict[int, int], cycles: int) -> t
 
 @pytest.mark.parametrize("many", [0, 1, 5, 20, 63])
 def test_surplus_messages_cost_no_lag_in_the_end(many: int) -> None:
-    """Without the rule the age would stay at 1 + many for ever."""
     told: list[str] = []
     trimming = QueueTrimming(lambda text, warn=False, each=False: told.append(text))
     ages, starved = controller(trimming, {20: many}, 200)
@@ -98,7 +97,6 @@ def test_which_replies_are_skipped(depths: list[int], skips: list[bool]) -> None
 
 
 def test_a_queue_that_is_not_emptied_within_a_second_is_one_event() -> None:
-    """As when another program sends to the robot, too."""
     told: list[tuple[str, bool]] = []
     trimming = QueueTrimming(lambda text, warn=False, each=False: told.append((text, warn)))
     for depth in [44] * 200 + [0] + [44] * 247:
@@ -162,8 +160,6 @@ def test_a_row_of_a_packet_that_was_overtaken_says_that_nothing_was_sent(one: Ma
 
 
 def test_rows_stay_in_the_order_of_arrival(one: Make) -> None:
-    """Packets wait before the controller is called, and more come while it computes: the newest is answered, once."""
-
     def controller(state: State) -> Command:
         if state.seq == 2:
             hands.put()
@@ -218,7 +214,6 @@ def test_details_are_those_of_the_packet(one: Make, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_flood_does_not_hold_the_loop_up_and_none_of_it_is_lost(one: Make) -> None:
-    """A thousand packets or 64 datagrams that are none end a wake-up; the next goes on where it ended."""
     hands = one()
     for _ in range(1200):
         hands.put(after=0, mci=2)
@@ -322,7 +317,6 @@ def test_a_row_is_recorded_once_despite_an_error(one: Make, monkeypatch: pytest.
 
 
 def test_a_reply_that_went_out_is_not_taken_back(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever fails behind it: the next is one step from it, and it has its row."""
     hands = one()
     for _ in range(5):
         hands.cycle()

@@ -167,7 +167,6 @@ def test_a_torque_is_clipped_and_rises_slowly(robot: Robot, limits: Limits) -> N
 
 
 def test_rounding_is_not_a_clamp(robot: Robot, limits: Limits) -> None:
-    """What is asked for exactly at a limit is sent, and no bit tells of it; a millionth more is told."""
     reply = Limiter(limits).rest(robot.q_home)
     for more, slowed, clipped in ((0.0, 0, 0), (1e-6, 32, 16)):
         torques = Torques(robot, limits, TORQUES)
@@ -310,7 +309,6 @@ def pushed(feed: Any, robot: Robot, limits: Limits) -> Bench:
 
 
 def test_a_torque_beside_a_position(pushed: Bench, robot: Robot) -> None:
-    """It rises from zero whenever the robot becomes ready, and goes when the position is refused."""
     for _ in range(2):
         pushed.reply(None)
         for k in range(3):
@@ -448,7 +446,6 @@ def moving(feed: Any, robot: Robot, cycles: int = 60) -> tuple[StateMachine, Cal
 
 @pytest.mark.parametrize("away", ["overtaken", "not sent", "answered"])
 def test_axes_begin_anew_where_they_are_when_the_robot_is_ready_again(feed: Any, robot: Robot, away: str) -> None:
-    """Whether or not a packet that said so was answered: RAPID or a hand moved them meanwhile."""
     machine, cycle = moving(feed, robot)
     there = np.array([-0.6, 0.4])
     for _ in range(300):  # it takes them more than a second
@@ -498,7 +495,6 @@ def test_a_refused_jump_is_one_step_of_the_brake(feed: Any, robot: Robot) -> Non
 
 
 def test_a_run_with_the_simulated_controller(tmp_path: Path) -> None:
-    """Two external axes move, RAPID sends back what it hears, the log holds all of it."""
     robot = robots.load("irb120")
     limits = Limits.of(robot, external=Limits.of_axes([-1, -1], [1, 1], [0.5, 0.5]))
     first: dict[str, float] = {}

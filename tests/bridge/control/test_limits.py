@@ -105,7 +105,6 @@ def test_the_limiter_remembers_what_it_sent(robot: Robot) -> None:
 
 
 def test_a_limiter_knows_what_was_asked_before(robot: Robot) -> None:
-    """As the law of `kernels.limit_reference` says; what was asked before a rest is forgotten."""
     limits = Limits.of(robot)
     limiter = Limiter(limits)
     rows = np.stack((limits.q_min, limits.q_max, limits.qd_max, limits.qdd_max, limits.jump))
@@ -283,7 +282,6 @@ def test_no_reference_is_faster_than_the_measured_time_allows(pieces: list[Any],
 
 @pytest.mark.parametrize(("before", "then"), [(24, 4), (8, 4), (4, 24), (48, 2)])
 def test_a_robot_that_streams_slower_than_it_guides(before: int, then: int) -> None:
-    """A stream that is not ready, then guidance with another cycle time: an event, and the speed that was allowed."""
     robot, rng = RobotOnNetwork(), np.random.default_rng(1)
     options: Any = {"lost": False, "late_ms": 0, "goes_out": True}
     for _ in range(50):
@@ -328,8 +326,6 @@ def test_full_speed_into_each_limit_stops_before_it(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("lagging", [True, False])
 def test_an_irb_2400_follows(lagging: bool) -> None:
-    """Joints 2 and 3 against each other, so that axis 3 stands still, in lockstep with the simulated controller."""
-
     def controller(state: State) -> Command:
         sway = 0.2 * (1.0 - np.cos(2.0 * state.t))
         return Command(state.q_start + sway * np.array([0, 1, -1, 0, 0, 0]))

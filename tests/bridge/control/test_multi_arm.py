@@ -83,8 +83,6 @@ def sway(now: State) -> Command:
 
 @pytest.mark.slow
 def test_two_simulated_arms(tmp_path: Path) -> None:
-    """Each packet is answered in its own tick, and each arm follows its part; a file each, and feeds."""
-
     class Feed:
         def __init__(self, fails_at: int) -> None:
             self.rows: list[str] = []
@@ -247,7 +245,6 @@ def test_a_command_serves_another_arm_for_two_and_a_half_periods(two: Make) -> N
 
 
 def test_a_command_of_a_session_serves_in_no_later_one(two: Make) -> None:
-    """Both arms begin anew after 0.3 s of silence, the one that does not pace first."""
     hands = moving(two(drift))
     hands.clock.now += 300 * MS
     for packets in hands.robots:
@@ -258,8 +255,6 @@ def test_a_command_of_a_session_serves_in_no_later_one(two: Make) -> None:
 
 
 def test_values_for_rapid_go_out_once(two: Make) -> None:
-    """With the first reply to their command that goes out; the rest of the command serves on."""
-
     def controller(state: State) -> tuple[None, Command]:
         return None, Command(qd=np.full(7, 0.1), rapid_data=[float(state.seq)], rapid_digital=True)
 
@@ -288,7 +283,6 @@ def test_the_pacing_arm_that_holds_takes_its_command_from_the_others(two: Make) 
 
 
 def test_an_arm_that_is_not_ready_or_unheard_holds_the_third(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At once, not when the command that was given has served its time."""
     for unready in (True, False):
         hands = Hands(monkeypatch, [LEFT, RIGHT, RIGHT], drift)
         for _ in range(20):

@@ -193,7 +193,6 @@ def test_a_cycle_runs_dry_once_before_each_predicted_packet(
 
 
 def test_a_socket_that_was_bound_again_is_waited_for(port: Port, other: Port, tmp_path: Path) -> None:
-    """The descriptor that it had belongs to another file, which always seems to have something."""
     waiting = Waiting([port], [Prediction()], "block")
     assert waiting.next(0.0) is None
     number = port.fileno()
@@ -210,7 +209,6 @@ def test_a_socket_that_was_bound_again_is_waited_for(port: Port, other: Port, tm
 
 @pytest.mark.parametrize("mode", get_args(Wait))
 def test_two_ports_take_turns(port: Port, other: Port, mode: Wait) -> None:
-    """A flood on one does not shut out the other."""
     waiting = Waiting([port, other], [Prediction(), Prediction()], mode)
     for _ in range(20):
         port.send(b"flood", (port.host, port.port))

@@ -27,7 +27,6 @@ def row(robot: Robot, k: int) -> tuple[State, Tick]:
 
 
 def keep(recording: Recording, state: State, command: Command | None, tick: Tick) -> None:
-    """Do what the loop does with a row."""
     recording.publish(state, recording.keep(state, command, tick), tick)
 
 

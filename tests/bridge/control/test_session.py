@@ -69,7 +69,6 @@ def test_the_period_is_measured(feed: Any) -> None:
 
 
 def test_replies_to_another_port_that_took_over_begin_at_zero(feed: Any) -> None:
-    """Each session has its own sequence of replies; what still comes from the old port is foreign."""
     for _ in range(5):
         feed()
         feed.session.replied(feed.now)
@@ -426,7 +425,6 @@ def fifty(feed: Any) -> None:
 
 @pytest.mark.parametrize(("seqno", "tm"), [(1, 200), (1, 60_050), (70, 200)])
 def test_a_session_whose_first_packet_was_lost_begins_after_five_periods(feed: Any, seqno: int, tm: int) -> None:
-    """Number or clock went back, and the packets go on from each other while nothing else comes."""
     fifty(feed)
     found = [feed(seqno=seqno + k, tm_ms=tm + 4 * k) for k in range(7)]
     assert found[:5] == [None] * 5
@@ -444,7 +442,6 @@ def test_packets_go_on_from_each_other_by_number_and_tm(feed: Any, step: int, be
 
 
 def test_old_packets_in_a_row_do_not_take_over_from_a_session_that_goes_on(feed: Any) -> None:
-    """A stall that delayed many packets behind newer ones; and single packets after a pause."""
     fifty(feed)
     for k in range(20):
         assert feed(seqno=k, tm_ms=60_000 + 4 * k, after=1000) is None
@@ -497,7 +494,6 @@ def mutated(rng: random.Random, data: bytes) -> bytes:
 
 @pytest.mark.slow
 def test_a_million_mutated_datagrams(robot: Robot) -> None:
-    """What a bridge does with datagrams up to the answer, without the socket."""
     rng, told = random.Random(1), list[str]()
     side, codec = RobotSideCodec(robot, "7", ("qd", "tau"), force=True), EgmCodec(robot, extension=True)
     session = Session(codec, on_event=lambda text, warn=False: told.append(text))

@@ -47,7 +47,6 @@ class Bench:
         return self.robot.q_home
 
     def run(self) -> None:
-        """Into RUNNING at constant speed."""
         self.reply(None)
         for _ in range(10):
             self.reply(Command(qd=np.full(7, 0.8)))
@@ -298,7 +297,6 @@ def test_clamps_are_counted_per_joint(bench: Bench) -> None:
 
 
 def test_implausible_feedback_after_the_end_is_not_sent_back(bench: Bench) -> None:
-    """The arm has ended and is answered while another one stops; then its controller comes back in other units."""
     bench.run()
     bench.machine.stop("another arm failed")
     while bench.mode is not Mode.ENDED:
@@ -355,7 +353,6 @@ def test_refusals_before_the_robot_was_ready_anew_do_not_count(bench: Bench, fie
 
 @pytest.mark.parametrize("late", [False, True])
 def test_a_reply_that_did_not_go_out_is_no_step(bench: Bench, late: bool) -> None:
-    """The next one is a step of the time that has passed, as far as a gap allows: three periods of the fastest."""
     fast = Command(qd=np.full(7, 1.0))
     sent = [bench.reply(fast) for _ in range(30)][-1]
     for _ in range(20):
@@ -371,7 +368,6 @@ def test_a_reply_that_did_not_go_out_is_no_step(bench: Bench, late: bool) -> Non
 
 
 def test_a_stop_of_which_nothing_goes_out_ends(bench: Bench) -> None:
-    """The reference stays at its speed, so that it would never rest; what was lost before does not count."""
     bench.run()
     for _ in range(600):
         bench.reply(Command(qd=np.full(7, 0.8)))

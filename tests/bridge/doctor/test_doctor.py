@@ -57,8 +57,6 @@ def test_all_checks_of_this_computer_say_something() -> None:
 
 
 def versions(missing: str = "", **newer: str) -> Any:
-    """Return what tells the versions of packages, of which some are missing and some newer than 1.0."""
-
     def version(name: str) -> str:
         if name in missing.split():
             raise importlib.metadata.PackageNotFoundError(name)
@@ -159,7 +157,6 @@ def test_real_time_priority(monkeypatch: pytest.MonkeyPatch, error: Exception | 
 
 
 def test_wake_up() -> None:
-    """On a clock of the test: one sleeper is 0.1 ms late, the other 3 ms."""
     for late, verdict in ((1e-4, "ok"), (3e-3, "warning")):
         time = [100.0]
 
@@ -218,7 +215,6 @@ def test_what_cannot_be_examined(ports: list[int], seconds: float, arms: Any, wo
 
 @contextmanager
 def streaming(*peers: Any) -> Iterator[None]:
-    """Let peers send at 500 Hz while the block runs."""
     over = threading.Event()
 
     def play() -> None:
@@ -279,7 +275,6 @@ def test_robots_are_heard_and_get_nothing(robot: Robot, make_peer: Any, monkeypa
 
 
 def test_a_rule_that_drops_packets(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a firewall does: an address of this computer from which nothing arrives."""
     monkeypatch.setattr(report, "local_addresses", lambda: {"eth9": "203.0.113.9"})
     found = listened(free_port())["self-test"]
     assert found.verdict == "failure"

@@ -220,7 +220,6 @@ def test_a_clock_that_was_set_is_mapped_anew(step: int) -> None:
 
 
 def test_in_a_run_and_replayed(play: Any) -> None:
-    """Values reach the controller and the log; a replay of the log through the same fusion gives the same rows."""
     seen: list[State] = []
 
     def controller(state: State) -> Command:

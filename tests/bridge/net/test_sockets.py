@@ -123,7 +123,6 @@ def test_the_holder_of_a_port_is_named(kind: str) -> None:
 
 
 def test_who_has_no_port() -> None:
-    """Neither a client whose own end has that number nor a connection listens."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         with socket.create_connection(server.getsockname()) as client:
             number = client.getsockname()[1]
@@ -199,7 +198,6 @@ def told_of(*said: tuple[str, float], each: bool = False) -> list[tuple[str, int
 
 
 def test_of_a_kind_one_a_second() -> None:
-    """The first at once, the last of those that came too soon in its turn, with the number left out."""
     said = [(f"Joint {k} of 'a{k}' flaps.", 0.1 * k) for k in range(25)]
     assert told_of(*said) == [
         ("Joint 0 of 'a0' flaps.", 0),
@@ -210,7 +208,6 @@ def test_of_a_kind_one_a_second() -> None:
 
 
 def test_what_must_be_told_one_by_one_is_unless_it_floods() -> None:
-    """Ten a second for ten seconds, as the lease allows; a client that takes an arm and lets go of it in every tick."""
     said = [(f"zenoh {k} commands arm.", 0.1 * k) for k in range(100)]
     assert [text for text, _ in told_of(*said, each=True)] == [text for text, _ in said]
     others = [("Ready.", 0.0), ("Not ready.", 0.1), ("Stopped by a 1.", 0.2), ("Ready.", 0.3), ("Not ready.", 5.0)]
@@ -226,7 +223,6 @@ def test_a_clock_that_begins_anew() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 200), st.floats(0.0, 0.3)), max_size=400))
 def test_nothing_is_lost_without_being_counted(steps: list[tuple[int, float]]) -> None:
-    """Few sentences a second whatever comes; those told and those left out are all."""
     now, said = 0.0, []
     for kind, wait in steps:
         now += wait
@@ -238,7 +234,6 @@ def test_nothing_is_lost_without_being_counted(steps: list[tuple[int, float]]) -
 
 
 def test_a_recording_keeps_what_waited(robot: Robot) -> None:
-    """Readiness that flaps with each packet for four seconds: about two events a second, and the last state."""
     stamps = [0]
     recording = Recording(robot, None, None, wait=False, clock=lambda: stamps[0])
     for k in range(1000):
