@@ -168,7 +168,7 @@ def test_the_verdict_names_what_is_wrong(fit) -> None:
     few = replace(fit, residuals=fit.residuals[:2])
     assert "few measurements" in judge(few).bad[0]
     held = replace(fit, excitation=replace(fit.excitation, held=("link 3",)))
-    assert "A prior fixes what the samples do not identify: link 3." in judge(held).bad
+    assert "A prior fixes directions that the samples do not identify: link 3." in judge(held).bad
     assert not judge(held).good
     rough = replace(fit, sigma=np.array([0.03, 0.001]))
     assert judge(rough).bad == [

@@ -47,7 +47,7 @@ def test_the_press_is_found(pushed: str, monkeypatch, tmp_path, command) -> None
     assert fx == pytest.approx(8.0, abs=1.0)
     assert figure.exists()
     page = report.read_text(encoding="utf-8")
-    for part in ("Contact wrench", "1 contact; the strongest from", "possible location", "method map"):
+    for part in ("Contact wrench", "1 contact; the strongest lasts from", "possible location", "method map"):
         assert part in page
     assert page.count("data:image/png;base64,") == 4
     written = read(tmp_path / "est.mcap")

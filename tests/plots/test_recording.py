@@ -44,7 +44,7 @@ def test_usual_columns_each_in_a_panel(data: Table, tmp_path: Path) -> None:
         assert np.array_equal(ax.lines[0].get_xdata(), data.t)
     assert figure.axes[-1].get_xlabel() == "t [s]"
     legends = [ax.get_legend() for ax in figure.axes]
-    assert [text.get_text() for text in legends[0].get_texts()] == ["a1", "a2", "a3", "limit acted"]
+    assert [text.get_text() for text in legends[0].get_texts()] == ["a1", "a2", "a3", "limit active"]
     assert legends[1:] == [None, None]  # the same lines: said once
     both = table(data, "tau", "q", "q_ref")
     assert [text.get_text() for text in both.axes[1].get_legend().get_texts()] == ["commanded"]  # the rest stands above
@@ -62,7 +62,7 @@ def test_asked_and_sent_share_the_panel_dashed(data: Table, spans) -> None:
     assert asked[0] > sent[0]  # long and short dashes
     assert spans(ax) == [pytest.approx((1.0, 2.0))]
     shown = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert shown == ["a1", "a2", "a3", "commanded", "sent", "limit acted"]
+    assert shown == ["a1", "a2", "a3", "commanded", "sent", "limit active"]
     ax = table(data.with_column("wrench_hat", np.zeros((N, 6))), "wrench_hat")
     assert ax.get_ylabel() == "wrench_hat [N, N m]"
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["f_x", "f_y", "f_z", "m_x", "m_y", "m_z"]

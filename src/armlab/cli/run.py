@@ -127,7 +127,7 @@ def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] |
 
 
 def _file_and_name(place: str) -> tuple[Path, str]:
-    """Split ``FILE.py:NAME`` or ``FILE.py``."""
+    """Return the file and the name of the function in ``FILE.py:NAME`` or ``FILE.py``."""
     file, _, name = place.partition(".py:")
     return Path(f"{file}.py" if name else place), name or _NAME
 

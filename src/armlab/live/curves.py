@@ -34,7 +34,7 @@ class RingBuffer:
 
     @property
     def t(self) -> np.ndarray:
-        """Times (N,)."""
+        """Times (N,) of the samples [s]."""
         return np.array([t for t, _ in self._rows])
 
     @property

@@ -89,7 +89,7 @@ def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> Non
         ax.set_title(_label(data, names[0], component))
     if "clamped" in data and _quantity(names[0]) in ("q", "qd", "tau"):
         clamped = np.nan_to_num(data["clamped"]) != 0
-        shade(ax, data.t, clamped.any(axis=1) if component is None else clamped[:, component], label="limit acted")
+        shade(ax, data.t, clamped.any(axis=1) if component is None else clamped[:, component], label="limit active")
 
 
 def _legends(axes: list[Axes]) -> None:

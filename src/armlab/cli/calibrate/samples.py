@@ -179,8 +179,8 @@ def read_samples(path: Path, columns: str | ColumnNames | None = None) -> Sample
     if is_foreign(path) and "q" in table and columns is None:
         table = table.without(*(name for name in ("q", "qd", "tau") if name in table))
         note(
-            f"{path.name}: its joints are in a different order and are ignored. For samples with joints, armlab log "
-            f"export {path.name} samples.csv --robot NAME reorders them."
+            f"{path.name}: the joints are ignored, because their order is unknown. To reorder them: armlab log export "
+            f"{path.name} samples.csv --robot NAME."
         )
     units = {name: column.unit or "" for name, column in table.columns.items()}
     values = {"t": table.t, **table.values}
@@ -465,7 +465,9 @@ def judge(fit: Fit[Any]) -> Verdict:
     found.good.append(f"{fit.n} samples identify all {fit.excitation.expected} requested directions.")
     if fit.excitation.held:
         found.good.clear()
-        found.bad.append(f"A prior fixes what the samples do not identify: {'; '.join(fit.excitation.held)}.")
+        found.bad.append(
+            f"A prior fixes directions that the samples do not identify: {'; '.join(fit.excitation.held)}."
+        )
     if left > _MANY * total:
         found.bad.append(f"{left} of {total} samples were excluded as outliers: too many.")
         found.ahead.append("Check the pairing, clocks and units before you use the result.")

@@ -115,9 +115,10 @@ def judge(
     if contacts:
         largest = max(contacts, key=lambda contact: float(np.linalg.norm(contact.force)))
         size = float(np.linalg.norm(largest.force))
+        span = f"{largest.start:.2f} to {largest.end:.2f} s"
         found.good.append(
-            f"{len(contacts)} contact{'s' if len(contacts) > 1 else ''}; the strongest from {largest.start:.2f} to "
-            f"{largest.end:.2f} s with {size:.2f} N, 2 sigma {largest.band:.2f} N."
+            f"{len(contacts)} contact{'s' if len(contacts) > 1 else ''}; the strongest lasts from {span}, with "
+            f"{size:.2f} N (2 sigma: {largest.band:.2f} N)."
         )
     else:
         found.good.append("No contact: the force never exceeds the level of free motion.")
@@ -163,7 +164,7 @@ def _whole(found: Verdict, table: Table) -> None:
         total = sum(seconds for _, seconds in holes)
         found.bad.append(
             f"{'Gap' if len(holes) == 1 else f'{len(holes)} gaps'} in the log: {named}{more}; {total:.3g} s in total. "
-            "Contacts during gaps are missed; after a gap of more than five periods the estimate restarts."
+            "Contacts during gaps are missed, and the estimate restarts after a gap of more than five periods."
         )
 
 
@@ -188,8 +189,8 @@ def _flags(found: Verdict, table: Table) -> None:
         )
     if share[INFEASIBLE]:
         found.bad.append(
-            f"In {100 * share[INFEASIBLE]:.1f} % of the rows no wrench at the tool explains the torques: contact on "
-            "another link, or a wrong model."
+            f"In {100 * share[INFEASIBLE]:.1f} % of the rows no wrench at the tool explains the torques: the contact "
+            "is on another link, or the model is wrong."
         )
 
 

@@ -119,7 +119,7 @@ def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict,
 
     page = HtmlReport(f"Load of {1e3 * fit.value.mass:.0f} g", about)
     page.verdict(verdict)
-    page.section("Load", "In flange axes; the standard deviations include the unknown joint gains.")
+    page.section("Load", "In flange axes. The standard deviations include the uncertainty of the torque constants.")
     rows = [("parameter", "value", "standard deviation", "unit")]
     rows += [(n, f"{x:.5g}", f"{s:.2g}", u) for n, x, s, u in zip(fit.names, fit.parameters, fit.sd, fit.units)]
     page.table(rows)

@@ -174,11 +174,11 @@ def _judge_motion(found: Verdict, fit: Fit[TorqueModel], robot: Robot, tables: S
     hasty = np.mean(qd < SLOW * robot.qd_max, axis=0) < SLOW_SHARE
     if hasty.any():
         found.ahead.append(
-            f"{_joints(hasty)}: hardly any slow motion. Record some, because friction is least certain there."
+            f"{_joints(hasty)}: hardly any slow motion. Record slow motion: friction is least certain at low speed."
         )
     if not found.ahead:
         found.ahead.append(
-            "None: use the model to estimate forces. Repeat the identification when the tool, load or mounting changes."
+            "Use the model to estimate forces. Repeat the identification when the tool, load or mounting changes."
         )
 
 

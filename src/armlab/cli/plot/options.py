@@ -36,7 +36,7 @@ Joints = Annotated[str | None, Parameter(help="Comma-separated joint numbers fro
 @Parameter(name="*")
 @dataclass(frozen=True)
 class FigureFile:
-    """Output of the figure.
+    """Output options of a figure.
 
     Attributes:
         output: PNG, SVG or PDF; default: in the folder of the input, named after the input and the figure.
@@ -128,13 +128,13 @@ class LogPart:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class LogFigure(LogPart, FigureFile):
-    """Figure of part of a log."""
+    """Options of a figure of a log."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ModelFigure(LogFigure):
-    """Figure of a torque model and part of a log."""
+    """Options of a figure of a torque model and a log."""
 
     robot: Annotated[str | None, Parameter(help="Robot file if the robot of the model is not in the library.")] = None
 

@@ -120,7 +120,7 @@ def taught_on(path: Path, robot: Robot | None) -> tuple[str, ...]:
 
 
 def check_taught(path: Path, robot: Robot, force: bool = False) -> None:
-    """Refuse a joint-space primitive for another robot description."""
+    """Refuse a joint-space primitive that was taught on another robot description."""
     from armlab.models.files import sources_of
     from armlab.robots.comparison import check_same
 
@@ -170,7 +170,7 @@ def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tupl
 
 
 def gaps(table: Table) -> list[tuple[float, float]]:
-    """Return (time of the preceding row, length) of each gap [s]: a step longer than 1.5 times the median step."""
+    """Return the time before each gap and its length [s]; a gap is a step longer than 1.5 times the median step."""
     steps = np.diff(table.t)
     after = np.flatnonzero(steps > LOST * np.median(steps)) if len(steps) else []
     return [(float(table.t[k]), float(steps[k])) for k in after]

@@ -25,9 +25,9 @@ Seconds = Annotated[float | None, Parameter(help="Stop after this time [s].")]
 Columns = Annotated[
     str | None,
     Parameter(
-        help="Columns of a foreign file: q=joint_{1..6}_pos [deg],tau=current_{1..6}*12.5, "
-        "with unit and factor where needed; without a header, by position: t=1,q={2..7}. Or use a preset: ur, franka, "
-        "ros, abb, abb7."
+        help="Columns of a file of another program, with unit and factor where needed: "
+        "q=joint_{1..6}_pos [deg],tau=current_{1..6}*12.5. For a file without a header, give column numbers: "
+        "t=1,q={2..7}. Presets: ur, franka, ros, abb, abb7."
     ),
 ]
 # equal to contact.Method, whose import is too slow for the help

@@ -134,7 +134,7 @@ _QUIET = logging.NullHandler()
 
 
 class Narrator:
-    """Prints run events to standard error, and warnings about the first packets."""
+    """Feed that prints the events of a run to standard error, with warnings about its first packets."""
 
     def __init__(self, listens: bool = False, q_home: dict[str, list[float]] | None = None) -> None:
         self._listens, self._q_home = listens, dict(q_home or {})
