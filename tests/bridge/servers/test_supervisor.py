@@ -42,6 +42,12 @@ def command(program: str) -> list[str]:
     return [sys.executable, "-S", "-c", program, PLACE]
 
 
+def watched(*names: str) -> tuple[Hub, list[str]]:
+    exchange, told = Hub([LEFT], names), list[str]()
+    exchange.begin(lambda text, *_: told.append(text))
+    return exchange, told
+
+
 def test_a_server_listens_and_ends_with_the_bridge() -> None:
     exchange = Hub([LEFT], ["a"])
     with Servers(exchange, {"a": command(WAITS)}) as servers:
@@ -53,9 +59,7 @@ def test_a_server_listens_and_ends_with_the_bridge() -> None:
 
 
 def test_a_server_that_fails_is_left_dead() -> None:
-    exchange = Hub([LEFT], ["a"])
-    told: list[str] = []
-    exchange.begin(lambda text, *_: told.append(text))
+    exchange, told = watched("a")
     program = QUIET + "while b'Now.' not in s.recv(100000): pass\n" + FAILS
     with Servers(exchange, {"a": command(program)}, restarts=(0.01,)) as servers:
         for ends in range(2):
@@ -68,9 +72,7 @@ def test_a_server_that_fails_is_left_dead() -> None:
 
 @pytest.mark.parametrize(("well", "outcome"), [(0.0, "It restarts in 0.01 s."), (1e6, "It is not restarted")])
 def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -> None:
-    exchange = Hub([LEFT], ["a"])
-    told: list[str] = []
-    exchange.begin(lambda text, *_: told.append(text))
+    exchange, told = watched("a")
     with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01,), well=well) as servers:
         for ends in range(2):
             assert servers.ready(60.0) == ["here"]
@@ -118,9 +120,7 @@ def test_a_server_that_says_nothing() -> None:
 
 
 def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    exchange = Hub([LEFT], ["a", "b"])
-    told: list[str] = []
-    exchange.begin(lambda text, *_: told.append(text))
+    exchange, told = watched("a", "b")
     look, idle, broken = Servers._check, exchange.idle, [False]
 
     def fail(servers: Servers, child: Any) -> None:

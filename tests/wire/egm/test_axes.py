@@ -78,35 +78,31 @@ def test_axes_and_units_that_fit_no_robot() -> None:
 IRB2400 = robots.load("irb2400")
 
 
-def rod() -> Linkage:
-    found = Linkage.of(IRB2400)
-    assert found is not None
-    return found
+ROD: Any = Linkage.of(IRB2400)
 
 
 def test_gears_alone_are_no_linkage() -> None:
     assert Linkage.of(robots.load("yumi_left")) is None
     assert Linkage.of(arm(np.diag([0.01, -0.01, 1.0]))) is None
-    geared = Linkage.of(arm([[0.01, 0.0], [-0.01, 0.02]]))
-    assert geared is not None
+    geared: Any = Linkage.of(arm([[0.01, 0.0], [-0.01, 0.02]]))
     np.testing.assert_allclose(geared.axes(np.array([0.3, 0.4])), [0.3, 0.7], atol=1e-15)
 
 
 def test_axis_3_is_counted_from_the_foot() -> None:
     q = np.array([0.1, 0.5, -0.8, 0.2, 0.3, 0.4])
-    axes = rod().axes(q)
+    axes = ROD.axes(q)
     np.testing.assert_allclose(axes, [0.1, 0.5, -0.3, 0.2, 0.3, 0.4], atol=1e-15)
-    np.testing.assert_allclose(rod().joints(axes), q, atol=1e-15)
-    lost = rod().joints(np.array([np.nan, 0.5, -0.3, 0.2, 0.3, np.inf]))
+    np.testing.assert_allclose(ROD.joints(axes), q, atol=1e-15)
+    lost = ROD.joints(np.array([np.nan, 0.5, -0.3, 0.2, 0.3, np.inf]))
     np.testing.assert_allclose(lost[1:5], q[1:5], atol=1e-15)
 
 
 def test_power_is_the_same_on_both_sides() -> None:
     rng = np.random.default_rng(1)
     qd, tau = rng.normal(size=(2, 6))
-    said = rod().to_axes(RobotMessage(0, 0, qd, qd=qd, tau=tau))
+    said = ROD.to_axes(RobotMessage(0, 0, qd, qd=qd, tau=tau))
     assert said.tau @ said.qd == pytest.approx(tau @ qd)
-    back = rod().from_axes(said)
+    back = ROD.from_axes(said)
     np.testing.assert_allclose(back.tau, tau)
     np.testing.assert_allclose(back.qd, qd)
     assert back.q_planned is None
@@ -119,7 +115,7 @@ def test_on_the_wire_are_axes(wire: Any) -> None:
     np.testing.assert_allclose(packet.q, q)
     codec = EgmCodec(IRB2400, extension=True)
     reply = codec.encode(Reference(q, 0 * q, np.arange(6.0), 1, 2))
-    assert wire.m(1, wire.d(1, *np.degrees(rod().axes(q)))) in reply
+    assert wire.m(1, wire.d(1, *np.degrees(ROD.axes(q)))) in reply
     found: Any = RobotSideCodec(IRB2400).decode_sensor(reply)
     np.testing.assert_allclose(found.q, q)
     np.testing.assert_allclose(found.tau, np.arange(6.0))

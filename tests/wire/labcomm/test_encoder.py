@@ -76,10 +76,6 @@ def test_type_bindings_are_sent_on_request() -> None:
         Encoder("2014v1", type_defs=True)
 
 
-def bad(name: str, value: Any) -> dict[str, Any]:
-    return {**VALUE, name: value}
-
-
 @pytest.mark.parametrize(
     ("text", "value", "message"),
     [
@@ -129,7 +125,7 @@ def test_a_row_of_the_wrong_form_is_refused(value: Any) -> None:
     encoder = Encoder()
     encoder.define(ROW)
     with pytest.raises(LabCommError, match=r"^robot_row\.pos"):
-        encoder.data(ROW, bad("pos", value))
+        encoder.data(ROW, {**VALUE, "pos": value})
 
 
 def test_numpy_arrays_keep_sizes_that_lists_hide() -> None:
@@ -160,4 +156,4 @@ def test_write_packet_says_what_a_dialect_cannot() -> None:
     with pytest.raises(LabCommError, match="2006"):
         write_packet(Definition("ref", 0x40, "n", ROW.type), "2006")
     with pytest.raises(LabCommError, match=r"robot_row.pos: expected 7 values"):
-        write_packet(Sample(0x40, "robot_row", bad("pos", []), ROW.type), "2014")
+        write_packet(Sample(0x40, "robot_row", {**VALUE, "pos": []}, ROW.type), "2014")

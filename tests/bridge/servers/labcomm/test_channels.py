@@ -245,14 +245,11 @@ def test_arms_of_six_joints() -> None:
 
 @pytest.fixture
 def pair() -> Iterator[tuple[Peer, socket.socket]]:
-    listener = socket.create_server(("127.0.0.1", 0))
-    other = socket.create_connection(listener.getsockname())
-    ours, _ = listener.accept()
-    listener.close()
-    other.settimeout(10.0)
-    yield Peer(ours, "test", Encoder()), other
-    ours.close()
-    other.close()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        other = socket.create_connection(listener.getsockname(), timeout=10.0)
+        ours, _ = listener.accept()
+    with ours, other:
+        yield Peer(ours, "test", Encoder()), other
 
 
 def test_a_full_queue_loses_the_oldest_data_and_no_definition(pair: tuple[Peer, socket.socket]) -> None:

@@ -157,23 +157,18 @@ def test_configuration(lab: Path) -> None:
 
 
 def test_files_that_do_not_fit(lab: Path, tmp_path: Path) -> None:
-    open_, users = tmp_path / "open.secret", tmp_path / "users.txt"
-    open_.write_text("a:b\n")
-    users.write_text("viewer:x\n\n")
-    users.chmod(0o600)
-    two = tmp_path / "two.secret"
-    two.write_text("a:b\nc:d\n")
-    two.chmod(0o600)
-    bad = tmp_path / "bad.secret"
-    bad.write_text("nothing\n")
-    bad.chmod(0o600)
+    texts = {"open": "a:b\n", "users": "viewer:x\n\n", "two": "a:b\nc:d\n", "bad": "nothing\n"}
+    files = {name: tmp_path / name for name in texts}
+    for name, file in files.items():
+        file.write_text(texts[name])
+        file.chmod(0o644 if name == "open" else 0o600)
     for options, words in (
         ({"secret": tmp_path / "none"}, "found none"),
         ({"secret": tmp_path / ("long" * 100)}, "found none"),
-        ({"secret": open_}, "chmod 600"),
-        ({"secret": two}, "got 2"),
-        ({"secret": bad}, "line 1 of"),
-        ({"users": users}, "commander:PASSWORD"),
+        ({"secret": files["open"]}, "chmod 600"),
+        ({"secret": files["two"]}, "got 2"),
+        ({"secret": files["bad"]}, "line 1 of"),
+        ({"users": files["users"]}, "commander:PASSWORD"),
         ({"certificate": lab / "bridge.pem", "ca": lab / "lab.pem"}, "all of"),
         ({"certificate": lab / "bridge.pem", "key": lab / "bridge.key"}, "all of"),
     ):
