@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -17,18 +17,12 @@ _MAX_DISAGREEMENT = 1.0  # s per row between robot clock and session time; more 
 
 
 def recording_table(
-    values: Mapping[str, np.ndarray],
-    columns: Mapping[str, Column],
-    stamp_ns: np.ndarray,
-    *,
-    notes: Sequence[str] = (),
-    source: Sequence[str] = (),
-    raw: bool = False,
+    values: Mapping[str, np.ndarray], columns: Mapping[str, Column], stamp_ns: np.ndarray, *, raw: bool = False
 ) -> Table:
     """Return a table of the columns (N, ...) that contain values; t = 0 at the first row."""
     t, clock = recording_clock(values, stamp_ns)
     t, keep, dropped = rows_in_order(t, raw)
-    notes = [*notes, *dropped]
+    notes = [*dropped]
     values = {name: _used(array) if name in _PADDED else array for name, array in values.items()}
     if not keep.all():
         values = {name: array[keep] for name, array in values.items()}
@@ -40,9 +34,7 @@ def recording_table(
         if not _fits(array, described[name].kind):  # one invalid value must not lose the recording
             notes.append(f"{name}: values do not match the kind {described[name].kind}, stored as real")
             described[name] = replace(described[name], kind="real")
-    return Table(
-        t, present, described, t0_ns=wall_at_zero(t, stamp_ns), clock=clock, notes=tuple(notes), source=tuple(source)
-    )
+    return Table(t, present, described, t0_ns=wall_at_zero(t, stamp_ns), clock=clock, notes=tuple(notes))
 
 
 def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> tuple[np.ndarray, str]:

@@ -172,10 +172,10 @@ class RecordingFile:
             if self._chunk_rows >= MAX_CHUNK_ROWS:
                 self.close_chunk()
 
-    def event(self, text: str, stamp_ns: int, tick: int = 0) -> None:
+    def event(self, text: str, stamp_ns: int) -> None:
         if self._opening:
             self._open(stamp_ns)
-        self._writer.message(self._events, tick & 0xFFFFFFFF, stamp_ns, stamp_ns, ros.event(stamp_ns, text))
+        self._writer.message(self._events, 0, stamp_ns, stamp_ns, ros.event(stamp_ns, text))
         self._writer.push()
 
     def _open(self, stamp_ns: int) -> None:

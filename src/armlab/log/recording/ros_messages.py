@@ -133,12 +133,12 @@ def definition(name: str) -> str:
     return store().generate_msgdef(name, ros_version=2)[0]
 
 
-def event(stamp_ns: int, text: str, level: int = 20) -> bytes:
-    """Return an rcl_interfaces/msg/Log message (level 20 is INFO, 30 WARN, 40 ERROR)."""
+def event(stamp_ns: int, text: str) -> bytes:
+    """Return an rcl_interfaces/msg/Log message of level INFO."""
     types = store().types
     stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
     log = types["rcl_interfaces/msg/Log"](
-        stamp=stamp, level=level, name="armlab", msg=_in_utf8(text), file="", function="", line=0
+        stamp=stamp, level=20, name="armlab", msg=_in_utf8(text), file="", function="", line=0
     )
     return bytes(store().serialize_cdr(log, "rcl_interfaces/msg/Log"))
 

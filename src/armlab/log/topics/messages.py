@@ -248,8 +248,8 @@ def read_rosbags_topics(
     stamps: dict[int, list[int]] = {number: [] for number in readers}
     connections = [connection for connection, _, _ in readers.values()]
     total = max(sum(one.msgcount for one in connections), 1)
-    # rosbags yields all messages for an empty selection
-    for done, (connection, stamp, raw) in enumerate(bag.messages(connections) if connections else ()):
+    found: Any = bag.messages(connections) if connections else ()  # rosbags yields all messages for an empty selection
+    for done, (connection, stamp, raw) in enumerate(found):
         raws[connection.id].append(raw)
         stamps[connection.id].append(stamp)
         if progress and done % 10_000 == 0:
