@@ -69,16 +69,12 @@ class RwsError(LinkError):
         self.status, self.code = status, code
 
 
+@dataclass(frozen=True, slots=True)
 class Credentials:
     """User and password of a controller; the password never appears in the repr."""
 
-    __slots__ = ("password", "user")
-
-    def __init__(self, user: str, password: str) -> None:
-        self.user, self.password = user, password
-
-    def __repr__(self) -> str:
-        return f"Credentials({self.user!r})"
+    user: str
+    password: str = field(repr=False)
 
     @classmethod
     def from_environment(cls, ask: Callable[[str], str] | None = None) -> Credentials:

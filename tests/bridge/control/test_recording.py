@@ -38,6 +38,7 @@ def test_rows_and_events(robot: Robot, tmp_path: Path, in_file: bool) -> None:
         state, tick = row(robot, k)
         keep(recording, state, Command(state.q, record={"grip": float(k)}), tick)
     recording.event("Something happened.")
+    recording.parameter(Change(1, "gain", 3.0, "local 1"))
     tail = recording.tail()
     assert recording.close({"rows asked": 1000}) == []
     table = recording.table()
@@ -49,14 +50,7 @@ def test_rows_and_events(robot: Robot, tmp_path: Path, in_file: bool) -> None:
     assert recording.path == path
     if path is not None:
         assert len(log.read(path)) == 1000
-
-
-def test_parameters(robot: Robot, tmp_path: Path) -> None:
-    for path in (None, tmp_path / "run.mcap"):
-        recording = Recording(robot, path, None, wait=True, clock=lambda: 5)
-        recording.parameter(Change(1, "gain", 3.0, "local 1"))
-        recording.close({})
-    assert log.inspect(tmp_path / "run.mcap").parameters == (Setting(5, 1, "gain", 3.0, "local 1"),)
+        assert log.inspect(path).parameters == (Setting(5, 1, "gain", 3.0, "local 1"),)
 
 
 def test_a_command_of_any_shape_does_not_stop_the_rows(robot: Robot) -> None:

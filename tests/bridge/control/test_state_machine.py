@@ -66,7 +66,7 @@ def test_waiting_sends_nothing(bench: Bench) -> None:
     assert bench.machine.answer(Command(bench.home), T) is None
 
 
-def test_listening_sends_nothing_ever(feed: Any, robot: Robot) -> None:
+def test_listening_sends_nothing_ever_and_a_stream_may_stay_unanswered(feed: Any, robot: Robot) -> None:
     bench = Bench(feed, robot, commands=False)
     for fields in [{}, {"mci": 2}, {}, {"motors": 2}]:
         assert bench(Command(robot.q_home), **fields) is None
@@ -78,6 +78,9 @@ def test_listening_sends_nothing_ever(feed: Any, robot: Robot) -> None:
     bench.machine.stop("the time is up")
     assert bench.mode is Mode.ENDED
     assert bench.events[-1] == "Stopping: the time is up."
+    bench = Bench(feed, robot, answer_stream=False)
+    assert bench(mci=2) is None
+    assert bench(mci=3) is not None
 
 
 @pytest.mark.parametrize("fields", NOT_READY)
@@ -91,12 +94,6 @@ def test_not_ready_sends_back_the_feedback_of_this_packet(bench: Bench, fields: 
         assert not bench.machine.calls
     assert bench.mode is Mode.HOLDING
     assert not bench.feed.warnings, "it was not ready before"
-
-
-def test_a_stream_may_stay_unanswered(feed: Any, robot: Robot) -> None:
-    bench = Bench(feed, robot, answer_stream=False)
-    assert bench(mci=2) is None
-    assert bench(mci=3) is not None
 
 
 def test_ready_freezes_the_position(bench: Bench) -> None:
@@ -227,13 +224,6 @@ def test_an_arm_that_is_not_ready_while_it_stops_ends_after_the_same_time(bench:
     assert bench.machine.answer(None, T) is None, "to a packet of the session before"
 
 
-def test_the_controller_ends_the_run(bench: Bench) -> None:
-    bench.run()
-    bench.reply(Command.stop())
-    assert bench.mode is Mode.STOPPING
-    assert bench.machine.reason == "the controller ended the run"
-
-
 def test_a_lost_session_is_waited_for_or_ends(bench: Bench) -> None:
     bench.run()
     begun: list[str] = []
@@ -250,13 +240,14 @@ def test_a_lost_session_is_waited_for_or_ends(bench: Bench) -> None:
     assert bench.machine.reason == "the motors were switched off"
 
 
-def test_a_session_lost_while_stopping_ends(bench: Bench) -> None:
+def test_the_controller_ends_the_run_and_a_session_lost_while_stopping_ends(bench: Bench) -> None:
     bench.run()
-    bench.machine.stop("interrupted")
+    bench.reply(Command.stop())
+    assert bench.mode is Mode.STOPPING
     bench.machine.stop("second", LinkError("Expected the first reason to stay, it did not."))
     assert bench.machine.failure is None
     bench.machine.lose("the controller stopped sending", resume=True)
-    assert (bench.mode, bench.machine.reason) == (Mode.ENDED, "interrupted")
+    assert (bench.mode, bench.machine.reason) == (Mode.ENDED, "the controller ended the run")
 
 
 def test_implausible_feedback_never_moves(bench: Bench) -> None:

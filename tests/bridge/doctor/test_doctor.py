@@ -307,20 +307,15 @@ def judged(heard: EgmListener) -> dict[str, Finding]:
 
 
 @pytest.fixture
-def heard(robot: Robot) -> EgmListener:
-    return EgmListener(6510, robot)
+def line(robot: Robot) -> Line:
+    return Line(robot, EgmListener(6510, robot))
 
 
-@pytest.fixture
-def line(robot: Robot, heard: EgmListener) -> Line:
-    return Line(robot, heard)
-
-
-def test_a_robot_that_is_ready(heard: EgmListener, line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_robot_that_is_ready(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     for k in range(100):
         line(k)
     monkeypatch.setattr("armlab.bridge.doctor.report.time.monotonic_ns", lambda: line.now)
-    found = judged(heard)
+    found = judged(line.heard)
     assert {finding.verdict for finding in found.values()} == {"ok"}
     assert "100.0/s from 192.0.2.7:40000" in found["packets"].value
     assert "period 4.032 ms" in found["timing"].value
@@ -329,9 +324,13 @@ def test_a_robot_that_is_ready(heard: EgmListener, line: Line, monkeypatch: pyte
     assert found["sessions"].value == "1"
     assert "robot minus computer" in found["clock"].value
     assert "absent" in found["extension"].value
+    line.codec = RobotSideCodec(line.robot, extension=True)
+    line(100, qd=np.zeros(7), tau=np.zeros(7))
+    assert "present" in judged(line.heard)["extension"].value
 
 
-def test_silence(heard: EgmListener) -> None:
+def test_silence(line: Line) -> None:
+    heard = line.heard
     (finding,) = heard.findings(5.0)
     assert (finding.verdict, finding.value) == ("warning", "none in 5 s")
     for word in ("UDPUC", "EGMRunJoint", "ufw allow 6510/udp"):
@@ -366,12 +365,6 @@ def test_the_first_packet(
         assert found["posture"].verdict == "ok"
 
 
-def test_the_extension(heard: EgmListener, line: Line) -> None:
-    line.codec = RobotSideCodec(line.robot, extension=True)
-    line(0, qd=np.zeros(7), tau=np.zeros(7))
-    assert "present" in judged(heard)["extension"].value
-
-
 OTHER = ("192.0.2.8", 50_000)
 UNEVEN = [{"seqno": k, "after": PERIOD_NS + 3_000_000 * (k % 10 == 9)} for k in range(50)]
 ENDED = [{"seqno": 0}, {"seqno": 1, "motors": 2}, {"seqno": 0, "after": 10**9}]
@@ -390,12 +383,10 @@ ENDED = [{"seqno": 0}, {"seqno": 1, "motors": 2}, {"seqno": 0, "after": 10**9}]
         (ENDED, "sessions", "warning", "2, last end: the", "CommTimeout"),
     ],
 )
-def test_what_packets_tell(
-    heard: EgmListener, line: Line, packets: Any, name: str, verdict: str, value: str, advice: str
-) -> None:
+def test_what_packets_tell(line: Line, packets: Any, name: str, verdict: str, value: str, advice: str) -> None:
     for packet in packets:
         line(**packet)
-    found = judged(heard)[name]
+    found = judged(line.heard)[name]
     assert found.verdict == verdict
     assert value in found.value
     assert advice in found.advice

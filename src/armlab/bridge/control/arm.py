@@ -227,13 +227,7 @@ class ArmSession:
         self.newest = sample
 
     def reply(
-        self,
-        sample: Sample,
-        command: Command | None,
-        reply: Reply | None,
-        *,
-        call_ns: int = 0,
-        late: bool = False,
+        self, sample: Sample, command: Command | None, reply: Reply | None, *, call_ns: int = 0, late: bool = False
     ) -> None:
         """Send the only reply to a packet; `record` later records the packet and the packets that it overtook."""
         seq = send_ns = -1

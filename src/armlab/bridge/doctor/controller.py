@@ -57,7 +57,8 @@ def known_tasks(status: ControllerStatus, wanted: Sequence[str] = ()) -> list[Ta
 
 def senders(status: ControllerStatus) -> dict[int, Task]:
     """Return the task that sends to each port, according to the UDP devices."""
-    return {status.devices[PROGRAMS[one.name][1]][1]: one for one in known_tasks(status) if _has_device(status, one)}
+    devices = {PROGRAMS[one.name][1]: one for one in known_tasks(status)}
+    return {status.devices[name][1]: one for name, one in devices.items() if name in status.devices}
 
 
 def tasks_for(status: ControllerStatus, ports: Sequence[int]) -> list[Task]:
@@ -171,13 +172,9 @@ def same_text(one: str, other: str) -> bool:
     ]
 
 
-def _has_device(status: ControllerStatus, task: Task) -> bool:
-    return PROGRAMS[task.name][1] in status.devices
-
-
 def _device(status: ControllerStatus, task: Task) -> Finding:
     name, device = f"{task.name}, UDP device", PROGRAMS[task.name][1]
-    if not _has_device(status, task):
+    if device not in status.devices:
         value = f"no {device!r} among {', '.join(status.devices) or 'none'}"
         return Finding(name, "failure", value, f"Add a device {device!r} of type UDPUC and restart. {_HOW_TO}.")
     address, port = status.devices[device]

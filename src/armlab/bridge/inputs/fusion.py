@@ -222,7 +222,12 @@ class Fusion:
             last = self._last[name] = (reading, self._mapped(source, reading, None if last is None else last[0]))
         age = max(1e-9 * (now_ns - reading.receive_ns), 0.0)
         stale = age > source.max_age
-        self._report_stale(source, stale, age)
+        if stale and name not in self._stale:
+            self._stale.add(name)
+            self._on_event(f"The source {name} is stale: its last reading is {age:.3f} s old.", warn=True)
+        elif not stale and name in self._stale:
+            self._stale.discard(name)
+            self._on_event(f"The source {name} is fresh again.")
         values = self._nothing[name] if stale else reading.values
         return Held(
             values, reading.values, age, fresh, stale, reading.gaps, reading.seq, reading.source_ns,
@@ -271,11 +276,3 @@ class Fusion:
         if clock.resets > before:
             self._on_event(f"The clock of the source {source.name} was set. The clock mapping restarts.", warn=True)
         return mapped
-
-    def _report_stale(self, source: Source, stale: bool, age: float) -> None:
-        if stale and source.name not in self._stale:
-            self._stale.add(source.name)
-            self._on_event(f"The source {source.name} is stale: its last reading is {age:.3f} s old.", warn=True)
-        elif not stale and source.name in self._stale:
-            self._stale.discard(source.name)
-            self._on_event(f"The source {source.name} is fresh again.")
