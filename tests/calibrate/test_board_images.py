@@ -148,9 +148,7 @@ def test_a_checkerboard_is_found_from_either_side_of_the_camera() -> None:
 def test_a_tag_needs_intrinsics_and_is_named_when_it_is_ambiguous() -> None:
     rng = np.random.default_rng(5)
     words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    tag = cv2.copyMakeBorder(
-        cv2.aruco.generateImageMarker(words, 7, 60), 20, 20, 20, 20, cv2.BORDER_CONSTANT, value=255
-    )
+    tag = np.pad(cv2.aruco.generateImageMarker(words, 7, 60), 20, constant_values=255)
     poses = [se3.from_rp(so3.exp([0.5, 0.4 * k, 0.2]), [-0.02, -0.02, 0.3]) for k in (-1, 0, 1)]
     images = [render(T, tag, 0.06, rng, finer=1) for T in poses]  # 60 pixels of the picture are the tag, 0.06 m wide
     found = calibrate.board_poses(images, "apriltag:36h11:0.06", intrinsics=(K, []))
@@ -163,16 +161,13 @@ def test_a_tag_needs_intrinsics_and_is_named_when_it_is_ambiguous() -> None:
         calibrate.board_poses(images, "apriltag:36h11:0.06:3", intrinsics=(K, []))
 
 
-@pytest.mark.parametrize(
-    ("board", "words"),
-    [
-        ("charuco", "Expected a board as charuco:COLUMNSxROWS"),
-        ("charuco:7x5:0.03", "Expected a board as"),
-        ("charuco:7x5:0.022:0.03", "a marker smaller than the square"),
-        ("checkerboard:8x6:0.025", "looks the same upside down"),
-        ("apriltag:99h9:0.05", "Expected an OpenCV dictionary, got 'APRILTAG_99h9'"),
-    ],
-)
+@pytest.mark.parametrize(("board", "words"), [
+    ("charuco", "Expected a board as charuco:COLUMNSxROWS"),
+    ("charuco:7x5:0.03", "Expected a board as"),
+    ("charuco:7x5:0.022:0.03", "a marker smaller than the square"),
+    ("checkerboard:8x6:0.025", "looks the same upside down"),
+    ("apriltag:99h9:0.05", "Expected an OpenCV dictionary, got 'APRILTAG_99h9'"),
+])  # fmt: skip
 def test_boards_that_cannot_be_are_refused(board, words) -> None:
     with pytest.raises(ConfigError, match=words):
         calibrate.board_poses([np.zeros((48, 64), np.uint8)], board, intrinsics=(K, []))

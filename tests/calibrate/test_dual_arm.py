@@ -149,10 +149,8 @@ def test_gears_of_both_arms(exact: DualRun, tmp_path: Path) -> None:
     assert "a: joint term 6" in fit.names
     assert fit.parameters[fit.names.index("b: joint term 1")] == fit.value.arm_b.coefficients[0]
     again = Fit.load(fit.save(tmp_path / "arms.toml"), kind="dual_arm_correction")
-    assert (
-        again.value.forward(run.q_a, run.q_b, phi_a, phi_b).tobytes()
-        == fit.value.forward(run.q_a, run.q_b, phi_a, phi_b).tobytes()
-    )
+    first, second = (one.value.forward(run.q_a, run.q_b, phi_a, phi_b) for one in (fit, again))
+    assert first.tobytes() == second.tobytes()
     with pytest.raises(ShapeError, match=r"joint_terms_b of shape \(80, 6, L\), got \(79, 6, 1\)"):
         fit_of(run, pose=pose, joint_terms_b=phi_b[1:])
     with pytest.raises(ShapeError, match="fitted with L = 6"):

@@ -160,21 +160,18 @@ def gauges() -> list[Gauge]:
         n = fit.value.normals @ G[:3, :3].T
         return fit.value.T_tool_sensor, n, fit.value.offsets + n @ G[:3, 3]
 
-    def longer(T: np.ndarray) -> np.ndarray:
-        T = T.copy()
-        T[..., :3, 3] *= 1000.0
-        return T
+    longer = np.array([[1.0, 1.0, 1.0, 1e3]] * 3 + [[1.0] * 4])  # metres to millimetres
 
     def millimetres(data: dict[str, Any]) -> dict[str, Any]:
         scans = data["scans"] * [1000.0, 1000.0, 1.0, 1.0]
-        return {**data, "T_base_tool": longer(data["T_base_tool"]), "scans": scans, "noise": (1000 * SIGMA, ANGLE)}
+        return {**data, "T_base_tool": data["T_base_tool"] * longer, "scans": scans, "noise": (1000 * SIGMA, ANGLE)}
 
     return [
         Gauge("base moved", lambda d: {**d, "T_base_tool": G @ d["T_base_tool"]}, turned),
         Gauge("tool moved", lambda d: {**d, "T_base_tool": d["T_base_tool"] @ Y},
               lambda f: (se3.inv(Y) @ f.value.T_tool_sensor, f.value.normals, f.value.offsets)),
         Gauge("millimetres", millimetres,
-              lambda f: (longer(f.value.T_tool_sensor), f.value.normals, 1000.0 * f.value.offsets)),
+              lambda f: (f.value.T_tool_sensor * longer, f.value.normals, 1000.0 * f.value.offsets)),
     ]  # fmt: skip
 
 

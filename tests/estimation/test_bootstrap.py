@@ -142,9 +142,6 @@ def test_blocks_that_are_trimmed_are_not_drawn(problems) -> None:
     assert np.max(np.abs(block_bootstrap(found, 200).draws[:, 1] + 2.0)) < 0.05
 
 
-# Residual autocorrelation.
-
-
 RHO = 0.95  # of the AR(1) records of conftest
 
 

@@ -77,9 +77,6 @@ def test_a_fit_goes_to_other_processes() -> None:
         assert again.excitation.text() == made.excitation.text()
 
 
-# Excitation.
-
-
 NAMES = ("mass", "offset", "viscous")
 
 

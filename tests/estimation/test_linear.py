@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from armlab.errors import NotExcited
 from armlab.estimation import Prior, Rows, least_squares
-from armlab.estimation.linear_problem import ActiveBound, student_factor, within_bounds
+from armlab.estimation.linear_problem import student_factor, within_bounds
 from armlab.estimation.robust import METHODS, least_trimmed_squares
 from armlab.estimation.tsqr import factorise, one_thread
 
@@ -116,9 +116,6 @@ def test_trimming_needs_blocks_that_determine_the_model_together(problems) -> No
         least_trimmed_squares(least_squares(rows, problems.names))
 
 
-# Priors, bounds, unidentified directions.
-
-
 def test_bounds_hold_and_say_what_they_cost(problems) -> None:
     A, y = problems.draw(3, 400)
     free = least_squares(rows(A, y), problems.names)
@@ -126,7 +123,6 @@ def test_bounds_hold_and_say_what_they_cost(problems) -> None:
     found = least_squares(rows(A, y), problems.names, lower=lower)
     assert found.x[0] == 1.5
     assert [a.name for a in found.active] == ["mass"]
-    assert isinstance(found.active[0], ActiveBound)
     assert found.active[0].free == pytest.approx(free.x[0], rel=1e-3)
     assert "mass held at its bound 1.5; without the bound" in found.active[0].text()
     rms = [np.sqrt(np.mean((y - A @ s.x) ** 2)) for s in (free, found)]
@@ -183,9 +179,6 @@ def test_within_bounds_agrees_with_bounded_least_squares(seed: int) -> None:
     np.testing.assert_allclose(found * scale, reference * scale, atol=1e-7)
 
 
-# Tall-skinny QR in pieces.
-
-
 RNG = np.random.default_rng(0)
 A = RNG.standard_normal((90, 2, 4))
 A[:, 0, 3] = 0.0  # class 0 has no fourth column
@@ -196,17 +189,15 @@ BLOCK = np.arange(90) // 30
 @given(cuts=st.lists(st.integers(1, 89), max_size=6, unique=True), order=st.randoms())
 @settings(max_examples=25)
 def test_pieces_and_their_order_change_nothing_but_rounding(cuts: list[int], order) -> None:
-    edges = [0, *sorted(cuts), 90]
-    pieces = [rows for a, b in pairwise(edges) for rows in _pieces(a, b)]
+    def part(a: int, b: int, g: int) -> Rows:
+        columns = np.arange(3 + g)
+        return Rows(A[a:b, g][:, columns], Y[a:b, g], BLOCK[a:b], g, columns)
+
+    pieces = [part(a, b, g) for a, b in pairwise([0, *sorted(cuts), 90]) for g in range(2)]
     order.shuffle(pieces)
     x = np.array([0.3, 0.1, -1.0, 2.0])
     whole = factorise(Rows.of(A, Y, BLOCK), 4)
     np.testing.assert_allclose(factorise(iter(pieces), 4).power(x), whole.power(x), rtol=1e-12)
-
-
-def _pieces(a: int, b: int) -> list[Rows]:
-    columns = (np.arange(3), np.arange(4))
-    return [Rows(A[a:b, g][:, columns[g]], Y[a:b, g], BLOCK[a:b], g, columns[g]) for g in range(2)]
 
 
 def threads() -> dict[str, int]:

@@ -66,7 +66,7 @@ def test_minus_turns_a_feature_round() -> None:
     np.testing.assert_array_equal((-other).cov, plane.cov)
 
 
-def test_circle_and_sphere() -> None:
+def test_the_plane_of_a_circle() -> None:
     circle = Circle(np.array([1.0, 2.0, 3.0]), np.array([0.0, 0.0, 1.0]), 0.5, np.eye(3)[:2], np.diag([1.0] * 6) * 1e-8)
     assert circle.plane.d == 3.0
     np.testing.assert_allclose(circle.plane.cov, np.eye(3) * 1e-8, atol=1e-20)
@@ -216,9 +216,8 @@ def test_intersections() -> None:
 
 def test_distance_of_lines() -> None:
     z = Line.of([0, 0, 1.0], [0, 0, 5.0])
-    assert distance(z, Line.of([1.0, 0, 0], [7.0, 2.0, 0])) == pytest.approx(2.0)
-    assert distance(z, Line.of([0, 0, -1.0], [3.0, 4.0, 0])) == pytest.approx(5.0)
-    assert distance(z, Line.of([1.0, 1.0, 1.0], [0, 0, 3.0])) == pytest.approx(0.0, abs=1e-15)
+    for v, point, expected in (([1, 0, 0], [7, 2, 0], 2.0), ([0, 0, -1], [3, 4, 0], 5.0), ([1, 1, 1], [0, 0, 3], 0.0)):
+        assert distance(z, Line.of(v, point)) == pytest.approx(expected, abs=1e-15)
 
 
 @pytest.mark.parametrize(

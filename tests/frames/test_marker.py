@@ -32,6 +32,10 @@ def draw(seed: int, N: int = 30, marker: np.ndarray = MARKER, sigma: float = 0.0
     return T, p + sigma * rng.standard_normal(p.shape)
 
 
+def errors(T: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    return np.hstack([(T - truth)[:, :3, 3], so3.log(np.swapaxes(truth[:, :3, :3], 1, 2) @ T[:, :3, :3])])
+
+
 @pytest.mark.parametrize("K", [3, 4])
 def test_exact_data_give_the_exact_poses(K: int) -> None:
     T, p = draw(0, marker=MARKER[:K])
@@ -100,7 +104,7 @@ def test_the_ancestors_leds_to_tf_does_not_return() -> None:
     assert int(np.argmax(found.rms)) == 11
     assert found.rms[11] > 5 * np.median(found.rms)
     good = np.arange(400) != 11
-    e = np.hstack([found.T[:, :3, 3] - T[:, :3, 3], so3.log(np.swapaxes(T[:, :3, :3], 1, 2) @ found.T[:, :3, :3])])
+    e = errors(found.T, T)
     by_differences = p[:, 1] - p[:, 0]
     theirs = by_differences / np.linalg.norm(by_differences, axis=1, keepdims=True) - T[:, :3, 0]
     ours = found.T[:, :3, 0] - T[:, :3, 0]
@@ -115,7 +119,7 @@ def test_covariance_is_honest(known: bool) -> None:
     seen[::5, 1] = False
     found = marker_pose(p, MARKER, visible=seen, noise=SIGMA if known else None)
     assert found.noise == pytest.approx(SIGMA, rel=0.03)
-    e = np.hstack([found.T[:, :3, 3] - T[:, :3, 3], so3.log(np.swapaxes(T[:, :3, :3], 1, 2) @ found.T[:, :3, :3])])
+    e = errors(found.T, T)
     nees = np.einsum("ni,nij,nj->n", e, np.linalg.inv(found.cov), e) / 6
     assert np.mean(nees) == pytest.approx(1.0, abs=0.06)
     assert np.mean(nees[::5]) == pytest.approx(1.0, abs=0.12)
@@ -125,17 +129,17 @@ def test_bad_input_is_refused_by_name() -> None:
     _, p = draw(7)
     spoilt = p.copy()
     spoilt[4, 1] = np.nan
-    for arguments, more, words in (
-        ((p[0], MARKER), {}, r"p of shape \(N, K, 3\), got \(4, 3\)"),
-        (("led", MARKER), {}, "p to be real numbers"),
-        ((spoilt, MARKER), {}, "NaN or Inf in 1 rows: 4"),
-        ((p, MARKER[:3]), {}, r"marker to be \(4, 3\)"),
-        ((p, MARKER), {"visible": np.ones((30, 4))}, "visible as booleans"),
-        ((p, MARKER), {"visible": np.ones((30, 3), dtype=bool)}, "visible as booleans"),
-        ((p, MARKER), {"noise": 0.0}, r"noise \[m\] above zero"),
+    for given, words in (
+        ({"p": p[0]}, r"p of shape \(N, K, 3\), got \(4, 3\)"),
+        ({"p": "led"}, "p to be real numbers"),
+        ({"p": spoilt}, "NaN or Inf in 1 rows: 4"),
+        ({"marker": MARKER[:3]}, r"marker to be \(4, 3\)"),
+        ({"visible": np.ones((30, 4))}, "visible as booleans"),
+        ({"visible": np.ones((30, 3), dtype=bool)}, "visible as booleans"),
+        ({"noise": 0.0}, r"noise \[m\] above zero"),
     ):
         with pytest.raises(ShapeError, match=words):
-            marker_pose(*arguments, **more)
+            marker_pose(**{"p": p, "marker": MARKER, **given})
     with pytest.raises(NotExcited, match="three points without marker=, got 4"):
         marker_pose(p)
     never = np.ones((30, 3), dtype=bool)

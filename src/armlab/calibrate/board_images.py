@@ -203,7 +203,7 @@ def poses_of_corners(
     intrinsics: tuple[ArrayLike, ArrayLike] | None = None,
     is_tag: bool = False,
 ) -> BoardPoses:
-    """Return the poses from the corners found in each image; a text instead of corners states why there are none."""
+    """Return the board poses from the corners in each image; a text instead of corners is the reason for a failure."""
     cv2 = opencv()
     failures, seen = _separated(found)
     if intrinsics is None and is_tag:
@@ -235,7 +235,7 @@ def poses_of_corners(
 
 
 def _separated(results: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, Any]]:
-    """Return the failures, which are texts, and the other results."""
+    """Return the failures, given as texts, and the remaining results."""
     failures = {name: one for name, one in results.items() if isinstance(one, str)}
     return failures, {name: one for name, one in results.items() if name not in failures}
 
@@ -356,7 +356,7 @@ def _gray(cv2: Any, image: Any, name: str) -> np.ndarray:
 
 
 def _detector(cv2: Any, board: _Board, images: Sequence[np.ndarray]) -> Any:
-    """Return a function that returns the corners in an image, or a text that states why there are none."""
+    """Return a function that detects the corners in an image, or returns the reason for a failure as text."""
     if board.kind == "checkerboard":
         return lambda image: _checkerboard(cv2, board, image)
     if board.kind == "charuco":
@@ -515,7 +515,7 @@ def _pose(
 def _linear(
     cv2: Any, places: np.ndarray, corners: np.ndarray, r: np.ndarray, t: np.ndarray, K: np.ndarray, dist: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the residuals (2K,), and their derivatives with respect to the pose (2K, 6) and the intrinsics (2K, 8)."""
+    """Return the residuals (2K,) and their derivatives with respect to the pose (2K, 6) and the intrinsics (2K, 8)."""
     projected, J = cv2.projectPoints(places, r, t, K, dist)
     by_turn = J[:, :3] @ so3.left_jacobian_inv(-r)
     residual = (corners - projected.reshape(-1, 2)).ravel()

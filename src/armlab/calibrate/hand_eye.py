@@ -175,7 +175,7 @@ def full(noise: np.ndarray) -> np.ndarray:
 
 
 def rotation_sd(noise: np.ndarray | None) -> float:
-    """Return the standard deviation of a rotation component [rad] from the covariance of poses; 0 for None."""
+    """Return the standard deviation of a rotation component [rad] from the covariance of poses; 0 without noise."""
     if noise is None:
         return 0.0
     variance = noise if noise.ndim == 1 else np.diagonal(noise, axis1=-2, axis2=-1)
@@ -235,7 +235,7 @@ class HandEyeEquation:
 
     @cached_property
     def spread(self) -> float:
-        """Spread of the positions [m]: RMS distance from their mean, of the record with the larger value."""
+        """Spread of the positions [m]: the larger RMS distance from the mean of both records."""
         both = (t - t.sum(axis=0) / self.N for t in (self.tA, self.tB))
         return max(float(np.sqrt(np.vdot(t, t) / self.N)) for t in both) or 1.0
 
@@ -368,7 +368,7 @@ def _require_excitation(equation: HandEyeEquation, noise: float, setup: str) -> 
 
 
 def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
-    """Return the standard deviation of a rotation [rad] as far as it is determined before the fit."""
+    """Return the standard deviation of a rotation [rad] that is given, or can be estimated before the fit."""
     if equation.noise is not None:
         return float(np.hypot(rotation_sd(equation.noise), rotation_sd(equation.noise_A)))
     if robust:
@@ -376,28 +376,29 @@ def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
     return float(np.sqrt(max(1.0 - np.linalg.svd(equation.product(), compute_uv=False)[0], 0.0)))
 
 
-def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) -> None:
+def _require_order(equation: HandEyeEquation, position: float, rotation: float) -> None:
     """Raise if two records fit much better with another interpretation of the orientations."""
-    now = _sizes(r[kept])
-    if now[0] < SUSPECT * equation.spread and now[1] < SUSPECT:
+    spread = equation.spread
+    if position < SUSPECT * spread and rotation < SUSPECT:
         return
     for text, other in _equations(equation):
-        position, rotation = _sizes(other.evaluate(other.start())[0].r)
-        fits = position < min(max(MUCH_BETTER * now[0], SUSPECT * equation.spread), FITS * equation.spread)
-        if fits and rotation < max(MUCH_BETTER * now[1], SUSPECT):
+        start = other.start()
+        left, turned = _sizes(other.evaluate(start)[0].r)
+        fits = left < min(max(MUCH_BETTER * position, SUSPECT * spread), FITS * spread)
+        if fits and turned < max(MUCH_BETTER * rotation, SUSPECT):
             raise NotConverged(
-                f"Expected two consistent records of poses, got residuals of {now[0]:.3g} m and {now[1]:.3g} rad "
+                f"Expected two consistent records of poses, got residuals of {position:.3g} m and {rotation:.3g} rad "
                 f"(RMS). {text}",
-                best=other.start(),
+                best=start,
                 reason="mismatch",
             )
 
 
 def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
     """Raise if the residuals r (N, 6) show inconsistent records; the message has the likely cause."""
-    require_order(equation, r, kept)
-    turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
     position, rotation = _sizes(r[kept])
+    _require_order(equation, position, rotation)
+    turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
     few = 2 * np.count_nonzero(kept) <= len(kept)
     if (rotation <= APART * turned or rotation < ROUGH) and position <= APART * moved and not few:
         cause = _other_reading(equation) if rotation > SUSPECT else ""
@@ -490,7 +491,7 @@ def _cause(equation: HandEyeEquation) -> str:
 
 
 def _other_reading(equation: HandEyeEquation) -> str:
-    """Return a description of the records with which the rotations fit much better, or an empty string."""
+    """Return the likely error in the records if rotations without it fit much better, otherwise an empty string."""
     now = _misfit(equation.RA, equation.RB)
     RA, RB = equation.RA, equation.RB
     other = {

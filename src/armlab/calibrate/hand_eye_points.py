@@ -256,7 +256,7 @@ class PointModel:
         return rows
 
     def seen(self, s: np.ndarray, RY: np.ndarray, tY: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return R_Y^T R_A (m, 3, 3), the expected points ph (m, 3), and the derivative (m, 3, 6) of p - ph by Y."""
+        """Return R_Y^T R_A (m, 3, 3), the expected points ph (m, 3), and d(p - ph)/dY (m, 3, 6)."""
         C = (self.RA.transpose(0, 2, 1).reshape(-1, 3) @ RY).reshape(-1, 3, 3).transpose(0, 2, 1)[self.sample]
         ph = (C @ s[self.point][:, :, None])[:, :, 0] + ((self.tA - tY) @ RY)[self.sample]
         J = np.empty((len(ph), 3, 6))
@@ -354,7 +354,7 @@ def require_agreement(model: PointModel, rms: float | None = None, left_out: flo
 
 
 def require_marker(model: PointModel, s: np.ndarray, marker: np.ndarray) -> None:
-    """Raise on a marker whose points have another arrangement than the observed points."""
+    """Raise on a marker whose shape differs from that of the observed points."""
     a, b = s - s.mean(axis=0), marker - marker.mean(axis=0)
     U, sizes, V = np.linalg.svd(a.T @ b)
     hand = np.sign(np.linalg.det(U @ V))
@@ -391,7 +391,7 @@ def _unit_or_hand(model: PointModel, found: Linear) -> str:
 
 
 def _other_reading(model: PointModel, now: float) -> str:
-    """Return a description of the poses that fits much better, or an empty string."""
+    """Return the likely error in the poses if a fit without it is much better, otherwise an empty string."""
     N = len(model.tA)
     inverse = model.RA.transpose(0, 2, 1)
     other = {

@@ -85,13 +85,13 @@ def gravity_of(gravity: Any) -> np.ndarray:
 
 
 def pose_noise(noise: Any, N: int, name: str = "noise") -> np.ndarray | None:
-    """Return variances (6,) or a covariance (6, 6) or (N, 6, 6) of poses, which may be zero; None for None."""
+    """Return variances (6,) or a covariance (6, 6) or (N, 6, 6) of poses, which may be zero; None without noise."""
     wanted = "poses as (sd of position [m], sd of rotation [rad])"
     return noise_of(noise, 2, (N,), name, wanted, "Pass one number in metres and one in radians.", zero=True)
 
 
 def point_noise(noise: Any, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return variances (3,) or a covariance (3, 3) or (*shape, 3, 3) of points; None for None."""
+    """Return variances (3,) or a covariance (3, 3) or (*shape, 3, 3) of points; None without noise."""
     return noise_of(noise, 1, shape, "noise", "points as one standard deviation above zero [m]")
 
 
@@ -99,7 +99,7 @@ def noise_of(
     noise: Any, groups: int, batch: tuple[int, ...], name: str, wanted: str, advice: str = "Correct the noise.",
     zero: bool = False,
 ) -> np.ndarray | None:  # fmt: skip
-    """Return variances (k,) or a covariance (k, k) or (*batch, k, k), k = 3 groups; None for None."""
+    """Return variances (k,) or a covariance (k, k) or (*batch, k, k), k = 3 groups; None without noise."""
     if noise is None:
         return None
     values, k = numbers(noise, name, ShapeError), 3 * groups

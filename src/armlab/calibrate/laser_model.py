@@ -107,10 +107,6 @@ class Scans:
         g = np.einsum("nij,ni->nj", self.RA, n)
         return g, g @ scene.R, scene.d[self.plane] - np.sum(n * self.tA, axis=1) - g @ scene.t
 
-    def slant(self, scene: Scene) -> np.ndarray:
-        """Return the sine k (N,) of the angle between plate and laser plane."""
-        return np.hypot(*self.seen(scene)[1][:, :2].T)
-
     def evaluate(self, scene: Scene) -> list[Measurement]:
         """Return the distances of the points from the plate in the laser plane, and the angles of the lines.
 
@@ -159,9 +155,11 @@ class Scans:
     def problem(self) -> NonlinearProblem[Scene]:
         return NonlinearProblem(self.evaluate, Scene.plus, what="laser scanner")
 
-    def base_points(self, scene: Scene) -> np.ndarray:
+    def spread(self, scene: Scene) -> float:
+        """Return the spread of the measured points [m]: RMS distance from their mean in base axes."""
         q = self.p @ scene.R[:, :2].T + scene.t
-        return np.einsum("nij,nj->ni", self.RA, q) + self.tA
+        q = np.einsum("nij,nj->ni", self.RA, q) + self.tA
+        return float(np.sqrt(np.mean(np.sum((q - q.mean(axis=0)) ** 2, axis=1)))) or 1.0
 
 
 def starts(scans: Scans, ratio: float) -> Iterator[list[Scene]]:
@@ -251,14 +249,9 @@ class SceneUnknowns:
         return (*("m",) * 3, *("rad",) * 3, *("rad", "rad", "m") * len(self.planes))
 
     @cached_property
-    def spread(self) -> float:
-        """Spread of the measured points [m]: RMS distance from their mean."""
-        q = self.scans.base_points(self.scene)
-        return float(np.sqrt(np.mean(np.sum((q - q.mean(axis=0)) ** 2, axis=1)))) or 1.0
-
-    @cached_property
     def widths(self) -> np.ndarray:
-        return np.array([self.limits[0] * self.spread if unit == "m" else self.limits[1] for unit in self.units])
+        spread = self.scans.spread(self.scene)
+        return np.array([self.limits[0] * spread if unit == "m" else self.limits[1] for unit in self.units])
 
     def __call__(self, step: np.ndarray) -> str:
         """Return text such as "translation of the sensor along tool axis z, 0.4 m"."""
@@ -299,7 +292,7 @@ def require_motion(scans: Scans, planes: tuple[str, ...]) -> None:
 
 
 def require_slant(scans: Scans, scene: Scene) -> None:
-    bad = np.flatnonzero(scans.slant(scene) < FLAT)
+    bad = np.flatnonzero(np.hypot(*scans.seen(scene)[1][:, :2].T) < FLAT)
     if len(bad):
         raise ShapeError(
             f"Expected plates that intersect the laser plane, got parallel plates (sine below {FLAT}) in rows "

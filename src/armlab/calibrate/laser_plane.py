@@ -112,7 +112,8 @@ def fit_laser_plane(
 
     found_planes = (f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))
     chi2 = "" if data.noise is None else f"residuals {times(found):.3g} times the given noise"
-    wide = f"points spread over {words.spread:.3g} m: millimetres given as metres?" * (words.spread > FAR_APART)
+    spread = data.spread(scene)
+    wide = f"points spread over {spread:.3g} m: millimetres given as metres?" * (spread > FAR_APART)
     rough = ""
     if data.noise is None and not _is_clear(data, found):
         angle = f" and {np.degrees(found.sigma[1]):.2g} deg" if len(found.sigma) > 1 else ""
@@ -311,7 +312,7 @@ def _tried(scans: Scans, scene: Scene, robust: bool) -> NonlinearSolution[Scene]
 
 
 def _doubted(scans: Scans, found: NonlinearSolution[Scene], size: float) -> NonlinearSolution[Scene]:
-    """Return the fit, or a better fit from a start without one of the scans with high leverage."""
+    """Return the fit, or a better fit that starts without one of the scans with high leverage."""
     held = np.einsum("ij,jk,ik->i", found.rows.J, found.cov, found.rows.J)
     numbers = np.bincount(found.rows.sample, minlength=scans.N)
     strong = np.bincount(found.rows.sample, held, minlength=scans.N) > HELD * np.minimum(numbers, 2)
@@ -336,7 +337,7 @@ def _oriented(scans: Scans, found: NonlinearSolution[Scene], robust: bool) -> No
 def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
     """Return whether the residuals of points and angles are small, and most scans are inliers."""
     left = np.median(np.abs(scans.residuals(found.value)), axis=0)
-    near = left[0] < CLEAR[0] * SceneUnknowns(scans, found.value, (), LIMITS).spread
+    near = left[0] < CLEAR[0] * scans.spread(found.value)
     return bool(near and (len(left) == 1 or left[1] < CLEAR[1]) and np.mean(found.outliers) <= MANY)
 
 
@@ -351,7 +352,7 @@ def _rank(scans: Scans, found: NonlinearSolution[Scene], size: float, robust: bo
 
 def _require_fit(scans: Scans, ratio: float, found: NonlinearSolution[Scene]) -> None:
     """Raise on residuals larger than the errors of any scanner."""
-    size, spread = float(found.sigma[0]), SceneUnknowns(scans, found.value, (), LIMITS).spread
+    size, spread = float(found.sigma[0]), scans.spread(found.value)
     turn = float(found.sigma[1]) if len(found.sigma) > 1 else 0.0
     if size <= ROUGH * spread and turn <= TURNED and np.mean(found.outliers) <= MANY:
         return

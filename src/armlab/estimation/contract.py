@@ -316,7 +316,7 @@ def clean(trial: ContractTrial) -> Verdict:
 
 
 def _nan_faults(trial: ContractTrial) -> list[str]:
-    """Return the faults of the errors that NaN in an array of samples raises."""
+    """Return the faults of the fit for arrays of samples that contain NaN."""
     row, faults, tried = trial.n // 2, [], 0
     for name, data in _with_nan(dict(trial.experiment(trial.seed, trial.n).data), trial.n, row):
         tried += 1
@@ -546,15 +546,11 @@ def check_estimator(
             raise ConfigError(f"Expected a reason for skipping {name!r}, got an empty text. Give the reason.")
     accepted = limits or ContractLimits.of(runs, noise_given)
     trial = ContractTrial(fit, experiment, runs, n, seed, error, blocks or {}, gauges, refusals or {}, spoil, accepted)
-    return Contract(tuple(_properties(trial, reasons)), runs)
-
-
-def _properties(trial: ContractTrial, reasons: dict[str, str]) -> Iterator[Property]:
+    found = []
     for name, judge in JUDGES.items():
-        if name in reasons:
-            yield Property(name, None, f"skipped: {reasons[name]}")
-            continue
         try:
-            yield Property(name, *judge(trial))
+            verdict = (None, f"skipped: {reasons[name]}") if name in reasons else judge(trial)
         except Exception as error:  # any exception of a fit is a finding
-            yield Property(name, False, f"raised {type(error).__name__}: {error}")
+            verdict = False, f"raised {type(error).__name__}: {error}"
+        found.append(Property(name, *verdict))
+    return Contract(tuple(found), runs)

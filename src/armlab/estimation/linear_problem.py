@@ -40,7 +40,7 @@ class Prior(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excitation(Shown):
-    """How well the data excite the parameters.
+    """Quality of the excitation of the parameters by the data.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ class Excitation(Shown):
 def check_excitation(
     A: np.ndarray, names: Sequence[str], what: str, prior: Prior | None = None, max_condition: float = MAX_CONDITION
 ) -> Excitation:
-    """Return the excitation of a whitened design matrix (m, p) or its triangle; without a prior, weakness raises."""
+    """Return the excitation of a whitened design matrix (m, p); raise on weak directions unless there is a prior."""
     A = numbers(A, "a design matrix", ShapeError)
     if prior is not None:
         values, sd, p = np.asarray(prior.values), np.asarray(prior.sd), len(names)

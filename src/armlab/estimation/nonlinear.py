@@ -547,7 +547,7 @@ def _median_noise(rows: Whitened, sigma: dict[str, float], residue: float) -> di
 
 
 def _fits(problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float], count: int) -> np.ndarray:
-    """Return 1 for samples (N,) whose squared residual is below the 99.9 % quantile, else 0."""
+    """Return 1 for samples (N,) with a squared residual below the 99.9 % quantile, and 0 for the other samples."""
     from scipy.special import chdtri
 
     rows = _rows(problem, value, sigma)
@@ -581,7 +581,7 @@ def _with_noise(
 
 
 def _without_freedom(found: Descent[Any], sigma: dict[str, float]) -> bool:
-    """Return whether a class of unknown noise, one of several, has less than one remaining degree of freedom."""
+    """Return whether one of several classes with unknown noise has less than one degree of freedom left."""
     if len(sigma) < 2:
         return False
     return bool(found.freedom[1:][[name in sigma for name in found.rows.names]].min() < 1.0)

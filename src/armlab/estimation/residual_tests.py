@@ -49,7 +49,7 @@ class ResidualCheck:
 
     @property
     def suspicious(self) -> np.ndarray:
-        """Mask (C,) of the possibly correlated classes: all with enough samples if the halves disagree."""
+        """Mask (C,) of possibly correlated classes; if the halves disagree, of all classes with enough samples."""
         return self.correlated | ((self.halves_p < RARE) & (self.lag1_z != 0.0))
 
     @property

@@ -458,7 +458,7 @@ UNOBSERVABLE = 1e-9  # relative singular value
 
 
 def majority_step(J: np.ndarray, r: np.ndarray, sample: np.ndarray, label: np.ndarray, count: int) -> np.ndarray:
-    """Return the step (d,) supported by most samples in the linear problem at a value biased by outliers.
+    """Return the step (d,) from a value biased by outliers to the fit of most samples, in the linear problem.
 
     Fits to minimal random sets are refined on their nearest samples and selected by the median residual of every class
     (least trimmed squares, Rousseeuw and van Driessen 2006). `sample` (of `count`) and `label` (class) belong to the

@@ -92,9 +92,12 @@ class Graph:
         for here, there in pairwise((a, *via, b)):
             direct = [edge for edge in self._edges if {edge.a, edge.b} == {here, there}]
             if not direct:
+                near = sorted(
+                    {edge.b if edge.a == here else edge.a for edge in self._edges if here in (edge.a, edge.b)}
+                )
                 raise FrameError(
                     f"Expected a pose between {here!r} and {there!r}, but there is no direct pose. Poses of {here!r}: "
-                    f"{', '.join(self._neighbours(here))}."
+                    f"{', '.join(near)}."
                 )
             ways.append((self._edges.index(direct[0]), 1 if direct[0].a == here else -1))
         return composed(self._edges, ways)
@@ -121,9 +124,6 @@ class Graph:
         NotConverged : the iteration did not converge.
         """
         return solve_poses(self._edges, self.names, robust)
-
-    def _neighbours(self, name: str) -> list[str]:
-        return sorted({edge.b if edge.a == name else edge.a for edge in self._edges if name in (edge.a, edge.b)})
 
 
 @dataclass(frozen=True, eq=False)

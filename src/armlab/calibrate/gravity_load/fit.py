@@ -192,7 +192,14 @@ def fit_weight(
     require_most(found.outliers, f"readings of the {equation.what}", load)
     hand = require_right_hand(equation, kept)
     require_match(equation, load, residuals, kept, moved)
-    _require_weight(equation, load)
+    pull = load.gamma if equation.pull is None else equation.pull
+    if load.gamma @ pull <= 0.0:
+        raise NotExcited(
+            f"Expected the readings of the {equation.what} to contain a weight, got zero weight. Check the sign and "
+            "the units of the readings, and check that the tool rotates about a horizontal axis.",
+            ["mass"],
+            ["no weight"],
+        )
     require_lever(equation, load, np.sqrt(found.cov.diagonal()))
     words = LoadUnknowns(equation, load, limits, scale)
     excitation = check_spread(found.rows.J, words.names, words.units, words.widths, equation.what, describe=words)
@@ -272,14 +279,3 @@ def _try_other_hand(equation: WeightEquation) -> None:
     )
     if 2 * np.count_nonzero(other) < np.count_nonzero(this):
         raise mirrored_error(forces, Turn.of(forces, ~other))
-
-
-def _require_weight(equation: WeightEquation, load: Load) -> None:
-    along = load.gamma @ equation.pull if equation.pull is not None else load.gamma @ load.gamma
-    if along <= 0.0:
-        raise NotExcited(
-            f"Expected the readings of the {equation.what} to contain a weight, got zero weight. Check the sign and "
-            "the units of the readings, and check that the tool rotates about a horizontal axis.",
-            ["mass"],
-            ["no weight"],
-        )

@@ -29,7 +29,7 @@ ALIKE = 0.5  # ratio of the mean weight in tool axes to the weight beyond which 
 
 
 class Load(NamedTuple):
-    """Unknowns of a load."""
+    """Unknown parameters of a load and its sensor."""
 
     R: np.ndarray  # (3, 3) rotation from sensor to tool
     gamma: np.ndarray  # (3,) weight in base axes
@@ -189,7 +189,7 @@ class Turn(NamedTuple):
 
     @classmethod
     def of(cls, equation: WeightEquation, kept: np.ndarray | None = None) -> Turn:
-        """Return the solution for the selected samples (N,); None: all."""
+        """Return the solution for the samples in the mask `kept` (N,), or for all samples."""
         w = (equation.weights if kept is None else equation.weights * kept)[:, None]
         pull = np.zeros(3) if equation.pull is None else equation.pull
         h, f = pull @ equation.RA, equation.y[:, :3]
@@ -214,7 +214,7 @@ class Turn(NamedTuple):
 
 
 def likely_samples(equation: WeightEquation) -> np.ndarray:
-    """Return the samples (N,) for the initial guess, which are near a robust linear regression.
+    """Return the mask (N,) of the samples for the initial guess, selected by a robust linear regression.
 
     Forces are linear in the orientation of the tool, ``f_i = sum_k c_k (R_i)_k + b``, or in gravity in tool axes if it
     is known. The regression minimises ``sum |r_i|``, which is convex and robust against contacts.

@@ -229,7 +229,7 @@ class DualProblem:
         return np.concatenate([*parts, np.zeros(6)])
 
     def gauge(self, state: DualState, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Return the unobservable directions (d, g) and their names: through joints, and the base of each arm."""
+        """Return the unobservable directions (d, g) of the joints and the bases, and their names."""
         a, b = self.arm_a.size, self.arm_a.size + self.arm_b.size
         columns, names = [], []
         for arm, one, at, letter in ((self.arm_a, state.a, 0, "a"), (self.arm_b, state.b, a, "b")):

@@ -142,7 +142,7 @@ def _spread_text(spread: float) -> str:
 
 
 def _independent(D: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis of the columns, in their order if they are independent."""
+    """Return an orthonormal basis of the columns; its order follows the columns if they are independent."""
     if not D.shape[1]:
         return D
     lengths = np.linalg.norm(D, axis=0)

@@ -120,7 +120,7 @@ class Arm:
         return frame_poses(Chain(state.frames, self.robot.prismatic), state.frames, q)
 
     def jacobian(self, state: ArmState, P: np.ndarray, point: np.ndarray, local: bool = False) -> np.ndarray:
-        """Return the motion (N, 6, d) of points (N, 3) on the tool, in axes of P; `local`: by steps of the frames."""
+        """Return the motion (N, 6, d) of points (N, 3) on the tool, in axes of P; `local`: for steps of the frames."""
         J = twist_jacobian(P, point)
         turning = J[:, :, np.arange(self.n), np.where(self.robot.prismatic, 2, 5)]
         flat = J.reshape(len(P), 6, -1)
@@ -313,7 +313,7 @@ class KinematicProblem:
         return [*found, *(chosen(one, self.active) for one in self.priors(state))]
 
     def measurements(self, state: State, local: bool = False) -> list[Measurement]:
-        """Return the residuals and their derivatives by all unknowns; `local`: by steps of the frames."""
+        """Return the residuals and their derivatives with respect to all unknowns (`local`: to steps of the frames)."""
         P = self.arm.move(state.arm)
         J = self.arm.jacobian(state.arm, P, P[:, -1, :3, 3], local)
         found: list[Measurement] = []
@@ -378,7 +378,7 @@ class KinematicProblem:
         return 0 if all(kind.name == "pair_distance" for kind in self.kinds) else len(self.arm.q)
 
     def _wide(self, J: np.ndarray) -> np.ndarray:
-        """Return the derivatives by the unknowns of the arm, padded with zeros for the other unknowns."""
+        """Return the derivatives with respect to the arm, padded with zeros for the other unknowns."""
         wide = np.zeros((*J.shape[:2], self.size))
         wide[:, :, : J.shape[2]] = J
         return wide

@@ -260,7 +260,9 @@ class KinematicEstimation(ABC, Generic[S]):
         cov, formal, check = self.covariance(data, state, found, excitation)
         whole = np.zeros((problem.size, problem.size))
         whole[np.ix_(used, used)] = cov
-        doubts, lines = doubts_of(check, [*notes, *self.match(found), *self.doubts(state)])
+        size = np.sqrt(2.0 * found.cost / found.freedom) if found.freedom and not found.estimated else None
+        match = [] if size is None else [f"residuals {size:.3g} times the given noise"]
+        doubts, lines = doubts_of(check, [*notes, *match, *self.doubts(state)])
         accuracy = cache(partial(self._accuracy, data, found))  # only for the report
         shown = ~np.any(np.abs(excitation.null_space) > GAUGE, axis=1)
         return Fit(
@@ -283,12 +285,6 @@ class KinematicEstimation(ABC, Generic[S]):
     @abstractmethod
     def doubts(self, state: S) -> list[str]:
         """Return remarks on links that differ implausibly from their description."""
-
-    def match(self, found: NonlinearSolution[S]) -> list[str]:
-        """Return a remark on the residuals relative to the given noise."""
-        if any(kind.cov is None for kind in self.problem.kinds) or not found.freedom:
-            return []
-        return [f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the given noise"]
 
     def judge(
         self, data: Sequence[Measurement], state: S, sigma: dict[str, float], outside: np.ndarray = NOBODY
@@ -380,8 +376,7 @@ class KinematicEstimation(ABC, Generic[S]):
         else:
             seen = np.isfinite(excitation.spread)
             basis = limits[:, None] * excitation.vectors[:, seen] * excitation.spread[seen]
-        unknown = frozenset(name for kind in self.problem.kinds if kind.cov is None for name in kind.classes)
-        return covariance_of(rows, basis, J @ basis, unknown, found.robust)
+        return covariance_of(rows, basis, J @ basis, found.estimated, found.robust)
 
 
 def _cut_to(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> list[UnobservableDirection]:
