@@ -307,8 +307,8 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("package")
 def test_an_entry_point(robot: Robot) -> None:
-    first, second = codec_named("good", robot), codec_named("good", robot)
-    assert first is not second
+    first = codec_named("good", robot)
+    assert first is not codec_named("good", robot)
     assert "measured_torque" in first.capabilities
     with connect("egm://127.0.0.1:0", robot, codec="good") as link:
         assert link.port > 0

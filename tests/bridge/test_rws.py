@@ -229,11 +229,15 @@ def test_rapid_runs_around_a_run_and_only_if_it_was_started_for_it(tmp_path: Pat
         pass
 
 
+def load(served: Any, text: str) -> None:
+    served.box.put("$HOME/A.mod", text.encode())
+    served.box.load(served.box.task("T_ROB_L"), "$HOME/A.mod", False)
+
+
 def test_a_controller_that_is_gone_at_the_end_is_a_warning(tmp_path: Path) -> None:
     told: list[tuple[str, bool]] = []
     with rws_controller(tmp_path) as served:
-        served.box.put("$HOME/A.mod", module("L").encode())
-        served.box.load(served.box.task("T_ROB_L"), "$HOME/A.mod", False)
+        load(served, module("L"))
         running = RapidRun(served.host).running([6511], lambda text, warn=False, each=False: told.append((text, warn)))
         running.__enter__()
     running.__exit__(None, None, None)
@@ -244,8 +248,7 @@ def test_a_controller_that_is_gone_at_the_end_is_a_warning(tmp_path: Path) -> No
 def test_a_program_that_stops_at_once_is_named_by_the_event_log(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr("armlab.bridge.rws._SETTLING", 0.2)
     with rws_controller(tmp_path) as served, open_controller(served.host, lambda: OURS) as controller:
-        served.box.put("$HOME/A.mod", module("L").replace("armlab_l", "other").encode())
-        served.box.load(served.box.task("T_ROB_L"), "$HOME/A.mod", False)
+        load(served, module("L").replace("armlab_l", "other"))
         served.box.reset_pointer()
         controller.motors_on()
         with pytest.raises(LinkError, match="41816 EGM cannot use armlab or other"):

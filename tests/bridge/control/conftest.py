@@ -24,13 +24,7 @@ from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 from ..conftest import PERIOD_NS, Packets
 
-MODULES = (
-    "control.arm",
-    "control.run",
-    "control.loop",
-    "control.recording",
-    "control.supervision",
-)  # of the bridge, that read a clock
+MODULES = ("arm", "run", "loop", "recording", "supervision")  # of bridge.control, that read a clock
 CONTROLLER = ("127.0.0.1", 5000)
 MS = 1_000_000
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
@@ -86,7 +80,7 @@ class Hands:
         self.clock = Clock()
         monkeypatch.setattr("armlab.bridge.control.state_machine.READY_AFTER", 1)  # three packets: test_feedback.py
         for name in MODULES:
-            monkeypatch.setattr(f"armlab.bridge.{name}.time", self.clock)
+            monkeypatch.setattr(f"armlab.bridge.control.{name}.time", self.clock)
         self.ports = [HandPort() for _ in robots]
         self.robots = [Packets(robot, options.get("extension", False)) for robot in robots]
         self.step = options.pop("period_ns", PERIOD_NS)

@@ -37,6 +37,12 @@ def test_an_interrupt_stops_at_the_next_packet_and_the_second_at_once(one: Make)
     assert hands.arms[0].machine.mode is Mode.STOPPING
     with pytest.raises(KeyboardInterrupt):
         hands.loop.interrupt()
+    hands = one(drift)  # a run that has ended waits for nothing
+    hands.loop.interrupt()
+    hands.loop.cycle()
+    assert hands.arms[0].machine.mode is Mode.ENDED
+    hands.loop.run()
+    assert len(hands.waits) == 1
 
 
 @pytest.mark.parametrize("before", [0, 1])
@@ -245,15 +251,6 @@ def test_the_time_is_up(one: Make, seconds: float, cycles: int) -> None:
     for count in range(1, cycles + 1):
         hands.cycle()
         assert hands.loop.reason == ("the time is up" if count == cycles else "")
-
-
-def test_a_run_that_has_ended_waits_for_nothing(one: Make) -> None:
-    hands = one(drift)
-    hands.loop.interrupt()
-    hands.loop.cycle()
-    assert hands.arms[0].machine.mode is Mode.ENDED
-    hands.loop.run()
-    assert len(hands.waits) == 1
 
 
 def test_an_interrupt_in_a_call_that_does_not_hang_is_the_controllers_or_the_second_one(one: Make) -> None:
