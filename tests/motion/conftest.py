@@ -21,7 +21,7 @@ YUMI = robots.load("yumi_right")
 REACH = 0.3 * np.array([1, 1, 1, 1, -1, 1, 1])
 
 
-def build(schedule: str = "canonical", scaling: str = "goal", n: int = 3, **changes: Any) -> Dmp:
+def primitive(schedule: str = "canonical", scaling: str = "goal", n: int = 3, **changes: Any) -> Dmp:
     rng = np.random.default_rng(0)
     alpha_x, tau_d = time_constants("lund", 2.0, 25.0)
     centres, widths = placed(schedule, "time", 20, alpha_x * 2.0 / tau_d, 0.8)
@@ -43,25 +43,12 @@ def build(schedule: str = "canonical", scaling: str = "goal", n: int = 3, **chan
     return Dmp(**parts | changes)
 
 
-@pytest.fixture(scope="session")
-def primitive() -> Callable[..., Dmp]:
-    """Builds a Dmp with random weights and whatever the test changes."""
-    return build
-
-
 def poses(t: np.ndarray) -> np.ndarray:
     S = t**3 * (10 - 15 * t + 6 * t**2)
     T = np.zeros((len(t), 4, 4))
     T[:, 0, 3], T[:, 1, 3], T[:, 2, 3], T[:, 3, 3] = 0.4 + 0.2 * S, 0.1 * np.sin(2 * np.pi * S), 0.3 + 0.1 * S, 1.0
     T[:, :3, :3] = so3.exp(np.stack([0.8 * S, 0.5 * np.sin(np.pi * S), -0.6 * S], axis=1))
     return T
-
-
-@pytest.fixture(scope="session")
-def fine_pose_demo() -> tuple[np.ndarray, np.ndarray]:
-    """The 1000 samples for which the bars of poses hold."""
-    t = np.linspace(0.0, 1.0, 1000)
-    return t, poses(t)
 
 
 @pytest.fixture(scope="session")
@@ -77,37 +64,25 @@ def pose_fit(pose_demo: tuple[np.ndarray, np.ndarray]) -> Fit[PoseDmp]:
     return fit_pose_dmp(*pose_demo)
 
 
-def _plain(weights: Any, centres: Any, widths: Any, duration: float, y0: np.ndarray, g: np.ndarray, **more: Any) -> Dmp:
+def plain(weights: Any, centres: Any, widths: Any, duration: float, y0: np.ndarray, g: np.ndarray, **more: Any) -> Dmp:
     """A Dmp of the convention "lund" from its weights."""
     n = len(y0)
     parts = {"v0": np.zeros(n), "extent": np.abs(g - y0) + 1e-9, "peak_acceleration": np.ones(n)}
     kernels = {"weights": weights, "centres": np.asarray(centres), "widths": widths}
-    return build(n=n, tau_d=duration / 3, duration=duration, y0=y0, g=g, **parts, **kernels, **more)
+    return primitive(n=n, tau_d=duration / 3, duration=duration, y0=y0, g=g, **parts, **kernels, **more)
 
 
-def _smooth(n: int = 2, seed: int = 0, force: float = 40.0, **more: Any) -> Dmp:
+def smooth(n: int = 2, seed: int = 0, force: float = 40.0, **more: Any) -> Dmp:
     """A primitive with random weights; unless told otherwise its coordinates are multiples of the first."""
     draw = np.random.default_rng(seed)
     centres = np.exp(-3 * np.linspace(0, 1, 20))
     shares = 0.5 ** np.arange(n)
     weights = (force * draw.normal(size=(20, 1)) - 156.25) * shares  # the constant lets the spring start softly
-    return _plain(weights, centres, 0.8 * np.abs(np.gradient(centres)), 2.0, np.zeros(n), shares, **more)
+    return plain(weights, centres, 0.8 * np.abs(np.gradient(centres)), 2.0, np.zeros(n), shares, **more)
 
 
 @pytest.fixture(scope="session")
-def plain() -> Callable[..., Dmp]:
-    """Builds a Dmp of the convention "lund" from its weights."""
-    return _plain
-
-
-@pytest.fixture(scope="session")
-def smooth() -> Callable[..., Dmp]:
-    """Builds a Dmp that starts softly; unless told otherwise its coordinates are multiples of the first."""
-    return _smooth
-
-
-@pytest.fixture(scope="session")
-def reach(primitive: Callable[..., Dmp]) -> Dmp:
+def reach() -> Dmp:
     """Two seconds from the home posture, starting softly."""
     parts = {"y0": YUMI.q_home, "g": YUMI.q_home + REACH, "v0": np.zeros(7)}
     draw = np.random.default_rng(3)

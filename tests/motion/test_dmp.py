@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -17,12 +16,13 @@ from armlab.motion import AvoidingDmp, Capsule, Dmp, Rollout, Stepper, TwoDofDmp
 from armlab.motion.primitive.equation import SCALINGS, placed
 from armlab.motion.primitive.run import RunOptions
 
-Primitive = Callable[..., Dmp]
+from .conftest import primitive
+
 SCHEDULES = ("canonical", "time", "position")
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_rollout_tends_to_the_solution_with_fourth_order(primitive: Primitive, schedule: str) -> None:
+def test_rollout_tends_to_the_solution_with_fourth_order(schedule: str) -> None:
     dmp = primitive(schedule, v0=np.zeros(3))
     slow = (
         -20 * (dmp.g - dmp.y0) * np.random.default_rng(0).uniform(size=(20, 3))
@@ -36,7 +36,7 @@ def test_rollout_tends_to_the_solution_with_fourth_order(primitive: Primitive, s
     assert errors[-1] < 1e-5
 
 
-def test_what_is_returned_obeys_the_equation(primitive: Primitive) -> None:
+def test_what_is_returned_obeys_the_equation() -> None:
     dmp = primitive()
     run: Rollout = dmp.rollout(np.linspace(0, 2, 2001), g=dmp.g + 1, duration=3.0)
     tau = 3.0 * dmp.tau_d / dmp.duration
@@ -49,7 +49,7 @@ def test_what_is_returned_obeys_the_equation(primitive: Primitive) -> None:
     np.testing.assert_allclose(dmp.forcing(still.x), dmp.kernels(still.x) @ dmp.weights * still.x[:, None], atol=1e-12)
 
 
-def test_linearised_motion_is_the_slope_of_the_motion(primitive: Primitive) -> None:
+def test_linearised_motion_is_the_slope_of_the_motion() -> None:
     dmp = primitive()
     x, y, yd = 0.4, dmp.y0 + 0.1, dmp.v0
     A, B = dmp.linearise(x)
@@ -63,7 +63,7 @@ def test_linearised_motion_is_the_slope_of_the_motion(primitive: Primitive) -> N
 
 @settings(max_examples=20)
 @given(st.floats(-5, 5).filter(lambda s: abs(s) > 1e-3), st.lists(st.floats(-10, 10), min_size=3, max_size=3))
-def test_space_scales_with_the_goal(primitive: Primitive, s: float, c: list[float]) -> None:
+def test_space_scales_with_the_goal(s: float, c: list[float]) -> None:
     dmp, t = primitive(), np.linspace(0, 2.5, 60)
     y0 = dmp.y0 + c
     path = dmp.rollout(t, y0=y0, g=y0 + s * (dmp.g - dmp.y0)).y
@@ -73,7 +73,7 @@ def test_space_scales_with_the_goal(primitive: Primitive, s: float, c: list[floa
 
 @given(st.floats(0.05, 50.0), st.sampled_from(SCHEDULES))
 @settings(max_examples=20)
-def test_time_stretches_with_tau(primitive: Primitive, k: float, schedule: str) -> None:
+def test_time_stretches_with_tau(k: float, schedule: str) -> None:
     dmp, t = primitive(schedule), np.linspace(0, 2.5, 60)
     slow, usual = dmp.rollout(k * t, tau_d=k * dmp.tau_d), dmp.rollout(t)
     np.testing.assert_allclose(slow.y, usual.y, atol=1e-10)
@@ -83,7 +83,7 @@ def test_time_stretches_with_tau(primitive: Primitive, k: float, schedule: str) 
 
 @settings(max_examples=20)
 @given(st.sampled_from(SCALINGS), st.sampled_from(SCHEDULES), st.floats(-10, 10))
-def test_every_mode_moves_with_start_and_goal(primitive: Primitive, scaling: str, schedule: str, c: float) -> None:
+def test_every_mode_moves_with_start_and_goal(scaling: str, schedule: str, c: float) -> None:
     if scaling == "rotate" and schedule == "position":
         return
     dmp, t = primitive(schedule, scaling), np.linspace(0, 2.5, 60)
@@ -93,7 +93,7 @@ def test_every_mode_moves_with_start_and_goal(primitive: Primitive, scaling: str
 
 @settings(max_examples=20)
 @given(st.lists(st.floats(-2, 2), min_size=3, max_size=3), st.floats(0.1, 4.0))
-def test_paths_turn_with_the_displacement(primitive: Primitive, turn: list[float], length: float) -> None:
+def test_paths_turn_with_the_displacement(turn: list[float], length: float) -> None:
     from armlab.lie import so3
 
     dmp, t = primitive(scaling="rotate"), np.linspace(0, 2.5, 60)
@@ -109,7 +109,7 @@ def test_paths_turn_with_the_displacement(primitive: Primitive, turn: list[float
         dmp.rollout(t, g=dmp.y0)
 
 
-def test_amplitude_multiplies_the_forcing(primitive: Primitive) -> None:
+def test_amplitude_multiplies_the_forcing() -> None:
     dmp, t = primitive(scaling="amplitude", v0=np.zeros(3)), np.linspace(0, 2, 50)
     rest, once, twice = (dmp.rollout(t, amplitude=np.full(3, a)).y for a in (0.0, 1.0, 2.0))
     np.testing.assert_allclose(twice - rest, 2 * (once - rest), atol=1e-10)
@@ -118,7 +118,7 @@ def test_amplitude_multiplies_the_forcing(primitive: Primitive) -> None:
         primitive().rollout(t, amplitude=np.ones(3))
 
 
-def test_progress_is_from_1_to_0_and_0_where_nothing_is_to_be_gone(primitive: Primitive) -> None:
+def test_progress_is_from_1_to_0_and_0_where_nothing_is_to_be_gone() -> None:
     """Coordinate 0 backs off from its start, 1 shoots past its goal, 2 has none: its spring is alone."""
     goal, speed = np.array([0.1, 0.01, 0.0]), np.array([-5.0, 5.0, 2.0])
     dmp = primitive("position", "none", y0=np.zeros(3), g=goal, v0=speed)
@@ -132,7 +132,7 @@ def test_progress_is_from_1_to_0_and_0_where_nothing_is_to_be_gone(primitive: Pr
     np.testing.assert_allclose(run.y[:, 2], alone, rtol=0, atol=1e-8)
 
 
-def test_the_clock_and_the_number_of_samples_are_the_callers(primitive: Primitive) -> None:
+def test_the_clock_and_the_number_of_samples_are_the_callers() -> None:
     dmp = primitive()
     t = np.linspace(0, 2, 1000)
     assert len(dmp.rollout(t).y) == 1000
@@ -147,7 +147,7 @@ def test_the_clock_and_the_number_of_samples_are_the_callers(primitive: Primitiv
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("n_basis", [3, 378, 1000])
-def test_nothing_ever_becomes_nan(primitive: Primitive, schedule: str, n_basis: int) -> None:
+def test_nothing_ever_becomes_nan(schedule: str, n_basis: int) -> None:
     centres, widths = placed(schedule, "time", n_basis, 3.0, 0.8)
     dmp = primitive(schedule, weights=np.ones((n_basis, 3)), centres=centres, widths=widths)
     run = dmp.rollout(np.concatenate([np.linspace(0, 3, 50), [20, 200.0]]))
@@ -158,14 +158,14 @@ def test_nothing_ever_becomes_nan(primitive: Primitive, schedule: str, n_basis: 
     np.testing.assert_allclose(psi.sum(axis=1), 1.0, rtol=1e-12)
 
 
-def test_equal_is_equal_to_the_last_bit(primitive: Primitive) -> None:
+def test_equal_is_equal_to_the_last_bit() -> None:
     dmp = primitive()
     assert dmp == replace(dmp)
     assert dmp != replace(dmp, tau_d=dmp.tau_d * (1 + 1e-15))
     assert dmp != 1
 
 
-def test_nothing_given_is_changed(primitive: Primitive) -> None:
+def test_nothing_given_is_changed() -> None:
     dmp, before = primitive(), primitive()
     t = np.linspace(0, 1, 20)
     g = dmp.g + 1
@@ -182,7 +182,7 @@ def test_nothing_given_is_changed(primitive: Primitive) -> None:
         dmp.rollout(t).y[0] = 0
 
 
-def test_small_displacements_are_not_scaled(primitive: Primitive) -> None:
+def test_small_displacements_are_not_scaled() -> None:
     dmp = primitive(g=primitive().y0 + np.array([0.04, 0.06, 0.0]))
     assert dmp.unscaled == (0, 2)
     assert primitive(scaling="none").unscaled == ()
@@ -193,7 +193,7 @@ def test_small_displacements_are_not_scaled(primitive: Primitive) -> None:
     assert abs(dmp.rollout(np.linspace(0, 2, 20), g=dmp.y0 + 1).forcing[0, 0]) < 1e3
 
 
-def test_options_mean_the_same_everywhere(primitive: Callable[..., Dmp]) -> None:
+def test_options_mean_the_same_everywhere() -> None:
     dmp = primitive()
     given: RunOptions = {"duration": 3.0, "tau_d": None, "y0": dmp.y0 + 0.1, "g": dmp.g + 0.5, "v0": None}
     run, batch = dmp.rollout(0.01, **given), dmp.rollout_batch(0.01, **given)
@@ -214,7 +214,7 @@ def test_options_mean_the_same_everywhere(primitive: Callable[..., Dmp]) -> None
 
 @settings(max_examples=15)
 @given(st.sampled_from(["canonical", "time", "position"]), st.integers(0, 99))
-def test_steps_are_the_rollout(primitive: Primitive, schedule: str, seed: int) -> None:
+def test_steps_are_the_rollout(schedule: str, seed: int) -> None:
     dmp = primitive(schedule)
     t = np.cumsum(np.random.default_rng(seed).uniform(1e-3, 0.1, 40))
     run = dmp.rollout(t, g=dmp.g + 1, duration=3.0)
@@ -229,7 +229,7 @@ def test_steps_are_the_rollout(primitive: Primitive, schedule: str, seed: int) -
         stepper.reset()
 
 
-def test_the_velocity_stays_when_the_pace_changes(primitive: Primitive) -> None:
+def test_the_velocity_stays_when_the_pace_changes() -> None:
     stepper = primitive().stepper()
     for _ in range(100):
         _, before, _ = stepper.step(0.004)
@@ -287,7 +287,7 @@ def test_a_goal_that_stays_is_not_braked_for() -> None:
     assert not fit_dmp(t, np.sin(5 * t)).value.monotone.any()
 
 
-def test_brakes_are_for_coordinates_that_never_turned_and_forgotten_by_a_reset(primitive: Primitive) -> None:
+def test_brakes_are_for_coordinates_that_never_turned_and_forgotten_by_a_reset() -> None:
     """After a change of goal ``v^2 <= 2 a |goal - y|``, a 1.05 times the largest acceleration of the demonstration."""
     dmp = primitive(monotone=np.array([True, False, True]), peak_acceleration=np.full(3, 0.5), v0=np.zeros(3))
     free, braked = dmp.stepper(), dmp.stepper(brake=True)

@@ -16,6 +16,8 @@ from armlab.lie import quaternion, se3, so3
 from armlab.motion import PoseDmp, PoseRollout, fit_pose_dmp
 from armlab.motion.pose_dmp import PoseDmpController, PoseStepper
 
+from .conftest import poses
+
 Taught = Fit[PoseDmp]
 
 
@@ -157,11 +159,10 @@ def off(dmp: PoseDmp, t: np.ndarray, T: np.ndarray) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("n_basis", "hold", "bar"), [(50, 0.3, (2e-6, 1e-5)), (15, 0.0, (2e-4, 2e-4))])
-def test_the_motion_is_the_demonstration(
-    fine_pose_demo: Demo, n_basis: int, hold: float, bar: tuple[float, float]
-) -> None:
-    fit = fit_pose_dmp(*fine_pose_demo, n_basis=n_basis, hold=hold)
-    position, angle = off(fit.value, *fine_pose_demo)
+def test_the_motion_is_the_demonstration(n_basis: int, hold: float, bar: tuple[float, float]) -> None:
+    t = np.linspace(0.0, 1.0, 1000)  # the samples for which the bars hold
+    fit = fit_pose_dmp(t, poses(t), n_basis=n_basis, hold=hold)
+    position, angle = off(fit.value, t, poses(t))
     assert position < bar[0]
     assert angle < bar[1]
     rmse = np.sqrt((fit.residuals.reshape(-1, 2, 3) ** 2).sum(axis=2).mean(axis=0))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,8 @@ import pytest
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.disturbances import Displace, Hold, Push
 from armlab.motion.two_dof import TwoDofDmp
+
+from .conftest import plain
 
 DATA = Path(__file__).resolve().parents[3] / "shared/data/dmp_reference.json"
 pytestmark = pytest.mark.skipif(not DATA.exists(), reason="needs ../shared/data/dmp_reference.json")
@@ -123,7 +124,6 @@ def test_weights_of_the_authors_simulation(numbers: dict[str, Any]) -> None:
     np.testing.assert_allclose(w, wanted["w"], rtol=1e-10)
 
 
-Build = Callable[..., Dmp]
 H = 0.004
 KEYS = {"yc": "yc", "yc_dot": "ycd", "ya": "ya", "ya_dot": "yad", "e": "e", "x": "x"}
 TABLE = [  # section 6 of the specification: t, free yc1, yc1, ya1, e1, x
@@ -135,7 +135,7 @@ TABLE = [  # section 6 of the specification: t, free yc1, yc1, ya1, e1, x
 ]
 
 
-def readme_dmp(plain: Build, data: dict[str, Any], dofs: tuple[int, ...] = (0, 1)) -> Dmp:
+def readme_dmp(data: dict[str, Any], dofs: tuple[int, ...] = (0, 1)) -> Dmp:
     """The primitive with the weights of the reference, of one or both coordinates."""
     fit, which = data["readme_fit"], list(dofs)
     g = np.array([2.0, 1.0])[which]
@@ -143,17 +143,17 @@ def readme_dmp(plain: Build, data: dict[str, Any], dofs: tuple[int, ...] = (0, 1
     return plain(weights, fit["centers"], np.full(15, np.sqrt(fit["sigma2"])), 10.0, np.zeros(len(which)), g)
 
 
-def test_the_experiment_of_the_specification(plain: Build, numbers: dict[str, Any]) -> None:
-    run = TwoDofDmp(readme_dmp(plain, numbers)).simulate([0, *(row[0] for row in TABLE)], [Hold(2.5, 4)])
+def test_the_experiment_of_the_specification(numbers: dict[str, Any]) -> None:
+    run = TwoDofDmp(readme_dmp(numbers)).simulate([0, *(row[0] for row in TABLE)], [Hold(2.5, 4)])
     found = np.column_stack([run.t, run.free.y[:, 0], run.yc[:, 0], run.ya[:, 0], run.e[:, 0], run.x])[1:]
     np.testing.assert_allclose(found, TABLE, atol=5.1e-7)
 
 
 @pytest.mark.parametrize("dofs", [None, (0,)], ids=["both", "dof1"])
-def test_coupled_runs_of_the_reference(dofs: tuple[int, ...] | None, plain: Build, numbers: dict[str, Any]) -> None:
+def test_coupled_runs_of_the_reference(dofs: tuple[int, ...] | None, numbers: dict[str, Any]) -> None:
     data = numbers
     want = data["readme_2dof"][f"coupled_{'both_dofs' if dofs is None else 'only_dof1'}_stopped"]
-    run = TwoDofDmp(readme_dmp(plain, data)).simulate(data["readme_2dof"]["t"], [Hold(2.5, 4, dofs)])
+    run = TwoDofDmp(readme_dmp(data)).simulate(data["readme_2dof"]["t"], [Hold(2.5, 4, dofs)])
     for i in (1, 2):
         columns = {f"yc{i}": run.yc, f"ya{i}": run.ya, f"e{i}": run.e}
         for name, found in columns.items():
@@ -163,10 +163,10 @@ def test_coupled_runs_of_the_reference(dofs: tuple[int, ...] | None, plain: Buil
 
 
 @pytest.mark.parametrize("dof", [0, 1])
-def test_each_coordinate_alone_is_that_of_the_ancestor(dof: int, plain: Build, numbers: dict[str, Any]) -> None:
+def test_each_coordinate_alone_is_that_of_the_ancestor(dof: int, numbers: dict[str, Any]) -> None:
     """Its own e, x and tau_a: undisturbed, and held with the velocity at 0."""
     data = numbers
-    rows, alone = data["readme_2dof"], TwoDofDmp(readme_dmp(plain, data, (dof,)))
+    rows, alone = data["readme_2dof"], TwoDofDmp(readme_dmp(data, (dof,)))
     held = alone.simulate(rows["t"], [Hold(2.5, 4)])
     want = rows["physical_stop_continuous_limit"][f"dof{dof + 1}"]
     cases = [(held, want), (alone.simulate(rows["t"]), rows["unperturbed"])][: 2 - dof]
@@ -178,7 +178,7 @@ def test_each_coordinate_alone_is_that_of_the_ancestor(dof: int, plain: Build, n
 
 
 @pytest.mark.parametrize("event", ["stop", "push"])
-def test_simulation_of_the_paper(event: str, plain: Build, numbers: dict[str, Any]) -> None:
+def test_simulation_of_the_paper(event: str, numbers: dict[str, Any]) -> None:
     data = numbers["ifac2017_simulation"]
     g, want = data["g"], data["continuous_limit"]
     weights, widths = np.array(data["w"])[:, None] * g, np.array(data["precision"]) ** -0.5
@@ -193,10 +193,10 @@ def test_simulation_of_the_paper(event: str, plain: Build, numbers: dict[str, An
 
 
 @pytest.mark.parametrize("p", [0.0, 0.05, -0.5, 2.0])
-def test_errors_at_250_hz_after_a_blow(p: float, plain: Build, numbers: dict[str, Any]) -> None:
+def test_errors_at_250_hz_after_a_blow(p: float, numbers: dict[str, Any]) -> None:
     """At 2.5 s ya jumps by p, then it is held to 4 s; p = 0 is undisturbed."""
     data = numbers
-    alone, t = TwoDofDmp(readme_dmp(plain, data, (0,))), H * np.arange(2501)
+    alone, t = TwoDofDmp(readme_dmp(data, (0,))), H * np.arange(2501)
     events = [Displace(2.5, p), Hold(2.5, 4)] if p else []
     coarse, fine = (alone.simulate(t, events, dt=H / k) for k in (1, 16))
     for method in ("rk4", "heun"):
@@ -206,10 +206,10 @@ def test_errors_at_250_hz_after_a_blow(p: float, plain: Build, numbers: dict[str
             assert error <= 1.5 * want[f"err_{name}"], (method, name)
 
 
-def test_errors_of_the_loop_at_250_hz(plain: Build, numbers: dict[str, Any]) -> None:
+def test_errors_of_the_loop_at_250_hz(numbers: dict[str, Any]) -> None:
     """The robot integrates the acceleration that it was given last; held from 2.5 to 4 s."""
     data = numbers
-    alone = TwoDofDmp(readme_dmp(plain, data, (0,)))
+    alone = TwoDofDmp(readme_dmp(data, (0,)))
     exact = alone.simulate(H * np.arange(2501), [Hold(2.5, 4)], dt=H / 16)
     stepper, ya, yad, worst = alone.stepper(v0=[0.0]), np.zeros(1), np.zeros(1), np.zeros(2)
     for k in range(2501):

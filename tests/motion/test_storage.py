@@ -6,7 +6,6 @@ import copy
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -20,11 +19,13 @@ from armlab.estimation import Fit
 from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
 from armlab.motion.storage import Saved
 
+from .conftest import primitive
+
 KINDS = {"dmp": Dmp, "two_dof_dmp": TwoDofDmp, "pose_dmp": PoseDmp, "periodic_dmp": PeriodicDmp, "promp": ProMP}
 
 
 @pytest.fixture(scope="module")
-def saved(primitive: Callable[..., Dmp], pose_fit: Fit[PoseDmp]) -> dict[str, Any]:
+def saved(pose_fit: Fit[PoseDmp]) -> dict[str, Any]:
     """One of each kind, with numbers that have many digits."""
     rng = np.random.default_rng(3)
     weights, centres, widths = rng.normal(size=(5, 2)), rng.uniform(size=5), rng.uniform(0.1, 1.0, 5)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,6 +11,8 @@ from armlab import State, bridge, robots
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.dmp import DmpController
 from armlab.motion.timing import PacedDmp, PacedStepper, fastest, retimed, shortest_duration
+
+from .conftest import primitive
 
 U = np.linspace(0.0, 1.0, 501)
 S = U**3 * (10 - 15 * U + 6 * U**2)
@@ -102,7 +102,7 @@ def test_demonstrations(demo: str) -> None:
 
 @given(st.integers(0, 999), st.sampled_from([0.02, 0.4, 1.2]), st.sampled_from([0.01, 0.3, np.inf]))
 @settings(max_examples=3)
-def test_random_primitives(primitive: Callable[..., Dmp], seed: int, fast: float, hard: float) -> None:
+def test_random_primitives(seed: int, fast: float, hard: float) -> None:
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 8))
     dmp = primitive(n=n, weights=60 * rng.normal(size=(20, n)), scaling="none")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armlab.motion import Dmp
 from armlab.motion.disturbances import FULL_SPEED, Displace, Hold, Plant, Push, TwoDofRun
 from armlab.motion.primitive.run import RunParameters
 from armlab.motion.two_dof import Reference, TwoDofDmp, TwoDofStepper, starting
+
+from .conftest import plain, primitive, smooth
 
 H = 0.004
 
@@ -27,9 +27,7 @@ H = 0.004
     dof=st.integers(0, 1),
     blow=st.floats(-0.5, 0.5),
 )
-def test_the_path_keeps_its_shape(
-    smooth: Callable[..., Dmp], seed: int, n: int, t0: float, length: float, dof: int, blow: float
-) -> None:
+def test_the_path_keeps_its_shape(seed: int, n: int, t0: float, length: float, dof: int, blow: float) -> None:
     events = [Hold(t0, t0 + length, [dof]), Displace(0.5 * t0, np.linspace(0, blow, n))]
     run = TwoDofDmp(smooth(n, seed), kc=1e3).simulate(0.01, events)
     np.testing.assert_allclose(run.yc, run.yc[:, :1] * 0.5 ** np.arange(n), rtol=0, atol=1e-9)
@@ -37,7 +35,7 @@ def test_the_path_keeps_its_shape(
 
 @settings(max_examples=10)
 @given(c=st.floats(-2, 2), s=st.sampled_from([-1.5, 0.3, 2.0]), k=st.floats(0.5, 3.0))
-def test_undisturbed_it_is_the_primitive(smooth: Callable[..., Dmp], c: float, s: float, k: float) -> None:
+def test_undisturbed_it_is_the_primitive(c: float, s: float, k: float) -> None:
     dmp = smooth()
     run = TwoDofDmp(dmp).simulate(0.01, y0=dmp.y0 + c, g=dmp.y0 + c + s * (dmp.g - dmp.y0), duration=2 * k, dt=0.002)
     np.testing.assert_allclose(run.yc, run.free.y, rtol=0, atol=1e-6 * max(1, abs(s)))
@@ -46,7 +44,7 @@ def test_undisturbed_it_is_the_primitive(smooth: Callable[..., Dmp], c: float, s
 
 
 @pytest.mark.parametrize("schedule", ["canonical", "time", "position"])
-def test_it_is_of_fourth_order(plain: Callable[..., Dmp], schedule: str) -> None:
+def test_it_is_of_fourth_order(schedule: str) -> None:
     """With a hold and a push between grid points, on kernels that are wide for the steps."""
     centres = np.linspace(0, 1, 6)
     weights = 30 * np.random.default_rng(1).normal(size=(6, 2))
@@ -61,7 +59,7 @@ def test_it_is_of_fourth_order(plain: Callable[..., Dmp], schedule: str) -> None
     assert np.diff(-np.log2(errors)).min() >= 3.8, errors
 
 
-def test_a_hold_creeps_and_a_freeze_does_not(smooth: Callable[..., Dmp]) -> None:
+def test_a_hold_creeps_and_a_freeze_does_not() -> None:
     """Behind a hold the free path creeps away, less and less; frozen it stands, and thaws when let go."""
     dmp, t = smooth(force=0.0), np.array([0.0, 0.5, 1.0, 5.0, 30.0])
     creeping = TwoDofDmp(dmp).simulate(t, [Hold(0.5, 30)])
@@ -77,7 +75,7 @@ def test_a_hold_creeps_and_a_freeze_does_not(smooth: Callable[..., Dmp]) -> None
     np.testing.assert_allclose(after.yc[-1], dmp.g, atol=2e-2)
 
 
-def test_inside_the_dead_zone_nothing_slows(smooth: Callable[..., Dmp]) -> None:
+def test_inside_the_dead_zone_nothing_slows() -> None:
     dmp = smooth()
     run = TwoDofDmp(dmp, e0=[0.02, 0.02]).simulate(0.01, [Displace(0.5, 0.015)])
     np.testing.assert_array_equal(run.tau_a, dmp.tau_d)
@@ -86,7 +84,7 @@ def test_inside_the_dead_zone_nothing_slows(smooth: Callable[..., Dmp]) -> None:
     assert dmp.tau_d * 1.05 < slowed.tau_a.max() < finer.tau_a.max()
 
 
-def test_acceleration_of_the_path_is_its_derivative_while_tau_changes(smooth: Callable[..., Dmp]) -> None:
+def test_acceleration_of_the_path_is_its_derivative_while_tau_changes() -> None:
     """Beyond the dead zone of one coordinate and inside that of the other, with scales that are not one."""
     two_dof = TwoDofDmp(smooth(), kc=1e3, e0=[0.01, 0.2], e_scale=[0.3, 2.0])
     run = two_dof.simulate(np.arange(0.0, 1.6, 5e-4), [Displace(0.5, [0.1, 0.1])], dt=5e-4)
@@ -99,10 +97,7 @@ def test_acceleration_of_the_path_is_its_derivative_while_tau_changes(smooth: Ca
     np.testing.assert_allclose(run.ycdd[rows], by_differences[rows], rtol=0, atol=2e-3 * np.abs(run.ycdd).max())
 
 
-Build = Callable[..., Dmp]
-
-
-def test_events_happen_between_the_samples(primitive: Build) -> None:
+def test_events_happen_between_the_samples() -> None:
     """A hold that begins and ends between samples stops the arm for exactly its time."""
     two_dof = TwoDofDmp(primitive(), kc=0.0)
     t = np.array([0.0, 0.401, 0.4017, 0.4995, 0.6, 1.0])
@@ -114,7 +109,7 @@ def test_events_happen_between_the_samples(primitive: Build) -> None:
     assert run.disturbed == ((0.4013, 0.5005), (0.4013, 0.5005))
 
 
-def test_at_the_time_of_an_event_is_what_was_before_it(primitive: Build) -> None:
+def test_at_the_time_of_an_event_is_what_was_before_it() -> None:
     two_dof, t = TwoDofDmp(primitive()), np.array([0.0, 0.5, 0.5 + 1e-9])
     run = two_dof.simulate(t, [Displace(0.5, [0.1, 0.0, -0.2])])
     np.testing.assert_allclose(run.ya[2] - run.ya[1], [0.1, 0.0, -0.2], atol=1e-7)
@@ -122,14 +117,14 @@ def test_at_the_time_of_an_event_is_what_was_before_it(primitive: Build) -> None
     assert run.disturbed == ((0.5, 0.5),)
 
 
-def test_a_clock_that_starts_later_changes_nothing(primitive: Build) -> None:
+def test_a_clock_that_starts_later_changes_nothing() -> None:
     two_dof, t = TwoDofDmp(primitive()), 0.01 * np.arange(150)
     run = two_dof.simulate(t, [Hold(0.3, 0.7), Displace(1.0, 0.1)])
     later = two_dof.simulate(t + 5.0, [Hold(5.3, 5.7), Displace(6.0, 0.1)])
     np.testing.assert_allclose(later.ya, run.ya, atol=1e-9)
 
 
-def test_the_perfect_plant_is_no_plant(primitive: Build) -> None:
+def test_the_perfect_plant_is_no_plant() -> None:
     def perfect(t: float, ya: np.ndarray, yad: np.ndarray, ydd_ref: np.ndarray) -> np.ndarray:
         return ydd_ref
 
@@ -141,7 +136,7 @@ def test_the_perfect_plant_is_no_plant(primitive: Build) -> None:
         np.testing.assert_allclose(getattr(run, name), getattr(plain, name), rtol=0, atol=1e-11, err_msg=name)
 
 
-def test_results_are_frozen_and_complete(primitive: Build) -> None:
+def test_results_are_frozen_and_complete() -> None:
     run = TwoDofDmp(primitive()).simulate(0.01)
     assert isinstance(run, TwoDofRun)
     N = len(run.t)
@@ -152,7 +147,7 @@ def test_results_are_frozen_and_complete(primitive: Build) -> None:
     assert TwoDofDmp(primitive("position")).simulate(0.01).x.shape == (N, 3)
 
 
-def test_stepper_is_the_simulation(smooth: Callable[..., Dmp]) -> None:
+def test_stepper_is_the_simulation() -> None:
     """With the arm of the simulation measured at every step the path is the same to the accuracy of sampling."""
     dmp = smooth()
     two_dof = TwoDofDmp(dmp)
@@ -170,7 +165,7 @@ def test_stepper_is_the_simulation(smooth: Callable[..., Dmp]) -> None:
     assert (stepper.x, stepper.frozen, stepper.e.tolist()) == (1.0, False, [0.0, 0.0])
 
 
-def test_uneven_steps_and_lost_samples_do_not_matter_much(smooth: Callable[..., Dmp]) -> None:
+def test_uneven_steps_and_lost_samples_do_not_matter_much() -> None:
     two_dof = TwoDofDmp(smooth(force=4.0), e0=0.01)
     run = two_dof.simulate(0.001, dt=0.001)
     stepper, k, draw = two_dof.stepper(), 0, np.random.default_rng(0)
@@ -185,9 +180,7 @@ def test_uneven_steps_and_lost_samples_do_not_matter_much(smooth: Callable[..., 
 
 
 @pytest.mark.parametrize("schedule", ["canonical", "time"])
-def test_it_has_ended_when_the_phase_has_gone_as_far_as_in_the_demonstration(
-    smooth: Callable[..., Dmp], schedule: str
-) -> None:
+def test_it_has_ended_when_the_phase_has_gone_as_far_as_in_the_demonstration(schedule: str) -> None:
     dmp = smooth(schedule=schedule)
     stepper, ended = TwoDofDmp(dmp, kc=0.0).stepper(), []
     for k in range(511):
@@ -197,7 +190,7 @@ def test_it_has_ended_when_the_phase_has_gone_as_far_as_in_the_demonstration(
     assert dmp.duration - 1e-9 <= first <= dmp.duration + 2 * H
 
 
-def test_a_late_packet_is_solved_in_steps_of_4_ms(smooth: Callable[..., Dmp]) -> None:
+def test_a_late_packet_is_solved_in_steps_of_4_ms() -> None:
     law, stepper = TwoDofDmp(smooth())._law(RunParameters.of(smooth())), TwoDofDmp(smooth()).stepper()
     found = stepper.step(0.044, np.zeros(2), np.zeros(2)).yc
     start = starting(RunParameters.of(smooth()))
