@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -113,7 +112,6 @@ class Ideal:
         return np.array([q for q, _ in found]), np.array([qd for _, qd in found])
 
 
-@pytest.fixture(scope="session")
-def arm() -> Callable[..., Ideal]:
-    """Makes an arm at rest, at home unless told otherwise."""
-    return lambda q=YUMI.q_home: Ideal(q.copy(), np.zeros(7))
+def arm(q: np.ndarray = YUMI.q_home) -> Ideal:
+    """Make an arm at rest."""
+    return Ideal(q.copy(), np.zeros(7))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +18,8 @@ from armlab.log.column import resolved
 from armlab.motion import Dmp, TwoDofDmp
 from armlab.motion.control import Arms, Controller, robots_of
 
+from .conftest import arm
+
 PERIOD = 0.004032
 ROBOT = robots.load("yumi_right")
 
@@ -31,7 +32,7 @@ KINDS = pytest.mark.parametrize("kind", ["plain", "two_dof"])
 
 
 @KINDS
-def test_from_where_the_arm_is_to_the_goal_without_a_jump(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
+def test_from_where_the_arm_is_to_the_goal_without_a_jump(reach: Dmp, kind: str) -> None:
     controller, start = made(reach, kind), arm(ROBOT.q_home + 0.05)
     q, qd = start.run(controller, 3.0)
     np.testing.assert_array_equal(q[0], ROBOT.q_home + 0.05)
@@ -45,7 +46,7 @@ def test_from_where_the_arm_is_to_the_goal_without_a_jump(arm: Callable[..., Any
 
 
 @KINDS
-def test_packets_that_come_late_do_not_bend_the_path(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
+def test_packets_that_come_late_do_not_bend_the_path(reach: Dmp, kind: str) -> None:
     """Packets are lost again and again, up to nine in a row: the motion is in time nevertheless.
 
     The arm keeps the acceleration it was given last, so with two degrees of freedom it is only near.
@@ -62,7 +63,7 @@ def test_packets_that_come_late_do_not_bend_the_path(arm: Callable[..., Any], re
 
 
 @KINDS
-def test_a_gap_ends_the_run_and_says_so(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
+def test_a_gap_ends_the_run_and_says_so(reach: Dmp, kind: str) -> None:
     controller, yumi = made(reach, kind), arm()
     yumi.run(controller, 0.5)
     command = yumi.packet(controller, 0.06)
@@ -74,7 +75,7 @@ def test_a_gap_ends_the_run_and_says_so(arm: Callable[..., Any], reach: Dmp, kin
     assert "NaN" in lost.reason
 
 
-def test_what_goes_wrong_in_the_loop_ends_the_run_with_its_reason(arm: Callable[..., Any], reach: Dmp) -> None:
+def test_what_goes_wrong_in_the_loop_ends_the_run_with_its_reason(reach: Dmp) -> None:
     """A force that is no number, and a motion that cannot begin."""
     pushed = TwoDofDmp(reach).controller(ROBOT, give_way=lambda _: np.full(7, np.nan))
     yumi = arm()
@@ -89,7 +90,7 @@ def test_what_goes_wrong_in_the_loop_ends_the_run_with_its_reason(arm: Callable[
 
 
 @KINDS
-def test_a_new_session_begins_anew_where_the_arm_is(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
+def test_a_new_session_begins_anew_where_the_arm_is(reach: Dmp, kind: str) -> None:
     controller, yumi = made(reach, kind), arm()
     yumi.run(controller, 1.0)
     yumi.q = ROBOT.q_home - 0.02
@@ -99,7 +100,7 @@ def test_a_new_session_begins_anew_where_the_arm_is(arm: Callable[..., Any], rea
 
 
 @KINDS
-def test_limits_act_last_and_are_told(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
+def test_limits_act_last_and_are_told(reach: Dmp, kind: str) -> None:
     slow = bridge.Limits.of(ROBOT, speed=0.05)
     controller, yumi, bits = made(reach, kind, limits=slow), arm(), 0
     q, qd = [], []
@@ -118,7 +119,7 @@ def test_limits_act_last_and_are_told(arm: Callable[..., Any], reach: Dmp, kind:
 
 
 @KINDS
-def test_speed_and_stop_keep_the_path(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
+def test_speed_and_stop_keep_the_path(reach: Dmp, kind: str) -> None:
     """Slower, to a stop, and on: the same curve in joint space, other times."""
     plain, _ = arm().run(made(reach, kind), 3.0)
     controller, yumi = made(reach, kind), arm()
@@ -168,7 +169,7 @@ def test_lost_measurements_do_not_keep_a_motion_from_being_done(reach: Dmp) -> N
     assert controller.reason == ""
 
 
-def test_a_stop_takes_a_quarter_of_a_second(arm: Callable[..., Any], reach: Dmp) -> None:
+def test_a_stop_takes_a_quarter_of_a_second(reach: Dmp) -> None:
     controller, yumi = made(reach, "plain"), arm()
     yumi.run(controller, 0.8)
     controller.stop()
@@ -179,7 +180,7 @@ def test_a_stop_takes_a_quarter_of_a_second(arm: Callable[..., Any], reach: Dmp)
 
 
 @KINDS
-def test_the_goal_may_change_on_the_way(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
+def test_the_goal_may_change_on_the_way(reach: Dmp, kind: str) -> None:
     controller, yumi = made(reach, kind), arm()
     yumi.run(controller, 0.8)
     goal = reach.g + np.array([0.2, 0, -0.1, 0, 0.1, 0, 0])
@@ -195,7 +196,7 @@ def test_the_goal_may_change_on_the_way(arm: Callable[..., Any], reach: Dmp, kin
     assert not controller.done, "another goal is not yet arrived at"
 
 
-def test_what_it_records_is_declared(arm: Callable[..., Any], reach: Dmp) -> None:
+def test_what_it_records_is_declared(reach: Dmp) -> None:
     controller = made(reach, "two_dof")
     record, columns = arm().packet(controller).record, controller.columns()
     assert record.keys() == columns.keys()
@@ -226,7 +227,7 @@ def test_several_arms_are_one_motion(reach: Dmp) -> None:
 
 
 @KINDS
-def test_calls_leave_nothing_behind(arm: Callable[..., Any], reach: Dmp, kind: str) -> None:
+def test_calls_leave_nothing_behind(reach: Dmp, kind: str) -> None:
     controller, q = made(reach, kind), arm().q
     states = [State(k * PERIOD, PERIOD, q, np.zeros_like(q), q) for k in range(1100)]
     for state in states[:100]:
@@ -248,7 +249,7 @@ def test_importing_motions_loads_no_logs() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
 
 
-def test_a_plain_primitive_is_its_rollout(arm: Callable[..., Any], reach: Dmp) -> None:
+def test_a_plain_primitive_is_its_rollout(reach: Dmp) -> None:
     """It starts at rest, however the demonstration did."""
     moving = replace(reach, v0=np.full(7, 0.1))
     q, _ = arm().run(moving.controller(ROBOT, duration=3.0), 3.0)
@@ -256,7 +257,7 @@ def test_a_plain_primitive_is_its_rollout(arm: Callable[..., Any], reach: Dmp) -
     np.testing.assert_allclose(q, path.y, atol=1e-9)
 
 
-def test_a_held_arm_is_waited_for(arm: Callable[..., Any], reach: Dmp) -> None:
+def test_a_held_arm_is_waited_for(reach: Dmp) -> None:
     """What the plain primitive cannot: behind a hold of two seconds it goes on where it was, not where it would be."""
     for e_max, frozen in ((0.3, False), (0.01, True)):  # frozen, the path stands still and says so
         controller = TwoDofDmp(reach, e_max=e_max).controller(ROBOT, give_way=lambda _: np.zeros(7))
@@ -268,13 +269,13 @@ def test_a_held_arm_is_waited_for(arm: Callable[..., Any], reach: Dmp) -> None:
         assert (last.record["done"], last.record["frozen"], controller.frozen) == (False, frozen, frozen)
 
 
-def test_it_gives_way_to_what_a_contact_adds(arm: Callable[..., Any], reach: Dmp) -> None:
+def test_it_gives_way_to_what_a_contact_adds(reach: Dmp) -> None:
     free, _ = arm().run(TwoDofDmp(reach, kc=0).controller(ROBOT), 0.5)
     pushed, _ = arm().run(TwoDofDmp(reach, kc=0).controller(ROBOT, give_way=lambda state: np.eye(7)[0]), 0.5)
     assert pushed[-1, 0] - free[-1, 0] > 0.01
 
 
-def test_a_log_of_the_loop_is_a_run(arm: Callable[..., Any], reach: Dmp) -> None:
+def test_a_log_of_the_loop_is_a_run(reach: Dmp) -> None:
     """What the controller records, in a Table of any source, is what `plots.two_dof` draws."""
     two_dof, yumi = TwoDofDmp(reach), arm()
     controller = two_dof.controller(ROBOT)

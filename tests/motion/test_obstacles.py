@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,6 +9,8 @@ from armlab import kinematics, robots
 from armlab.errors import ShapeError
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.obstacles import FORMS, AvoidingDmp, AvoidingStepper, Capsule
+
+from .conftest import arm
 
 U = np.linspace(0.0, 1.0, 251)
 S = U**3 * (10 - 15 * U + 6 * U**2)
@@ -191,7 +190,7 @@ def test_an_obstacle_that_moves_is_made_way_for(space: Dmp) -> None:
         np.testing.assert_allclose(stepper.state[0], space.g, atol=1e-3)
 
 
-def test_a_controller_goes_around_what_is_put_in_its_way(swing: Dmp, arm: Callable[..., Any]) -> None:
+def test_a_controller_goes_around_what_is_put_in_its_way(swing: Dmp) -> None:
     path = swing.rollout(PERIOD).y
     one = AvoidingDmp(swing, [], 0.02, 0.1, robot=ROBOT)
     controller, yumi = one.controller(), arm()
@@ -210,16 +209,14 @@ def test_a_controller_goes_around_what_is_put_in_its_way(swing: Dmp, arm: Callab
     assert controller.done
 
 
-def test_a_start_within_the_clearance_ends_the_run_with_the_reason(swing: Dmp, arm: Callable[..., Any]) -> None:
+def test_a_start_within_the_clearance_ends_the_run_with_the_reason(swing: Dmp) -> None:
     controller, yumi = AvoidingDmp(swing, [], 0.02, 0.1, robot=ROBOT).controller(), arm()
     controller.place([Capsule.sphere(kinematics.forward(ROBOT, ROBOT.q_home)[:3, 3])])
     assert yumi.packet(controller, PERIOD).ends
     assert controller.reason.startswith("Expected the start outside the clearance")
 
 
-def test_a_controller_keeps_its_goal_where_the_new_one_is_within_the_clearance(
-    swing: Dmp, arm: Callable[..., Any]
-) -> None:
+def test_a_controller_keeps_its_goal_where_the_new_one_is_within_the_clearance(swing: Dmp) -> None:
     controller, yumi = AvoidingDmp(swing, [], 0.02, 0.1, robot=ROBOT).controller(), arm()
     yumi.packet(controller, PERIOD)
     new = swing.g + 0.1

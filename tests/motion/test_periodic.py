@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +12,8 @@ from armlab.errors import NotExcited
 from armlab.estimation import Experiment, Gauge, check_estimator
 from armlab.motion import PeriodicDmp, fit_periodic_dmp
 from armlab.motion.periodic import PeriodicController, PeriodicStepper
+
+from .conftest import arm
 
 M = 15
 CLOCK = np.linspace(0.0, 6.0, 1501)
@@ -200,7 +200,7 @@ def rhythm() -> PeriodicDmp:
     return fit_periodic_dmp(SECONDS, y, period=2.0).value
 
 
-def test_it_grows_goes_round_and_fades(rhythm: PeriodicDmp, arm: Callable[..., Any]) -> None:
+def test_it_grows_goes_round_and_fades(rhythm: PeriodicDmp) -> None:
     controller = rhythm.controller(ROBOT, turns=4.0)
     assert isinstance(controller, PeriodicController)
     q, _ = arm().run(controller, 9.0)
@@ -214,7 +214,7 @@ def test_it_grows_goes_round_and_fades(rhythm: PeriodicDmp, arm: Callable[..., A
     assert controller.done
 
 
-def test_amplitude_period_and_baseline_are_free(rhythm: PeriodicDmp, arm: Callable[..., Any]) -> None:
+def test_amplitude_period_and_baseline_are_free(rhythm: PeriodicDmp) -> None:
     there = rhythm.g + 0.05
     q, _ = arm().run(rhythm.controller(ROBOT, period=1.0, r=0.5, g=there), 3.0)
     last = q[-round(1.0 / CYCLE) :]

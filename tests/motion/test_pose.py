@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from armlab.lie import quaternion, se3, so3
 from armlab.motion import PoseDmp, PoseRollout, fit_pose_dmp
 from armlab.motion.pose_dmp import PoseDmpController, PoseStepper
 
-from .conftest import poses
+from .conftest import arm, poses
 
 Taught = Fit[PoseDmp]
 
@@ -280,7 +278,7 @@ def path() -> PoseDmp:
     return fit_pose_dmp(1.5 * u, T).value
 
 
-def test_the_tool_goes_along_the_path(path: PoseDmp, arm: Callable[..., Any]) -> None:
+def test_the_tool_goes_along_the_path(path: PoseDmp) -> None:
     controller = path.controller(ROBOT)
     assert isinstance(controller, PoseDmpController)
     q, _ = arm().run(controller, 2.2)
@@ -308,7 +306,7 @@ def test_it_is_not_done_where_the_tool_is_turned_and_says_how_the_joints_acceler
         assert controller.done is done
 
 
-def test_from_elsewhere_and_to_another_goal(path: PoseDmp, arm: Callable[..., Any]) -> None:
+def test_from_elsewhere_and_to_another_goal(path: PoseDmp) -> None:
     controller, yumi = path.controller(ROBOT, duration=2.0), arm(ROBOT.q_home + 0.03)
     yumi.run(controller, 0.8)
     goal = path.T_goal.copy()
@@ -322,7 +320,7 @@ def test_from_elsewhere_and_to_another_goal(path: PoseDmp, arm: Callable[..., An
     np.testing.assert_allclose(controller.goal, goal, atol=1e-12)
 
 
-def test_a_path_that_the_arm_leaves_ends_the_run(path: PoseDmp, arm: Callable[..., Any]) -> None:
+def test_a_path_that_the_arm_leaves_ends_the_run(path: PoseDmp) -> None:
     controller, yumi = path.controller(ROBOT), arm()
     yumi.run(controller, 0.2)
     controller._stepper.change_goal(_lifted(path.T_goal, 30.0))  # pyright: ignore
