@@ -164,9 +164,9 @@ def check_excitation(
     if directions:
         strongest = found.singular_values[0]
         raise NotExcited(
-            f"Expected motion that excites every direction of the {what} (condition below {max_condition:.0e}), got "
-            f"{len(directions)} undetermined: {'; '.join(directions)}. "
-            "Record a log that moves these joints together and apart, at several speeds and poses.",
+            f"Expected motion that excites every direction of the {what} (condition below {max_condition:.0e}), but "
+            f"the motion does not determine: {'; '.join(directions)}. Record a log that moves these joints together "
+            "and separately, at several speeds and poses.",
             directions,
             [f"{found.singular_values[i] / strongest:.1e} of the strongest direction" for i in weak],
         )
@@ -211,8 +211,8 @@ def check_spread(
     if len(weak):
         directions = [words(int(i)) for i in weak]
         raise NotExcited(
-            f"Expected data that determine every direction of the {what}, but the standard deviation of {len(weak)} "
-            f"exceeds its limit: {'; '.join(directions)}. Measure at poses that differ more along these directions.",
+            f"Expected data that determine every direction of the {what}, but standard deviations are beyond their "
+            f"limit along: {'; '.join(directions)}. Measure at poses that differ more along these directions.",
             directions,
             ["unobservable" if not np.isfinite(s) else f"{s:.2g} times the limit" for s in spread[weak]],
         )

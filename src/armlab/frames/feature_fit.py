@@ -41,12 +41,8 @@ Refit = Callable[[np.ndarray], tuple[float, np.ndarray]]
 class Cloud:
     """Validated points (N, 3) with their noise (None if it must be estimated) and the mask of the inliers."""
 
-    sigma: float | None
-    each: np.ndarray | None
-    kept: np.ndarray
-
     def __init__(self, p: ArrayLike, noise: Any, least: int, what: str) -> None:
-        self.p: np.ndarray = inputs.points(p)
+        self.p = inputs.points(p)
         self.sigma, self.each = inputs.noises_of(noise, len(self.p))
         self.kept = np.ones(len(self.p), dtype=bool)
         self._needed, self._what = least + (self.sigma is None), what

@@ -104,23 +104,18 @@ def fit_dual_arm(
         )
     check_weak(weak)
     orders = check_harmonics(harmonics)
-    arms = [
-        Arm.of(robot, q, orders, check_terms(terms, q.shape, name), "local_poe")
-        for robot, q, terms, name in (
-            (robot_a, q_a, joint_terms_a, "joint_terms_a"),
-            (robot_b, q_b, joint_terms_b, "joint_terms_b"),
-        )
-    ]
-    kinds, T = _measured(arms[0], arms[1], pose, position, closed, visible, noise)
+    a = Arm.of(robot_a, q_a, orders, check_terms(joint_terms_a, q_a.shape, "joint_terms_a"), "local_poe")
+    b = Arm.of(robot_b, q_b, orders, check_terms(joint_terms_b, q_b.shape, "joint_terms_b"), "local_poe")
+    kinds, T = _measured(a, b, pose, position, closed, visible, noise)
     if absolute_a is not None:
         kinds += measured_kinds(len(q_a), {"pose": absolute_a}, None, noise_absolute)[0]
         if (noise is None) != (noise_absolute is None):
             raise ConfigError("Expected noise and noise_absolute together, got only one. Pass both or neither.")
     held = length_angle(prior, "prior") if weak == "prior" else None
-    problem = DualProblem(arms[0], arms[1], tuple(kinds), absolute_a is not None, closed, np.zeros(0, dtype=bool), held)
-    used = np.concatenate([arms[0].existing, arms[1].existing, np.ones(6, dtype=bool)])
+    problem = DualProblem(a, b, tuple(kinds), absolute_a is not None, closed, np.zeros(0, dtype=bool), held)
+    used = np.concatenate([a.existing, b.existing, np.ones(6, dtype=bool)])
     problem = replace(problem, active=used if held is not None else _without_bases(problem))
-    start = DualState(arms[0].first(), arms[1].first(), T)
+    start = DualState(a.first(), b.first(), T)
     estimation = DualArmEstimation(problem, used, length_angle(limits, "limits"), weak == "prior", start)
     return estimation.fit(estimation.solve(robust))
 
