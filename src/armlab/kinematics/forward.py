@@ -53,8 +53,7 @@ def link_transforms(robot: Robot, q: ArrayLike, out: np.ndarray | None = None) -
 
     Raises
     ------
-    ShapeError : if the last axis of `q` does not have length n, or `out` does not match.
-    RobotError : if `robot` is not a `Robot`.
+    ShapeError, RobotError : as in `forward`.
     """
     try:
         chain = robot.chain
@@ -82,9 +81,7 @@ def jacobian(
     Raises
     ------
     UnknownName : if `frame` is not "base" or "tool".
-    ShapeError : if the last axis of `q` does not have length n, or `out` does not match.
-    RobotError : if `robot` is not a `Robot`.
-    ConfigError : if `threads` is not an integer from 1 to 256.
+    ShapeError, RobotError, ConfigError : as in `forward`.
     """
     chain, tool = _resolved(robot, frame)
     return chain.jacobian(q, tool, out, threads)
@@ -119,8 +116,7 @@ def forward_jacobian(
     ------
     UnknownName : if `frame` is not "base" or "tool".
     ShapeError : if the last axis of `q` does not have length n, or `out` is not a pair of separate fitting arrays.
-    RobotError : if `robot` is not a `Robot`.
-    ConfigError : if `threads` is not an integer from 1 to 256.
+    RobotError, ConfigError : as in `forward`.
     """
     chain, tool = _resolved(robot, frame)
     return chain.forward_jacobian(q, tool, out, threads)
@@ -178,8 +174,7 @@ def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
 
     Raises
     ------
-    RobotError : if `robot` is not a `Robot`.
-    ShapeError : if the last axis of `q` does not have length n.
+    RobotError, ShapeError : as in `forward`.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)

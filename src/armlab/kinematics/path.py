@@ -120,9 +120,7 @@ def inverse_path(
     Raises
     ------
     ShapeError : if the poses are not (N, 4, 4), valid and finite, or if an argument has the wrong shape.
-    UnknownName : if `task` or `objective` is unknown.
-    RobotError : if `robot` is not a `Robot`.
-    ConfigError : if `tol`, `maxiter`, `starts` or `damping` is out of range, or if `posture` lacks its objective.
+    UnknownName, RobotError, ConfigError : as in `inverse`.
     NotConverged : with `strict`, if the path breaks; `best` is the `IkPath`.
     """
     from armlab.kernels import follow_path
