@@ -40,7 +40,7 @@ Clients = Mapping[str, tuple[int, int]]
 class LoopEnd:
     """Server's end of the socket to `hub.Hub`; only `ask` may be called from several threads."""
 
-    lost: int
+    lost: int = 0
     schema: RowSchema
 
     def __init__(self, feed: socket.socket, clients: Callable[[], Clients] = dict) -> None:
@@ -50,7 +50,6 @@ class LoopEnd:
         self._lock = threading.Lock()
         self.parameters: dict[str, dict[str, Any]] = {}
         self.about: dict[str, Any] = {}
-        self.lost = 0
         self._buffer = memoryview(bytearray(_LARGEST))  # reused: the system would map a new buffer for each row
         received: set[str] = set()
         while not {"about", "parameters"} <= received:

@@ -102,8 +102,8 @@ _USED = ("motors", "rapid", "mci", "receive_ns", "seq_sent", "q_ref", "qd_ref", 
 class Watch:
     """Formatter of a bridge's state as text, updated by its messages."""
 
-    cell: str
-    told: int
+    cell: str = ""
+    told: int = 0
 
     def __init__(self, robot: str | None = None) -> None:
         self._robot = robot
@@ -111,9 +111,7 @@ class Watch:
         self._row: Row | None = None
         self._files: list[Path] = []
         self._sizes: tuple[float, int] | None = None
-        self.cell = ""
         self.events: deque[str] = deque(maxlen=_EVENTS)
-        self.told = 0
 
     @property
     def lost(self) -> int:

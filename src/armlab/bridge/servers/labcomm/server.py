@@ -266,7 +266,7 @@ class LabCommServer:
         A port cannot be bound.
     """
 
-    lost: int
+    lost: int = 0
 
     def __init__(
         self,
@@ -275,7 +275,6 @@ class LabCommServer:
         on_event: Tell = nobody,
         on_stop: Callable[[str], None] = lambda client: None,
     ) -> None:
-        self.lost = 0
         self._published: deque[tuple[str, Any]] = deque()
         self._awake, self._waker = socket.socketpair()
         self._awake.setblocking(False)

@@ -36,15 +36,14 @@ class _Waiting(NamedTuple):
 class Outbox:
     """Queue of one client's messages."""
 
-    sent: int
-    dropped: int
+    sent: int = 0
+    dropped: int = 0
 
     def __init__(self) -> None:
         self._waiting: deque[_Waiting] = deque()
         self._of_topic: Counter[str] = Counter()
         self._bytes = 0
         self._since_ns: int | None = None
-        self.sent = self.dropped = 0
 
     def put(self, data: bytes, now_ns: int, topic: str = "", most: int = 0) -> None:
         """Queue a message; drop messages older than 1 s."""

@@ -45,9 +45,9 @@ def robots_at(session: Any, lab: str = EVERY, patience: float = 1.0) -> list[tup
 class ZenohFeed(AbstractContextManager["ZenohFeed"]):
     """Client of a bridge on another computer, with the methods of `LocalFeed`."""
 
-    damaged: int
-    lost: int
-    refused: int
+    damaged: int = 0
+    lost: int = 0
+    refused: int = 0
 
     def __init__(self, url: str, robot: str = "", patience: float = 5.0) -> None:
         self._place, self._patience = LabAddress.read(url), patience
@@ -58,7 +58,6 @@ class ZenohFeed(AbstractContextManager["ZenohFeed"]):
         self._pace: Pace | None = None
         self._gone: float | None = None  # time of the disconnection
         self._is_unsure = False  # True until a returned bridge has reported its run
-        self.damaged = self.lost = self.refused = 0
         self._session = self._place.open(patience)
         try:
             known = [robot] if robot else self._robots()

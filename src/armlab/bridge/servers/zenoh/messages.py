@@ -208,14 +208,13 @@ _NUMBER = struct.Struct("<q")
 class Gaps:
     """Counter of missing rows for a subscriber to all rows of an arm (keys "state" and "live")."""
 
-    rows: int
-    lost: int
-    starts: int
+    rows: int = 0
+    lost: int = 0
+    starts: int = 0
 
     def __init__(self, schema: RowSchema, robot: str) -> None:
         self._at = schema.fields[f"{robot}.tick"].offset
         self._last = -1
-        self.rows = self.lost = self.starts = 0
 
     def take(self, data: bytes) -> int:
         """Count a row; return the number of rows missing before it."""
