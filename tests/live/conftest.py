@@ -93,29 +93,15 @@ class Bridge:
 @pytest.fixture
 def bridge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Bridge]]:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    made: list[Bridge] = []
-
-    def make(*arms: Robot, **options: Any) -> Bridge:
-        made.append(Bridge(list(arms), **options))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+    with contextlib.ExitStack() as stack:
+        yield lambda *arms, **options: stack.enter_context(contextlib.closing(Bridge(list(arms), **options)))
 
 
 @pytest.fixture
 def following(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Running]]:
     monkeypatch.setattr("armlab.live.live_bridge._AGAIN", 0.05)
-    made: list[Running] = []
-
-    def make(*words: Any, **options: Any) -> Running:
-        made.append(Running(*words, **options))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+    with contextlib.ExitStack() as stack:
+        yield lambda *words, **options: stack.enter_context(contextlib.closing(Running(*words, **options)))
 
 
 @pytest.fixture

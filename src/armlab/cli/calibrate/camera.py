@@ -59,18 +59,21 @@ def hand_eye(
     A file contains the poses T_base_tool and T_cam_marker, one sample per row: T_cam_marker_x, _y, _z [m or mm in the
     header] and the rotation as _qw, _qx, _qy, _qz, as the rotation vector _rx, _ry, _rz of OpenCV and UR, or as _roll,
     _pitch, _yaw [rad or deg], R = Rz(yaw) Ry(pitch) Rx(roll). A pose may also be a matrix, with the columns
-    T_cam_marker1_1 ... T_cam_marker4_4; in a MAT file, it has the shape (N, 4, 4) or (4, 4, N). For other column names:
-    --columns T_base_tool:rotvec=actual_TCP_pose_{0..5}; instead of rotvec also wxyz, xyzw, rpy, euler_zyx, euler_xyz,
-    euler_zyz, matrix; append _deg for degrees.
+    T_cam_marker1_1 ... T_cam_marker4_4; in a MAT file, it has the shape (N, 4, 4) or (4, 4, N). Other column names are
+    possible with --columns T_base_tool:rotvec=actual_TCP_pose_{0..5}; instead of rotvec also wxyz, xyzw, rpy,
+    euler_zyx, euler_xyz, euler_zyz, matrix; append _deg for degrees.
+
     Instead of T_cam_marker, a file may contain the marker points in camera axes, p_cam1_x, p_cam1_y, p_cam1_z, p_cam2_x
     ...; in a MAT file p_cam (N, K, 3). Leave hidden points empty.
-    With --images, the file contains a column image (the name of an image in that folder) and T_base_tool, or with
-    --robot the joint positions q1, q2 ... instead.
+
+    With --images, the file contains a column image (the name of an image in that folder) and T_base_tool, or the joint
+    positions q1, q2 ... together with --robot.
 
     Parameters:
         images: Folder of images of a board, taken at rest.
-        board: charuco:7x5:0.03:0.022 (squares; sides of square and marker, m), checkerboard:8x5:0.025 (inner corners),
-            apriltag:36h11:0.05 or aruco:4X4_50:0.05 (side of the tag).
+        board: Type and size of the board [m]: charuco:7x5:0.03:0.022 (squares, sides of a square and a marker),
+            checkerboard:8x5:0.025 (inner corners, side of a square), apriltag:36h11:0.05 or aruco:4X4_50:0.05 (family,
+            side of a tag).
         intrinsics: YAML or JSON of OpenCV or ROS with camera_matrix and distortion_coefficients. Default: calibrated
             from the images.
         join: For two synchronised files with a column t, one with T_base_tool or q and one with T_cam_marker: use the
