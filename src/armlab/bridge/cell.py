@@ -423,7 +423,7 @@ def _labcomm(options: LabCommTable, arms: Sequence[Robot]) -> dict[str, Any]:
     taken = [port for port in (*ports, options.parameters, options.rows) if port]
     if len(set(taken)) < len(taken):
         raise ConfigError(f"Expected different LabComm ports for each arm, the parameters and the rows, got {taken}.")
-    fields = msgspec.structs.asdict(options) | {"ports": ports}
+    fields: dict[str, Any] = {**msgspec.structs.asdict(options), "ports": ports}
     fused = fields.pop("rows")
     return labcomm_options(arms, fused=fused, **fields)
 
