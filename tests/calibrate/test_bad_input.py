@@ -173,7 +173,7 @@ UNITS = [
     (lambda: laser(A=millimetres(SCANS.A)), NotConverged, "would fit with lengths scaled .* perhaps millimetres"),
 ]
 PAIRING = [
-    (lambda: eye(EYE.A[1:], EYE.B[:-1]), "shifted by 1 samples"),
+    (lambda: eye(EYE.A[1:], EYE.B[:-1]), "shifted by 1 sample relative"),
     (lambda: eye(SMOOTH[2:], see(SMOOTH)[:-2]), "shifted by 2 samples"),
     (lambda: eye(EYE.A[:-2], EYE.B[2:], robust=True), "shifted by 2 samples"),
     (lambda: eye(B=EYE.B[::-1]), "reverse order"),
@@ -186,7 +186,7 @@ PAIRING = [
     (lambda: points(p=SEEN.p[::-1], noise=5e-4), "reverse order"),
     (lambda: points(A=se3.inv(SEEN.A)), "the other setup applies"),
     (lambda: points(p=mixed(SEEN.p), marker=None), "sample i of both records is simultaneous"),
-    (lambda: points(SMOOTH[1:], see_points(SMOOTH)[:-1]), "shifted by 1 samples"),
+    (lambda: points(SMOOTH[1:], see_points(SMOOTH)[:-1]), "shifted by 1 sample relative"),
     (lambda: points(marker=LEDS[[1, 2, 0]]), "Check the order of the points"),
     (lambda: force(WEIGHED.RA[1:], WEIGHED.y[:-1]), "Check that sample i of both records is simultaneous"),
     (lambda: force(WEIGHED.RA[1:], WEIGHED.y[:-1, :3], noise=0.1), "readings that follow gravity"),

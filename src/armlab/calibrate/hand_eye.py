@@ -500,7 +500,7 @@ def _other_reading(equation: HandEyeEquation) -> str:
     }
     for k in (1, 2, 3):
         if 2 * k + 3 < equation.N:
-            text = f"The records are shifted by {k} samples relative to each other."
+            text = f"The records are shifted by {k} sample{'s' * (k > 1)} relative to each other."
             other[text] = min(_misfit(RA[k:], RB[:-k]), _misfit(RA[:-k], RB[k:]))
     cause = min(other, key=lambda text: other[text])
     return cause if now > NOTHING and other[cause] < FITS_BETTER * now else ""

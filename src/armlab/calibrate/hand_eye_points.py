@@ -401,7 +401,7 @@ def _other_reading(model: PointModel, now: float) -> str:
         "One of the records is in reverse order.": model.linear(model.RA[::-1], model.tA[::-1]).misfit,
     }
     for k in (1, 2, 3):
-        text = f"The records are shifted by {k} samples relative to each other."
+        text = f"The records are shifted by {k} sample{'s' * (k > 1)} relative to each other."
         for move in (k, -k):
             keep = (model.sample + move >= 0) & (model.sample + move < N)
             misfit = model.only(keep).linear(np.roll(model.RA, -move, axis=0), np.roll(model.tA, -move, axis=0)).misfit

@@ -223,7 +223,7 @@ def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearS
     if best is None or scans.noise is not None:
         text = "no convergence"
         if best is not None:
-            text = f"residuals {times(best):.3g} times the noise at best"
+            text = f"residuals of at least {times(best):.3g} times the given noise"
             text += f" and {int(best.outliers.sum())} of {scans.N} scans as outliers" if robust else ""
         raise misfit(scans, ratio, None if best is None else best.value, text)
     if robust:

@@ -82,7 +82,9 @@ def total_least_squares(
         raise ShapeError(f"Expected {p} names for {p} columns, got {len(labels)}. Name every column exactly once.")
     if len(A) <= p:
         raise NotExcited(
-            f"Expected more than {p} rows for {p} parameters, got {len(A)}. Measure more.", labels, [f"{len(A)} rows"]
+            f"Expected more than {p} rows for {p} parameters, got {len(A)}. Measure more rows.",
+            labels,
+            [f"{len(A)} rows"],
         )
     if cov is not None:
         if len(free) < p:

@@ -94,8 +94,8 @@ class Measurement(Shown):
             return np.linalg.inv(np.linalg.cholesky(np.diag(self.cov) if self.cov.ndim == 1 else self.cov))
         except np.linalg.LinAlgError:
             raise ShapeError(
-                "Expected noise with a positive definite covariance, got a covariance that is not. Pass standard "
-                "deviations above zero."
+                "Expected noise with a positive definite covariance, got an indefinite or singular covariance. Pass "
+                "standard deviations above zero."
             ) from None
 
     def whitened(self, root: np.ndarray) -> np.ndarray:

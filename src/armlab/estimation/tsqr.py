@@ -169,7 +169,7 @@ def _check(piece: Rows, size: int, known: dict[int, np.ndarray]) -> None:
         )
     if not np.array_equal(known.setdefault(piece.group, columns), columns):
         raise ShapeError(
-            f"Expected the same columns in all rows of class {piece.group}, got {columns.tolist()}. Use another class."
+            f"Expected the same columns in all rows of class {piece.group}, got {columns.tolist()}. Use two classes."
         )
 
 

@@ -140,7 +140,7 @@ def _refine(
     except NotConverged:
         raise NotExcited(
             f"Expected points that determine the {what}, but the fit did not converge because they cover too little "
-            "of it. Measure more of it.",
+            "of it. Measure points on a larger part of it.",
             ["centre and radius"],
             ["no minimum"],
         ) from None

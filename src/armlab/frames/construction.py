@@ -80,7 +80,9 @@ def build(
             f"Expected axes named x, y or z, got {', '.join(map(repr, unknown))}. Use a minus sign to reverse an axis."
         )
     if len(axes) != 2:
-        raise ShapeError(f"Expected exactly two of x, y and z, got {', '.join(axes) or 'none'}. The third follows.")
+        raise ShapeError(
+            f"Expected exactly two of x, y and z, got {', '.join(axes) or 'none'}. The third axis follows."
+        )
     (i, first), (j, second) = ((LETTERS.index(name), _direction(item, name)) for name, item in axes.items())
     f, g = first[0], second[0]
     across = g - f * (f @ g)

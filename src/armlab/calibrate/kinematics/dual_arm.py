@@ -153,7 +153,7 @@ def _measured(
     rows = np.flatnonzero(kind.visible.reshape(len(T_a), -1)[:, 0])
     if len(rows) < 3:
         raise NotExcited(
-            f"Expected at least 3 samples with a relative measurement, got {len(rows)}. Measure more.",
+            f"Expected at least 3 samples with a relative measurement, got {len(rows)}. Measure more samples.",
             ["everything"],
             [f"{len(rows)} of at least 3 samples"],
         )
