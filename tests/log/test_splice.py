@@ -161,7 +161,7 @@ def test_what_does_not_fit_is_refused_in_a_sentence(
         (LogError, r"run\.mcap of yumi_right to begin after the end of .*run\.mcap at", [run, run]),
         (LogError, r"yumi_left, which began 1\..* s after", [run, left]),
         (LogError, "the same description of yumi_right, got a different one in .*other", [run, other.path]),
-        (LogError, "the same kind on /yumi_right/columns/fext, but those in .*units", [run, units.path]),
+        (LogError, "joint names on /yumi_right/columns/fext in all recordings, but .*units", [run, units.path]),
     ):
         with pytest.raises(error, match=words):
             cut(work[0], to, *work[1:]) if isinstance(work, tuple) else merge(work, to)

@@ -54,7 +54,7 @@ def test_a_bag_of_a_ur5e(ros: Any, tmp_path: Path, storage: str) -> None:
     told = str(caught.value)
     assert "/joint_states 500 Hz, /ft/wrench 250 Hz, " in told
     assert "/tf_static (tf_static.world.base_link) 1 message" in told
-    assert "clock='/joint_states', or read columns of one, columns=['q', 'qd', 'tau']" in told
+    assert "clock='/joint_states', or read columns of one topic, columns=['q', 'qd', 'tau']" in told
     table = log.read(path, robot="ur5e", clock="joint_states")
     order = [UR.index(name) for name in robots.load("ur5e").joint_names]
     rows = np.arange(40)

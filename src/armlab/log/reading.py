@@ -1,4 +1,4 @@
-"""`read`: read any finished or unfinished log file as a `Table`; `read_arm`: read the log of one arm."""
+"""`read` reads any finished or unfinished log file as a `Table`; `read_arm` reads the log of one arm."""
 
 from __future__ import annotations
 

@@ -507,13 +507,13 @@ def _check_clock(t: np.ndarray) -> None:
         raise ShapeError(f"Expected times of shape (N,), got {t.shape}.")
     bad = np.flatnonzero(~np.isfinite(t))
     if len(bad):
-        raise ShapeError(f"Expected finite times, got {t[bad[0]]} in row {bad[0]} ({len(bad)} such rows).")
+        raise ShapeError(f"Expected finite times, got {t[bad[0]]} in row {bad[0]} (in total {len(bad)} rows).")
     bad = np.flatnonzero(np.diff(t) <= 0)
     if len(bad):
         row = int(bad[0]) + 1
         raise ShapeError(
             f"Expected strictly increasing times, got {t[row]:.9g} s in row {row} after {t[row - 1]:.9g} s "
-            f"({len(bad)} such rows); drop these rows or sort by time."
+            f"(in total {len(bad)} rows). Drop these rows or sort by time."
         )
 
 

@@ -1,4 +1,4 @@
-"""`write`: write a `Table` to a file that `read`, a spreadsheet or another program can open."""
+"""`write` stores a `Table` in a file that `read`, a spreadsheet or another program can open."""
 
 from __future__ import annotations
 

@@ -299,7 +299,7 @@ def _of_one_topic(pattern: str, arrays: Arrays) -> dict[str, str]:
     largest = [topic for topic, of_one in topics.items() if len(of_one) == max(map(len, topics.values()))]
     if len(largest) > 1:
         raise LogError(
-            f"Expected one topic with {pattern}, got {' and '.join(largest)}. Name it for each column, such as "
+            f"Expected one topic with {pattern}, got {' and '.join(largest)}. Name the topic of each column, such as "
             f"{pattern.replace('{*}', largest[0] + '/{*}')}."
         )
     return topics[largest[0]] if largest else {}

@@ -245,7 +245,7 @@ def _numbered(path: Path, first: Sequence[str], where: ColumnNames | None) -> li
     parts = (len(first) - 3) // joints - 1 if joints else 0
     is_echo = 1 <= parts <= 3 and len(first) == 3 + joints * (parts + 1)
     if where is None:
-        way = "Add one, such as t [s],q1 [rad],q2 [rad], or select columns by position: --columns 't=1,q={2..7}'."
+        way = "Add it, such as t [s],q1 [rad],q2 [rad], or select columns by position: --columns 't=1,q={2..7}'."
         raise LogError(
             f"Expected a header with column names in {path}, got numbers ({', '.join(first[:4])}, ...). "
             f"{'Read a JointState with --columns ros.' if is_echo else way}"

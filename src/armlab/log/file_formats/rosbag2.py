@@ -262,7 +262,7 @@ def read_rosbag2(path: Path) -> Table:
         if text is None:
             topics = ", ".join(f"{one.topic} ({one.msgtype})" for one in bag.connections) or "none"
             raise LogError(
-                f"Expected a rosbag2 written by armlab in {path}, got one of another program; topics: {topics}."
+                f"Expected a rosbag2 written by armlab in {path}, got a bag of another program; topics: {topics}."
             )
         return _table(path, bag, text)
 

@@ -205,7 +205,7 @@ class Recorder:
 
     Raises
     ------
-    ConfigError : another extension.
+    ConfigError : an extension other than .mcap.
     LogError : the file cannot be created or written.
     ShapeError, UnknownName : an invalid declared column.
 

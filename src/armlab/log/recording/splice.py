@@ -396,8 +396,8 @@ def _register(writer: McapWriter, sources: list[Source]) -> None:
             first, source.numbers[number], where = known[channel.topic]
             if first != channel:
                 raise LogError(
-                    f"Expected messages of the same kind on {channel.topic}, but those in {source.path} differ from "
-                    f"those in {where} in type, units or joint names."
+                    f"Expected the same type, units and joint names on {channel.topic} in all recordings, but "
+                    f"{source.path} differs from {where}."
                 )
         for arm in source.arms:  # the column t, because its times may differ from those of the messages
             topic = column_topic("t")

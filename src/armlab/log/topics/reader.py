@@ -210,7 +210,7 @@ def _rows(path: Path, streams: Sequence[Stream], clock: str | None) -> Stream:
     if any(abs(one.rate - order[0].rate) > _SAME_RATE * order[0].rate for one in several):
         raise LogError(
             f"Expected topics with the same rate in {path}, got several rates: {rate_text(streams)}. Select the topic "
-            f"whose stamps are the rows, for example clock={order[0].topic!r}, or read columns of one, "
+            f"whose stamps are the rows, for example clock={order[0].topic!r}, or read columns of one topic, "
             f"columns={list(order[0].values)}."
         )
     return order[0]
@@ -314,7 +314,7 @@ def read_topics(
 
     Raises
     ------
-    LogError : not such a file, or corrupt beyond use.
+    LogError : the file is in another format, or corrupt beyond use.
     UnknownName : unknown robot.
     """
     path = Path(path)
