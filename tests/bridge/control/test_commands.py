@@ -38,6 +38,8 @@ def test_references_pass(robot: Robot) -> None:
     assert (tau.dtype, tau.sum()) == (np.float64, 7.0)
     assert (q.dtype, qd.dtype) == (np.float64, np.float64)
     assert requested(Command(), robot) == (None, None, None)
+    _, qd, tau = requested(Command(np.zeros(7), ones := np.ones(7), ones), robot)
+    assert qd is tau is ones
     [halves, whole, _] = requested(Command(np.full(14, 0.5)[::2], np.ones(7, dtype=np.uint8)), robot)
     assert (halves.sum(), halves.flags.c_contiguous, whole.sum(), whole.dtype) == (3.5, True, 7.0, np.float64)
 
@@ -106,6 +108,14 @@ def test_entry(robot: Robot) -> None:
     wide = np.where(np.arange(7) == 4, 0.4, 0.05)
     far[1] = 0.1
     assert "joint 2" in entry_refusal(far, held, wide, robot), "twice what is allowed is more than 1.25 times"
+    assert "for axis 1 of" in entry_refusal(far, held, wide, robot, lambda i: f"axis {i}")
+
+
+def test_a_joint_is_named_as_its_client_counts(robot: Robot) -> None:
+    assert joint_name(robot, 3) == f"joint 4 ({robot.joint_names[3]})"
+    assert joint_name(robot, 3, first=7) == f"{robot.ros_joint_names[3]} (number 11 of the message)"
+    axis = robot.abb_axes[3]
+    assert joint_name(robot, 3, by_axis=True) == f"{robot.joint_names[3]} (number {axis} of the vector)"
 
 
 def test_no_position_is_near_a_place_that_is_not_a_number(robot: Robot) -> None:
@@ -116,7 +126,10 @@ def test_no_position_is_near_a_place_that_is_not_a_number(robot: Robot) -> None:
     assert entry_refusal(held, np.zeros(7), entry, robot) == "", "its limits refuse it, and count that"
     sent, jump, name = held, np.full(7, 0.1), partial(joint_name, robot)
     assert jump_refusal(np.full(7, 0.1), np.zeros(7), jump, robot, name) == ""
-    assert "got 0.2000: a jump of 0.2000" in jump_refusal(np.full(7, 0.2), np.zeros(7), jump, robot, name)
+    assert jump_refusal(np.full(7, 0.3), np.full(7, 0.25), jump, robot, name) == ""
+    found = jump_refusal(np.full(7, 0.2), np.zeros(7), jump, robot, name)
+    assert "got 0.2000: a jump of 0.2000" in found
+    assert "ABB's axes" not in found
     assert f"the last position sent, nan, for joint 4 ({robot.joint_names[3]})" in jump_refusal(
         np.zeros(7), sent, jump, robot, name
     )
@@ -189,6 +202,16 @@ def test_torques_that_are_refused(robot: Robot, able: Any, tau_max: float | None
     torques = Torques(robot, Limits.of(robot, tau_max=tau_max), frozenset(able))
     with pytest.raises(CommandRefused, match=words):
         torques.requested(None, None, np.full(7, tau), robot.q_home, np.zeros(7))
+
+
+def test_drives_that_report_no_torque_take_none(robot: Robot, limits: Limits) -> None:
+    """A simulated arm without masses has the extension, but no torques; a link that never reports them may take them."""
+    tau, state = np.ones(7), (robot.q_home, np.zeros(7))
+    torques = Torques(robot, limits, TORQUES | {"measured_torque"})
+    assert torques.requested(None, None, tau, *state)[2] is tau
+    with pytest.raises(CommandRefused, match="reports no torques"):
+        torques.requested(None, None, tau, *state, measured=False)
+    assert Torques(robot, limits, TORQUES).requested(None, None, tau, *state, measured=False)[2] is tau
 
 
 def test_admittance_by_hand(robot: Robot, limits: Limits) -> None:

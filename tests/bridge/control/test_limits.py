@@ -32,7 +32,13 @@ def test_limits_of_a_robot(robot: Robot) -> None:
     limits = Limits.of(robot, margin=0.02, speed=0.5)
     np.testing.assert_allclose(limits.q_max, robot.q_max - 0.02)
     np.testing.assert_allclose(limits.qd_max, 0.5 * robot.qd_max)
-    assert limits.jump.tolist() == [0.1] * 7
+    assert limits.jump.tolist() == limits.following_error.tolist() == [0.1] * 7  # type: ignore[union-attr]
+    assert Limits.of(robot, following_error=0.03).following_error.tolist() == [0.03] * 7  # type: ignore[union-attr]
+    assert limits.lag == 0.2
+    assert Limits.of(robot, lag=0).lag == 0
+    for lag in (-0.1, np.inf, np.nan, "0.1", None):
+        with pytest.raises(ConfigError, match="lag of at least 0 s"):
+            Limits.of(robot, lag=lag)  # type: ignore[arg-type]
     np.testing.assert_array_equal(Limits.of(robot, margin=0.0).q_max, robot.q_max)
     for options in ({"speed": 2.0}, {"speed": 0.0}, {"entry": 0.0}):
         with pytest.raises(ConfigError, match=r"speed in \(0, 1\], entry above 0"):
