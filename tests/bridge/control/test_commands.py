@@ -205,7 +205,7 @@ def test_torques_that_are_refused(robot: Robot, able: Any, tau_max: float | None
 
 
 def test_drives_that_report_no_torque_take_none(robot: Robot, limits: Limits) -> None:
-    """A simulated arm without masses has the extension, but no torques; a link that never reports them may take them."""
+    """A simulated arm without masses has the extension, but no torques. Other links never report torques."""
     tau, state = np.ones(7), (robot.q_home, np.zeros(7))
     torques = Torques(robot, limits, TORQUES | {"measured_torque"})
     assert torques.requested(None, None, tau, *state)[2] is tau
