@@ -550,7 +550,7 @@ def check_estimator(
     for name, judge in JUDGES.items():
         try:
             verdict = (None, f"skipped: {reasons[name]}") if name in reasons else judge(trial)
-        except Exception as error:  # any exception of a fit is a finding
-            verdict = False, f"raised {type(error).__name__}: {error}"
+        except Exception as fault:  # any exception of a fit is a finding
+            verdict = False, f"raised {type(fault).__name__}: {fault}"
         found.append(Property(name, *verdict))
     return Contract(tuple(found), runs)

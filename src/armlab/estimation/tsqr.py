@@ -131,14 +131,14 @@ def triangle(A: np.ndarray, y: np.ndarray | None = None, R: np.ndarray | None = 
 
     w = A.shape[1]
     wide = w + (y is not None)
-    R = np.zeros((wide, wide), order="F") if R is None else R
+    whole: np.ndarray = np.zeros((wide, wide), order="F") if R is None else R
     for a in range(0, len(A), CHUNK):
         below = np.empty((min(CHUNK, len(A) - a), wide), order="F")
         below[:, :w] = A[a : a + CHUNK]
         if y is not None:
             below[:, w] = y[a : a + CHUNK]
-        R = lapack.dtpqrt(0, min(PANEL, wide), R, below, overwrite_a=1, overwrite_b=1)[0]  # pyright: ignore
-    return R
+        whole = lapack.dtpqrt(0, min(PANEL, wide), whole, below, overwrite_a=1, overwrite_b=1)[0]  # pyright: ignore
+    return whole
 
 
 def _append(R: np.ndarray | None, piece: Rows, start: int, stop: int) -> np.ndarray:
