@@ -13,12 +13,39 @@ WrenchMethod method_of(int number) {
   return static_cast<WrenchMethod>(number);
 }
 
+// columns (n, W), -1 beyond those of a joint, covariances (n, W, W) and means (n), or None.
+ParameterDoubt read_doubt(int n, nb::handle columns_, nb::handle cov_, nb::handle mean_) {
+  ParameterDoubt doubt;
+  if (columns_.is_none()) return doubt;
+  const Input columns(columns_, "doubt_columns");
+  const npy_intp W = columns.ndim() == 2 ? columns.shape()[1] : 0;
+  columns.require_exactly({n, W});
+  const Input cov(cov_, "doubt_cov", {n, W, W}), mean(mean_, "doubt_mean", {n});
+  require_not_negative("doubt_mean", mean.data(), n);
+  const double last = 11.0 * n + ParameterDoubt::terms;
+  doubt.joints.resize(n);
+  for (int i = 0; i < n; ++i) {
+    doubt.joints[i].mean = mean.data()[i];
+    for (npy_intp k = 0; k < W && columns.data()[W * i + k] >= 0.0; ++k) {
+      const double column = columns.data()[W * i + k], *row = cov.data() + W * (W * i + k);
+      if (!(column < last) || !finite(row, static_cast<int>(W)) ||
+          k >= 11 * n + ParameterDoubt::terms)
+        raise_shape_error("Expected doubt_columns below " + std::to_string(static_cast<int>(last)) +
+                          " and finite doubt_cov, got others. Identify again.");
+      doubt.joints[i].columns.push_back(static_cast<int>(column));
+      doubt.joints[i].cov.insert(doubt.joints[i].cov.end(), row, row + k + 1);
+    }
+  }
+  return doubt;
+}
+
 // gains (n). covariance (5, n): rows C0, Cinf, shape, kind, doubt. point: (3) in tool axes, or
 // None.
 template <class Parameters>
 Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, nb::handle rotor_,
     const Drive &drive, nb::handle gains_, double gain_variance, nb::handle covariance_,
-    nb::handle prior_, nb::handle point_) {
+    nb::handle prior_, nb::handle point_, nb::handle doubt_columns, nb::handle doubt_cov,
+    nb::handle doubt_mean) {
   const int n = chain.n;
   const Input gravity(gravity_, "gravity", {3}), links(links_, "links", {n, 10}),
       rotor(rotor_, "rotor", {n});
@@ -43,6 +70,7 @@ Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, 
   const double *c = covariance.data();
   for (int i = 0; i < n; ++i)
     p.covariance[i] = {c[i], c[n + i], c[2 * n + i], c[3 * n + i], c[4 * n + i]};
+  p.doubt = read_doubt(n, doubt_columns, doubt_cov, doubt_mean);
   p.at_point = !point_.is_none();
   if (p.at_point) {
     const Input point(point_, "point", {3});
@@ -144,10 +172,10 @@ void bind_steps(nb::class_<Estimator> &estimator) {
 void construct_estimator(WrenchEstimator *self, const Chain &chain, nb::handle gravity,
     nb::handle links, nb::handle rotor, const Drive &drive, nb::handle gains, double gain_variance,
     nb::handle covariance, nb::handle bound_, nb::handle prior, double cutoff, int method,
-    nb::handle point) {
+    nb::handle point, nb::handle doubt_columns, nb::handle doubt_cov, nb::handle doubt_mean) {
   const int n = chain.n;
-  auto p = read_arm<WrenchEstimator::Parameters>(
-      chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior, point);
+  auto p = read_arm<WrenchEstimator::Parameters>(chain, gravity, links, rotor, drive, gains,
+      gain_variance, covariance, prior, point, doubt_columns, doubt_cov, doubt_mean);
   const Input bound(bound_, "bound", {3, n});
   require_not_negative("bound torque", bound.data(), n);
   require_positive("bound speed", bound.data() + n, n);
@@ -163,10 +191,11 @@ void construct_estimator(WrenchEstimator *self, const Chain &chain, nb::handle g
 void construct_momentum(MomentumEstimator *self, const Chain &chain, nb::handle gravity,
     nb::handle links, nb::handle rotor, const Drive &drive, nb::handle gains, double gain_variance,
     nb::handle covariance, nb::handle prior, nb::handle memory_, nb::handle qd_noise_,
-    nb::handle rate_, nb::handle leak_, double gain, bool filters, bool biased, nb::handle point) {
+    nb::handle rate_, nb::handle leak_, double gain, bool filters, bool biased, nb::handle point,
+    nb::handle doubt_columns, nb::handle doubt_cov, nb::handle doubt_mean) {
   const int n = chain.n;
-  auto p = read_arm<MomentumEstimator::Parameters>(
-      chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior, point);
+  auto p = read_arm<MomentumEstimator::Parameters>(chain, gravity, links, rotor, drive, gains,
+      gain_variance, covariance, prior, point, doubt_columns, doubt_cov, doubt_mean);
   const Input memory(memory_, "memory", {n}), qd_noise(qd_noise_, "qd_noise", {n});
   const Input rate(rate_, "rate", {6}), leak(leak_, "leak", {6});
   require_positive("memory", memory.data(), n);
@@ -246,21 +275,25 @@ nb::object interval(nb::handle A_, nb::handle error_, nb::handle spread_, nb::ha
 }  // namespace armlab::python
 
 void armlab::python::bind_estimator(nb::module_ &m) {
-  auto wrench = nb::class_<WrenchEstimator>(m, "WrenchEstimator",
-      "Contact wrench from joint motion and torque; see tests/oracles/estimator.py.")
-                    .def("__init__", &construct_estimator, arg("chain"), array("gravity"),
-                        array("links"), array("rotor"), arg("drive"), array("gains"),
-                        arg("gain_variance"), array("covariance"), array("bound"), array("prior"),
-                        arg("cutoff"), arg("method") = 0, arg("point") = nb::none());
+  auto wrench =
+      nb::class_<WrenchEstimator>(m, "WrenchEstimator",
+          "Contact wrench from joint motion and torque; see tests/oracles/estimator.py.")
+          .def("__init__", &construct_estimator, arg("chain"), array("gravity"), array("links"),
+              array("rotor"), arg("drive"), array("gains"), arg("gain_variance"),
+              array("covariance"), array("bound"), array("prior"), arg("cutoff"), arg("method") = 0,
+              arg("point") = nb::none(), arg("doubt_columns") = nb::none(),
+              arg("doubt_cov") = nb::none(), arg("doubt_mean") = nb::none());
   bind_steps(wrench);
-  auto momentum = nb::class_<MomentumEstimator>(
-      m, "MomentumEstimator", "Contact wrench by momentum; see docs/theory/contact_force.md.")
-                      .def("__init__", &construct_momentum, arg("chain"), array("gravity"),
-                          array("links"), array("rotor"), arg("drive"), array("gains"),
-                          arg("gain_variance"), array("covariance"), array("prior"),
-                          array("memory"), array("qd_noise"), array("rate"), array("leak"),
-                          arg("gain"), arg("filters"), arg("biased"), arg("point") = nb::none())
-                      .def("tare", &MomentumEstimator::tare);
+  auto momentum =
+      nb::class_<MomentumEstimator>(
+          m, "MomentumEstimator", "Contact wrench by momentum; see docs/theory/contact_force.md.")
+          .def("__init__", &construct_momentum, arg("chain"), array("gravity"), array("links"),
+              array("rotor"), arg("drive"), array("gains"), arg("gain_variance"),
+              array("covariance"), array("prior"), array("memory"), array("qd_noise"),
+              array("rate"), array("leak"), arg("gain"), arg("filters"), arg("biased"),
+              arg("point") = nb::none(), arg("doubt_columns") = nb::none(),
+              arg("doubt_cov") = nb::none(), arg("doubt_mean") = nb::none())
+          .def("tare", &MomentumEstimator::tare);
   bind_steps(momentum);
   m.def("momentum_step", &filter_step, array("x"), array("P"), array("G"), array("u"), array("y"),
       array("R"), arg("h"), array("Qp"), array("q"), array("a"));

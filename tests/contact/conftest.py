@@ -26,6 +26,7 @@ def perfect(truth, model) -> TorqueModel:
         gain_cov=np.zeros((7, 7)),
         load_sd=np.zeros(7),
         covariance=velocity_covariance("const", sd**2, sd**2),
+        parameters=None,
     )
 
 

@@ -303,18 +303,22 @@ def in_units(model: TorqueModel, force: float, length: float) -> TorqueModel:
     torque, f, r, c, b = force * length, model.friction, model.ripple, model.covariance, model.bound
     frames = np.array(model.frames)
     frames[:, :3, 3] *= length
-    links = model.link_parameters * np.r_[force / length, np.full(3, force), np.full(6, torque)]
+    known, n = model.parameters, model.n
+    of_link, at = np.r_[force / length, np.full(3, force), np.full(6, torque)], known.columns.astype(int)
+    unit = np.where(at < 10 * n, of_link[at % 10], np.where((at >= 11 * n) & ((at - 11 * n) % 7 == 6), 1.0, torque))
+    lower = (known.cov * np.outer(unit, unit))[np.tril_indices(len(unit))]
     torques = ("viscous", "coulomb_pos", "coulomb_neg", "offset", "stribeck", "root")
     return replace(
         model,
         frames=frames,
         gravity=model.gravity * length,
-        link_parameters=links,
+        link_parameters=model.link_parameters * of_link,
         rotor=model.rotor * torque,
         friction=replace(f, **{name: getattr(f, name) * torque for name in torques}),
         ripple=replace(r, cosine=r.cosine * torque, sine=r.sine * torque),
         covariance=velocity_covariance(c.kind, c.C0 * torque**2, c.Cinf * torque**2, c.shape, c.alpha2),
         bound=replace(b, torque=b.torque * torque, floor=b.floor * torque),
+        parameters=replace(known, lower=lower, mean=known.mean * torque**2),
     )
 
 
@@ -529,6 +533,19 @@ def test_doubt_grows_with_the_torque_of_a_contact(perfect, truth, log, way: str)
     more = np.einsum("kii->ki", unsure["wrench_hat_cov"] - sure["wrench_hat_cov"])[20:]
     assert np.all(more >= -1e-9)
     assert more[:, :3].max() > 0.5**2
+
+
+@pytest.mark.parametrize("way", ["map", "bounded", "observer"])
+def test_the_band_widens_away_from_the_identified_motion(truth, model, excited, way: str) -> None:
+    """At twice the speed, the parameters leave more of the torque of every joint open."""
+    fast = Table(0.5 * excited.t, {"q": excited["q"], "qd": 2.0 * excited["qd"], "tau": excited["tau"]})
+    exact = replace(model, parameters=None)
+
+    def more(table: Table) -> np.ndarray:
+        found, plain = (Estimator(one, truth.robot, **WAYS[way]).run(table) for one in (model, exact))
+        return np.mean(found["tau_variance"] - plain["tau_variance"], axis=0)
+
+    assert np.all(more(fast) > 1.5 * more(excited))
 
 
 @pytest.mark.parametrize("method", ["map", "observer", "kf"])

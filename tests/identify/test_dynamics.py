@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from armlab import identify, models, robots
 from armlab.contact import Estimator
-from armlab.errors import ModelMismatchError, NotExcited, UnknownName
+from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation import ContractLimits, check_estimator
 from armlab.estimation.contract import PROPERTIES
 from armlab.identify import fit_dynamics, fit_gravity
@@ -190,6 +190,24 @@ def test_the_fit_reports_every_joint(truth, fitted) -> None:
     np.testing.assert_allclose(fit.value.quality.coverage, 0.954, atol=0.03)
 
 
+def test_the_model_keeps_the_covariance_of_all_parameters(short_fit, tmp_path) -> None:
+    """Of the fit, and of the drift of friction until the next log; a file of another arm's parameters is refused."""
+    model = short_fit.value
+    known, size = model.parameters, len(model.base_names)
+    np.testing.assert_allclose(known.cov[:size, :size], model.base_cov, rtol=1e-9, atol=1e-30)
+    at = 11 * model.n + 7 * np.arange(model.n)
+    viscous = np.diag(known.cov)[np.searchsorted(known.columns, at)]
+    assert np.all(viscous > 0)
+    saved = models.load(models.save(model, tmp_path / "model.toml"))
+    np.testing.assert_array_equal(saved.parameters.cov, known.cov)
+    with pytest.raises(ShapeError, match="parameters among those of"):
+        replace(model, parameters=replace(known, columns=known.columns + 18 * model.n))
+    with pytest.raises(ShapeError, match="finite numbers of their covariance"):
+        replace(known, lower=known.lower[1:])
+    with pytest.raises(ShapeError, match="torque variances"):
+        replace(known, mean=-known.mean)
+
+
 def test_held_out_rows_of_several_logs_are_held_out(short_arm, monkeypatch) -> None:
     """Clocks that start again, the second log shorter: each row is held out once, by a model without its block."""
     seen = {}
@@ -226,7 +244,7 @@ def test_a_small_sway_of_all_joints_is_refused_by_direction(short_arm) -> None:
     q, qd, qdd = (0.1 * wave[:, None] * np.ones(2) for wave in (np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)))
     links = np.tile([1.5, 0.25, 0.05, 0.02, 0.05, 0.01, 0.2, 0, 0.01, 0.22], (2, 1))
     table = Table(t, {"q": q, "qd": qd, "tau": robot.chain.rnea(q, qd, qdd, robot.gravity, links) + np.sign(qd)})
-    with pytest.raises(NotExcited, match="undetermined") as caught:
+    with pytest.raises(NotExcited, match="does not determine") as caught:
         fit_dynamics(table, robot, method="wls")
     assert any("m c" in direction or "I_" in direction for direction in caught.value.directions)
 

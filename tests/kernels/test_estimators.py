@@ -33,8 +33,18 @@ def both(model: SimpleNamespace, kind: str, extra: tuple[object, ...], own: tupl
         drive = module.Drive(friction.rows, model.ripple.rows, *extra)
         covariance = np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3, np.linspace(0.2, 0.0, 7)])
         rigid = chain, model.gravity, model.link_parameters, model.rotor, drive
-        made.append(getattr(module, kind)(*rigid, np.linspace(0.95, 1.05, 7), 0.03**2, covariance, *own))
+        made.append(getattr(module, kind)(*rigid, np.linspace(0.95, 1.05, 7), 0.03**2, covariance, *own, *doubts()))
     return made[0], made[1]
+
+
+def doubts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns of links, of its rotor and of friction for every joint but the last, their covariance, and means."""
+    rng, columns = np.random.default_rng(0), np.full((7, 12), -1.0)
+    for i in range(6):
+        links = np.sort(rng.choice(np.arange(10 * i, 70), 9 - i, replace=False))
+        columns[i, : 12 - i] = [*links, 70 + i, *np.sort(rng.choice(np.arange(77, 84), 2, replace=False))]
+    root = 0.1 * rng.standard_normal((7, 12, 12))
+    return columns, root @ np.swapaxes(root, 1, 2), np.linspace(0.0, 0.1, 7)
 
 
 def twins(

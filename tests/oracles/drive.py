@@ -55,13 +55,11 @@ class Drive:
         self.warm_up = np.array(heated, dtype=float)
 
     def torque(self, q: np.ndarray, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the torque (..., n) at positions, velocities and presliding states (..., n)."""
         q, qd, z = (np.asarray(a, dtype=float) for a in (q, qd, z))
         return drive_torque(self, q, qd, DriveState(q, z, self.warm_up[4]))
 
 
 def basis_weights(x: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Return Gaussians ``exp(-((x - c) / w)^2)`` divided by their sum, (N, m); x is kept within the centres."""
     x, centres, widths = (np.asarray(a, dtype=float) for a in (x, centres, widths))
     power = -(((np.clip(x, centres[0], centres[-1])[:, None] - centres) / widths) ** 2)
     weights = np.exp(power - power.max(axis=1, keepdims=True, initial=-1e300))
@@ -90,7 +88,7 @@ def heat(drive: Drive, qd: np.ndarray, dt: float, state: DriveState) -> DriveSta
     """Return the state after rubbing for a time dt [s]."""
     _, _, time, reference, _ = drive.warm_up
     heats = time > 0
-    power = np.abs(_rubbing(drive, qd, _sign(drive, qd, state), state.warmth, 1.0) * qd)
+    power = np.abs(_rubbing(drive, qd, sign(drive, qd, state), state.warmth, 1.0) * qd)
     power = power / np.where(heats, reference, 1.0)
     warmth = power + (state.warmth - power) * np.exp(-dt / np.where(heats, time, 1.0))
     return DriveState(state.play, state.z, np.where(heats, warmth, state.warmth))
@@ -99,7 +97,7 @@ def heat(drive: Drive, qd: np.ndarray, dt: float, state: DriveState) -> DriveSta
 def drive_torque(drive: Drive, q: np.ndarray, qd: np.ndarray, state: DriveState, dry_share: Any = 1.0) -> np.ndarray:
     """Return the torque (..., n), of which dry friction counts by `dry_share`."""
     cycles, cosine, sine = drive.ripple
-    s = _sign(drive, qd, state)
+    s = sign(drive, qd, state)
     tau = _rubbing(drive, qd, s, state.warmth, dry_share) + drive.friction[3]
     tau = tau + cosine * np.cos(cycles * q) + sine * np.sin(cycles * q)
     if drive.map is not None:
@@ -109,15 +107,15 @@ def drive_torque(drive: Drive, q: np.ndarray, qd: np.ndarray, state: DriveState,
 
 def load_friction(drive: Drive, x: np.ndarray, qd: np.ndarray, state: DriveState) -> np.ndarray:
     """Return the friction (..., n) that comes with a load x."""
-    return drive.friction[10] * _sign(drive, qd, state) * np.abs(x)
+    return drive.friction[10] * sign(drive, qd, state) * np.abs(x)
 
 
 def load_of(drive: Drive, y: np.ndarray, qd: np.ndarray, state: DriveState, dry_share: Any = 1.0) -> np.ndarray:
     """Return the load x (..., n) of a torque y with its friction."""
-    return y / (1.0 + drive.friction[10] * dry_share * _sign(drive, qd, state) * np.sign(y))
+    return y / (1.0 + drive.friction[10] * dry_share * sign(drive, qd, state) * np.sign(y))
 
 
-def _sign(drive: Drive, qd: np.ndarray, state: DriveState) -> np.ndarray:
+def sign(drive: Drive, qd: np.ndarray, state: DriveState) -> np.ndarray:
     smooth = drive.friction[9]
     return np.where(smooth > 0, np.tanh(qd / np.where(smooth > 0, smooth, 1.0)), state.z)
 
@@ -172,10 +170,6 @@ def model_torque(
     qdd: np.ndarray,
     dt: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return ``x + rotor qdd + drives + load s |x|``, x = rnea, (N, n) along a record, with z from 0 at the first row.
-
-    A row with a number that is not finite gives NaN and leaves the state of the drives alone.
-    """
     rotor, q, qd, qdd = (np.asarray(a, dtype=float) for a in (rotor, q, qd, qdd))
     tau = np.full(q.shape, np.nan)
     good = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1) & np.isfinite(qdd).all(axis=1)
@@ -195,12 +189,6 @@ def model_torque(
 
 
 def presliding(q: np.ndarray, delta: np.ndarray, resolution: np.ndarray) -> np.ndarray:
-    """Return the presliding state z (N, n) in [-1, 1] along positions `q` (N, n) [rad], from 0 at the first row.
-
-    ``z_k = s + (z_{k-1} - s) exp(-|dy_k| / delta)``, s = sign(dy_k), where y follows q with a play of +-resolution, so
-    that the last digit of an encoder at rest does not wear the state down. A row with a NaN gives NaN and changes
-    nothing.
-    """
     q = np.asarray(q, dtype=float)
     z = np.zeros(q.shape)
     current = np.zeros(q.shape[1])

@@ -35,10 +35,11 @@ from typing import Any
 import numpy as np
 
 from .chain import Chain
-from .drive import Drive, drive_torque, heat, load_of, move, restart, start
+from .drive import Drive, DriveState, drive_torque, heat, load_of, move, restart, sign, start
 from .wrench import METHODS, solve_wrench, wrench_interval
 
 REST_TIME = 0.5  # s
+SETTLING = 60.0  # 1/s, of the acceleration in the rows of the parameters
 GAP_STEPS = 5.0  # first steps; a longer step is a gap, of which nothing is known
 UNKNOWN = 1.0  # largest variance of a variable in [-1, 1]
 LARGEST = 1e100  # N m; a torque error beyond it would overflow in the filter and never leave it
@@ -53,6 +54,30 @@ def speed_variance(covariance: np.ndarray, qd: np.ndarray) -> np.ndarray:
     speed = np.abs(qd)
     weight = np.where(kind == 0, np.exp(-shape * speed), np.where(kind == 1, speed < shape, 0.0))
     return (at_rest - at_speed) * weight + at_speed
+
+
+def parameter_variance(
+    doubt: tuple[np.ndarray, ...] | None, chain: Chain, gravity: np.ndarray, drive: Drive, q: np.ndarray,
+    qd: np.ndarray, qdd: np.ndarray, x: np.ndarray, state: DriveState,
+) -> np.ndarray:  # fmt: skip
+    """Return w C w^T (n,) beyond a mean (n,), for columns (n, W), -1 beyond those of a joint, and lower triangles of C.
+
+    Columns are those of links (10 n), rotors (n), and of the joint's friction: viscous, Coulomb of either direction,
+    offset, Stribeck, root, load.
+    """
+    n = chain.n
+    if doubt is None:
+        return np.zeros(n)
+    s = sign(drive, qd, state)
+    bell, one = np.exp(-((qd / drive.friction[5]) ** 2)), np.ones(n)
+    friction = [qd, np.maximum(s, 0), np.minimum(s, 0), one, s * bell, s * np.sqrt(np.abs(qd)), s * np.abs(x)]
+    whole = np.hstack([chain.rigid_regressor(q, qd, qdd, gravity), np.diag(qdd), np.stack(friction, axis=1)])
+    out = np.zeros(n)
+    for i, (columns, lower, mean) in enumerate(zip(*doubt)):
+        w = whole[i, columns[columns >= 0].astype(int)]
+        half = np.tril(lower)[: len(w), : len(w)]
+        out[i] = w @ (half + np.tril(half, -1).T) @ w - mean
+    return np.maximum(out, 0.0)
 
 
 def contact_map(chain: Chain, q: np.ndarray, point: np.ndarray | None) -> np.ndarray:
@@ -112,27 +137,23 @@ class WrenchEstimator(Stepwise):
     def __init__(
         self, chain: Chain, gravity: Any, links: Any, rotor: Any, drive: Drive, gains: Any, gain_variance: float,
         covariance: Any, bound: Any, prior: Any, cutoff: float, method: int = 0, point: Any = None,
+        doubt_columns: Any = None, doubt_cov: Any = None, doubt_mean: Any = None,
     ) -> None:  # fmt: skip
+        self._doubt = None if doubt_columns is None else (doubt_columns, doubt_cov, doubt_mean)
         self._bound, self._cutoff = np.array(bound, dtype=float), float(cutoff)
         self.interval, self._method = METHODS[method] == "interval", method
         self._band = METHODS[method] in ("bounded", "clip", "interval")
         super().__init__(chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior, point)
 
     def reset(self) -> None:
-        """Forget everything but the parameters."""
         n = len(self._rotor)
         self._state, self._started = start(self._drive, np.zeros(n)), False
         self._fresh = False
         self._qd, self._p = np.zeros(n), np.full(n, UNKNOWN)
         self._low, self._nominal = np.zeros((2, 2 * n)), 0.0
+        self._qdd = np.zeros(n)
 
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[Any, ...]:
-        """Advance by one sample.
-
-        Returns F (6,), P (6, 6), observability (6,), filtered tau_e (n,), its variance (n,), flags, active joints (n,)
-        and, for the method "interval", the interval (6, 2), else None. A sample that is not finite, or whose torque
-        error would not be, or dt <= 0, gives NaN everywhere and leaves the state unchanged.
-        """
         n = len(self._rotor)
         q, qd, tau = (np.asarray(a, dtype=float) for a in (q, qd, tau))
         first = not self._started
@@ -156,6 +177,7 @@ class WrenchEstimator(Stepwise):
             return self._invalid()
         self._state, self._p = heat(self._drive, qd, dt, state), p
         self._qd, self._started = qd.copy(), True
+        self._qdd = np.zeros(n) if apart else self._qdd - np.expm1(-SETTLING * dt) * (qdd - self._qdd)
         if first:
             self._nominal = dt
         unsure = np.maximum(self._slowness(qd), p) if self._band else p
@@ -165,7 +187,10 @@ class WrenchEstimator(Stepwise):
         filtered = self._lowpass(np.concatenate([raw, unsure]), dt, begins)
         self._fresh = apart and not first
         torque, unsure = filtered[:n], np.clip(filtered[n:], 0.0, UNKNOWN)
-        doubt, more = (self._covariance[4] * torque) ** 2, self._drive.friction[10] * np.abs(load)
+        doubt = (self._covariance[4] * torque) ** 2 + parameter_variance(
+            self._doubt, self._chain, self._gravity, self._drive, q, qd, self._qdd, load, state
+        )
+        more = self._drive.friction[10] * np.abs(load)
         if self._band:
             bound = np.full(n, LARGEST) if apart else (self._bound[0] + more) * unsure + self._bound[2]
             return self._solve(q, torque, self._covariance[1] + doubt, bound)

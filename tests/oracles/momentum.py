@@ -45,11 +45,13 @@ from .estimator import (
     GAP_STEPS,
     LARGEST,
     REST_TIME,
+    SETTLING,
     TARED,
     WEAK,
     WEAK_BELOW,
     Stepwise,
     contact_map,
+    parameter_variance,
     speed_variance,
 )
 from .wrench import solve_wrench
@@ -83,7 +85,6 @@ def momentum_step(
     q: np.ndarray,
     a: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return state (n+m,) and covariance (n+m, n+m) after a step of h seconds and a measurement of the momentum."""
     G = np.asarray(G, dtype=float)
     n, m = G.shape
     x, P = np.asarray(x, dtype=float), np.asarray(P, dtype=float)
@@ -114,8 +115,10 @@ class MomentumEstimator(Stepwise):
     def __init__(
         self, chain: Chain, gravity: Any, links: Any, rotor: Any, drive: Drive, gains: Any, gain_variance: float,
         covariance: Any, prior: Any, memory: Any, qd_noise: Any, rate: Any, leak: Any, gain: float,
-        filters: bool, biased: bool, point: Any = None,
+        filters: bool, biased: bool, point: Any = None, doubt_columns: Any = None, doubt_cov: Any = None,
+        doubt_mean: Any = None,
     ) -> None:  # fmt: skip
+        self._doubt = None if doubt_columns is None else (doubt_columns, doubt_cov, doubt_mean)
         arrays = (np.array(a, dtype=float) for a in (memory, qd_noise, rate, leak))
         self._memory, self._qd_noise, self._rate, self._leak = arrays
         self._gain, self._filters, self._biased = gain, filters, biased
@@ -123,20 +126,15 @@ class MomentumEstimator(Stepwise):
         super().__init__(chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior, point)
 
     def reset(self) -> None:
-        """Forget everything but the parameters."""
         n = self._chain.n
         self._state: DriveState = start(self._drive, np.zeros(n))
         self._unsure, self._q, self._known, self._p = np.ones(n), np.zeros(n), np.zeros(n), np.zeros(n)
         self._r, self._low, self._seen = np.zeros(n), np.ones(n), 0.0
         self._since_tare, self._tared = np.zeros(n), False
         self._nominal, self._started, self._fresh = 0.0, False, False
+        self._qd, self._qdd = np.zeros(n), np.zeros(n)
 
     def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[Any, ...]:
-        """Advance by one sample; returns what `WrenchEstimator.step` does, without an interval.
-
-        The torque error is what the low-pass shows (observer), or what the estimate explains (filter). A sample that is
-        not finite gives NaN and changes nothing.
-        """
         n = self._chain.n
         q, qd, tau = (np.asarray(a, dtype=float) for a in (q, qd, tau))
         if not (np.isfinite(q).all() and np.isfinite(qd).all() and np.isfinite(tau).all() and 0.0 < dt < np.inf):
@@ -159,12 +157,18 @@ class MomentumEstimator(Stepwise):
         known = u if apart or self._fresh else 0.5 * (u + self._known)
         middle = q if apart else 0.5 * (q + self._q)
         change, self._p = p - self._p, p
+        share = -np.expm1(-SETTLING * dt)
+        self._qdd = np.zeros(n) if apart else self._qdd + share * ((qd - self._qd) / dt - self._qdd)
+        self._qd = qd.copy()
+        unknown = parameter_variance(
+            self._doubt, self._chain, self._gravity, self._drive, q, qd, self._qdd, load, state
+        )
         self._state, self._q, self._known = heat(self._drive, qd, dt, state), q.copy(), u
         self._unsure = np.ones(n) if apart else (self._unsure + rise) * np.exp(-2.0 * moved)
         if self._filters:
-            found = self._filter(first, apart, q, qd, middle, known, dt, moved, rise, rest)
+            found = self._filter(first, apart, q, qd, middle, known, dt, moved, rise, rest, unknown)
         else:
-            found = self._observe(apart, q, qd, change / dt - known, dt, rest)
+            found = self._observe(apart, q, qd, change / dt - known, dt, rest, unknown)
         self._nominal, self._started = dt if first else self._nominal, True
         self._fresh = apart
         self._since_tare = np.full(n, np.inf) if apart else self._since_tare + moved
@@ -172,10 +176,6 @@ class MomentumEstimator(Stepwise):
         return self._tell(q, *found)
 
     def tare(self) -> bool:
-        """Call what the torques show now friction, not contact: the posterior of all else given a wrench of zero.
-
-        False, and nothing done, unless every joint rests and the filter carries a friction error.
-        """
         if not (self._started and self._filters and self._biased and np.all(self._unsure > AT_REST)):
             return False
         z = slice(self._chain.n, self._chain.n + self._k)
@@ -199,8 +199,9 @@ class MomentumEstimator(Stepwise):
         return F, P, observability, error, variance, flags, np.ones(self._chain.n, dtype=bool), None
 
     def _observe(
-        self, apart: bool, q: np.ndarray, qd: np.ndarray, raw: np.ndarray, dt: float, rest: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
+        self, apart: bool, q: np.ndarray, qd: np.ndarray, raw: np.ndarray, dt: float, rest: np.ndarray,
+        unknown: np.ndarray,
+    ) -> tuple[np.ndarray, ...]:  # fmt: skip
         share = -np.expm1(-self._gain * dt)
         if apart:
             self._r, self._low, self._seen = np.zeros(len(q)), self._unsure, 0.0
@@ -208,7 +209,7 @@ class MomentumEstimator(Stepwise):
             self._r = self._r + share * (raw - self._r)
             self._low = self._low + share * (self._unsure - self._low)
             self._seen = self._seen + share * (1.0 - self._seen)
-        doubt = (self._covariance[4] * self._r) ** 2
+        doubt = (self._covariance[4] * self._r) ** 2 + unknown
         variance = speed_variance(self._covariance, qd) + doubt + rest**2 * self._low
         A = contact_map(self._chain, q, self._point).T @ self._chain.jacobian(q) * self._seen
         x, P, *_ = solve_wrench(A, self._r, variance, 0 * variance, self._prior[: self._k], 0)
@@ -216,7 +217,7 @@ class MomentumEstimator(Stepwise):
 
     def _filter(
         self, first: bool, apart: bool, q: np.ndarray, qd: np.ndarray, middle: np.ndarray, known: np.ndarray, dt: float,
-        moved: np.ndarray, rise: np.ndarray, rest: np.ndarray,
+        moved: np.ndarray, rise: np.ndarray, rest: np.ndarray, unknown: np.ndarray,
     ) -> tuple[np.ndarray, ...]:  # fmt: skip
         n, k, scale = self._chain.n, self._k, np.sqrt(self._prior[: self._k])
         M = self._chain.mass_matrix(q, self._links) + np.diag(self._rotor)
@@ -227,6 +228,7 @@ class MomentumEstimator(Stepwise):
         rate, leak = self._rate[:k] / self._prior[:k], self._leak[:k]
         speed = G**2 @ rate  # of the torque that the wrench's walk makes
         doubt = np.zeros(n) if first else (self._covariance[4] * (G @ self._x[n : n + k])) ** 2
+        doubt = doubt + unknown
         lasting = doubt if self._biased else doubt + friction * self._unsure
         strength, variance = strength + lasting * LONGEST, variance + lasting
         Qp = np.where(speed > 0, np.minimum(strength * speed, variance**2) / np.where(speed > 0, speed, 1.0), strength)

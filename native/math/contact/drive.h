@@ -130,6 +130,15 @@ class Drive {
     state.warmth = power + (state.warmth - power) * std::exp(-dt / w.time);
   }
 
+  // Friction of joint i per unit of each parameter: viscous, Coulomb of either direction, offset,
+  // Stribeck, root, load.
+  void columns(int i, double qd, double x, const DriveState &state, double *out) const {
+    const double s = sign(i, qd, state), slow = qd / friction[i].stribeck_speed;
+    const double made[] = {qd, std::max(s, 0.0), std::min(s, 0.0), 1.0,
+        s * std::exp(-(slow * slow)), s * std::sqrt(std::fabs(qd)), s * std::fabs(x)};
+    std::copy(std::begin(made), std::end(made), out);
+  }
+
   // Largest friction at rest under a load x.
   double at_rest(int i, double x) const {
     return 0.5 * (friction[i].coulomb_pos + friction[i].coulomb_neg) +

@@ -64,7 +64,7 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
   const int n = this->n();
   if (!finite(q, n) || !finite(qd, n) || !finite(tau, n) || !(dt > 0.0) || !std::isfinite(dt))
     return false;
-  const double relax = 1.0 - std::exp(-dt / rest_time);
+  const double relax = 1.0 - std::exp(-dt / rest_time), share = -std::expm1(-settling * dt);
   std::array<Joint, max_joints> next;
   double qdd[max_joints] = {}, rigid[max_joints];
   for (int i = 0; i < n; ++i) {
@@ -76,6 +76,7 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
     }
     joint.drive.move(p_.drive, i, q[i], relax);
     qdd[i] = (qd[i] - joint.qd) / dt;
+    joint.drive.acceleration += share * (qdd[i] - joint.drive.acceleration);
     joint.qd = qd[i];
   }
   rnea(p_.bodies(), q, qd, qdd, rigid);
@@ -106,6 +107,8 @@ void WrenchEstimator::step(
   first_ = false;
   const double g = std::tan(pi * std::min(p_.cutoff * dt, 0.45));
   const double a = 1.0 / (1.0 + g * (g + std::sqrt(2.0)));
+  double doubt[max_joints];
+  p_.doubt.variance(p_, p_.drive, q, qd, joints_, load, doubt);
   for (int i = 0; i < n; ++i) {
     Joint &joint = joints_[i];
     const JointCovariance &c = p_.covariance[i];
@@ -125,12 +128,12 @@ void WrenchEstimator::step(
     if (band) {  // the bound holds what velocity does to the error near rest; without an
                  // acceleration nothing does
       const double rest = p_.bound[i].torque + p_.drive.friction[i].load * std::fabs(load[i]);
-      e.variance[i] = c.at_speed + c.of_contact(e.error[i]);
+      e.variance[i] = c.at_speed + c.of_contact(e.error[i]) + doubt[i];
       e.bound[i] = apart ? largest_torque : rest * filtered + p_.bound[i].floor;
       continue;
     }
     const double rest = p_.drive.at_rest(i, load[i]);
-    e.variance[i] = c.at(qd[i]) + c.of_contact(e.error[i]) + rest * rest * filtered;
+    e.variance[i] = c.at(qd[i]) + c.of_contact(e.error[i]) + doubt[i] + rest * rest * filtered;
     e.bound[i] = 0.0;
   }
   solve(q, e);

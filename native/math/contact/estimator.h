@@ -2,7 +2,7 @@
 #pragma once
 
 #include "math/arm/rigid_body.h"
-#include "math/contact/drive.h"
+#include "math/contact/doubt.h"
 #include "math/contact/wrench.h"
 
 namespace armlab {
@@ -83,6 +83,7 @@ struct ArmModel : RigidBody {
   std::array<double, max_joints> gains;  // torque as it is read over true torque
   double gain_variance;                  // of their common factor
   std::array<JointCovariance, max_joints> covariance;
+  ParameterDoubt doubt;
   std::array<double, 6> prior;
   bool at_point;                // the contact is at a known point: a force of three unknowns
   std::array<double, 3> point;  // it, in tool axes
@@ -93,6 +94,7 @@ struct ArmModel : RigidBody {
 struct JointDrive {
   DriveState state;
   double unsure = 1.0;
+  double acceleration = 0.0;  // low-passed
 
   // Moves to position q; returns the displacement in presliding distances.
   double move(const Drive &drive, int i, double q, double relax) {

@@ -26,7 +26,7 @@ MomentumEstimator::MomentumEstimator(const Parameters &parameters) : p_(paramete
 }
 
 void MomentumEstimator::reset() {
-  joints_.fill(Joint{JointDrive(), 0.0, 0.0, 0.0, 0.0, 1.0, 0.0});
+  joints_.fill(Joint{JointDrive(), 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0});
   seen_ = nominal_ = 0.0;
   first_ = true;
   fresh_ = tared_ = false;
@@ -38,7 +38,7 @@ bool MomentumEstimator::prepare(
   if (!finite(q, n) || !finite(qd, n) || !finite(tau, n) || !(dt > 0.0) || !std::isfinite(dt))
     return false;
   s.apart = first_ || dt > gap_steps * nominal_;
-  const double relax = 1.0 - std::exp(-dt / rest_time);
+  const double relax = 1.0 - std::exp(-dt / rest_time), share = -std::expm1(-settling * dt);
   double p[max_joints], beta[max_joints], gravity[max_joints];
   momentum(p_.bodies(), q, qd, p, beta);
   gravity_torque(p_.bodies(), q, gravity);
@@ -65,7 +65,10 @@ bool MomentumEstimator::prepare(
     s.middle[i] = s.apart ? q[i] : 0.5 * (q[i] + joint.q);
     s.change[i] = p[i] - joint.momentum;
     p_.drive.heat(i, qd[i], dt, joint.drive.state);
+    double &acceleration = joint.drive.acceleration;
+    acceleration = s.apart ? 0.0 : acceleration + share * ((qd[i] - joint.qd) / dt - acceleration);
     joint.q = q[i];
+    joint.qd = qd[i];
     joint.known = u;
     joint.momentum = p[i];
     joint.since_tare += s.moved[i];
@@ -99,8 +102,9 @@ void MomentumEstimator::observe(
   const int n = this->n();
   const double share = -std::expm1(-p_.gain * dt);
   seen_ = s.apart ? 0.0 : seen_ + share * (1.0 - seen_);
-  double A[6 * max_joints];
+  double A[6 * max_joints], doubt[max_joints];
   const Unknowns unknowns(point(), jacobian(p_.chain, q, false, A), n, A);
+  p_.doubt.variance(p_, p_.drive, q, qd, s.joints, s.load, doubt);
   for (int i = 0; i < n; ++i) {
     Joint &joint = s.joints[i];
     if (s.apart) {
@@ -113,7 +117,7 @@ void MomentumEstimator::observe(
     e.error[i] = joint.residual;
     const double rest = p_.drive.at_rest(i, s.load[i]);
     e.variance[i] = p_.covariance[i].at(qd[i]) + p_.covariance[i].of_contact(joint.residual) +
-                    rest * rest * joint.unsure;
+                    doubt[i] + rest * rest * joint.unsure;
     e.bound[i] = 0.0;
     for (int k = 0; k < unknowns.k; ++k) A[n * k + i] *= seen_;
   }
@@ -124,7 +128,8 @@ void MomentumEstimator::observe(
 }
 
 // Inputs of the momentum and their noise: the wrench in units of its prior, friction errors.
-void MomentumEstimator::hidden(const Sample &s, const double *A, double dt, WrenchEstimate &e) {
+void MomentumEstimator::hidden(const double *q, const double *qd, const Sample &s, const double *A,
+    double dt, WrenchEstimate &e) {
   const int n = this->n(), k = unknowns(), m = inputs();
   std::fill(G_.begin(), G_.end(), 0.0);
   for (int j = 0; j < k; ++j) {
@@ -133,6 +138,8 @@ void MomentumEstimator::hidden(const Sample &s, const double *A, double dt, Wren
     q_[j] = p_.rate[j] / p_.prior[j];
     a_[j] = p_.leak[j];
   }
+  double doubt[max_joints];
+  p_.doubt.variance(p_, p_.drive, q, qd, s.joints, s.load, doubt);
   for (int i = 0; i < n; ++i) {
     const double rest = p_.drive.at_rest(i, s.load[i]), friction = rest * rest;
     double speed = 0.0, torque = 0.0;  // of the torque that the wrench's walk makes; of the wrench
@@ -140,7 +147,7 @@ void MomentumEstimator::hidden(const Sample &s, const double *A, double dt, Wren
       speed += G_[m * i + j] * G_[m * i + j] * q_[j];
       if (!first_) torque += G_[m * i + j] * x_[n + j];
     }
-    double lasting = p_.covariance[i].of_contact(torque);
+    double lasting = p_.covariance[i].of_contact(torque) + doubt[i];
     if (p_.biased) {  // forgotten with displacement, as the presliding state is
       G_[m * i + k + i] = -1.0;
       a_[k + i] = s.moved[i] / dt;
@@ -203,7 +210,7 @@ bool MomentumEstimator::filter(
         sum += M_[n * i + l] * p_.qd_noise[l] * p_.qd_noise[l] * M_[n * j + l];
       R_[n * i + j] = R_[n * j + i] = sum;
     }
-  hidden(s, A, dt, e);
+  hidden(q, qd, s, A, dt, e);
   if (s.apart) restart(s, dt);
   else if (!momentum_step({n, m, G_.data(), Qp_.data(), q_.data(), a_.data()}, s.known, p,
                R_.data(), dt, x_.data(), P_.data(), work_.data()))

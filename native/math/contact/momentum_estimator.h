@@ -52,9 +52,9 @@ class MomentumEstimator {
  private:
   struct Joint {
     JointDrive drive;
-    double q, known, momentum;  // of the last sample
-    double residual, unsure;    // of the observer: low-passed
-    double since_tare;          // displacement, in presliding distances
+    double q, qd, known, momentum;  // of the last sample
+    double residual, unsure;        // of the observer: low-passed
+    double since_tare;              // displacement, in presliding distances
   };
   // A prepared sample; the state of the estimator is still unchanged.
   struct Sample {
@@ -71,7 +71,8 @@ class MomentumEstimator {
   bool prepare(const double *q, const double *qd, const double *tau, double dt, Sample &s) const;
   void observe(const double *q, const double *qd, double dt, Sample &s, WrenchEstimate &e);
   bool filter(const double *q, const double *qd, double dt, const Sample &s, WrenchEstimate &e);
-  void hidden(const Sample &s, const double *A, double dt, WrenchEstimate &e);
+  void hidden(const double *q, const double *qd, const Sample &s, const double *A, double dt,
+      WrenchEstimate &e);
   void restart(const Sample &s, double dt);
   void report(const double *q, const Unknowns &middle, WrenchEstimate &e) const;
 

@@ -483,7 +483,7 @@ def tared(model: TorqueModel, robot: Robot, table: Table, tare: float | slice) -
         seconds = number(tare, "the seconds of a tare", ShapeError)
         span = slice(0, int(np.searchsorted(table.t, table.t[0] + seconds)))
     free = replace(Friction.none(model.n), delta=model.friction.delta, resolution=model.friction.resolution)
-    rested = replace(model, friction=free, friction_map=None, warm_up=None)  # at rest, friction is a constant per joint
+    rested = replace(model, friction=free, friction_map=None, warm_up=None, parameters=None)  # constant errors at rest
     error = Estimator(rested, robot).run(table)["tau_error"][span]
     t, q = table.t[span], table["q"][span]
     error, steps = error[np.isfinite(error).all(axis=1)], np.ptp(q, axis=0) if len(q) else np.full(model.n, np.inf)

@@ -218,12 +218,12 @@ def fit_model(
     check(record)
     problem = make_problem(record, robot, base, settings)
     design, sums, solution = problem.design, problem.sums, problem.sums.solution
-    cov, drift = covariance(design, solution, problem.length, settings.seed)
+    cov, drift, between = covariance(design, solution, problem.length, settings.seed)
     settings.tell(4, 5, "held-out residuals")
-    model = model_of(design, solution.x, cov, problem.gain_cov)
+    model = model_of(design, solution.x, cov, problem.gain_cov, drift)
     folds = fold_models(model, design, sums, problem.block, problem.length)
     before = None if settings.prior is None else settings.prior.value
-    model = assess(model, folds, design.data, design.joints, before=before, drift=drift)
+    model = assess(model, folds, design.data, design.joints, before=before, drift=between)
     settings.tell(5, 5, "done")
     cov = cov + gain_share(solution, problem.gain_cov)
     fit = fit_of(model, design, solution, cov, record.measured, problem.band, problem.doubts)
@@ -450,8 +450,18 @@ def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray,
     return block, length
 
 
-def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.ndarray | None = None) -> TorqueModel:
-    """Convert linear parameters and the friction structure to a model; its covariance and quality are provisional."""
+def model_of(
+    design: Design,
+    theta: np.ndarray,
+    cov: np.ndarray,
+    gain_cov: np.ndarray | None = None,
+    drift: np.ndarray | None = None,
+) -> TorqueModel:
+    """Convert linear parameters and the friction structure to a model; its covariance and quality are provisional.
+
+    `drift`: (p, p) covariance of the change of the parameters until the next log; without it, the covariance of the
+    parameters is not part of the model.
+    """
     data, robot, base = design.data, design.robot, design.base
     n, p = len(robot.joint_names), len(base.names)
     unknown = np.full(n, np.nan)
@@ -487,6 +497,7 @@ def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.nd
         sources=data.sources,
         coupled=design.coupled(theta),
         quasi_static=base.quasi_static,
+        parameters=None if drift is None else design.parameter_covariance(cov + drift),
     )
 
 

@@ -171,10 +171,11 @@ def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first
     """Fit the model to the sum of all logs."""
     solution, block_sums = _solved(draft.design, sums)
     design = draft.design
-    cov, drift = covariance(design, solution, 1)
-    model = model_of(design, solution.x, cov, draft.gain_cov)
+    cov, drift, between = covariance(design, solution, 1)
+    model = model_of(design, solution.x, cov, draft.gain_cov, drift)
     block = _blocks_of_draft(design.data, pattern.blocks, sums, first)
-    model = assess(model, fold_models(model, design, block_sums, block, 1), design.data, design.joints, drift=drift)
+    folds = fold_models(model, design, block_sums, block, 1)
+    model = assess(model, folds, design.data, design.joints, drift=between)
     model = replace(
         model,
         training=_trained([one.training for one in sums], np.array([one.n for one in sums], dtype=float)),

@@ -42,7 +42,7 @@ from armlab.identify.friction_structure import (
 )
 from armlab.identify.record import ORDER, Decimation, Record, slow_enough
 from armlab.models.friction import FRICTION_TERMS, Friction, FrictionTerm, Ripple
-from armlab.models.torque import CoupledMotors
+from armlab.models.torque import CoupledMotors, ParameterCovariance
 from armlab.robots import Robot
 
 # Filtered and decimated columns of the regression for joint torque.
@@ -495,6 +495,22 @@ class Design(RegressionColumns):
             values[k, m] = value
         inertia, viscous, coulomb = values
         return CoupledMotors(self.motors, inertia, viscous, coulomb, np.full(K, SMOOTH))
+
+    def parameter_covariance(self, cov: np.ndarray) -> ParameterCovariance:
+        """Return the covariance of the base parameters and of friction for the covariance (p, p) of all parameters."""
+        n, size = len(self.robot.joint_names), len(self.base.names)
+        columns, maps = [self.base.kept], [np.eye(size, len(cov))]
+        for i, (joint, own, A) in enumerate(zip(self.joints, self.layout.columns, self.rigid)):
+            T = mixing(self.structure.terms[i], len(FRICTION))
+            made = np.zeros((len(FRICTION), len(cov)))
+            made[:, own[A.shape[1] :][: T.shape[1]]] = T
+            columns.append(11 * n + len(FRICTION) * joint + np.arange(len(FRICTION)))
+            maps.append(made)
+        of = np.concatenate(maps)
+        own = of @ cov @ of.T
+        kept = np.flatnonzero(np.diag(own) > 0)
+        lower = own[np.ix_(kept, kept)][np.tril_indices(len(kept))]
+        return ParameterCovariance(np.concatenate(columns)[kept], lower, np.zeros(n))
 
     def load_sd(self, cov: np.ndarray) -> np.ndarray:
         """Return the standard deviation (J,) of the load-dependent friction; NaN for joints without it."""

@@ -20,6 +20,7 @@ from armlab.estimation.robust import HUBER, NORMAL_MAD, effective_samples, shrin
 from armlab.identify.friction_structure import FOLDS, IDENTIFIED, TERMS, Chooser, choose_here, mixing
 from armlab.identify.record import Record
 from armlab.identify.regression import BLOCK, Design
+from armlab.models.friction import FRICTION_TERMS
 
 # Least squares with one unknown gain per joint, ``y_i = (1 + g_i) A_i x + e_i``, ``g_i ~ N(0, s^2)``: Gauss-Newton on
 # sums per joint and block of time, with the gains eliminated:
@@ -315,37 +316,41 @@ def gain_share(solution: LinearSolution, gain_cov: np.ndarray) -> np.ndarray:
 # The block bootstrap covers changes from one half second to the next. Offset drift and warm-up are slow, and another
 # log may select other friction terms; both are added to the covariance of the residuals.
 #
-# Drift. With the solution fixed, a change of each joint's viscous friction, Coulomb friction and offset is fitted to
-# each half of the log. The squared difference between the halves, minus its sampling variance, is pooled over the
-# joints relative to their friction torque, because a single joint gives only one degree of freedom. Under a random
-# walk, the next log of this length differs by sqrt(2) times the difference between the halves; each log contributes
-# half of this variance. The leakage of a linear drift into other parameters is added. The bootstrap uses torques
-# without the drift, which it would otherwise treat as noise in every direction.
+# Drift. With the solution fixed, a scale of all friction and an offset per joint are fitted to each half of the log.
+# The squared difference between the halves, minus its sampling variance, is pooled over the joints relative to their
+# friction torque, because a single joint gives only one degree of freedom. Friction follows the temperature of the
+# gears, which changes over minutes, so its change within a log is a trend: the next log of this length differs by twice
+# the difference between the halves. Offsets walk at random, which gives sqrt(2) times the difference. Each log
+# contributes half of this variance. The leakage of a linear drift into other parameters is added. The bootstrap uses
+# torques without the drift, which it would otherwise treat as noise in every direction.
 #
 # Structures. Rival friction structures are weighted by exp(-t^2 / 2), with t the excess of their held-out squared error
 # over the best, in standard deviations of that excess between blocks. The change of the parameters by each rival adds
 # one rank to the covariance: ``sum_k w_k v_k v_k^T``.
 
 
-DRIFTS = ("viscous", "coulomb", "offset")
+DRIFTS = ("friction", "offset")  # scale of all friction of a joint; constant torque
+AHEAD = np.array([4.0, 2.0])  # variance between logs over that between halves: of a trend, of a random walk
 POOLING = 30  # iterations of the pooled variance
 RIDGE = 1e-6  # share of a column's power, in case half of the log does not determine a drift
 
 
-def covariance(design: Design, solution: LinearSolution, length: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariance (p, p) for known gains, and the torque variance (J,) due to drift between logs.
+def covariance(
+    design: Design, solution: LinearSolution, length: int, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the covariance (p, p) for known gains, that of the drift of the next log, and its torque variance (J,).
 
-    `length` blocks form a segment.
+    `length` blocks form a segment. The torque variance is that between this log and the next.
     """
-    drift, torque, steady = _without_drift(design, solution, length)
+    drift, leaked, torque, steady = _without_drift(design, solution, length)
     drawn = block_bootstrap(BlockSums.of(steady), seed=seed, length=length).cov
-    return drawn + drift + _structure_share(design, solution), torque
+    return drawn + drift + leaked + _structure_share(design, solution), drift, torque
 
 
 def _without_drift(
     design: Design, solution: LinearSolution, length: int
-) -> tuple[np.ndarray, np.ndarray, LinearSolution]:
-    """Return the drift contribution (p, p), its torque variance (J,), and the solution for torques without drift."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, LinearSolution]:
+    """Return the covariances (p, p) of the drift and of its leakage, its torque variance, and the solution without."""
     found = [_drifts(design, solution, length, i) for i in range(len(design.joints))]
     difference, variance = (np.array(part) for part in list(zip(*found))[:2])
     pooled = np.zeros(len(DRIFTS))
@@ -353,16 +358,17 @@ def _without_drift(
         weight = 1.0 / np.maximum(variance + pooled, 1e-300) ** 2
         pooled = np.maximum(np.sum(weight * (difference**2 - variance), axis=0) / weight.sum(axis=0), 0.0)
     likely = difference * pooled / np.maximum(pooled + variance, 1e-300)
-    share, factors = np.zeros((len(solution.x),) * 2), []
-    torque = np.array([2.0 * power @ pooled for *_, power in found])  # of this log and of the next
+    share, leakage, factors = np.zeros((len(solution.x),) * 2), np.zeros((len(solution.x),) * 2), []
+    torque = np.array([power @ (AHEAD * pooled) for *_, power in found])
     for R, columns, change, (_, _, moved, leaked, _) in zip(
         solution.factors.R, solution.factors.columns, likely, found, strict=True
     ):
-        share += (moved * pooled) @ moved.T + (leaked * (4.0 * pooled)) @ leaked.T
+        share += (moved * (0.5 * AHEAD * pooled)) @ moved.T
+        leakage += (leaked * (4.0 * pooled)) @ leaked.T
         steady = R.copy()
         steady[:, :, -1] -= 2.0 * _time(len(R))[:, None] * (R[:, :, :-1] @ (moved[columns] @ change))
         factors.append(steady)
-    return share, torque, replace(solution, factors=replace(solution.factors, R=tuple(factors)))
+    return share, leakage, torque, replace(solution, factors=replace(solution.factors, R=tuple(factors)))
 
 
 def _time(blocks: int) -> np.ndarray:
@@ -370,19 +376,18 @@ def _time(blocks: int) -> np.ndarray:
 
 
 def _drifts(design: Design, solution: LinearSolution, length: int, i: int) -> tuple[np.ndarray, ...]:
-    """Return one joint's differences (3,) between the halves and their variances, relative to its friction torque.
+    """Return one joint's differences (2,) between the halves and their variances, relative to its friction torque.
 
-    Also returns the parameters (p, 3) of a unit change, the leakage of a zero-mean linear drift into the solution, and
-    the mean square torque (3,) of a unit change.
+    Also returns the parameters (p, 2) of a unit change, the leakage of a zero-mean linear drift into the solution, and
+    the mean square torque (2,) of a unit change.
     """
     factors, columns, x = solution.factors, solution.factors.columns[i], solution.x
     A, y = factors.R[i][:, :, :-1], factors.R[i][:, :, -1]
     blocks, rows = len(A), max(int(factors.rows[:, i].sum()), 1)
-    D, own = _directions(design, x, i)
+    D = _directions(design, x, i)
     size = np.sqrt(np.sum((A @ D) ** 2, axis=(0, 1)) / rows)
-    friction = np.sqrt(np.sum((A @ own) ** 2) / rows)
-    scale = np.divide(friction, size, out=np.zeros_like(size), where=size > 0)
-    U, e, power = A @ (D * scale), y - A @ x[columns], max(rows * friction**2, 1e-300)
+    scale = np.divide(size[0], size, out=np.zeros_like(size), where=size > 0)
+    U, e, power = A @ (D * scale), y - A @ x[columns], max(rows * size[0] ** 2, 1e-300)
     change, variance = np.zeros((2, 2, len(DRIFTS)))
     for half, kept in enumerate(np.array_split(np.arange(blocks), 2)):
         gram = np.einsum("bij,bik->bjk", U[kept], U[kept])
@@ -400,20 +405,16 @@ def _drifts(design: Design, solution: LinearSolution, length: int, i: int) -> tu
     return change[1] - change[0], variance.sum(axis=0), moved, leaked, (scale * size) ** 2
 
 
-def _directions(design: Design, x: np.ndarray, i: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the changes (w, 3) of a joint's parameters per unit of each drift, and of friction (w,) alone."""
-    terms, width = design.terms[i], design.rigid[i].shape[1]
-    columns = design.layout.columns[i]
-    kinds = [term.rstrip("+-") for term in terms]
-    D, own = np.zeros((len(columns), len(DRIFTS))), np.zeros(len(columns))
-    for k, kind in enumerate(kinds):
-        if kind in DRIFTS:
-            own[width + k] = x[columns[width + k]]
-            D[width + k, DRIFTS.index(kind)] = 1.0
-    both = D[:, 1] > 0
-    if np.all(own[both] > 0):
-        D[both, 1] = own[both] / own[both].mean()
-    return D, own
+def _directions(design: Design, x: np.ndarray, i: int) -> np.ndarray:
+    """Return the changes (w, 2) of a joint's parameters by twice the friction, and by a unit offset."""
+    columns, width = design.layout.columns[i], design.rigid[i].shape[1]
+    D = np.zeros((len(columns), len(DRIFTS)))
+    for k, term in enumerate(design.terms[i], width):
+        if term == "offset":
+            D[k, 1] = 1.0
+        elif term in FRICTION_TERMS and FRICTION_TERMS[term].column is not None:
+            D[k, 0] = x[columns[k]]
+    return D
 
 
 def _structure_share(design: Design, solution: LinearSolution) -> np.ndarray:

@@ -46,6 +46,7 @@ def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple
             covariance=velocity_covariance("const", nothing, nothing),
             gain_cov=np.zeros_like(model.gain_cov),
             load_sd=np.zeros(model.n),
+            parameters=None,
         )
         torque, variance = _causal(plain, data, rows)
         residuals[rows] = torque[rows]
@@ -83,6 +84,9 @@ def assess(
     validated on the other half, in both directions. The model gets the values fitted to all segments. Joints without
     measured torque have no quality figures, and a standard deviation so large that estimators ignore them. If an
     earlier model `before` is given, joints at rest keep its figures.
+
+    The estimator adds the torque variance of the parameters beyond its mean over this record. Held-out errors contain
+    this part, so the covariance is fitted to errors divided by ``sqrt(1 + r)``, with r its ratio to their square.
     """
     errors, moving = held_out(folds, data)
     if unseen is not None:
@@ -98,11 +102,14 @@ def assess(
     _check_sliding(measured, np.min([half.sum(axis=0) for half in halves], axis=0))
     between = np.zeros(model.n)
     between[slice(None) if joints is None else joints] = 0.0 if drift is None else drift
-    covariance = _covariance(errors, data.qd, moving)
+    shown, beyond = _of_parameters(model, data, moving)
+    ratio = np.sum(beyond, axis=0, where=moving) / np.maximum(np.sum(errors**2, axis=0, where=moving), NOTHING)
+    left = errors / np.sqrt(1.0 + ratio)
+    covariance = _covariance(left, data.qd, moving)
     inside = np.zeros(model.n)
     for half in halves:
-        other = _covariance(errors, data.qd, moving & ~half)
-        inside += np.sum(half & (errors**2 < 4.0 * other.variance(data.qd)), axis=0)
+        other = _covariance(left, data.qd, moving & ~half)
+        inside += np.sum(half & (errors**2 < 4.0 * (other.variance(data.qd) + beyond)), axis=0)
     count = np.where(measured, moving.sum(axis=0), np.nan)
     quality = replace(
         model.quality,
@@ -114,11 +121,26 @@ def assess(
     scaled = between / covariance.alpha2
     covariance = replace(covariance, C0=covariance.C0 + scaled, Cinf=covariance.Cinf + scaled)
     judged = replace(model, covariance=covariance, bound=bound, quality=quality)
+    if model.parameters is not None:
+        judged = replace(judged, parameters=replace(model.parameters, mean=shown))
     if before is not None and rest.any():
         return held_at_rest(judged, before, rest)
     if not measured.all():
         return judged  # momentum methods need all torques
-    return replace(judged, momentum=momentum_noise(judged, folds, np.where(moving, errors, np.nan), data, between))
+    return replace(
+        judged, momentum=momentum_noise(judged, folds, np.where(moving, errors, np.nan), data, between, ratio)
+    )
+
+
+def _of_parameters(model: TorqueModel, data: Record, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean torque variance (n,) of the parameters over rows in motion (N, n), and the excess (N, n)."""
+    if model.parameters is None:
+        return np.zeros(model.n), np.zeros(data.q.shape)
+    exact = replace(model, gain_cov=np.zeros_like(model.gain_cov), load_sd=np.zeros(model.n), parameters=None)
+    unknown = replace(exact, parameters=replace(model.parameters, mean=np.zeros(model.n)))
+    shown = _causal(unknown, data)[1] - _causal(exact, data)[1]
+    mean = np.maximum(np.mean(shown, axis=0, where=moving | ~moving.any(axis=0)), 0.0)
+    return mean, np.maximum(shown - mean, 0.0)
 
 
 def held_at_rest(model: TorqueModel, before: TorqueModel, rest: np.ndarray) -> TorqueModel:
@@ -418,10 +440,12 @@ def momentum_noise(
     errors: np.ndarray,
     data: Record,
     drift: np.ndarray | float = 0.0,
+    ratio: np.ndarray | float = 0.0,
 ) -> MomentumNoise:
     """Return the correlation time and velocity noise of a record, and factors for 95.4 % coverage of the estimators.
 
-    `drift`: torque variance (n,) of friction that changes between logs, in addition to the `errors`.
+    `drift`: torque variance (n,) of friction that changes between logs, in addition to the `errors`. `ratio`: variance
+    (n,) that the estimator adds on its own, relative to the squared errors.
     """
     step, drift = float(np.median(data.dt)), np.broadcast_to(drift, model.n)
     known = [column[np.isfinite(column)] for column in errors.T]
@@ -429,8 +453,11 @@ def momentum_noise(
     noise = MomentumNoise(memory, velocity_noise(data))
     some = data.blocks(WINDOW) % -(-len(data.t) // ENOUGH) == 0
     sure = {"gain_cov": np.zeros((model.n, model.n)), "load_sd": np.zeros(model.n)}  # for a known wrench
-    held = [(replace(fold, covariance=model.covariance, **sure), rows & some) for fold, rows in folds]
-    noise = replace(noise, alpha2_observer=_factor_of_observer(model, held, noise, errors, data, drift))
+    held = [
+        (replace(fold, covariance=model.covariance, parameters=model.parameters, **sure), rows & some)
+        for fold, rows in folds
+    ]
+    noise = replace(noise, alpha2_observer=_factor_of_observer(model, held, noise, errors, data, drift, ratio))
     moving = np.isfinite(errors)
     measured = moving.any(axis=0)
     judged: np.ndarray = np.all(moving[:, measured], axis=1) if measured.any() else np.zeros(len(errors), dtype=bool)
@@ -449,6 +476,7 @@ def _factor_of_observer(
     errors: np.ndarray,
     data: Record,
     drift: np.ndarray,
+    ratio: np.ndarray | float,
 ) -> float:
     """Return the factor of the observer, which averages the errors of the log, but not the drift."""
     variance = model.covariance.variance(data.qd) / model.covariance.alpha2
@@ -460,7 +488,7 @@ def _factor_of_observer(
     known = np.isfinite(squares)
     mean = np.sum(squares, axis=0, where=known) / np.maximum(known.sum(axis=0), 1)
     widening = 1.0 + drift / np.maximum(mean, NOTHING)
-    return _factor([(widening * squares / spread)[known]])
+    return _factor([(widening * squares / (1.0 + ratio) / spread)[known]])
 
 
 def known_wrench(t: np.ndarray) -> np.ndarray:

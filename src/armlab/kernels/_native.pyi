@@ -288,7 +288,8 @@ class MomentumEstimator:
 
     Parameters
     ----------
-    chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior, point : as in `WrenchEstimator`.
+    chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior, point, doubt_columns, doubt_cov,
+        doubt_mean : as in `WrenchEstimator`.
     memory : (n,) correlation time of the torque error [s].
     qd_noise : (n,) standard deviation of the measured velocity.
     rate : (6,) intensity of the wrench's random walk [N^2/s, (N m)^2/s]. leak : (6,) of the wrench [1/s].
@@ -316,6 +317,9 @@ class MomentumEstimator:
         filters: bool,
         biased: bool,
         point: np.ndarray | None = None,
+        doubt_columns: np.ndarray | None = None,
+        doubt_cov: np.ndarray | None = None,
+        doubt_mean: np.ndarray | None = None,
     ) -> None: ...
     def reset(self) -> None:
         """Reset everything except the parameters."""
@@ -751,6 +755,10 @@ class WrenchEstimator:
     cutoff : cut-off frequency of the low-pass filter [Hz].
     method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund, 6 ols.
     point : (3,) contact point in tool axes, or None if the complete wrench is unknown.
+    doubt_columns, doubt_cov, doubt_mean : columns (n, W) of the parameters of each joint, then -1, their covariances
+        (n, W, W), of which the lower triangle is used, and the torque variance (n,) that counts as zero; or None.
+        Columns are those of links (10 n), rotors (n), and the joint's own
+        friction: viscous, Coulomb per direction, offset, Stribeck, root, load.
     """
 
     def __init__(
@@ -768,6 +776,9 @@ class WrenchEstimator:
         cutoff: float,
         method: int = 0,
         point: np.ndarray | None = None,
+        doubt_columns: np.ndarray | None = None,
+        doubt_cov: np.ndarray | None = None,
+        doubt_mean: np.ndarray | None = None,
     ) -> None: ...
     def reset(self) -> None:
         """Reset everything except the parameters."""

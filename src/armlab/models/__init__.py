@@ -7,6 +7,7 @@ from armlab.models.sensors import Accelerometer, ForceSensor, HandEye, LaserSens
 from armlab.models.torque import (
     CoupledMotors,
     MomentumNoise,
+    ParameterCovariance,
     Payload,
     Quality,
     TorqueModel,
@@ -44,6 +45,7 @@ register("friction_map", FrictionMap)
 register("warm_up", WarmUp)
 register("momentum_noise", MomentumNoise)
 register("coupled_motors", CoupledMotors)
+register("parameter_covariance", ParameterCovariance)
 register("payload", Payload)
 register("force_sensor", ForceSensor)
 register("hand_eye", HandEye)

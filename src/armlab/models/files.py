@@ -195,7 +195,7 @@ TORQUE_FORMAT = 6
 FRICTION_FIELDS = tuple(entry.name for entry in fields(Friction))
 RIPPLE = tuple(entry.name for entry in fields(Ripple))
 BOUND = tuple(entry.name for entry in fields(FrictionBound))
-PARTS = ("lines", "friction_map", "warm_up", "momentum", "coupled")  # optional
+PARTS = ("lines", "friction_map", "warm_up", "momentum", "coupled", "parameters")  # optional
 QUALITY = ("torque_sd", "rms", "rms_cv", "coverage")
 LIMITS = ("q_min", "q_max", "qd_peak", "speed_share")  # of the training data
 UNITS = {
@@ -208,6 +208,7 @@ UNITS = {
     "warm_up": "s, W",
     "momentum": "s, rad/s",
     "coupled": "kg m^2, N m, rad, s",
+    "parameters": "covariance in units of the links, rotors and friction",
     "ctau": "(N m)^2, s/rad",
     "bound": "N m, rad/s",
     "limits": "rad, rad/s, s; ranges of the training data",

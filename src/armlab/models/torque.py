@@ -151,6 +151,69 @@ class MomentumNoise:
             )
 
 
+# Covariance of the parameters, whose effect on the torque grows with the distance of a motion from the identified one:
+#
+#     var(tau_i) = w_i C w_i^T,   w_i the row of the regressor and of the friction of joint i
+
+
+OF_FRICTION = 7  # parameters per joint
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterCovariance:
+    """Covariance of the identified parameters for given gains, including drift until the next log.
+
+    The estimator adds its torque variance beyond the `mean` (n,) [(N m)^2] on the identified motion, which the torque
+    covariance contains. `columns`: (P,) column of each parameter among those of the links (10 n), of the rotors (n),
+    and of the friction of each joint (7 n): viscous, Coulomb of either direction, offset, Stribeck, root, load.
+    `lower`: (P (P + 1) / 2,) lower triangle of the covariance, row by row.
+    """
+
+    columns: np.ndarray
+    lower: np.ndarray
+    mean: np.ndarray
+
+    def __post_init__(self) -> None:
+        columns, lower = still(self.columns, "parameter columns"), still(self.lower, "a parameter covariance")
+        mean, P = still(self.mean, "torque variances"), columns.size
+        if not np.all((mean >= 0) & (mean < np.inf)) or mean.ndim != 1:
+            raise ShapeError(
+                "Expected finite torque variances of at least 0, one per joint, got others. Identify again."
+            )
+        if columns.shape != (P,) or lower.shape != (P * (P + 1) // 2,) or not np.isfinite(lower).all():
+            raise ShapeError(
+                f"Expected P columns and P (P + 1) / 2 finite numbers of their covariance, got shapes {columns.shape} "
+                f"and {lower.shape}. Identify again."
+            )
+        object.__setattr__(self, "columns", columns)
+        object.__setattr__(self, "lower", lower)
+        object.__setattr__(self, "mean", mean)
+
+    @property
+    def cov(self) -> np.ndarray:
+        """Covariance (P, P)."""
+        half = np.zeros((self.columns.size,) * 2)
+        half[np.tril_indices(len(half))] = self.lower
+        return half + np.tril(half, -1).T
+
+    def kernel_rows(self, scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return columns (n, W), covariances (n, W, W) and means (n,) per joint; `scale` is that of links."""
+        n = len(self.mean)
+        columns, cov = self.columns.astype(int), self.cov
+        weight = np.where(columns < 10 * n, scale, 1.0)
+        cov = cov * np.outer(weight, weight)
+        links, drives = columns < 10 * n, columns >= 11 * n
+        owner = np.where(links, columns // 10, np.where(drives, (columns - 11 * n) // OF_FRICTION, columns - 10 * n))
+        kept = [np.flatnonzero(np.where(links, owner >= i, owner == i)) for i in range(n)]
+        width = max(map(len, kept))
+        where, blocks = np.full((n, width), -1.0), np.zeros((n, width, width))
+        for i, own in enumerate(kept):
+            size = len(own)
+            where[i, :size] = np.where(drives[own], 11 * n + (columns[own] - 11 * n) % OF_FRICTION, columns[own])
+            blocks[i, :size, :size] = cov[np.ix_(own, own)]
+        return where, blocks, self.mean
+
+
 # Motors that move several joints, as in wrists: their inertia and friction act on all of them.
 #
 # Motor k rotates by ``theta_k = c_k q`` (in units of its joint), so power conservation gives::
@@ -343,6 +406,8 @@ class TorqueModel(Shown):
     lines, friction_map, warm_up : drive terms that `identify.fit_friction` adds if they improve the fit; else None.
     momentum : noise of torque and velocity for the momentum estimators, or None if unavailable.
     coupled : motors that move several joints, or None.
+    parameters : covariance of all parameters, which widens the torque covariance outside the identified motion; or
+        None.
     quasi_static : True for gravity, friction and offset alone, without torques from link velocities or accelerations.
     """
 
@@ -373,6 +438,7 @@ class TorqueModel(Shown):
     gains: np.ndarray = field(default_factory=lambda: np.ones(0))
     gain_cov: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     load_sd: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    parameters: ParameterCovariance | None = None
 
     def __post_init__(self) -> None:
         n, p = len(self.rotor), len(self.base_names)
@@ -406,6 +472,11 @@ class TorqueModel(Shown):
                 f"Expected friction, ripple, covariance, bound and training for {n} joints and a cut-off above 0 Hz, "
                 f"got {lengths} joints and {self.cutoff:g} Hz."
             )
+        known = self.parameters or ParameterCovariance(np.zeros(0), np.zeros(0), np.zeros(n))
+        columns = known.columns
+        inside = (columns >= 0) & (columns < (11 + OF_FRICTION) * n) & (columns == np.floor(columns))
+        if len(known.mean) != n or not inside.all():
+            raise ShapeError(f"Expected parameters among those of {n} joints, got other columns. Identify again.")
         _ = self.drive  # rejects terms with a different number of joints
 
     def _repr_html_(self) -> str:
@@ -552,6 +623,7 @@ class TorqueModel(Shown):
             self.cutoff,
             method,
             point,
+            *self._parameter_rows,
         )
         return kernel if self.coupled is None else CoupledKernel(kernel, self.coupled, self.gains)
 
@@ -609,6 +681,7 @@ class TorqueModel(Shown):
             filters,
             biased,
             point,
+            *self._parameter_rows,
         )
         return kernel if self.coupled is None else CoupledKernel(kernel, self.coupled, self.gains)
 
@@ -626,6 +699,13 @@ class TorqueModel(Shown):
         uncertain = (np.diag(self.gain_cov) > 0).astype(float)
         apart = np.diag(uncertain) - np.outer(uncertain, uncertain) / max(uncertain.sum(), 1.0)
         return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", apart, self.gain_cov, apart), 0.0) + self.load_sd**2)
+
+    @property
+    def _parameter_rows(self) -> tuple[np.ndarray, ...]:
+        """Return what kernels expect of the covariance of the parameters; nothing for exact parameters."""
+        if self.parameters is None:
+            return ()
+        return self.parameters.kernel_rows(WEIGHTLESS if self.quasi_static else 1.0)
 
     def _covariance_rows(self, alpha2: float) -> np.ndarray:
         c = self.covariance
