@@ -190,10 +190,18 @@ class RobotRecord:
     wants : whether rows wait for a description.
     """
 
+    rows: int
+    lost: int
+    damaged: int
+    refused: int
+    late: int
+    wants: bool
+
     def __init__(self, name: str, path: Path, tell: Callable[[str], None]) -> None:
-        self.name, self._path, self._tell = name, path, tell
+        self.name: str = name
+        self._path, self._tell = path, tell
         self.rows = self.lost = self.damaged = self.refused = self.late = 0
-        self.last = -1
+        self.last: int = -1
         self.paths: list[Path] = []
         self.failed: str | None = None
         self.wants = self._is_unsure = False

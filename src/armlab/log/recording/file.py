@@ -124,8 +124,8 @@ class RecordingFile:
         self._file, self.path = open_new(path)
         self._layout, self._clock = layout, clock
         self._chunk_rows = 0
-        self.rows = 0
-        self.last_stamp_ns = time.time_ns()
+        self.rows: int = 0
+        self.last_stamp_ns: int = time.time_ns()
         try:
             self._writer = McapWriter(self._file, "ros2", f"armlab {__version__}")
             attachments = attached(robot, attachments)

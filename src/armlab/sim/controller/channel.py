@@ -61,7 +61,7 @@ class UdpClient:
         self._refused = self._awaited = self._has_answered = False
         self._is_first = True
         self._arrived: list[tuple[int, bytes]] = []
-        self.last_reply = time.monotonic()
+        self.last_reply: float = time.monotonic()
 
     def close(self) -> None:
         """Close the socket."""
