@@ -178,7 +178,7 @@ def test_ur3_is_named_as_reversed(log_name: str) -> None:
 )
 def test_ur3_in_another_free_motion(trained: str, other: str, alarms: int) -> None:
     """The specification asks for 90 % per axis and two contacts per minute. From the slower log to the other, observer
-    and kf miss this: friction there is 3 to 12 % smaller, and joint 5 twice needs 3 to 5 N m more for a moment."""
+    and kf miss this: friction there is 2 to 11 % smaller, and the torque of joint 5 jumps twice."""
     robot, table = read_ur3(trained)
     model = fit_dynamics(table.with_column("tau", -table["tau"]), robot).value
     _, table = read_ur3(other)
