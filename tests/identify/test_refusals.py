@@ -100,7 +100,7 @@ MOTIONS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
     *((ShapeError, "inside the limits", lambda s, centre=centre: OPTIONS["design"](centre=centre))
       for centre in (np.zeros(3), YUMI.q_max + 1.0, NAN)),
     (ShapeError, r"sigma of shape \(7,\) above 0", lambda s: OPTIONS["design"](sigma=np.zeros(7))),
-    *((ShapeError, "finite pose", lambda s, wrong=wrong: OPTIONS["dither"](**wrong))
+    *((ShapeError, "finite joint positions", lambda s, wrong=wrong: OPTIONS["dither"](**wrong))
       for wrong in ({"centre": [np.nan]}, {"centre": 0.0}, {"amplitude": np.inf}, {"frequency": 0.0})),
     (ShapeError, "above 0 s", lambda s: OPTIONS["dither"](seconds=0.0)),
     (ShapeError, "at least one motion", lambda s: identify.sequence([])),

@@ -1,7 +1,7 @@
 """Physically consistent inertial parameters nearest to an identified model.
 
-A link is physically consistent if its pseudo-inertia P is positive definite (Wensing, Kim and Slotine 2018). With the
-information Lambda of the fit on its base parameters,
+A link is physically consistent if its pseudo-inertia P is positive definite (Wensing, Kim and Slotine 2018). With
+Lambda, the information matrix of the fit for its base parameters,
 
     minimise  (B pi - base)^T Lambda (B pi - base) + strength d(P, P_0)   over P_i >= 1e-6, rotor >= 0
 

@@ -103,7 +103,7 @@ def seconds(t: np.ndarray) -> np.ndarray:
 
 
 def dry_torques(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the Coulomb torque c (N,) of a cold joint i (scaled by the thermal state) and the rest (N,)."""
+    """Return the Coulomb torque (N,) of joint i when cold, and the Stribeck and root terms (N,)."""
     f = model.friction
     c = f.coulomb_pos[i] * np.maximum(s, 0) + f.coulomb_neg[i] * np.minimum(s, 0)
     rest = f.stribeck[i] * s * np.exp(-((qd / f.stribeck_speed[i]) ** 2)) + f.root[i] * s * np.sqrt(np.abs(qd))

@@ -354,9 +354,10 @@ def _without_drift(
     found = [_drifts(design, solution, length, i) for i in range(len(design.joints))]
     difference, variance = (np.array(part) for part in list(zip(*found))[:2])
     pooled = np.zeros(len(DRIFTS))
-    for _ in range(POOLING):
-        weight = 1.0 / np.maximum(variance + pooled, 1e-300) ** 2
-        pooled = np.maximum(np.sum(weight * (difference**2 - variance), axis=0) / weight.sum(axis=0), 0.0)
+    for _ in range(POOLING):  # a joint without friction has no variance, and no say
+        weight = np.divide(1.0, (variance + pooled) ** 2, out=np.zeros_like(variance), where=variance > 0)
+        excess = np.sum(weight * (difference**2 - variance), axis=0)
+        pooled = np.maximum(excess / np.maximum(weight.sum(axis=0), 1e-300), 0.0)
     likely = difference * pooled / np.maximum(pooled + variance, 1e-300)
     share, leakage, factors = np.zeros((len(solution.x),) * 2), np.zeros((len(solution.x),) * 2), []
     torque = np.array([power @ (AHEAD * pooled) for *_, power in found])
