@@ -166,7 +166,7 @@ def test_a_tag_needs_intrinsics_and_is_named_when_it_is_ambiguous() -> None:
     ("charuco:7x5:0.03", "Expected a board as"),
     ("charuco:7x5:0.022:0.03", "a marker smaller than the square"),
     ("checkerboard:8x6:0.025", "looks the same upside down"),
-    ("apriltag:99h9:0.05", "Expected an OpenCV dictionary, got 'APRILTAG_99h9'"),
+    ("apriltag:99h9:0.05", "Expected the name of an OpenCV ArUco dictionary, got 'APRILTAG_99h9'"),
 ])  # fmt: skip
 def test_boards_that_cannot_be_are_refused(board, words) -> None:
     with pytest.raises(ConfigError, match=words):

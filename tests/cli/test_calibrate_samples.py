@@ -343,7 +343,7 @@ def test_intrinsics_are_read_as_others_write_them(form, tmp_path: Path) -> None:
     ("options", "words"),
     [
         (["--images", "pictures"], "Expected --images FOLDER and --board BOARD together"),
-        (["--intrinsics", "k.yaml"], "Expected --intrinsics with --images"),
+        (["--intrinsics", "k.yaml"], "Expected --intrinsics only with --images"),
         (["--robot-topic", "/tf:a->b"], "Expected --robot-topic and --camera-topic together"),
         (["--max-gap", "20ms"], "Expected --max-gap 20ms with --join"),
         (["--images", "p", "--board", "b", "--join", "linear"], "Expected --images without --join"),

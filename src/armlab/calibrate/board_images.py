@@ -370,7 +370,8 @@ def _dictionary(cv2: Any, name: str) -> Any:
     wanted = name.upper().removeprefix("DICT_")
     known = {one.removeprefix("DICT_").upper(): one for one in dir(cv2.aruco) if one.startswith("DICT_")}
     if wanted not in known:
-        raise ConfigError(f"Expected an OpenCV dictionary, got {name!r}. Known: {', '.join(sorted(known))}.")
+        names = ", ".join(sorted(known))
+        raise ConfigError(f"Expected the name of an OpenCV ArUco dictionary, got {name!r}. Known: {names}.")
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, known[wanted]))
 
 

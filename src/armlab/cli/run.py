@@ -48,7 +48,7 @@ def run(
         controller: FILE.py:NAME; FILE.py alone selects the function `controller`. Default: hold position.
         link: egm://HOST:PORT for a real robot, where HOST is an address of this computer; separate two arms by a comma.
             Default: a simulated robot.
-        log: Prefix of the log name, to which the time is appended; or a folder, where the prefix is the robot's name.
+        log: Prefix of the log name, to which the time is appended; or a folder: the prefix is the robot's name.
             Default: the log folder of the settings.
         no_log: Record nothing.
         seconds: Stop after this much robot time under guidance [s].

@@ -1,4 +1,4 @@
-"""`identify` fits one torque model to many logs, bit-identical on any executor; `SumCache` stores sums on disk.
+"""`identify` fits one torque model to many logs with bit-identical results on any executor; `SumCache` stores sums.
 
 With a cache, ten additional logs cost only the time of ten logs, and an interrupted run can continue. The name of a
 cache file is a hash of everything that determines its sums: the bytes of the log, its column names, the pattern (which

@@ -133,7 +133,9 @@ def _check_options(
     if (images is None) != (board is None):
         raise ConfigError("Expected --images FOLDER and --board BOARD together, got only one of them. Give both.")
     if images is None and intrinsics is not None:
-        raise ConfigError("Expected --intrinsics with --images, got no images. Omit it.")
+        raise ConfigError(
+            "Expected --intrinsics only with --images, got no --images. Omit --intrinsics, or add --images and --board."
+        )
     if (robot_topic is None) != (camera_topic is None):
         raise ConfigError("Expected --robot-topic and --camera-topic together, got only one of them. Give both.")
     if images is not None and (join or robot_topic or noise):

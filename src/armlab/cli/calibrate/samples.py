@@ -1,4 +1,4 @@
-"""Samples of a calibration from CSV, MAT or MCAP files, the fit to all files, and its report."""
+"""Calibration samples from CSV, MAT or MCAP files, the fit to all of them, and its report."""
 
 from __future__ import annotations
 

@@ -53,11 +53,11 @@ def fit(
         output: Output file, .toml.
         kind: joints; pose (of the tool); periodic (rhythmic motion); promp (distribution over several demonstrations).
         column: Columns that form the motion; default: q, or T_base_tool with pose.
-        robot: Library name or robot file, to compute the poses from q (with pose), and to order the joints of a foreign
-            bag.
+        robot: Library name or robot file, to compute the poses from q (with pose), and to order the joints of a bag
+            not recorded by armlab.
         start: Start of the motion in the log [s].
         end: End of the motion in the log [s].
-        whole: Keep the rest before and after the motion.
+        whole: Keep the standstill before and after the motion.
         period: With periodic: duration of one period [s].
         frame: With pose: axes of the forcing term, base or goal; default: base.
         basis: Number of kernels; default: 50, 25 for periodic, 15 for promp.

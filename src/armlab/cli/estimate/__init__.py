@@ -61,7 +61,7 @@ def estimate(
 ) -> int:
     """Estimate the contact force in a log with a torque model.
 
-    Prints the range, mean 2-sigma band and observability of each axis (with --method interval also the limits), the
+    Prints the range, mean 2-sigma band and observability of each axis (and its limits, with --method interval), the
     mean force and possible location of each contact, and a verdict that reports gaps and skipped rows. The force is
     exerted by the environment on the robot, in base axes, at the tool point.
 

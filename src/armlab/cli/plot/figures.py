@@ -156,7 +156,7 @@ def autocorrelation(model: Model, log: FreeMotion, *, joints: Joints = None, fig
 
 
 def wrench(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
-    """Draw the estimated contact wrench with its 2-sigma band and shaded contact."""
+    """Draw the estimated contact wrench with its 2-sigma band; contact intervals are shaded."""
     path = figure.path(log, "wrench")
     return figure.save(path, armlab.plots.wrench(figure.estimated(log)))
 
@@ -322,7 +322,7 @@ def two_dof(
     """Draw the response of a movement primitive to a disturbance: arm, path, undisturbed motion and error.
 
     Parameters:
-        log: Recording of `armlab dmp play`.
+        log: Recording made by `armlab dmp play`.
         disturbed: Interval START,END of a disturbance [s], which is shaded.
         duration: Duration of the run [s]; default: duration of the demonstration.
         goal: Goal of the run, comma-separated; default: goal of the demonstration.

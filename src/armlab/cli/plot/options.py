@@ -84,7 +84,7 @@ class LogPart:
     where: Annotated[Columns, Parameter(name="--columns")] = None
 
     def read(self, path: Path, robot: str | None = None, model: TorqueModel | None = None) -> Table:
-        """Return the selected part of a log; refuse a recording whose robot is not the given or the model's robot."""
+        """Return the selected part of a log; refuse a recording of another robot than the given or the model's."""
         from armlab.cli.support.log_input import check_log
         from armlab.log.topics.reader import is_foreign, read_joints
 

@@ -170,7 +170,7 @@ def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tupl
 
 
 def gaps(table: Table) -> list[tuple[float, float]]:
-    """Return the time before each gap and its length [s]; a gap is a step longer than 1.5 times the median step."""
+    """Return the start time and the length of each gap [s]; a gap is a step longer than 1.5 times the median step."""
     steps = np.diff(table.t)
     after = np.flatnonzero(steps > LOST * np.median(steps)) if len(steps) else []
     return [(float(table.t[k]), float(steps[k])) for k in after]

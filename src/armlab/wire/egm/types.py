@@ -144,7 +144,7 @@ class Reference(NamedTuple):
 
 
 class Codec(Protocol):
-    """Plug-in interface of the bridge that converts bytes to SI values and back, for sites with another protocol.
+    """Plug-in interface of the bridge for sites that use another protocol: converts bytes to SI values and back.
 
     `capabilities` is a subset of {"position", "velocity", "torque", "measured_torque", "external_axes", "rapid_data"}.
     `encode` may omit fields outside its capabilities, because the bridge refuses such commands.
