@@ -11,7 +11,7 @@ from armlab._numbers import number, numbers, positive
 from armlab.errors import ConfigError, ShapeError
 
 MAX_SAMPLES = 10_000_000
-FEWEST, MOST = 3, 1000  # number of kernels
+FEWEST, MOST = 3, 1000  # smallest and largest number of kernels
 
 
 def point(value: Any, what: str) -> np.ndarray:

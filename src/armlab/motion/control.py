@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from armlab.log import Column
 
 MAX_STEP = 0.004
-"""Longest step of integration [s]."""
+"""Longest integration step [s]."""
 MAX_GAP = 0.05  # longest time between two packets [s]
 _SLACK = 0.02  # fraction of a step by which dt may exceed it
 NEAR, SLOW = 0.01, 0.02  # rad or m, and rad/s or m/s: arrival tolerances
-SETTLING_TIME = 0.1  # s within both tolerances
+SETTLING_TIME = 0.1  # s: required time within both tolerances
 LIMITS = ("q_min", "q_max", "qd_max", "qdd_max")
 RAMP = 4.0  # 1/s, rate of change of the speed: from full speed to rest in 0.25 s
 Arms = Robot | Sequence[Robot]
@@ -51,8 +51,8 @@ class Controller(ABC):
     """Controller of a motion, a callable ``State -> Command``; created by the `controller` method of a primitive.
 
     It starts at rest from the measured position whenever a robot session begins. Time advances by the interval between
-    packets. Position, velocity and acceleration limits are applied last; clipped motion is not made up later. The
-    controller holds at the goal, because the goal may change. The run ends after a gap of more than 50 ms between
+    packets. Position, velocity and acceleration limits are applied last; motion lost to clipping is not made up later.
+    The controller holds at the goal, because the goal may change. The run ends after a gap of more than 50 ms between
     packets or a start position with NaN; `reason` states the cause.
 
     Parameters
@@ -145,7 +145,7 @@ class Controller(ABC):
             if begins:
                 self._start(state)
             q, qd, qdd, path = self._next(state, dt, self._ramp(dt))
-        except ArmlabError as error:  # such as a start without a path to the goal
+        except ArmlabError as error:  # for example, a start without a path to the goal
             self.reason = str(error)
             return Command.stop()
         if dt > 0.0:

@@ -21,7 +21,7 @@ Dofs = Sequence[int] | None
 Plant = Callable[[float, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """``(t, ya, ya', ya_ref'') -> ya''`` of an arm with imperfect tracking."""
 FULL_SPEED = np.array([1.0, 1.0, 0.0])
-"""Nominal speed of a control law: at the beginning and the end of a step, and its change."""
+"""Nominal speed of a control law: value at the beginning of a step, value at its end, and rate of change."""
 _SLACK = 1e-9  # fraction of a step: rounding of times
 
 
@@ -32,7 +32,7 @@ class Push(Shown):
     Attributes
     ----------
     t0, t1 : start and end [s].
-    velocity : a number for all pushed coordinates or for each of them, in the unit of y per second.
+    velocity : one number for all pushed coordinates, or one per coordinate, in the unit of y per second.
     dofs : indices of the coordinates, from 0; default: all.
 
     Raises
@@ -189,7 +189,7 @@ class _EventSequence:
             for s0, s1, second in self._pushes[:i]:
                 if max(t0, s0) < min(t1, s1) and np.isfinite(first + second).any():
                     raise ShapeError(
-                        f"Expected at most one event per coordinate at a time, got two from {max(t0, s0):g} to "
+                        f"Expected at most one event per coordinate at a time, got two events from {max(t0, s0):g} to "
                         f"{min(t1, s1):g} s. Separate them in time."
                     )
         times = [(t0, t1) for t0, t1, _ in self._pushes] + [(at, at) for at, _ in self._blows]

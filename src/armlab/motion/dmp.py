@@ -41,7 +41,8 @@ class Dmp(Equation, Saved, kind="dmp"):
     alpha_z, beta_z, alpha_x : constants of the spring and of the phase.
     schedule : "canonical", "time" or "position".
     scaling : scaling of the forcing: "goal", "none", "amplitude" or "rotate".
-    convention : for alpha_x and tau_d: "lund" (1, a third of the duration) or "ijspeert" (alpha_z / 3, the duration).
+    convention : choice of alpha_x and tau_d: "lund" (1, a third of the duration) or "ijspeert" (alpha_z / 3, the
+        duration).
     demo_weights : (M, n_basis, n) weights of M >= 3 individual demonstrations; None for fewer demonstrations.
     limits : (2, n) lowest and highest accepted goal; None: no limits.
 
@@ -113,14 +114,14 @@ class Dmp(Equation, Saved, kind="dmp"):
 
         Parameters
         ----------
-        t : (N,) increasing times [s], counted from the first; or a time step [s] up to the end of the motion.
+        t : (N,) increasing times [s], relative to the first; or a time step [s] for a run to the end of the motion.
         **run : `RunOptions`: ``duration`` or ``tau_d`` of the run [s]; ``y0``, ``v0``, ``g`` (n,): start, start
             velocity, goal; ``amplitude`` (n,): factors on the forcing, with scaling "amplitude".
 
         Raises
         ------
         ShapeError : non-increasing times, wrong shapes, or NaN.
-        ConfigError : both duration and tau_d.
+        ConfigError : both duration and tau_d given.
         """
         return self._run(RunParameters.of(self, **run), t)
 
@@ -203,7 +204,7 @@ class Dmp(Equation, Saved, kind="dmp"):
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
     ) -> Controller:
-        """Return a controller ``State -> Command`` for `armlab.bridge`, that starts at rest at the measured position.
+        """Return a controller ``State -> Command`` for `armlab.bridge` that starts at rest at the measured position.
 
         It sends the path in open loop; `TwoDofDmp.controller` makes the path wait for an arm that is held back.
 
@@ -258,11 +259,11 @@ FINE = 4000  # minimum number of response steps over a duration
 GRID = 401  # number of times at which the change of the path is measured
 RIDGE = 1e-7  # relative to the largest singular value: weight directions without effect on the path stay unchanged
 SAME = 1e-10  # smallest eigenvalue of independent via-points
-MAX_ITERATIONS = 3  # refinements of the last digits
+MAX_ITERATIONS = 3  # iterations that refine the last digits
 
 
 def with_via_points(dmp: Dmp | Fit[Dmp], t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | None = None) -> Dmp:
-    """Return the primitive with the smallest change that makes it meet positions or velocities at given times.
+    """Return the primitive, changed as little as possible to reach positions or velocities at given times.
 
     The motion is linear in the weights, so via-points are linear constraints ``C dw = c``. Among all solutions, the
     change with the smallest ``sum |dy|^2`` over the duration is selected. The motion with the start, goal and duration

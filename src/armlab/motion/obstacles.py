@@ -1,4 +1,4 @@
-"""Obstacle avoidance for movement primitives, with points, spheres and capsules."""
+"""Obstacle avoidance for movement primitives; obstacles are points, spheres or capsules."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class AvoidingDmp(Shown):
     form : law of avoidance, "steering" or "potential".
     robot : the arm.
     tool : capsule of the tool, in tool axes; default: the tool point.
-    links : capsules around the links, by link number from 1, in the axes of `kinematics.link_transforms`.
+    links : capsules around the links, keyed by link number from 1, in the axes of `kinematics.link_transforms`.
 
     Raises
     ------
@@ -123,7 +123,8 @@ class AvoidingDmp(Shown):
         if self.dmp.schedule == "position" or self.dmp.n not in wanted:
             raise ConfigError(
                 f"Expected a primitive of {' or '.join(map(str, wanted))} coordinates with a time-dependent phase, "
-                f"got {self.dmp.n} with schedule {self.dmp.schedule!r}. Pass the robot if these are its joints."
+                f"got {self.dmp.n} with schedule {self.dmp.schedule!r}. Pass the robot if these coordinates are joint "
+                "positions."
             )
         if self.robot is None and (self.tool is not None or self.links):
             raise ConfigError("Expected tool and links only with a robot, got no robot. Pass robot=...")
@@ -160,7 +161,7 @@ class AvoidingDmp(Shown):
 
         Parameters
         ----------
-        y : (..., n).
+        y : (..., n) coordinates.
         """
         return self._around().distance(vector(y, "y", self.dmp.n))
 
@@ -231,7 +232,7 @@ class AvoidingDmp(Shown):
         if not (least := float(around.distance(y))) > self.clearance:
             raise ShapeError(
                 f"Expected the {name} outside the clearance of every obstacle, got a distance of {least:.4g} m. Move "
-                f"it, or reduce the clearance of {self.clearance:g} m."
+                f"the {name}, or reduce the clearance of {self.clearance:g} m."
             )
 
 
@@ -268,7 +269,7 @@ class AvoidingStepper(Stepper):
         super().__init__(run, around=around)
 
     def reset(self) -> None:
-        """Return to the start, with the first goal, duration and obstacles."""
+        """Return to the start and restore the initial goal, duration and obstacles."""
         self.place(self._avoiding.obstacles)
         super().reset()
 

@@ -37,7 +37,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
     """Rhythmic movement primitive of n coordinates over the phase ``phi = 2 pi t / period``.
 
     ``tau_d^2 ydd = alpha_z (beta_z (g - y) - tau_d yd) + r psi(phi) w`` with ``tau_d = period / (2 pi)`` and
-    ``psi_j = exp(h (cos(phi - c_j) - 1))`` over their sum.
+    ``psi_j = exp(h (cos(phi - c_j) - 1))`` divided by their sum.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
 
         Parameters
         ----------
-        t : (N,) increasing times [s], counted from the first; or a time step [s] for one period.
+        t : (N,) increasing times [s], relative to the first; or a time step [s] for a run of one period.
         period : period of the run [s].
         g : (n,) baseline.
         r : amplitude factor around the baseline.
@@ -203,7 +203,8 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         ----------
         robot, limits : as in `Dmp.controller`.
         period, g, r : as in `rollout`.
-        turns : number of periods before rest; the amplitude ramps up over the first period and down over the last.
+        turns : number of periods before the arm comes to rest; the amplitude ramps up over the first period and down
+            over the last.
 
         Raises
         ------
@@ -235,7 +236,7 @@ class PeriodicStepper:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the start, with the first baseline, amplitude and period."""
+        """Return to the start and restore the initial baseline, amplitude and period."""
         tau, y0, v0, g, scale = self._first
         self._g, self._scale = g, scale
         self._kernel.start(y0, v0, g, scale, tau)
@@ -329,7 +330,7 @@ def fit_periodic_dmp(
     ----------
     t : (N,) increasing times [s], over one or more periods; the phase is 0 at the first sample.
     y : (N, n) positions [rad or m].
-    period : period [s]; an error of 1 % spoils a fit to ten periods, so try several values and keep that with the
+    period : period [s]; an error of 1 % spoils a fit to ten periods, so try several values and keep the one with the
         smallest `sigma`.
     n_basis : number of kernels, 3 to 1000.
     h : concentration of the kernels; default: ``(n_basis / (2 pi))^2``.
@@ -346,7 +347,7 @@ def fit_periodic_dmp(
     ShapeError : wrong shapes, NaN or non-increasing times (with row numbers), a non-positive period, or several
         demonstrations.
     ConfigError : options out of range.
-    NotExcited : samples that leave part of the period empty, without a ridge.
+    NotExcited : part of the period without samples, and no ridge.
     """
     kernel_count(n_basis, 25)
     demos = read_demos(t, y, None)

@@ -1,4 +1,4 @@
-"""Movement primitive of poses: position and orientation over one phase."""
+"""Movement primitive for poses: position and orientation share one phase."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ class PoseRollout(Shown):
     ----------
     t : (N,) times [s].
     T : (N, 4, 4) poses.
-    q : (N, 4) their quaternions wxyz, continuous in sign.
+    q : (N, 4) orientations as quaternions wxyz with continuous signs.
     twist : (N, 6) velocity and angular velocity, base axes [m/s, rad/s].
-    twistd : (N, 6) their derivatives.
+    twistd : (N, 6) time derivative of `twist`.
     x : (N,) phase.
     """
 
@@ -78,19 +78,20 @@ class PoseDmp(Saved, kind="pose_dmp"):
     """Movement primitive of poses.
 
     The position is a `Dmp`. The orientation has a spring along the shorter rotation to its goal, and a forcing over the
-    same phase that is scaled by the rotation vector from start to goal (docs/theory/pose_dmp.md).
+    same phase, scaled by the rotation vector from start to goal (docs/theory/pose_dmp.md).
 
     Attributes
     ----------
     position : primitive of the three position coordinates [m].
-    rotation : primitive of the rotation vector from the goal, base axes [rad]; y0 rotates goal to start, g is 0.
+    rotation : primitive of the rotation vector from the goal, in base axes [rad]. y0 rotates the goal to the start, and
+        g is 0.
     goal : (4,) orientation wxyz at the end of the demonstration.
     frame : axes of the forcing: "base", or "goal", which rotates with the goal, so that moving start and goal together
         moves the whole path.
 
     Raises
     ------
-    ShapeError : parts with different phases, or a goal that is not a quaternion.
+    ShapeError : position and rotation with different phases, or a goal that is not a quaternion.
     UnknownName : unknown frame.
 
     References
@@ -171,7 +172,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
 
         Parameters
         ----------
-        t : (N,) increasing times [s], counted from the first; or a time step [s] up to the end of the motion.
+        t : (N,) increasing times [s], relative to the first; or a time step [s] for a run to the end of the motion.
         **run : `PoseRunOptions`: ``duration`` or ``tau_d`` of the run [s]; ``start``, ``goal``: poses (4, 4), or (7,):
             position and quaternion wxyz of either sign; ``twist0`` (6,): velocity and angular velocity at the start,
             base axes.
@@ -179,7 +180,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
         Raises
         ------
         ShapeError : times that do not increase, invalid poses, NaN, start and goal half a turn apart.
-        ConfigError : both duration and tau_d.
+        ConfigError : both duration and tau_d given.
         """
         setting = self._run_of(**run)
         at, A = setting.position, setting.A
@@ -213,7 +214,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
         duration: float | None = None,
         goal: ArrayLike | None = None,
     ) -> Controller:
-        """Return a controller ``State -> Command`` for `armlab.bridge`, that starts at rest at the measured pose.
+        """Return a controller ``State -> Command`` for `armlab.bridge` that starts at rest at the measured pose.
 
         Parameters
         ----------
@@ -256,13 +257,13 @@ class PoseStepper:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the start, with the first goal."""
+        """Return to the start and restore the initial goal."""
         at = self._first.position
         self._position.start(at.y0, at.v0, at.g, at.scale, at.tau)
         self._rotation.start(*self._first.turning[1:], at.tau)
 
     def change_goal(self, goal: ArrayLike) -> None:
-        """Change the goal pose; both forcings are scaled as if this had been the goal from the start."""
+        """Change the goal pose; both forcings are scaled as if it had been the goal from the start."""
         if self._dmp.frame == "goal":
             raise ConfigError(
                 "Expected a forcing in base axes to change the goal, got a forcing in the axes of the goal. Start "
@@ -368,7 +369,7 @@ def poses(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
     rows = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
     if len(rows):
         raise ShapeError(
-            f"Expected finite {what}, got NaN or Inf in row {rows[0]} ({len(rows)} in all). Remove these rows."
+            f"Expected finite {what}, got NaN or Inf in row {rows[0]} ({len(rows)} rows in total). Remove these rows."
         )
     if array.ndim == 2:
         return array[:, :3], quaternion.continuous(orientation(array[:, 3:], what))
@@ -406,7 +407,7 @@ def shorter_way(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
 
 
 def log(q: np.ndarray) -> np.ndarray:
-    """Return the rotation vectors (..., 3) of minimum length of quaternions."""
+    """Return the shortest rotation vectors (..., 3) of quaternions."""
     q = np.where(q[..., :1] < 0.0, -q, q)
     length = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(length, q[..., :1])
@@ -445,7 +446,7 @@ def fit_pose_dmp(
     frame: str = "base",
     hold: float = 0.3,
 ) -> Fit[PoseDmp]:
-    """Fit a movement primitive of poses to one demonstration, so that its motion is closest to it.
+    """Fit a movement primitive of poses whose motion is as close as possible to one demonstration.
 
     The position is fitted by `fit_dmp`. The orientation is fitted by Gauss-Newton steps that minimise ``sum |log(q_demo
     q^-1)|^2``, starting from a fit to the rotation vector relative to the goal.
@@ -480,7 +481,7 @@ def fit_pose_dmp(
         )
     p, q = poses(T, "T")
     demo = read_demos(t, np.concatenate([p, q], axis=1), None)[0]
-    way = log(quaternion.multiply(q, quaternion.conjugate(q[-1])))  # from the goal
+    way = log(quaternion.multiply(q, quaternion.conjugate(q[-1])))  # rotation vectors from the goal
     far = np.flatnonzero(np.linalg.norm(way, axis=1) > MAX_ANGLE)
     if len(far):
         angle = np.linalg.norm(way[far[0]])
@@ -534,11 +535,11 @@ def _report(fit: Fit[PoseDmp]) -> str:
 
 
 def fit_turning(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> tuple[Dmp, np.ndarray, np.ndarray]:
-    """Refine weights and start velocity until the motion is closest to orientations q (N, 4).
+    """Refine weights and start velocity until the motion is as close as possible to orientations q (N, 4).
 
-    Gauss-Newton steps on the rotation group use the linearised equation of docs/theory/pose_dmp.md. `hold` is the rest
-    at the goal, relative to the duration. Return the primitive, residuals (N, 3) [rad] and covariances (3, d, d) of
-    weights, start rotation, velocity and goal rotation, for samples with unit variance around each base axis.
+    Gauss-Newton steps on the rotation group use the linearised equation of docs/theory/pose_dmp.md. `hold` is the
+    standstill at the goal, relative to the duration. Return the primitive, residuals (N, 3) [rad] and covariances (3,
+    d, d) of weights, start rotation, velocity and goal rotation, for samples with unit variance around each base axis.
     """
     step = dmp.duration / (len(t) - 1)
     rest = dmp.duration + step * np.arange(1, round(hold * dmp.duration / step) + 1)

@@ -1,14 +1,14 @@
 """Time-parameterised trajectories from point to point and through points.
 
-Every profile consists of polynomial segments with continuous position and velocity; `Profile` holds the segments and
+Every profile consists of polynomial segments with continuous position and velocity; `Profile` contains the segments and
 samples. All joints start and end together. Positions are in rad or m, times in s.
 
 =========================  ============================================  ============
-profile                    given                                         smooth in
+profile                    inputs                                        continuous
 =========================  ============================================  ============
 `minimum_jerk`, `quintic`  duration                                      acceleration
 `trapezoidal`              limits of velocity and acceleration           velocity
-`blend`, `connect`         duration, through points with a rest at each  velocity
+`blend`, `connect`         duration, points with standstill at each      velocity
 `spline`                   points and their times                        acceleration
 `time_optimal`             limits of velocity, acceleration and jerk     acceleration
 =========================  ============================================  ============
@@ -129,7 +129,8 @@ def trapezoidal(
     k = positive(duration, "duration [s]") / shortest
     if k < 1.0 - 1e-12:
         raise ShapeError(
-            f"Expected a duration of {shortest:.6g} s or more to keep the limits, got {duration:g} s. Allow more time."
+            f"Expected a duration of {shortest:.6g} s or more to stay within the limits, got {duration:g} s. Allow "
+            "more time."
         )
     return Profile(*stretched(found.breaks, found.coefficients, max(k, 1.0)), dt)
 
@@ -188,7 +189,7 @@ def spline(t: ArrayLike, q: ArrayLike, qd0: ArrayLike = 0.0, qd1: ArrayLike = 0.
     ----------
     t : (m,) increasing times [s]; the first becomes time 0 of the profile.
     q : (m, n) points.
-    qd0, qd1 : velocity at the first and the last point, a number or (n,); default: rest.
+    qd0, qd1 : velocity at the first and the last point, a number or (n,); default: 0.
     dt : sampling period [s].
 
     Raises
@@ -251,8 +252,8 @@ def time_optimal(
         fast = np.flatnonzero(np.abs(rate) > limits[0])
         if len(fast):
             raise ShapeError(
-                f"Expected {what} within qd_max, got {rate[fast[0]]:g} of {limits[0][fast[0]]:g} for joint {fast[0]}. "
-                "Reduce the velocity."
+                f"Expected {what} within qd_max, got {rate[fast[0]]:g} for joint {fast[0]} with a limit of "
+                f"{limits[0][fast[0]]:g}. Reduce the velocity."
             )
     if np.array_equal(start, end) and not np.any(rates):
         raise ShapeError("Expected q0 and q1 to differ, got identical points at rest. Pass a different q1.")
@@ -337,7 +338,7 @@ class Profile(Shown):
         return q, np.where(moving, qd, 0.0), np.where(moving, qdd, 0.0)
 
     def slowed(self, qd_max: ArrayLike = np.inf, qdd_max: ArrayLike = np.inf) -> Profile:
-        """Return the same path, slowed down until the limits hold; unchanged if they already hold.
+        """Return the same path, slowed down until it is within the limits; unchanged if it already is.
 
         ``k = max(1, max |qd| / qd_max, sqrt(max |qdd| / qdd_max))``.
 
@@ -396,7 +397,7 @@ def peaks(breaks: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _largest(p: np.ndarray, derivative: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     found = np.maximum(np.abs(p[:, 0]), np.abs(_at(p, lengths[:, None]))).max(axis=0)
-    if np.any(derivative[:, 2:]):  # of higher than first order: few segments
+    if np.any(derivative[:, 2:]):  # degree above 1: only a few segments
         for piece, joint in np.ndindex(p.shape[0], p.shape[2]):
             roots = np.roots(derivative[piece, ::-1, joint])
             real = roots.real[(np.abs(roots.imag) <= 1e-7 * (1.0 + np.abs(roots))) & (roots.real > 0.0)]
@@ -430,7 +431,7 @@ def along(start: np.ndarray, d: np.ndarray, duration: float, ramp: float) -> tup
     """
     V = 1.0 / (duration - ramp)
     half = 0.5 * V / ramp
-    at = 0.5 * V * ramp  # after the first blend
+    at = 0.5 * V * ramp  # position after the first blend
     c = np.zeros((3, DEGREE + 1, 1))
     c[0, 2] = half
     c[1, :2, 0] = at, V

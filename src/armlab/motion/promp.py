@@ -24,7 +24,7 @@ UNLIKELY = 1e-6  # relative distance of a point beyond which the motions of the 
 SAME = 1e-10  # fraction of the largest eigenvalue: directions with less variance are fixed
 FLOOR = 1e-6  # fraction of the mean variance, used along directions without variation between demonstrations
 
-FEWEST = 2  # number of demonstrations
+FEWEST = 2  # minimum number of demonstrations
 WIDTH = 0.8  # standard deviation of the kernels divided by their spacing
 MAX_CONDITION = 1e6
 
@@ -152,7 +152,7 @@ class ProMP(Saved, kind="promp"):
     def _inside(self, t: float, duration: float | None) -> float:
         time, end = number(t, "t [s]"), self.duration if duration is None else positive(duration, "duration [s]")
         if not 0.0 <= time <= end * (1 + 1e-9):
-            raise ShapeError(f"Expected a time from 0 to {end:g} s, the duration, got {time:g} s. Correct it.")
+            raise ShapeError(f"Expected a time from 0 to the duration of {end:g} s, got {time:g} s. Correct the time.")
         return time
 
     def condition(
@@ -342,7 +342,7 @@ def fit_promp(
     """Fit the mean and covariance of the weights of M demonstrations, separating them from measurement noise.
 
     The covariance is the variation of the weights between demonstrations in excess of their noise. In the mean, each
-    demonstration is weighted according to both (docs/theory/promp.md).
+    demonstration is weighted according to both variances (docs/theory/promp.md).
 
     Parameters
     ----------
@@ -352,7 +352,7 @@ def fit_promp(
 
     Returns
     -------
-    Fit of a `ProMP`. The parameters are the mean weights. Their covariance has rank M - 1 at most and determines
+    Fit of a `ProMP`. The parameters are the mean weights. Their covariance has at most rank M - 1 and determines
     barely more than M / 4 weights. `residuals` has shape (all samples, n).
 
     Raises
@@ -408,7 +408,8 @@ def _read(t: Any, y: Any) -> list[Demo]:
     demos = read_demos(list(t), list(y), None)
     if len(demos) < FEWEST:
         raise ShapeError(
-            f"Expected at least {FEWEST} demonstrations, got {len(demos)}. The fit needs their differences."
+            f"Expected at least {FEWEST} demonstrations, got {len(demos)}. The fit needs the differences between "
+            "demonstrations."
         )
     return demos
 
@@ -430,7 +431,7 @@ def _positive(cov: np.ndarray) -> np.ndarray:
 
 
 def _mean(w: np.ndarray, cov: np.ndarray, own: list[np.ndarray], S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weighted mean and its covariance; with equal demonstrations, the plain mean and S / M."""
+    """Return the weighted mean and its covariance; for equal noise, the plain mean and S / M."""
     if all(part is own[0] for part in own):
         return w.mean(axis=0), S / len(w)
     weights = [np.linalg.pinv(cov + part, hermitian=True) for part in own]

@@ -34,11 +34,11 @@ class Saved(Shown):
     __hash__: ClassVar[None] = None  # type: ignore[assignment]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy and pickle the fields only; compiled kernels are rebuilt and arrays frozen again."""
+        """Copy and pickle the fields only; compiled kernels are rebuilt, and arrays become read-only again."""
         return type(self), tuple(getattr(self, f.name) for f in fields(self) if f.init)
 
     def save(self, path: str | Path) -> Path:
-        """Write a TOML file that reads back bit for bit, and return its path.
+        """Write a TOML file that restores every field bit for bit, and return its path.
 
         Parameters
         ----------

@@ -25,7 +25,7 @@ FINER = 20  # subdivisions of a step at the peak acceleration, which many kernel
 AFTER = 0.5  # fraction of the duration, for settling
 
 KNOTS = 2000  # knots of the clock rate over a duration
-MARGIN = 1e-6  # for the errors of parabolic interpolation between samples
+MARGIN = 1e-6  # margin for the errors of parabolic interpolation between samples
 PARTS = 4  # points per interval between knots at which limits are checked
 
 BISECTIONS = 45  # for the largest squared rate at a knot, to a relative error of 3e-14
@@ -186,7 +186,7 @@ class PacedDmp(Shown):
 
         Parameters
         ----------
-        t : (N,) increasing times [s], counted from the first; or a time step [s] up to the end of the motion.
+        t : (N,) increasing times [s], relative to the first; or a time step [s] for a run to the end of the motion.
 
         Raises
         ------
@@ -291,9 +291,9 @@ def fastest(h: float, slope: np.ndarray, bend: np.ndarray, v_max: np.ndarray, a_
 
     The velocity is ``y_s sqrt(z)`` and the acceleration ``y_ss z + y_s z_s / 2``, with first and second derivatives y_s
     and y_ss (M + 1, n). With z linear between knots, both limits are linear inequalities in neighbouring values. A
-    backward pass finds the largest z from which the end can be reached, a forward pass the largest reachable z. Pham
-    and Pham, A new approach to time-optimal path parameterization based on reachability analysis, IEEE Transactions on
-    Robotics 34(3), 2018.
+    backward pass finds the largest z from which the end can be reached, and a forward pass the largest reachable z.
+    Pham and Pham, A new approach to time-optimal path parameterization based on reachability analysis, IEEE
+    Transactions on Robotics 34(3), 2018.
     """
     with np.errstate(divide="ignore"):
         cap = np.minimum(1.0, np.min((v_max / np.abs(slope)) ** 2, axis=1))
@@ -318,7 +318,7 @@ def fastest(h: float, slope: np.ndarray, bend: np.ndarray, v_max: np.ndarray, a_
 
 
 def _alone(a: np.ndarray, b: np.ndarray, cap: np.ndarray) -> np.ndarray:
-    """Return the largest z (M,) with a feasible next z, considering only the inequalities of its own interval."""
+    """Return the largest z (M,) with a feasible next z, considering only the inequalities of the same interval."""
     with np.errstate(divide="ignore", invalid="ignore"):
         over = np.where(b != 0.0, 1.0 / b, 0.0)
     flat, rises, falls = b == 0.0, b > 0.0, b < 0.0

@@ -70,8 +70,8 @@ class JointTrajectory(Shown):
 
     Raises
     ------
-    ShapeError : no points, wrong shapes, missing values, non-increasing times, accelerations without velocities, motion
-        at the last point, or repeated joint names.
+    ShapeError : no points, wrong shapes, missing values, non-increasing times, accelerations without velocities,
+        non-zero velocity at the last point, or repeated joint names.
     """
 
     t: np.ndarray
@@ -110,7 +110,9 @@ class JointTrajectory(Shown):
         if self.qd is None and self.qdd is not None:
             raise ShapeError("Expected velocities together with accelerations, got only accelerations. Pass both.")
         if self.qd is not None and np.abs(self.qd[-1]).max() > _REST:
-            raise ShapeError(f"Expected rest at the last point, got velocities {self.qd[-1].tolist()}. Add a point.")
+            raise ShapeError(
+                f"Expected rest at the last point, got velocities {self.qd[-1].tolist()}. Add a final point."
+            )
         joints = tuple(self.joints)
         if joints and (len(joints) != q.shape[1] or len(set(joints)) < len(joints)):
             raise ShapeError(f"Expected {q.shape[1]} different joint names, one per column, got {', '.join(joints)}.")
@@ -152,7 +154,9 @@ class JointTrajectory(Shown):
                 raise UnknownName.among("joint", name, joints)
         missing = [name for name in joints if name not in self.joints]
         if missing:
-            raise UnknownName(f"Expected all joints of the arm, got no column for {', '.join(missing)}. Add it.")
+            raise UnknownName(
+                f"Expected all joints of the arm, got no column for {', '.join(missing)}. Add these columns."
+            )
         at = [self.joints.index(name) for name in joints]
         q, qd, qdd = (None if one is None else one[:, at] for one in (self.q, self.qd, self.qdd))
         return replace(self, q=q, qd=qd, qdd=qdd, joints=tuple(joints))
@@ -228,7 +232,8 @@ class TrajectoryController:
     """Runs a `JointTrajectory` once; created by `JointTrajectory.controller`.
 
     The first point must be near the arm, or late enough to be reached within the speed limits. The motion ends, and the
-    arm comes to rest, if the arm leaves the path tolerance, if the packets pause, or if the robot begins a new session.
+    arm comes to rest, if the arm leaves the path tolerance, if the packet stream is interrupted, or if the robot begins
+    a new session.
 
     Attributes
     ----------
@@ -270,7 +275,7 @@ class TrajectoryController:
         return self.ending == "arrived"
 
     def begin(self, state: State, near: ArrayLike = 0.05, is_moving: bool = False) -> str:
-        """Start at a State; return the reason for a refusal, or "" if accepted.
+        """Start from a State; return the reason for a refusal, or "" if the trajectory is accepted.
 
         Parameters
         ----------
@@ -287,7 +292,7 @@ class TrajectoryController:
         qd = state.qd_sent if is_moving and state.qd_sent.shape == q.shape else rest
         self._k = int(np.searchsorted(trajectory.t, self.t - 1e-9))
         if self._k == len(trajectory.t):
-            what = f"one of {trajectory.duration:.3f} s, {self.t:.3f} s late"
+            what = f"a trajectory of {trajectory.duration:.3f} s that is {self.t:.3f} s late"
             return self._fail("refused", f"Expected a trajectory that ends in the future, got {what}.")
         self._from = max(self.t, 0.0)
         h, off = trajectory.t[self._k] - self._from, np.abs(trajectory.q[self._k] - q)
@@ -374,7 +379,7 @@ class TrajectoryController:
         if what == "" and sent <= _SENT and not np.isnan(state.q).any():
             self.ending = "arrived"
         elif self.t > self._trajectory.t[-1] + self._goal_time:
-            what = what or f"a reference {sent:.3g} away from it"
+            what = what or f"a reference {sent:.3g} away from the goal"
             self._fail("goal", f"Expected the arm at the goal {self._goal_time:g} s after the last point, got {what}.")
 
     def _fail(self, ending: Ending, reason: str) -> str:

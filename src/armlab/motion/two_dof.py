@@ -1,4 +1,4 @@
-"""Two-degree-of-freedom control of a movement primitive, in which the path waits for an arm that is held."""
+"""Two-degree-of-freedom control of a movement primitive: the path waits while the arm is held back."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
     kc : gain of the slow-down.
     alpha_e : rate of the error filter [1/s].
     e0 : dead zone, one number or (n,), in the unit of y.
-    e_scale : error that counts as 1 for kc, with the same shape as e0.
+    e_scale : error that is normalised to 1, with the same shape as e0.
     e_max : normalised error |ya - yc| / e_scale that pauses the path until it is below 0.8 e_max.
 
     Raises
@@ -104,11 +104,11 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
     ) -> TwoDofRun:
         """Simulate an arm with perfect tracking, ``ya'' = ya_ref''``, under disturbances.
 
-        The integration is of fourth order, and a step ends at every event.
+        The integration method has order 4, and a step ends at every event.
 
         Parameters
         ----------
-        t : (N,) increasing times [s], counted from the first; or a time step [s] up to the end of the motion.
+        t : (N,) increasing times [s], relative to the first; or a time step [s] for a run to the end of the motion.
         events : `Hold`, `Push`, `Displace`, and at most one plant, ``(t, ya, ya', ya_ref'') -> ya''``, in place of
             perfect tracking.
         dt : longest integration step [s].
@@ -117,7 +117,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         Raises
         ------
         ShapeError : as in `Dmp.rollout`; overlapping events; a plant that does not return accelerations.
-        ConfigError : both duration and tau_d.
+        ConfigError : both duration and tau_d given.
         """
         longest = positive(dt, "dt", "At 250 Hz, dt is 0.004 s.")
         setting, free = RunParameters.of(self.dmp, **run), _free(self.dmp, t, longest, run)
@@ -138,11 +138,11 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
     ) -> TwoDofRun:
-        """Return a run recorded with `controller`, and the undisturbed primitive; times begin at 0.
+        """Return a run recorded with `controller`, together with the undisturbed motion; times begin at 0.
 
         Parameters
         ----------
-        table : from ``link.run(controller, extra=controller.columns())``; rows without a path are skipped.
+        table : log of ``link.run(controller, extra=controller.columns())``; rows without a path are skipped.
         disturbed : interval (t0, t1) of each known disturbance of the arm [s].
         duration, g, amplitude : as passed to the controller.
 
@@ -169,10 +169,10 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
     def stepper(self, **run: Unpack[RunOptions]) -> TwoDofStepper:
         """Return a stepper that runs the control law sample by sample with measured positions.
 
-        Its ``step(dt, ya, yad)`` takes the time since the last sample [s], 0 at the first, and the measured position
-        and velocity (n,). It returns `yc`, `ycd`, `ycdd` of the coupled path and the reference acceleration `ydd_ref`,
-        each (n,). ``change_goal(g)`` changes the goal (n,), and ``reset()`` returns to the start. `x`, `tau_a` [s],
-        `e` (n,), `frozen` and `has_ended` describe the state of the run.
+        Its ``step(dt, ya, yad)`` takes the time since the last sample [s] (0 at the first sample), and the measured
+        position and velocity (n,). It returns `yc`, `ycd`, `ycdd` of the coupled path and the reference acceleration
+        `ydd_ref`, each (n,). ``change_goal(g)`` changes the goal (n,), and ``reset()`` returns to the start. `x`,
+        `tau_a` [s], `e` (n,), `frozen` and `has_ended` describe the state of the run.
 
         Parameters
         ----------
@@ -194,7 +194,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         amplitude: ArrayLike | None = None,
         give_way: Callable[[State], np.ndarray] | None = None,
     ) -> Controller:
-        """Return a controller ``State -> Command`` for `armlab.bridge`, that starts at rest at the measured position.
+        """Return a controller ``State -> Command`` for `armlab.bridge` that starts at rest at the measured position.
 
         Parameters
         ----------
@@ -251,7 +251,7 @@ class TwoDofStepper:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the start, with the first goal."""
+        """Return to the start and restore the initial goal."""
         run = self._run
         self._law, self.goal = self._two_dof._law(run), run.g
         self._state = starting(run)
@@ -263,7 +263,7 @@ class TwoDofStepper:
         return Reference(self._state[: self._law.n], ycd, ycdd, ydd_ref)
 
     def change_goal(self, g: ArrayLike) -> None:
-        """Change the goal; with scaling "goal" the forcing is scaled with it."""
+        """Change the goal; with scaling "goal", the forcing is scaled accordingly."""
         scaling = self._two_dof.dmp.scaling
         if scaling == "rotate":
             raise ConfigError("Expected a constant goal with scaling 'rotate', got a new goal. Create a new stepper.")
@@ -282,7 +282,7 @@ class TwoDofStepper:
 
     @property
     def tau_a(self) -> float:
-        """Current time constant [s], which is nominal while the arm follows and longer otherwise."""
+        """Current time constant [s]: nominal while the arm follows the path, otherwise longer."""
         return self._law.time_constant(self._state)
 
     @property

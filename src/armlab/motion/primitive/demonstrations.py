@@ -15,10 +15,10 @@ from armlab.errors import ConfigError, ShapeError
 from armlab.motion.primitive.equation import UNSCALED
 from armlab.motion.primitive.run import rotation
 
-FEWEST = 3  # number of samples
-LISTED = 10  # row numbers in a message
+FEWEST = 3  # minimum number of samples
+LISTED = 10  # largest number of row numbers in a message
 REVERSAL = 1e-3  # fraction of the displacement: smaller steps back are not a reversal
-PAUSE = 0.05  # fraction of the duration: shorter rests are not a pause
+PAUSE = 0.05  # fraction of the duration: shorter standstills are not a pause
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,8 @@ def read_demos(t: Any, y: Any, sample_weights: Any) -> list[Demo]:
     weights = [None] * len(t) if sample_weights is None else sample_weights
     if not (isinstance(y, Sequence) and isinstance(weights, Sequence) and len(y) == len(weights) == len(t)):
         raise ShapeError(
-            f"Expected {len(t)} arrays in y and sample_weights, as in t, got other lengths. Pass lists of equal length."
+            f"Expected {len(t)} arrays in y and sample_weights, as in t, got different lengths. Pass lists of equal "
+            "length."
         )
     demos = [_demo(*parts, f" of demonstration {k}") for k, parts in enumerate(zip(t, y, weights))]
     widths = {demo.y.shape[1] for demo in demos}

@@ -62,7 +62,7 @@ def normalised(u: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> tuple[
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Equation:
-    """Fields and laws of `Dmp`."""
+    """Fields and equations of `Dmp`."""
 
     weights: np.ndarray
     centres: np.ndarray
@@ -179,7 +179,7 @@ class Equation:
         return np.exp(-self.alpha_x * s) if self.schedule == "canonical" else s * (self.tau_d / self.duration)
 
     def kernels(self, x: ArrayLike) -> np.ndarray:
-        """Return the normalised kernels (..., n_basis) at phases (...): ``exp(-(x - c)^2 / (2 sd^2))`` over their sum.
+        """Return kernels ``exp(-(x - c)^2 / (2 sd^2))`` (..., n_basis) at phases (...), divided by their sum.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ class Equation:
         return (spring + self.forcing(x)) / self.tau_d**2
 
     def linearise(self, x: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return A (2n + 1, 2n + 1) and B (2n + 1, n) of the linearised ``d/dt [y, yd, x] = A [y, yd, x] + B g``.
+        """Return A (2n + 1, 2n + 1) and B (2n + 1, n) of the linearisation ``d/dt [y, yd, x] = A [y, yd, x] + B g``.
 
         Parameters
         ----------

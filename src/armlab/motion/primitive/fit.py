@@ -66,13 +66,13 @@ def fit_dmp(
     schedule : schedule of the phase: "canonical", "time", or "position" for motions without reversals or pauses.
     spacing : "time": kernels equally spaced in time; "phase": spaced as in DynamicMovementPrimitives.jl.
     scaling : scaling of the forcing with the goal: "goal", "none", "amplitude" or "rotate" (n = 3).
-    convention : for alpha_x and tau_d: "lund" or "ijspeert".
-    alpha_z, beta_z : constants of the spring; default of beta_z: alpha_z / 4, critically damped.
+    convention : choice of alpha_x and tau_d: "lund" or "ijspeert".
+    alpha_z, beta_z : constants of the spring; default of beta_z: alpha_z / 4, for critical damping.
     ridge : penalty on the squared weights; `cov` covers the noise, not the bias of the penalty.
-    pin : names among "y0", "v0" and "g" of ends taken from the first and last samples instead of fitted. A free goal
+    pin : those of "y0", "v0" and "g" that are taken from the first and last samples, not fitted. A free goal
         is hardly separable from the forcing.
-    hold : duration of rest at the goal after the end, divided by the duration of the motion; 0 if the motion does not
-        end at rest. Only for "trajectory".
+    hold : duration of standstill at the goal after the end, divided by the duration of the motion; 0 if the motion does
+        not end at rest. Only for "trajectory".
     y0, v0, g : (n,) known start, velocity and goal.
     sample_weights : (N,) non-negative sample weights, or a list of such arrays.
     bandwidth : bandwidth of the smoothed derivatives [Hz], for "acceleration" and "lwr" with uniform times.
@@ -185,7 +185,7 @@ def _check_monotone(demos: list[Demo]) -> None:
 
 
 def _value(problem: WeightProblem, learned: Learned, reference: ReferenceMotion) -> Dmp:
-    """Return the fitted primitive, whose start velocity is the least-squares fit to those of the demonstrations."""
+    """Return the fitted primitive, with the least-squares fit of the start velocity to all demonstrations."""
     scales, demos = problem.scales, problem.demos
     z = np.array([demo.duration for demo in demos])[:, None] / reference.duration * learned.ends[:, 1]
     squares = (scales**2).sum(axis=0)

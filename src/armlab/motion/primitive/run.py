@@ -169,7 +169,7 @@ def check_goal(dmp: Equation, g: np.ndarray) -> None:
     outside = np.unique(np.nonzero((g < low) | (g > high))[-1])
     if len(outside):
         raise ShapeError(
-            f"Expected a goal within limits, got coordinates {outside.tolist()} of {g} outside {low[outside]} to "
+            f"Expected a goal within the limits, got coordinates {outside.tolist()} of {g} outside {low[outside]} to "
             f"{high[outside]}. Choose another goal."
         )
 
@@ -213,8 +213,8 @@ class Stepper:
     """One run of a `Dmp`, sample by sample; created by `Dmp.stepper`.
 
     It is equivalent to `Dmp.rollout`, but step sizes may vary, and the goal and duration may change. A filtered goal
-    follows ``g' = rate (goal - g) / tau_d``, and the forcing is scaled by it. After a goal change, a brake enforces
-    ``v^2 <= 2 a |goal - y|`` as long as possible, and keeps y on the same side of the goal.
+    follows ``g' = rate (goal - g) / tau_d``, and the forcing is scaled with the filtered goal. After a goal change, a
+    brake enforces ``v^2 <= 2 a |goal - y|`` as long as possible, and keeps y on the same side of the goal.
 
     Parameters
     ----------

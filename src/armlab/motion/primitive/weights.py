@@ -29,9 +29,9 @@ class Learned:
     weights: np.ndarray  # (m, n)
     ends: np.ndarray  # (M, 3, n) y0, v0, g of each demonstration
     unit: np.ndarray  # (n, d, d) covariance of the weights, and of fitted ends, for unit noise variance
-    sigma: np.ndarray  # (n,) noise
+    sigma: np.ndarray  # (n,) standard deviation of the noise
     residuals: np.ndarray  # (N, n) of position or forcing
-    triangle: np.ndarray  # of the unknowns
+    triangle: np.ndarray  # triangular factor of the equations for the unknowns
     unknowns: tuple[int, ...]  # indices among weights and ends
     of_position: bool
     scales: np.ndarray  # (M, n)
@@ -47,7 +47,7 @@ class Learned:
 class WeightProblem:
     """A primitive without weights, demonstrations with scales, starts and goals (M, n), and options of `fit_dmp`.
 
-    Start, velocity and goal, selected by name, are `pinned` to the samples or `known` (n,), and otherwise free.
+    Start, velocity and goal, selected by name, are `pinned` to the samples, `known` (n,), or free.
     """
 
     method: str
@@ -117,7 +117,7 @@ def _refined(problem: WeightProblem, learned: Learned) -> Learned:
 
 @dataclass(frozen=True)
 class _MotionRows:
-    """Rows of one demonstration: samples, then rest at the goal. Kernels (R, m), ends (R, 3), root weights (R,)."""
+    """Rows of one demonstration: samples, then standstill. Kernels (R, m), ends (R, 3), root weights (R,)."""
 
     kernels: np.ndarray
     ends: np.ndarray
@@ -310,8 +310,8 @@ def gauss_newton(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return weights (m, n), inverses of the normal matrices (n, m, m) and residuals (N, n), by Gauss-Newton.
 
-    `run` maps weights (K, m, n) to motions (N, K, n). Coordinates are independent, so one weight of each is perturbed
-    at the same time; `roots` (N,) are square roots of the sample weights.
+    `run` maps weights (K, m, n) to motions (N, K, n). Coordinates are independent, so one weight of each coordinate is
+    perturbed at the same time; `roots` (N,) are square roots of the sample weights.
     """
     m, n = weights.shape
     w, damping = weights, np.full(n, DAMPING)
