@@ -1,10 +1,10 @@
 """Hand-eye calibration from images of a board: corners, intrinsics, and board poses with covariance.
 
 OpenCV (extra ``vision``) detects the corners. Intrinsics and poses minimise the reprojection error ``u - proj(T p)``.
-With its standard deviation s, the covariance of each pose for known intrinsics is ``s^2 (J_i^T J_i)^-1``. The
-covariance of the shared intrinsics is ``s^2 (sum_i J_k^T (I - P_i) J_k)^-1``, with P_i the projection onto the columns
-of J_i. The two errors are independent, because the residuals that poses cannot explain determine the intrinsics
-(bundle adjustment: Triggs et al. 2000).
+Let s be the standard deviation of this error. For known intrinsics, the covariance of each pose is
+``s^2 (J_i^T J_i)^-1``. The covariance of the shared intrinsics is ``s^2 (sum_i J_k^T (I - P_i) J_k)^-1``, with P_i the
+projection onto the columns of J_i. The two errors are independent, because the residuals that poses cannot explain
+determine the intrinsics (bundle adjustment: Triggs et al. 2000).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def opencv() -> Any:
 
 @dataclass(frozen=True)
 class _Board:
-    """Parsed board such as ``charuco:7x5:0.03:0.022``."""
+    """Parsed board specification such as ``charuco:7x5:0.03:0.022``."""
 
     kind: str
     columns: int = 1
@@ -102,7 +102,7 @@ class BoardPoses(Shown):
     valid : ndarray of bool, shape (N,)
         Mask of images with a pose.
     failures : dict
-        Reason for each missing pose, by the name (or number) of the image.
+        Reason for each missing pose; the key is the name (or number) of the image.
     camera_matrix : ndarray, shape (3, 3)
         Camera matrix K [pixel], given or calibrated.
     distortion : ndarray, shape (k,)
@@ -126,7 +126,7 @@ class BoardPoses(Shown):
     sensitivity: np.ndarray
 
     def report(self) -> str:
-        """Return text with the intrinsics, the reprojection error, and the reason for each missing pose."""
+        """Return a summary of the intrinsics, the reprojection error, and the reason for each missing pose."""
         K = self.camera_matrix
         values = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *self.distortion]
         names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -170,7 +170,7 @@ def board_poses(
     Raises
     ------
     MissingExtra : OpenCV is not installed.
-    ConfigError : an invalid board.
+    ConfigError : an invalid board specification.
     ShapeError : images of a wrong type or of different sizes.
     NotExcited : too few images with a board (states the reasons), or images that do not determine the intrinsics.
 
@@ -203,7 +203,7 @@ def poses_of_corners(
     intrinsics: tuple[ArrayLike, ArrayLike] | None = None,
     is_tag: bool = False,
 ) -> BoardPoses:
-    """Return the board poses from the corners in each image; a text instead of corners is the reason for a failure."""
+    """Return the board poses from the corners in each image; a string in place of corners gives a failure reason."""
     cv2 = opencv()
     failures, seen = _separated(found)
     if intrinsics is None and is_tag:
@@ -235,7 +235,7 @@ def poses_of_corners(
 
 
 def _separated(results: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, Any]]:
-    """Return the failures, given as texts, and the remaining results."""
+    """Return the failed results, whose values are strings, and the successful results."""
     failures = {name: one for name, one in results.items() if isinstance(one, str)}
     return failures, {name: one for name, one in results.items() if name not in failures}
 
@@ -321,7 +321,7 @@ def _plus(T: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def _difference(one: HandEye, other: HandEye) -> np.ndarray:
-    """Return the step (12,) between two values, v in the parent's axes, w in the child's axes."""
+    """Return the step (12,) between two calibration results, v in the parent's axes, w in the child's axes."""
     parts = []
     for a, b in ((np.asarray(one.X), np.asarray(other.X)), (one.Y, other.Y)):
         parts += [b[:3, 3] - a[:3, 3], so3.log(a[:3, :3].T @ b[:3, :3])]
@@ -356,7 +356,7 @@ def _gray(cv2: Any, image: Any, name: str) -> np.ndarray:
 
 
 def _detector(cv2: Any, board: _Board, images: Sequence[np.ndarray]) -> Any:
-    """Return a function that detects the corners in an image, or returns the reason for a failure as text."""
+    """Return a function that detects the corners in an image, or returns the reason for a failure as a string."""
     if board.kind == "checkerboard":
         return lambda image: _checkerboard(cv2, board, image)
     if board.kind == "charuco":
@@ -498,7 +498,7 @@ def _calibrated(cv2: Any, seen: Mapping[str, Corners], size: tuple[int, int]) ->
 def _pose(
     cv2: Any, places: np.ndarray, corners: np.ndarray, K: np.ndarray, dist: np.ndarray, is_tag: bool
 ) -> tuple[np.ndarray, np.ndarray] | str:
-    """Return the rotation vector and position of the board, or a text if the pose of a tag is ambiguous."""
+    """Return the rotation vector and position of the board, or the reason as a string if the pose is ambiguous."""
     way = cv2.SOLVEPNP_IPPE_SQUARE if is_tag else cv2.SOLVEPNP_IPPE
     _, turns, shifts, errors = cv2.solvePnPGeneric(places, corners, K, dist, flags=way)
     found = sorted(zip(errors.ravel().tolist(), range(len(turns))))

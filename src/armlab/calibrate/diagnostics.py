@@ -15,7 +15,7 @@ from armlab.lie import quaternion
 
 Limits = TypeVar("Limits", tuple[float, float], tuple[float, float, float])
 FIXED = 1e-6  # rotation [rad] below which poses count as not rotated
-NOISE = 3.0  # the same in standard deviations of the noise
+NOISE = 3.0  # the same limit in standard deviations of the noise
 ALIGNED = 0.996  # cosine above which an axis is named by its letter
 THINNED = 2000  # maximum number of rotations searched for the largest angle
 UNSEEN = 1e-9  # information below which a direction is unobservable
@@ -41,7 +41,7 @@ def axis_text(u: np.ndarray, axes: str) -> str:
 
 
 def limits_of(limits: Any, what: str, usual: Limits) -> Limits:
-    """Return the limits of a fit; raise unless they are positive numbers."""
+    """Return the limits of a fit; raise an error unless they are positive numbers."""
     values = numbers(limits, "limits", ShapeError)
     if values.shape != (len(usual),) or not np.all(values > 0):
         raise ShapeError(
@@ -53,7 +53,7 @@ def limits_of(limits: Any, what: str, usual: Limits) -> Limits:
 
 
 def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence[str]) -> None:
-    """Raise unless the tool rotates about two axes; `noise` is the standard deviation of a rotation [rad].
+    """Raise an error unless the tool rotates about two axes; `noise` is the standard deviation of a rotation [rad].
 
     The mean square rotation of a tool axis u is ``1 - |mean(R_A) u|^2``; noise alone makes it 2 sigma^2.
     """

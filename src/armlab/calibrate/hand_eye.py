@@ -45,7 +45,7 @@ from armlab.lie import so3
 from armlab.models import HandEye
 from armlab.models.sensors import FRAMES
 
-LIMITS = (0.2, 0.2)  # largest accepted standard deviations: fraction of the spread of the positions, and [rad]
+LIMITS = (0.2, 0.2)  # largest accepted standard deviations: fraction of the spread of the positions, and angle [rad]
 CLASSES = ("position [m]", "rotation [rad]")
 WHAT = "hand-eye calibration"
 COMPONENTS = ("t",) * 3 + ("R",) * 3
@@ -53,12 +53,12 @@ SHARED = 0.3  # relative length above which a component of a direction is named
 APART = 0.5  # ratio of residual to spread above which two records are inconsistent
 COARSE = 0.03  # ratio of residual to spread that is too large for sensor noise
 NOTHING, FITS_BETTER = 1e-4, 0.1  # misfit that counts as zero [rad^2]; relative misfit of a better interpretation
-FAR = 30.0  # spread [m] beyond the reach of any arm, as of 30 cm given in millimetres
-LATE, ENOUGH = 4.0, 12  # standard deviations and samples needed for a time offset
-LEAST, LATEST = 0.01, 1.5  # samples: smaller offsets count as zero (unordered poses); larger offsets are wrong pairing
+FAR = 30.0  # spread [m] beyond the reach of any arm, such as 30 cm given in millimetres
+LATE, ENOUGH = 4.0, 12  # smallest significant time offset in standard deviations; samples needed to estimate it
+LEAST, LATEST = 0.01, 1.5  # samples: smaller offsets count as zero (unordered poses); larger ones are pairing errors
 STENCIL = 5  # number of poses of the interpolating polynomial
 PROBE, TINY = 1e-5, 1e-12  # step of a numerical derivative in samples; rounding in m or rad
-FIRST_ORDER = 0.05  # standard deviation [rad] beyond which it is only a first-order approximation
+FIRST_ORDER = 0.05  # angle [rad]: a larger standard deviation is only a first-order approximation
 
 
 def fit_hand_eye(
@@ -93,7 +93,8 @@ def fit_hand_eye(
     offset : delay of the camera in samples: T_cam_marker[i] shows robot pose i - offset. Requires consecutive, evenly
         spaced samples of a motion. Default: estimated as the last parameter if the motion determines it; it is then
         also listed in `doubts`, because it was not given.
-    limits : largest accepted standard deviation along any direction: fraction of the spread of positions, and [rad].
+    limits : largest accepted standard deviation along any direction: fraction of the spread of positions, and angle
+        [rad].
 
     Returns
     -------
@@ -377,7 +378,7 @@ def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
 
 
 def _require_order(equation: HandEyeEquation, position: float, rotation: float) -> None:
-    """Raise if two records fit much better with another interpretation of the orientations."""
+    """Raise an error if two records fit much better with another interpretation of the orientations."""
     spread = equation.spread
     if position < SUSPECT * spread and rotation < SUSPECT:
         return
@@ -395,7 +396,7 @@ def _require_order(equation: HandEyeEquation, position: float, rotation: float) 
 
 
 def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
-    """Raise if the residuals r (N, 6) show inconsistent records; the message has the likely cause."""
+    """Raise an error if the residuals r (N, 6) show inconsistent records; the message has the likely cause."""
     position, rotation = _sizes(r[kept])
     _require_order(equation, position, rotation)
     turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
@@ -433,11 +434,11 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class PoseUnknowns:
-    """Names, units and limits of the unknowns; describes directions for `check_spread`."""
+    """Names, units and limits of the unknowns, and descriptions of directions for `check_spread`."""
 
     parts: Sequence[Part]  # groups of three unknowns
     spread: float  # spread of the measured positions [m]
-    limits: tuple[float, float]  # largest accepted standard deviation: fraction of the spread, and [rad]
+    limits: tuple[float, float]  # largest accepted standard deviation: fraction of the spread, and angle [rad]
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -453,11 +454,11 @@ class PoseUnknowns:
         return np.repeat([self.limits[1] if p.rotation else self.limits[0] * self.spread for p in self.parts], 3)
 
     def __call__(self, step: np.ndarray) -> str:
-        """Return text such as "translation of T_tool_marker along tool axis z (T_base_cam moves with it), 0.4 m"."""
+        """Return a name such as "translation of T_tool_marker along tool axis z (T_base_cam moves with it), 0.4 m"."""
         blocks = step.reshape(-1, 3)
         sizes = [hypot(*block) for block in (blocks / self.widths.reshape(-1, 3)).tolist()]
         largest = max(sizes)
-        first = next(i for i, size in enumerate(sizes) if size > 0.5 * largest)  # of poses that move together
+        first = next(i for i, size in enumerate(sizes) if size > 0.5 * largest)  # of the poses that move together
         part = self.parts[first]
         text = f"{part.what} {'about' if part.rotation else 'along'} {axis_text(blocks[first], part.axes)}"
         others = {p.what.split()[-1] for p, size in zip(self.parts, sizes) if size > SHARED * largest}
@@ -491,7 +492,7 @@ def _cause(equation: HandEyeEquation) -> str:
 
 
 def _other_reading(equation: HandEyeEquation) -> str:
-    """Return the likely error in the records if rotations without it fit much better, otherwise an empty string."""
+    """Return the likely error in the records if rotations without the error fit much better, else an empty string."""
     now = _misfit(equation.RA, equation.RB)
     RA, RB = equation.RA, equation.RB
     other = {
@@ -560,7 +561,7 @@ def _result(
     equation: HandEyeEquation, found: NonlinearSolution[Any], residuals: np.ndarray, setup: str,
     limits: tuple[float, float], notes: list[str],
 ) -> Fit[HandEye]:  # fmt: skip
-    """Return the fit; raise on directions that are not identifiable within the limits."""
+    """Return the fit; raise an error for directions that are not identifiable within the limits."""
     words = PoseUnknowns(Part.of(FRAMES[setup]), equation.spread, limits)
     J, pair, late = found.rows.J, _pair(found), []
     names, units, parameters = words.names, words.units, pair.parameters()

@@ -87,7 +87,8 @@ def fit_hand_eye_points(
         estimated.
     noise_robot : noise of T_base_tool, as in `fit_hand_eye`, shared by all points of a sample. Default: exact poses.
     robust : detect and exclude outliers; `Fit.outliers` marks them.
-    limits : largest accepted standard deviation along any direction: fraction of the spread of the points, and [rad].
+    limits : largest accepted standard deviation along any direction: fraction of the spread of the points, and angle
+        [rad].
 
     Returns
     -------
@@ -207,7 +208,7 @@ class PointModel:
     point: np.ndarray  # (m,) index of the point
     K: int  # number of points
     noise: np.ndarray | None  # variances (3,) or covariance (3, 3) or (m, 3, 3); None: estimated
-    noise_A: np.ndarray | None = None  # of the robot: variances (6,) or covariance (6, 6) or (N, 6, 6); None: exact
+    noise_A: np.ndarray | None = None  # robot noise: variances (6,) or covariance (6, 6) or (N, 6, 6); None: exact
 
     @cached_property
     def spread(self) -> float:
@@ -335,7 +336,7 @@ def marked_start(free: Points, marker: np.ndarray) -> Pair:
 
 
 def require_agreement(model: PointModel, rms: float | None = None, left_out: float = 0.0) -> None:
-    """Raise on inconsistent records, with the likely cause; `rms` [m] is None before the fit."""
+    """Raise an error for inconsistent records, with the likely cause; `rms` [m] is None before the fit."""
     found = model.solution
     if rms is None:
         cause = _unit_or_hand(model, found)
@@ -354,7 +355,7 @@ def require_agreement(model: PointModel, rms: float | None = None, left_out: flo
 
 
 def require_marker(model: PointModel, s: np.ndarray, marker: np.ndarray) -> None:
-    """Raise on a marker whose shape differs from that of the observed points."""
+    """Raise an error for a marker whose shape differs from that of the observed points."""
     a, b = s - s.mean(axis=0), marker - marker.mean(axis=0)
     U, sizes, V = np.linalg.svd(a.T @ b)
     hand = np.sign(np.linalg.det(U @ V))
@@ -391,7 +392,7 @@ def _unit_or_hand(model: PointModel, found: Linear) -> str:
 
 
 def _other_reading(model: PointModel, now: float) -> str:
-    """Return the likely error in the poses if a fit without it is much better, otherwise an empty string."""
+    """Return the likely error in the poses if a fit without this error is much better, otherwise an empty string."""
     N = len(model.tA)
     inverse = model.RA.transpose(0, 2, 1)
     other = {
@@ -411,7 +412,7 @@ def _other_reading(model: PointModel, now: float) -> str:
 
 
 def require_order_of_robot(model: PointModel) -> None:
-    """Raise if the robot poses fit the points much better with another interpretation of the orientations."""
+    """Raise an error if the robot poses fit the points much better with another interpretation of the orientations."""
     rms = model.solution.misfit
     if rms < SUSPECT * model.spread:
         return

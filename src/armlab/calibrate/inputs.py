@@ -13,7 +13,7 @@ from armlab.lie import so3
 
 
 def finite(values: np.ndarray, name: str) -> None:
-    """Raise on NaN and infinity, and list the rows."""
+    """Raise an error for NaN and infinity, and list the rows."""
     if not np.isfinite(values).all():
         bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1))
         raise ShapeError(
@@ -99,7 +99,7 @@ def noise_of(
     noise: Any, groups: int, batch: tuple[int, ...], name: str, wanted: str, advice: str = "Correct the noise.",
     zero: bool = False,
 ) -> np.ndarray | None:  # fmt: skip
-    """Return variances (k,) or a covariance (k, k) or (*batch, k, k), k = 3 groups; None without noise."""
+    """Return variances (k,) or a covariance (k, k) or (*batch, k, k), with k = 3 * groups; None without noise."""
     if noise is None:
         return None
     values, k = numbers(noise, name, ShapeError), 3 * groups

@@ -28,12 +28,12 @@ TINY = 1e-12
 ENOUGH = 15  # scans of a plate needed for a linear initial guess
 RESTARTS = 20  # random rotations
 PRODUCT = 0.3  # ratio of the second to the first singular value beyond which a matrix is not a product
-LIMITS = (0.2, 0.2)  # largest accepted standard deviations: fraction of the spread of the points, and [rad]
+LIMITS = (0.2, 0.2)  # largest accepted standard deviations: fraction of the spread of the points, and angle [rad]
 FLAT = 0.05  # sine of the angle between plate and laser plane below which a scan is unusable
 SHAKEN = 1e-3  # accuracy of robot orientations [rad]; smaller rotations count as zero
-UNITS, FAR = 2.0, 20.0  # ratio of length units beyond which it is reported, and beyond which no fit is tried
+UNITS, FAR = 2.0, 20.0  # ratios of length units beyond which the ratio is reported, or no fit is tried
 ROUGH = 0.1  # ratio of the residual to the spread of the points beyond which scans are inconsistent
-FAR_APART = 30.0  # spread [m] larger than any cell, as of 30 cm given in millimetres
+FAR_APART = 30.0  # spread [m] larger than any cell, such as 30 cm given in millimetres
 TURNED = 0.2  # residual angle [rad] beyond which scans are inconsistent
 
 
@@ -232,12 +232,12 @@ def scene_of(scans: Scans, R: np.ndarray) -> Scene:
 
 @dataclass(frozen=True, eq=False)
 class SceneUnknowns:
-    """Names, units and limits of the unknowns; describes directions for `check_spread`."""
+    """Names, units and limits of the unknowns, and descriptions of directions for `check_spread`."""
 
     scans: Scans
     scene: Scene  # estimate
     planes: tuple[str, ...]  # labels
-    limits: tuple[float, float]  # fraction of the spread of the points, and [rad]
+    limits: tuple[float, float]  # fraction of the spread of the points, and angle [rad]
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -254,7 +254,7 @@ class SceneUnknowns:
         return np.array([self.limits[0] * spread if unit == "m" else self.limits[1] for unit in self.units])
 
     def __call__(self, step: np.ndarray) -> str:
-        """Return text such as "translation of the sensor along tool axis z, 0.4 m"."""
+        """Return a description such as "translation of the sensor along tool axis z, 0.4 m"."""
         widths = self.widths
         sizes = np.linalg.norm((step / widths).reshape(-1, 3), axis=1)
         first = int(np.flatnonzero(sizes > 0.5 * sizes.max())[0])
@@ -277,7 +277,7 @@ class SceneUnknowns:
 
 
 def require_motion(scans: Scans, planes: tuple[str, ...]) -> None:
-    """Raise on too few scans, and on orientations that do not determine the position of the sensor."""
+    """Raise an error for too few scans, and on orientations that do not determine the position of the sensor."""
     needed = 7 + 3 * scans.P
     few = [str(planes[j]) for j in range(scans.P) if np.count_nonzero(scans.plane == j) < 2]
     if scans.numbers < needed or few:
@@ -301,10 +301,10 @@ def require_slant(scans: Scans, scene: Scene) -> None:
 
 
 def require_units(scans: Scans, ratio: float) -> None:
-    """Raise before the fit if the length units of scans and poses differ strongly."""
+    """Raise an error before the fit if the length units of scans and poses differ strongly."""
     size = _unit(scans, ratio)
     if not 1.0 / FAR < size < FAR:
-        raise misfit(scans, ratio, None, f"lengths of {size:.2g} times those of the poses")
+        raise misfit(scans, ratio, None, f"lengths {size:.2g} times those of the poses")
 
 
 def _unit(scans: Scans, ratio: float) -> float:

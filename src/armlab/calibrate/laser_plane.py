@@ -3,10 +3,10 @@
 Maximum-likelihood estimate from lines or raw profiles in the laser plane (residuals: `laser_model`). No initial guess
 is needed, and plates may pass through the origin. For the problem, see Bagge Carlson, Johansson and Robertsson (2015).
 
-The best initial guess of each group is fitted first. If the fit disagrees with the noise, every initial guess of the
-group takes a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` over whole scans, with rho scaled by the median
-residual, so that unknown noise and outliers have little effect. The best two are then fitted to convergence. This
-limits the computing time for scans that cannot be fitted.
+The best initial guess of each group is fitted first. If the fit is inconsistent with the noise, every initial guess of
+the group takes a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` over whole scans, with rho scaled by the median
+residual, so that unknown noise and outliers have little effect. The two best results are then fitted to convergence.
+This limits the computing time for scans that cannot be fitted.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ MANY = 0.35  # fraction of outliers from which another initial guess is tried
 STEPS, TUNING, SETTLED = 9, 5.0, 1e-2  # short descent: maximum steps, c, last step in standard deviations
 BEST, WORSE, SAME = 2, 5.0, 1e-3  # per group: number of fits, largest ratio to the best, smallest relative difference
 LOST = 1.5  # residual [rad] of angles and scaled points beyond which no fit is tried; wrong labels leave 2 to 8 rad
-CLEAR = (2e-3, 0.03)  # ratio of residual to spread of the points, and [rad], below which no other guess is tried
+CLEAR = (2e-3, 0.03)  # ratio of residual to spread of the points, and angle [rad], below which no other guess is tried
 HELD = 0.6  # leverage of a scan, per number, from which it is suspicious
 TINY = 1e-12  # rounding [m or rad]
 FAILED = (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError)  # failures of a descent
@@ -81,7 +81,8 @@ def fit_laser_plane(
         [m]. Default: estimated.
     start : (4, 4) approximate T_tool_sensor; default: found by a search.
     robust : detect and exclude outliers; `Fit.outliers` marks them.
-    limits : largest accepted standard deviation along any direction: fraction of the spread of the points, and [rad].
+    limits : largest accepted standard deviation along any direction: fraction of the spread of the points, and angle
+        [rad].
 
     Returns
     -------
@@ -351,7 +352,7 @@ def _rank(scans: Scans, found: NonlinearSolution[Scene], size: float, robust: bo
 
 
 def _require_fit(scans: Scans, ratio: float, found: NonlinearSolution[Scene]) -> None:
-    """Raise on residuals larger than the errors of any scanner."""
+    """Raise an error for residuals larger than the errors of any scanner."""
     size, spread = float(found.sigma[0]), scans.spread(found.value)
     turn = float(found.sigma[1]) if len(found.sigma) > 1 else 0.0
     if size <= ROUGH * spread and turn <= TURNED and np.mean(found.outliers) <= MANY:

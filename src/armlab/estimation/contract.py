@@ -1,9 +1,9 @@
 """Statistical contract of estimators: ten properties required of every `fit_*`, tested by one function.
 
-A fit runs on many experiments with known truth, and its stated uncertainty is compared with its actual errors e. The
-normalised squared error NEES = e^T C^-1 e must be equal to the number of parameters, on average over the runs, if the
-covariance C is correct (Bar-Shalom, Li and Kirubarajan 2001). The other properties concern the order of the samples,
-units, error messages, files and side effects.
+The fit is run on many experiments with known truth, and its stated uncertainty is compared with its actual errors e.
+The normalised squared error NEES = e^T C^-1 e must be equal to the number of parameters, on average over the runs, if
+the covariance C is correct (Bar-Shalom, Li and Kirubarajan 2001). The other properties concern the order of the
+samples, units, error messages, files and side effects.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Verdict = tuple[bool | None, str]
 
 NORMAL_95 = 1.959963984540054
 ENOUGH = 1000  # runs needed to judge coverage and efficiency, and for the limits of the benchmark
-STANDARD_ERRORS = 3.0  # by which few runs widen the limits
+STANDARD_ERRORS = 3.0  # number of standard errors by which few runs widen the limits
 GAUGE = 1e-6  # component of an unidentifiable direction beyond which a parameter depends on the gauge
 
 
@@ -246,7 +246,7 @@ def gauge_free(trial: ContractTrial) -> Verdict:
 
 
 def _relative(e: np.ndarray, fit: Fit[Any]) -> float:
-    """Return the largest error relative to its parameter; infinity if the errors have other coordinates."""
+    """Return the largest error relative to its parameter; infinity if the errors are in different coordinates."""
     if e.shape != fit.parameters.shape:
         return np.inf
     return float(np.max(np.abs(e) / np.maximum(np.abs(fit.parameters), fit.sd)))
@@ -523,14 +523,16 @@ def check_estimator(
     n : number of samples of an experiment; the test of consistency also needs experiments with 4 n samples.
     error : function of (fit, truth) that returns the error (d,) in the coordinates of `fit.cov`, or an error (m,) and
         its covariance (m, m), for example the errors of validation poses if `fit.cov` is rank-deficient.
-    blocks : indices of the parts of the error whose efficiency is judged separately, by name; default: the whole error.
-    gauges : changes of frame or unit.
-    refusals : data that must raise `NotExcited`, by words that the name of a direction must contain.
+    blocks : indices of the error components whose efficiency is judged separately, keyed by name; default: the whole
+        error.
+    gauges : changes of frame or unit to test with.
+    refusals : data for which the fit must raise `NotExcited`; the keys are words that the name of a direction must
+        contain.
     spoil : function of (data, rng) that returns data with 5 % gross outliers and the option that enables their
         detection, and the mask of the outliers (N,), or None if the fit does not flag outliers.
     noise_given : False if the fit estimates the noise; NEES then exceeds 1 by about 2 / (degrees of freedom).
     limits : acceptance limits; default: from the specification, for this number of runs.
-    skip : reason for skipping a property, by the name of the property.
+    skip : reason for skipping each property; the keys are names of properties.
     seed : seed of the first experiment.
 
     Raises

@@ -54,7 +54,7 @@ class Fit(Shown, Generic[Value]):
     n : int
         Number of samples used.
     excitation : Excitation
-        Directions that the data identify, and how well.
+        Directions identified by the data, and the quality of their excitation.
     summary : callable, optional
         Function that creates the text of `report`.
     outliers : ndarray of bool, shape (N,)
@@ -62,13 +62,13 @@ class Fit(Shown, Generic[Value]):
     classes : tuple of str
         Names of the classes of measurement with their units, such as "position [m]".
     formal_cov : ndarray, shape (d, d), optional
-        Covariance that assumes white residuals. Set only if `cov` accounts for time correlation, and then far too
+        Covariance that assumes white residuals. Set only if `cov` accounts for time correlation; it is then far too
         small. None if `cov` itself assumes white residuals, or if the fit was read from a file.
     doubts : tuple of str
         Reasons why the fit may be unreliable, such as failed residual tests or suspicious units, one sentence each.
         Empty for a good fit.
     notes : tuple of str
-        Report lines about repaired data and held directions; empty if the fit was read from a file.
+        Report lines about repaired data and directions held by a prior; empty if the fit was read from a file.
     """
 
     value: Value
@@ -145,7 +145,7 @@ class Fit(Shown, Generic[Value]):
         return self.table() if self.summary is None else self.summary(self)
 
     def table(self, shown: np.ndarray | None = None) -> str:
-        """Return text: one line per parameter with unit and standard deviation, then noise, outliers and doubts.
+        """Return a summary: one line per parameter with unit and standard deviation, then noise, outliers and doubts.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class Fit(Shown, Generic[Value]):
         Parameters
         ----------
         path : path of the file, ending in ``.toml``.
-        sources : names of the files that the samples come from; stored with their SHA-256.
+        sources : names of the files that contain the samples; stored with their SHA-256.
         """
         statistics = {name: getattr(self, name) for name in SAVED}
         statistics |= {f"excitation_{name}": getattr(self.excitation, name) for name in EXCITATION}

@@ -12,7 +12,7 @@ from armlab._numbers import make_read_only, numbers, still
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.tsqr import Factors, triangle
 
-MAX_CONDITION = 1e4  # beyond it, a direction counts as not excited
+MAX_CONDITION = 1e4  # condition number beyond which a direction counts as not excited
 WARN_CONDITION = 300.0
 NULL = 1e-9  # relative singular value below which a direction is unobservable, not weak
 NAMED = 0.3  # fraction of the largest component above which a component is named
@@ -73,7 +73,7 @@ class Excitation(Shown):
 
     @classmethod
     def of(cls, A: np.ndarray, names: Sequence[str], max_condition: float = MAX_CONDITION) -> Excitation:
-        """Return the excitation of a design matrix, without raising on weak directions.
+        """Return the excitation of a design matrix; weak directions raise no error.
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ def check_excitation(
             )
         A = A * (np.linalg.norm(A, axis=0) * prior.sd > UNOBSERVABLE)
     found = Excitation.of(A, names, max_condition)
-    weak = range(found.expected - 1, found.rank - 1, -1)  # the weakest first
+    weak = range(found.expected - 1, found.rank - 1, -1)  # weakest direction first
     directions = tuple(_describe(found.vectors[:, i], names) for i in weak)
     if prior is not None:
         return replace(found, held=directions)
@@ -181,7 +181,7 @@ def check_spread(
     what: str,
     describe: Describe | None = None,
 ) -> Excitation:
-    """Return the excitation, or raise if the standard deviation along a direction exceeds its limit.
+    """Return the excitation, or raise an error if the standard deviation along a direction exceeds its limit.
 
     In units of the limits (p,), it is ``1 / |J diag(limits) v|`` along v, with J (m, p) the whitened Jacobian of the
     data or its triangle. `describe` names a direction (p,) whose length is one standard deviation, or the limits if it
@@ -197,7 +197,7 @@ def check_spread(
     _, found, rows = np.linalg.svd(scaled, full_matrices=True)
     singular, vectors = np.zeros(p), rows.T
     singular[: len(found)] = found
-    unseen = singular <= NULL * np.abs(vectors.T) @ np.linalg.norm(scaled, axis=0)  # of the columns combined
+    unseen = singular <= NULL * np.abs(vectors.T) @ np.linalg.norm(scaled, axis=0)  # NULL of the combined norms
     spread = np.divide(1.0, singular, out=np.full_like(singular, np.inf), where=~unseen)
 
     def words(i: int) -> str:
@@ -235,8 +235,9 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
     """Return the point of the box nearest to x (p,), ``min (z - x)^T cov^-1 (z - x)`` over ``lower <= z <= upper``.
 
     With the active bounds A, ``z = x + cov[:, A] m`` and ``m = cov[A, A]^-1 (bound - x)[A]``. A is optimal if every
-    free z is inside and every m points inwards. Block principal pivoting exchanges all violations at once and, after
-    ten rounds without progress, only one, which always terminates (Portugal, Judice and Vicente 1994).
+    free z is inside and every multiplier m points inwards. Block principal pivoting exchanges all violations at once.
+    After ten rounds without progress, it exchanges only one at a time, which always terminates (Portugal, Judice and
+    Vicente 1994).
     """
     if np.all((x >= lower) & (x <= upper)):
         return x
@@ -349,7 +350,7 @@ class LinearSolution:
 
     @property
     def held_cov(self) -> np.ndarray:
-        """Covariance (p, p) of the prior along the directions that it holds; zero without a prior."""
+        """Covariance (p, p) of the prior along the directions held by the prior; zero without a prior."""
         return _held_covariance(self.excitation, self.problem.prior)
 
 

@@ -200,8 +200,8 @@ Value = TypeVar("Value")
 ITERATIONS = 100
 STEP = 1e-9  # in standard deviations of the estimate
 ROUNDING = 1e-13  # relative rounding error of the cost
-IDLE, PATIENCE = 1e-3, 5  # step in standard deviations, and number of steps without progress, that are rounding
-EXACT = 1e-3  # ratio of the residual to its standard deviation below which all steps are rounding
+IDLE, PATIENCE = 1e-3, 5  # limits of rounding: step in standard deviations, and number of steps without progress
+EXACT = 1e-3  # ratio of the residual to its standard deviation below which all steps are rounding errors
 MAX_DAMPING = 1e15
 ROUNDED = 1e-9  # RMS of residuals in SI units below which they are rounding, not noise
 WELL_CONDITIONED = 1e7  # condition of a triangle below which its inverse is accurate
@@ -264,7 +264,7 @@ def descend(
     """Minimise the whitened cost by damped Gauss-Newton steps (Madsen, Nielsen and Tingleff 2004, algorithm 3.16).
 
     The covariance is fixed during a step, so that the predicted decrease of the cost judges the step. The descent has
-    converged when the step is below 1e-9 standard deviations of the estimate, or the cost at its rounding floor. If
+    converged when the step is below 1e-9 standard deviations of the estimate, or the cost is at its rounding floor. If
     not `strict`, it may stop earlier; rows and basis are then those before the last step.
     """
     value, now = start, problem.evaluate(start)
@@ -283,7 +283,7 @@ def descend(
         idle = here.step < IDLE or 2.0 * height < EXACT**2 * len(rows.r)
         if here.step < STEP or (idle and waited > PATIENCE):
             return here
-        rounding = 0.5 * here.step**2 < ROUNDING * height  # the cost no longer resolves progress; step lengths do
+        rounding = 0.5 * here.step**2 < ROUNDING * height  # progress shows only in the step lengths, not in the cost
         while True:
             x, promise = slope.step(damping)
             trial = problem.retract(value, x)
@@ -316,7 +316,7 @@ def _not_converged(problem: NonlinearProblem[Any], value: Any, history: list[flo
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
-    """Linearised problem; the slow singular values are computed only if it is nearly singular or damped."""
+    """Linearised problem; the costly singular values are computed only if the problem is nearly singular or damped."""
 
     R: np.ndarray
     scale: np.ndarray
@@ -437,7 +437,8 @@ def nonlinear_least_squares(
     start : initial value.
     robust : detect outliers among the samples; `outliers` marks them.
     schedule : values of c of the graduated loss, in standard deviations, for given noise.
-    near : the start already fits the good samples; the loss begins narrow, so that outliers cannot bias the estimate.
+    near : True if the start already fits the good samples; the loss is then narrow from the beginning, so that outliers
+        cannot bias the estimate.
     majority : with `robust` and unknown noise, also search near the solution for the fit of most samples. Needed if a
         third of the samples share the same error, because they bias the estimate and inflate the noise scale.
 

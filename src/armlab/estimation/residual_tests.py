@@ -21,7 +21,7 @@ OPEN = 1e-6  # smallest share of the information on a direction in each half for
 WHITE_SHARES = (0.0, 0.1, 0.3, 0.6)  # fractions of white noise that are tried
 SHORTEST, TIMES_PER_DECADE = 0.3, 4  # shortest correlation time, in samples, and number of times per decade
 REACH = 3.0  # longest correlation time, in record lengths
-SHORTER = 0.4  # prior tau^-0.4 of correlation times; chosen with REACH for the coverage at 30 to 300 samples
+SHORTER = 0.4  # prior tau^-0.4 of correlation times; chosen with REACH for correct coverage at 30 to 300 samples
 LIKELY = 1e-3  # relative likelihood below which a model is ignored
 CHUNK = 256  # samples whose filtered rows are held in memory
 

@@ -29,7 +29,7 @@ from armlab.estimation.linear_problem import (
 )
 from armlab.estimation.tsqr import Rows, factorise
 
-SHORTEST, CORRELATION_TIMES = 0.5, 4.0  # minimum duration of a block [s], and its minimum in correlation times
+SHORTEST, CORRELATION_TIMES = 0.5, 4.0  # minimum duration of a block in seconds and in correlation times
 
 
 def correlation_time(x: np.ndarray, dt: float) -> float:
@@ -196,7 +196,7 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
     """Bootstrap a linear solution: resample circular segments of whole blocks with replacement, and solve again.
 
     The covariance S of the draws has the correct size, but the number of segments limits its rank, so its inverse would
-    be far too large. It is therefore shrunk to ``(1 - d) S + d trace(S) / p`` in coordinates with unit formal
+    be far too large. S is therefore shrunk to ``(1 - d) S + d trace(S) / p`` in coordinates with unit formal
     covariance; the scatter of the segments determines d (Ledoit and Wolf).
 
     Parameters
@@ -241,7 +241,7 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
 
 
 def shrinkage(scores: np.ndarray) -> float:
-    """Return d (0 to 1) for which ``(1 - d) S + d trace(S) / p`` is nearer to the truth than ``S = scores^T scores``.
+    """Return d (0 to 1) for which ``(1 - d) S + d trace(S) / p`` is closer to the truth than ``S = scores^T scores``.
 
     `scores` (B, p) are gradients of B independent segments in coordinates with unit formal covariance (Ledoit and Wolf
     2004, lemma 3.2).
@@ -311,7 +311,7 @@ HUBER = 1.345  # standard deviations beyond which the loss is linear
 HUBER_ROUNDS, HUBER_STEP = 30, 1e-8  # maximum number of iterations; last step in standard deviations of the estimate
 NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 SHARE, STARTS = 0.75, 50  # fraction of the blocks in a trimmed fit; number of random starts
-FIRST_STEPS, BEST, LAST_STEPS = 2, 10, 100  # steps from every start; number of continued starts; their maximum steps
+FIRST_STEPS, BEST, LAST_STEPS = 2, 10, 100  # steps per start; number of continued starts; their maximum steps
 CUT = 3.0  # robust standard deviations of log RMS beyond which a block is excluded
 
 
@@ -431,7 +431,7 @@ def _random_start(sums: BlockSums, blocks: np.ndarray, rng: np.random.Generator)
 
 
 def _concentrate(sums: BlockSums, z: np.ndarray, size: int, steps: int) -> tuple[float, np.ndarray]:
-    """Refit to the `size` blocks with the smallest mean squares until convergence; return the sum of these and z."""
+    """Refit to the `size` blocks with the least mean squares until convergence; return the sum of squares and z."""
     cost, before = np.inf, None
     for _ in range(steps):
         level = _mean_square(sums, z)
@@ -510,9 +510,9 @@ def least_squares(
     names : names of the p parameters.
     what : name of the fitted quantity, for messages.
     method : "ols": w = 1. "wls": w = 1 / sd^2 of the residuals of each class, iterated. "irls": the same with Huber's
-        loss; reads the rows once per iteration. "lts": wls on the consistent time blocks.
+        loss, reading the rows once per iteration. "lts": wls on the consistent time blocks.
     lower, upper : (p,) bounds; the result lists the active bounds and the growth of the residual.
-    prior : prior values, which undetermined directions keep; these are listed in `excitation.held`.
+    prior : prior values, which are kept along undetermined directions; `excitation.held` lists these directions.
     max_condition : largest accepted condition number of the column-scaled, weighted regressor.
     seed : seed of the random starts of "lts".
 

@@ -142,7 +142,7 @@ def triangle(A: np.ndarray, y: np.ndarray | None = None, R: np.ndarray | None = 
 
 
 def _append(R: np.ndarray | None, piece: Rows, start: int, stop: int) -> np.ndarray:
-    """Return the factor of further rows stacked below R."""
+    """Return the triangle R updated with further rows."""
     R = triangle(piece.A[start:stop], piece.y[start:stop], R)
     if not np.isfinite(R).all():
         bad = start + np.flatnonzero(~np.isfinite(piece.A[start:stop]).all(axis=1) | ~np.isfinite(piece.y[start:stop]))

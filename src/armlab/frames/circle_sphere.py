@@ -139,8 +139,8 @@ def _refine(
         return solve(NonlinearProblem(evaluate, step, what=what), start)
     except NotConverged:
         raise NotExcited(
-            f"Expected points that determine the {what}, but the fit did not converge because they cover too little "
-            "of it. Measure points on a larger part of it.",
+            f"Expected points that determine the {what}, but the fit did not converge because the points cover too "
+            f"little of the {what}. Measure points on a larger part of the {what}.",
             ["centre and radius"],
             ["no minimum"],
         ) from None

@@ -128,7 +128,8 @@ def _origin(origin: Any, cov: ArrayLike | None) -> tuple[np.ndarray, np.ndarray 
     if isinstance(origin, (Sphere, Circle)):
         if cov is not None:
             raise ShapeError(
-                "Expected origin_cov only for a point, got it for a feature, which has its own covariance. Omit it."
+                "Expected origin_cov only for a point, got origin_cov for a feature with its own covariance. "
+                "Omit origin_cov."
             )
         return origin.centre, None if origin.cov is None else origin.cov[:3, :3]
     return inputs.vector(origin, "origin"), inputs.covariance(cov, 3, "origin_cov")
@@ -254,7 +255,7 @@ def _intersection(first: Plane, second: Plane) -> Line:
     """Return the intersection line of two planes with its covariance."""
     along = np.cross(first.n, second.n)
     if np.linalg.norm(along) <= PARALLEL:
-        raise ShapeError("Expected intersecting planes, got parallel planes (within 1e-9 rad). Use their distance.")
+        raise ShapeError("Expected intersecting planes, got parallel planes (within 1e-9 rad). Use the plane distance.")
     rows = np.stack([first.n, second.n, along / np.linalg.norm(along)])
     step = np.linalg.solve(rows, np.array([0.0, float(second.n @ (second.centroid - first.centroid)), 0.0]))
     point = first.centroid + step
@@ -274,7 +275,7 @@ def _errors(item: Plane | Line) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _line(along: np.ndarray, point: np.ndarray, turn: np.ndarray, shift: np.ndarray, cov: np.ndarray | None) -> Line:
-    """Return a line whose direction and point change by `turn` and `shift` (3, m) with errors of covariance (m, m)."""
+    """Return a line; `turn` and `shift` (3, m) change its direction and point per error, with covariance (m, m)."""
     plain = Line.of(along, point)
     if cov is None:
         return plain

@@ -27,11 +27,11 @@ Feature = TypeVar("Feature", Plane, Line, Circle, Sphere)
 LIMIT = 0.2  # rad, largest accepted standard deviation of a tilt
 SIDE_DEVIATIONS = 3.0  # standard deviations from which a side is determined
 
-ALL_SETS, SOME_SETS = comb(60, 3), 500  # largest number of sets that are all tried; otherwise a random selection
+ALL_SETS, SOME_SETS = comb(60, 3), 500  # largest number of sets for an exhaustive search; size of a random selection
 FLAGGED = 0.999  # quantile of chi^2 beyond which a point is an outlier
 MAX_ITERATIONS = 3  # refits
 MAX_SCORING_POINTS = 1000  # maximum number of points that score the sets
-INITIAL_TOLERANCE = 2.0  # factor on the noise of the refitted half, which underestimates the noise
+INITIAL_TOLERANCE = 2.0  # correction factor for the noise of the refitted half, which is too low
 CHUNK = 200_000  # distances held in memory at once
 
 Squares = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -73,7 +73,7 @@ def result(
 def upward(
     n: np.ndarray, c: np.ndarray, reach: float, toward: ArrayLike | None, normal: ArrayLike | None, what: str
 ) -> np.ndarray:
-    """Return n or -n, as chosen by the hints or away from the origin; `reach` is the SD of the plane's offset [m]."""
+    """Return n or -n, as given by a hint, or pointing away from the origin; `reach` is the SD of the offset [m]."""
     if toward is not None and normal is not None:
         raise ShapeError("Expected toward= or normal=, got both. Omit one.")
     if normal is not None:

@@ -199,7 +199,7 @@ class Circle(Shown):
 
     @property
     def plane(self) -> Plane:
-        """Plane of the circle, with the covariance of its tilts and of its offset at the centre."""
+        """Plane of the circle, with the covariance of the tilts and of the offset at the centre."""
         n, cov = self.n, self.cov
         if cov is not None:
             S = np.zeros((3, 6))

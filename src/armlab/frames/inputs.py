@@ -15,7 +15,7 @@ UNIT = 1e-9  # deviation of a norm from 1 that is accepted as rounding
 
 
 def points(p: ArrayLike, what: str = "points") -> np.ndarray:
-    """Return points (N, 3); raise on other shapes and non-finite rows."""
+    """Return points (N, 3); raise an error for other shapes and non-finite rows."""
     array = numbers(p, what, ShapeError)
     if array.ndim != 2 or array.shape[1] != 3:
         hint = " Transpose them." if array.ndim == 2 and array.shape[0] == 3 else ""
@@ -27,10 +27,10 @@ def points(p: ArrayLike, what: str = "points") -> np.ndarray:
 
 
 def sightings(p: ArrayLike, visible: ArrayLike | None, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return K points in N frames (N, K, 3) and their visibility (N, K); raise on NaN in visible points."""
+    """Return K points in N frames (N, K, 3) and their visibility (N, K); raise an error for NaN in visible points."""
     array = numbers(p, what, ShapeError)
     if array.ndim != 3 or array.shape[2] != 3 or not array.shape[1]:
-        raise ShapeError(f"Expected {what} of shape (N, K, 3), got {array.shape}. Pass every point in every frame.")
+        raise ShapeError(f"Expected {what} of shape (N, K, 3), got {array.shape}. Pass K points for every frame.")
     seen = np.ones(array.shape[:2], dtype=bool) if visible is None else np.asarray(visible)
     if seen.shape != array.shape[:2] or seen.dtype != bool:
         raise ShapeError(
@@ -69,7 +69,7 @@ def check_count(count: int, needed: int, what: str) -> None:
 
 def noise_of(noise: Any) -> float | None:
     """Return the standard deviation of each coordinate [m], or None if the noise must be estimated."""
-    return None if noise is None else positive(noise, "noise [m]", "Omit it to estimate it.")
+    return None if noise is None else positive(noise, "noise [m]", "Omit noise to estimate it.")
 
 
 def noises_of(noise: Any, count: int) -> tuple[float | None, np.ndarray | None]:

@@ -8,8 +8,8 @@ k, and sigma the noise of a coordinate. The errors are uncorrelated and have the
     line:  tilt about each axis  sigma^2 / lambda_1,  offset of the centroid along each axis  sigma^2 / N
 
 A direction in which the points spread no more than the noise raises NotExcited. If the noise differs between directions
-or points, the cost is the sum of ``e^T S^-1 e``, ``S = D C D^T``, with the distances e of a point, their directions
-D (k, 3) and the covariance C of the point. The Jacobian takes the lever arm of a tilt at the most likely point
+or points, the cost is the sum of ``e^T S^-1 e``, ``S = D C D^T``, with e the distances of a point, D (k, 3)
+their directions and C the covariance of the point. The Jacobian takes the lever arm of a tilt at the most likely point
 ``p - C D^T S^-1 e`` instead of p, which gives the gradient of this cost.
 """
 
@@ -161,11 +161,11 @@ def _oriented(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | 
     if along is not None:
         side = float(v @ inputs.direction(along, "along"))
         if abs(side) <= 1e-6:
-            raise ShapeError("Expected along= roughly parallel to the line, got a direction normal to it. Correct it.")
+            raise ShapeError("Expected along= roughly parallel to the line, got a normal direction. Correct along=.")
     elif abs(side := float(v @ step)) <= SIDE_DEVIATIONS * sigma:
         raise NotExcited(
             "Expected the last point to be far enough from the first to determine the direction of the line, got "
-            f"{abs(side):.2g} m along it. Pass the direction with along=.",
+            f"{abs(side):.2g} m along the line. Pass the direction with along=.",
             ["direction of the line"],
             [f"{abs(side):.2g} m"],
         )
@@ -194,7 +194,7 @@ def _check_excitation(
     kind: type[Plane] | type[Line],
     words: Sequence[str],
 ) -> Any:
-    """Return the excitation; raise if a tilt or an offset is beyond its limit."""
+    """Return the excitation; raise an error if a tilt or an offset is beyond its limit."""
     names, tilts = kind.names, len(precision)
     offsets = len(names) - tilts
     size = 0.2 * max(float(np.sqrt(squares.sum() / count)), 1e-300)

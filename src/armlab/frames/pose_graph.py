@@ -1,8 +1,8 @@
 """Pose graph: named frames connected by measured poses, loop closure errors, and maximum-likelihood poses.
 
 An error [v; w] of a pose E in a loop changes the closure error by ``Ad(S^-1) [R_E^T v; w]``, with S the product of the
-poses behind E. A pose E measured between frames a and b has the residuals ``p_E - R_a^T (p_b - p_a)`` along the axes
-of a and ``Log(R_b^T R_a R_E)`` along the axes of b. Theory: docs/theory/frames.md.
+poses that follow E. A pose E measured between frames a and b has the residuals ``p_E - R_a^T (p_b - p_a)`` along the
+axes of a and ``Log(R_b^T R_a R_E)`` along the axes of b. Theory: docs/theory/frames.md.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ P_VALUE = 1e-3  # p-value of a closure error below which a loop is reported
 
 Steps = list[tuple[int, int]]
 CLASSES = ("position",) * 3 + ("rotation",) * 3
-LIMIT = 0.2  # largest accepted standard deviation: [rad], and fraction of the size of the set of frames
+LIMIT = 0.2  # largest accepted standard deviation: angle [rad], and fraction of the size of the set of frames
 PARTS = (("x", "m"), ("y", "m"), ("z", "m"), ("turn x", "rad"), ("turn y", "rad"), ("turn z", "rad"))
 
 
@@ -69,7 +69,7 @@ class Graph:
                     "T_base_tool is the pose of tool in base."
                 )
         if a == b:
-            raise FrameError(f"Expected two different frames, got {a!r} twice. Correct a name.")
+            raise FrameError(f"Expected two different frames, got {a!r} twice. Correct one of the names.")
         T = still(inputs.pose(T_a_b, f"T_{a}_{b}"), f"T_{a}_{b}")
         self._edges.append(Edge(a, b, T, inputs.covariance(cov, 6, f"the covariance of T_{a}_{b}"), str(source)))
 
@@ -169,7 +169,7 @@ class Loop(Shown):
         return self.p < P_VALUE
 
     def text(self) -> str:
-        """Return one line with the frames, the closure error, its p-value and the suspicious poses."""
+        """Return one line with the frames, the closure error, the p-value of this error and the suspicious poses."""
         chance = "" if np.isnan(self.p) else f", chi2 {self.chi2:.3g} of 6, p {self.p:.2g}"
         verdict = f"; does not close: check {', '.join(self.words)}" if self.beyond else ""
         way = " - ".join([*self.frames, self.frames[0]])
@@ -189,7 +189,7 @@ class LoopCheck(Shown):
 
     @property
     def passed(self) -> bool:
-        """Whether the covariances explain every closure error."""
+        """Whether every closure error is consistent with the covariances."""
         return not any(loop.beyond for loop in self.loops)
 
     def text(self) -> str:
@@ -250,7 +250,7 @@ def path(edges: Sequence[Edge], a: str, b: str) -> Steps | None:
 
 
 def connected(edges: Sequence[Edge], a: str, b: str) -> np.ndarray:
-    """Return the pose (4, 4) of b in a along the shortest path; raise if there is no path."""
+    """Return the pose (4, 4) of b in a along the shortest path; raise an error if there is no path."""
     steps = path(edges, a, b)
     if steps is None:
         raise FrameError(f"Expected poses that connect {a!r} and {b!r}, but there is no path. Add the missing pose.")
@@ -276,7 +276,7 @@ def _closure(edges: Sequence[Edge], steps: Steps) -> Loop:
 
     poses = [edges[k].T if sign > 0 else se3.inv(edges[k].T) for k, sign in steps]
     T, C, known = np.eye(4), np.zeros((6, 6)), True
-    for (k, sign), pose in zip(reversed(steps), reversed(poses)):  # T is the product of the poses behind this pose
+    for (k, sign), pose in zip(reversed(steps), reversed(poses)):  # T is the product of the poses that follow this pose
         edge = edges[k]
         turned = np.eye(6)
         turned[:3, :3] = edge.T[:3, :3].T
@@ -342,7 +342,7 @@ def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = Fals
     if any(given) and not all(given):
         missing = ", ".join(edge.text() for edge, known in zip(edges, given) if not known)
         raise FrameError(
-            f"Expected covariances of all poses or of no pose, but {missing} has none. Pass cov= for each pose."
+            f"Expected covariances of all poses or of none, but {missing} has no covariance. Pass cov= for each pose."
         )
     problem = _problem(edges, names)
     found = nonlinear_least_squares(problem, start, robust=robust)

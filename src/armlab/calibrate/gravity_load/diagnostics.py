@@ -20,8 +20,8 @@ HAND = 20.0  # Delta from which the handedness is decided
 RICH = 0.1  # variation of gravity in two directions beyond which the readings must follow it
 UNEXPLAINED = 0.5  # largest accepted fraction of the variation that a load does not explain
 ROUGH = 5.0  # ratio to the given noise beyond which residuals are not noise
-FIRST_ORDER = 0.05  # standard deviation [rad] beyond which it is only a first-order approximation
-FAR, ABSURD = 1.0, 10.0  # distance [m] of a centre of mass that is possibly, or certainly, in wrong units
+FIRST_ORDER = 0.05  # angle [rad]: a larger standard deviation is only a first-order approximation
+FAR, ABSURD = 1.0, 10.0  # distances [m] of a centre of mass whose unit is possibly, or certainly, wrong
 OTHER_UNIT = 2.0  # factor too large for an error in weight or gravity
 HEAVY, LIGHT = 500.0, 1e-3  # masses [kg] beyond the range of arms and sensors
 LOW_GRAVITY = 1.5  # m/s^2, less than on the Moon
@@ -31,7 +31,7 @@ STANDARD = 9.80665  # standard gravity [m/s^2]
 
 @dataclass(frozen=True, eq=False)
 class LoadUnknowns:
-    """Names, units and limits of the unknowns; describes directions for `check_spread`."""
+    """Names, units and limits of the unknowns, and descriptions of directions for `check_spread`."""
 
     equation: WeightEquation
     load: Load  # estimate
@@ -62,7 +62,7 @@ class LoadUnknowns:
         return np.concatenate([parts[kind] for kind in self.equation.widths])
 
     def __call__(self, step: np.ndarray) -> str:
-        """Return text such as "rotation about tool axis z, bias along it, 0.4 rad"."""
+        """Return a description such as "rotation about tool axis z, bias along it, 0.4 rad"."""
         parts = {kind: step[at] for kind, at in self.equation.places.items()}
         sizes = {kind: np.linalg.norm(step[at] / self.widths[at]) for kind, at in self.equation.places.items()}
         first = next(kind for kind in parts if sizes[kind] > 0.5 * max(sizes.values()))
@@ -100,7 +100,7 @@ def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str,
 
 
 def require_motion(equation: WeightEquation) -> float:
-    """Raise on too few or unexciting samples; return the variation of gravity in its second direction."""
+    """Raise an error for too few or unexciting samples; return the variation of gravity in its second direction."""
     needed = (2 + equation.bias) if equation.pull is not None else (4 + equation.bias)
     if needed > equation.N:
         raise NotExcited(
@@ -132,7 +132,7 @@ def require_motion(equation: WeightEquation) -> float:
 
 
 def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.ndarray, moved: float) -> None:
-    """Raise on readings that do not follow gravity, if gravity in tool axes varies enough."""
+    """Raise an error for readings that do not follow gravity, if gravity in tool axes varies enough."""
     count = np.count_nonzero(kept)
     power = float(equation.weights[kept] @ np.einsum("ij,ij->i", r[kept, :3], r[kept, :3]))
     if moved < RICH or 2 * count < 3 or (equation.noise is not None and power < 3 * count * ROUGH**2):
@@ -188,7 +188,7 @@ def require_right_hand(equation: WeightEquation, kept: np.ndarray) -> str:
 
 
 def require_lever(equation: WeightEquation, load: Load, sd: np.ndarray) -> None:
-    """Raise on torques in newton millimetres, which give an impossible centre of mass."""
+    """Raise an error for torques in newton millimetres, which give an impossible centre of mass."""
     if not equation.torque:
         return
     away, unsure = np.linalg.norm(load.centre), np.linalg.norm(sd[equation.places["centre"]])
@@ -202,7 +202,7 @@ def require_lever(equation: WeightEquation, load: Load, sd: np.ndarray) -> None:
 
 
 def mirrored(equation: WeightEquation, turn: Turn) -> NotConverged:
-    """Return the error for a left-handed sensor, including its fit."""
+    """Return the error for a left-handed sensor, with the fit attached."""
     pull = np.zeros(3) if equation.pull is None else equation.pull
     gamma, R = turn.other_m * pull, turn.mirrored
     bias = np.mean(equation.y[:, :3] - gamma @ (equation.RA @ R), axis=0) * equation.bias
@@ -247,7 +247,7 @@ def _odd_scale(m: float, words: LoadUnknowns) -> list[str]:
 
 
 def require_order_of_tool(equation: WeightEquation, kept: np.ndarray) -> None:
-    """Raise if another convention of the orientations explains the forces much better."""
+    """Raise an error if another convention of the orientations explains the forces much better."""
     if equation.pull is None:
         return
     now = equation.turn if kept.all() else Turn.of(equation, kept)

@@ -65,7 +65,7 @@ def fit_force_sensor(
     wrench : (N, 3) forces, or (N, 6) forces and torques, raw, in sensor axes [N, N m].
     gravity : (3,) gravity in base axes [m/s^2]; or "unknown": the weight in base axes is then also estimated.
     sign : +1 if the sensor reads the weight of the load, -1 if it reads the reaction force.
-    bias : whether readings without weight may be non-zero.
+    bias : whether the unloaded sensor may have non-zero readings.
     mass : known mass of the load [kg]; default: estimated.
     noise : standard deviation of the forces [N]; with torques, a pair (forces [N], torques [N m]); or covariance (k, k)
         or (N, k, k) of the k readings. Default: estimated.
@@ -268,7 +268,7 @@ def _explain(equation: WeightEquation, best: Load, moved: float, words: LoadUnkn
 
 
 def _try_other_hand(equation: WeightEquation) -> None:
-    """Raise if the forces with reversed signs have far fewer outliers."""
+    """Raise an error if the forces with reversed signs have far fewer outliers."""
     noise = equation.noise
     if noise is not None:
         noise = noise[:3] if noise.ndim == 1 else noise[..., :3, :3]

@@ -22,7 +22,7 @@ ROUNDING = 1e-11  # rounding errors relative to the largest reading
 FLOOR = 1e-6  # noise relative to the readings below which it is rounding
 ROUNDS = 50  # maximum number of reweighting steps
 SETTLED = 1e-3  # change of the weights at convergence, relative to the largest weight
-SHORT = 1e-3  # smallest residual of the weights, relative to the median residual
+SHORT = 1e-3  # smallest residual used in the weights, relative to the median residual
 FAR = 4.0  # ratio to the median residual beyond which a sample is excluded from the initial guess
 NULL = 1e-9  # relative singular value that counts as zero
 ALIKE = 0.5  # ratio of the mean weight in tool axes to the weight beyond which the mirror solution is also a minimum
@@ -176,7 +176,7 @@ class Turn(NamedTuple):
     m: float  # mass
     other_m: float  # mass of the best left-handed solution
     power: float  # residual sum of squares
-    signal: float  # total sum of squares; both divided by the variance if the noise is given
+    signal: float  # total sum of squares; both sums are divided by the variance if the noise is given
     moved: list[float]  # relative variation of gravity in tool axes along three axes, in ascending order
     difference: float  # Delta: chi^2 of the best left-handed solution minus chi^2 of the best rotation
 
@@ -208,7 +208,7 @@ class Turn(NamedTuple):
         scale = 1.0
         if equation.noise is None:
             N = equation.N if kept is None else int(np.count_nonzero(kept))
-            floor = max(FLOOR**2 * signal / N, np.finfo(float).tiny)  # for noise-free readings; for zero readings
+            floor = max(FLOOR**2 * signal / N, np.finfo(float).tiny)  # for noise-free, or zero, readings
             scale = max(min(power, other_power) / max(3 * N - 7, 1), floor)
         return cls(R, H, S, m, other_m, power, signal, moved, (other_power - power) / scale)
 
@@ -238,10 +238,10 @@ def likely_samples(equation: WeightEquation) -> np.ndarray:
 
 
 def mirror_solution(equation: WeightEquation, load: Load) -> Load | None:
-    """Return the load with its weight reversed and the sensor rotated by half a turn about it.
+    """Return the load with its weight reversed and the sensor rotated by half a turn about the weight.
 
-    Both fit equally well to first order in the tilts, because ``R^T (u x w) = (H R)^T (-u x w)`` with H the half turn
-    about u; the bias absorbs the mean. Returns None for large tilts or without a bias.
+    Both loads fit equally well to first order in the tilts, because ``R^T (u x w) = (H R)^T (-u x w)`` with H the half
+    turn about u; the bias absorbs the mean. Returns None for large tilts or without a bias.
     """
     u = load.gamma @ equation.RA.mean(axis=0)
     length = float(np.linalg.norm(u))

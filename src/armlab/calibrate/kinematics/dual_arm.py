@@ -3,9 +3,9 @@
     Z_i = T_a(q_a,i)^-1 T_basea_baseb T_b(q_b,i)
 
 The measurement Z is the pose of b's tool, or the position of a point on it, relative to a's tool. One system of
-equations covers both arms and all samples. No absolute measurement is needed; without it, the pose of each base in its
-arm is a convention. The motion of a point on b's tool in a's tool axes is its motion due to the frames and the base of
-b, minus its motion due to the frames of a.
+equations covers both arms and all samples. No absolute measurement is needed. Without one, the pose of each base
+relative to its arm is a convention. The motion of a point on b's tool in a's tool axes is its motion due to the frames
+and the base of b, minus its motion due to the frames of a.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ def fit_dual_arm(
     q_a, q_b : (N, n) simultaneous joint positions [rad or m].
     pose : (N, 4, 4) poses of b's tool relative to a's tool; (4, 4) if a closed chain holds the tools in a known pose.
     position : (N, 3) positions of b's tool point in a's tool axes [m].
-    closed : True if the tools are joined, so that b's tool is fixed relative to a's tool. The pose may be unknown.
+    closed : True if the tools are joined, so that b's tool is fixed relative to a's tool. The relative pose may be
+        unknown.
     absolute_a : (N, 4, 4) poses of a's tool in a frame that then defines the base of a.
     visible : (N,) mask, False for missing relative measurements.
     noise : noise of the relative measurement, as in `fit_kinematics`. Default: estimated.
@@ -89,7 +90,7 @@ def fit_dual_arm(
     Raises
     ------
     NotExcited : unidentifiable directions (named in the message). A closed chain never determines the overall scale and
-        the common motion of both tools; weak="prior" holds them.
+        the common motion of both tools; weak="prior" constrains them.
     NotConverged : inconsistent samples.
     ShapeError, ConfigError, UnknownName : as in `fit_kinematics`.
 

@@ -68,13 +68,14 @@ def fit_kinematics(
     robot : nominal arm, from which the fit starts. A distant measurement frame is located first.
     q : (N, n) joint positions [rad or m].
     pose : (N, 4, 4) measured poses of the tool.
-    position : (N, 3) measured positions of the tool point [m], or (N, K, 3) of K points at unknown places on the tool.
+    position : (N, 3) measured positions of the tool point [m], or (N, K, 3) of K points at unknown positions on the
+        tool.
     distance : (N,) measured distances of the tool point from `anchor`, a fixed, approximately known point [m].
     pair_distance : (i, j, d): indices i and j (M,) of two samples, and the distance d (M,) between their tool points
         [m].
     anchor : (3,) initial guess of the fixed point in the measurement frame [m].
     length_offset, length_scale : estimate offset and scale of distances, ``measured = scale * true + offset``.
-    visible : (N,) or (N, K) mask, False for missing measurements; {"position": mask} if masks differ between kinds.
+    visible : (N,) or (N, K) mask, False for missing measurements; {"position": mask} if the masks of the kinds differ.
     noise : standard deviations: for poses a pair ([m], [rad]) or 6 values; for positions 1 or 3 values [m]; for
         distances 1 value [m]. Or covariances (k, k) or (N, k, k). An infinite standard deviation excludes a component.
         For several kinds of measurement: {"pose": ..., "distance": ...}. Default, also for omitted kinds: estimated.
@@ -86,7 +87,7 @@ def fit_kinematics(
     joint_terms : phi (N, n, L), for example gravity torques; ``sum_l c_l phi_l`` is added to q.
     prior : standard deviation of the links [m and rad], one value or a pair, for `weak="prior"`; base and tool have no
         prior.
-    weak : "refuse": directions beyond `limits` raise an error; "prior": the prior holds these directions.
+    weak : "refuse": directions beyond `limits` raise an error; "prior": the prior determines these directions.
     robust : detect and exclude outliers among the samples.
     limits : largest accepted standard deviation along any direction [m, rad].
 
@@ -155,7 +156,7 @@ def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:
 
 
 def _check_lengths(problem: KinematicProblem, start: State, length_offset: bool) -> None:
-    """Raise on negative distances, and on distances in millimetres."""
+    """Raise an error for negative distances, and on distances in millimetres."""
     lengths = [kind for kind in problem.kinds if "distance" in kind.name]
     if not lengths:
         return

@@ -19,7 +19,7 @@ from armlab.estimation import Excitation
 from armlab.lie import se3, so3
 
 NULL = 1e-9  # relative singular value below which a direction is unobservable
-SEEN = 1e-8  # the same for a candidate direction, which has rounding errors
+SEEN = 1e-8  # the same limit for a candidate direction, which has rounding errors
 SAME = 0.9  # cosine above which a direction matches a named one
 PART = 0.3  # fraction of the largest component above which a component is named
 LITTLE, STILL = 0.35, 1e-3  # motion [rad or m] below which a joint is named as a cause, and counts as at rest

@@ -75,7 +75,7 @@ def check_terms(value: Any, shape: tuple[int, int], name: str = "joint_terms") -
 
 
 def check_harmonics(value: Any) -> tuple[int, ...]:
-    """Return the orders of the harmonics; raise unless they are distinct positive integers."""
+    """Return the orders of the harmonics; raise an error unless they are distinct positive integers."""
     orders = numbers(list(value), "harmonics", ConfigError) if len(value) else np.zeros(0)
     if orders.ndim != 1 or np.any(orders < 1) or np.any(orders % 1) or len(set(orders.tolist())) != len(orders):
         raise ConfigError(f"Expected harmonics as distinct positive integers, such as (1, 2), got {value!r}.")
@@ -154,7 +154,7 @@ def _mask(value: Any, values: np.ndarray, name: str) -> np.ndarray:
 
 
 def _finite(values: np.ndarray, seen: np.ndarray, name: str) -> None:
-    """Raise on NaN and infinity in visible measurements, and list the rows."""
+    """Raise an error for NaN and infinity in visible measurements, and list the rows."""
     if not values.size:
         return
     good = np.isfinite(values.reshape(*seen.shape, -1)).all(axis=-1) | ~seen

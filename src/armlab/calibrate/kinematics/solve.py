@@ -66,7 +66,7 @@ def kabsch(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def check_scale(nominal: float, measured: float, what: str) -> None:
-    """Raise on lengths in millimetres."""
+    """Raise an error for lengths in millimetres."""
     if measured > MILLIMETRES * nominal > 0:
         raise ShapeError(
             f"Expected {what} in metres, got values {measured / nominal:.3g} times as large as those of the nominal "
@@ -238,7 +238,7 @@ class KinematicEstimation(ABC, Generic[S]):
         needed = int(np.count_nonzero(used)) - int(np.linalg.matrix_rank(G[used]))
         data = problem.measurements(start, local=True)
         needed -= sum(never_moves(self.nature(start), data, used))
-        needed -= problem.waves  # these have a prior
+        needed -= problem.waves  # the harmonics have a prior
         needed += any(kind.cov is None for kind in problem.kinds)
         if got < needed:
             raise NotExcited(
@@ -263,7 +263,7 @@ class KinematicEstimation(ABC, Generic[S]):
         size = np.sqrt(2.0 * found.cost / found.freedom) if found.freedom and not found.estimated else None
         match = [] if size is None else [f"residuals {size:.3g} times the given noise"]
         doubts, lines = doubts_of(check, [*notes, *match, *self.doubts(state)])
-        accuracy = cache(partial(self._accuracy, data, found))  # only for the report
+        accuracy = cache(partial(self._accuracy, data, found))  # used only in the report
         shown = ~np.any(np.abs(excitation.null_space) > GAUGE, axis=1)
         return Fit(
             value=value(state, whole),
@@ -289,7 +289,7 @@ class KinematicEstimation(ABC, Generic[S]):
     def judge(
         self, data: Sequence[Measurement], state: S, sigma: dict[str, float], outside: np.ndarray = NOBODY
     ) -> Excitation:
-        """Return the excitation at a state; raise on weak directions unless a prior holds them."""
+        """Return the excitation at a state; raise an error for weak directions unless a prior holds them."""
         problem, used = self.problem, self.used
         sigma = {name: max(size, NO_NOISE) for name, size in sigma.items()}
         G, gauge_names = problem.gauge(state, used)
@@ -350,9 +350,9 @@ class KinematicEstimation(ABC, Generic[S]):
             self.judge(data, state, self._instrument(), outside)
             sizes = ", ".join(f"{size:.3g} in {name}" for name, size in sigma.items())
             raise NotConverged(
-                f"Expected an arm that fits the measurements, got residuals of {sizes} (RMS). They leave directions "
-                "undetermined that an instrument accuracy of 1 mm would determine. Detect outliers with robust=True, "
-                "and check the joint order and the pairing of samples and joint positions.",
+                f"Expected an arm that fits the measurements, got residuals of {sizes} (RMS). Such residuals leave "
+                "directions undetermined that an instrument accuracy of 1 mm would determine. Detect outliers with "
+                "robust=True, and check the joint order and the pairing of samples and joint positions.",
                 best=found.value,
                 reason="mismatch",
             ) from None
@@ -386,7 +386,7 @@ def _cut_to(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> li
 
 
 def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any, outside: np.ndarray = NOBODY) -> None:
-    """Raise on inconsistent samples; `sizes` are the sizes of the workspaces [m], 0 at rest."""
+    """Raise an error for inconsistent samples; `sizes` are the sizes of the workspaces [m], 0 at rest."""
     for one, size in zip(data, sizes):
         kept = one.r[_kept(one, outside)]
         for unit, space in (("m", size), ("rad", np.pi)):
@@ -403,7 +403,7 @@ def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any,
 
 
 def spread_of(points: np.ndarray) -> float:
-    """Return the root mean square distance of points (N, 3) from their mean; 0 if that is rounding."""
+    """Return the root mean square distance of points (N, 3) from their mean; 0 if it is within rounding error."""
     spread = size_of(points)
     return spread if spread > ROUNDING * float(np.abs(points).max(initial=0.0)) else 0.0
 
@@ -418,7 +418,7 @@ def corrected_arm(arm: Arm, state: ArmState, cov: np.ndarray, **more: Any) -> Ki
 def never_moves(
     candidates: Sequence[UnobservableDirection], data: Sequence[Measurement], used: np.ndarray
 ) -> list[bool]:
-    """Return, for each candidate, whether its first direction moves no measurement."""
+    """Return, for each candidate, whether its first direction has no effect on any measurement."""
     if not candidates:
         return []
     V = np.stack([one.directions[:, 0] * used for one in candidates], axis=1)
